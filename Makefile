@@ -2,12 +2,13 @@
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 WORKERS ?= 2
+BROWSERS := chromium chromium-browser google-chrome google-chrome-stable
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # --no-compile: Python compiles what is imported, a small part of the packages, when it is imported
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 
-.PHONY: help demo test lint docs bench clean
+.PHONY: help demo test browser lint docs bench clean
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -18,9 +19,18 @@ help: ## this list
 demo: $(INSTALLED) ## recording -> identified rope -> cast: a folder of figures, an animation and a report
 	$(BIN)/hyperflex demo
 
-test: $(INSTALLED) ## kernels once without the compiler, then the whole suite
+test: $(INSTALLED) browser ## kernels once without the compiler, then the whole suite
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q tests/core
 	$(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(if $(filter 1,$(REQUIRE_DATA)),--require-data)
+
+browser: # for the tests of pages, which skip without one (and fail in CI, and with REQUIRE_DATA=1)
+	@for program in $(BROWSERS); do command -v $$program >/dev/null && exit 0; done; \
+	if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		echo "Installing chromium for the tests of pages."; \
+		{ apt-get update -qq && DEBIAN_FRONTEND=noninteractive \
+			apt-get install -y -qq --no-install-recommends chromium; } >/dev/null 2>&1 && exit 0; \
+	fi; \
+	echo "No browser ($(BROWSERS)): install chromium to run the tests of pages." >&2
 
 lint: $(INSTALLED) ## ruff, mypy, import-linter
 	$(BIN)/ruff check

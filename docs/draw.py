@@ -15,7 +15,6 @@ import hyperflex as hf
 from hyperflex.cli.app import run
 from hyperflex.demo import twin
 from hyperflex.paper.report import casting, estimation, identification
-from hyperflex.report.animation import animate
 from hyperflex.report.identification.figures import prediction_figure
 from hyperflex.report.identification.fitted import fitted_channels
 from hyperflex.report.strobe import strobe_figure
@@ -115,7 +114,7 @@ def main() -> None:
     IMAGES.mkdir(exist_ok=True)
     swung, cracked = cast(), whip()
     save_png(strobe_figure(swung, start=10.3, end=11.4, count=60), IMAGES / "cast.png", dpi=DPI)
-    animate(swung, IMAGES / "cast.gif", start=8.82, end=11.34, width=480)
+    swung.to_html(IMAGES / "cast.html", start=8.82, end=11.34, title="The paper's cable, simulated")
     save_png(strobe_figure(cracked, count=70, width=6.0), IMAGES / "whip.png", dpi=DPI)
     speed = np.linalg.norm(cracked.tip_velocity, axis=1)
     print(f"whip: {speed.max():.0f} m/s at t = {cracked.t[speed.argmax()]:.2f} s")

@@ -8,15 +8,8 @@ import pytest
 
 from hyperflex.cli.app import run
 from hyperflex.demo import DemoReport, write_demo
-from hyperflex.report import plan
 
 Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture(autouse=True)
-def films_of_few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw half of the frames of each plan's film."""
-    monkeypatch.setattr(plan, "_FILM_RATE", 10)
 
 
 @pytest.fixture

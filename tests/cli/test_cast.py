@@ -17,7 +17,7 @@ from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.report import CastReport
 from tests.planning.known import CABLE, late, planned, stopped
 
-NAMES = {"report.html", "cast.gif", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "cast.nc"}
+NAMES = {"report.html", "strike.png", "course.png", "tug.png", "motion.csv", "cast.toml", "cast.nc"}
 
 
 @pytest.fixture
@@ -216,7 +216,7 @@ def test_ctrl_c_while_drawing_leaves_the_plan(hyperflex, hyperflex_json, rope_fi
     code, out, err = hyperflex(*arguments(rope_file, tmp_path / "out"))
     assert (code, out) == (130, "")
     assert f"Written: {tmp_path / 'out' / 'motion.csv'}" in err
-    assert "Missing: the page, its figures and the film" in err
+    assert "Missing: the page and its figures" in err
 
 
 def test_a_folder_where_a_picture_shall_go_is_told_before_anything_is_written(hyperflex, rope_file, ready, tmp_path):
@@ -254,7 +254,7 @@ def test_a_target_of_one_number_is_told_to_need_two(hyperflex, rope_file, tmp_pa
     assert "requires 2 arguments. Give two numbers: --target X Y. See" in err
     code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out", target=("-0.8",)))
     assert code == 2
-    assert "as a number. Give two numbers: --target X Y. See hyperflex --help." in err
+    assert "as a number. Give two numbers: --target X Y. See hyperflex cast --help." in err
 
 
 @pytest.mark.parametrize(

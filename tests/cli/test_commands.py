@@ -17,7 +17,8 @@ from hyperflex import cli
 from hyperflex.cli import output
 from hyperflex.cli.app import app
 
-COMMANDS = ("simulate", "identify", "cast", "whip", "calibrate", "track", "watch", "reproduce", "demo", "warm")
+COMMANDS = ("simulate", "view", "plot", "identify", "cast", "whip", "calibrate", "track", "watch", "reproduce")
+COMMANDS += ("demo", "warm")
 
 
 def test_these_are_all_commands():
@@ -46,7 +47,8 @@ def test_help_alone_and_version(hyperflex):
 def test_wrong_usage_exits_with_2(hyperflex, arguments):
     code, out, err = hyperflex(*arguments)
     assert (code, out) == (2, "")
-    assert "See hyperflex --help" in err
+    known = "" if arguments == ("simulat",) else f"{arguments[0]} "
+    assert f"See hyperflex {known}--help." in err
 
 
 def test_the_installed_program_keeps_standard_output_clean(tmp_path):

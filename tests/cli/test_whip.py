@@ -13,7 +13,7 @@ from hyperflex import planning
 from hyperflex.report import WhipReport
 from tests.planning.known_whip import ROPE, far_whip, planned_whip
 
-NAMES = {"report.html", "whip.gif", "peak.png", "passing.png", "course.png", "motion.csv", "whip.toml", "whip.nc"}
+NAMES = {"report.html", "peak.png", "passing.png", "course.png", "motion.csv", "whip.toml", "whip.nc"}
 
 
 @pytest.fixture
@@ -164,7 +164,7 @@ def test_ctrl_c_while_drawing_leaves_the_plan(hyperflex_json, rope_file, ready, 
     assert (code, told["error"], told["success"]) == (130, "interrupted", True)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"motion.csv", "whip.toml", "whip.nc"}
     assert sorted(told["files"]) == ["motion", "plan", "run"]
-    assert "film" in told["missing"]
+    assert "figures" in told["missing"]
     assert "motion.csv" in told["message"]
 
 

@@ -17,6 +17,7 @@ from hyperflex.report.animation import animate
 from hyperflex.report.shapes import shapes
 from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import png, save_png
+from hyperflex.vision import VideoReader
 
 
 def opened(content: bytes) -> Image.Image:
@@ -69,6 +70,25 @@ def test_pictures_leave_matplotlib_as_it_was_and_repeat_byte_by_byte(short_cast)
     assert dict(mpl.rcParams) == before
 
 
+def test_walls_and_grounds_are_drawn(tmp_path):
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6, radius=0.004, friction=1e-3)
+    obstacles = (hf.Wall(1.4, -0.9, 1.4, -0.5), hf.Ground(0.0, -0.9))
+    run = hf.simulate(hf.Setup(rope, duration=0.1, pegs=obstacles, q0=np.full(6, 1.5)))
+    (axis,) = strobe_figure(run).axes
+    assert any(np.array_equal(line.get_xydata(), [[1.4, -0.9], [1.4, -0.5]]) for line in axis.get_lines())
+    (ground,) = (patch for patch in axis.patches if patch.get_xy().shape[1] == 2)
+    assert ground.contains_point(axis.transData.transform((0.7, -0.92)))
+    assert not ground.contains_point(axis.transData.transform((0.7, -0.88)))
+    assert axis.get_xlim()[1] > 1.4  # the view reaches as far
+    run.animate(tmp_path / "a.gif", frame_rate=10, width=300)
+    frame = np.asarray(Image.open(io.BytesIO((tmp_path / "a.gif").read_bytes())).convert("RGB")).astype(int)
+    tall, wide = np.nonzero((frame[..., 0] > 180) & (frame[..., 1] < 120))  # the wall
+    assert np.ptp(tall) > 5 * np.ptp(wide)
+    low = frame[-2]
+    assert (np.ptp(low, axis=0) < 40).all()
+    assert low.sum(axis=1).min() > frame[2].sum(axis=1).min()  # the ground is lighter than the night
+
+
 def test_a_film_has_its_frames_in_time(short_cast, tmp_path):
     seen = []
     path = tmp_path / "cast.gif"
@@ -100,6 +120,20 @@ def test_a_slow_film_takes_longer(short_cast, tmp_path):
     assert Image.open(io.BytesIO((tmp_path / "slow.gif").read_bytes())).n_frames == 21
 
 
+def test_a_film_as_a_video_has_the_same_frames_in_time(short_cast, tmp_path):
+    animate(short_cast, tmp_path / "cast.gif", end=0.5, frame_rate=20, width=161)
+    short_cast.animate(tmp_path / "cast.mp4", end=0.5, frame_rate=20, width=161)
+    drawn = Image.open(io.BytesIO((tmp_path / "cast.gif").read_bytes()))
+    with VideoReader(tmp_path / "cast.mp4") as video:
+        frames = list(video)
+    np.testing.assert_allclose([frame.time for frame in frames], np.arange(11) / 20.0, atol=1e-5)  # s, ticks of 1/90000
+    for number in (0, 10):
+        drawn.seek(number)
+        seen = frames[number].image[: drawn.height, : drawn.width, ::-1].astype(float)
+        # H.264 keeps colours at half the resolution: thin lines lose some, the picture as a whole does not
+        assert np.abs(seen - np.asarray(drawn.convert("RGB"))).mean() < 4.0
+
+
 def test_a_film_without_an_arm(hanging, tmp_path):
     animate(hanging, tmp_path / "swing.gif", frame_rate=10, width=100)
     assert Image.open(io.BytesIO((tmp_path / "swing.gif").read_bytes())).n_frames == 6
@@ -108,7 +142,8 @@ def test_a_film_without_an_arm(hanging, tmp_path):
 @pytest.mark.parametrize(
     ("name", "arguments", "message"),
     [
-        ("a.mp4", {}, "kind of file"),
+        ("a.avi", {}, "kind of file"),
+        ("a.mp4", {"frame_rate": 0}, "frame_rate"),
         ("a.gif", {"frame_rate": 30}, "frame_rate"),
         ("a.gif", {"speed": 0.0}, "speed"),
         ("a.gif", {"start": 1.0, "end": 0.5}, "span"),

@@ -17,6 +17,7 @@ from hyperflex.cli.calibrate import calibrate
 from hyperflex.cli.cast import cast
 from hyperflex.cli.demo import demo
 from hyperflex.cli.identify import identify
+from hyperflex.cli.look import plot, view
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
 from hyperflex.cli.track import track
@@ -32,6 +33,8 @@ _PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 for _command, _example in (
     (simulate, "simulate cast.toml -o cast.nc"),
+    (view, "view cast.nc"),
+    (plot, "plot cast.nc -o cast.png"),
     (identify, "identify swing.csv --guess guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),
@@ -43,6 +46,7 @@ for _command, _example in (
     (warm, "warm"),
 ):
     app.command(epilog=f"\b\nExample:\n  hyperflex {_example}")(_command)
+_COMMANDS = {each.callback.__name__ for each in app.registered_commands if each.callback is not None}
 
 
 def _show_version(wanted: bool) -> None:
@@ -91,7 +95,7 @@ def run(arguments: Sequence[str]) -> int:
         message = output.with_options(str(error), _options(arguments))
         return output.complain(message, type(error).__name__, output.REFUSED, as_json=as_json)
     except _PARSER_ERROR as error:
-        return output.complain(_misused(error), "UsageError", output.REFUSED, as_json=as_json)
+        return output.complain(_misused(error, arguments), "UsageError", output.REFUSED, as_json=as_json)
     except MemoryError as error:
         what = f"The memory is full ({error})" if str(error) else "The memory is full"
         message = f"{what}. Make it smaller: a shorter duration, fewer links, samples or outputs."
@@ -131,12 +135,13 @@ def _options(arguments: Sequence[str]) -> dict[str, str]:
     }
 
 
-def _misused(error: Any) -> str:
+def _misused(error: Any, arguments: Sequence[str]) -> str:
     """Return what the parser complains of in whole sentences, and where to look."""
     worded = getattr(error, "format_message", None)
     message = str(worded() if worded else error).rstrip(".")
     two = " Give two numbers: --target X Y." if "'--target'" in message else ""
-    return f"{message}.{two} See hyperflex --help."
+    named = arguments[0] if arguments and arguments[0] in _COMMANDS else ""
+    return f"{message}.{two} See {f'hyperflex {named}'.strip()} --help."
 
 
 def _invoke(arguments: Sequence[str]) -> int:

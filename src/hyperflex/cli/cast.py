@@ -57,8 +57,8 @@ def cast(
 
     A rope is wound with 1.25 turns or more, counted from the arm's tip to its end, and holds if it slips by less than
     5 mm in 2 s. The plan is verified in simulation, with links near the target cut shorter, then with all links of half
-    and of a third of the length. Writes a page, pictures, a film, the motion for the motor (CSV), the verified run
-    (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
+    and of a third of the length. Writes a page on which the run plays, pictures, the motion for the motor (CSV), the
+    verified run (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
 
     Ctrl-C ends the search; the best so far is written, and marked as such, without pictures. While page and pictures
     are drawn, it leaves the plan's other files, which are written before.

@@ -82,14 +82,13 @@ def _show(report: "DemoReport") -> None:
         output.console().print(f"Hold force by a tug: {report.demo.held.force:.2f} N.", markup=False)
     for _, sentence in report.verdicts:
         output.console().print(sentence, markup=False)
-    wound = {"wound_film": "the rope wound round a target, as a film", "motion": "its motion for the motor"}
+    wound = {"motion": "the motion for the motor, which winds the rope round a target"}
     output.print_pairs(
         "Look at",
         [
-            ("the whole story on one page", str(report.files["page"])),
+            ("the whole story on one page, with both casts to play", str(report.files["page"])),
             *((words, str(report.files[kind])) for kind, words in wound.items() if kind in report.files),
             ("what was tracked in the video", str(report.files["tracked"])),
-            ("the paper's cast as a film", str(report.files["film"])),
             ("one stroke as a stroboscope shows it", str(report.files["strobe"])),
             ("the identified rope, with its figures", str(report.files["rope"])),
         ],

@@ -72,7 +72,6 @@ Seed = Annotated[int, typer.Option(help="Of the search.")]
 _TABLES = ("rope", "arm", "pegs", "walls", "grounds")  # of a set-up file, as for simulate
 _WRITTEN = {
     "page": "the whole story on one page",
-    "film": "the {} as a film",
     "motion": "the motion for the motor",
     "plan": "the set-up, for simulate",
     "nearest": "the nearest target's, for simulate",
@@ -167,7 +166,7 @@ def writing(
     """
     written = files.rescued(lambda folder: report.write_plan(folder, rate=rate), out)
     result = report.plan.summary() | {"verdict": report.verdict}
-    missing = "the page, its figures and the film"
+    missing = "the page and its figures"
     with output.keeping(written, missing, result, as_json=as_json), output.spinner() as progress:
         yield written, progress
 
@@ -189,7 +188,7 @@ def finish(
     if not as_json:
         output.print_pairs(f"{report.name.capitalize()} (simulated)", report.tiles)
         output.console().print("\n".join((report.verdict, *notes)), markup=False)
-        written = [(words.format(report.name), str(files[kind])) for kind, words in _WRITTEN.items() if kind in files]
+        written = [(words, str(files[kind])) for kind, words in _WRITTEN.items() if kind in files]
         output.print_pairs("Written", written)
     if report.plan.interrupted:
         message = f"Interrupted; the best so far is in {files['page'].parent}. {report.verdict}"

@@ -73,7 +73,7 @@ def simulate(
             ("greatest motor torque", f"{result['greatest_torque_Nm']:.4g} N m"),
             ("energy error", f"{result['energy_error_J']:.2g} J of {worked:.3g} J moved"),
             *([("trusted", _told(trust))] if trust else []),
-            ("written", f"{out} ({trajectory.t.size} samples)"),
+            ("written", f"{out} ({trajectory.t.size} samples); hyperflex view {out} plays it"),
         ],
         as_json=json,
     )

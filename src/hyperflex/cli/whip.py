@@ -55,8 +55,8 @@ def whip(
     (rad), least_speed (m/s). Options have the same units.
 
     The plan is verified in simulation, on the rope as given and with links of half the length; the impact on a small
-    peg at the target is simulated too. Writes a page, pictures, a film, the motion for the motor (CSV), the verified
-    run (NetCDF) and a set-up that simulate runs; files of an earlier whip in the folder are replaced.
+    peg at the target is simulated too. Writes a page on which the run plays, pictures, the motion for the motor (CSV),
+    the verified run (NetCDF) and a set-up that simulate runs; files of an earlier whip in the folder are replaced.
 
     Ctrl-C ends the search; the best so far is written, and marked as such, without pictures. While page and pictures
     are drawn, it leaves the plan's other files, which are written before.

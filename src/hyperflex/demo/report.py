@@ -1,4 +1,4 @@
-"""The demo's folder: figures, films, runs, the identified rope, a planned cast and a page that shows it all."""
+"""The demo's folder: figures, runs, the identified rope, a planned cast and a page that shows it all."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,17 +17,17 @@ from hyperflex.report import (
     GREY,
     RED,
     CastReport,
+    Film,
     Picture,
     Progress,
     Section,
     TextTable,
-    animate,
-    film_progress,
     fit_figure,
     fitted_channels,
     legend,
     new_figure,
     plain_reason,
+    player_html,
     png,
     search_summary,
     sections_markdown,
@@ -42,7 +42,6 @@ from hyperflex.vision import VideoReader
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_FILM_RATE = 20  # frames a second
 _WINDOW = 2.0  # s, of the table of reaches
 _LEAD = (
     "From a video to an identified rope to its cast. The video was made by simulating a rope of {fine} links and "
@@ -75,7 +74,7 @@ _CAPTIONS = {
 class DemoReport:
     """The demo's results, and the files of its report."""
 
-    files: dict[str, Path]  # by what they are: "page", "film", "cast", "rope", ...
+    files: dict[str, Path]  # by what they are: "page", "cast", "rope", ...
     demo: Demo
     parameters: TextTable  # identified values, intervals and mapped truth
     reaches: TextTable  # greatest reach of the tip in each 2 s
@@ -100,19 +99,10 @@ def _write(folder: Path, report: DemoReport, winding: CastReport, progress: Prog
     shown = {"seen": _frames(folder / "tracked.mp4"), **_figures(demo)}
     names = {kind: f"{kind}.png" for kind in shown}
     names |= {"tracked": "tracked.mp4", "video": "swing.mp4", "camera": "camera.toml", "guess": "guess.toml"}
-    names |= {"film": "cast.gif", "cast": "cast.nc", "rope": "rope.toml", "markers": "markers.nc"}
+    names |= {"cast": "cast.nc", "rope": "rope.toml", "markers": "markers.nc"}
     names |= {"identification": "identification.json", "summary": "summary.md", "page": "report.html"}
     for kind, content in shown.items():
         files.write_bytes(folder / names[kind], content)
-    animate(
-        demo.cast,
-        folder / names["film"],
-        frame_rate=_FILM_RATE,
-        width=560,
-        title="identified rope, simulated",
-        progress=film_progress(progress),
-    )
-    shown["film"] = (folder / names["film"]).read_bytes()
     progress("writing")
     demo.cast.to_netcdf(folder / names["cast"])
     demo.recording.to_netcdf(folder / names["markers"])
@@ -136,7 +126,7 @@ def _write(folder: Path, report: DemoReport, winding: CastReport, progress: Prog
     files.write_text(folder / names["summary"], sections_markdown("Demo (simulated)", sections))
     lead = _LEAD.format(fine=demo.reference.q.shape[1], coarse=demo.recording.n_links)
     write_page(folder / names["page"], "A rope, identified and cast", lead, "simulated", sections)
-    return names | {"wound_film" if kind == "film" else kind: path.name for kind, path in (wound | drawn).items()}
+    return names | {kind: path.name for kind, path in (wound | drawn).items()}
 
 
 def _figures(demo: Demo) -> dict[str, bytes]:
@@ -283,12 +273,13 @@ def _sections(report: DemoReport, contents: Mapping[str, bytes], winding: Sectio
     def shown(*kinds: str) -> tuple[Picture, ...]:
         return tuple(Picture(contents[kind], _CAPTIONS[kind]) for kind in kinds)
 
+    film = Film(player_html(demo.cast, title="identified rope, simulated"), _CAPTIONS["film"])
     reaches = ("The table gives the greatest |x| of the tip in each 2 s, m.",)
     return [
         _in_short(demo),
         Section("The video", text=(_TRACKED.format(seen=100.0 * demo.seen),), pictures=shown("seen")),
         winding,
-        Section("The paper's cast", pictures=shown("film", "strobe", "casts"), table=report.reaches, notes=reaches),
+        Section("The paper's cast", pictures=(film, *shown("strobe", "casts")), table=report.reaches, notes=reaches),
         Section("The identified rope", pictures=shown("parameters"), table=report.parameters, notes=_notes(demo)),
         Section("Measured, fitted, predicted", text=(_HELD_OUT,), pictures=shown("prediction")),
     ]

@@ -20,7 +20,7 @@ MANY = 8  # numbers of a kind that are printed
 LARGE = 0.3  # part of a standard deviation from which the model's is printed
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Identification(Ended):
     """An identified rope, and how far it can be trusted.
 
@@ -166,6 +166,14 @@ class Identification(Ended):
         """Write the rope to `path`, readable by ``Rope.from_toml``, with the figures in ``[identification]``."""
         content = {name: value for name, value in self.summary().items() if name != "rope"}
         files.write_toml(path, {"rope": self.rope.table(), "identification": _without_none(content)})
+
+    def __repr__(self) -> str:
+        return f"Identification({self.grade.name}, {self.message}, {', '.join(self.values)} of {self.rope!r})"
+
+    def _repr_html_(self) -> str:
+        from hyperflex.report import identification_html
+
+        return identification_html(self)
 
     def __str__(self) -> str:
         settings = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in self.settings.items()}

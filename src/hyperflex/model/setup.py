@@ -1,7 +1,7 @@
 """A simulation set-up: rope, arm, motion, obstacles, start, and its TOML file."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ DEFAULT_TOL = 1e-5  # m
 DEFAULT_CONTACT_STEP = 2e-4  # s
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Setup:
     """What :func:`hyperflex.simulate` runs.
 
@@ -141,6 +141,19 @@ class Setup:
                 )
             if self.torque.coef[:, :TORQUE].any():
                 raise InvalidInput("torque moves the arm or the pivot", allowed="a torque_profile(t, torque)")
+
+    def __repr__(self) -> str:
+        drive = "torque" if self.torque_driven else "motion" if self.motion is not None else "at rest"
+        arm = "" if self.arm is None else f"arm of {self.arm.length:g} m, "
+        pegs = f", {len(self.pegs)} obstacle{'' if len(self.pegs) == 1 else 's'}" if self.pegs else ""
+        return f"Setup({self.rope!r}, {arm}{drive}, {self.duration:g} s{pegs})"
+
+    def replace(self, **changes: Any) -> "Setup":
+        """Return a set-up with the fields named in `changes` replaced; raises InvalidInput as Setup does."""
+        names = [f.name for f in fields(self)]
+        if unknown := set(changes) - set(names):
+            raise InvalidInput("unknown field of a set-up", got=sorted(unknown), allowed=", ".join(names))
+        return replace(self, **changes)
 
     @property
     def torque_driven(self) -> bool:

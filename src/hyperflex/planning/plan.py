@@ -44,6 +44,7 @@ class Plan(ABC):
 
     kind: ClassVar[str]  # in files
     cast_setup: CastSetup
+    target: Any
     outcome: Any
     message: str
     runs: int
@@ -105,6 +106,16 @@ class Plan(ABC):
             fix = "Plan for a target that is feasible" if self.motion is None else read
             raise InvalidInput(f"the plan holds no {name}", got=self.message or "a plan that succeeds", fix=fix)
         return value
+
+    def __repr__(self) -> str:
+        ended = "succeeds" if self.success else f"fails: {self.message}"
+        place = f"target ({self.target.x:.4g}, {self.target.y:.4g}) m"
+        return f"{type(self).__name__}({place}, {self.cast_setup.rope!r}, {self.runs} runs, {ended})"
+
+    def _repr_html_(self) -> str:
+        from hyperflex.report import plan_html
+
+        return plan_html(self)  # type: ignore[arg-type] # all plans are casts or whips
 
     def summary(self) -> dict[str, Any]:
         """Return success, status and all fields but the set-up as nested tables, for JSON."""

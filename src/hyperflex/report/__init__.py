@@ -12,10 +12,13 @@ if TYPE_CHECKING:
     from hyperflex.report.identification.fitted import fitted_channels
     from hyperflex.report.identification.page import identification_page, write_found, write_identification
     from hyperflex.report.identification.parameters import parameters_table, ratios_table
-    from hyperflex.report.page import Picture, Section, TextTable, sections_markdown, write_page
-    from hyperflex.report.plan import PlanReport, film_progress, search_summary
+    from hyperflex.report.notebook import identification_html, plan_html, rope_html, run_html
+    from hyperflex.report.page import Film, Picture, Section, TextTable, sections_markdown, write_page
+    from hyperflex.report.plan import PlanReport, search_summary
+    from hyperflex.report.player import Line, Plot, player_html, write_player
     from hyperflex.report.strobe import strobe_figure
-    from hyperflex.report.style import BLUE, GREEN, GREY, INK, OUTCOME_COLOUR, RED, legend, new_figure, png
+    from hyperflex.report.style import BLUE, GREEN, GREY, INK, OUTCOME_COLOUR, RED, legend, new_figure, png, save_png
+    from hyperflex.report.time_course import run_figure
     from hyperflex.report.units import readable_unit
     from hyperflex.report.whip.report import WhipReport
 

@@ -1,4 +1,4 @@
-"""Animations of a run: arm, rope and the tip's trail as a GIF, drawn with Pillow."""
+"""Animations of a run: arm, rope and the tip's trail as a GIF or an MP4 video, drawn with Pillow."""
 
 import io
 from collections.abc import Callable, Iterator
@@ -11,8 +11,10 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.report.shapes import NO_TARGETS, shapes, span, view
+from hyperflex.model import Peg, Wall
+from hyperflex.report.shapes import NO_TARGETS, ground_corners, shapes, span, view, wall_ends
 from hyperflex.trajectory import Trajectory
+from hyperflex.vision import VideoWriter
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -70,16 +72,16 @@ def animate(
     targets: Array | None = None,
     progress: FrameProgress | None = None,
 ) -> None:
-    """Write an animated GIF of a run, whole or not at all.
+    """Write an animated GIF, or an MP4 video, of a run, whole or not at all.
 
     Parameters
     ----------
     run, path
-        What to show, and where to write: a name that ends in ``.gif``.
+        What to show, and where to write: a name that ends in .gif or .mp4.
     start, end : float, optional
         Simulated time to show, s; the whole run by default.
-    frame_rate : {10, 20, 25, 50}
-        Frames per second; GIF counts in hundredths of a second.
+    frame_rate : int
+        Frames per second; of a GIF 10, 20, 25 or 50, as it counts in hundredths of a second.
     speed : float
         Simulated seconds per second of the film, > 0.
     width : int
@@ -98,9 +100,11 @@ def animate(
     InvalidInput
         Another suffix, frame rate, speed or span than allowed.
     """
-    if Path(path).suffix.lower() != ".gif":
-        raise InvalidInput("animation has an unknown kind of file", got=str(path), allowed="a name ending in .gif")
-    if frame_rate not in (10, 20, 25, 50):
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".gif", ".mp4"):
+        allowed = "a name ending in .gif or .mp4"
+        raise InvalidInput("animation has an unknown kind of file", got=str(path), allowed=allowed)
+    if checks.count("frame_rate", frame_rate, most=240) not in (10, 20, 25, 50) and suffix == ".gif":
         raise InvalidInput(
             "frame_rate does not fit a GIF", got=frame_rate, allowed="10, 20, 25 or 50 frames per second"
         )
@@ -110,7 +114,13 @@ def animate(
     targets = NO_TARGETS if targets is None else targets
     room = 0 if note is None else _LINE * (note(float(times[-1])).count("\n") + 2)
     scene = _Scene(run, _view(run, targets, checks.count("width", width, least=64), room), trail, targets)
-    files.write_bytes(path, _gif(_frames(scene, times, (title, note), progress), frame_rate))
+    frames = _frames(scene, times, (title, note), progress)
+    if suffix == ".gif":
+        files.write_bytes(path, _gif(frames, frame_rate))
+        return
+    with VideoWriter(path, (scene.view.width // _FINE, scene.view.height // _FINE)) as video:
+        for number, frame in enumerate(frames):
+            video.write(np.asarray(frame)[..., ::-1], number / frame_rate)  # blue first
 
 
 def _gif(frames: "Iterator[Image.Image]", frame_rate: int) -> bytes:
@@ -165,9 +175,14 @@ def _draw_scene(draw: Any, scene: _Scene, time: float, step: float) -> None:
     origin = view.pixels(np.zeros((1, 2)))[0]
     draw.line([(0, origin[1]), (view.width, origin[1])], fill=_GRID, width=_FINE)
     draw.line([(origin[0], 0), (origin[0], view.height)], fill=_GRID, width=_FINE)
-    for peg in run.setup.round_pegs:
-        centre = view.pixels(np.array([[peg.x, peg.y]]))[0]
-        _dot(draw, centre, max(peg.radius * view.scale, 2 * _FINE), _PEG)
+    for each in run.setup.pegs:
+        if isinstance(each, Peg):
+            centre = view.pixels(np.array([[each.x, each.y]]))[0]
+            _dot(draw, centre, max(each.radius * view.scale, 2 * _FINE), _PEG)
+        elif isinstance(each, Wall):
+            draw.line(view.pixels(np.array(wall_ends(each))), fill=_PEG, width=3 * _FINE)
+        else:
+            draw.polygon(view.pixels(ground_corners(each, 2.0 * (view.width + view.height) / view.scale)), fill=_GRID)
     for k in range(_GHOSTS):
         draw.line(view.pixels(drawn.joints[k]), fill=_blend(_ROPE, 0.40 * (k + 1) / (_GHOSTS + 1)), width=_FINE)
     past = np.linspace(max(time - scene.trail, start), time, _TRAIL_POINTS)

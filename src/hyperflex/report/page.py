@@ -4,11 +4,10 @@ import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from hyperflex import files
 from hyperflex.errors import InvalidInput
-
-_KINDS = {b"\x89PNG": "image/png", b"GIF8": "image/gif"}
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,7 @@ class TextTable:
 
 @dataclass(frozen=True)
 class Picture:
-    """The bytes of a PNG or GIF, and its caption, which is also the text for those who cannot see it."""
+    """The bytes of a PNG, and its caption, which is also the text for those who cannot see it."""
 
     content: bytes
     caption: str
@@ -36,8 +35,15 @@ class Picture:
     @property
     def source(self) -> str:
         """The picture as a data URL."""
-        kind = next(kind for magic, kind in _KINDS.items() if self.content.startswith(magic))
-        return f"data:{kind};base64,{base64.b64encode(self.content).decode('ascii')}"
+        return f"data:image/png;base64,{base64.b64encode(self.content).decode('ascii')}"
+
+
+@dataclass(frozen=True)
+class Film:
+    """A player's HTML document, and the caption below it."""
+
+    document: str
+    caption: str
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,7 @@ class Section:
     text: tuple[str, ...] = ()  # paragraphs
     tiles: tuple[tuple[str, str], ...] = ()  # key figures: value and what it is
     marks: tuple[tuple[bool, str], ...] = ()  # findings: whether each is good news, and its sentence
-    pictures: tuple[Picture, ...] = ()  # below each other
+    pictures: tuple[Picture | Film, ...] = ()  # below each other
     table: TextTable | None = None  # in full; wide ones scroll
     notes: tuple[str, ...] = ()  # small print
     folded: str = ""  # if given, pictures and table wait below this line until somebody clicks on it
@@ -62,6 +68,11 @@ def write_page(path: str | Path, title: str, lead: str, badge: str, sections: li
 
     The badge is a short label above the title, such as "simulated".
     """
+    files.write_text(path, render("page.html", title=title, lead=lead, badge=badge, sections=sections))
+
+
+def render(template: str, **content: Any) -> str:
+    """Return a template of this room with its content filled in."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     from hyperflex import __version__
@@ -70,9 +81,7 @@ def write_page(path: str | Path, title: str, lead: str, badge: str, sections: li
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    template = environment.get_template("page.html")
-    text = template.render(title=title, lead=lead, badge=badge, sections=sections, version=__version__)
-    files.write_text(path, text)
+    return environment.get_template(template).render(**content, version=__version__)
 
 
 def markdown(table: TextTable) -> str:

@@ -1,8 +1,8 @@
-"""The report of a plan, cast or whip: a folder with page, figures, film, the motor's motion and the verified run."""
+"""The report of a plan, cast or whip: a folder with page, figures, the motor's motion and the verified run."""
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from hyperflex.motion import Motion
 from hyperflex.planning import RATE, CastPlan, CastSetup, MotorLimits, WhipPlan
-from hyperflex.report.animation import animate
 from hyperflex.report.folder import Progress, silent, whole_folder
-from hyperflex.report.page import Picture, Section, TextTable, write_page
+from hyperflex.report.page import Film, Picture, Section, TextTable, write_page
+from hyperflex.report.player import player_html
 from hyperflex.report.style import save_png
 from hyperflex.trajectory import Trajectory
 
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 Plan = CastPlan | WhipPlan
 PlanT = TypeVar("PlanT", CastPlan, WhipPlan)
 NOT_KNOWN = "not known"
-_FILM_RATE, _FILM_WIDTH = 20, 560  # frames a second, pixels
 
 
 class PlanReport(ABC, Generic[PlanT]):
@@ -52,10 +51,10 @@ class PlanReport(ABC, Generic[PlanT]):
 
     @abstractmethod
     def film(self) -> dict[str, Any]:
-        """Return arguments of :func:`hyperflex.report.animation.animate`."""
+        """Return arguments of :func:`hyperflex.report.player.player_html`."""
 
     def write(self, directory: str | Path, *, rate: float = RATE, progress: Progress = silent) -> dict[str, Path]:
-        """Write motion, set-up and run to a folder, then figures, film and page.
+        """Write motion, set-up and run to a folder, then figures and the page, in which the run can be played.
 
         Parameters
         ----------
@@ -70,7 +69,7 @@ class PlanReport(ABC, Generic[PlanT]):
         Returns
         -------
         dict of str to Path
-            The files: "page", "motion", "plan" (its set-up), "run", "film", and the figures by name; those there are.
+            The files: "page", "motion", "plan" (its set-up), "run", and the figures by name; those there are.
         """
         return self.write_plan(directory, rate=rate) | self.add_page(directory, progress=progress)
 
@@ -82,7 +81,7 @@ class PlanReport(ABC, Generic[PlanT]):
         plan, others = self.plan, {name: other for name, other in self.others.items() if other is not None}
         names = {name: f"{name}.toml" for name in others}
         own = [f"{name}.toml" for name in (*self.others, self.name)] + [f"{name}.png" for name in self.captions]
-        own += ["report.html", "motion.csv", f"{self.name}.nc", f"{self.name}.gif"]
+        own += ["report.html", "motion.csv", f"{self.name}.nc"]
         with whole_folder(directory, own) as stage:
             for name, other in others.items():
                 other.to_toml(stage / names[name])
@@ -96,7 +95,7 @@ class PlanReport(ABC, Generic[PlanT]):
         return {kind: Path(directory) / name for kind, name in names.items()}
 
     def add_page(self, directory: str | Path, *, progress: Progress = silent) -> dict[str, Path]:
-        """Draw figures and film, and write the page that shows them. Arguments and answer as of :meth:`write`."""
+        """Draw the figures, and write the page with them and the run. Arguments and answer as of :meth:`write`."""
         page = Path(directory) / "report.html"
         with whole_folder(directory) as stage:
             drawn = self.draw(stage, progress)
@@ -105,7 +104,7 @@ class PlanReport(ABC, Generic[PlanT]):
         return {kind: Path(directory) / path.name for kind, path in drawn.items()} | {"page": page}
 
     def draw(self, folder: Path, progress: Progress = silent) -> dict[str, Path]:
-        """Draw figures and film of the run to files in `folder`; return them by name.
+        """Draw figures of the run to files in `folder`; return them by name.
 
         None if there is no run, or if the plan was interrupted: who stops a search waits for nothing more.
         """
@@ -113,19 +112,19 @@ class PlanReport(ABC, Generic[PlanT]):
             return {}
         progress("drawing")
         figures = self.figures()
-        drawn = {name: folder / f"{name}.png" for name in figures} | {"film": folder / f"{self.name}.gif"}
+        drawn = {name: folder / f"{name}.png" for name in figures}
         for name, figure in figures.items():
             save_png(figure, drawn[name])
-        film = {"frame_rate": _FILM_RATE, "width": _FILM_WIDTH, **self.film()}
-        animate(self.plan.run, drawn["film"], progress=film_progress(progress), **film)
         return drawn
 
-    def pictures(self, drawn: Mapping[str, Path]) -> dict[str, Picture]:
-        """Return what :meth:`draw` drew, with captions."""
-        shown = {kind: caption for kind, caption in self.captions.items() if kind in drawn}
-        return {kind: Picture(drawn[kind].read_bytes(), caption) for kind, caption in shown.items()}
+    def pictures(self, drawn: Mapping[str, Path]) -> dict[str, Picture | Film]:
+        """Return the player of the run, if there is one, and what :meth:`draw` drew, with captions."""
+        run, captions = self.plan.run, self.captions
+        films = {} if run is None else {"film": Film(player_html(run, **self.film()), captions["film"])}
+        shown = {kind: caption for kind, caption in captions.items() if kind in drawn}
+        return {**films, **{kind: Picture(drawn[kind].read_bytes(), caption) for kind, caption in shown.items()}}
 
-    def _sections(self, shown: Mapping[str, Picture]) -> list[Section]:
+    def _sections(self, shown: Mapping[str, Picture | Film]) -> list[Section]:
         plan, verdict, search = self.plan, (self.plan.success, self.verdict), (search_summary(self.plan),)
         sections: list[Section] = [
             Section("In short", verdict=verdict, text=self.advice, tiles=self.tiles, notes=search)
@@ -140,11 +139,6 @@ class PlanReport(ABC, Generic[PlanT]):
             sections.append(Section("Check with a finer rope", table=self.checks, notes=self.checks_note))
             sections.append(Section("Motor", table=_motor_table(plan.cast_setup.limits, plan.motion, self.plan.run)))
         return [*sections, Section("Set-up", text=(f"{_rope_and_arm(plan.cast_setup)} Target: {self.target}.",))]
-
-
-def film_progress(progress: Progress) -> Callable[[int, int], None]:
-    """Return the progress callable of a film that reports frames as messages."""
-    return lambda done, total: progress(f"filming, frame {done} of {total}")
 
 
 def _motor_table(limits: MotorLimits, motion: Motion, run: Trajectory | None) -> TextTable:

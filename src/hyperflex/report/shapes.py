@@ -7,6 +7,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.model import Ground, Wall
 from hyperflex.trajectory import Trajectory
 
 _TALLEST = 1.15  # height of a picture, in widths
@@ -34,19 +35,20 @@ def shapes(run: Trajectory, times: Array) -> Shapes:
 
 def span(run: Trajectory, start: float | None, end: float | None) -> tuple[float, float]:
     """Return the first and last time to show, s: those given, else the run's; InvalidInput if they are not in it."""
-    first = run.t[0] if start is None else checks.number("start", start, unit="s")
-    last = run.t[-1] if end is None else checks.number("end", end, unit="s")
+    first = float(run.t[0]) if start is None else checks.number("start", start, unit="s")
+    last = float(run.t[-1]) if end is None else checks.number("end", end, unit="s")
     if not run.t[0] <= first < last <= run.t[-1]:
         raise InvalidInput("span is not in the run", got=[first, last], allowed=f"{run.t[0]:g} to {run.t[-1]:g} s")
-    return float(first), float(last)
+    return first, last
 
 
 def view(run: Trajectory, points: Array, above: float) -> tuple[Array, Array]:
-    """Return the lower left and upper right corner (2,), m, of a view of points (k, 2), m, and of a run's round pegs.
+    """Return the lower left and upper right corner (2,), m, of a view of points (k, 2), m, and of pegs and walls.
 
     The margin at the top is `above` times that at the other sides.
     """
     pegs = [(peg.x + side * peg.radius, peg.y + side * peg.radius) for peg in run.setup.round_pegs for side in (-1, 1)]
+    pegs += [end for wall in run.setup.pegs if isinstance(wall, Wall) for end in wall_ends(wall)]
     points = np.concatenate([points, np.reshape(pegs, (-1, 2))])
     low, high = points.min(axis=0), points.max(axis=0)
     margin = _MARGIN * (high - low).max()
@@ -54,6 +56,19 @@ def view(run: Trajectory, points: Array, above: float) -> tuple[Array, Array]:
     across, up = high - low
     side = np.array([0.5 * max(0.0, up / _TALLEST - across), 0.0])
     return low - side, high + side
+
+
+def wall_ends(wall: Wall) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the ends of a wall, m."""
+    return (wall.x, wall.y), (wall.x2, wall.y2)
+
+
+def ground_corners(ground: Ground, far: float) -> Array:
+    """Return the corners (4, 2), m, of a rectangle that fills a ground as `far`, m, as a picture may reach."""
+    out = np.array([ground.nx, ground.ny]) / np.hypot(ground.nx, ground.ny)
+    along, point = far * np.array([-out[1], out[0]]), np.array([ground.x, ground.y])
+    below = point - far * out
+    return np.stack([point - along, point + along, below + along, below - along])
 
 
 def _between(t: Array, value: Array, rate: Array, times: Array) -> Array:

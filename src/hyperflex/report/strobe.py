@@ -6,15 +6,15 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.model import Peg
-from hyperflex.report.shapes import NO_TARGETS, Shapes, shapes, span, view
+from hyperflex.model import Ground, Peg, Wall
+from hyperflex.report.shapes import NO_TARGETS, Shapes, ground_corners, shapes, span, view, wall_ends
 from hyperflex.report.style import new_figure
 from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NIGHT, PALE, PEG = "#0c1322", "#aab6c8", "#d65c46"
+NIGHT, PALE, PEG, GROUND = "#0c1322", "#aab6c8", "#d65c46", "#1c263a"
 _COLOURS = ("#27406b", "#2f7fb5", "#4fc3c0", "#f2d479", "#ff8a4c")  # first instant to last
 _TRAIL_POINTS = 800
 
@@ -56,8 +56,8 @@ def strobe_figure(
         axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), facecolor=NIGHT)
         axis.set_axis_off()
         _draw_ropes(axis, drawn.joints, trail)
-        for peg in run.setup.round_pegs:
-            _draw_peg(axis, peg)
+        for obstacle in run.setup.pegs:
+            _draw_obstacle(axis, obstacle, 10.0 * float(np.ptp([low, high], axis=0).max()))
         axis.plot(*targets.T, "o", ms=15.0, mfc="none", mec=PEG, mew=1.8, zorder=7)
         _draw_arm(axis, drawn, run.setup.arm is not None)
         _draw_scale(axis, low, high)
@@ -95,10 +95,16 @@ def _draw_arm(axis: Any, drawn: Shapes, with_arm: bool) -> None:
     axis.plot(*pivots[-1], "o", color="white", ms=5.5, mec=NIGHT, mew=1.2, zorder=6)
 
 
-def _draw_peg(axis: Any, peg: Peg) -> None:
-    from matplotlib.patches import Circle
+def _draw_obstacle(axis: Any, obstacle: Peg | Wall | Ground, far: float) -> None:
+    from matplotlib.patches import Circle, Polygon
 
-    axis.add_patch(Circle((peg.x, peg.y), peg.radius, facecolor=PEG, edgecolor="white", lw=0.8, zorder=4))
+    if isinstance(obstacle, Peg):
+        centre = (obstacle.x, obstacle.y)
+        axis.add_patch(Circle(centre, obstacle.radius, facecolor=PEG, edgecolor="white", lw=0.8, zorder=4))
+    elif isinstance(obstacle, Wall):
+        axis.plot(*np.transpose(wall_ends(obstacle)), color=PEG, lw=2.2, zorder=4)
+    else:
+        axis.add_patch(Polygon(ground_corners(obstacle, far), facecolor=GROUND, zorder=0))
 
 
 def _draw_scale(axis: Any, low: Array, high: Array) -> None:

@@ -3,6 +3,7 @@
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -58,6 +59,7 @@ def new_figure(
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(width, height), layout=layout)
         FigureCanvasAgg(figure)
+        vars(figure)["_repr_png_"] = partial(png, figure, dpi=100)  # a notebook shows it, with or without pyplot
         if title:
             figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold", color=INK)
         yield figure

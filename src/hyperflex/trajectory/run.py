@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from hyperflex.model import Setup
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.figure import Figure
 
 FORMAT = "hyperflex trajectory 1"
 
@@ -265,6 +266,62 @@ class Trajectory:
         or is full; nothing has changed then.
         """
         files.write_netcdf(path, NetCDF(self.variables(), self.attributes(), {"state": self.state.variables()}))
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the samples to the CSV file `path`, a row each, whole or not at all, in SI units.
+
+        The columns are time ``t``, arm_angle, arm_rate, link angles (th1, th2, ..) and rates (w1, w2, ..), joints
+        (x0, y0, .., the tip last), energies, motor_work and motor_torque.
+        """
+        n, numbers = self.setup.rope.n_links, {name: getattr(self, name) for name in VARIABLES}
+        columns = {"t": self.t, "arm_angle": numbers["arm_angle"], "arm_rate": numbers["arm_rate"]}
+        columns |= {
+            f"{name}{k + 1}": values[:, k] for name, values in (("th", self.q), ("w", self.qd)) for k in range(n)
+        }
+        columns |= {f"{axis}{k}": self.joints[:, k, j] for k in range(n + 1) for j, axis in enumerate("xy")}
+        columns |= {name: value for name, value in numbers.items() if VARIABLES[name][1] in ("J", "N m")}
+        notes = {"source": "simulated", "contents": "s, rad, rad/s, m, J and N m; angles: 0 hangs down; y upwards"}
+        files.write_table(path, list(columns), np.column_stack(list(columns.values())), notes=notes)
+
+    def plot(
+        self,
+        kind: Literal["strobe", "course"] = "strobe",
+        *,
+        start: float | None = None,
+        end: float | None = None,
+        title: str = "",
+    ) -> "Figure":
+        """Draw the run between `start` and `end`, s, with a `title`: return a Matplotlib figure.
+
+        `kind` is ``"strobe"``, many instants in one picture, or ``"course"``: arm, speed of the tip, energies and
+        torque over time. Its method ``savefig`` writes it to a file; a notebook shows it.
+        """
+        from hyperflex.report import run_figure
+
+        return run_figure(self, kind, start=start, end=end, title=title)
+
+    def animate(self, path: str | Path, **options: Any) -> None:
+        """Write a film of the run to `path`, whose suffix, .gif or .mp4, says the kind.
+
+        `options` are those of :func:`hyperflex.report.animate`: start, end, frame_rate, speed, width, title, ...
+        """
+        from hyperflex.report import animate
+
+        animate(self, path, **options)
+
+    def to_html(self, path: str | Path, **options: Any) -> None:
+        """Write a page to `path` that plays the run in any browser, without a network: scrub it, slow it down.
+
+        `options` are those of :func:`hyperflex.report.player_html`: start, end, frame_rate, speed, title, ...
+        """
+        from hyperflex.report import write_player
+
+        write_player(self, path, **options)
+
+    def _repr_html_(self) -> str:
+        from hyperflex.report import run_html
+
+        return run_html(self)
 
 
 def swept(away: Array) -> Array:

@@ -16,7 +16,7 @@ from hyperflex.planning.whip.strokes import Strokes
 from hyperflex.planning.whip.tip_target import TipTarget
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class WhipPlan(Plan):
     """A planned whip, or why there is none.
 

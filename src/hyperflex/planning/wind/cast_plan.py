@@ -19,7 +19,7 @@ from hyperflex.planning.throw import Throw
 from hyperflex.planning.wind.feasibility import Feasibility
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CastPlan(Plan):
     """A planned cast, or why there is none.
 

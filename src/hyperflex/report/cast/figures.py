@@ -8,7 +8,7 @@ from hyperflex import winding
 from hyperflex.planning import MIN_TURNS, SETTLING_TIME, CastPlan, HoldingForce
 from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure, note
-from hyperflex.report.time_course import ArmMoves, time_course
+from hyperflex.report.time_course import ArmMoves, event_note, room_above, time_course
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,16 +36,18 @@ def course_figure(plan: CastPlan) -> "Figure":
         turns.axhline(MIN_TURNS, color=GREY, ls="--", lw=1.0)
         note(turns, run.t[0], MIN_TURNS, f" {MIN_TURNS:g} turns are needed")
         turns.set(ylabel="turns", title=f"Turns about the target, {way(plan)} counted positive")
-        low, high = turns.get_ylim()
-        turns.set_ylim(low, high + 0.15 * (high - low))
-        place = {"transform": turns.get_xaxis_transform(), "va": "top"}
+        room_above(turns)
         if np.isfinite(strike):
-            note(turns, strike, 0.97, f"strikes at {strike:.2f} s ", RED, ha="right", **place)
-        note(turns, watched, 0.97, " slip is measured", GREEN, **place)
+            event_note(turns, run, strike, f"strikes at {strike:.2f} s")
+        place = {"transform": turns.get_xaxis_transform(), "va": "top", "ha": "right"}
+        note(turns, run.t[-1], 0.84, "slip is measured ", GREEN, **place)
         pull.plot(run.t, wound.before, color=BLUE, label="towards the arm")
         pull.plot(run.t, wound.after, color=RED, label="towards the tip")
         pull.set(ylabel="tension, N", title="Tension of the rope where it leaves the target")
         pull.legend(loc="upper left", fontsize=8.0)
+        if not np.isfinite(wound.before).any():
+            pull.set(ylim=(0.0, 1.0), yticks=())
+            note(pull, 0.5, 0.5, "the rope does not lie on the target", transform=pull.transAxes, ha="center")
         for axis in turns.figure.axes:
             axis.axvspan(watched, run.t[-1], color=GREEN, alpha=0.10, lw=0)
 
@@ -74,6 +76,7 @@ def tug_figure(held: HoldingForce) -> "Figure":
         slip.plot(pulled_way, 1e3 * np.abs(held.tug.slip), color=RED)
         slip.axhline(_ALLOWED, color=GREY, ls="--", lw=1.0)
         note(slip, pulled_way[0], _ALLOWED, f" {_ALLOWED:g} mm: has slipped")
+        slip.set_ylim(top=max(1.4 * _ALLOWED, slip.get_ylim()[1]))  # the note lies within the panel
         slip.set(ylabel="slip, mm", xlabel="way of the pull away from the target, mm")
     return figure
 

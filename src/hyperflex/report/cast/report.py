@@ -1,4 +1,4 @@
-"""The report of a planned cast: its words, film and figures."""
+"""The report of a planned cast: its words, player and figures."""
 
 import math
 from collections.abc import Callable
@@ -23,6 +23,7 @@ from hyperflex.report.cast.figures import course_figure, sense, strike_figure, t
 from hyperflex.report.cast.target_map import target_map, target_map_caption
 from hyperflex.report.page import Picture, Section, TextTable
 from hyperflex.report.plan import NOT_KNOWN, PlanReport, counted, searched
+from hyperflex.report.player import Line, Plot
 from hyperflex.report.style import png
 from hyperflex.simulation import OUT_OF_TIME
 
@@ -41,7 +42,7 @@ class CastReport(PlanReport[CastPlan]):
     """
 
     captions: ClassVar = {
-        "film": "The planned cast, simulated: arm (white), rope (yellow), target (red).",
+        "film": "The planned cast, simulated: arm, rope (yellow), path of the tip (green), target (red).",
         "strike": "The rope about the strike, early instants dark, late ones bright; simulated.",
         "course": "Arm angle, turns, tension and torque over time. Dashed red: the strike. Green: slip is measured.",
         "tug": "The simulated tug that gives the hold force: pull, and slip of the rope on the target.",
@@ -134,8 +135,12 @@ class CastReport(PlanReport[CastPlan]):
         return drawn if self.held is None else drawn | {"tug": tug_figure(self.held)}
 
     def film(self) -> dict[str, Any]:
-        """Return title and notes of the film."""
-        return {"title": "planned cast, simulated", "note": self.film_note()}
+        """Return title and notes of the film, the turns as a plot, and when the rope strikes."""
+        turns = sense(self.plan) * winding.turns(self.plan.required(self.plan.run, "run"), self.plan.target)
+        plots = (Plot(f"turns, {way(self.plan)}", "", (Line("", turns),)),)
+        strike = math.nan if self.plan.outcome is None else self.plan.outcome.strike_time
+        marks = (strike,) if math.isfinite(strike) else ()
+        return {"title": "planned cast, simulated", "note": self.film_note(), "plots": plots, "marks": marks}
 
     def film_note(self) -> Callable[[float], str]:
         """Return what the film says at a time, s: target, arm, turns, and at the end the hold."""

@@ -9,7 +9,7 @@ from hyperflex.planning import WhipPlan
 from hyperflex.report.shapes import shapes
 from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure, note
-from hyperflex.report.time_course import ArmMoves, time_course
+from hyperflex.report.time_course import ArmMoves, event_note, room_above, time_course
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,8 +68,8 @@ def course_figure(plan: WhipPlan) -> "Figure":
         speed.axhline(target.least_speed, color=GREY, ls="--", lw=1.0)
         note(speed, run.t[0], target.least_speed, f" {target.least_speed:.3g} m/s are needed")
         speed.set(ylabel="speed, m/s", title="Speed of the tip")
-        peak = f"peak at {seen.t:.2f} s: {seen.speed:.1f} m/s "
-        note(speed, seen.t, 0.97, peak, RED, transform=speed.get_xaxis_transform(), ha="right", va="top")
+        room_above(speed)
+        event_note(speed, run, seen.t, f"peak at {seen.t:.2f} s: {seen.speed:.1f} m/s")
         away.plot(run.t, np.hypot(*(run.tip - target.point).T), color=BLUE)
         away.set(ylabel="distance, m", title="Distance of the tip from the target")
         away.set_ylim(bottom=0.0)

@@ -1,4 +1,4 @@
-"""The report of a planned whip: its words, film and figures."""
+"""The report of a planned whip: its words, player and figures."""
 
 import math
 from collections.abc import Callable
@@ -40,7 +40,7 @@ class WhipReport(PlanReport[WhipPlan]):
 
     name = "whip"
     captions: ClassVar = {
-        "film": "The planned whip, simulated, at half speed: arm (white), rope (yellow), target (red ring).",
+        "film": "The planned whip, simulated: arm, rope (yellow), path of the tip (green), target (red ring).",
         "peak": "The rope about the peak, early instants dark, late ones bright; simulated.",
         "passing": "How the tip passes the target: its path, coloured by its speed; simulated.",
         "course": "Arm angle, speed of the tip, its distance from the target, and torque over time. Dashed: the peak.",
@@ -122,9 +122,10 @@ class WhipReport(PlanReport[WhipPlan]):
         return {"peak": peak_figure(plan), "passing": passing_figure(plan), "course": course_figure(plan)}
 
     def film(self) -> dict[str, Any]:
-        """Return title, notes and speed of the film, and the target to target."""
-        title = "planned whip, simulated, at half speed"
-        return {"title": title, "note": self.film_note(), "speed": _SLOW, "targets": self.plan.target.point[None]}
+        """Return title, notes and speed of the film, the target, and when the tip's speed peaks."""
+        peak, target = self.plan.required(self.plan.outcome, "outcome").t, self.plan.target.point[None]
+        note = self.film_note()
+        return {"title": "planned whip, simulated", "note": note, "speed": _SLOW, "targets": target, "marks": (peak,)}
 
     def film_note(self) -> Callable[[float], str]:
         """Return what the film says at a time, s: target, arm, and from the peak on speed and miss."""

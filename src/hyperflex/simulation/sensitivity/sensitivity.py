@@ -31,6 +31,7 @@ from hyperflex.simulation.sensitivity.stiction import stiction_projection
 if TYPE_CHECKING:
     import xarray as xr
 
+_NAMED = 4  # parameters that are printed
 STEPS = 10_000  # noted in one go; a run with more of them is done again with room for all
 
 
@@ -70,6 +71,11 @@ class Sensitivities:
     arm_rate: Array | None = None
     darm_angle: Array | None = None
     darm_rate: Array | None = None
+
+    def __repr__(self) -> str:
+        more = len(self.names) - _NAMED
+        names = ", ".join(self.names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+        return f"Sensitivities({self.q.shape[1]} links, {self.t.size} samples, by {names})"
 
     @property
     def dataset(self) -> "xr.Dataset":

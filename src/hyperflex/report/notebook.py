@@ -1,0 +1,61 @@
+"""What a notebook shows of a result: a few sentences, a table, and a run as a player."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hyperflex.identification import Identification
+from hyperflex.model import LINK_PROPERTIES, PROPERTIES, Rope
+from hyperflex.planning import CastPlan, WhipPlan
+from hyperflex.report.cast import CastReport
+from hyperflex.report.identification.parameters import parameters_table, present
+from hyperflex.report.page import TextTable, render
+from hyperflex.report.plan import Plan, PlanReport
+from hyperflex.report.player import FRAME_RATE, player_html
+from hyperflex.report.units import readable_unit
+from hyperflex.report.whip import WhipReport
+from hyperflex.trajectory import Trajectory
+
+MOST_FRAMES = 600  # of a player: notebooks keep what they show
+
+
+def rope_html(rope: Rope) -> str:
+    """Return a rope as a table of what its links have."""
+    rows = []
+    for name in (each.name for each in LINK_PROPERTIES if present(rope)[each.name]):
+        values, unit = getattr(rope, name), readable_unit(name, getattr(rope, name))
+        low, high = values.min() / unit.size, values.max() / unit.size
+        span = f"{low:.4g}" if np.isclose(low, high, rtol=1e-9) else f"{low:.4g} to {high:.4g}"
+        rows.append((name, PROPERTIES[name].words, span + unit.after))
+    return _shown(repr(rope), table=TextTable(("of each link", "what it is", "value"), tuple(rows)))
+
+
+def run_html(run: Trajectory) -> str:
+    """Return a run as a player; of one that has a single sample, what it is."""
+    return _shown(repr(run), (run.message,) if run.message else (), document=_player(run))
+
+
+def identification_html(found: Identification) -> str:
+    """Return an identification's grade, its parameters and its verdict."""
+    sentences = (str(found.grade), *found.grade.more, *found.verdict)
+    return _shown(repr(found), sentences, parameters_table(found, None))
+
+
+def plan_html(plan: Plan) -> str:
+    """Return a plan's verdict, its key figures and its verified run."""
+    report: PlanReport[CastPlan] | PlanReport[WhipPlan]
+    report = CastReport(plan, None) if isinstance(plan, CastPlan) else WhipReport(plan, None)
+    figures = TextTable(("", ""), report.tiles)
+    document = "" if plan.run is None else _player(plan.run, **report.film())
+    return _shown(report.title, (report.verdict, *report.advice), figures, document)
+
+
+def _player(run: Trajectory, **options: object) -> str:
+    if run.t.size < 2:
+        return ""
+    frame_rate = min(FRAME_RATE, MOST_FRAMES / float(np.ptp(run.t)))
+    return player_html(run, **{"autoplay": False, "frame_rate": frame_rate, **options})  # type: ignore[arg-type]
+
+
+def _shown(title: str, sentences: Sequence[str] = (), table: TextTable | None = None, document: str = "") -> str:
+    return render("notebook.html", title=title, sentences=sentences, table=table, document=document)

@@ -1,0 +1,94 @@
+"""Results as they show themselves: in a line, in a notebook, as a figure."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import InvalidInput
+from tests.planning.known import planned, unreachable
+from tests.planning.known_whip import planned_whip
+
+LONGEST = 240  # letters of a line
+ROPE = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=1e-3)
+
+
+@pytest.fixture(scope="module")
+def found():
+    t = np.arange(200) * 0.02
+    run = hf.simulate(ROPE, duration=t[-1], t_eval=t, q0=[0.6, 0.9])
+    data = run.q + np.random.default_rng(1).normal(0.0, 2e-3, run.q.shape)
+    return hf.identify(hf.Recording(t, data, noise=2e-3, name="two <links>"), ROPE, ["friction"], train=np.inf)
+
+
+def made(kind, found):
+    setup = hf.Setup(ROPE, hf.arm_swings(), hf.Arm(length=0.1), duration=0.5, pegs=(hf.Peg(1.0, 0.0, 0.1),))
+    if kind == "sensitivities":
+        return hf.sensitivities(ROPE, wrt=["friction", "q0"], duration=0.1)
+    whole = {"setup": setup, "rope": ROPE, "identification": found, "cast": unreachable(), "miss": planned(winds=False)}
+    return (whole | {"whip": planned_whip()})[kind]
+
+
+@pytest.mark.parametrize("kind", ["setup", "rope", "sensitivities", "identification", "cast", "miss", "whip"])
+def test_a_result_is_named_in_a_line(kind, found):
+    told = repr(made(kind, found))
+    assert len(told) < LONGEST
+    assert "\n" not in told
+    assert "array(" not in told
+
+
+def test_a_line_says_what_matters(found):
+    assert repr(made("setup", found)) == "Setup(Rope(2 links, 0.4 m, 0.37 kg), arm of 0.1 m, motion, 0.5 s, 1 obstacle)"
+    assert "CastPlan(target (2.5, 0) m, Rope(50 links" in repr(unreachable())
+    assert "fails: out of reach: the rope ends" in repr(unreachable())
+    assert repr(planned_whip()).endswith("succeeds)")
+    assert "converged, friction of Rope(2 links" in repr(found)
+    assert repr(made("sensitivities", found)).endswith("11 samples, by friction, q0[0], q0[1])")
+
+
+def test_a_notebook_shows_a_rope_and_an_identification(found):
+    page = ROPE._repr_html_()
+    assert "170 to 230\N{NO-BREAK SPACE}mm" in page
+    assert "<table>" in page
+    told = found._repr_html_()
+    assert "converged" in told
+    assert str(found.grade).split(":")[0] in told
+    assert "friction[0]" in told
+
+
+def test_a_notebook_plays_a_run_and_a_plan():
+    run = planned_whip().run
+    for shown in (run, planned_whip()):
+        page = shown._repr_html_()
+        assert page.count("<iframe sandbox=") == 1
+        assert len(page) < 4e5
+    assert "m/s" in page  # the plan's figures
+    none = unreachable()._repr_html_()
+    assert "<iframe" not in none
+    assert "out of reach" in none
+
+
+def test_a_run_of_one_sample_is_named():
+    run = hf.simulate(ROPE, duration=0.1, t_eval=[0.0])
+    assert "1 samples" in run._repr_html_()
+    assert "<iframe" not in run._repr_html_()
+
+
+def test_a_figure_shows_itself_in_a_notebook_and_can_be_copied():
+    figure = planned_whip().run.plot("course", start=0.5, end=1.0)
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    assert pickle.loads(pickle.dumps(figure)).axes[0].get_xlim() == (0.5, 1.0)
+    assert [axis.get_ylabel() for axis in figure.axes] == ["arm, degrees", "speed, m/s", "energy, J", "torque, N m"]
+
+
+def test_a_setup_with_a_field_replaced_is_checked_again(found):
+    setup = made("setup", found)
+    assert setup.replace(duration=2.0).duration == 2.0
+    assert setup.replace(duration=2.0).pegs == setup.pegs
+    with pytest.raises(InvalidInput, match=r"unknown field of a set-up: got \['durration'\]"):
+        setup.replace(durration=2.0)
+    with pytest.raises(InvalidInput, match="duration"):
+        setup.replace(duration=-1.0)
