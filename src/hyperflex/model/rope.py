@@ -197,9 +197,7 @@ class Rope:
         total = checks.number("length", length, sign="positive", unit="m")
         weight = checks.number("mass", mass, sign="nonnegative", unit="kg")
         link_mass = np.full(n, weight / n)
-        unknown = set(others) - {f.name for f in fields(cls)}
-        if unknown:
-            raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(cls))
+        _check_names(others)
         r = checks.number("radius", radius, sign="nonnegative", unit="m")
         coefficient = checks.number("drag_coefficient", drag_coefficient, sign="nonnegative")
         if coefficient:
@@ -245,9 +243,7 @@ class Rope:
 
     def replace(self, **changes: Any) -> "Rope":
         """Return a rope with the fields named in `changes` replaced; com and inertia stay unless named."""
-        unknown = set(changes) - {f.name for f in fields(self)}
-        if unknown:
-            raise InvalidInput("unknown property of a rope", got=sorted(unknown), allowed=_names(type(self)))
+        _check_names(changes)
         return replace(self, **changes)
 
     def with_bend_radius(self, radius: float) -> "Rope":
@@ -329,8 +325,10 @@ def bend_limits(ratios: Array) -> Array:
     return np.where(ratios > 0.0, 2.0 * np.arctan2(1.0, ratios), np.inf)
 
 
-def _names(cls: type) -> str:
-    return ", ".join(f.name for f in fields(cls))
+def _check_names(given: Mapping[str, object]) -> None:
+    known = [f.name for f in fields(Rope)]
+    if unknown := sorted(set(given) - set(known)):
+        raise InvalidInput("unknown property of a rope", got=unknown, allowed=", ".join(known))
 
 
 def _number_of_links(values: Mapping[str, npt.ArrayLike | None]) -> int:
