@@ -39,7 +39,10 @@ def test_the_folder_is_complete(demo_report):
         "summary.md",
         "report.html",
     }
-    folder = demo_report.files["page"].parent
+    page = demo_report.files["page"]
+    assert page.stat().st_size < 4e6  # bytes; two thirds of them pictures
+    assert page.read_text("utf-8").count("<iframe sandbox=") == 2  # both casts play
+    folder = page.parent
     assert {path.name for path in folder.iterdir()} == names
     assert all(path.stat().st_size > (100 if path.suffix == ".toml" else 1000) for path in demo_report.files.values())
 

@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 from PIL import Image
 
 import hyperflex as hf
@@ -254,3 +255,32 @@ def test_a_long_reason_has_room_in_a_film():
     lines = CastReport(plan, None).film_note()(11.0).split("\n")
     assert "time allowed for it" in " ".join(lines)
     assert max(len(line) for line in lines) <= 90
+
+
+def overlapping(figure):
+    """Return the texts of a figure that lie on each other, in pairs; ticks beyond an axis' ends are not drawn."""
+    figure.canvas.draw()
+    beyond = set()
+    for axis in (each for axes in figure.axes for each in (axes.xaxis, axes.yaxis)):
+        low, high = axis.get_view_interval()
+        beyond |= {tick.label1 for tick in axis.get_major_ticks() if not low <= tick.get_loc() <= high}
+    drawn = [each for each in figure.findobj(Text) if each.get_visible() and each.get_text().strip()]
+    boxes = [(each.get_text(), each.get_window_extent()) for each in drawn if each not in beyond]
+    return [(a, b) for k, (a, box) in enumerate(boxes) for b, other in boxes[k + 1 :] if box.overlaps(other)]
+
+
+@pytest.mark.parametrize("strike", [0.3, 1.0, 5.0, 9.0, 10.8])
+def test_labels_of_the_course_do_not_lie_on_each_other(strike):
+    plan = planned()
+    plan = dataclasses.replace(plan, outcome=dataclasses.replace(plan.outcome, strike_time=strike))
+    assert overlapping(course_figure(plan)) == []
+
+
+def test_labels_of_a_miss_and_of_a_tug_do_not_lie_on_each_other(held):
+    assert overlapping(course_figure(planned(winds=False))) == []
+    assert overlapping(tug_figure(held)) == []
+    firm = dataclasses.replace(held, tug=dataclasses.replace(held.tug, slip=0.05 * held.tug.slip, slipped=False))
+    figure = tug_figure(firm)
+    assert overlapping(figure) == []
+    (note,) = figure.axes[1].texts
+    assert figure.axes[1].get_window_extent().y1 > note.get_window_extent().y1  # within its panel
