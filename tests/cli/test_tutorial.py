@@ -50,6 +50,8 @@ def test_the_commands_find_what_the_page_says(hyperflex_json, filmed):
     assert tracked["seen"] == pytest.approx(0.993, abs=0.003)
     assert coarse["values"]["friction"][0] == pytest.approx(538 * MICRO, rel=0.03)
     assert fine["values"]["friction"][0] == pytest.approx(944 * MICRO, rel=0.03)
+    intervals = json.loads((filmed / FIGURES[1]).read_text())["intervals"]["friction:shared"]
+    assert (intervals["low"], intervals["high"]) == pytest.approx((881 * MICRO, 1008 * MICRO), rel=0.03)
     errors = [max(json.loads((filmed / name).read_text())["held_out"]["rms"]) for name in FIGURES]
     assert errors == pytest.approx([4.2e-3, 1.8e-3], rel=0.1)
     assert cast["success"]

@@ -12,9 +12,9 @@ import numpy as np
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.estimate import Change, ChangeTests, EstimatedParameter, Observations, RopeFilter
-from hyperflex.estimate.observations import lever_arms
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.estimate.process import BEND, SPEED, START_CORRELATION, Process, smooth_shapes
+from hyperflex.sensors import lever_arms
 from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.sensitivity.sensitivity import AngleJacobian
 

@@ -182,9 +182,10 @@ def test_live_source_gives_the_stamps_of_its_stream(video):
 
 
 @pytest.mark.parametrize("source", [63, "rtsp://127.0.0.1:9/none"])
-def test_live_source_that_is_not_there(source):
+def test_live_source_that_is_not_there(source, capfd):
     with pytest.raises(FileProblem, match="There is no camera or stream"):
         LiveCamera(source, timeout=2.0)
+    assert capfd.readouterr().err == ""  # the message says it, not FFmpeg as well
 
 
 def test_live_source_must_be_one():

@@ -49,8 +49,9 @@ def calibrate(
     ChArUco boards are tried both. With --plane or --points the file also holds where the swing plane is: x to the
     right, y up, and (0, 0) where --origin or the table says. What is printed says how the plane is seen.
 
-    Refused by name: too few views, views that are all parallel, mirrored pictures, a board with other squares or
-    markers. A size of squares that is wrong by a factor shows in no picture: measure it.
+    Refused by name: too few views, views that are all parallel, a board with other squares or markers, mirrored
+    pictures (of a ChArUco board: a chessboard looks the same in both). A size of squares that is wrong by a factor
+    shows in no picture: measure it.
     """
     import numpy as np
 

@@ -11,10 +11,10 @@ from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
 from hyperflex.estimate.changes import MISFIT, TOUCH, Change, ChangeTests
 from hyperflex.estimate.noise import NoiseLevel
-from hyperflex.estimate.observations import lever_arms
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.estimate.process import Process
 from hyperflex.estimate.signatures import Signatures
+from hyperflex.sensors import lever_arms
 
 PLACES = 10  # along the rope, at which a touch is tried
 SETTLED = 1.0  # s after the first frame from which on is tested

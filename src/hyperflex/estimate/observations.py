@@ -10,6 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.model import Rope
+from hyperflex.sensors import lever_arms
 from hyperflex.vision import Camera, check_increasing
 
 FAR = 10.0  # lengths of the rope from its first joint, beyond which a place is no marker's
@@ -250,18 +251,6 @@ class MarkerModel:
             if name in names:
                 moved[:, :, first + names.index(name)] = change
         return shown, moved
-
-
-def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[npt.NDArray[np.intp], Array]:
-    """Return the links (K,) on which points at arc lengths (K,), m, lie, and how much of each link is before them.
-
-    The latter is (K, n), m: times the links' directions it is where the points are.
-    """
-    ends = np.cumsum(rope.length)
-    link = np.minimum(np.searchsorted(ends, arc_lengths - 1e-12 * ends[-1]), rope.n_links - 1)
-    arms = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[link] * rope.length
-    arms[np.arange(arc_lengths.size), link] = arc_lengths - (ends - rope.length)[link]
-    return link, arms
 
 
 def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:

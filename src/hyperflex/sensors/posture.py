@@ -103,18 +103,15 @@ class Markers(PostureSensor):
         return Markers(values[2:], values[:2])
 
     def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
-        link, beyond = self._on(rope)
-        along = np.stack([np.sin(q[:, link]), -np.cos(q[:, link])], axis=2)  # (m, K, 2)
-        places = self.values[:2] + rope.joints(q, pivot)[:, link] + beyond[:, None] * along
+        along = np.stack([np.sin(q), -np.cos(q)], axis=2)
+        places = self.values[:2] + pivot[:, None] + lever_arms(rope, self.arc_lengths)[1] @ along
         return np.asarray(places.reshape(q.shape[0], -1))
 
     def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
-        link, beyond = self._on(rope)
+        link, arms = lever_arms(rope, self.arc_lengths)
         along = np.stack([np.sin(q), -np.cos(q)], axis=2)
         across = np.stack([np.cos(q), np.sin(q)], axis=2)
         before = np.tril(np.ones((q.shape[1], q.shape[1])), -1)[link]  # (K, n): which links lie before a marker's own
-        arms = before * rope.length
-        arms[np.arange(link.size), link] = beyond
         result = np.einsum("ki,mia,mid->mkad", arms, across, dq, optimize=True)
         if dlength.any():  # a marker keeps its distance along the rope: what is longer before it is shorter in its link
             result += np.einsum("ki,mia,id->mkad", before, along, dlength, optimize=True)
@@ -123,15 +120,22 @@ class Markers(PostureSensor):
         return np.asarray(result.reshape(q.shape[0], -1, dq.shape[2]))
 
     def value_jacobian(self, rope: Rope, q: Array) -> Array:
-        link, _ = self._on(rope)
+        link, _ = lever_arms(rope, self.arc_lengths)
         result = np.zeros((q.shape[0], link.size, 2, self.values.size))
         result[:, :, 0, 0] = result[:, :, 1, 1] = 1.0
         for k, i in enumerate(link):
             result[:, k, 0, 2 + k], result[:, k, 1, 2 + k] = np.sin(q[:, i]), -np.cos(q[:, i])
         return result.reshape(q.shape[0], -1, self.values.size)
 
-    def _on(self, rope: Rope) -> tuple[npt.NDArray[np.intp], Array]:
-        """Return on which link each marker sits, and how far beyond its first joint, m."""
-        ends = np.cumsum(rope.length)
-        link = np.minimum(np.searchsorted(ends, self.arc_lengths - 1e-12 * ends[-1]), rope.n_links - 1)
-        return link, self.arc_lengths - (ends - rope.length)[link]
+
+def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[npt.NDArray[np.intp], Array]:
+    """Return the links (K,) on which points at arc lengths (K,), m, lie, and how much of each link is before them.
+
+    The latter is (K, n), m: times the links' directions it is where the points are, on the line of the last link where
+    they are beyond the tip, on that of the first before its joint.
+    """
+    ends = np.cumsum(rope.length)
+    link = np.minimum(np.searchsorted(ends, arc_lengths - 1e-12 * ends[-1]), rope.n_links - 1)
+    arms = np.tril(np.ones((rope.n_links, rope.n_links)), -1)[link] * rope.length
+    arms[np.arange(arc_lengths.size), link] = arc_lengths - (ends - rope.length)[link]
+    return link, arms

@@ -1,5 +1,6 @@
 """Live cameras and streams through OpenCV, with the driver's time stamps where it gives them."""
 
+import os
 import time
 from collections.abc import Iterator
 from types import TracebackType
@@ -52,6 +53,7 @@ class LiveCamera:
         wait = round(1e3 * checks.number("timeout", timeout, sign="positive", unit="s"))
         self.source = source
         self.notes: list[str] = []
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet, as the next lines make OpenCV itself
         level = cv2.utils.logging.getLogLevel()
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what goes wrong is said below
         try:

@@ -8,11 +8,12 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.changes import MISFIT, TOUCH, Change
-from hyperflex.estimate.observations import Observations, lever_arms
+from hyperflex.estimate.observations import Observations
 from hyperflex.estimate.smoothing.interval import InputFrame, Interval
 from hyperflex.estimate.smoothing.moving_horizon import MovingHorizon
 from hyperflex.interfaces import RopeState
 from hyperflex.interruption import interruptible
+from hyperflex.sensors import lever_arms
 
 WHOLE_ROUNDS = 30  # of Gauss-Newton
 EARLIER = 0.1  # s by which a change may have happened before the moment that was told
