@@ -40,6 +40,9 @@ def identify(
     origin: Annotated[
         str | None, typer.Option(help="Where the camera sees the origin of the motion, X,Y in m; else it is fitted.")
     ] = None,
+    length_std: Annotated[
+        float, typer.Option(help="Relative standard deviation of the lengths, which intervals hold; 0: exact.")
+    ] = 0.01,
     loss: Annotated[str, typer.Option(help="squares; huber or cauchy where there are outliers.")] = "squares",
     setup: Annotated[
         Path | None, typer.Option(help="TOML file of a set-up (as for simulate) whose motion and arm drive the rope.")
@@ -115,6 +118,7 @@ def identify(
                 train=train,
                 arc_lengths=places,
                 origin=seen,
+                length_std=length_std,
                 loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
                 intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
                 progress=report,

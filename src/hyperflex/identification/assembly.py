@@ -13,7 +13,7 @@ from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGE
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_ratios, ratio_gradients, ratios
+from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_ratios, ratio_spread, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.identification.verdict import (
     HALF,
@@ -51,9 +51,8 @@ def assemble_result(
     residuals, torque = _residuals(basis), None
     if plant.motor is not None:
         residuals, torque = residuals[:, :-1], residuals[:, -1]
-    gradients, known = ratio_gradients(parameters, information.x), ratios(rope, parameters.names)
-    ratio_std = {name: information.spread(gradient) for name, gradient in gradients.items()}
-    moves = {name: information.model_spread(gradient) for name, gradient in gradients.items()}
+    known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
+    moves = ratio_spread(parameters, information, model=True)
     message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
     unit, declared = "rad" if isinstance(plant.sensor, Angles) else "m", settings["noise"] == "declared"
     warnings = (

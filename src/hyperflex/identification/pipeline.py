@@ -16,8 +16,9 @@ from hyperflex.identification.assembly import assemble_result
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, scaled_angles, suspicious
 from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
 from hyperflex.identification.diagnosis.grade import misdeclared
+from hyperflex.identification.diagnosis.link_test import link_test
 from hyperflex.identification.diagnosis.model_error import with_model_error
-from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests
+from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests, with_sway
 from hyperflex.identification.ending import INTERRUPTED
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
@@ -38,6 +39,7 @@ from hyperflex.motion import Motion
 from hyperflex.recording import Recording
 from hyperflex.sensors import Markers
 
+LENGTH_STD = 0.01  # relative: what rulers and pictures measure lengths to
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
 
 
@@ -56,6 +58,7 @@ def identify(
     origin: npt.ArrayLike | None = None,
     torque: npt.ArrayLike | None = None,
     torque_noise: npt.ArrayLike | None = None,
+    length_std: float = LENGTH_STD,
     loss: LossName = "squares",
     lead: float = 0.5,
     ahead: float = 1.0,
@@ -101,6 +104,10 @@ def identify(
         Measured motor torque, NaN in gaps; it fixes the absolute scale. Needs `motion` and `arm`.
     torque_noise : float or (T,) array_like, N m, optional
         Its standard deviation; needed with `torque`, beside the noise of the recording.
+    length_std : float
+        Relative standard deviation of the lengths that were declared, of one factor of all, as a ruler or the scale of
+        a picture has. Standard deviations and intervals hold what it would change, as far as the motion does not tell
+        the lengths themselves; 0: lengths are exact.
     loss : {"squares", "huber", "cauchy"}
         ``huber`` and ``cauchy`` are robust; ``cauchy`` also against gross outliers.
     lead, ahead : float, s
@@ -146,6 +153,7 @@ def identify(
         checks.choice("intervals", intervals, HOWS)
     if window is not None:
         checks.number("window", window, sign="positive", infinite=True)
+    checks.number("length_std", length_std, sign="nonnegative")
     _refuse_half_a_drive(motion, arm, torque)
     measured, places = checked_measurements(recording, rope_guess, arc_lengths, origin, motion, arm)
     fitted, rest = _split(measured, train, lead, ahead)
@@ -163,6 +171,7 @@ def identify(
         motion=motion,
         arm=arm,
         torque=torque is not None,
+        length_std=length_std,
         window=window,
         loss=Loss(loss),
         lead=lead,
@@ -198,6 +207,7 @@ class _Problem:
     motion: Motion | None
     arm: Arm | None
     torque: bool
+    length_std: float
     window: float | None
     loss: Loss
     lead: float
@@ -222,8 +232,9 @@ class _Problem:
             with deferred():
                 basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
             if found.converged and not found.interrupted:
-                tests = score_tests(basis)
-                basis = with_model_error(basis, tests)
+                tests = (*score_tests(basis), *link_test(basis))
+                basis = with_model_error(basis, tests, self.length_std)
+                tests = with_sway(basis, tests)
         found.interrupted = found.interrupted or stop.met
         return Trial(list(free), basis, tests, settings | delay)
 
@@ -243,6 +254,7 @@ class _Problem:
         settings = trial.settings | {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
         settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
         settings |= _fit_settings(basis.plant, trial.free, self.loss.name, self.origin)
+        settings["length_std"] = self.length_std
         settings["noise"] = "not declared" if self.recording.noise is None else "declared"
         lengths = "" if self.arc_lengths is not None else other_lengths(self.recording, self.guess)
         with caught() as stop:

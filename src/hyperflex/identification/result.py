@@ -36,7 +36,8 @@ class Identification(Ended):
         (p_i = m_i a_i + l_i m_beyond, J_i = inertia_i + m_i a_i^2 + l_i^2 m_beyond; p1 is that of link 0).
     model_std, ratio_model_std : dict of str to ndarray
         The part of `std` and `ratio_std` that errors of the model have: what the values would move by if laws of the
-        joints and of the air that were left out, and that the data ask for, were in. The rest is of noise.
+        joints and of the air that were left out, and that the data ask for, were in, lengths were off by `length_std`,
+        and links finer where they are too long. The rest is of noise.
     intervals : dict of str to Interval
         95 %, of each of `parameters` and of each link's ratios (``J/p1[0]``). Empty where none were asked for.
     grade : Grade
@@ -55,7 +56,7 @@ class Identification(Ended):
         Prediction of the part that was not fitted.
     parameters, covariance : tuple of str, (P, P)
         Names of the P single free numbers, e.g. ``friction[1]``; their covariance, SI units, 0 along unknown
-        directions.
+        directions, for the lengths as declared (`std` holds errors of these as well).
     singular_values : (P,)
         Of the scaled information, largest first.
     settings : dict

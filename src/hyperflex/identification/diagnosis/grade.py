@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from hyperflex.identification.diagnosis.link_test import LINKS
 from hyperflex.identification.diagnosis.score_tests import MOVES, ScoreTest
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.prediction import HeldOut
@@ -20,6 +21,7 @@ UNSURE = 0.1  # of a friction
 INSIDE = 0.5  # part of the predicted values in the band that should hold 95 %
 FORETOLD = 0.9  # the same: the error is as foretold, and what moves is hardly more than noise
 NAMED = 4  # labels of what is hardly known
+LIKELY = 0.5  # probability
 LEFT_OUT = 0.2  # part of the windows
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
 
@@ -95,7 +97,10 @@ def grade(
         Part of the windows that was left out.
     """
     wrong = [*_impossible(rope), *misdeclared(tests), *(each for each in warnings if each), *_mispredicted(held_out)]
-    suspicion, doubts = [*_turned(turned), *_slightly(tests), *_untested(tests)], _doubts(laws, moved, left_out)
+    suspicion, doubts = (
+        [*_coarse(tests), *_turned(turned), *_slightly(tests), *_untested(tests)],
+        _doubts(laws, moved, left_out),
+    )
     if hardly:
         verb = "is" if len(hardly) == 1 else "are"
         more = f" and {len(hardly) - NAMED} more" if len(hardly) > NAMED else ""
@@ -221,10 +226,22 @@ def _untested(tests: Sequence[ScoreTest]) -> list[str]:
         )
     else:
         words = (
-            "times and lengths are taken as exact: this motion shows no error below "
+            "times and lengths are taken as exact, but for length_std: this motion shows no error below "
             f"{200.0 * scale.std:.2g} % of the lengths, and 1 % would move ratios by up to {100.0 * scale.sway:.2g} %."
         )
     return [words] if scale.sway > 0.0 else []
+
+
+def _coarse(tests: Sequence[ScoreTest]) -> list[str]:
+    """Return that links are too long for the rope that was recorded."""
+    each = next((each for each in tests if each.name == LINKS), None)
+    if each is None or each.sway == 0.0 or each.surplus < LIKELY:
+        return []
+    words = (
+        f"use more links: this looks like a rope of finer links (probability {100.0 * each.surplus:.3g} %), and a fit "
+        f"of so few to such a one is off by up to {100.0 * each.sway:.2g} % of a value. Standard deviations hold that."
+    )
+    return [words]
 
 
 def _turned(angle: float) -> list[str]:

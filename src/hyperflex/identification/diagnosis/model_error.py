@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.diagnosis.score_tests import LAWS, ScoreTest
+from hyperflex.identification.diagnosis.link_test import LINKS
+from hyperflex.identification.diagnosis.score_tests import LAWS, LENGTHS, ScoreTest
 from hyperflex.identification.model.parameters import Parameters, lumped
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.whiteness import CHANCE
@@ -15,23 +16,43 @@ ASKED = 0.67  # of a gain that noise does not explain: three times what chance g
 FLOOR = 5e-4  # relative: no clock, length or weight of a real rope is known better; 0.06 % was seen of a good pendulum
 
 
-def with_model_error(basis: Basis, tests: Sequence[ScoreTest]) -> Basis:
-    """Return a fit whose information counts what the model leaves out, beside noise.
+def with_model_error(basis: Basis, tests: Sequence[ScoreTest], length_std: float) -> Basis:
+    """Return a fit whose information counts what the model leaves out, and errors of lengths, beside noise.
 
-    Each resistance that was left out and that the data ask for would move the parameters by its `shift`: that is taken
-    as a standard deviation, in proportion to how far noise does not explain what it gains. Where residuals are white,
-    or most goes away, everything else that was held or declared counts as well; where they are not, a wrong clock,
-    say, gains by what the model leaves out, and no value is taken as known better than FLOOR.
+    Links that are too long, and each resistance that was left out and that the data ask for, would move the parameters
+    by their `shift`: that is taken as a standard deviation, in proportion to how far noise does not explain what it
+    gains. Where residuals are white, or most goes away, everything else that was held or declared counts as well; where
+    they are not, a wrong clock, say, gains by what the model leaves out, and no value is taken as known better than
+    FLOOR. All lengths may be off by one factor, of the relative standard deviation `length_std`, as far as the motion
+    does not tell it.
     """
     information, x = basis.information, basis.fit.x
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
     for each in tests:
-        law = each.name.partition(":")[0] in LAWS
+        if each.name == LENGTHS:
+            continue
+        law = each.name.partition(":")[0] in LAWS or each.name == LINKS
         if each.surplus > ASKED and not each.slight and (white or law or each.believed):
             model += each.surplus * np.outer(each.shift, each.shift)
     if not white:
         model += np.diag(_floor(basis.plant.parameters, x) ** 2)
-    return replace(basis, information=replace(information, model=model))
+    lengths = next((each for each in tests if each.name == LENGTHS), None)
+    stretch = 0.0 if lengths is None else _stretch(lengths, length_std, white=white)
+    by_length = np.zeros(x.size) if lengths is None else stretch * lengths.rate[:, 0]
+    return replace(basis, information=replace(information, model=model, lengths=by_length, stretch=stretch))
+
+
+def _stretch(test: ScoreTest, std: float, *, white: bool) -> float:
+    """Return the standard deviation of a factor of all lengths, known before to `std`, that the data leave.
+
+    About the lengths as they were declared: what `white` residuals say of them, weighted with `std`, counts as an
+    error. Where they are not white that is not the lengths' alone, as with a clock.
+    """
+    told = float(test.values[0])
+    if not (np.isfinite(test.std) and 0.0 < told < np.inf):
+        return std
+    weight = std**2 / max(std**2 + test.std**2, 1e-300)
+    return float(np.hypot(np.sqrt(weight) * test.std, weight * np.log(told) * white))
 
 
 def _floor(parameters: Parameters, x: Array) -> Array:

@@ -13,7 +13,13 @@ from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameter, Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import Mask
-from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance, ratio_gradients, ratios
+from hyperflex.identification.uncertainty.covariance import (
+    Basis,
+    estimate_covariance,
+    ratio_gradients,
+    ratio_spread,
+    ratios,
+)
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import RESISTANCES
 
@@ -27,6 +33,7 @@ PER_CENT = 0.01
 MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
 TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
 FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
+LENGTHS = "length:factor"  # of which no refit is made: gravity_scale acts alike, and stands for a wrong clock as well
 HELD = ("gravity_scale", "com")  # what 1 % of is told, as far as the motion cannot test it
 HIDING = 2  # refits that are tested again, each with one thing more freed
 SLIGHT = 0.01  # of lengths: what seems so much off behind something else may be one more law that was left out
@@ -40,7 +47,8 @@ class ScoreTest:
     Attributes
     ----------
     name : str
-        As in ``free``: ``com``, or ``gravity_scale``, which a wrong clock or wrong lengths move.
+        As in ``free``: ``com``, or ``gravity_scale``, which a wrong clock or wrong lengths move; ``links``, which may
+        be too long.
     gain : float
         Part of the residuals' sum of squares that freeing it takes away: by a refit, or to first order.
     values : (k,) float64
@@ -56,7 +64,7 @@ class ScoreTest:
     rate : (P, k) float64
         Change of the fit's x by each unit of its own x.
     surplus : float
-        Part of the gain that noise does not explain, 0 to 1.
+        Part of the gain that noise does not explain, 0 to 1; of links the probability that the rope has finer ones.
     sure : bool
         Whether residuals were white, so that noise is known.
     sway : float
@@ -149,9 +157,7 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
 
 def _within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
     """Return a test of a fit with more parameters, `freed`, as one of a fit with `size`."""
-    return replace(
-        test, shift=test.shift[:size], open=test.open[:size], rate=test.rate[:size], sway=0.0, beside=tuple(freed)
-    )
+    return replace(test, shift=test.shift[:size], open=test.open[:size], rate=test.rate[:size], beside=tuple(freed))
 
 
 def _refitted_tests(basis: Basis) -> list[ScoreTest]:
@@ -159,24 +165,31 @@ def _refitted_tests(basis: Basis) -> list[ScoreTest]:
     found: list[ScoreTest] = []
     for words in _words(basis.plant):
         found += _tested(basis, words)
-    found = [replace(each, sway=_sway(basis, each)) if each.name in HELD else each for each in found]
     found.sort(key=lambda each: -each.gain)
-    white = basis.information.whiteness >= CHANCE
-    for k, each in enumerate(found[:REFITS]):
+    white, best = basis.information.whiteness >= CHANCE, [k for k, each in enumerate(found) if each.name != LENGTHS]
+    for k in best[:REFITS]:
+        each = found[k]
         if each.gain > SUSPECT or (white and each.surplus > SURE):
             found[k] = _refitted(basis, each)
     return sorted(found, key=lambda each: -each.gain)
+
+
+def with_sway(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
+    """Return the tests, those of HELD with what 1 % moves beyond standard deviations that count the model's errors."""
+    return tuple(
+        replace(each, sway=_sway(basis, each)) if each.name in HELD and not each.beside else each for each in tests
+    )
 
 
 def _sway(basis: Basis, test: ScoreTest) -> float:
     """Return by what part 1 % of what was held moves a ratio that is said to be known better; 0 for none."""
     parameters, information = basis.plant.parameters, basis.information
     gradients, known = ratio_gradients(parameters, information.x), ratios(parameters.rope(information.x))
-    worst = 0.0
+    stds, worst = ratio_spread(parameters, information), 0.0
     for name in ("J/p1", "p/p1"):
         size = 1.0 if test.name == "gravity_scale" else np.abs(test.values)
         moved = np.max(np.abs(gradients[name] @ (test.rate * size)), axis=1) * PER_CENT
-        std = information.spread(gradients[name])
+        std = stds[name]
         beyond = (moved > 2.0 * std) & (std > 0.0)
         worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
     return worst
@@ -191,7 +204,8 @@ def _words(plant: Plant) -> list[list[str]]:
     masses = [] if many else [each for each in ("mass", "com", "inertia") if each not in names]
     delay = ["delay"] if plant.motion is not None else []
     lengths = [["length"]] if not many and rope.n_links > 1 and names.isdisjoint({"length", "com", "inertia"}) else []
-    return [[each for each in [*whole, *delay, *resistances, *masses] if each not in names], *lengths]
+    every = [] if "length" in names else [LENGTHS]
+    return [[each for each in [*whole, *delay, *resistances, *masses, *every] if each not in names], *lengths]
 
 
 def _extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:

@@ -10,10 +10,10 @@ from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive
 from hyperflex.core.integrate.progress import Limits
 from hyperflex.core.tangent.directions import Directions, place_changes
-from hyperflex.errors import SimulationError
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import ARM, Parameters
-from hyperflex.model import Arm, Rope, Setup
+from hyperflex.model import Arm, Rope, Setup, divided
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.sensors import Angles, MotorTorque, PostureSensor
 from hyperflex.simulation import (
@@ -71,11 +71,19 @@ class Plant:
         self.motion, self.arm = motion, arm
         self.motor = MotorTorque(arm) if torque and arm is not None else None
         self._setup = Setup(parameters.guess, motion, arm, tol=PRECISION * parameters.guess.total_length)
-        self._last: tuple[bytes, _Evaluation | None] = (b"", None)
+        self._last: tuple[bytes | None, _Evaluation | None] = (None, None)
 
     def without_torque(self) -> "Plant":
         """Return the same without the torque channel."""
         return self if self.motor is None else Plant(self.parameters, self.sensor, self.motion, self.arm)
+
+    def cut(self, x: Array, pieces: int) -> "Plant":
+        """Return the same at x, without free parameters, each link cut into pieces; InvalidInput where none can be."""
+        at = self._at(x)
+        if at is None:
+            raise InvalidInput("the parameters describe no rope", got=x)
+        rope = divided(at.rope, pieces)
+        return Plant(Parameters(rope, []), at.sensor, None if self.motion is None else at.motion, self.arm)
 
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         """Return the channels (m, C) at times t (m,) from `state` (2n,) at t[0]; None where the rollout fails."""

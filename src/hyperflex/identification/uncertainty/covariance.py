@@ -12,7 +12,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, least_squares, linearise
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.parameters import Parameters, lumped
+from hyperflex.identification.model.parameters import Parameter, Parameters, lumped
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import Mask, in_common_factor
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory
@@ -38,7 +38,8 @@ class Information:
     if the residuals were white. variance: of what each residual counts. freedom: its degrees of freedom, 1 at least.
     memory (m,): autocorrelations of the noise by lag; agrees: whether they explain the residuals. whiteness: p-value of
     white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters stand in an
-    unknown common factor.
+    unknown common factor. lengths (P,): change of x that one standard deviation of the lengths makes; stretch: that
+    standard deviation, of a common factor.
     """
 
     x: Array
@@ -57,20 +58,27 @@ class Information:
     agrees: bool = True
     growing: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
     model: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    lengths: Array = field(default_factory=lambda: np.zeros(0))
+    stretch: float = 0.0
 
     @property
     def total(self) -> Array:
-        """Covariance (P, P) of x by noise and by errors of the model."""
+        """Covariance (P, P) of x by noise and errors of the model, the lengths being as declared."""
         return self.covariance + self.model if self.model.size else self.covariance
 
-    def model_spread(self, gradient: Array) -> Array:
-        """Return the part of `spread` that errors of the model have."""
+    def model_spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
+        """Return the part of `spread` that errors of the model and of the lengths have."""
         model = self.model if self.model.size else np.zeros_like(self.covariance)
-        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", gradient, model, gradient)))
+        moved = self.stretch * by_length + (gradient @ self.lengths if self.lengths.size else 0.0)
+        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", gradient, model, gradient) + moved**2))
 
-    def spread(self, gradient: Array) -> Array:
-        """Return standard deviations (k,) of functions of x with gradients (k, P); inf where x alone cannot tell."""
-        variance = np.einsum("ij,jk,ik->i", gradient, self.total, gradient)
+    def spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
+        """Return standard deviations (k,) of functions of x with gradients (k, P); inf where x alone cannot tell.
+
+        `by_length` (k,) are their derivatives by the logarithm of a factor on all lengths, x held.
+        """
+        variance = np.einsum("ij,jk,ik->i", gradient, self.covariance, gradient)
+        variance += self.model_spread(gradient, by_length) ** 2
         scaled = gradient * self.widths
         length = np.sqrt((scaled**2).sum(axis=1))
         beyond = np.sqrt(((scaled @ self.unknown) ** 2).sum(axis=1)) > TOUCHED * length
@@ -225,10 +233,19 @@ def ratio_gradients(parameters: Parameters, x: Array) -> dict[str, Array]:
     return {name: np.stack([c[name] for c in columns], axis=1) for name in names}
 
 
-def ratio_spread(parameters: Parameters, information: Information) -> dict[str, Array]:
-    """Return standard deviations (n,) of each ratio by the delta method; inf where it cannot be known."""
-    found = ratio_gradients(parameters, information.x)
-    return {name: information.spread(gradient) for name, gradient in found.items()}
+def ratio_spread(parameters: Parameters, information: Information, *, model: bool = False) -> dict[str, Array]:
+    """Return standard deviations (n,) of each ratio by the delta method; inf where it cannot be known.
+
+    With `model` only the part that errors of the model and of the lengths have. Ratios of what was held have none.
+    """
+    every = tuple(range(parameters.guess.n_links))
+    stretched = Parameter("length", every, "length:factor", 1.0, 1.0, "factor")
+    gradients = ratio_gradients(Parameters(parameters.guess, [*parameters.all, stretched]), np.append(information.x, 0))
+    spread = information.model_spread if model else information.spread
+    return {
+        name: spread(each[:, :-1], np.where(each[:, :-1].any(axis=1), each[:, -1], 0.0))
+        for name, each in gradients.items()
+    }
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,93 @@
+"""Test of whether links are too long for the rope that was recorded."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.identification.diagnosis.score_tests import FEW, ROUNDS, WINDOWS, ScoreTest
+from hyperflex.identification.fit.multiple_shooting import fit
+from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.model.parameters import Parameter
+from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.model import Rope
+from hyperflex.sensors import Angles
+
+LINKS = "links"
+PIECES = (
+    4  # that each link is cut into: what longer links change goes with their length squared, so that little is left
+)
+
+
+def link_test(basis: Basis) -> tuple[ScoreTest, ...]:
+    """Return the test of a rope's links, or nothing for chains of few links and of links that are not alike.
+
+    Notes
+    -----
+    Indirect inference: the rope as fitted, its links cut into PIECES, is simulated, and the fit repeated on what the
+    same sensor would see of that. The parameters' change is the error that too long links make; the residuals are its
+    pattern. Both hypotheses being as likely before, the probability that the recorded rope is the finer one follows
+    from how much of the squares goes away with this pattern; a chain that has just these links does not show it.
+    """
+    plant, x, found = basis.plant, basis.fit.x, basis.fit
+    n, parameters = plant.parameters.guess.n_links, plant.parameters.all
+    if n <= FEW or plant.motor is not None or any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link"):
+        return ()
+    every = -(-len(basis.windows) // WINDOWS)
+    windows, states = basis.windows[::every], list(found.states[::every])
+    try:
+        finer = plant.cut(x, PIECES)
+        seen = [_seen(plant.parameters.rope(x), finer, *each) for each in zip(windows, states, strict=True)]
+        again = fit(plant, seen, x, states, loss=found.loss, rounds=ROUNDS)
+    except InvalidInput:  # links that are not uniform, or that cannot be simulated
+        return ()
+    if again.interrupted:
+        raise KeyboardInterrupt
+    noise = basis.information.variance * basis.information.correlation
+    pairs = list(zip(found.residuals[::every], again.residuals, strict=True))
+    before = sum(found.loss.cost(residual) for residual, _ in pairs)
+    gained = before - sum(found.loss.cost(residual - pattern) for residual, pattern in pairs)
+    likely = 1.0 / (1.0 + float(np.exp(min(-0.5 * gained / noise, 700.0)))) if noise > 0.0 else 0.0
+    shift = again.x - x
+    std = np.sqrt(np.diag(basis.information.covariance))
+    parts = [_part(*each) for each in zip(parameters, x, shift, strict=True)]
+    sway = float(np.max(parts, where=np.abs(shift) > 2.0 * std, initial=0.0))
+    part = max(gained, 0.0) / before if before > 0.0 else 0.0
+    return (ScoreTest(LINKS, part, np.array([float(n * PIECES)]), shift=shift, surplus=likely, sway=sway),)
+
+
+def _part(parameter: Parameter, x: float, shift: float) -> float:
+    """Return by what part of itself a value changes with its x; 0 of nothing."""
+    value = parameter.value(x)
+    return abs(parameter.value(x + shift) / value - 1.0) if value > 0.0 else 0.0
+
+
+def _seen(rope: Rope, finer: Plant, window: Window, state: Array) -> Window:
+    """Return a window with what the sensor sees of the finer rope from a smooth shape like `state` (2n,)."""
+    n, fine = rope.n_links, finer.parameters.guess
+    places, old = (np.cumsum(each.length) - 0.5 * each.length for each in (fine, rope))
+    start = np.concatenate([_along(places, old, state[:n]), _along(places, old, state[n:])])
+    y = finer.predict(np.zeros(0), window.t, start)
+    if y is None:
+        raise InvalidInput("the finer rope cannot be simulated")
+    if isinstance(finer.sensor, Angles):
+        y = _chords(y.reshape(y.shape[0], n, PIECES), fine.length.reshape(n, PIECES))
+    return replace(window, y=np.where(window.weight > 0.0, y, 0.0))
+
+
+def _along(places: Array, old: Array, values: Array) -> Array:
+    """Return values (n,) given at `old` (n,) along the rope at other places; straight lines go on beyond the ends."""
+    slope = np.diff(values)[[0, -1]] / np.diff(old)[[0, -1]]
+    ends = values[[0, -1]] + slope * (places[[0, -1]] - old[[0, -1]])
+    known = np.concatenate([places[:1], old, places[-1:]])
+    return np.asarray(np.interp(places, known, np.concatenate([ends[:1], values, ends[1:]])))
+
+
+def _chords(q: Array, length: Array) -> Array:
+    """Return the directions (m, n) of the chords of links cut into pieces (m, n, p), rad."""
+    mean = np.mean(q, axis=2)
+    off = q - mean[:, :, None]
+    across, along = (length * np.sin(off)).sum(axis=2), (length * np.cos(off)).sum(axis=2)
+    return np.asarray(mean + np.arctan2(across, along))
