@@ -231,3 +231,20 @@ def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code() -> None:
     assert done.returncode == 143
     assert json.loads(done.stdout)["error"] == "interrupted"
     assert interruption.number() == signal.SIGINT
+
+
+def test_an_interrupt_waits_for_the_compiler() -> None:
+    """In the middle of its work numba would be broken for the rest of the process."""
+    from numba.core.compiler_lock import global_compiler_lock
+
+    assert hf.simulate  # listens from its import on
+    done = []
+
+    def compile_something() -> None:
+        with global_compiler_lock, global_compiler_lock:
+            signal.raise_signal(signal.SIGINT)
+            done.append(1)
+
+    with pytest.raises(KeyboardInterrupt):
+        compile_something()
+    assert done
