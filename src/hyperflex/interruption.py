@@ -8,6 +8,7 @@ call at the latest. Who has something to keep catches it (:func:`caught`) and ra
 
 import functools
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -22,9 +23,12 @@ _USUAL: dict[int, object] = {signal.SIGINT: signal.default_int_handler, signal.S
 
 
 class _State:
-    """What has come: the first signal's number (0: none); whether it still has to end something; who defers it."""
+    """What has come: the first signal's number (0: none); whether it still has to end something; how many defer it.
 
-    number, pending, deferred = 0, False, 0
+    And whether compilers are listened to.
+    """
+
+    number, pending, deferred, compilers = 0, False, 0, False
 
 
 def _notice(number: int, frame: FrameType | None) -> None:
@@ -57,6 +61,7 @@ class noticing:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> None:
+        defer_while_compiling()
         if threading.current_thread() is not threading.main_thread():
             return
         free = {each: _USUAL[each] for each in self._numbers if signal.getsignal(each) is _USUAL[each]}
@@ -72,7 +77,7 @@ class noticing:
             signal.signal(each, handler)
         if self._before:
             pending, _State.pending = _State.pending, False
-        if pending and (kind is None or issubclass(kind, Exception)):
+        if pending and not _State.deferred and (kind is None or issubclass(kind, Exception)):
             raise KeyboardInterrupt from error
 
 
@@ -86,6 +91,31 @@ def deferred() -> Iterator[None]:
             yield
         finally:
             _State.deferred -= own
+
+
+def defer_while_compiling() -> None:
+    """Let numba's compiler, if it is loaded, come to its end first: its tables, half filled, would fail ever after."""
+    if not _State.compilers and (numba := sys.modules.get("numba.core.event")):
+        _State.compilers = True
+        numba.Listener.register(_Compiling)
+        numba.register("numba:compiler_lock", _Compiling())
+
+
+class _Compiling:
+    """Listens to numba: signals that come while the main thread compiles are deferred."""
+
+    def __init__(self) -> None:
+        self._stack: list[Any] = []
+
+    def notify(self, event: Any) -> None:
+        """Defer signals from the start of an event, which may hold others, to its end."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        if event.is_start:
+            self._stack.append(deferred())
+            self._stack[-1].__enter__()
+        else:
+            self._stack.pop().__exit__(None, None, None)
 
 
 class Caught:
@@ -131,8 +161,7 @@ def caught() -> Iterator[Caught]:
 def interruptible(kind: type | None = None) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
     """Decorate a function that may take long: an interrupt comes out of it as Interrupted.
 
-    Its ``partial`` is what the function delivers of `kind`, by :class:`Caught`, or None. With ``throw=False`` a result
-    that is marked as interrupted is returned.
+    Its ``partial`` is what the function delivers of `kind`, by :class:`Caught`, or None.
     """
 
     def decorate(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -143,7 +172,7 @@ def interruptible(kind: type | None = None) -> Callable[[Callable[_P, _R]], Call
                     result = function(*args, **named)
                 except KeyboardInterrupt as stop:
                     raise Interrupted(functools.partial(_own, stop, kind)) from None
-                if _State.pending and named.get("throw", True):
+                if _State.pending:
                     raise Interrupted(result)
                 return result
 

@@ -111,7 +111,7 @@ def test_an_interrupted_run_is_kept(folder: Path, tmp_path: Path, number: signal
         assert json.loads(first)["t"] >= 0.0
         program.send_signal(number)
         rest, err = program.communicate(timeout=60.0)
-    assert program.returncode == 130
+    assert program.returncode == 128 + number
     assert "Interrupted; the log is kept" in err
     end = lines(rest)[-1]
     assert end["error"] == "interrupted"

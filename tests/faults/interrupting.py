@@ -178,7 +178,7 @@ def calls() -> dict[str, Callable[[], Any]]:
     free = ["inertia", "friction"]
     fitted = hf.identify(noisy, guess, free, intervals=None)
     peg, near = hf.Peg(0.3, -1.0, 0.03), hf.Peg(-0.7, -1.2, 0.04)
-    many = [hf.arm_swings(t_move=0.73, t_rest=rest) for rest in np.linspace(0.4, 0.7, 256)]
+    many = [hf.arm_swings(t_move=0.73, t_rest=rest) for rest in np.linspace(0.4, 0.7, 128)]
     some = [hf.Peg(x, -1.0, 0.03) for x in np.linspace(0.2, 0.5, 24)]
     few = hf.Rope.uniform(length=2.0, mass=0.125, n_links=12, radius=0.0025, friction=5e-4)
     model = SwingModel(few, arm, t_move=0.4)
@@ -190,14 +190,14 @@ def calls() -> dict[str, Callable[[], Any]]:
         "simulate callback": lambda: hf.simulate(
             cable, arm=hf.Arm(length=0.1, inertia=1e-3), torque=lambda *_: 0.01, control_rate=200.0, duration=30.0
         ),
-        "simulate batch": lambda: hf.simulate_batch(cable, many, arm=arm, duration=40.0),
+        "simulate batch": lambda: hf.simulate_batch(cable, many, arm=arm, duration=20.0),
         "contact batch": lambda: hf.simulate_batch(cable, swings, arm=arm, duration=6.0, pegs=[[p] for p in some]),
         "sensitivities": lambda: hf.sensitivities(cable, swings, arm=arm, duration=60.0, wrt=["friction", "inertia"]),
         "predictability": lambda: hf.predictability(cable, swings, arm=arm, duration=30.0),
         "identify": lambda: hf.identify(noisy, guess, free, intervals="profile"),
         "identify default": lambda: hf.identify(noisy, guess),
         "compare models": lambda: hf.compare_models(noisy, guess),
-        "bootstrap": lambda: hf.bootstrap(fitted, 40),
+        "bootstrap": lambda: hf.bootstrap(fitted, 20),
         "profile": lambda: [profile(fitted, name, points=4) for name in fitted.parameters],
         "revision": lambda: hf.iterative_revision(noisy, guess),
         "design": lambda: hf.design_experiment(rods, "friction"),
@@ -276,12 +276,13 @@ def commands(folder: Path) -> dict[str, list[str]]:
     import numpy as np
 
     import hyperflex as hf
+    import hyperflex.cli.app  # once, for all forked processes
     from hyperflex.demo import twin
 
     cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
     arm = hf.Arm(length=0.105)
     cable.to_toml(folder / "cable.toml")
-    hf.Setup(cable, hf.arm_swings(t_move=0.73, t_rest=0.53), arm, duration=200.0).to_toml(folder / "swing.toml")
+    hf.Setup(cable, hf.arm_swings(t_move=0.73, t_rest=0.53), arm, duration=60.0).to_toml(folder / "swing.toml")
     rods = hf.Rope(length=[0.3, 0.3], mass=[0.1, 0.1], friction=2e-4)
     t = np.linspace(0.0, 8.0, 401)
     clean = hf.simulate(rods, duration=8.0, t_eval=t, q0=[0.8, 0.5]).q
@@ -294,8 +295,10 @@ def commands(folder: Path) -> dict[str, list[str]]:
     seen = ["--rope", f"{folder}/rope.toml", *arcs]
     task = ["--rope", f"{folder}/cable.toml", "--arm-length", "0.105"]
     each = {
-        "simulate": ["simulate", f"{folder}/swing.toml", "-o", "run.nc", "--horizon", "0.01"],
-        "identify": ["identify", f"{folder}/swing.nc", "--guess", f"{folder}/guess.toml", "-o", "found"],
+        "simulate": ["simulate", f"{folder}/swing.toml", "-o", "run.nc"],
+        "simulate --horizon": ["simulate", f"{folder}/swing.toml", "-o", "run.nc", "--horizon", "0.01"],
+        "identify": ["identify", f"{folder}/swing.nc", "--guess", f"{folder}/guess.toml", "-o", "rope.toml"],
+        "identify with a page": ["identify", f"{folder}/swing.nc", "--guess", f"{folder}/guess.toml", "-o", "found"],
         "cast": ["cast", *task, "--target", "-0.8", "-1.0", "--radius", "0.04", "-o", "."],
         "whip": ["whip", *task, "--target", "0.3", "-2.05", "-o", "."],
         "track": ["track", str(twin.BUNDLED), *seen, "--camera", f"{folder}/camera.toml", "-o", "markers.nc"],
@@ -335,18 +338,18 @@ def main() -> None:
         asked = commands(folder) if chosen.commands else {}
         for name in chosen.commands:
             whole, undisturbed = run_command(asked[name], folder / name, None)
-            _tell(name, {"code": whole.code, "length": undisturbed.length, "files": sorted(whole.files)})
+            _tell(f"hyperflex {name}", {"code": whole.code, "length": undisturbed.length, "files": sorted(whole.files)})
             for seed in range(chosen.seeds):
                 after = random.Random(seed).uniform(0.02, 1.0) * undisturbed.length
                 number = (signal.SIGINT, signal.SIGTERM)[seed % 2]
                 left, ended = run_command(asked[name], folder / f"{name}-{seed}", after, number)
                 told = {"after": after, "seconds": ended.seconds, "processor": ended.processor_seconds}
                 told |= {"code": left.code, "files": sorted(left.files), "err": left.err}
-                _tell(name, told | {"faults": faults(left, whole)})
+                _tell(f"hyperflex {name}", told | {"faults": faults(left, whole)})
 
 
 def _tell(name: str, told: dict[str, Any]) -> None:
-    sys.stdout.write(f"{name} {json.dumps(told)}\n")
+    sys.stdout.write(f"{name}\t{json.dumps(told)}\n")
     sys.stdout.flush()
 
 

@@ -21,7 +21,7 @@ from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import scheme
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
-from hyperflex.interruption import caught, look
+from hyperflex.interruption import caught, defer_while_compiling, look
 from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
 
@@ -32,6 +32,8 @@ TABLES = tuple(scheme(order) for order in range(LEAST_ORDER - 1, MOST_ORDER + 1)
 # A run is refused when its energy balance is off by more than this part of the energy that went through it.
 ENERGY_ALLOWANCE = 0.02
 BUDGET, SHORT = 2000, 100  # steps between two looks at progress and Ctrl-C, of a rope of so many links or fewer
+
+defer_while_compiling()
 
 Control = Callable[[float, float, float, Array, Array], float]
 

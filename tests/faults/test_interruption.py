@@ -1,0 +1,250 @@
+"""Interruption: the rule of ``hyperflex.interruption``, and calls and commands that signals end at random times."""
+
+from __future__ import annotations
+
+import _thread
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex import interruption
+from hyperflex.files import atomic_path
+from hyperflex.interruption import caught, deferred, interruptible, look, noticing
+from tests.faults.interrupting import left_by
+
+ROOT = Path(__file__).parents[2]
+CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=20, radius=0.0025, friction=5e-4)
+SEEDS = 2
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C cannot be sent to one process")
+
+
+@pytest.fixture(autouse=True)
+def usual_handler() -> Iterator[None]:
+    """Handle Ctrl-C as Python does, whatever the tests' own parent has set."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    signal.signal(signal.SIGINT, before)
+
+
+def swallowed() -> None:
+    """Be interrupted in a library that is called back and swallows it."""
+    with contextlib.suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+@interruptible(list)
+def work(result: list[int]) -> list[int]:
+    swallowed()
+    return result
+
+
+def test_what_a_library_swallows_comes_out_at_the_end_of_the_call() -> None:
+    calls = []
+
+    def loop() -> None:
+        for _ in range(3):
+            calls.append(1)
+            work([1])
+
+    assert left_by(loop) == [1]
+    assert len(calls) == 1
+    look()  # it is not pending any more
+
+
+def test_what_a_library_swallows_is_raised_by_the_next_look_in_any_thread() -> None:
+    heard = []
+
+    def listen() -> None:
+        try:
+            look()
+        except KeyboardInterrupt:
+            heard.append(True)
+
+    def work() -> None:
+        with noticing():
+            swallowed()
+            thread = threading.Thread(target=listen)
+            thread.start()
+            thread.join()
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert heard
+
+
+def test_what_a_library_makes_another_error_of_is_an_interrupt() -> None:
+    def convert(interrupt: bool) -> None:
+        with noticing():
+            if interrupt:
+                swallowed()
+            raise ValueError("cannot convert")
+
+    with noticing(), caught() as stop:
+        convert(interrupt=True)
+    assert stop.met
+    with pytest.raises(KeyboardInterrupt):
+        convert(interrupt=True)
+    with pytest.raises(ValueError, match="cannot"), noticing(), caught():
+        convert(interrupt=False)
+
+
+def test_the_partial_result_of_a_call_within_is_not_that_of_the_call() -> None:
+    @interruptible(dict)
+    def outer() -> dict[str, int]:
+        return {"of": work([1])[0]}
+
+    assert left_by(outer) is None
+
+
+def test_a_partial_result_may_be_made_when_it_is_asked_for() -> None:
+    made = []
+
+    @interruptible(str)
+    def late() -> str:
+        raise hf.Interrupted(lambda: made.append(1) or "made")
+
+    with pytest.raises(hf.Interrupted) as stop:
+        late()
+    assert made == []
+    assert (stop.value.partial, stop.value.partial, made) == ("made", "made", [1])
+
+
+def test_what_follows_a_caught_interrupt_may_take_long_until_the_second_one() -> None:
+    with noticing():
+        with caught() as stop:
+            signal.raise_signal(signal.SIGINT)
+        look()
+        assert stop.met
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        with caught():
+            look()
+
+
+def test_a_short_block_comes_to_its_end_first() -> None:
+    done = []
+
+    def move() -> None:
+        with deferred():
+            signal.raise_signal(signal.SIGINT)
+            done.append(1)
+
+    with pytest.raises(KeyboardInterrupt):
+        move()
+    assert done
+
+
+def test_a_handler_of_somebody_else_stays() -> None:
+    heard = []
+    signal.signal(signal.SIGINT, lambda *_: heard.append(1))
+    try:
+        with noticing():
+            signal.raise_signal(signal.SIGINT)
+            look()
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    assert heard
+
+
+def test_a_run_is_interrupted_in_a_kernel_and_goes_on_bit_for_bit() -> None:
+    how = {"arm": hf.Arm(length=0.105), "t_eval": np.arange(0.0, 1e4, 100.0)}
+    hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], duration=0.1)
+    clock = threading.Timer(0.3, _thread.interrupt_main)
+    clock.start()
+    part = left_by(lambda: hf.simulate(CABLE, hf.arm_swings(), duration=1e5, **how))
+    clock.join()
+    assert part.status == "interrupted"
+    end = float(part.state.t)
+    rest = hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], state=part.state, duration=1.0, t_eval=[end + 1.0])
+    whole = hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], duration=end + 1.0, t_eval=[end + 1.0])
+    np.testing.assert_array_equal(rest.q, whole.q)
+
+
+def test_an_interrupt_while_files_are_put_in_place_leaves_no_part(tmp_path, monkeypatch) -> None:
+    replace = os.fsync
+
+    def interrupted(descriptor: int) -> None:
+        signal.raise_signal(signal.SIGINT)
+        replace(descriptor)
+
+    monkeypatch.setattr(os, "fsync", interrupted)
+    with pytest.raises(KeyboardInterrupt), atomic_path(tmp_path / "a.txt") as part:
+        part.write_text("whole")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
+    assert (tmp_path / "a.txt").read_text() == "whole"
+
+
+def test_what_a_killed_process_left_is_removed_by_the_next_write(tmp_path) -> None:
+    names = [".a.0123abcd.part.txt", ".a.4567abcd.part.txt", ".b.0123abcd.part.txt"]
+    for name in names:
+        (tmp_path / name).write_text("half")
+    long_ago = time.time() - 4000.0
+    for name in names[::2]:
+        os.utime(tmp_path / name, (long_ago, long_ago))
+    with atomic_path(tmp_path / "a.txt") as part:
+        part.write_text("whole")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [*names[1:], "a.txt"]
+
+
+def test_calls_and_commands_that_signals_end_at_random_times() -> None:
+    """Each ends as undisturbed, with the same result, or as interrupted, and what is kept says so."""
+    kinds = {"simulate batch": "Batch", "identify": "Identification", "bootstrap": "Bootstrap"}
+    ask = ["--seeds", str(SEEDS), "--calls", *kinds, "--commands", "simulate", "identify"]
+    words = [sys.executable, "-m", "tests.faults.interrupting", *ask]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
+    told: dict[str, list[dict]] = {}
+    for line in done.stdout.splitlines():
+        name, _, content = line.partition("\t")
+        told.setdefault(name, []).append(json.loads(content))
+    for name, kind in kinds.items():
+        whole, *others = [each["told"] for each in told.pop(name)]
+        assert whole["how"] == "finished"
+        assert len(others) == SEEDS
+        for each in others:
+            if each["how"] == "finished":
+                assert each == whole
+            else:
+                assert each["how"] == "interrupted"
+                assert each["kind"] in {kind, "NoneType"}
+                assert each["kind"] == "NoneType" or {"interrupted", "True"} & set(each["marks"])
+    for name, trials in told.items():
+        assert [each.get("faults", []) for each in trials] == [[]] * (SEEDS + 1), name
+
+
+def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code() -> None:
+    code = "import os, signal; from hyperflex import demo; from hyperflex.cli import main\n"
+    code += "def work(*_): os.kill(os.getpid(), signal.SIGTERM)\ndemo.write_demo = work\nmain()"
+    done = subprocess.run([sys.executable, "-c", code, "demo", "--json"], capture_output=True, text=True, check=False)
+    assert done.returncode == 143
+    assert json.loads(done.stdout)["error"] == "interrupted"
+    assert interruption.number() == signal.SIGINT
+
+
+def test_an_interrupt_waits_for_the_compiler() -> None:
+    """In the middle of its work numba would be broken for the rest of the process."""
+    from numba.core.compiler_lock import global_compiler_lock
+
+    assert hf.simulate  # listens from its import on
+    done = []
+
+    def compile_something() -> None:
+        with global_compiler_lock, global_compiler_lock:
+            signal.raise_signal(signal.SIGINT)
+            done.append(1)
+
+    with pytest.raises(KeyboardInterrupt):
+        compile_something()
+    assert done
