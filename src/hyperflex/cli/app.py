@@ -91,7 +91,7 @@ def run(arguments: Sequence[str]) -> int:
         message = f"{what}. Make it smaller: a shorter duration, fewer links, samples or outputs."
         return output.complain(message, "MemoryError", output.REFUSED, as_json=as_json)
     except OverflowError as error:
-        message = f"A number is out of range ({error.args[-1]}). Look for values far from those of any rope, and at their units."
+        message = f"A number is out of range ({error.args[-1]}). Look for values far from any rope's."
         return output.complain(message, "OverflowError", output.REFUSED, as_json=as_json)
     except RecursionError:
         message = "Something that was given is nested too deep. Look at the files that were named."
