@@ -123,6 +123,8 @@ def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.Mo
     assert part.status == time_budget.OUT_OF_TIME
     assert 0.0 < part.t[-1] < 1e4
     assert hf.simulate(ROPE, duration=2.0, q0=[1.0] * 4, time_budget=math.inf).success
+    with pytest.raises(SimulationError, match=r"loosen tol, or make it shorter\.$"):
+        hf.sensitivities(ROPE, duration=1e4, t_eval=times, q0=[1.0] * 4, wrt="friction")
 
 
 def test_runge_kutta_with_thousands_of_links_is_refused() -> None:
