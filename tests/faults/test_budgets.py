@@ -87,7 +87,14 @@ except hf.InvalidInput as error:
     assert "a run of 40 links with 9000001 outputs would fill the memory" in child.stdout
 
 
-@pytest.mark.parametrize(("error", "words"), [(MemoryError("74 GiB"), "memory is full"), (RecursionError(), "nested")])
+FAILURES = [
+    (MemoryError("74 GiB"), "memory is full"),
+    (RecursionError(), "nested"),
+    (OverflowError(34, "too large"), "out of range"),
+]
+
+
+@pytest.mark.parametrize(("error", "words"), FAILURES)
 @pytest.mark.parametrize("option", [(), ("--json",)])
 def test_what_fails_all_the_same_is_a_message(tmp_path, monkeypatch, capsys, error, words, option) -> None:
     def fail(*_: object, **__: object) -> None:
@@ -116,6 +123,8 @@ def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.Mo
     assert part.status == time_budget.OUT_OF_TIME
     assert 0.0 < part.t[-1] < 1e4
     assert hf.simulate(ROPE, duration=2.0, q0=[1.0] * 4, time_budget=math.inf).success
+    with pytest.raises(SimulationError, match=r"loosen tol, or make it shorter\.$"):
+        hf.sensitivities(ROPE, duration=1e4, t_eval=times, q0=[1.0] * 4, wrt="friction")
 
 
 def test_runge_kutta_with_thousands_of_links_is_refused() -> None:
@@ -136,6 +145,11 @@ def test_a_peg_that_no_links_can_follow_is_refused(tmp_path: Path, capsys: pytes
     place = ["--target", "0.3", "-0.2", "--radius", "1e-9", "-o", str(tmp_path / "planned")]
     assert run(["cast", "--rope", str(tmp_path / "rope.toml"), *place]) == 2
     assert "too many links" in capsys.readouterr().err
+
+
+def test_a_cast_may_not_swing_for_ever() -> None:
+    with pytest.raises(InvalidInput, match=r"time is longer than anybody swings.*got 1e\+300.*100 periods"):
+        hf.plan_cast(ROPE, hf.Arm(length=0.1), hf.Peg(0.3, -0.2, 0.03), time_limit=1e300)
 
 
 # ---- progress where nobody watches

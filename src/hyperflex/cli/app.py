@@ -100,6 +100,9 @@ def run(arguments: Sequence[str]) -> int:
         what = f"The memory is full ({error})" if str(error) else "The memory is full"
         message = f"{what}. Make it smaller: a shorter duration, fewer links, samples or outputs."
         return output.complain(message, "MemoryError", output.REFUSED, as_json=as_json)
+    except OverflowError as error:
+        message = f"A number is out of range ({error.args[-1]}). Look for values far from any rope's."
+        return output.complain(message, "OverflowError", output.REFUSED, as_json=as_json)
     except RecursionError:
         message = "Something that was given is nested too deep. Look at the files that were named."
         return output.complain(message, "RecursionError", output.REFUSED, as_json=as_json)

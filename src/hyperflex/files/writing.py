@@ -105,7 +105,7 @@ def check_writable(path: PathLike) -> None:
 def check_space(path: PathLike, size: float) -> None:
     """Refuse, before any work, a file or folder that will take about `size` bytes where there is less: FileProblem."""
     target = Path(os.path.realpath(path))
-    base = next(folder for folder in target.parents if folder.is_dir())
+    base = next(folder for folder in (target, *target.parents) if folder.is_dir())
     free = shutil.disk_usage(base).free
     if size > free:
         raise FileProblem(

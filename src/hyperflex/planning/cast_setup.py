@@ -14,6 +14,7 @@ from hyperflex.model import Arm, Rope
 
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
 MIN_LINKS, MIN_TIME = 4, 0.1  # links, s
+MAX_PERIODS = 100.0  # time until the strike at most: a search through as many strokes takes hours
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,8 @@ class CastSetup:
     Raises
     ------
     InvalidInput
-        If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, or the time is too short.
+        If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, or the time is too short or
+        too long.
     """
 
     rope: Rope
@@ -116,4 +118,8 @@ class CastSetup:
         time = checks.number("time", self.time, sign="nonnegative", unit="s")
         if 0.0 < time < MIN_TIME:
             raise InvalidInput("time is too short for any cast", got=time, allowed=f"{MIN_TIME:g} s or more, or 0")
-        object.__setattr__(self, "time", time or PERIODS * swing_period(self.rope))
+        period = swing_period(self.rope)
+        if time > MAX_PERIODS * period:
+            allowed = f"up to {MAX_PERIODS:g} periods of its swing, {MAX_PERIODS * period:.4g} s"
+            raise InvalidInput("time is longer than anybody swings a rope before a cast", got=time, allowed=allowed)
+        object.__setattr__(self, "time", time or PERIODS * period)

@@ -71,7 +71,7 @@ def check_folder(directory: str | Path) -> None:
     """Refuse, before any work, a folder that cannot be made or filled now: FileProblem as of :func:`whole_folder`."""
     with deferred():
         _stage(Path(os.path.realpath(directory))).rmdir()
-    files.check_space(Path(directory) / "report.html", LEAST_SPACE)
+    files.check_space(directory, LEAST_SPACE)
 
 
 def _stage(target: Path) -> Path:

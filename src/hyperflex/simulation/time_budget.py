@@ -53,11 +53,16 @@ def enforce_budget(
 
 def budget_error(t: float, seconds: float | None) -> SimulationError:
     """Return the error of a run that had come to `t`, s, when its time budget of `seconds` was over."""
-    why = "its processor time was over. Allow more, or loosen tol"
     if seconds is None:
-        why = (
-            f"it would take more than {PATIENCE / 60.0:g} minutes in all. Check units and gravity, loosen tol, make it "
-            "shorter, or let it take its time: time_budget=inf"
-        )
-    message = f"stopped at t = {t:.6g} s ({OUT_OF_TIME}): {why}."
-    return SimulationError(message, status=OUT_OF_TIME, time=t)
+        return endless(t, "; or let it take its time: time_budget=inf")
+    return _error(t, "its processor time was over. Allow more, or loosen tol")
+
+
+def endless(t: float, otherwise: str = "") -> SimulationError:
+    """Return the error of a run that had come to `t`, s, when it was judged to take too long."""
+    advice = f"Check units and gravity, loosen tol, or make it shorter{otherwise}"
+    return _error(t, f"it would take more than {PATIENCE / 60.0:g} minutes in all. {advice}")
+
+
+def _error(t: float, why: str) -> SimulationError:
+    return SimulationError(f"stopped at t = {t:.6g} s ({OUT_OF_TIME}): {why}.", status=OUT_OF_TIME, time=t)

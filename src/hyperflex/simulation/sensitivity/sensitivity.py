@@ -27,6 +27,7 @@ from hyperflex.simulation.outcome import refuse_failure, refuse_unbalanced
 from hyperflex.simulation.rollouts import TABLES, Rollout, finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.sensitivity.directions import ParameterDirections, Wrt, check_smooth, parameter_directions
 from hyperflex.simulation.sensitivity.stiction import stiction_projection
+from hyperflex.simulation.time_budget import TimeBudgetExceeded, endless, enforce_budget
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -146,7 +147,7 @@ def sensitivities(
     InvalidInput
         If an argument cannot be used.
     SimulationError
-        If the run fails.
+        If the run fails, or would take more than half an hour.
 
     Notes
     -----
@@ -237,9 +238,14 @@ def record_steps(
     """Run to the end, noting every step, `first_step` (s) being tried first; raises where that fails."""
     count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
     while True:
+        memory.check(8.0 * count * width, f"a run of {count} steps", "Make it shorter, or loosen tol")
         run = prepare_rollout(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
         run.progress.clock[STEP] = first_step
-        refuse_failure(finish_rollout(run), run)
+        try:
+            code = finish_rollout(run, enforce_budget(None, None, (begin, bounds.stop)))
+        except TimeBudgetExceeded:
+            raise endless(run.time) from None
+        refuse_failure(code, run)
         steps = int(run.progress.clock[TAKEN] - run.progress.clock[REJECTED])
         if steps <= count:
             run.progress = run.progress._replace(log=run.progress.log[:steps])
