@@ -170,7 +170,7 @@ def identify(
     if free is None:
         trial, remark = choose_parameters(problem.fit, rope_guess)
     else:
-        trial = problem.fit(list(free))
+        trial = problem.fit(checks.sequence("free", free, "names of parameters, such as ['friction']"))
     return problem.complete(trial, intervals, remark, began)
 
 
