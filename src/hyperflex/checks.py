@@ -18,6 +18,7 @@ Array = npt.NDArray[np.float64]
 Sign = Literal["any", "positive", "nonnegative"]
 T = TypeVar("T")
 
+MOST_THREADS = 1024
 LARGEST = 1e100  # of any quantity in SI units; squares and products of larger ones overflow
 
 _ALLOWED = {"any": "finite", "positive": "finite and > 0", "nonnegative": "finite and >= 0"}
@@ -161,6 +162,23 @@ def mapping(name: str, value: object) -> Mapping[str, Any]:
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise InvalidInput(f"{name} is not a table", got=value, allowed="a mapping of names to values")
     return value
+
+
+def sequence(name: str, value: object, allowed: str) -> list[Any]:
+    """Return the entries of `value` if it is a sequence, not a text; `allowed` says what it may hold."""
+    if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
+        raise InvalidInput(f"{name} is not a sequence", got=value, allowed=allowed)
+    try:
+        return list(value)
+    except TypeError:  # an array without an axis
+        raise InvalidInput(f"{name} is not a sequence", got=value, allowed=allowed) from None
+
+
+def flag(name: str, value: object) -> bool:
+    """Return `value` if it is True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise InvalidInput(f"{name} is neither true nor false", got=value, allowed="True or False")
+    return bool(value)
 
 
 def text(name: str, value: object) -> str:

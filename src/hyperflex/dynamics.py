@@ -108,9 +108,11 @@ def forward_kinematics(
     [[0.0, -0.5], [0.0, -1.5], [0.0, -2.5]]
     """
     _check_rope(rope)
-    angles = checks.array("q", q, (*np.shape(q)[:-1], rope.n_links), unit="rad")
+    angles = checks.array("q", q, None, unit="rad")
+    angles = checks.array("q", angles, (*angles.shape[:-1], rope.n_links), unit="rad")
     turned = checks.array("arm_angle", arm_angle, angles.shape[:-1], scalar=True, unit="rad")
-    return rope.joints(angles, np.zeros((*turned.shape, 2)) if arm is None else arm.tip(turned))
+    base = np.zeros((*turned.shape, 2)) if arm is None else checks.instance("arm", arm, Arm).tip(turned)
+    return rope.joints(angles, base)
 
 
 def linearize(
@@ -250,13 +252,14 @@ def torque_from_input(linear: PartialLinearization, u: float) -> float:
 def _joined(rope: Rope, value: npt.ArrayLike, name: str, unit: str, arm: Arm | None, own: float) -> Array:
     _check_rope(rope)
     links = checks.array(name, value, (rope.n_links,), unit=unit)
+    if arm is not None:
+        checks.instance("arm", arm, Arm)
     arm_name = "arm_angle" if name == "q" else "arm_rate"
     return links if arm is None else np.append(checks.number(arm_name, own, unit=unit), links)
 
 
 def _check_rope(rope: object) -> None:
-    if not isinstance(rope, Rope):
-        raise InvalidInput("rope is not a rope", got=rope, allowed="a Rope")
+    checks.instance("rope", rope, Rope)
 
 
 def _base(arm: Arm, angle: float, rate: float, acceleration: float) -> Array:

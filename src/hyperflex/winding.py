@@ -127,7 +127,7 @@ def rope_tension(run: Trajectory) -> Array:
     run : Trajectory
         With a prescribed arm or a fixed end. Beside pegs, accelerations and forces are means over the step.
     """
-    rope, drive = run.setup.rope, run.setup.drive()
+    rope, drive = checks.instance("run", run, Trajectory).setup.rope, run.setup.drive()
     if run.setup.torque_driven:
         base = np.gradient(run.base_velocity, run.t, axis=0)
     else:
@@ -172,6 +172,8 @@ def rope_slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array
     slip: as its contact goes along the link by ds, it goes round the peg by ds / R. Nor does one that goes along with
     a peg that turns.
     """
+    checks.instance("run", run, Trajectory)
+    checks.instance("peg", peg, Peg)
     begin = 0 if since is None else int(np.searchsorted(run.t, checks.number("since", since, unit="s") - 1e-12))
     if begin >= run.t.size:
         raise InvalidInput("since is after the end of the run", got=since, allowed=f"at most {run.t[-1]:g} s")
@@ -222,6 +224,8 @@ def tug_test(
     """
     speed = checks.number("speed", speed, sign="positive", unit="m/s")
     allowed = checks.number("allowed", allowed, sign="positive", unit="m")
+    checks.instance("run", run, Trajectory)
+    checks.instance("peg", peg, Peg)
     loose = _slack(run, peg) if distance is None else 0.0
     quick = LOOSE * loose
     rest = checks.number("distance", loose + PULL if distance is None else distance, sign="positive", unit="m") - quick
@@ -264,7 +268,7 @@ def _slack(run: Trajectory, peg: Peg) -> float:
 
 def _own(run: Trajectory, peg: Peg) -> int:
     """Return which of the round pegs of a run a peg is; one that it has not is refused."""
-    pegs = run.setup.round_pegs
+    pegs = checks.instance("run", run, Trajectory).setup.round_pegs
     if peg not in pegs:
         raise InvalidInput("peg is not one of the run's", got=peg, allowed=", ".join(map(str, pegs)) or "none")
     return pegs.index(peg)

@@ -79,6 +79,7 @@ PLACE = st.floats(0.0, 1.0, exclude_max=True)
 CHANGE = st.one_of(
     st.tuples(st.just("flip"), PLACE, st.integers(0, 7)),
     st.tuples(st.just("set"), PLACE, st.integers(0, 255)),
+    st.tuples(st.just("zero"), PLACE, st.integers(1, 200)),
     st.tuples(st.just("cut"), PLACE, st.none()),
     st.tuples(st.just("drop"), PLACE, st.integers(1, 40)),
     st.tuples(st.just("repeat"), PLACE, st.integers(1, 200)),
@@ -102,6 +103,8 @@ def changed(content: bytes, changes: list[tuple[str, float, Any]]) -> bytes:
             data[k] ^= 1 << value
         elif what == "set" and data:
             data[k] = value
+        elif what == "zero":
+            data[k : k + value] = bytes(len(data[k : k + value]))
         elif what == "cut":
             del data[k:]
         elif what == "drop":

@@ -138,8 +138,8 @@ Lines = list[tuple[int, str]]  # with their numbers in the file
 def _header(path: PathLike, rows: Lines, comments: Lines, notes: Mapping[str, str]) -> tuple[list[str], Lines]:
     """Return the column names, and the rows below them."""
     number, line = rows[0]
-    if len(rows) > 1 and _cells.mark_of(line) == " " != _cells.mark_of(rows[1][1]) and not _is_data(path, rows[1]):
-        return _header(path, rows[1:], comments, notes)  # below a title
+    if len(rows) > 1 and _is_title(line, rows[1][1]) and not _is_data(path, rows[1]):
+        return _header(path, rows[1:], comments, notes)
     if _is_data(path, rows[0]):
         return _from_comment(path, rows[0], comments, notes), rows
     names = _names(path, number, line)
@@ -162,6 +162,13 @@ def _header(path: PathLike, rows: Lines, comments: Lines, notes: Mapping[str, st
             f"{path}: the header and the note 'columns' disagree", got=notes["columns"], allowed=", ".join(names)
         )
     return _no_repeats(path, names), rows
+
+
+def _is_title(line: str, below: str) -> bool:
+    """Whether a line may stand above the header: it has one cell, or none of the marks, and that below has more."""
+    first, second = ([cell for cell in each.split(_cells.mark_of(each)) if cell.strip()] for each in (line, below))
+    plain = _cells.mark_of(line) == " " != _cells.mark_of(below)
+    return plain or len(first) == 1 < len(second)
 
 
 def _from_comment(path: PathLike, row: tuple[int, str], comments: Lines, notes: Mapping[str, str]) -> list[str]:

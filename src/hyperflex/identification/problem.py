@@ -29,12 +29,10 @@ def checked_measurements(
     arm: Arm | None,
 ) -> tuple[Measurements, Array | None]:
     """Return the measurements, if they fit the rope, and the arc lengths of markers that are not at the joints."""
-    if not isinstance(recording, Recording) or not isinstance(rope, Rope):
-        raise InvalidInput(
-            "identify takes a Recording and a Rope",
-            got=[type(recording).__name__, type(rope).__name__],
-            fix="Read the file with read_recording first",
-        )
+    if not isinstance(recording, Recording):
+        fix = "Read the file with read_recording first"
+        raise InvalidInput("recording is not a Recording", got=recording, allowed="hyperflex.Recording", fix=fix)
+    checks.instance("rope_guess", rope, Rope)
     if arc_lengths is not None:
         places = checked_arc_lengths(recording, rope, arc_lengths)
         refuse_still_markers(recording, places)

@@ -19,6 +19,7 @@ from hyperflex.simulation.runs import simulate
 
 SAMPLE_TIME = 0.05  # s, between two renormalisations
 NUDGE = 1e-5  # of the rope's length: far above the runs' own errors, far below where growth is no longer proportional
+MOST_NUDGES = 1000
 FINE = 1e-9  # of the rope's length: the tolerance of all runs
 NUDGES = 3
 
@@ -152,7 +153,8 @@ def predictability(
     """
     allowed = "duration, nudges, seed, sample_time"
     setup = setup_of(rope, duration, allowed, motion=motion, arm=arm, q0=q0, qd0=qd0, tol=tol)
-    count = checks.count("nudges", nudges)
+    count = checks.count("nudges", nudges, most=MOST_NUDGES)
+    seed = checks.count("seed", seed, least=0)
     spacing = checks.number("sample_time", sample_time, sign="positive", unit="s")
     reach = setup.rope.total_length
     fine = replace(setup, tol=FINE * reach, method="extrapolation", step=None)

@@ -166,7 +166,7 @@ def simulate(
     if isinstance(rope, Rope):
         _refuse_two_starts(start, state, torque)
         pegs = checked_obstacles(pegs)
-        if pegs and refine:
+        if pegs and checks.flag("refine", refine):
             rope, start["q0"], start["qd0"], state = refine_arguments(rope, pegs, arm, q0, qd0, state)
         drive = _torque_motion(torque, control, control_rate)
         setup = Setup(

@@ -155,7 +155,7 @@ def fit_regression(
     >>> f"{found['friction:shared']:.3e}"
     '6.000e-04'
     """
-    n = rope.n_links
+    n = checks.instance("rope", rope, Rope).n_links
     angles = checks.array("q", q, (-1, n), unit="rad", gaps=True)
     shape = angles.shape
     rates = checks.array("qd", qd, shape, unit="rad/s", gaps=True)
@@ -232,7 +232,7 @@ def _drag(rope: Rope, q: Array, qd: Array, pivot: Array) -> Array:
 def _unknowns(rope: Rope, names: Sequence[str]) -> list[tuple[str, str, list[int]]]:
     """Return label, property and links of each unknown."""
     result = []
-    for given in [names] if isinstance(names, str) else names:
+    for given in [names] if isinstance(names, str) else checks.sequence("names", names, "names of unknowns"):
         label = parse_label(given)
         if label is None or label.name not in NAMES or label.law not in ("", "shared"):
             raise InvalidInput(

@@ -14,6 +14,7 @@ from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.baselines.regression import fit_regression
 from hyperflex.identification.baselines.simplex import (
     MAX_EVALUATIONS,
+    RATES,
     Rates,
     estimate_initial_state,
     first_state,
@@ -170,6 +171,9 @@ def iterative_revision(
     check_times(measured, rope_guess)
     check_motion(measured)
     checks.choice("profile", profile, PROFILES)
+    checks.choice("rates", rates, RATES)
+    if progress is not None and not callable(progress):
+        raise InvalidInput("progress cannot be called", got=progress, allowed="a function of a round, or None")
     revision = _Revision(measured, rope_guess, rates, profile, checks.count("max_evaluations", max_evaluations))
     done: list[Round] = []
     message, std = NOT_CONVERGED, {"inertia": float("inf"), "friction": float("inf")}

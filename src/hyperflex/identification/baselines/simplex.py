@@ -90,9 +90,12 @@ def estimate_initial_state(
     checks.choice("rates", rates, RATES)
     state = first_state(measured, rates)
     if start is not None:
-        state[:n] = checks.array("start angles", start[0], (n,), unit="rad")
+        given = checks.sequence("start", start, "angles, rad, and rates, rad/s")
+        if len(given) != 2:
+            raise InvalidInput("start is not a pair", got=start, allowed="angles, rad, and rates, rad/s")
+        state[:n] = checks.array("start angles", given[0], (n,), unit="rad")
         if rates == "free":
-            state[n:] = checks.array("start rates", start[1], (n,), unit="rad/s")
+            state[n:] = checks.array("start rates", given[1], (n,), unit="rad/s")
     descent = _Descent(measured, rope, state, 2 * n if rates == "free" else n)
     if not np.isfinite(descent(state[: descent.free])):
         raise IdentificationError(
@@ -167,12 +170,8 @@ def squared_error(measured: Recording, rope: Rope, state: Array) -> float:
 
 def matching_angles(recording: Recording, rope: Rope) -> Recording:
     """Return the recording's angles if they fit the rope and begin with a full sample."""
-    if not isinstance(recording, Recording) or not isinstance(rope, Rope):
-        raise InvalidInput(
-            "a Recording and a Rope are needed",
-            got=[type(recording).__name__, type(rope).__name__],
-            allowed="a Recording, then a Rope",
-        )
+    checks.instance("recording", recording, Recording)
+    checks.instance("rope", rope, Rope)
     measured = recording.angles()
     if measured.n_links != rope.n_links:
         raise InvalidInput(

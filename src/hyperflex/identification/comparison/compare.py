@@ -99,6 +99,9 @@ def compare_models(
     white. All candidates must be fitted to the same samples; one that is not has no BIC. A model that fits worse than
     one nested in it has met a local minimum, and is fitted again from there.
     """
+    checks.instance("recording", recording, Recording)
+    checks.instance("rope_guess", rope_guess, Rope)
+    links = checks.sequence("links", links, "numbers of links")
     if links and recording.kind != "markers":
         raise InvalidInput(
             "numbers of links can be compared only by places",
@@ -213,8 +216,7 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
 
     What is not free is 0 in them, but viscous friction that is not in `free`, which all have as given.
     """
-    if isinstance(free, str):
-        raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
+    free = checks.sequence("free", free, "names of parameters, such as ['inertia', 'friction']")
     own: dict[str, tuple[str, ...]] = {}
     for word in free:
         label = parse_label(word)

@@ -174,7 +174,9 @@ def design_experiment(
     >>> hf.design_experiment(rope, "friction", [small, large]).best.experiment.name
     'large'
     """
-    words = (want,) if isinstance(want, str) else tuple(want)
+    wanted = [want] if isinstance(want, str) else checks.sequence("want", want, "names of parameters")
+    words = tuple(checks.text("a name in want", word) for word in wanted)
+    free, progress = checks.sequence("free", free, "names of parameters"), checks.flag("progress", progress)
     checks.number("noise", noise, sign="positive", unit="m or rad")
     todo = _todo(rope, candidates, arm)
     asked = DesignQuestion(rope, words, tuple(free), arm, noise)
@@ -195,10 +197,12 @@ def design_experiment(
 
 
 def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) -> list[Experiment]:
-    if not isinstance(rope, Rope):
-        raise InvalidInput("rope is not a rope", got=rope, allowed="hyperflex.Rope")
+    checks.instance("rope", rope, Rope)
+    if arm is not None:
+        checks.instance("arm", arm, Arm)
     if candidates is None:
         return default_experiments(rope, arm)
+    candidates = checks.sequence("candidates", candidates, "hyperflex.Experiment")
     if len(candidates) == 0 or not all(isinstance(each, Experiment) for each in candidates):
         raise InvalidInput("candidates are no experiments", got=candidates, allowed="a list of hyperflex.Experiment")
     return list(candidates)

@@ -229,10 +229,13 @@ def _cast_setup(
     rope: Rope, arm: Arm, limits: MotorLimits | None, time_limit: float | None, whip_map: WhipMap | None
 ) -> CastSetup:
     """Return the set-up of the map, if there is one, which must be the one that is asked for."""
+    checks.instance("rope", rope, Rope)
     if whip_map is None:
         usual = PERIODS * swing_period(rope)
         return CastSetup(rope, arm, limits or MotorLimits(), usual if time_limit is None else time_limit)
-    made = whip_map.cast_setup
+    if limits is not None:
+        checks.instance("limits", limits, MotorLimits)
+    made = checks.instance("whip_map", whip_map, WhipMap).cast_setup
     if made.rope != rope or made.arm != arm or limits not in (None, made.limits) or time_limit not in (None, made.time):
         raise InvalidInput(
             "map was made for another rope, arm, motor or time",

@@ -101,7 +101,9 @@ def plan_cast(
     if target.turns:
         raise InvalidInput("casts are planned for fixed targets", got=target, fix="Leave out inertia and bearing")
     time_budget = checks.number("time_budget", time_budget, sign="positive", unit="s")
-    cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, time_limit or 0.0)
+    fallback, skip_feasibility = checks.flag("fallback", fallback), checks.flag("skip_feasibility", skip_feasibility)
+    time = 0.0 if time_limit is None else checks.number("time_limit", time_limit, sign="nonnegative", unit="s")
+    cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, time)
     Setup(cast_setup.rope, arm=cast_setup.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
     cuts(cast_setup.rope, (target,), arm=cast_setup.arm)  # or not be wound round it
     if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:

@@ -193,8 +193,10 @@ def simulate_batch(
     >>> batch.tip.shape
     (4, 1, 2)
     """
-    keep = tuple(checks.choice("keep", name, tuple(KEPT)) for name in keep)
-    workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
+    names_kept = checks.sequence("keep", keep, f"names among {', '.join(KEPT)}")
+    keep = tuple(checks.choice("keep", name, tuple(KEPT)) for name in names_kept)
+    refine, progress = checks.flag("refine", refine), checks.flag("progress", progress)
+    workers = checks.count("threads", threads, most=checks.MOST_THREADS) if threads is not None else os.cpu_count() or 1
     others = {"duration": duration, "tol": tol, "contact_step": contact_step}
     setups = setups_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, **others)
     if not pegs and any("peg" in KEPT[name][0] for name in keep):

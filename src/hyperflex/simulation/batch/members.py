@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.batch.members import LEVER, Members, Terms
 from hyperflex.core.chain.articulated_body import Chain
@@ -18,6 +19,7 @@ from hyperflex.motion import Motion
 from hyperflex.simulation.contact.runs import refine_arguments
 from hyperflex.simulation.rollouts import lever
 
+MOST_MEMBERS = 1_000_000
 # Order by tolerance, m: where lanes are full, an order costs p (p + 1) / 2 sweeps, so few cheap columns beat the high
 # order that a lone rollout gets for nothing.
 ORDERS = ((2e-6, 4), (1e-7, 5), (1e-8, 6), (0.0, 7))
@@ -40,11 +42,15 @@ def setups_of(
     further arguments of Setup, the same for all.
     """
     every: list[Sequence[Any]] = [
-        [ropes] if isinstance(ropes, Rope) else list(ropes),
-        [motions] if motions is None or isinstance(motions, Motion) else list(motions),
+        [ropes] if isinstance(ropes, Rope) else checks.sequence("ropes", ropes, "a Rope, or one for each member"),
+        [motions]
+        if motions is None or isinstance(motions, Motion)
+        else checks.sequence("motions", motions, "a Motion, or one for each member"),
         _pegs_of(pegs),
         *(_rows(value) for value in start),
     ]
+    for rope in every[0]:
+        checks.instance("rope of a member", rope, Rope)
     counts = [len(each) for each in every]
     count = max(counts)
     if 0 in counts or set(counts) - {1, count}:
@@ -77,14 +83,14 @@ def setups_of(
 
 def _rows(value: npt.ArrayLike | None) -> list[Array | None]:
     """Return a start (n,) or (M, n) as rows, one a member or one for all."""
-    return [None] if value is None else list(np.atleast_2d(np.asarray(value, dtype=np.float64)))
+    return [None] if value is None else list(np.atleast_2d(checks.array("q0 or qd0", value, None)))
 
 
 def _pegs_of(pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]]) -> list[tuple[Obstacle, ...]]:
     """Return the pegs of each member; one entry if they are the same for all."""
-    given = list(pegs)
+    given = checks.sequence("pegs", pegs, "Peg, Wall and Ground, for all members, or a list of these for each")
     if all(isinstance(each, Obstacle) for each in given):
-        return [tuple(given)]  # type: ignore[arg-type]
+        return [tuple(given)]
     lists = [tuple(each) for each in given if isinstance(each, Sequence)]
     if len(lists) < len(given):
         raise InvalidInput("pegs mixes pegs and lists of pegs", allowed="pegs for all members, or a list of pegs each")

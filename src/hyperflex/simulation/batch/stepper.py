@@ -17,7 +17,7 @@ from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.chain.lanes import MEMBERS
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DEFAULT_TOL, Arm, Rope
-from hyperflex.simulation.batch.members import INITIAL_CLOCK, members_of, setups_of, starts_of, terms_of
+from hyperflex.simulation.batch.members import INITIAL_CLOCK, MOST_MEMBERS, members_of, setups_of, starts_of, terms_of
 from hyperflex.simulation.commands import COMMANDS, arm_polynomials, setup_for
 from hyperflex.simulation.rollouts import Interval
 
@@ -107,7 +107,7 @@ class BatchStepper:
     ) -> None:
         self.command = checks.choice("command", command, COMMANDS)
         if isinstance(ropes, Rope) and members is not None:
-            ropes = [ropes] * checks.count("members", members)
+            ropes = [ropes] * checks.count("members", members, most=MOST_MEMBERS)
         setups = [setup_for(command, setup) for setup in setups_of(ropes, arm=arm, tol=tol)]
         if members not in (None, len(setups)):
             raise InvalidInput("members and ropes do not fit together", got=members, allowed=f"{len(setups)}")
@@ -121,7 +121,9 @@ class BatchStepper:
         self._terms = terms_of(setups[0], chains[0])
         self._polynomials = (0.0, np.zeros((3, 6)), np.zeros((3, 2)))
         self._stop = np.zeros(1, dtype=np.int64)
-        workers = checks.count("threads", threads) if threads is not None else os.cpu_count() or 1
+        workers = (
+            checks.count("threads", threads, most=checks.MOST_THREADS) if threads is not None else os.cpu_count() or 1
+        )
         size = -(-len(setups) // (workers * len(MEMBERS))) * len(MEMBERS)
         self._blocks = [(low, min(low + size, len(setups))) for low in range(0, len(setups), size)]
         self._pool = ThreadPoolExecutor(len(self._blocks)) if len(self._blocks) > 1 else None
