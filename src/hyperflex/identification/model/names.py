@@ -1,6 +1,6 @@
 """The names in `free`, and the parameters that they stand for."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -29,7 +29,7 @@ def parse(
     `arc_lengths` (K,), m, are of the markers; `moved` tells whether the first joint moves, so that a delay has a
     meaning; `arm` is that whose motor torque is measured.
     """
-    if isinstance(free, str) or len(free) == 0:
+    if isinstance(free, str) or not isinstance(free, Iterable) or len(free := list(free)) == 0:
         raise InvalidInput("free names no parameters", got=free, allowed="a list such as ['inertia', 'friction']")
     result: list[Parameter] = []
     for word in free:
