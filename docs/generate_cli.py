@@ -17,10 +17,10 @@ complaints go to standard error. A command that fails prints `{"error": ..., "ty
 
 Exit codes: 0 done, 1 a bug in hyperflex (with a traceback on standard error), 2 refused or failed with a message, 3 the
 fit of `identify` did not converge (the rope is written and marked so), 4 `cast` found no throw that winds and holds, or
-`whip` no strokes that meet the target (the best is written, with the reason), 5 the fit of `identify` is not to be used,
-130 interrupted (`identify`, `cast` and `whip` then write the best so far and mark it so). Files, and the folders of
-`identify`, `cast`, `whip`, `reproduce` and `demo`, are written whole or not at all; an output that is one of the inputs
-is refused.
+`whip` no strokes that meet the target (the best is written, with the reason), 5 the fit of `identify` is not to be
+used, 130 interrupted (`identify`, `cast` and `whip` then write the best so far and mark it so). Files, and the folders
+of `identify`, `cast`, `whip`, `reproduce` and `demo`, are written whole or not at all; an output that is one of the
+inputs is refused.
 
 This page is what `--help` prints (`python docs/generate_cli.py` writes it).
 """
