@@ -71,15 +71,15 @@ def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: 
         shape = _shape(along, rope, np.append(0.0, arc_lengths))
     else:
         shape = _shape(recording, rope, arc_lengths)
-    n = rope.n_links
-    prior = None
+    n, prior, assumed = rope.n_links, None, False
     if arc_lengths.size - 1 < n and n > 1:
         turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n)
         none = np.zeros_like(turn)
         prior = np.block([[turn / BEND, none], [none, turn / SWAY]])
-        if recording.noise is None:
+        assumed = recording.noise is None
+        if assumed:
             recording = replace(recording, noise=np.array(UNTOLD * rope.total_length))
-    return Measurements(recording, shape, prior)
+    return Measurements(recording, shape, prior, assumed)
 
 
 def with_torque(measured: Measurements, torque: npt.ArrayLike, noise: npt.ArrayLike | None) -> Measurements:

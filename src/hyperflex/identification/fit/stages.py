@@ -27,11 +27,15 @@ CLEARLY = 0.8  # part of the cost without delay that another must come below
 
 @dataclass(frozen=True)
 class Measurements:
-    """What is fitted: channels, the angles that they show, and the prior of a state (see Window)."""
+    """What is fitted: channels, the angles that they show, and the prior of a state (see Window).
+
+    assumed: the channels' noise was not declared, but taken to be of a usual size.
+    """
 
     channels: Recording
     shape: Recording
     prior: Array | None = None
+    assumed: bool = False
 
     def windows(self, length: float, step: int = 1) -> tuple[list[Window], int]:
         """Return windows of so many seconds with every `step`-th sample, and how many were left out."""
@@ -74,7 +78,8 @@ def fit_in_stages(
             found = fit(plant, usable, x, states, loss=loss, enough=enough, report=heard)
             if part == length:
                 known_noise = measured.channels.noise is not None
-                found = refit_poor_windows(plant, usable, found, known_noise=known_noise, report=heard)
+                declared = known_noise and not measured.assumed  # else all windows may seem poor
+                found = refit_poor_windows(plant, usable, found, known_noise=declared, report=heard)
                 starts = [plant.parameters.start, *(each.x for each, _, _ in done)]
                 found, tried, agree = fit_from_starts(
                     plant, usable, found, starts, known_noise=known_noise, report=heard
