@@ -107,7 +107,7 @@ def _keeping(out: Path, as_json: bool) -> Iterator[None]:
     if (part := stop.partial) is None:
         raise KeyboardInterrupt
     kept = output.partial_path(out)
-    part.to_netcdf(kept)
+    part.to_netcdf(kept, {"interrupted": 1})
     left = {"output": kept, "frames": part.frames, "duration_s": part.recording.duration}
     message = f"Interrupted after {part.frames} frames; what was tracked until then is in {kept}."
     raise typer.Exit(output.interrupted(message, left, as_json=as_json))
