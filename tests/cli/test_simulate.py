@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -89,6 +91,26 @@ def test_ctrl_c_exits_with_130_and_leaves_nothing(hyperflex, setup_file, tmp_pat
     assert err.startswith("hyperflex: Interrupted")
     assert err.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["cast.toml"]
+
+
+@pytest.mark.parametrize("samples", [0, 20])
+def test_ctrl_c_keeps_what_was_simulated_under_a_name_that_says_so(
+    hyperflex_json, setup_file, tmp_path, monkeypatch, samples
+):
+    def interrupted(setup, **_):
+        whole = simulation_of(setup)
+        rows = {field.name: getattr(whole, field.name) for field in dataclasses.fields(whole)}
+        part = {name: rows[name][:samples] for name in rows if isinstance(rows[name], np.ndarray)}
+        raise hf.Interrupted(dataclasses.replace(whole, **part, status="interrupted"))
+
+    simulation_of = simulation.simulate
+    monkeypatch.setattr(simulation, "simulate", interrupted)
+    code, result = hyperflex_json("simulate", setup_file, "-o", tmp_path / "cast.nc")
+    assert (code, result["error"]) == (130, "interrupted")
+    assert {path.name for path in tmp_path.iterdir()} == {"cast.toml"} | ({"cast-interrupted.nc"} if samples else set())
+    if samples:
+        kept = hf.read_trajectory(result["output"])
+        assert (kept.status, kept.t.size) == ("interrupted", samples)
 
 
 def test_ctrl_c_after_the_run_says_that_it_is_written(hyperflex_json, setup_file, tmp_path, monkeypatch):

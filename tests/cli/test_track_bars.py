@@ -9,6 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.cli import output
+from hyperflex.files import read_netcdf
 from hyperflex.vision import VideoReader
 from tests.estimate.test_bars import CAMERA, filmed
 
@@ -52,6 +53,7 @@ def test_ctrl_c_keeps_what_was_tracked_under_a_name_that_says_so(hyperflex, tmp_
     assert "after 8 frames" in err
     assert json.loads(text)["output"] == str(kept)
     assert len(hf.read_recording(kept).t) == 8
+    assert read_netcdf(kept).attributes["interrupted"] == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == [kept.name, "pendulum.mp4"]
 
 

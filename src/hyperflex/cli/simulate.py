@@ -80,7 +80,9 @@ def simulate(
 
 
 def _leave(part: "Trajectory", out: Path, as_json: bool) -> NoReturn:
-    """Write what Ctrl-C has left of a run, and exit."""
+    """Write what Ctrl-C has left of a run, if it had begun, and exit."""
+    if not part.t.size:
+        raise KeyboardInterrupt
     part.to_netcdf(out)
     left = {"output": out, "status": part.status, "samples": part.t.size, "end_s": part.state.t}
     message = f"Interrupted at t = {part.state.t:.6g} s; what was simulated until then is in {out}."

@@ -1,9 +1,9 @@
 """Tracks a rope through a whole video: from a file to a Recording of its markers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -57,10 +57,13 @@ class VideoTrack:
     notes: tuple[str, ...]
     changes: tuple[Change, ...] = ()
 
-    def to_netcdf(self, path: PathLike) -> None:
-        """Write the recording to NetCDF-4, with what was estimated and the arc lengths of its markers as attributes."""
+    def to_netcdf(self, path: PathLike, attributes: Mapping[str, Any] | None = None) -> None:
+        """Write the recording to NetCDF-4, with what was estimated and the arc lengths of its markers as attributes.
+
+        Beside these stand further `attributes`, as of :meth:`hyperflex.Recording.to_netcdf`.
+        """
         found = {f"estimated_{name}": np.array(each) for name, each in self.parameters.items()}
-        self.recording.to_netcdf(path, {"arc_lengths": self.arc_lengths, **found})
+        self.recording.to_netcdf(path, {"arc_lengths": self.arc_lengths, **found, **(attributes or {})})
 
 
 class _Sighting(NamedTuple):

@@ -1,9 +1,9 @@
 """Coloured bars in a frame, such as the links of a pendulum without markers: centre, angle and ends of each."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -167,9 +167,9 @@ class BarTrack:
     seen: Array
     notes: tuple[str, ...]
 
-    def to_netcdf(self, path: PathLike) -> None:
-        """Write the recording to NetCDF-4."""
-        self.recording.to_netcdf(path)
+    def to_netcdf(self, path: PathLike, attributes: Mapping[str, Any] | None = None) -> None:
+        """Write the recording to NetCDF-4, with `attributes` as of :meth:`hyperflex.Recording.to_netcdf`."""
+        self.recording.to_netcdf(path, attributes)
 
 
 @interruptible(BarTrack)
