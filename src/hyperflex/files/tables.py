@@ -69,7 +69,7 @@ def read_table(path: PathLike) -> Table:
         UTF-8 text. Cells are separated by tabs, semicolons, commas or spaces; between tabs or semicolons numbers may
         have decimal commas. The first line holds the names; or a comment right above the rows does, or a note
         ``# columns: ..``. Group names above the header (of DeepLabCut, pandas, Tracker) come before the names with an
-        underscore: ``hip_x``. A title above it is left out. Empty cells, ``NA``, ``nan``, ``null`` and ``-`` are gaps.
+        underscore, as in hip_x. A title above it is left out. Empty cells, NA, nan, null and - are gaps.
 
     Returns
     -------

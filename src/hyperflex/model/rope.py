@@ -238,6 +238,9 @@ class Rope:
 
         `base` (..., 2) is the position of the first joint, m.
         """
+        shape = checks.array("q", q, None, gaps=True).shape[:-1]
+        q = checks.array("q", q, (*shape, self.n_links), unit="rad", gaps=True)
+        base = checks.array("base", base, (*shape, 2), unit="m", gaps=True)
         links = self.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
         return np.cumsum(np.concatenate([base[..., None, :], links], axis=-2), axis=-2)
 
