@@ -132,11 +132,11 @@ def test_a_graze_and_a_fold_are_told(tmp_path):
     plan = planned()
     assert "grazes" not in " ".join(CastReport(plan, None).story)
     assert CastReport(plan, None).warning == ""
-    cast = dataclasses.replace(plan.outcome, touch_time=plan.outcome.strike_time - 2.0, max_bend=4.0)
+    cast = dataclasses.replace(plan.outcome, touch_time=plan.outcome.strike_time - 2.0, max_bend=2.2, folded=True)
     plan = dataclasses.replace(plan, outcome=cast)
     told = " ".join(CastReport(plan, None).story)
     assert f"grazes the target at {plan.outcome.touch_time:.2f} s and comes off again. The rope strikes" in told
-    assert "folds by 229 degrees" in told
+    assert "folds flat, by 126 degrees" in told
 
 
 def test_files_of_an_earlier_cast_go_with_it(tmp_path, held):

@@ -90,17 +90,25 @@ class CastSetup:
     time : float
         Time within which the rope must strike, s, at least MIN_TIME; 0 (the default) means PERIODS periods of the
         rope's swing.
+    clearance : float
+        Least distance of the rope from its own arm and shaft in verified runs, m, >= 0; -inf lets it go through both,
+        where it swings in front of them.
+    contact : float
+        Least angle of a peg that a wound rope covers, rad, >= 0.
 
     Raises
     ------
     InvalidInput
-        If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, or the time is too short.
+        If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, the time is too short, or
+        clearance or contact is below 0.
     """
 
     rope: Rope
     arm: Arm
     limits: MotorLimits
     time: float = 0.0
+    clearance: float = 0.0
+    contact: float = 0.0
 
     def __post_init__(self) -> None:
         for name, kind in (("rope", Rope), ("arm", Arm), ("limits", MotorLimits)):
@@ -117,3 +125,8 @@ class CastSetup:
         if 0.0 < time < MIN_TIME:
             raise InvalidInput("time is too short for any cast", got=time, allowed=f"{MIN_TIME:g} s or more, or 0")
         object.__setattr__(self, "time", time or PERIODS * swing_period(self.rope))
+        if self.clearance != -math.inf:
+            clearance = checks.number("clearance", self.clearance, sign="nonnegative", unit="m")
+            object.__setattr__(self, "clearance", clearance)
+        contact = checks.number("contact", self.contact, sign="nonnegative", unit="rad")
+        object.__setattr__(self, "contact", contact)

@@ -11,6 +11,8 @@ from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import rope_clearance
+from hyperflex.planning.verification import folded_flat, greatest_bend, refusal, verified_setup
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
@@ -47,10 +49,15 @@ class CastOutcome:
     touch_time : float
         First touch of the peg, s: before `strike_time` if the rope grazes the peg and comes off.
     contact_angle : float
-        Angle about the peg from the first to the last link in contact at the end of the run, rad, >= 0.
+        Angle of the peg that the rope covers at the end of the run, rad, >= 0: `turns` less what is straight or hangs.
     max_bend : float
-        Greatest angle between neighbouring links, rad. Above pi the rope has folded through itself: its contact with
-        itself is not simulated.
+        Greatest angle between neighbouring links, rad: of the rope's contact with itself only joint limits are
+        simulated (:func:`hyperflex.planning.verification.limit_bend`). Above pi it folds through itself, and fails.
+    folded : bool
+        Whether a joint reached its limit: the rope was folded flat, and what it does then is left to chance.
+    clearance : float
+        Least distance between the rope and its own arm or the motor's shaft, m; below 0 the rope goes through, and
+        fails. See :func:`hyperflex.planning.clearance.rope_clearance`.
     torque : float
         Greatest motor torque, N m.
     message : str
@@ -70,6 +77,8 @@ class CastOutcome:
     touch_time: float
     contact_angle: float
     max_bend: float
+    folded: bool
+    clearance: float
     torque: float
     message: str
     n_links: int
@@ -85,11 +94,6 @@ class CastOutcome:
         """Whether the simulation came to its end."""
         return self.n_links > 0
 
-    @property
-    def folded(self) -> bool:
-        """Whether the rope folds through itself at any time."""
-        return self.max_bend > np.pi
-
 
 def verify_cast(
     cast_setup: CastSetup,
@@ -101,7 +105,9 @@ def verify_cast(
     watch_time: float = WATCH_TIME,
     time_budget: float | None = None,
 ) -> CastOutcome:
-    """Simulate a motion from rest with a peg, with links refined near the peg, and evaluate the outcome.
+    """Simulate a motion from rest with a peg, and evaluate the outcome.
+
+    Links are refined near the peg, and joints limited (:mod:`hyperflex.planning.verification`).
 
     Parameters
     ----------
@@ -117,23 +123,14 @@ def verify_cast(
     watch_time = checks.number("watch_time", watch_time, sign="positive", unit="s")
     stop = float(motion.breaks[-1])
     duration = stop + SETTLING_TIME + watch_time
+    setup = verified_setup(cast_setup, motion, duration, (peg,), tol=tol, contact_step=contact_step)
     t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)
     t[-1] = min(t[-1], duration)
     try:
-        run = simulate(
-            cast_setup.rope,
-            motion,
-            arm=cast_setup.arm,
-            duration=duration,
-            pegs=[peg],
-            tol=tol,
-            contact_step=contact_step,
-            t_eval=t,
-            time_budget=time_budget,
-        )
+        run = simulate(setup, t_eval=t, time_budget=time_budget)
     except SimulationError as error:
         nan, message = float("nan"), f"the simulation failed ({error.status})"
-        return CastOutcome(False, False, 0.0, nan, nan, nan, nan, nan, nan, nan, message, 0)
+        return CastOutcome(False, False, 0.0, *6 * (nan,), False, nan, nan, message, 0)
     return evaluate_cast(cast_setup, peg, run, stop)
 
 
@@ -150,6 +147,8 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
     held = on and slip < MAX_SLIP
     touched = np.isfinite(wound.before)
     torque = float(np.abs(run.motor_torque).max())
+    max_bend, clearance = greatest_bend(run), rope_clearance(run)
+    covered = float(wound.contact[watched].min())
     message = ""
     if not touched.any():
         message = "the rope does not touch the peg"
@@ -160,6 +159,11 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         message = (
             "the rope leaves the peg" if not on else f"it slips by {1e3 * slip:.1f} mm, {1e3 * MAX_SLIP:g} allowed"
         )
+    elif refused := refusal(cast_setup, max_bend, clearance):
+        message = refused
+    elif covered < cast_setup.contact:
+        asked = f"{np.degrees(cast_setup.contact):.0f} are asked"
+        message = f"it covers {np.degrees(covered):.0f} degrees of the peg, and {asked}"
     elif torque > cast_setup.limits.torque:
         message = f"it asks {torque:.3g} N m of a motor that gives {cast_setup.limits.torque:.3g}"
     return CastOutcome(
@@ -170,8 +174,10 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         load_ratio=_load_ratio(wound, watched, peg) if on else float("nan"),
         strike_time=_longest_stay(run.t, touched),
         touch_time=float(run.t[touched.argmax()]) if touched.any() else float("nan"),
-        contact_angle=abs(float(wound.arc[-1])),
-        max_bend=float(np.abs(np.diff(run.q, axis=1)).max(initial=0.0)),
+        contact_angle=float(wound.contact[-1]),
+        max_bend=max_bend,
+        folded=folded_flat(run),
+        clearance=clearance.value,
         torque=torque,
         message=message,
         n_links=run.q.shape[1],

@@ -45,6 +45,7 @@ class Plan(ABC):
     kind: ClassVar[str]  # in files
     cast_setup: CastSetup
     outcome: Any
+    finer_outcome: Any
     message: str
     runs: int
     seconds: float
@@ -64,6 +65,12 @@ class Plan(ABC):
     def run(self) -> Trajectory | None:
         """The verified run; None if there is none, or if the plan was read from a file."""
         return None if self.outcome is None else self.outcome.run
+
+    @property
+    def clearance(self) -> float:
+        """Least distance between the rope and its own arm or the motor's shaft in the verified runs, m; NaN without."""
+        found = [each.clearance for each in (self.outcome, self.finer_outcome) if each is not None]
+        return float(min(found, default=math.nan))
 
     @property
     @abstractmethod
@@ -107,8 +114,9 @@ class Plan(ABC):
         return value
 
     def summary(self) -> dict[str, Any]:
-        """Return success, status and all fields but the set-up as nested tables, for JSON."""
-        table = {"source": "simulated", "success": self.success, "status": self.status, **to_table(self)}
+        """Return success, status, clearance and all fields but the set-up as nested tables, for JSON."""
+        told = {"success": self.success, "status": self.status, "clearance": self.clearance}
+        table = {"source": "simulated", **told, **to_table(self)}
         del table["cast_setup"]
         return table
 

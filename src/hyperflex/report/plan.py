@@ -169,6 +169,15 @@ def _rope_and_arm(setup: CastSetup) -> str:
     )
 
 
+def clearance_tiles(plan: Plan) -> list[tuple[str, str]]:
+    """Return how near the rope comes to its own arm, as a key figure; none if nothing was verified to its end."""
+    if math.isnan(plan.clearance):
+        return []
+    asked = 1e3 * max(plan.cast_setup.clearance, 0.0)
+    told = f"clearance: least distance of the rope from arm and shaft; {asked:g} mm are needed"
+    return [(f"{1e3 * plan.clearance:.1f} mm", told)]
+
+
 def counted(count: int, noun: str) -> str:
     """Return a number with its noun, in the plural unless it is 1."""
     return f"{count} {noun}{'' if count == 1 else 's'}"

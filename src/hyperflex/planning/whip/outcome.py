@@ -8,6 +8,8 @@ from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import rope_clearance
+from hyperflex.planning.verification import folded_flat, greatest_bend, refusal, verified_setup
 from hyperflex.planning.whip.tip_target import TipTarget, find_peaks
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
@@ -32,10 +34,13 @@ class TipStrike:
         Angle between velocity and the asked direction, rad, >= 0.
     earlier_speed : float
         Greatest speed of the tip at a peak before, m/s.
+    max_bend, folded, clearance : float, bool, float
+        As of :class:`CastOutcome`, until after the peak.
     torque : float
         Greatest motor torque, N m.
     message : str
-        What fails besides the miss: speed or direction; empty if they are as asked.
+        What fails besides the miss: the rope goes through itself, arm or shaft, speed or direction are not as asked;
+        empty if nothing does.
     n_links : int
         Links of the simulated rope.
     run : Trajectory or None
@@ -48,6 +53,9 @@ class TipStrike:
     miss: float
     angle_error: float
     earlier_speed: float
+    max_bend: float
+    folded: bool
+    clearance: float
     torque: float
     message: str
     n_links: int
@@ -68,7 +76,7 @@ def verify_whip(
     """
     t = SAMPLE_TIME * np.arange(np.ceil((near + WINDOW) / SAMPLE_TIME) + 1.0)
     try:
-        run = simulate(cast_setup.rope, motion, arm=cast_setup.arm, duration=float(t[-1]), t_eval=t, tol=tol)
+        run = simulate(verified_setup(cast_setup, motion, float(t[-1]), tol=tol), t_eval=t)
     except SimulationError:
         return None
     found = find_peaks(run.t, run.tip[None], run.tip_velocity[None])
@@ -78,10 +86,11 @@ def verify_whip(
     k = int(np.where(about, found.speed, 0.0).argmax())
     earlier = found.speed[found.t < found.t[k]]
     error, speed = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k])
-    message = ""
-    if speed < target.least_speed:
+    max_bend, clearance = greatest_bend(run), rope_clearance(run)
+    message = refusal(cast_setup, max_bend, clearance)
+    if not message and speed < target.least_speed:
         message = f"the tip's speed is {speed:.2f} m/s, and {target.least_speed:g} is asked"
-    elif error > target.angle_tolerance:
+    elif not message and error > target.angle_tolerance:
         allowed = np.degrees(target.angle_tolerance)
         message = f"the tip's direction is {np.degrees(error):.0f} degrees off, {allowed:.0f} allowed"
     return TipStrike(
@@ -91,6 +100,9 @@ def verify_whip(
         miss=float(np.hypot(*(found.place[k] - target.point))),
         angle_error=error,
         earlier_speed=float(earlier.max(initial=0.0)),
+        max_bend=max_bend,
+        folded=folded_flat(run),
+        clearance=clearance.value,
         torque=float(np.abs(run.motor_torque).max()),
         message=message,
         n_links=run.q.shape[1],

@@ -147,6 +147,7 @@ def plan_whip(
     *,
     least_speed: float = 5.0,
     angle_tolerance: float = math.radians(20.0),
+    clearance: float = 0.0,
     time_limit: float | None = None,
     time_budget: float = TIME_BUDGET,
     skip_feasibility: bool = False,
@@ -159,7 +160,7 @@ def plan_whip(
 
     Parameters
     ----------
-    rope, arm, limits, skip_feasibility, seed, threads, progress
+    rope, arm, limits, clearance, skip_feasibility, seed, threads, progress
         As of :func:`hyperflex.plan_cast`.
     point : (2,) array_like
         Place of the tip at the peak, m.
@@ -195,7 +196,7 @@ def plan_whip(
     seed = checks.count("seed", seed, least=0)
     if time_limit is not None:
         time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
-    cast_setup = _cast_setup(rope, arm, limits, time_limit, whip_map)
+    cast_setup = replace(_cast_setup(rope, arm, limits, time_limit, whip_map), clearance=clearance)
 
     def plan(
         known: WhipFeasibility, message: str, runs: int = 0, interrupted: bool = False, **found: object
@@ -213,7 +214,7 @@ def plan_whip(
     known = check_whip_feasibility(whip_map, target)
     if not math.isfinite(known.cost) or not (known.feasible or skip_feasibility):
         return plan(known, known.message)
-    planner = WhipPlanner(whip_map, target, time_budget, seed, threads)
+    planner = WhipPlanner(replace(whip_map, cast_setup=cast_setup), target, time_budget, seed, threads)
     interrupted = False
     with progress_bar(0.0, time_budget, progress, "planning") as report:
         try:

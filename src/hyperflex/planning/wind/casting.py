@@ -29,6 +29,8 @@ def plan_cast(
     *,
     time_limit: float | None = None,
     holding_force: float = 0.0,
+    contact: float | None = None,
+    clearance: float = 0.0,
     uncertainty: Uncertainty | None = None,
     time_budget: float = TIME_BUDGET,
     skip_feasibility: bool = False,
@@ -53,11 +55,19 @@ def plan_cast(
     holding_force : float
         Pull that the wound rope must bear, N: by a rule in the feasibility check, and by a simulated tug when a throw
         is verified. The success probability does not include it.
+    contact : float, optional
+        Least angle of the target that the rope must cover, rad. By default none is asked for, but where the rope is
+        long enough the search goes on for a full turn until its time is over.
+    clearance : float
+        Least distance of the rope from its own arm and the motor's shaft, m, as of :class:`CastSetup`.
     uncertainty : Uncertainty, optional
         Of rope, target and motor. With it the plan is the throw that succeeds in most of the sampled scenarios, and its
         success probability is estimated from others.
     time_budget : float
-        Time to search, s. A plan that succeeds ends the search; with an uncertainty one that succeeds in all samples.
+        Time to search, s. Not every plan that succeeds ends the search before, only one with a margin: it slips by at
+        most 0.4 of what is allowed, is pulled with no more than the capstan equation lets it bear, was not folded flat
+        on the way, winds alike with shorter links, and covers a full turn of the target where the rope is long enough;
+        with an uncertainty one that succeeds in all samples.
     skip_feasibility : bool
         Search even for a target that the feasibility check calls out of reach.
     fallback : bool
@@ -98,7 +108,8 @@ def plan_cast(
     if target.turns:
         raise InvalidInput("casts are planned for fixed targets", got=target, fix="Leave out inertia and bearing")
     time_budget = checks.number("time_budget", time_budget, sign="positive", unit="s")
-    cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, time_limit or 0.0)
+    motor = MotorLimits() if limits is None else limits
+    cast_setup = CastSetup(rope, arm, motor, time_limit or 0.0, clearance, contact or 0.0)
     Setup(cast_setup.rope, arm=cast_setup.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
     if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
         raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
@@ -120,6 +131,8 @@ def plan_cast(
         limits=limits,
         time_limit=time_limit,
         holding_force=holding_force,
+        contact=contact,
+        clearance=clearance,
         uncertainty=uncertainty,
         time_budget=time_budget,
         seed=seed,

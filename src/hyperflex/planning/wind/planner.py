@@ -39,6 +39,7 @@ TRIES = 3  # verifications at most between two generations
 SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
 LOAD_MARGIN = 1.0  # load ratio for which the same holds
 BOTH = 2  # verifications that succeed for a plan that succeeds
+FULL_TURN = 2.0 * np.pi  # rad of contact that a search goes on for where the rope is long enough, if none is asked for
 MAX_DIFFERENCE = 0.5  # turns between both verifications; above, one of them winds once more
 
 NONE = (False, False, 0.0)  # value of no throw
@@ -58,6 +59,8 @@ class CastPlanner:
         self.finer = [replace(cast_setup, rope=divided(cast_setup.rope, k)) for k in FINER]
         self.rounds = 0
         tail = check_feasibility(cast_setup, search.peg).available_turns - HANGING_TAIL
+        full = check_feasibility(replace(cast_setup, contact=FULL_TURN), search.peg)
+        self.contact = FULL_TURN if full.available_turns >= full.needed_turns and not cast_setup.contact else 0.0
         self.tail = float(np.clip(tail, MIN_TAIL, MAX_TAIL))
         self.checked: list[Candidate] = []
         self.verified: list[Verified] = []
@@ -131,8 +134,8 @@ class CastPlanner:
         return score
 
     def done(self) -> bool:
-        """Whether a plan succeeds with a margin."""
-        return _with_margin(self.best)
+        """Whether a plan succeeds with a margin, and covers a full turn where the rope is long enough."""
+        return _with_margin(self.best) and _covers(self.best, self.contact)
 
     def verify_new(self) -> None:
         """Verify the best candidates that were not verified yet, as many at once as there are threads."""
@@ -182,7 +185,8 @@ class CastPlanner:
 
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, and are not like one that was verified nor like each other."""
-        winding = (one for one in self.search.candidates if one.confirmed and one.turns >= MIN_TURNS)
+        least = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN)
+        winding = (one for one in self.search.candidates if one.confirmed and one.turns >= least)
         return distinct(winding, self.checked, self.search.workers, ALIKE)
 
     def check(self, some: Sequence[Candidate]) -> None:
@@ -191,8 +195,14 @@ class CastPlanner:
             worse = finer or outcome
             if worse is not None and not worse.success:
                 self.search.correct(found, abs(worse.turns), abs(worse.turns) - SLIP_COST)
-            if self.best[0] is None or _rank(outcome, finer) > _rank(*self.best[1:]):
-                self.best = (throw, outcome, finer)
+            new = (throw, outcome, finer)
+            if self.best[0] is None or self.rank(new) > self.rank(self.best):
+                self.best = new
+
+    def rank(self, found: Verified) -> tuple[int, bool, bool, bool, float]:
+        """Verifications that succeed; whether they agree, have a margin and cover enough of the peg; the turns."""
+        *first, turns = _rank(*found[1:])
+        return *first, _covers(found, self.contact), turns
 
     def outcomes(self, some: Sequence[Candidate]) -> Iterator[Verified]:
         """Verify candidates at once."""
@@ -237,13 +247,18 @@ class CastPlanner:
 
 
 def steady(outcome: CastOutcome) -> bool:
-    """Whether a rope that holds does so with a margin, and did not fold through itself before."""
+    """Whether a rope that holds does so with a margin, and was not folded flat before."""
     return outcome.slip <= SLIP_MARGIN * MAX_SLIP and outcome.load_ratio <= LOAD_MARGIN and not outcome.folded
 
 
 def _succeeds(found: Verified) -> bool:
     """Whether all verifications of a throw succeed."""
     return _rank(*found[1:])[0] == BOTH
+
+
+def _covers(found: Verified, contact: float) -> bool:
+    """Whether the rope covers so much of the peg in all verifications, rad."""
+    return all(outcome is not None and outcome.contact_angle >= contact for outcome in found[1:])
 
 
 def _with_margin(found: Verified) -> bool:
