@@ -12,7 +12,7 @@ import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastSetup, MotorLimits, Throw, verify_cast
 from hyperflex.planning.clearance import FINE, rope_clearance
-from hyperflex.planning.verification import folded_flat, greatest_bend, limit_bend, verified_setup
+from hyperflex.planning.verification import folded_flat, greatest_bend, limit_bend, motor_torques, verified_setup
 from hyperflex.planning.whip.outcome import verify_whip
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.planning.wind import planner as cast_planner
@@ -108,6 +108,28 @@ def test_a_throw_whose_rope_comes_too_near_its_arm_fails() -> None:
     assert asked.message.endswith("and 50 mm are asked")
     before = verify_cast(replace(near, clearance=-np.inf), PEG, WINDS.motion(near.limits))
     assert before.success  # it swings in front of the motor
+
+
+def test_torque_is_that_of_all_steps() -> None:
+    """And not of samples 10 ms apart: against those 0.2 ms apart, as long as a step, about the greatest."""
+    seen = planned().outcome
+    assert seen.torque_peak > 1.1 * np.abs(seen.run.motor_torque).max()  # a blow between two samples
+    about = seen.run.attrs["torque_peak_time"], seen.run.attrs["torque_mean_time"]
+    t = np.append(0.0, np.arange(min(about) - 0.02, max(about) + 0.02, 2e-4))
+    fine = np.abs(hf.simulate(seen.run.setup, t_eval=t, duration=float(t[-1])).motor_torque[1:])
+    # windows follow each other, and are not moved over the run: of a blow in two of them each has a part
+    moved = np.convolve(fine, np.full(25, 0.04), mode="valid").max()
+    assert 0.8 * moved < seen.torque < 1.02 * moved
+    assert seen.torque < seen.torque_peak
+
+
+def test_the_torque_of_a_blow_is_told() -> None:
+    """A hanging rope whose joint comes to its limit in a swing: what acts for no time is a mean over some."""
+    rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=2, max_bend=0.5)
+    run = hf.simulate(rope, hf.hold_arm(0.0), arm=hf.Arm(length=0.2, mass=0.1, com=0.1), duration=1.0, qd0=[0.0, 6.0])
+    mean, peak = motor_torques(run)
+    assert peak > 5.0 * mean > 5.0 * np.abs(run.motor_torque).max() / 2.0
+    assert peak * 5e-4 == pytest.approx(mean * 5e-3, rel=0.2)  # one blow, and little beside
 
 
 def test_what_the_rope_covers_is_asked_and_told() -> None:

@@ -1,5 +1,6 @@
 """Motions in files: CSV samples, and tables of a TOML file."""
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,9 @@ from hyperflex.motion import profiles
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 from hyperflex.motion.sequence import arm_moves, arm_strokes
 
+MOVES = "moves"  # key of the note with the arguments of ``arm_moves`` as JSON
+AGREE = 1e-9  # rad
+
 
 def read_motion(path: str | Path) -> Motion:
     """Read a sampled arm motion from a CSV file with the columns ``t`` (s) and ``angle`` (rad).
@@ -19,6 +23,13 @@ def read_motion(path: str | Path) -> Motion:
     Parameters
     ----------
     path : str or Path
+
+    Returns
+    -------
+    Motion
+        A spline through the samples (:func:`sampled_motion`). Where a plan wrote the file, its own moves, from the note
+        MOVES in its head, if they agree with the samples within AGREE: a spline asks up to 1.4 times the acceleration
+        beside each of its jumps.
 
     Raises
     ------
@@ -28,7 +39,12 @@ def read_motion(path: str | Path) -> Motion:
     names, table = files.read_table(path)
     if list(names) != ["t", "angle"]:
         raise InvalidInput(f"columns of {path} are not those of a motion", got=list(names), allowed="t,angle (s, rad)")
-    return profiles.sampled_motion(table[:, 0], table[:, 1])
+    sampled = profiles.sampled_motion(table[:, 0], table[:, 1])
+    try:
+        exact = arm_moves(**json.loads(files.read_notes(path)[MOVES]))
+    except (InvalidInput, KeyError, TypeError, ValueError):  # not what a plan wrote
+        return sampled
+    return exact if np.abs(exact.angle(table[:, 0]) - table[:, 1]).max() <= AGREE else sampled
 
 
 def from_spec(spec: Mapping[str, Any], folder: Path | None = None) -> Motion:

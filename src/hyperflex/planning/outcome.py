@@ -12,7 +12,7 @@ from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import rope_clearance
-from hyperflex.planning.verification import folded_flat, greatest_bend, refusal, verified_setup
+from hyperflex.planning.verification import folded_flat, greatest_bend, motor_torques, refusal, verified_setup
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
@@ -58,8 +58,9 @@ class CastOutcome:
     clearance : float
         Least distance between the rope and its own arm or the motor's shaft, m; below 0 the rope goes through, and
         fails. See :func:`hyperflex.planning.clearance.rope_clearance`.
-    torque : float
-        Greatest motor torque, N m.
+    torque, torque_peak : float
+        Greatest motor torque as a mean over 5 ms, which the motor's limit is for, and its greatest peak, as a mean over
+        0.5 ms: when the rope strikes the peg, say. N m.
     message : str
         Why the throw fails; empty if it succeeds.
     n_links : int
@@ -80,6 +81,7 @@ class CastOutcome:
     folded: bool
     clearance: float
     torque: float
+    torque_peak: float
     message: str
     n_links: int
     run: Trajectory | None = None
@@ -130,7 +132,7 @@ def verify_cast(
         run = simulate(setup, t_eval=t, time_budget=time_budget)
     except SimulationError as error:
         nan, message = float("nan"), f"the simulation failed ({error.status})"
-        return CastOutcome(False, False, 0.0, *6 * (nan,), False, nan, nan, message, 0)
+        return CastOutcome(False, False, 0.0, *6 * (nan,), False, nan, nan, nan, message, 0)
     return evaluate_cast(cast_setup, peg, run, stop)
 
 
@@ -146,7 +148,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
     enough = bool((sense * turns >= MIN_TURNS).all())
     held = on and slip < MAX_SLIP
     touched = np.isfinite(wound.before)
-    torque = float(np.abs(run.motor_torque).max())
+    torque, torque_peak = motor_torques(run)
     max_bend, clearance = greatest_bend(run), rope_clearance(run)
     covered = float(wound.contact[watched].min())
     message = ""
@@ -179,6 +181,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         folded=folded_flat(run),
         clearance=clearance.value,
         torque=torque,
+        torque_peak=torque_peak,
         message=message,
         n_links=run.q.shape[1],
         run=run,

@@ -1,5 +1,6 @@
 """What casts and whips have in common as plans: success, the motor's file, and a TOML file that reads back equal."""
 
+import json
 import math
 import types
 from abc import ABC, abstractmethod
@@ -13,7 +14,7 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN, Rope, Setup
-from hyperflex.motion import Motion
+from hyperflex.motion import MOVES, Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.throw import Moves
 from hyperflex.trajectory import Trajectory
@@ -121,7 +122,7 @@ class Plan(ABC):
         return table
 
     def to_csv(self, path: files.PathLike, *, rate: float = RATE) -> None:
-        """Write the motion at a motor's rate to a CSV file that :func:`hyperflex.read_motion` reads.
+        """Write the motion at a motor's rate to a CSV file that :func:`hyperflex.read_motion` reads back exactly.
 
         A plan that fails is marked in the file's head, ``# not verified: ...`` or ``# fails: ...``.
 
@@ -151,6 +152,7 @@ class Plan(ABC):
             "rate": f"{rate:g} Hz",
             "t": "s",
             "angle": "rad, 0 hangs down",
+            MOVES: json.dumps({name: part for name, part in motion.spec.items() if name != "kind"}),
         }
         files.write_table(path, ["t", "angle"], np.column_stack([t, motion.angle(t)]), notes=self.notes() | columns)
 

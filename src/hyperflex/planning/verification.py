@@ -54,6 +54,25 @@ def folded_flat(run: Trajectory) -> bool:
     return bool(run.attrs.get("limit_passed", 0.0) > 0.0 or (bend > rope.max_bend[1:] - FOLD).any())
 
 
+def motor_torques(run: Trajectory) -> tuple[float, float]:
+    """Return the greatest motor torque of a run as a mean over 5 ms, and its greatest peak, a mean over 0.5 ms; N m.
+
+    Samples tell what is smooth, where nothing is touched. Means over steps in contact tell the rest
+    (``core.contact.torque_peaks``): a sample there is a mean over part of a step, which may begin with a blow.
+    """
+    arm, motion, touched = run.setup.arm, run.setup.motion, run.contact_force
+    sampled, own = np.abs(run.motor_torque), np.zeros(run.t.size)
+    if arm is not None and motion is not None:
+        own = arm.shaft_torque(run.setup.rope.gravity, run.arm_angle, run.arm_rate, motion.acceleration(run.t))
+    mean, peak = (
+        abs(run.attrs.get(name, 0.0) + own[np.abs(run.t - run.attrs.get(f"{name}_time", 0.0)).argmin()])
+        for name in ("torque_mean", "torque_peak")
+    )
+    free = sampled if touched is None else sampled[~touched.any(axis=(1, 2))]
+    mean = max(float(mean), float(free.max(initial=0.0)))
+    return mean, max(float(peak), mean)
+
+
 def refusal(cast_setup: CastSetup, max_bend: float, clearance: Clearance) -> str:
     """Return why a run is refused whatever its goal: the rope goes through itself, or too near its own arm; or ""."""
     if max_bend > np.pi + FOLD:

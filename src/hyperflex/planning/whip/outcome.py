@@ -9,7 +9,7 @@ from hyperflex.errors import SimulationError
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import rope_clearance
-from hyperflex.planning.verification import folded_flat, greatest_bend, refusal, verified_setup
+from hyperflex.planning.verification import folded_flat, greatest_bend, motor_torques, refusal, verified_setup
 from hyperflex.planning.whip.tip_target import TipTarget, find_peaks
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
@@ -34,10 +34,8 @@ class TipStrike:
         Angle between velocity and the asked direction, rad, >= 0.
     earlier_speed : float
         Greatest speed of the tip at a peak before, m/s.
-    max_bend, folded, clearance : float, bool, float
+    max_bend, folded, clearance, torque, torque_peak
         As of :class:`CastOutcome`, until after the peak.
-    torque : float
-        Greatest motor torque, N m.
     message : str
         What fails besides the miss: the rope goes through itself, arm or shaft, speed or direction are not as asked;
         empty if nothing does.
@@ -57,6 +55,7 @@ class TipStrike:
     folded: bool
     clearance: float
     torque: float
+    torque_peak: float
     message: str
     n_links: int
     run: Trajectory | None = None
@@ -87,6 +86,7 @@ def verify_whip(
     earlier = found.speed[found.t < found.t[k]]
     error, speed = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k])
     max_bend, clearance = greatest_bend(run), rope_clearance(run)
+    torque, torque_peak = motor_torques(run)
     message = refusal(cast_setup, max_bend, clearance)
     if not message and speed < target.least_speed:
         message = f"the tip's speed is {speed:.2f} m/s, and {target.least_speed:g} is asked"
@@ -103,7 +103,8 @@ def verify_whip(
         max_bend=max_bend,
         folded=folded_flat(run),
         clearance=clearance.value,
-        torque=float(np.abs(run.motor_torque).max()),
+        torque=torque,
+        torque_peak=torque_peak,
         message=message,
         n_links=run.q.shape[1],
         run=run,
