@@ -10,7 +10,7 @@ from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import moving_pivot
-from hyperflex.simulation import simulate
+from hyperflex.simulation import Deadline, simulate
 from hyperflex.trajectory import State, Trajectory, swept
 
 TOUCH = 1e-4  # m, gap below which a link lies on a peg
@@ -103,7 +103,8 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
     through = np.cumsum(np.concatenate([np.zeros((run.t.size, 1)), angles], axis=1), axis=1)
     middle = 0.5 * (through[:, :-1] + through[:, 1:])
     between = np.arange(gap.shape[1])
-    on = (gap < LIFTED) & (between >= first[:, None]) & (between <= last[:, None]) & any_touch[:, None]
+    on = np.asarray((gap < LIFTED) & (between >= first[:, None]) & (between <= last[:, None]))
+    on &= np.asarray(any_touch)[:, None]
     covered = np.abs(np.where(on[:, 1:] & on[:, :-1], swept(out), 0.0).sum(axis=1))
     pull, rope = rope_tension(run), run.setup.rope
     beyond = rope.tip_mass + np.append(np.cumsum(rope.mass[::-1])[::-1], 0.0)
@@ -207,7 +208,13 @@ def slid(rope: Rope, peg: Peg, q: Array, joints: Array, turned: Array | float = 
 
 
 def tug_test(
-    run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float | None = None, allowed: float = 5e-3
+    run: Trajectory,
+    peg: Peg,
+    *,
+    speed: float = 0.02,
+    distance: float | None = None,
+    allowed: float = 5e-3,
+    time_budget: float | Deadline | None = None,
 ) -> TugTest:
     """Pull the rope's motor-side end slowly away from a peg, from where a run ended, and see what holds.
 
@@ -223,6 +230,8 @@ def tug_test(
         fast, and PULL more.
     allowed : float
         Slip on the peg, m, up to which the rope holds.
+    time_budget : float, optional
+        As of :func:`hyperflex.simulate`, s.
 
     Returns
     -------
@@ -249,6 +258,7 @@ def tug_test(
         tip_force=setup.tip_force,
         tol=setup.tol,
         refine=False,
+        time_budget=time_budget,
     )
     way = slid(pulled.setup.rope, peg, pulled.q, pulled.joints)
     gone = np.abs(way) > allowed

@@ -13,7 +13,7 @@ from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import rope_clearance
 from hyperflex.planning.verification import folded_flat, greatest_bend, motor_torques, refusal, verified_setup
-from hyperflex.simulation import simulate
+from hyperflex.simulation import Deadline, simulate
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
 
@@ -105,7 +105,7 @@ def verify_cast(
     tol: float = DEFAULT_TOL,
     contact_step: float = DEFAULT_CONTACT_STEP,
     watch_time: float = WATCH_TIME,
-    time_budget: float | None = None,
+    time_budget: float | Deadline | None = None,
 ) -> CastOutcome:
     """Simulate a motion from rest with a peg, and evaluate the outcome.
 
@@ -232,26 +232,33 @@ class HoldingForce:
         return float(self.tail_weight * np.exp(self.mu * self.contact_angle))
 
 
-def measure_holding_force(run: Trajectory, peg: Peg) -> HoldingForce | None:
-    """Tug at the rope from the end of a run with a peg; None if it is not on the peg or the tug cannot be simulated."""
+def measure_holding_force(
+    run: Trajectory, peg: Peg, *, time_budget: float | Deadline | None = None
+) -> HoldingForce | None:
+    """Tug at the rope from the end of a run with a peg; None if it is not on the peg or the tug cannot be simulated.
+
+    `time_budget`, s, is as of :func:`hyperflex.simulate`.
+    """
     wound = winding.measure_winding(run, peg)
     if not np.isfinite(wound.tail[-1]):
         return None
     try:
-        tug = winding.tug_test(run, peg)
+        tug = winding.tug_test(run, peg, time_budget=time_budget)
     except (InvalidInput, SimulationError):
         return None
     return HoldingForce(tug, float(wound.tail[-1]), abs(float(wound.arc[-1])), peg.mu)
 
 
-def require_holding_force(outcome: CastOutcome, peg: Peg, force: float) -> CastOutcome:
+def require_holding_force(
+    outcome: CastOutcome, peg: Peg, force: float, time_budget: Deadline | None = None
+) -> CastOutcome:
     """Return the outcome, as a failure if a simulated tug shows that the rope bears less than `force`, N.
 
     A force of 0 asks for nothing.
     """
     if force <= 0.0 or not outcome.success or outcome.run is None:
         return outcome
-    measured = measure_holding_force(outcome.run, peg)
+    measured = measure_holding_force(outcome.run, peg, time_budget=time_budget)
     if measured is None:
         return replace(outcome, held=False, message="what it bears could not be simulated")
     if measured.tug.holds(force):

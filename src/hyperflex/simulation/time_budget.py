@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from typing import NamedTuple
 
 from hyperflex import checks
 from hyperflex.core.jit import compiling
@@ -15,17 +16,30 @@ class TimeBudgetExceeded(Exception):
     """Raised within a run when its time budget is spent; never leaves the library."""
 
 
-def enforce_budget(report: Callable[[float], None] | None, seconds: float | None) -> Callable[[float], None] | None:
+class Deadline(NamedTuple):
+    """Time budget of one of several runs that share a time: its own processor time, s, and the time that is left.
+
+    `left` returns the time that is left for all of them by the clock, s; a busy machine does not lengthen it.
+    """
+
+    processor: float
+    left: Callable[[], float]
+
+
+def enforce_budget(
+    report: Callable[[float], None] | None, seconds: float | Deadline | None
+) -> Callable[[float], None] | None:
     """Return what a run reports to: `report`, and TimeBudgetExceeded once its thread has worked for `seconds`.
 
     What passes between two reports does not count if kernels were compiled meanwhile: that is no fault of the run.
 
     `report` is called with the simulated time. `seconds` are of processor time, so that a busy machine ends no run;
-    None waits for ever.
+    None waits for ever. A Deadline ends the run as well once no time is left by the clock.
     """
     if seconds is None:
         return report
-    left = checks.number("time_budget", seconds, sign="positive", unit="s")
+    end = seconds if isinstance(seconds, Deadline) else None
+    left = end.processor if end else checks.number("time_budget", seconds, sign="positive", unit="s")
     last, compiled = time.thread_time(), compiling()
 
     def heard(t: float) -> None:
@@ -36,7 +50,7 @@ def enforce_budget(report: Callable[[float], None] | None, seconds: float | None
         if compiled == before:
             left -= now - last
         last = now
-        if left < 0.0:
+        if left < 0.0 or (end and end.left() < 0.0):
             raise TimeBudgetExceeded
 
     return heard

@@ -9,9 +9,10 @@ from hyperflex.errors import SimulationError
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import rope_clearance
+from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.planning.verification import folded_flat, greatest_bend, motor_torques, refusal, verified_setup
 from hyperflex.planning.whip.tip_target import TipTarget, find_peaks
-from hyperflex.simulation import simulate
+from hyperflex.simulation import OUT_OF_TIME, Deadline, simulate
 from hyperflex.trajectory import Trajectory
 
 TOL = 1e-7  # m
@@ -67,16 +68,25 @@ class TipStrike:
 
 
 def verify_whip(
-    cast_setup: CastSetup, target: TipTarget, motion: Motion, near: float, *, tol: float = TOL
+    cast_setup: CastSetup,
+    target: TipTarget,
+    motion: Motion,
+    near: float,
+    *,
+    tol: float = TOL,
+    time_budget: Deadline | None = None,
 ) -> TipStrike | None:
     """Simulate a motion from rest and find the highest peak of the tip's speed about time `near`, s.
 
-    Returns None if the run fails or has no peak there.
+    Returns None if the run fails or has no peak there; raises OutOfTime if it does not end within a `time_budget`.
     """
     t = SAMPLE_TIME * np.arange(np.ceil((near + WINDOW) / SAMPLE_TIME) + 1.0)
     try:
-        run = simulate(verified_setup(cast_setup, motion, float(t[-1]), tol=tol), t_eval=t)
-    except SimulationError:
+        setup = verified_setup(cast_setup, motion, float(t[-1]), tol=tol)
+        run = simulate(setup, t_eval=t, time_budget=time_budget)
+    except SimulationError as failed:
+        if failed.status == OUT_OF_TIME:
+            raise OutOfTime from None
         return None
     found = find_peaks(run.t, run.tip[None], run.tip_velocity[None])
     about = np.abs(found.t - near) < WINDOW

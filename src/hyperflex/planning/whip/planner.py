@@ -13,7 +13,7 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, divided
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
-from hyperflex.planning.time_budget import Clock
+from hyperflex.planning.time_budget import Clock, OutOfTime
 from hyperflex.planning.whip.aim import AimedPeak, aim_peak
 from hyperflex.planning.whip.outcome import TipStrike, verify_whip
 from hyperflex.planning.whip.search import (
@@ -26,8 +26,9 @@ from hyperflex.planning.whip.search import (
 )
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.planning.whip.whip_plan import WhipPlan
-from hyperflex.simulation import progress_bar
+from hyperflex.simulation import Deadline, progress_bar
 
+SEARCHING = 0.8  # fraction of the time after which whips are only verified
 TIME_BUDGET, PERIODS = 30.0, 3.0  # s; swing periods within which the tip strikes by default
 DIRECT = 8  # peaks of the map that are aimed as they are
 READY, GENERATIONS = 0.06, 16  # m, cost below which a swing is aimed; generations of a search before
@@ -59,22 +60,27 @@ class WhipPlanner:
         self.cast_setup = whip_map.cast_setup
         self.finer = replace(self.cast_setup, rope=divided(self.cast_setup.rope, FINER))
         self.clock, self.runs = Clock(), 0
+        self.end = Deadline(math.inf, lambda: self.time_budget - self.clock.spent)
         self.aims: list[AimedPeak] = []
+
+    def left(self) -> float:
+        """Return the time that is left for the search, s."""
+        return SEARCHING * self.time_budget - self.clock.spent
 
     def run(self, report: Callable[[float], None] | None) -> None:
         """Aim until there are enough whips, or no time is left; `report` gets the time spent, s."""
         candidates = self.whip_map.candidates(self.target)
         for found in candidates[:DIRECT]:
-            if self.add(aim_peak(self.cast_setup, self.target, found), report):
+            if self.add(aim_peak(self.cast_setup, self.target, found, self.left), report):
                 return
         for number, found in enumerate(candidates):
             search = WhipSearch(self.cast_setup, self.target, found, self.seed + number, self.threads)
             for _ in range(GENERATIONS):
-                if search.best.cost < READY or self.clock.spent > self.time_budget:
+                if search.best.cost < READY or self.left() < 0.0:
                     break
                 search.step()
             self.runs += search.runs
-            if self.add(aim_peak(self.cast_setup, self.target, search.best), report):
+            if self.add(aim_peak(self.cast_setup, self.target, search.best, self.left), report):
                 return
 
     def add(self, aim: AimedPeak | None, report: Callable[[float], None] | None) -> bool:
@@ -84,7 +90,7 @@ class WhipPlanner:
             self.aims.sort(key=self.rank)
         if report is not None:
             report(min(self.clock.spent, self.time_budget))
-        return self.clock.spent > self.time_budget or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
+        return self.left() < 0.0 or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
 
     def rank(self, aim: AimedPeak) -> tuple[float, float]:
         """By how much a whip fails, then how uncertain it is; less is better."""
@@ -103,20 +109,28 @@ class WhipPlanner:
             for number, aim in enumerate(self.aims[:PLANS]):
                 if number and self.rank(aim)[0] > 0.0:
                     break
-                seen = verify_both(self.cast_setup, self.finer, self.target, aim)
+                seen = verify_both(self.cast_setup, self.finer, self.target, aim, self.end)
                 if number == 0 or not seen.message:
                     best = seen
                 if not seen.message:
                     break
         except KeyboardInterrupt:
             return best, True
+        except OutOfTime:
+            if best is not None and best.outcome is None:
+                best = best._replace(message="the time budget ended before it was verified")
         return best, False
 
 
-def verify_both(cast_setup: CastSetup, finer: CastSetup, target: TipTarget, aim: AimedPeak) -> Verified:
-    """Simulate a whip at a tight tolerance, with the links as planned and with those of a finer set-up."""
+def verify_both(
+    cast_setup: CastSetup, finer: CastSetup, target: TipTarget, aim: AimedPeak, end: Deadline | None = None
+) -> Verified:
+    """Simulate a whip at a tight tolerance, with the links as planned and with those of a finer set-up.
+
+    Raises OutOfTime at the `end`.
+    """
     motion = aim.strokes.motion(cast_setup.limits)
-    outcome, again = (verify_whip(each, target, motion, aim.t) for each in (cast_setup, finer))
+    outcome, again = (verify_whip(each, target, motion, aim.t, time_budget=end) for each in (cast_setup, finer))
     return Verified(aim, outcome, again, failure(cast_setup, outcome, again, aim.position_std))
 
 
@@ -174,7 +188,7 @@ def plan_whip(
         Time within which the tip must be there, s; by default that of the map if one is given, else three periods of
         the rope's swing.
     time_budget : float
-        Time to search, s, without the map, verifications and compiling.
+        Time by the clock for map, search and verifications, s, without compiling.
     whip_map : WhipMap, optional
         Of the same rope, arm, limits and time, from :func:`build_whip_map`; by default it is built, which takes some
         seconds.
@@ -214,7 +228,8 @@ def plan_whip(
     known = check_whip_feasibility(whip_map, target)
     if not math.isfinite(known.cost) or not (known.feasible or skip_feasibility):
         return plan(known, known.message)
-    planner = WhipPlanner(replace(whip_map, cast_setup=cast_setup), target, time_budget, seed, threads)
+    left = max(0.0, time_budget - clock.spent)
+    planner = WhipPlanner(replace(whip_map, cast_setup=cast_setup), target, left, seed, threads)
     interrupted = False
     with progress_bar(0.0, time_budget, progress, "planning") as report:
         try:

@@ -64,10 +64,11 @@ def plan_cast(
         Of rope, target and motor. With it the plan is the throw that succeeds in most of the sampled scenarios, and its
         success probability is estimated from others.
     time_budget : float
-        Time to search, s. Not every plan that succeeds ends the search before, only one with a margin: it slips by at
-        most 0.4 of what is allowed, is pulled with no more than the capstan equation lets it bear, was not folded flat
-        on the way, winds alike with shorter links, and covers a full turn of the target where the rope is long enough;
-        with an uncertainty one that succeeds in all samples.
+        Time by the clock for search, verifications and success probability, s, without compiling; on a busy machine,
+        too. Not every plan that succeeds ends the search before, only one with a margin: it slips by at most 0.4 of
+        what is allowed, is pulled with no more than the capstan equation lets it bear, was not folded flat on the way,
+        winds alike with shorter links, and covers a full turn of the target where the rope is long enough; with an
+        uncertainty one that succeeds in all samples.
     skip_feasibility : bool
         Search even for a target that the feasibility check calls out of reach.
     fallback : bool
@@ -167,10 +168,12 @@ def _search(
             except KeyboardInterrupt:
                 interrupted = True
     throw, probability = planner.best[0], None
-    if uncertainty is not None and throw is not None and not interrupted:
+    left = time_budget - planner.spent
+    if uncertainty is not None and throw is not None and not interrupted and left > 0.0:
         given = (search.cast_setup, search.peg, throw, uncertainty)
+        seed, threads = search.seed, search.threads
         try:
-            probability = estimate_success_probability(*given, seed=search.seed, threads=search.threads)
+            probability = estimate_success_probability(*given, seed=seed, threads=threads, time_budget=left)
         except KeyboardInterrupt:
             interrupted = True
     return replace(planner.plan(known, interrupted), success_probability=probability)

@@ -15,9 +15,10 @@ from hyperflex.planning.search.contact_phase import SLIP_COST
 from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.throw import Throw
-from hyperflex.planning.time_budget import Clock
+from hyperflex.planning.time_budget import Clock, OutOfTime
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
+from hyperflex.simulation import Deadline
 
 GENERATIONS = 5  # of free swings in a round
 MIN_GROWTH, IDLE_ROUNDS = 1.03, 2  # a round that gains less than this factor is idle; after so many contact is next
@@ -31,10 +32,11 @@ RESTART = 12  # generations in contact from one candidate
 ALIKE = 0.05  # points that differ by less are one
 FINER = (2, 3)  # pieces of each link in the verifications after the first
 NOMINAL = 0.5  # fraction of the time of a robust plan for the search in the nominal scenario
-REFINING = 0.8  # fraction of it after which a robust plan is only verified
+# Fractions of it after which a robust plan is only verified, and after which its success probability is estimated
+REFINING, VERIFYING = 0.7, 0.88
 NO_MARGIN_COST = 0.3  # value by which a throw without a margin must be better than one with a margin
 SEARCHING = 0.85  # fraction of the time after which only verifications are begun
-LONGEST, MIN_BUDGET = 0.25, 3.0  # fraction of the time, and processor time, s, for a verification
+LONGEST, MIN_BUDGET = 0.25, 3.0  # fraction of the time, and processor time, s, for a first verification
 TRIES = 3  # verifications at most between two generations
 SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
 LOAD_MARGIN = 1.0  # load ratio for which the same holds
@@ -57,7 +59,7 @@ class CastPlanner:
         search.left = lambda: SEARCHING * time_budget - self.spent
         cast_setup = search.cast_setup
         self.finer = [replace(cast_setup, rope=divided(cast_setup.rope, k)) for k in FINER]
-        self.rounds = 0
+        self.rounds, self.verifying = 0, 1.0
         tail = check_feasibility(cast_setup, search.peg).available_turns - HANGING_TAIL
         full = check_feasibility(replace(cast_setup, contact=FULL_TURN), search.peg)
         self.contact = FULL_TURN if full.available_turns >= full.needed_turns and not cast_setup.contact else 0.0
@@ -70,6 +72,10 @@ class CastPlanner:
     def spent(self) -> float:
         """Time spent without compiling, s."""
         return self.clock.spent
+
+    def left(self) -> float:
+        """Return the time that is left for verifications, s."""
+        return self.verifying * self.time_budget - self.spent
 
     def run(self, report: Callable[[float], None] | None) -> None:
         """Search until a plan succeeds or the time is over; `report` gets the time spent, s."""
@@ -158,7 +164,7 @@ class CastPlanner:
 
         Candidates without a margin in the nominal scenario are dropped.
         """
-        self.time_budget /= NOMINAL
+        self.time_budget, self.verifying = self.time_budget / NOMINAL, VERIFYING
         search, known, some = self.search, dict[RobustCandidate, Verified](), list[RobustCandidate]()
         refinement = RobustRefinement(search, uncertainty, left=lambda: REFINING * self.time_budget - self.spent)
         try:
@@ -177,6 +183,9 @@ class CastPlanner:
                 some = [one for one in refinement.best(search.workers) if one not in known]
                 for one, found in zip(some, self.outcomes([one.candidate for one in some]), strict=True):
                     known[one] = found
+        except OutOfTime:
+            some = [one for one in refinement.order[: search.workers] if one not in known]
+            known |= zip(some, self.outcomes([one.candidate for one in some]), strict=True)
         finally:
             search.runs += refinement.runs
             chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
@@ -201,8 +210,8 @@ class CastPlanner:
 
     def rank(self, found: Verified) -> tuple[int, bool, bool, bool, float]:
         """Verifications that succeed; whether they agree, have a margin and cover enough of the peg; the turns."""
-        *first, turns = _rank(*found[1:])
-        return *first, _covers(found, self.contact), turns
+        good, alike, margin, turns = _rank(*found[1:])
+        return good, alike, margin, _covers(found, self.contact), turns
 
     def outcomes(self, some: Sequence[Candidate]) -> Iterator[Verified]:
         """Verify candidates at once."""
@@ -220,16 +229,17 @@ class CastPlanner:
         """
         cast_setup, peg, force = self.search.cast_setup, self.search.peg, self.search.holding_force
         motion = found.throw.motion(cast_setup.limits)
-        longest = max(min(LONGEST * self.time_budget, 0.5 * (self.time_budget - self.spent)), MIN_BUDGET)
-        outcome = require_holding_force(verify_cast(cast_setup, peg, motion, time_budget=longest), peg, force)
+        longest = max(min(LONGEST * self.time_budget, 0.5 * self.left()), MIN_BUDGET)
+        first, later = Deadline(longest, self.left), Deadline(np.inf, self.left)
+        outcome = require_holding_force(verify_cast(cast_setup, peg, motion, time_budget=first), peg, force, later)
         if not outcome.success:
             return outcome, None
         worst: CastOutcome | None = None
         for each in self.finer:
-            finer = verify_cast(each, peg, motion, time_budget=max(self.time_budget - self.spent, MIN_BUDGET))
+            finer = verify_cast(each, peg, motion, time_budget=later)
             if worst is not None and not finer.completed:
                 break
-            finer = require_holding_force(finer, peg, force)
+            finer = require_holding_force(finer, peg, force, later)
             if not finer.success:
                 return outcome, finer
             if worst is None or abs(finer.turns - outcome.turns) > abs(worst.turns - outcome.turns):
