@@ -351,6 +351,25 @@ def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, seco
     assert work.done() is enough
 
 
+def test_while_a_better_plan_is_sought_it_is_said_that_one_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    search, told = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), []
+    work = cast_planner.CastPlanner(search, 1e3)
+    good = {"success": True, "turns": 2.3, "slip": 3e-3, "load_ratio": 0.8, "folded": False, "contact_angle": 11.0}
+    stands = SimpleNamespace(**good)
+
+    def swing(self: cast_planner.CastPlanner) -> float:
+        search.runs += 1
+        if search.runs == 2:
+            self.best = ("a throw", stands, stands)  # type: ignore[assignment]
+        stands.slip = 3e-3 if search.runs < 4 else 1e-3
+        return 1.0
+
+    monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
+    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: None)
+    work.run(lambda spent, words: told.append(words))
+    assert told == ["planning", *3 * [cast_planner.STANDS]]
+
+
 def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     search = SimpleNamespace(
         cast_setup=CastSetup(CABLE, ARM, hf.MotorLimits()), peg=EASY, holding_force=0.0, correct=lambda *_: None

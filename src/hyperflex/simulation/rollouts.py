@@ -260,8 +260,8 @@ def balanced(
 @contextmanager
 def progress_bar(
     begin: float, end: float, wanted: bool, what: str = "simulating"
-) -> Iterator[Callable[[float], None] | None]:
-    """Show a bar from begin to end on standard error, if wanted; yields the function that sets it."""
+) -> Iterator[Callable[..., None] | None]:
+    """Show a bar from begin to end on standard error, if wanted; yields the function that sets it, and its words."""
     if not wanted:
         yield None
         return
@@ -270,4 +270,4 @@ def progress_bar(
 
     with Bar(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=end - begin)
-        yield lambda t: bar.update(task, completed=t - begin)
+        yield lambda t, words=what: bar.update(task, completed=t - begin, description=words)

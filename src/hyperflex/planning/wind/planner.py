@@ -44,12 +44,13 @@ BOTH = 2  # verifications that succeed for a plan that succeeds
 FULL_TURN = 2.0 * np.pi  # rad of contact that a search goes on for where the rope is long enough, if none is asked for
 MAX_DIFFERENCE = 0.5  # turns between both verifications; above, one of them winds once more
 
+STANDS = "a cast stands; one with a margin is sought"
 NONE = (False, False, 0.0)  # value of no throw
 Verified = tuple[Throw | None, CastOutcome | None, CastOutcome | None]  # throw, outcome, outcome with shorter links
 
 
 class CastPlanner:
-    """Rounds of a search until a plan succeeds or the `time_budget` of the nominal search, s, is over.
+    """Rounds of a search until a plan succeeds with a margin or the `time_budget` of the nominal search, s, is over.
 
     `longer`: whether a cast may take LONGER times as long if the swings that the search allows promise too little.
     """
@@ -77,8 +78,8 @@ class CastPlanner:
         """Return the time that is left for verifications, s."""
         return self.verifying * self.time_budget - self.spent
 
-    def run(self, report: Callable[[float], None] | None) -> None:
-        """Search until a plan succeeds or the time is over; `report` gets the time spent, s."""
+    def run(self, report: Callable[..., None] | None) -> None:
+        """Search until a plan succeeds with a margin or the time is over; `report` gets the time spent and words."""
         score, idle, contact = 0.0, 0, 0
         while not self.search.runs or (self.spent < SEARCHING * self.time_budget and not self.done()):
             late = contact > 0 and self.search.late
@@ -107,7 +108,8 @@ class CastPlanner:
                 contact = 1
             self.verify_new()
             if report is not None:
-                report(min(self.spent, self.time_budget))
+                words = STANDS if _succeeds(self.best) else "planning"
+                report(min(self.spent, self.time_budget), words)
         self.verify_best()
 
     def contact_due(self, score: float, settled: bool) -> bool:
