@@ -10,7 +10,9 @@ from hyperflex.trajectory import Trajectory, interpolated
 
 FINE = 4e-4  # m, that a link moves at most between two looks
 FASTER = 1.5  # times its speeds at two samples that a link may move in between
-WHOLE = 8.0  # radii of rope and arm from the arm's tip within which links do not count for the arm
+# Links that begin so near the arm's tip do not count for the arm, from which they hang: radii of rope and arm, and
+# lengths of the arm
+RADII, LENGTHS = 8.0, 0.3
 
 
 class Clearance(NamedTuple):
@@ -25,8 +27,8 @@ def rope_clearance(run: Trajectory) -> Clearance:
     """Find how near a rope comes to its own arm in a run; infinitely far without an arm.
 
     The arm is a disc of radius ``Arm.shaft_radius`` about its pivot, and a bar of radius ``Arm.radius`` from there to
-    its tip. Links next to the tip, which hang from it, do not count for the bar: the first one, and those that begin
-    within WHOLE radii of rope and arm.
+    its tip. Links next to the tip, which hang from it, do not count for the bar: those that begin within RADII radii of
+    rope and arm, or LENGTHS of the arm's length.
 
     Notes
     -----
@@ -79,7 +81,8 @@ def _gaps(rope: Rope, arm: Arm, q: Array, tip: Array) -> Array:
     bar = np.minimum(bar, np.minimum(_distance(begin, pivot, tip), _distance(end, pivot, tip)))
     apart = _side(pivot, begin, end) * _side(tip, begin, end) >= 0.0
     apart |= _side(begin, pivot, tip) * _side(end, pivot, tip) >= 0.0
-    hangs = np.cumsum(rope.length) - rope.length < max(rope.length[0], WHOLE * (rope.radius + arm.radius)) - 1e-12
+    near = max(LENGTHS * arm.length, RADII * (rope.radius + arm.radius))
+    hangs = np.cumsum(rope.length) - rope.length <= near
     bar = np.where(hangs, np.inf, np.where(apart, bar, 0.0))
     return np.stack([shaft - arm.shaft_radius, bar - arm.radius], axis=1)
 

@@ -37,6 +37,7 @@ REFINING, VERIFYING = 0.7, 0.88
 NO_MARGIN_COST = 0.3  # value by which a throw without a margin must be better than one with a margin
 SEARCHING = 0.85  # fraction of the time after which only verifications are begun
 LONGEST, MIN_BUDGET = 0.25, 3.0  # fraction of the time, and processor time, s, for a first verification
+LOOK = 1.0  # s; steps of a run between two looks at the clock may take as long on a busy machine
 TRIES = 3  # verifications at most between two generations
 SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
 LOAD_MARGIN = 1.0  # load ratio for which the same holds
@@ -75,8 +76,8 @@ class CastPlanner:
         return self.clock.spent
 
     def left(self) -> float:
-        """Return the time that is left for verifications, s."""
-        return self.verifying * self.time_budget - self.spent
+        """Return the time that is left for verifications, s, less what lies between two looks at it."""
+        return self.verifying * self.time_budget - min(LOOK, 0.05 * self.time_budget) - self.spent
 
     def run(self, report: Callable[..., None] | None) -> None:
         """Search until a plan succeeds with a margin or the time is over; `report` gets the time spent and words."""
