@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +18,7 @@ from hyperflex.planning.whip.outcome import verify_whip
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.planning.wind import planner as cast_planner
 from hyperflex.planning.wind.feasibility import check_feasibility
-from tests.planning.known import PEG, WINDS, cast_setup, planned
+from tests.planning.known import PEG, WINDS, cast_setup, late, planned
 from tests.planning.known_whip import planned_whip
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=15, radius=0.004, friction=2e-5)
@@ -96,7 +97,7 @@ def test_clearance_between_samples_is_found() -> None:
     assert found.value == pytest.approx(max(least - 2.5e-3, 0.0) - CORD.radius, abs=3e-3)
 
 
-def test_a_throw_whose_rope_comes_too_near_its_arm_fails() -> None:
+def test_a_throw_whose_rope_comes_too_near_its_arm_fails(tmp_path: Path) -> None:
     seen = planned().outcome
     assert seen.clearance == planned().clearance == planned().summary()["clearance"] > 0.02
     near = replace(cast_setup(), arm=hf.Arm(length=0.105, shaft_radius=0.0999))  # the body of a motor
@@ -106,8 +107,12 @@ def test_a_throw_whose_rope_comes_too_near_its_arm_fails() -> None:
     asked = verify_cast(replace(cast_setup(), clearance=0.05), PEG, WINDS.motion(near.limits))
     assert asked.message.startswith(f"the rope comes within {1e3 * seen.clearance:.1f} mm of the arm at")
     assert asked.message.endswith("and 50 mm are asked")
-    before = verify_cast(replace(near, clearance=-np.inf), PEG, WINDS.motion(near.limits))
-    assert before.success  # it swings in front of the motor
+    before = replace(near, clearance=-np.inf)
+    assert verify_cast(before, PEG, WINDS.motion(near.limits)).success  # it swings in front of the motor
+    plan = replace(planned(), cast_setup=before, finer_outcome=late().outcome)
+    assert plan.clearance == seen.clearance  # what was not run to its end tells none
+    plan.to_toml(tmp_path / "plan.toml")
+    assert hf.read_plan(tmp_path / "plan.toml").cast_setup == before
 
 
 def test_torque_is_that_of_all_steps() -> None:

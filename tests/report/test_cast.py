@@ -48,7 +48,7 @@ def test_the_page_names_target_swings_turns_and_hold(tmp_path, held):
         "strikes the target at 7.65 s",
         "2.36 turns",
         "643°",
-        "11.23 rad of contact",
+        "contact: the angle of the target that the rope covers, 11.23 rad",
         f"{1e3 * planned().clearance:.1f} mm",
         "clear of the arm",
         "clockwise",

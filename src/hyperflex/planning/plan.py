@@ -71,7 +71,7 @@ class Plan(ABC):
     def clearance(self) -> float:
         """Least distance between the rope and its own arm or the motor's shaft in the verified runs, m; NaN without."""
         found = [each.clearance for each in (self.outcome, self.finer_outcome) if each is not None]
-        return float(min(found, default=math.nan))
+        return float(min((value for value in found if not math.isnan(value)), default=math.nan))
 
     @property
     @abstractmethod

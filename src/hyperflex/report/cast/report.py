@@ -61,7 +61,7 @@ class CastReport(PlanReport[CastPlan]):
         if plan.success and plan.outcome is not None:
             self.verdict = (
                 f"The rope winds {abs(plan.outcome.turns):.2f} turns round the target, "
-                f"{math.degrees(plan.outcome.contact_angle):.0f} degrees of them in contact, and holds, in simulation."
+                f"covers {math.degrees(plan.outcome.contact_angle):.0f} degrees of it, and holds, in simulation."
             )
         self.warning, self.advice = _warning(plan), _advice(plan)
         self.tiles, self.story, self.checks = self._tiles(), self._story(), _checks(plan)
@@ -83,8 +83,8 @@ class CastReport(PlanReport[CastPlan]):
                     f"in the end, {way(plan)}, from the arm's tip to the rope's end; {MIN_TURNS:g} are needed"
                 )
                 shown.append((f"{abs(cast.turns):.2f} turns", counted_from))
-                covered = f"{cast.contact_angle:.2f} rad of contact" + _asked(plan.cast_setup.contact)
-                shown.append((f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}", covered))
+                covered = f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}"
+                shown.append((covered, _covered(cast.contact_angle, plan.cast_setup.contact)))
             else:
                 shown.append(("never", "the rope strikes the target"))
         elif plan.throw is not None:
@@ -180,10 +180,10 @@ class CastReport(PlanReport[CastPlan]):
         )
 
 
-def _asked(contact: float) -> str:
-    """Return what contact was asked for, rad, in words."""
-    told = ": the angle of the target that the rope covers"
-    return told + (f"; {contact:.3g} rad are asked" if contact else "")
+def _covered(contact: float, asked: float) -> str:
+    """Return what contact is, and how much is there and was asked for, rad."""
+    told = f"contact: the angle of the target that the rope covers, {contact:.2f} rad"
+    return told + (f"; {asked:.3g} rad are asked" if asked else "")
 
 
 def _place(peg: Peg) -> str:
