@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import SimulationError
-from hyperflex.planning import Uncertainty, WhipMap, estimate_success_probability
+from hyperflex.planning import Uncertainty, WhipMap, build_whip_map, estimate_success_probability
 from hyperflex.planning.outcome import require_holding_force
 from hyperflex.planning.robust import scenario_rollouts
 from hyperflex.planning.search.candidates import Candidate
@@ -20,6 +21,7 @@ from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.planning.whip.outcome import verify_whip
 from hyperflex.planning.whip.planner import WhipPlanner
+from hyperflex.planning.whip.search import TOGETHER
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.simulation import OUT_OF_TIME, Deadline
 from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
@@ -75,6 +77,18 @@ def test_whips_are_not_verified_beyond_the_time() -> None:
     best, interrupted = work.verified()
     assert not interrupted
     assert best.message == "the time budget ended before it was verified"
+
+
+def test_a_map_has_the_swings_that_there_was_time_for() -> None:
+    setup = replace(planned_whip().cast_setup, time=0.5)
+    whole = build_whip_map(setup, swings=2 * TOGETHER + 6)
+    left = iter([0.0, -1.0])
+    part = build_whip_map(setup, swings=2 * TOGETHER + 6, left=lambda: next(left))
+    assert (len(part.strokes), len(whole.strokes)) == (2 * TOGETHER, 2 * TOGETHER + 6)
+    same = whole.peaks.row < 2 * TOGETHER
+    assert (~same).any()
+    for one, other in zip(part.peaks, whole.peaks, strict=True):
+        np.testing.assert_array_equal(one, other[same])
 
 
 def test_a_probability_counts_the_samples_that_there_was_time_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -168,6 +168,9 @@ def test_a_search_goes_on_for_a_full_turn_of_contact_where_the_rope_is_long_enou
     )
     work.best = ("a throw", good, good)
     assert work.done() is enough
+    work = cast_planner.CastPlanner(work.search, 1.0, full_turn=False)
+    work.best = ("a throw", good, good)
+    assert work.done()
 
 
 def test_a_whip_through_its_own_arm_fails() -> None:

@@ -26,8 +26,7 @@ def cast(
     contact: Annotated[
         float | None,
         typer.Option(
-            callback=planner.positive("rad"),
-            help="Least angle of the target that the rope must cover, rad. [default: none; a full turn is sought]",
+            help="Least angle of the target that the rope must cover, rad. [default: none, but a full turn is sought]",
         ),
     ] = None,
     clearance: planner.Clearance = 0.0,

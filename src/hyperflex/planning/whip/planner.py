@@ -28,7 +28,7 @@ from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.planning.whip.whip_plan import WhipPlan
 from hyperflex.simulation import Deadline, progress_bar
 
-SEARCHING = 0.8  # fraction of the time after which whips are only verified
+MAPPING, SEARCHING = 0.4, 0.8  # fractions of the time for the map, and after which whips are only verified
 TIME_BUDGET, PERIODS = 30.0, 3.0  # s; swing periods within which the tip strikes by default
 DIRECT = 8  # peaks of the map that are aimed as they are
 READY, GENERATIONS = 0.06, 16  # m, cost below which a swing is aimed; generations of a search before
@@ -220,7 +220,7 @@ def plan_whip(
 
     if whip_map is None:
         try:
-            whip_map = build_whip_map(cast_setup, threads=threads)
+            whip_map = build_whip_map(cast_setup, threads=threads, left=lambda: MAPPING * time_budget - clock.spent)
         except KeyboardInterrupt:
             distance = pivot_distance(cast_setup, target)
             known = WhipFeasibility(distance, math.inf, "interrupted before that was known")

@@ -57,7 +57,7 @@ def plan_cast(
         is verified. The success probability does not include it.
     contact : float, optional
         Least angle of the target that the rope must cover, rad. By default none is asked for, but where the rope is
-        long enough the search goes on for a full turn until its time is over.
+        long enough the search goes on for a full turn until its time is over; with 0 it does not.
     clearance : float
         Least distance of the rope from its own arm and the motor's shaft, m, as of :class:`CastSetup`.
     uncertainty : Uncertainty, optional
@@ -119,7 +119,8 @@ def plan_cast(
     if known.impossible or not (known.feasible or skip_feasibility):
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:
-        plan = _search(search, known, uncertainty, time_budget, progress, longer=time_limit is None)
+        free = {"longer": time_limit is None, "full_turn": contact is None}
+        plan = _search(search, known, uncertainty, time_budget, progress, **free)
     if plan.success:
         return plan
     plan = replace(plan, remedies=find_remedies(cast_setup, target, holding_force=holding_force))
@@ -149,11 +150,10 @@ def _search(
     uncertainty: Uncertainty | None,
     time_budget: float,
     progress: bool,
-    *,
-    longer: bool,
+    **free: bool,
 ) -> CastPlan:
-    """Search for a throw, verify it, and estimate its success probability."""
-    planner = CastPlanner(search, time_budget if uncertainty is None else NOMINAL * time_budget, longer=longer)
+    """Search for a throw, verify it, and estimate its success probability; `free` as of :class:`CastPlanner`."""
+    planner = CastPlanner(search, time_budget if uncertainty is None else NOMINAL * time_budget, **free)
     interrupted = False
     with progress_bar(0.0, time_budget, progress, "planning") as report:
         try:

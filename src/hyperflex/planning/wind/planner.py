@@ -54,9 +54,12 @@ class CastPlanner:
     """Rounds of a search until a plan succeeds with a margin or the `time_budget` of the nominal search, s, is over.
 
     `longer`: whether a cast may take LONGER times as long if the swings that the search allows promise too little.
+    `full_turn`: whether a margin includes contact of a full turn where the rope is long enough.
     """
 
-    def __init__(self, search: ThrowSearch, time_budget: float, *, longer: bool = False) -> None:
+    def __init__(
+        self, search: ThrowSearch, time_budget: float, *, longer: bool = False, full_turn: bool = True
+    ) -> None:
         self.search, self.time_budget, self.longer, self.clock = search, time_budget, longer, Clock()
         search.left = lambda: SEARCHING * time_budget - self.spent
         cast_setup = search.cast_setup
@@ -64,7 +67,7 @@ class CastPlanner:
         self.rounds, self.verifying = 0, 1.0
         tail = check_feasibility(cast_setup, search.peg).available_turns - HANGING_TAIL
         full = check_feasibility(replace(cast_setup, contact=FULL_TURN), search.peg)
-        self.contact = FULL_TURN if full.available_turns >= full.needed_turns and not cast_setup.contact else 0.0
+        self.contact = FULL_TURN if full_turn and full.available_turns >= full.needed_turns else 0.0
         self.tail = float(np.clip(tail, MIN_TAIL, MAX_TAIL))
         self.checked: list[Candidate] = []
         self.verified: list[Verified] = []
