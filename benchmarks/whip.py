@@ -193,7 +193,7 @@ def blow(row: dict[str, Any], mark: TipTarget) -> dict[str, Any]:
     made = Strokes(row["side"], np.array(row["ends"]), np.array(row["rests"]))
     found = simulate_impact(cast_setup(CABLE), mark, made.motion(MotorLimits()), row["t"])
     return {
-        "touched": bool(np.isfinite(found.t)),
+        "touched": found.success,
         "t": found.t,
         "impulse": found.impulse,
         "along": found.impulse_along,

@@ -13,23 +13,24 @@ EVERY = 10.0  # s between two lines where nobody watches
 @contextmanager
 def progress_bar(
     begin: float, end: float, wanted: bool, what: str = "simulating", unit: str = "s"
-) -> Iterator[Callable[[float], None] | None]:
+) -> Iterator[Callable[..., None] | None]:
     """Show on standard error how far work has come from `begin` to `end`, in `unit`, if wanted.
 
-    Yields the function that sets it. The bar is for a terminal; elsewhere there is a line every EVERY s.
+    Yields the function that sets it, and its words where others than `what` are given. The bar is for a terminal;
+    elsewhere there is a line every EVERY s.
     """
     if not wanted:
         yield None
         return
     if (console := terminal()) is None:
         with lines() as say:
-            yield lambda t: say(f"{what}: {t - begin:.4g} of {end - begin:.4g} {unit}")
+            yield lambda t, words=what: say(f"{words}: {t - begin:.4g} of {end - begin:.4g} {unit}")
         return
     from rich.progress import Progress as Bar
 
     with Bar(console=console, transient=True) as bar:
         task = bar.add_task(what, total=end - begin)
-        yield lambda t: bar.update(task, completed=t - begin)
+        yield lambda t, words=what: bar.update(task, completed=t - begin, description=words)
 
 
 def terminal() -> Any:

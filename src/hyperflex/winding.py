@@ -11,10 +11,11 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import moving_pivot
-from hyperflex.simulation import simulate
+from hyperflex.simulation import Deadline, simulate
 from hyperflex.trajectory import State, Trajectory, swept
 
 TOUCH = 1e-4  # m, gap below which a link lies on a peg
+LIFTED = 1e-3  # m, gap above which a link between two that lie on a peg does not
 STEADY = 0.1  # s, over which a pull must last to count
 PULL = 0.05  # m, of a taut rope
 LOOSE, QUICK = 0.9, 3.0  # part of what hangs loose that is taken up faster, and how much faster
@@ -30,6 +31,9 @@ class Winding:
         Signed angle about the peg from the rope's first joint to its end, over 2 pi; positive counterclockwise.
     arc : (T,) float64
         Signed angle about the peg from the first to the last link that lies on it, rad; 0 where fewer than two do.
+    contact : (T,) float64
+        Angle of the peg that the rope covers, rad, >= 0: from link to link between those, where none is off it by more
+        than LIFTED.
     before, after : (T,) float64
         Tension of the rope towards the motor and towards the tip of the links on the peg, N; NaN where none is.
     tail : (T,) float64
@@ -38,6 +42,7 @@ class Winding:
 
     turns: Array
     arc: Array
+    contact: Array
     before: Array
     after: Array
     tail: Array
@@ -90,18 +95,24 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
     _own(run, peg)
     away = run.joints - np.array([peg.x, peg.y])
     angles = swept(away)
-    touching = _closest(run.setup.rope, peg, run.q, run.joints)[2] < TOUCH
+    _, out, gap = _closest(run.setup.rope, peg, run.q, run.joints)
+    touching = gap < TOUCH
     any_touch = touching.any(axis=1)
     first = touching.argmax(axis=1)
     last = touching.shape[1] - 1 - touching[:, ::-1].argmax(axis=1)
     rows = np.arange(run.t.size)
     through = np.cumsum(np.concatenate([np.zeros((run.t.size, 1)), angles], axis=1), axis=1)
     middle = 0.5 * (through[:, :-1] + through[:, 1:])
+    between = np.arange(gap.shape[1])
+    on = np.asarray((gap < LIFTED) & (between >= first[:, None]) & (between <= last[:, None]))
+    on &= np.asarray(any_touch)[:, None]
+    covered = np.abs(np.where(on[:, 1:] & on[:, :-1], swept(out), 0.0).sum(axis=1))
     pull, rope = rope_tension(run), run.setup.rope
     beyond = rope.tip_mass + np.append(np.cumsum(rope.mass[::-1])[::-1], 0.0)
     return Winding(
         turns=angles.sum(axis=1) / (2.0 * np.pi),
         arc=np.where(any_touch, middle[rows, last] - middle[rows, first], 0.0),
+        contact=covered,
         before=np.where(any_touch, pull[rows, first], np.nan),
         after=np.where(any_touch, pull[rows, last + 1], np.nan),
         tail=np.where(any_touch, np.hypot(*rope.gravity) * beyond[last + 1], np.nan),
@@ -201,7 +212,13 @@ def slid(rope: Rope, peg: Peg, q: Array, joints: Array, turned: Array | float = 
 
 @interruptible()
 def tug_test(
-    run: Trajectory, peg: Peg, *, speed: float = 0.02, distance: float | None = None, allowed: float = 5e-3
+    run: Trajectory,
+    peg: Peg,
+    *,
+    speed: float = 0.02,
+    distance: float | None = None,
+    allowed: float = 5e-3,
+    time_budget: float | Deadline | None = None,
 ) -> TugTest:
     """Pull the rope's motor-side end slowly away from a peg, from where a run ended, and see what holds.
 
@@ -217,6 +234,8 @@ def tug_test(
         fast, and PULL more.
     allowed : float
         Slip on the peg, m, up to which the rope holds.
+    time_budget : float, optional
+        As of :func:`hyperflex.simulate`, s.
 
     Returns
     -------
@@ -245,6 +264,7 @@ def tug_test(
         tip_force=setup.tip_force,
         tol=setup.tol,
         refine=False,
+        time_budget=time_budget,
     )
     way = slid(pulled.setup.rope, peg, pulled.q, pulled.joints)
     gone = np.abs(way) > allowed

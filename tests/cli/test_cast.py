@@ -62,9 +62,16 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
         "7",
         "--seed",
         "3",
+        "--contact",
+        "6.28",
+        "--clearance",
+        "0.01",
     )
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out", *options))
     assert code == 0
+    assert (asked["contact"], asked["clearance"]) == (6.28, 0.01)
+    assert told["clearance"] == planned().clearance
+    assert told["outcome"]["contact_angle"] == planned().outcome.contact_angle
     assert asked["rope"] == CABLE
     assert (asked["target"], asked["arm"]) == (hf.Peg(-0.83, -1.07, 0.04, 0.4), hf.Arm(length=0.2))
     assert asked["limits"] == hf.MotorLimits(speed=5.0, torque=2.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
@@ -20,11 +21,13 @@ from hyperflex.planning import (
     Uncertainty,
     check_feasibility,
     follow_plan,
+    read_plan,
 )
 from hyperflex.planning.feedback import closed_loop
 from hyperflex.planning.feedback.closed_loop import DECISION_TIME, MAX_ARM_ERROR, swing_down
 from hyperflex.planning.feedback.matching import Goal, match
 from tests.planning.known import simulated_strikes
+from tests.planning.known_whip import planned_whip
 from tests.planning.test_landing import CAST_SETUP, PEG, WINDS
 from tests.planning.test_uncertainty import NONE
 
@@ -178,6 +181,41 @@ def test_a_motor_that_does_not_come_along_ends_the_throw() -> None:
     assert "rad from its command" in done.message
     assert motor.asked[-1] == (done.decisions[0].t, done.motion)
     assert float(done.motion.angle(float(done.motion.breaks[-1]))) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_plan_that_is_read_back_is_followed_as_the_plan_is(tmp_path) -> None:
+    PLAN.to_toml(tmp_path / "cast.toml")
+    back = read_plan(tmp_path / "cast.toml")
+    (world,) = Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
+    one, two = (
+        follow_plan(each, ScenarioStateSource(world, CAST_SETUP.arm), uncertainty=NONE, seed=1) for each in (PLAN, back)
+    )
+    assert one.motion == two.motion
+    assert [look.action for look in one.decisions] == [look.action for look in two.decisions]
+    with pytest.raises(InvalidInput, match="only casts are followed"):
+        follow_plan(planned_whip(), ScenarioStateSource(world, CAST_SETUP.arm))
+
+
+@pytest.mark.parametrize(("real_time", "action"), [(False, "changed"), (True, "late")])
+def test_in_real_time_what_is_decided_too_late_is_not_done(
+    monkeypatch: pytest.MonkeyPatch, real_time: bool, action: str
+) -> None:
+    """Each decision takes 2 s by a made-up clock, and 0.1 s are kept for it."""
+    other = replace(WINDS, end=0.3)
+
+    def decide(self, *_: object) -> tuple[float, float, str]:
+        self.throw = other
+        return 0.0, 1.0, "changed"
+
+    monkeypatch.setattr(closed_loop._Loop, "decide", decide)
+    monkeypatch.setattr(closed_loop.time, "monotonic", count(0.0, 2.0).__next__)
+    motor, (world,) = Kept(), Uncertainty().sample(1, CAST_SETUP, PEG)
+    source = ScenarioStateSource(world, CAST_SETUP.arm)
+    done = follow_plan(PLAN, source, uncertainty=NONE, motor=motor, real_time=real_time)
+    assert {look.action for look in done.decisions} == {action}
+    assert done.late == len(done.decisions) > 0
+    assert (done.throw is other) is not real_time
+    assert len(motor.asked) == 1 + (0 if real_time else len(done.decisions))
 
 
 def test_bad_numbers_are_refused() -> None:

@@ -336,8 +336,9 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     [
         ({}, {}, True),
         ({"slip": 3e-3}, {}, False),  # 5 mm are allowed
-        ({"folded": True}, {}, False),  # through itself: a real rope does not
+        ({"folded": True}, {}, False),  # flat: what a real rope does then is left to chance
         ({}, {"load_ratio": 1.2}, False),  # pulled with more than the capstan equation lets it bear
+        ({}, {"contact_angle": 5.0}, False),  # the rope is long enough for a full turn of contact
         ({}, {"turns": 1.3}, False),  # one turn fewer with finer links: left to chance
         ({}, {"success": False}, False),
     ],
@@ -345,10 +346,29 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
 def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, second: dict, enough: bool) -> None:
     search = SimpleNamespace(cast_setup=CastSetup(CABLE, ARM, hf.MotorLimits()), peg=EASY, candidates=[])
     work = cast_planner.CastPlanner(search, 1.0)  # type: ignore[arg-type]
-    good = {"success": True, "turns": 2.3, "slip": 1e-3, "load_ratio": 0.8, "folded": False}
+    good = {"success": True, "turns": 2.3, "slip": 1e-3, "load_ratio": 0.8, "folded": False, "contact_angle": 11.0}
     pair = [SimpleNamespace(**(good | change)) for change in (first, second)]
     work.best = ("a throw", *pair)  # type: ignore[assignment]
     assert work.done() is enough
+
+
+def test_while_a_better_plan_is_sought_it_is_said_that_one_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    search, told = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), []
+    work = cast_planner.CastPlanner(search, 1e3)
+    good = {"success": True, "turns": 2.3, "slip": 3e-3, "load_ratio": 0.8, "folded": False, "contact_angle": 11.0}
+    stands = SimpleNamespace(**good)
+
+    def swing(self: cast_planner.CastPlanner) -> float:
+        search.runs += 1
+        if search.runs == 2:
+            self.best = ("a throw", stands, stands)  # type: ignore[assignment]
+        stands.slip = 3e-3 if search.runs < 4 else 1e-3
+        return 1.0
+
+    monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
+    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: None)
+    work.run(lambda spent, words: told.append(words))
+    assert told == ["planning", *3 * [cast_planner.STANDS]]
 
 
 def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -361,7 +381,8 @@ def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypa
 
     def verify_cast(*_: object, **__: object) -> object:
         success, turns = casts.pop(0) if len(casts) > 1 else casts[0]  # type: ignore[misc]
-        return SimpleNamespace(success=success, turns=turns, slip=0.0, load_ratio=0.5, folded=False, completed=True)
+        told = {"slip": 0.0, "load_ratio": 0.5, "folded": False, "contact_angle": 7.0, "completed": True}
+        return SimpleNamespace(success=success, turns=turns, **told)
 
     monkeypatch.setattr(cast_planner, "verify_cast", verify_cast)
     kept = []

@@ -34,10 +34,34 @@ def test_the_motors_table_holds_the_planned_angles(tmp_path):
 def test_the_motors_table_reads_back_as_the_motion(tmp_path):
     plan = planned()
     plan.to_csv(tmp_path / "motion.csv")
-    back, t = hf.read_motion(tmp_path / "motion.csv"), np.linspace(0.0, 9.0, 5001)
-    # A spline through samples every h = 5 ms misses a jump of the acceleration by a = 24 rad/s^2 by less than
-    # a h^2 / 8 = 7e-5 rad.
-    np.testing.assert_allclose(back.angle(t), plan.motion.angle(t), atol=7e-5)
+    assert hf.read_motion(tmp_path / "motion.csv") == plan.motion
+    # Rows that differ from the head are a spline's. One through samples every h = 5 ms misses a jump of the
+    # acceleration by a = 24 rad/s^2 by less than a h^2 / 8 = 7e-5 rad, beside what the rows were moved by.
+    names, rows = files.read_table(tmp_path / "motion.csv")
+    rows[:, 1] += 1e-6
+    files.write_table(tmp_path / "moved.csv", names, rows, notes=files.read_notes(tmp_path / "motion.csv"))
+    back, t = hf.read_motion(tmp_path / "moved.csv"), np.linspace(0.0, 9.0, 5001)
+    np.testing.assert_allclose(back.angle(t), plan.motion.angle(t), atol=7.1e-5)
+    assert np.abs(back.acceleration(t)).max() > 1.25 * plan.cast_setup.limits.acceleration
+
+
+@pytest.mark.parametrize("rate", [50.0, 200.0, 1000.0])
+def test_what_the_motors_table_asks_is_within_the_motors_limits(tmp_path, rate):
+    """Read back, and by differences of its rows: means of rate and acceleration between them."""
+    plan, limits = planned(), planned().cast_setup.limits
+    plan.to_csv(tmp_path / "motion.csv", rate=rate)
+    back, t = hf.read_motion(tmp_path / "motion.csv"), np.linspace(0.0, 9.0, 90001)
+    assert np.abs(back.acceleration(t)).max() <= limits.acceleration * (1.0 + 1e-9)
+    assert np.abs(back.rate(t)).max() <= limits.speed * (1.0 + 1e-9)
+    angle = files.read_table(tmp_path / "motion.csv")[1][:, 1]
+    assert np.abs(np.diff(angle)).max() * rate <= limits.speed * (1.0 + 1e-9)
+    assert np.abs(np.diff(angle, 2)).max() * rate**2 <= limits.acceleration * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("note", ["{", "3", "{}", '{"angles": [0, 1], "rests": [0], "durations": [-1]}'])
+def test_a_head_that_does_not_fit_leaves_the_rows(tmp_path, note):
+    files.write_table(tmp_path / "motion.csv", ["t", "angle"], [[0.0, 0.0], [1.0, 1.0]], notes={"moves": note})
+    assert hf.read_motion(tmp_path / "motion.csv") == hf.sampled_motion([0.0, 1.0], [0.0, 1.0])
 
 
 @pytest.mark.parametrize("rate", [0.0, math.nan, -1.0, 0.01, 1e9])

@@ -147,9 +147,9 @@ def test_nothing_is_begun_that_would_end_too_late(made_up: list[int]) -> None:
     assert made_up == [3 * HALVING[0]]  # one heat must be
     work.run()
     assert work.generations == 0
-    seconds = count(2.0, -1.0)
+    seconds = count(5.0, -1.0)
     work.order = [RobustCandidate(near_centre(work, 0.1))]
-    work.run()  # it begins with 2 s left and takes one; the next would begin with none
+    work.run()  # it begins with 5 s left and takes some; the next would begin with fewer
     assert work.generations == 1
 
 

@@ -161,6 +161,7 @@ def test_impact_is_what_turns_the_rope() -> None:
     blow = simulate_impact(cast_setup, mark, motion, peak.t[k])
     assert blow.t == pytest.approx(peak.t[k], abs=0.02)
     assert blow.link == ROPE.n_links - 1
+    assert blow.success
     assert blow.energy > 0.0
     assert blow.impulse_along > 0.9 * blow.impulse  # the peg takes up what comes along the asked direction
     x, y = mark.point + (IMPACT_RADIUS + rope.radius) * np.array([np.cos(mark.direction), np.sin(mark.direction)])
@@ -174,6 +175,26 @@ def test_impact_is_what_turns_the_rope() -> None:
     lever = float(np.hypot(*(mark.point - run.base[-1])))
     # the blow comes along the tip's path, nearly across the line from the joint; the rope lies within 1 cm of the mark
     assert abs(gained) == pytest.approx(blow.impulse * lever, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("point", "direction", "words"),
+    [
+        ((-0.101, -0.6), 0.0, "lies on the peg from the start"),
+        ((0.0, -0.5), 0.0, "link 4 touches the peg first, at"),  # it swings into it with its middle, and stays there
+        ((0.9, 0.9), 0.0, "does not touch the peg"),
+    ],
+)
+def test_a_peg_that_the_tip_does_not_strike_first_has_no_impact(
+    point: tuple[float, float], direction: float, words: str
+) -> None:
+    """What the rope's middle does to it long before the tip comes near is no impact of the whip."""
+    motion = Strokes(-1, np.array([1.4, -1.4]), np.array([0.05, 0.1])).motion(LIMITS)
+    blow = simulate_impact(CastSetup(ROPE, ARM, LIMITS, 3.0), TipTarget(*point, direction=direction), motion, 1.9)
+    assert not blow.success
+    assert words in blow.message
+    assert (blow.impulse, blow.impulse_along, blow.energy) == (0.0, 0.0, 0.0)
+    assert not blow.t > 1.0
 
 
 @pytest.mark.parametrize(

@@ -127,7 +127,7 @@ def test_whips_are_verified_until_one_stands(
     work, looked = course(known), []
     work.aims = seen_as(*[(0.0 if k < meet else 0.1, 0.001 * k) for k in range(PLANS + 1)])
 
-    def verify_both(_: object, finer: CastSetup, __: object, aim: Any) -> Verified:
+    def verify_both(_: object, finer: CastSetup, __: object, aim: Any, end: object) -> Verified:
         assert finer.rope == divided(ROPE, 2)
         looked.append(aim)
         return Verified(aim, None, None, "" if stands[len(looked) - 1] else f"fault {len(looked)}")
@@ -152,7 +152,7 @@ def test_ctrl_c_while_whips_are_verified_keeps_the_best(
         if len(looked) == after:
             raise KeyboardInterrupt
         looked.append(args)
-        return Verified(args[-1], None, None, "it misses")
+        return Verified(args[3], None, None, "it misses")
 
     monkeypatch.setattr(planner, "verify_both", verify_both)
     with pytest.raises(KeyboardInterrupt):

@@ -48,6 +48,10 @@ def test_the_page_names_target_swings_turns_and_hold(tmp_path, held):
         "begun at 0.48, 1.73, 2.85, 4.35, 5.65, 6.74 s",
         "strikes the target at 7.65 s",
         "2.36 turns",
+        "643°",
+        "contact: the angle of the target that the rope covers, 11.23 rad",
+        f"{1e3 * planned().clearance:.1f} mm",
+        "clear of the arm",
         "clockwise",
         f"bore {held.force:.2f} N",
         f"{held.capstan_force:.2f} N",
@@ -133,11 +137,11 @@ def test_a_graze_and_a_fold_are_told(tmp_path):
     plan = planned()
     assert "grazes" not in " ".join(CastReport(plan, None).story)
     assert CastReport(plan, None).warning == ""
-    cast = dataclasses.replace(plan.outcome, touch_time=plan.outcome.strike_time - 2.0, max_bend=4.0)
+    cast = dataclasses.replace(plan.outcome, touch_time=plan.outcome.strike_time - 2.0, max_bend=2.2, folded=True)
     plan = dataclasses.replace(plan, outcome=cast)
     told = " ".join(CastReport(plan, None).story)
     assert f"grazes the target at {plan.outcome.touch_time:.2f} s and comes off again. The rope strikes" in told
-    assert "folds by 229 degrees" in told
+    assert "folds flat, by 126 degrees" in told
 
 
 def test_files_of_an_earlier_cast_go_with_it(tmp_path, held):

@@ -23,6 +23,13 @@ def cast(
     acceleration: planner.Acceleration = None,
     torque: planner.Torque = None,
     holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
+    contact: Annotated[
+        float | None,
+        typer.Option(
+            help="Least angle of the target that the rope must cover, rad. [default: none, but a full turn is sought]",
+        ),
+    ] = None,
+    clearance: planner.Clearance = 0.0,
     time_limit: Annotated[
         float | None,
         typer.Option(
@@ -56,9 +63,12 @@ def cast(
     The target is given by options, or as the only [pegs] of the set-up file.
 
     A rope is wound with 1.25 turns or more, counted from the arm's tip to its end, and holds if it slips by less than
-    5 mm in 2 s. The plan is verified in simulation, with links near the target cut shorter, then with all links of half
-    and of a third of the length. Writes a page on which the run plays, pictures, the motion for the motor (CSV), the
-    verified run (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
+    5 mm in 2 s. How much of the target it covers is told beside the turns; where the rope is long enough, the search
+    goes on for a full turn of contact. A rope that goes through itself, its arm or the motor's shaft fails.
+
+    The plan is verified in simulation, with links near the target cut shorter, then with all links of half and of a
+    third of the length. Writes a page on which the run plays, pictures, the motion for the motor (CSV), the verified
+    run (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
 
     Ctrl-C ends the search; the best so far is written, and marked as such, without pictures. While page and pictures
     are drawn, it leaves the plan's other files, which are written before.
@@ -81,6 +91,8 @@ def cast(
             task.limits,
             time_limit=time_limit,
             holding_force=holding_force,
+            contact=contact,
+            clearance=clearance,
             uncertainty=uncertainty,
             time_budget=time_budget,
             skip_feasibility=skip_feasibility,

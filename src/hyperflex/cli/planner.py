@@ -59,13 +59,16 @@ Acceleration = Annotated[
     float | None, typer.Option(help="Greatest acceleration, rad/s^2. [default: 23.6, the paper's]")
 ]
 Torque = Annotated[float | None, typer.Option(help="Greatest torque, N m. [default: not limited]")]
+Clearance = Annotated[
+    float, typer.Option(help="Least distance of the rope from its own arm and the motor's shaft, m; -inf: none.")
+]
 SkipFeasibility = Annotated[
     bool, typer.Option("--skip-feasibility", help="Search even for a target that is called out of reach.")
 ]
 Rate = Annotated[float, typer.Option(callback=_rate, help="Rows a second in the motor's file, Hz, 10 to 100,000.")]
 TimeBudget = Annotated[
     float,
-    typer.Option(callback=positive("s"), help="Processor time of the search, s; a plan that succeeds ends it."),
+    typer.Option(callback=positive("s"), help="Of the search, s; a plan that succeeds with a margin ends it before."),
 ]
 Seed = Annotated[int, typer.Option(help="Of the search.")]
 

@@ -43,6 +43,7 @@ def whip(
             help="Within which the tip must pass, s. [default: three periods of the rope's swing]",
         ),
     ] = None,
+    clearance: planner.Clearance = 0.0,
     skip_feasibility: planner.SkipFeasibility = False,
     rate: planner.Rate = 200.0,
     time_budget: planner.TimeBudget = 30.0,
@@ -83,6 +84,7 @@ def whip(
             task.limits,
             least_speed=asked.get("least_speed", 5.0),
             angle_tolerance=asked.get("angle_tolerance", math.radians(20.0)),
+            clearance=clearance,
             time_limit=time_limit,
             skip_feasibility=skip_feasibility,
             time_budget=time_budget,
@@ -96,7 +98,8 @@ def whip(
         report = WhipReport(plan, impact)
         files |= report.add_page(out, progress=progress)
     result = plan.summary() | ({} if impact is None else {"impact": asdict(impact)})
-    planner.finish(report, files, result, (), as_json=json)
+    notes = () if impact is None or impact.success else (f"Impact: {impact.message}.",)
+    planner.finish(report, files, result, notes, as_json=json)
 
 
 def _target(

@@ -39,6 +39,11 @@ class Arm:
         Greatest torque of the motor, N m.
     pivot : (float, float)
         Place of the shaft, m.
+    shaft_radius : float
+        Radius about the pivot that a planned rope keeps clear of, m: of the shaft, or of the motor's body where it
+        stands in the rope's way; 0 for the shaft's axis alone.
+    radius : float
+        Of the arm itself, half its width, m; a planned rope keeps clear of it.
 
     Raises
     ------
@@ -54,6 +59,8 @@ class Arm:
     dry_friction: float = 0.0
     torque_limit: float = math.inf
     pivot: tuple[float, float] = (0.0, 0.0)
+    shaft_radius: float = 0.0
+    radius: float = 0.0
 
     def __post_init__(self) -> None:
         for each in LINK_PROPERTIES:
@@ -63,6 +70,9 @@ class Arm:
                 object.__setattr__(self, each.name, value)
         limit = checks.number("arm torque_limit", self.torque_limit, sign="positive", unit="N m", infinite=True)
         object.__setattr__(self, "torque_limit", limit)
+        for name in ("shaft_radius", "radius"):
+            value = checks.number(f"arm {name}", getattr(self, name), sign="nonnegative", unit="m")
+            object.__setattr__(self, name, value)
         x, y = checks.array("arm pivot", self.pivot, (2,), unit="m")
         object.__setattr__(self, "pivot", (float(x), float(y)))
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         torque_profile,
     )
     from hyperflex.motion.sequence import arm_moves, arm_strokes
-    from hyperflex.motion.tables import from_spec, motion_keys, read_motion, to_spec
+    from hyperflex.motion.tables import MOVES, from_spec, motion_keys, read_motion, to_spec
     from hyperflex.motion.variation import motion_derivatives, motion_parameters
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

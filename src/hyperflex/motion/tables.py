@@ -1,6 +1,7 @@
 """Motions in files: CSV samples, and tables of a TOML file."""
 
 import inspect
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,9 @@ from hyperflex.motion import profiles
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 from hyperflex.motion.sequence import arm_moves, arm_strokes
 
+MOVES = "moves"  # key of the note with the arguments of ``arm_moves`` as JSON
+AGREE = 1e-9  # rad
+
 
 def read_motion(path: str | Path) -> Motion:
     """Read a sampled arm motion from a CSV file with the columns ``t`` (s) and ``angle`` (rad).
@@ -20,6 +24,13 @@ def read_motion(path: str | Path) -> Motion:
     Parameters
     ----------
     path : str or Path
+
+    Returns
+    -------
+    Motion
+        A spline through the samples (:func:`sampled_motion`). Where a plan wrote the file, its own moves, from the note
+        MOVES in its head, if they agree with the samples within AGREE: a spline asks up to 1.4 times the acceleration
+        beside each of its jumps.
 
     Raises
     ------
@@ -30,7 +41,12 @@ def read_motion(path: str | Path) -> Motion:
     if table.names != ["t", "angle"]:
         raise InvalidInput(f"columns of {path} are not those of a motion", got=table.names, allowed="t,angle (s, rad)")
     with located(str(path)):
-        return profiles.sampled_motion(table.times("t"), table.values[:, 1])
+        sampled = profiles.sampled_motion(t := table.times("t"), angle := table.values[:, 1])
+    try:
+        exact = arm_moves(**json.loads(table.notes[MOVES]))
+    except (InvalidInput, KeyError, TypeError, ValueError):  # not what a plan wrote
+        return sampled
+    return exact if np.abs(exact.angle(t) - angle).max() <= AGREE else sampled
 
 
 def from_spec(spec: Mapping[str, Any], folder: Path | None = None) -> Motion:

@@ -91,18 +91,25 @@ class CastSetup:
     time : float
         Time within which the rope must strike, s, at least MIN_TIME; 0 (the default) means PERIODS periods of the
         rope's swing.
+    clearance : float
+        Least distance of the rope from its own arm and shaft in verified runs, m, >= 0; -inf lets it go through both,
+        where it swings in front of them.
+    contact : float
+        Least angle of a peg that a wound rope covers, rad, >= 0.
 
     Raises
     ------
     InvalidInput
-        If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, or the time is too short or
-        too long.
+        If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, the time is too short or
+        too long, or clearance or contact is below 0.
     """
 
     rope: Rope
     arm: Arm
     limits: MotorLimits
     time: float = 0.0
+    clearance: float = 0.0
+    contact: float = 0.0
 
     def __post_init__(self) -> None:
         for name, kind in (("rope", Rope), ("arm", Arm), ("limits", MotorLimits)):
@@ -123,3 +130,8 @@ class CastSetup:
             allowed = f"up to {MAX_PERIODS:g} periods of its swing, {MAX_PERIODS * period:.4g} s"
             raise InvalidInput("time is longer than anybody swings a rope before a cast", got=time, allowed=allowed)
         object.__setattr__(self, "time", time or PERIODS * period)
+        if self.clearance != -math.inf:
+            clearance = checks.number("clearance", self.clearance, sign="nonnegative", unit="m")
+            object.__setattr__(self, "clearance", clearance)
+        contact = checks.number("contact", self.contact, sign="nonnegative", unit="rad")
+        object.__setattr__(self, "contact", contact)

@@ -12,7 +12,9 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.simulation import simulate
+from hyperflex.planning.clearance import rope_clearance
+from hyperflex.planning.verification import folded_flat, greatest_bend, motor_torques, refusal, verified_setup
+from hyperflex.simulation import Deadline, simulate
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
 
@@ -48,12 +50,18 @@ class CastOutcome:
     touch_time : float
         First touch of the peg, s: before `strike_time` if the rope grazes the peg and comes off.
     contact_angle : float
-        Angle about the peg from the first to the last link in contact at the end of the run, rad, >= 0.
+        Angle of the peg that the rope covers at the end of the run, rad, >= 0: `turns` less what is straight or hangs.
     max_bend : float
-        Greatest angle between neighbouring links, rad. Above pi the rope has folded through itself: its contact with
-        itself is not simulated.
-    torque : float
-        Greatest motor torque, N m.
+        Greatest angle between neighbouring links, rad: of the rope's contact with itself only joint limits are
+        simulated (:func:`hyperflex.planning.verification.limit_bend`). Above pi it folds through itself, and fails.
+    folded : bool
+        Whether a joint reached its limit: the rope was folded flat, and what it does then is left to chance.
+    clearance : float
+        Least distance between the rope and its own arm or the motor's shaft, m; below 0 the rope goes through, and
+        fails. See :func:`hyperflex.planning.clearance.rope_clearance`.
+    torque, torque_peak : float
+        Greatest motor torque as a mean over 5 ms, which the motor's limit is for, and its greatest peak, as a mean over
+        0.5 ms: when the rope strikes the peg, say. N m.
     message : str
         Why the throw fails; empty if it succeeds.
     n_links : int
@@ -71,7 +79,10 @@ class CastOutcome:
     touch_time: float
     contact_angle: float
     max_bend: float
+    folded: bool
+    clearance: float
     torque: float
+    torque_peak: float
     message: str
     n_links: int
     run: Trajectory | None = None
@@ -86,11 +97,6 @@ class CastOutcome:
         """Whether the simulation came to its end."""
         return self.n_links > 0
 
-    @property
-    def folded(self) -> bool:
-        """Whether the rope folds through itself at any time."""
-        return self.max_bend > np.pi
-
 
 @interruptible()
 def verify_cast(
@@ -101,9 +107,11 @@ def verify_cast(
     tol: float = DEFAULT_TOL,
     contact_step: float = DEFAULT_CONTACT_STEP,
     watch_time: float = WATCH_TIME,
-    time_budget: float | None = None,
+    time_budget: float | Deadline | None = None,
 ) -> CastOutcome:
-    """Simulate a motion from rest with a peg, with links refined near the peg, and evaluate the outcome.
+    """Simulate a motion from rest with a peg, and evaluate the outcome.
+
+    Links are refined near the peg, and joints limited (:mod:`hyperflex.planning.verification`).
 
     Parameters
     ----------
@@ -119,23 +127,14 @@ def verify_cast(
     watch_time = checks.number("watch_time", watch_time, sign="positive", unit="s")
     stop = float(motion.breaks[-1])
     duration = stop + SETTLING_TIME + watch_time
+    setup = verified_setup(cast_setup, motion, duration, (peg,), tol=tol, contact_step=contact_step)
     t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)
     t[-1] = min(t[-1], duration)
     try:
-        run = simulate(
-            cast_setup.rope,
-            motion,
-            arm=cast_setup.arm,
-            duration=duration,
-            pegs=[peg],
-            tol=tol,
-            contact_step=contact_step,
-            t_eval=t,
-            time_budget=time_budget,
-        )
+        run = simulate(setup, t_eval=t, time_budget=time_budget)
     except SimulationError as error:
         nan, message = float("nan"), f"the simulation failed ({error.status})"
-        return CastOutcome(False, False, 0.0, nan, nan, nan, nan, nan, nan, nan, message, 0)
+        return CastOutcome(False, False, 0.0, *6 * (nan,), False, nan, nan, nan, message, 0)
     return evaluate_cast(cast_setup, peg, run, stop)
 
 
@@ -151,7 +150,9 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
     enough = bool((sense * turns >= MIN_TURNS).all())
     held = on and slip < MAX_SLIP
     touched = np.isfinite(wound.before)
-    torque = float(np.abs(run.motor_torque).max())
+    torque, torque_peak = motor_torques(run)
+    max_bend, clearance = greatest_bend(run), rope_clearance(run)
+    covered = float(wound.contact[watched].min())
     message = ""
     if not touched.any():
         message = "the rope does not touch the peg"
@@ -162,6 +163,11 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         message = (
             "the rope leaves the peg" if not on else f"it slips by {1e3 * slip:.1f} mm, {1e3 * MAX_SLIP:g} allowed"
         )
+    elif refused := refusal(cast_setup, max_bend, clearance):
+        message = refused
+    elif covered < cast_setup.contact:
+        asked = f"{np.degrees(cast_setup.contact):.0f} are asked"
+        message = f"it covers {np.degrees(covered):.0f} degrees of the peg, and {asked}"
     elif torque > cast_setup.limits.torque:
         message = f"it asks {torque:.3g} N m of a motor that gives {cast_setup.limits.torque:.3g}"
     return CastOutcome(
@@ -172,9 +178,12 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         load_ratio=_load_ratio(wound, watched, peg) if on else float("nan"),
         strike_time=_longest_stay(run.t, touched),
         touch_time=float(run.t[touched.argmax()]) if touched.any() else float("nan"),
-        contact_angle=abs(float(wound.arc[-1])),
-        max_bend=float(np.abs(np.diff(run.q, axis=1)).max(initial=0.0)),
+        contact_angle=float(wound.contact[-1]),
+        max_bend=max_bend,
+        folded=folded_flat(run),
+        clearance=clearance.value,
         torque=torque,
+        torque_peak=torque_peak,
         message=message,
         n_links=run.q.shape[1],
         run=run,
@@ -226,26 +235,33 @@ class HoldingForce:
 
 
 @interruptible()
-def measure_holding_force(run: Trajectory, peg: Peg) -> HoldingForce | None:
-    """Tug at the rope from the end of a run with a peg; None if it is not on the peg or the tug cannot be simulated."""
+def measure_holding_force(
+    run: Trajectory, peg: Peg, *, time_budget: float | Deadline | None = None
+) -> HoldingForce | None:
+    """Tug at the rope from the end of a run with a peg; None if it is not on the peg or the tug cannot be simulated.
+
+    `time_budget`, s, is as of :func:`hyperflex.simulate`.
+    """
     wound = winding.measure_winding(run, peg)
     if not np.isfinite(wound.tail[-1]):
         return None
     try:
-        tug = winding.tug_test(run, peg)
+        tug = winding.tug_test(run, peg, time_budget=time_budget)
     except (InvalidInput, SimulationError):
         return None
     return HoldingForce(tug, float(wound.tail[-1]), abs(float(wound.arc[-1])), peg.mu)
 
 
-def require_holding_force(outcome: CastOutcome, peg: Peg, force: float) -> CastOutcome:
+def require_holding_force(
+    outcome: CastOutcome, peg: Peg, force: float, time_budget: Deadline | None = None
+) -> CastOutcome:
     """Return the outcome, as a failure if a simulated tug shows that the rope bears less than `force`, N.
 
     A force of 0 asks for nothing.
     """
     if force <= 0.0 or not outcome.success or outcome.run is None:
         return outcome
-    measured = measure_holding_force(outcome.run, peg)
+    measured = measure_holding_force(outcome.run, peg, time_budget=time_budget)
     if measured is None:
         return replace(outcome, held=False, message="what it bears could not be simulated")
     if measured.tug.holds(force):

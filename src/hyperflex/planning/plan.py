@@ -1,5 +1,6 @@
 """What casts and whips have in common as plans: success, the motor's file, and a TOML file that reads back equal."""
 
+import json
 import math
 import types
 from abc import ABC, abstractmethod
@@ -13,7 +14,7 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN, Rope, Setup
-from hyperflex.motion import Motion
+from hyperflex.motion import MOVES, Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.throw import Moves
 from hyperflex.trajectory import Trajectory
@@ -46,6 +47,7 @@ class Plan(ABC):
     cast_setup: CastSetup
     target: Any
     outcome: Any
+    finer_outcome: Any
     message: str
     runs: int
     seconds: float
@@ -65,6 +67,12 @@ class Plan(ABC):
     def run(self) -> Trajectory | None:
         """The verified run; None if there is none, or if the plan was read from a file."""
         return None if self.outcome is None else self.outcome.run
+
+    @property
+    def clearance(self) -> float:
+        """Least distance between the rope and its own arm or the motor's shaft in the verified runs, m; NaN without."""
+        found = [each.clearance for each in (self.outcome, self.finer_outcome) if each is not None]
+        return float(min((value for value in found if not math.isnan(value)), default=math.nan))
 
     @property
     @abstractmethod
@@ -118,13 +126,14 @@ class Plan(ABC):
         return plan_html(self)  # type: ignore[arg-type] # all plans are casts or whips
 
     def summary(self) -> dict[str, Any]:
-        """Return success, status and all fields but the set-up as nested tables, for JSON."""
-        table = {"source": "simulated", "success": self.success, "status": self.status, **to_table(self)}
+        """Return success, status, clearance and all fields but the set-up as nested tables, for JSON."""
+        told = {"success": self.success, "status": self.status, "clearance": self.clearance}
+        table = {"source": "simulated", **told, **to_table(self)}
         del table["cast_setup"]
         return table
 
     def to_csv(self, path: files.PathLike, *, rate: float = RATE) -> None:
-        """Write the motion at a motor's rate to a CSV file that :func:`hyperflex.read_motion` reads.
+        """Write the motion at a motor's rate to a CSV file that :func:`hyperflex.read_motion` reads back exactly.
 
         A plan that fails is marked in the file's head, ``# not verified: ...`` or ``# fails: ...``.
 
@@ -154,6 +163,7 @@ class Plan(ABC):
             "rate": f"{rate:g} Hz",
             "t": "s",
             "angle": "rad, 0 hangs down",
+            MOVES: json.dumps({name: part for name, part in motion.spec.items() if name != "kind"}),
         }
         files.write_table(path, ["t", "angle"], np.column_stack([t, motion.angle(t)]), notes=self.notes() | columns)
 

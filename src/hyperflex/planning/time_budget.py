@@ -5,6 +5,10 @@ import time
 from hyperflex.core.jit import compiling
 
 
+class OutOfTime(Exception):
+    """Raised where a search has no time left in the middle of something; never leaves the planner."""
+
+
 class Clock:
     """Time since the clock was made, with and without compiling."""
 

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from hyperflex.motion import Motion
-from hyperflex.planning import RATE, CastPlan, CastSetup, MotorLimits, WhipPlan
+from hyperflex.planning import RATE, CastOutcome, CastPlan, CastSetup, MotorLimits, TipStrike, WhipPlan
 from hyperflex.report.folder import Progress, silent, whole_folder
 from hyperflex.report.page import Film, Picture, Section, TextTable, write_page
 from hyperflex.report.player import player_html
 from hyperflex.report.style import save_png
-from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -137,20 +136,24 @@ class PlanReport(ABC, Generic[PlanT]):
                 sections.append(Section(title, pictures=own))
         if plan.motion is not None:
             sections.append(Section("Check with a finer rope", table=self.checks, notes=self.checks_note))
-            sections.append(Section("Motor", table=_motor_table(plan.cast_setup.limits, plan.motion, self.plan.run)))
+            sections.append(
+                Section("Motor", table=_motor_table(plan.cast_setup.limits, plan.motion, self.plan.outcome))
+            )
         return [*sections, Section("Set-up", text=(f"{_rope_and_arm(plan.cast_setup)} Target: {self.target}.",))]
 
 
-def _motor_table(limits: MotorLimits, motion: Motion, run: Trajectory | None) -> TextTable:
+def _motor_table(limits: MotorLimits, motion: Motion, seen: CastOutcome | TipStrike | None) -> TextTable:
     """Return what a motion needs of the motor, beside the motor's limits."""
     t = np.linspace(0.0, float(motion.breaks[-1]), 4001)
+    mean, peak = (math.nan, math.nan) if seen is None else (seen.torque, seen.torque_peak)
     rows = []
-    for name, values, limit, unit in (
-        ("speed", motion.rate(t), limits.speed, "rad/s"),
-        ("acceleration", motion.acceleration(t), limits.acceleration, "rad/s²"),
-        ("torque for the rope", None if run is None else run.motor_torque, limits.torque, "N m"),
+    for name, value, limit, unit in (
+        ("speed", np.abs(motion.rate(t)).max(), limits.speed, "rad/s"),
+        ("acceleration", np.abs(motion.acceleration(t)).max(), limits.acceleration, "rad/s²"),
+        ("torque, mean over 5 ms", mean, limits.torque, "N m"),
+        ("peak of the torque, for 0.5 ms", peak, math.inf, "N m"),
     ):
-        needed = NOT_KNOWN if values is None else f"{np.abs(values).max():.3g} {unit}"
+        needed = NOT_KNOWN if math.isnan(value) else f"{value:.3g} {unit}"
         rows.append((f"greatest {name}", needed, f"{limit:.3g} {unit}" if math.isfinite(limit) else "none given"))
     return TextTable(("motor", "needed", "limit"), tuple(rows))
 
@@ -164,6 +167,15 @@ def _rope_and_arm(setup: CastSetup) -> str:
         f"Rope{name}: {rope.total_length:.4g} m, {1e3 * rope.total_mass:.4g} g, radius {1e3 * rope.radius:.3g} mm, "
         f"{rope.n_links} links{tip}. Arm: {1e3 * setup.arm.length:.4g} mm."
     )
+
+
+def clearance_tiles(plan: Plan) -> list[tuple[str, str]]:
+    """Return how near the rope comes to its own arm, as a key figure; none if nothing was verified to its end."""
+    if math.isnan(plan.clearance):
+        return []
+    asked = 1e3 * max(plan.cast_setup.clearance, 0.0)
+    told = f"clearance: least distance of the rope from arm and shaft; {asked:g} mm are needed"
+    return [(f"{1e3 * plan.clearance:.1f} mm", told)]
 
 
 def counted(count: int, noun: str) -> str:

@@ -8,7 +8,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Ground, Wall
-from hyperflex.trajectory import Trajectory
+from hyperflex.trajectory import Trajectory, interpolated
 
 _TALLEST = 1.15  # height of a picture, in widths
 _MARGIN = 0.06  # of the larger extent, on each side
@@ -24,12 +24,12 @@ class Shapes(NamedTuple):
 
 def shapes(run: Trajectory, times: Array) -> Shapes:
     """Return the rope at `times` (k,), s, by cubic interpolation of angles and rates; links keep their length."""
-    q = _between(run.t, run.q, run.qd, times)
-    base = _between(run.t, run.base, run.base_velocity, times)
+    q = interpolated(run.t, run.q, run.qd, times)
+    base = interpolated(run.t, run.base, run.base_velocity, times)
     joints = run.setup.rope.joints(q, base)
     if run.setup.arm is None:
         return Shapes(joints, base)
-    angle = _between(run.t, run.arm_angle, run.arm_rate, times)
+    angle = interpolated(run.t, run.arm_angle, run.arm_rate, times)
     return Shapes(joints, base - run.setup.arm.length * np.stack([np.sin(angle), -np.cos(angle)], axis=-1))
 
 
@@ -69,10 +69,3 @@ def ground_corners(ground: Ground, far: float) -> Array:
     along, point = far * np.array([-out[1], out[0]]), np.array([ground.x, ground.y])
     below = point - far * out
     return np.stack([point - along, point + along, below + along, below - along])
-
-
-def _between(t: Array, value: Array, rate: Array, times: Array) -> Array:
-    from scipy.interpolate import CubicHermiteSpline
-
-    near = slice(max(t.searchsorted(times.min()) - 1, 0), t.searchsorted(times.max()) + 2)
-    return np.asarray(CubicHermiteSpline(t[near], value[near], rate[near])(times))

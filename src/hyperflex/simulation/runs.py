@@ -34,7 +34,14 @@ from hyperflex.simulation.rollouts import (
     prepare_rollout,
     rollout_limits,
 )
-from hyperflex.simulation.time_budget import INTERRUPTED, OUT_OF_TIME, TimeBudgetExceeded, budget_error, enforce_budget
+from hyperflex.simulation.time_budget import (
+    INTERRUPTED,
+    OUT_OF_TIME,
+    Deadline,
+    TimeBudgetExceeded,
+    budget_error,
+    enforce_budget,
+)
 from hyperflex.trajectory import State, Trajectory
 
 
@@ -62,7 +69,7 @@ def simulate(
     tip_force: npt.ArrayLike | None = None,
     refine: bool = True,
     throw: bool = True,
-    time_budget: float | None = None,
+    time_budget: float | Deadline | None = None,
     progress: bool = False,
 ) -> Trajectory:
     """Simulate a rope on a moving arm, on a torque-driven arm, or hanging from a point.
@@ -232,7 +239,7 @@ def _finished(
     setup: Setup,
     state: State | None,
     span: tuple[float, float],
-    time_budget: float | None,
+    time_budget: float | Deadline | None,
     progress: bool,
 ) -> int:
     """Run to the end of a span, s, and return the status code."""

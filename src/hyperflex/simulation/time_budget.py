@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from typing import NamedTuple
 
 from hyperflex import checks
 from hyperflex.core.jit import compiling
@@ -17,20 +18,31 @@ class TimeBudgetExceeded(Exception):
     """Raised within a run when its time budget is spent; never leaves the library."""
 
 
+class Deadline(NamedTuple):
+    """Time budget of one of several runs that share a time: its own processor time, s, and the time that is left.
+
+    `left` returns the time that is left for all of them by the clock, s; a busy machine does not lengthen it.
+    """
+
+    processor: float
+    left: Callable[[], float]
+
+
 def enforce_budget(
-    report: Callable[[float], None] | None, seconds: float | None, span: tuple[float, float]
+    report: Callable[[float], None] | None, seconds: float | Deadline | None, span: tuple[float, float]
 ) -> Callable[[float], None]:
     """Return what a run over a `span`, s, reports to: `report`, and TimeBudgetExceeded once its time is over.
 
     That is so once its thread has worked for `seconds`, or, if these are None, for JUDGED s of what would become more
-    than PATIENCE s if it went on like that.
+    than PATIENCE s if it went on like that. A Deadline ends the run as well once no time is left by the clock.
 
     What passes between two reports does not count if kernels were compiled meanwhile: that is no fault of the run.
 
     `report` is called with the simulated time. `seconds` are of processor time, so that a busy machine ends no run.
     """
-    if seconds is not None:
-        seconds = checks.number("time_budget", seconds, sign="positive", unit="s", infinite=True)
+    most, left = seconds if isinstance(seconds, Deadline) else (seconds, None)
+    if most is not None:
+        most = checks.number("time_budget", most, sign="positive", unit="s", infinite=True)
     worked, last, compiled = 0.0, time.thread_time(), compiling()
 
     def heard(t: float) -> None:
@@ -41,17 +53,17 @@ def enforce_budget(
         if compiled == before:
             worked += now - last
         last = now
-        if seconds is None:
+        if most is None:
             over = worked > JUDGED and worked * (span[1] - t) > PATIENCE * (t - span[0])
         else:
-            over = worked > seconds
+            over = worked > most or (left is not None and left() < 0.0)
         if over:
             raise TimeBudgetExceeded
 
     return heard
 
 
-def budget_error(t: float, seconds: float | None) -> SimulationError:
+def budget_error(t: float, seconds: float | Deadline | None) -> SimulationError:
     """Return the error of a run that had come to `t`, s, when its time budget of `seconds` was over."""
     if seconds is None:
         return endless(t, "; or let it take its time: time_budget=inf")

@@ -331,6 +331,14 @@ def swept(away: Array) -> Array:
     return np.asarray(np.arctan2(cross, (a * b).sum(axis=-1)))
 
 
+def interpolated(t: Array, value: Array, rate: Array, times: Array) -> Array:
+    """Return values (K, ...) at `times` (K,), s, by cubic Hermite interpolation of samples and rates (T, ...)."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    near = slice(max(t.searchsorted(times.min()) - 1, 0), t.searchsorted(times.max()) + 2)
+    return np.asarray(CubicHermiteSpline(t[near], value[near], rate[near])(times))
+
+
 def _read_only(value: Array) -> Array:
     value.setflags(write=False)
     return value

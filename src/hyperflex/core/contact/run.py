@@ -40,6 +40,7 @@ from hyperflex.core.contact.step import (
     save_memory,
     try_step,
 )
+from hyperflex.core.contact.torque_peaks import watch_torque
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.integrate.step_size import fitted
 from hyperflex.core.jit import kernel, non_allocating
@@ -55,8 +56,9 @@ SINKING = 1.02  # times the greatest depth until then, which a step may have: wh
 
 
 @non_allocating
-def accept_step(state, workspace, h, rounds, least):  # type: ignore[no-untyped-def]
+def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-untyped-def]
     """Accept the step to ``workspace.out``."""
+    watch_torque(state.torque, drive.arm_length, workspace, state.clock[T], h)
     y, clock, account = state.y, state.clock, workspace.account
     n = workspace.motion.w.size
     for i in range(2 * n):
@@ -100,7 +102,7 @@ def impact(chain, drive, part, pegs, pull, state, workspace, nothing):  # type: 
     least, rounds = try_step(chain, drive, part, pegs, pull, t, 0.0, y, nothing, workspace, True, 1.0, True)
     if pegs.bounce.any() and workspace.account[CONTACT] < 0.0:
         least, rounds = try_step(chain, drive, part, pegs, pull, t, 0.0, y, nothing, workspace, True, 0.0, True)
-    accept_step(state, workspace, 0.0, rounds, least)
+    accept_step(drive, state, workspace, 0.0, rounds, least)
     state.clock[IMPACTS] += 1.0
     state.clock[IMPACT_DUE] = 0.0
 
@@ -231,7 +233,7 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
             had = has - surplus + account[FRICTION] + account[CONTACT] - account[WORK]
             write(chain, drive, part, pegs, pull, bounds, state, workspace, aside, h, had, t_out, y_out, seen_out)
         had = has
-        accept_step(state, workspace, h, rounds, least)
+        accept_step(drive, state, workspace, h, rounds, least)
         clock[IMPACT_DUE] = 1.0 if touch <= 1.001 * h else 0.0
         clock[T] = end if h >= end - t else t + h
         clock[STEP] = wanted * GROWTH if abs(surplus) < EASY * energy_allowance(bounds, h) else wanted

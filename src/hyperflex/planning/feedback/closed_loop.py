@@ -9,6 +9,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.control import hanging_state
+from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import Motor, RopeState, StateSource
 from hyperflex.interruption import interruptible
 from hyperflex.motion import Motion
@@ -25,7 +26,7 @@ from hyperflex.planning.wind.cast_plan import CastPlan
 
 SAMPLES, LIKELY_SCENARIOS = 48, 4  # scenarios that may be the true one; of these, those in which throws are tried
 BLIND_TIME = 0.15  # s before the expected strike within which the rope is no longer observed
-DECISION_TIME = 0.1  # s that a decision may take
+DECISION_TIME = 0.1  # s that a decision may take; of a rope that waits meanwhile
 MIN_PROBABILITY = 0.2  # of success, below which a throw is aborted before the last stroke or move
 MIN_GAIN = 0.05  # value by which a changed throw must be better
 MAX_ARM_ERROR = 0.2  # rad between arm and command at a rest; above, a throw is aborted
@@ -46,9 +47,10 @@ class Decision:
         Time until that move, as planned until then, s.
     before, after : float
         Fraction of the likely scenarios in which the throw succeeds, as planned until then and as decided.
-    action : {"kept", "changed", "aborted"}
+    action : {"kept", "changed", "aborted", "late"}
+        Late: what was decided came too late and was not done.
     seconds : float
-        Time that the decision took, s; it may be more than `left`.
+        Time that the decision took by the clock, s, the state's observation included; it may be more than `left`.
     arm_error : float
         Angle of the motor's encoder less the commanded one, rad; NaN without a motor.
     """
@@ -74,11 +76,19 @@ class FollowResult:
     motion : Motion
         Its motion.
     decisions : tuple of Decision
+    decision_time : float
+        Time that was kept for a decision, s.
     """
 
     throw: Throw
     motion: Motion
     decisions: tuple[Decision, ...]
+    decision_time: float = DECISION_TIME
+
+    @property
+    def late(self) -> int:
+        """Number of decisions that took longer than was kept for them: a rope that does not wait had moved on."""
+        return sum(one.seconds > self.decision_time for one in self.decisions)
 
     @property
     def success(self) -> bool:
@@ -110,6 +120,7 @@ def follow_plan(
     uncertainty: Uncertainty | None = None,
     decision_time: float = DECISION_TIME,
     min_probability: float = MIN_PROBABILITY,
+    real_time: bool = False,
     seed: int = 0,
     threads: int | None = None,
 ) -> FollowResult:
@@ -118,7 +129,7 @@ def follow_plan(
     Parameters
     ----------
     plan : CastPlan
-        With a throw.
+        With a throw, as it was planned or read back by :func:`hyperflex.read_plan`.
     source : StateSource
         Source of the rope's state, with as many links as the plan's rope.
     motor : Motor, optional
@@ -128,6 +139,9 @@ def follow_plan(
         Prior of the scenarios that may be the true one; by default realistic.
     decision_time : float
         Time that a decision may take, s: moves that are due sooner are made as planned.
+    real_time : bool
+        Whether the rope moves on while a decision is made: one that takes longer than `decision_time` is not done then.
+        By default the rope waits, as a simulated one does.
     min_probability : float
         Fraction of the likely scenarios in which a throw must succeed before the last stroke and the last move; else it
         is aborted.
@@ -137,14 +151,19 @@ def follow_plan(
     Raises
     ------
     InvalidInput
-        If the plan holds no throw, or a number is out of range.
+        If the plan is no cast or holds no throw, or a number is out of range.
 
     Notes
     -----
     Sampled scenarios are ranked by how well they predict the observed states. In the best ones the rest of the throw is
     tried as it is, and changed so that the rope strikes in the planned state (see :func:`matching.match`). Contact
     before the last observation is not noticed.
+
+    A decision takes 0.3 to 0.9 s of processor time with 50 links, and so DECISION_TIME holds only for a rope that
+    waits: in real time give a `decision_time` of a second, which the rests of a throw must leave.
     """
+    if not isinstance(plan, CastPlan):
+        raise InvalidInput("only casts are followed", got=type(plan).__name__, allowed="a CastPlan")
     cast_setup, throw = plan.cast_setup, plan.required(plan.throw, "throw")
     pause = checks.number("decision_time", decision_time, sign="nonnegative", unit="s")
     known = uncertainty or Uncertainty()
@@ -162,19 +181,21 @@ def follow_plan(
         left = float(loop.throw.starts(cast_setup.limits)[loop.move]) - now
         state = source.state(now, loop.motion())
         arm_error = float("nan") if motor is None else motor.angle(now) - float(loop.motion().angle(now))
-        loop.first = loop.move if left >= pause else loop.move + 1
+        loop.first, planned = loop.move if left >= pause else loop.move + 1, (loop.throw, loop.delay)
         if abs(arm_error) > MAX_ARM_ERROR:
             before, after, action = 0.0, 0.0, loop.abort(pause)
         else:
             before, after, action = loop.decide(goal, state, pause, min_probability)
         seconds = time.monotonic() - begin
+        if real_time and seconds > pause and action != "kept" and not abs(arm_error) > MAX_ARM_ERROR:
+            (loop.throw, loop.delay), action = planned, "late"
         decisions.append(Decision(loop.move, now, left, before, after, action, seconds, arm_error))
-        if motor is not None and action != "kept":
+        if motor is not None and action in ("changed", "aborted"):
             motor.set_motion(loop.motion(), now)
         if action == "aborted":
             break
         loop.move += 1
-    return FollowResult(loop.throw, loop.motion(), tuple(decisions))
+    return FollowResult(loop.throw, loop.motion(), tuple(decisions), pause)
 
 
 def swing_down(throw: Throw, made: int, rest: float = 0.0) -> Throw:

@@ -12,9 +12,11 @@ from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.robust.scenario_rollouts import nominal_strike_times, scenario_scores
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
 from hyperflex.planning.search.candidates import Candidate, near, same_swing
-from hyperflex.planning.search.contact_phase import WindingScores
+from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores
 from hyperflex.planning.search.evolution import cma_es
 from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.time_budget import OutOfTime
+from hyperflex.simulation import Deadline
 
 POOL, HALVING = 16, (4, 4, 8)  # candidates at first, and scenarios of each round; the better half goes on
 EACH = 4  # candidates of one swing while there are others: they mostly fail in the same scenarios
@@ -165,12 +167,15 @@ class RobustRefinement:
         return [Candidate(0.0, 0.0, side, x, throw) for x, throw in zip(points, cut, strict=True)]
 
     def evaluate(self, runners: Sequence[RobustCandidate], scenarios: Sequence[Scenario]) -> None:
-        """Simulate each candidate in each scenario, and add its successes and values."""
+        """Simulate each candidate in each scenario, and add its successes and values; OutOfTime if no time is left."""
         if not (runners and scenarios):
             return
         pairs = [(one.candidate.throw, scenario) for one in runners for scenario in scenarios]
-        found = scenario_scores(self.search.cast_setup, pairs, threads=self.search.threads)
+        end = Deadline(TIME_BUDGET, self.left)
+        found = scenario_scores(self.search.cast_setup, pairs, time_budget=end, threads=self.search.threads)
         self.runs += 2 * len(pairs)
+        if self.left() < 0.0:  # some were cut short
+            raise OutOfTime
         won = (found.turns >= MIN_TURNS).reshape(len(runners), -1)
         values = robust_values(found).reshape(won.shape)
         for one, successes, each in zip(runners, won, values, strict=True):

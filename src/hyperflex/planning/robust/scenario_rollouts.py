@@ -15,11 +15,14 @@ from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
 from hyperflex.planning.search import strikes
-from hyperflex.planning.search.contact_phase import WindingScores, simulate_contact
+from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.throw import Throw
+from hyperflex.planning.time_budget import Clock
+from hyperflex.simulation import Deadline
 
 AFTER_STOP = 0.5  # s after the arm's stop within which a strike still counts
+COUNTED = 8  # samples of an estimate between two looks at the time
 TOGETHER = 128  # rollouts at once; more would fill the memory
 MIN_FLIGHT = 0.5  # s of free flight, at least
 Z_95 = 1.959963984540054  # standard deviations on either side that hold 95 %
@@ -28,15 +31,26 @@ STREAM = 7001  # random stream of an estimate, apart from those of a search
 
 
 def scenario_scores(
-    cast_setup: CastSetup, pairs: Sequence[tuple[Throw, Scenario]], *, threads: int | None = None
+    cast_setup: CastSetup,
+    pairs: Sequence[tuple[Throw, Scenario]],
+    *,
+    time_budget: float | Deadline = TIME_BUDGET,
+    threads: int | None = None,
 ) -> WindingScores:
     """Simulate throws in scenarios (M), each rope from rest; see :func:`winding_scores`."""
     motions = [scenario.motion(throw, cast_setup) for throw, scenario in pairs]
     batch = RolloutBatch.from_rest([each.rope for _, each in pairs], [each.peg for _, each in pairs], motions)
-    return winding_scores(batch, cast_setup.arm, cast_setup.time, threads=threads)
+    return winding_scores(batch, cast_setup.arm, cast_setup.time, time_budget=time_budget, threads=threads)
 
 
-def winding_scores(batch: RolloutBatch, arm: Arm, time: float, *, threads: int | None = None) -> WindingScores:
+def winding_scores(
+    batch: RolloutBatch,
+    arm: Arm,
+    time: float,
+    *,
+    time_budget: float | Deadline = TIME_BUDGET,
+    threads: int | None = None,
+) -> WindingScores:
     """Simulate throws (M,) in free flight until they strike, and in contact from there.
 
     They must strike within `time`, s, on the clock of `batch.since`; a strike until AFTER_STOP after the arm's stop
@@ -53,7 +67,8 @@ def winding_scores(batch: RolloutBatch, arm: Arm, time: float, *, threads: int |
             some = part.select(hit.tolist())
             motions = [motion.shifted(-at) for motion, at in zip(some.motions, t[hit], strict=True)]
             struck = replace(some, motions=motions, q=q[hit], qd=qd[hit])
-            found = simulate_contact(struck, t[hit] + batch.since, arm=arm, threads=threads)
+            begin = t[hit] + batch.since
+            found = simulate_contact(struck, begin, arm=arm, time_budget=time_budget, threads=threads)
             score[low + hit], turns[low + hit] = found.score, found.turns
     return WindingScores(score, turns)
 
@@ -152,13 +167,26 @@ def estimate_success_probability(
     samples: int = SAMPLES,
     seed: int = 0,
     threads: int | None = None,
+    time_budget: float = math.inf,
 ) -> SuccessProbability:
     """Estimate how often a throw winds and stays wound, by simulation in sampled scenarios.
 
     The throw is made in open loop: its moves start when planned, apart from the timing noise of each scenario. By
     default the uncertainty is that of a realistic identification. The scenarios of a search are others in any case.
+    With a `time_budget`, s, by the clock, fewer samples may be counted, as the result tells, but always some.
     """
     known = uncertainty or Uncertainty()
     scenarios = known.sample(samples, cast_setup, peg, seed=[STREAM, checks.count("seed", seed, least=0)])
-    found = scenario_scores(cast_setup, [(throw, scenario) for scenario in scenarios], threads=threads)
-    return SuccessProbability(int((found.turns >= MIN_TURNS).sum()), samples)
+    clock, won, counted = Clock(), 0, 0
+
+    def left() -> float:
+        return time_budget - clock.spent
+
+    while counted < samples:
+        some = [(throw, scenario) for scenario in scenarios[counted : counted + COUNTED]]
+        end = Deadline(TIME_BUDGET, left if counted else lambda: math.inf)
+        found = scenario_scores(cast_setup, some, time_budget=end, threads=threads)
+        if counted and left() < 0.0:  # some were cut short
+            break
+        won, counted = won + int((found.turns >= MIN_TURNS).sum()), counted + len(some)
+    return SuccessProbability(won, counted)

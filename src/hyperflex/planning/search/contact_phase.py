@@ -11,7 +11,7 @@ from hyperflex.model import Arm, Setup
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.strikes import arm_tip
-from hyperflex.simulation import Batch, check_outside
+from hyperflex.simulation import Batch, Deadline, check_outside
 from hyperflex.winding import slid
 
 COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search; coarser ones of wound ropes took longer, not less
@@ -40,12 +40,17 @@ class WindingScores:
 
 
 def simulate_contact(
-    batch: RolloutBatch, begin: Array, *, arm: Arm, time_budget: float = TIME_BUDGET, threads: int | None = None
+    batch: RolloutBatch,
+    begin: Array,
+    *,
+    arm: Arm,
+    time_budget: float | Deadline = TIME_BUDGET,
+    threads: int | None = None,
 ) -> WindingScores:
     """Simulate ropes (M,) with pegs from shortly before their strikes, under motions that end.
 
     A strike that begins later, at `begin` (M,), s, lowers the score. `time_budget` is the processor time of each run,
-    s; a run that takes more has failed.
+    s, or a deadline; a run that takes more has failed.
     """
     stops = np.maximum([float(motion.breaks[-1]) for motion in batch.motions], 0.5)
     score, turns = np.empty(stops.size), np.empty(stops.size)
@@ -63,7 +68,7 @@ def _similar_stops(stops: Array) -> list[list[int]]:
 
 
 def _simulate_contact(
-    batch: RolloutBatch, stops: Array, begin: Array, arm: Arm, time_budget: float, threads: int | None
+    batch: RolloutBatch, stops: Array, begin: Array, arm: Arm, time_budget: float | Deadline, threads: int | None
 ) -> WindingScores:
     """As :func:`simulate_contact`, for runs with stops at about the same time.
 
@@ -106,7 +111,7 @@ def starts_outside(setup: Setup, *start: Any) -> bool:
     return True
 
 
-def _run(batch: RolloutBatch, t: Array, arm: Arm, time_budget: float, threads: int | None) -> Batch:
+def _run(batch: RolloutBatch, t: Array, arm: Arm, time_budget: float | Deadline, threads: int | None) -> Batch:
     """Simulate coarsely to the last of the times t (T,), s."""
     return batch.run(
         arm,

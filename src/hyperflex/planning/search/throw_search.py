@@ -21,6 +21,7 @@ from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, 
 from hyperflex.planning.search.evolution import cma_es
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.throw import LAST, Throw, ThrowParametrization
+from hyperflex.simulation import Deadline
 
 MEMBERS, CONTACT_MEMBERS = 32, 16  # of a generation of free swings, and of one in contact
 KEPT = 4  # swings of a generation that may be tried in contact
@@ -213,12 +214,12 @@ class ThrowSearch:
         if turns < MIN_TURNS:
             self.restart()
 
-    def run_budget(self, members: int) -> float:
-        """Processor time for each of so many runs, s: one in SLOW_RUNS may take all of it."""
+    def run_budget(self, members: int) -> float | Deadline:
+        """Time for each of so many runs, s: one in SLOW_RUNS may take all that is left, and none takes longer."""
         if self.left is None:
             return TIME_BUDGET
         each = SLOW_RUNS * max(self.left(), 0.0) * self.workers / members
-        return float(np.clip(each, MIN_BUDGET, TIME_BUDGET))
+        return Deadline(float(np.clip(each, MIN_BUDGET, TIME_BUDGET)), self.left)
 
     def evaluate(self, side: int, points: list[Array]) -> Array:
         """Simulate points (M) in contact, keep those that strike as candidates, and return their scores (M,)."""

@@ -1,5 +1,7 @@
 """Gauss-Newton on strokes and rests, with exact derivatives, that moves the peak of the tip's speed onto the target."""
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,8 +108,13 @@ def aim_residuals(target: TipTarget, aim: AimedPeak) -> tuple[Array, Array]:
     return np.array(residuals), np.array(jacobian)
 
 
-def aim_peak(cast_setup: CastSetup, target: TipTarget, found: WhipCandidate) -> AimedPeak | None:
-    """Move a swing's peak onto a target by small changes of strokes and rests; None without a peak at the start."""
+def aim_peak(
+    cast_setup: CastSetup, target: TipTarget, found: WhipCandidate, left: Callable[[], float] = lambda: math.inf
+) -> AimedPeak | None:
+    """Move a swing's peak onto a target by small changes of strokes and rests; None without a peak at the start.
+
+    `left` returns the time that is left, s; without any the best until then is returned.
+    """
     best = find_peak(cast_setup, found.strokes.cut(found.t + WINDOW, cast_setup.limits), found.t)
     if best is None:
         return None
@@ -119,7 +126,7 @@ def aim_peak(cast_setup: CastSetup, target: TipTarget, found: WhipCandidate) -> 
             break
         step = -scale * np.linalg.lstsq(jacobian * scale, residuals, rcond=1e-3)[0]
         step = step / max(1.0, float(np.abs(step / scale).max()) / MAX_STEP)
-        for _ in range(HALVINGS):
+        for _ in range(HALVINGS if left() > 0.0 else 0):
             tried = find_peak(cast_setup, best.strokes.varied(step), best.t + float(best.dt @ step))
             if tried is not None:
                 new, new_jacobian = aim_residuals(target, tried)

@@ -6,26 +6,29 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.model import DEFAULT_CONTACT_STEP, Peg
+from hyperflex.model import DEFAULT_CONTACT_STEP, Peg, Setup
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.search.contact_phase import starts_outside
+from hyperflex.planning.verification import limit_bend
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 
 IMPACT_RADIUS = 0.01  # m, of the peg
 IMPACT_TIME, WINDOW = 0.05, 0.15  # s: duration of an impact; before and after it
+EARLIER = 1e-3  # s, between looks for a touch before the window
 SUDDEN = 0.01  # fraction of the lost energy above which a sample's loss is that of a collision
 
 
 @dataclass(frozen=True)
 class Impact:
-    """Impact of a whip on a small fixed peg whose surface is at the target.
+    """Impact of a whip's tip on a small fixed peg whose surface is at the target.
 
     Attributes
     ----------
     t : float
-        Time of the first touch, s; NaN if the rope does not touch the peg, and then the rest is 0.
+        Time of the first touch, s; NaN if the rope does not touch the peg.
     impulse : float
         Impulse on the peg in IMPACT_TIME seconds, N s.
     impulse_along : float
@@ -34,6 +37,9 @@ class Impact:
         Energy lost in the impact, J.
     link : int
         First link in contact, counted from the motor; -1 if none is.
+    message : str
+        Why there is no impact of the tip, and impulse and energy are 0: the rope does not touch the peg, or lies on it
+        before, or touches it first elsewhere. Empty if there is one.
     """
 
     t: float
@@ -41,6 +47,12 @@ class Impact:
     impulse_along: float
     energy: float
     link: int
+    message: str = ""
+
+    @property
+    def success(self) -> bool:
+        """Whether the tip touches the peg first, about the expected time."""
+        return not self.message
 
 
 def simulate_impact(
@@ -55,32 +67,38 @@ def simulate_impact(
     """Simulate a motion beside a small fixed peg at the target and measure the impact, expected at time `near`, s.
 
     The peg (`radius`, m, friction coefficient `mu`) lies behind the target in the asked direction, so that the tip
-    touches it where it passes the target. Raises SimulationError if the run fails.
+    touches it where it passes the target. The impact is the first touch of all, by the tip: within the last link, or
+    the peg's width from the rope's end. Raises SimulationError if the run fails.
     """
     radius = checks.number("radius", radius, sign="positive", unit="m")
     way = np.array([np.cos(target.direction), np.sin(target.direction)])
     x, y = target.point + (radius + cast_setup.rope.radius) * way
     step = 0.5 * DEFAULT_CONTACT_STEP
     begin = max(step, near - WINDOW)
-    t = np.append(0.0, begin + step * np.arange(np.ceil((near - begin + WINDOW + IMPACT_TIME) / step)))
+    t = begin + step * np.arange(np.ceil((near - begin + WINDOW + IMPACT_TIME) / step))
+    t = np.append(np.arange(0.0, begin - 0.5 * EARLIER, EARLIER), t)
     peg = Peg(float(x), float(y), radius, mu)
-    run = simulate(
-        cast_setup.rope, motion, arm=cast_setup.arm, duration=float(t[-1]), t_eval=t, pegs=[peg], refine=False
-    )
+    setup = Setup(limit_bend(cast_setup.rope), motion, cast_setup.arm, duration=float(t[-1]), pegs=(peg,))
+    if not starts_outside(setup):
+        return Impact(0.0, 0.0, 0.0, 0.0, -1, "the rope lies on the peg from the start")
+    run = simulate(setup, t_eval=t)
     loss = np.asarray(run.contact_loss)
     force = -np.asarray(run.contact_force)  # on the peg
-    touched = (loss > loss[1]) | (np.abs(force).sum(axis=(1, 2)) > 0.0)
-    touched[:2] = False
+    touched = (loss > 0.0) | (np.abs(force).sum(axis=(1, 2)) > 0.0)
     if not touched.any():
-        return Impact(float("nan"), 0.0, 0.0, 0.0, -1)
+        return Impact(float("nan"), 0.0, 0.0, 0.0, -1, "the rope does not touch the peg")
     first = int(touched.argmax())
+    link, along = _touching(run, peg, first)
+    left = float(run.setup.rope.length[link:].sum()) - along
+    if t[first] < begin or left > max(run.setup.rope.length[-1], 2.0 * radius) + 1e-9:
+        where = f"link {link + 1} touches the peg first, at {t[first]:.2f} s and {1e2 * left:.0f} cm from the tip"
+        return Impact(float(t[first]), 0.0, 0.0, 0.0, link, f"{where}; the tip was expected at {near:.2f} s")
     last = min(first + round(IMPACT_TIME / step), t.size - 1)
     energy = float(loss[last] - loss[first - 1])
     total = step * force[first : last + 1].sum(axis=(0, 1))
     for k in range(first, last + 1):
         if loss[k] - loss[k - 1] > SUDDEN * energy:
             total = total - collision_impulse(run, peg, k)
-    link = _touching(run, peg, first)[0]
     return Impact(float(run.t[first]), float(np.hypot(*total)), float(total @ way), energy, link)
 
 

@@ -8,8 +8,11 @@ from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import rope_clearance
+from hyperflex.planning.time_budget import OutOfTime
+from hyperflex.planning.verification import folded_flat, greatest_bend, motor_torques, refusal, verified_setup
 from hyperflex.planning.whip.tip_target import TipTarget, find_peaks
-from hyperflex.simulation import simulate
+from hyperflex.simulation import OUT_OF_TIME, Deadline, simulate
 from hyperflex.trajectory import Trajectory
 
 TOL = 1e-7  # m
@@ -32,10 +35,11 @@ class TipStrike:
         Angle between velocity and the asked direction, rad, >= 0.
     earlier_speed : float
         Greatest speed of the tip at a peak before, m/s.
-    torque : float
-        Greatest motor torque, N m.
+    max_bend, folded, clearance, torque, torque_peak
+        As of :class:`CastOutcome`, until after the peak.
     message : str
-        What fails besides the miss: speed or direction; empty if they are as asked.
+        What fails besides the miss: the rope goes through itself, arm or shaft, speed or direction are not as asked;
+        empty if nothing does.
     n_links : int
         Links of the simulated rope.
     run : Trajectory or None
@@ -48,7 +52,11 @@ class TipStrike:
     miss: float
     angle_error: float
     earlier_speed: float
+    max_bend: float
+    folded: bool
+    clearance: float
     torque: float
+    torque_peak: float
     message: str
     n_links: int
     run: Trajectory | None = None
@@ -60,16 +68,25 @@ class TipStrike:
 
 
 def verify_whip(
-    cast_setup: CastSetup, target: TipTarget, motion: Motion, near: float, *, tol: float = TOL
+    cast_setup: CastSetup,
+    target: TipTarget,
+    motion: Motion,
+    near: float,
+    *,
+    tol: float = TOL,
+    time_budget: Deadline | None = None,
 ) -> TipStrike | None:
     """Simulate a motion from rest and find the highest peak of the tip's speed about time `near`, s.
 
-    Returns None if the run fails or has no peak there.
+    Returns None if the run fails or has no peak there; raises OutOfTime if it does not end within a `time_budget`.
     """
     t = SAMPLE_TIME * np.arange(np.ceil((near + WINDOW) / SAMPLE_TIME) + 1.0)
     try:
-        run = simulate(cast_setup.rope, motion, arm=cast_setup.arm, duration=float(t[-1]), t_eval=t, tol=tol)
-    except SimulationError:
+        setup = verified_setup(cast_setup, motion, float(t[-1]), tol=tol)
+        run = simulate(setup, t_eval=t, time_budget=time_budget)
+    except SimulationError as failed:
+        if failed.status == OUT_OF_TIME:
+            raise OutOfTime from None
         return None
     found = find_peaks(run.t, run.tip[None], run.tip_velocity[None])
     about = np.abs(found.t - near) < WINDOW
@@ -78,10 +95,12 @@ def verify_whip(
     k = int(np.where(about, found.speed, 0.0).argmax())
     earlier = found.speed[found.t < found.t[k]]
     error, speed = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k])
-    message = ""
-    if speed < target.least_speed:
+    max_bend, clearance = greatest_bend(run), rope_clearance(run)
+    torque, torque_peak = motor_torques(run)
+    message = refusal(cast_setup, max_bend, clearance)
+    if not message and speed < target.least_speed:
         message = f"the tip's speed is {speed:.2f} m/s, and {target.least_speed:g} is asked"
-    elif error > target.angle_tolerance:
+    elif not message and error > target.angle_tolerance:
         allowed = np.degrees(target.angle_tolerance)
         message = f"the tip's direction is {np.degrees(error):.0f} degrees off, {allowed:.0f} allowed"
     return TipStrike(
@@ -91,7 +110,11 @@ def verify_whip(
         miss=float(np.hypot(*(found.place[k] - target.point))),
         angle_error=error,
         earlier_speed=float(earlier.max(initial=0.0)),
-        torque=float(np.abs(run.motor_torque).max()),
+        max_bend=max_bend,
+        folded=folded_flat(run),
+        clearance=clearance.value,
+        torque=torque,
+        torque_peak=torque_peak,
         message=message,
         n_links=run.q.shape[1],
         run=run,

@@ -14,7 +14,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interruption import caught, interruptible
 from hyperflex.model import Arm, Rope, divided
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
-from hyperflex.planning.time_budget import Clock
+from hyperflex.planning.time_budget import Clock, OutOfTime
 from hyperflex.planning.whip.aim import AimedPeak, aim_peak
 from hyperflex.planning.whip.outcome import TipStrike, verify_whip
 from hyperflex.planning.whip.search import (
@@ -28,7 +28,9 @@ from hyperflex.planning.whip.search import (
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.planning.whip.whip_plan import WhipPlan
 from hyperflex.progress import progress_bar
+from hyperflex.simulation import Deadline
 
+MAPPING, SEARCHING = 0.4, 0.8  # fractions of the time for the map, and after which whips are only verified
 TIME_BUDGET, PERIODS = 30.0, 3.0  # s; swing periods within which the tip strikes by default
 DIRECT = 8  # peaks of the map that are aimed as they are
 READY, GENERATIONS = 0.06, 16  # m, cost below which a swing is aimed; generations of a search before
@@ -60,23 +62,29 @@ class WhipPlanner:
         self.cast_setup = whip_map.cast_setup
         self.finer = replace(self.cast_setup, rope=divided(self.cast_setup.rope, FINER))
         self.clock, self.runs = Clock(), 0
+        self.end = Deadline(math.inf, lambda: self.time_budget - self.clock.spent)
         self.aims: list[AimedPeak] = []
         self._best: Verified | None = None
+        self._unverified = "interrupted before it was verified"
+
+    def left(self) -> float:
+        """Return the time that is left for the search, s."""
+        return SEARCHING * self.time_budget - self.clock.spent
 
     def run(self, report: Callable[[float], None] | None) -> None:
         """Aim until there are enough whips, or no time is left; `report` gets the time spent, s."""
         candidates = self.whip_map.candidates(self.target)
         for found in candidates[:DIRECT]:
-            if self.add(aim_peak(self.cast_setup, self.target, found), report):
+            if self.add(aim_peak(self.cast_setup, self.target, found, self.left), report):
                 return
         for number, found in enumerate(candidates):
             search = WhipSearch(self.cast_setup, self.target, found, self.seed + number, self.threads)
             for _ in range(GENERATIONS):
-                if search.best.cost < READY or self.clock.spent > self.time_budget:
+                if search.best.cost < READY or self.left() < 0.0:
                     break
                 search.step()
             self.runs += search.runs
-            if self.add(aim_peak(self.cast_setup, self.target, search.best), report):
+            if self.add(aim_peak(self.cast_setup, self.target, search.best, self.left), report):
                 return
 
     def add(self, aim: AimedPeak | None, report: Callable[[float], None] | None) -> bool:
@@ -86,7 +94,7 @@ class WhipPlanner:
             self.aims.sort(key=self.rank)
         if report is not None:
             report(min(self.clock.spent, self.time_budget))
-        return self.clock.spent > self.time_budget or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
+        return self.left() < 0.0 or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
 
     def rank(self, aim: AimedPeak) -> tuple[float, float]:
         """By how much a whip fails, then how uncertain it is; less is better."""
@@ -103,7 +111,11 @@ class WhipPlanner:
         for number, aim in enumerate(self.aims[:PLANS]):
             if number and self.rank(aim)[0] > 0.0:
                 break
-            seen = verify_both(self.cast_setup, self.finer, self.target, aim)
+            try:
+                seen = verify_both(self.cast_setup, self.finer, self.target, aim, self.end)
+            except OutOfTime:
+                self._unverified = "the time budget ended before it was verified"
+                break
             if number == 0 or not seen.message:
                 self._best = seen
             if not seen.message:
@@ -113,14 +125,19 @@ class WhipPlanner:
     def best(self) -> Verified | None:
         """The best whip, verified or not yet; None if no whip was found."""
         if self._best is None and self.aims:
-            return Verified(self.aims[0], None, None, "interrupted before it was verified")
+            return Verified(self.aims[0], None, None, self._unverified)
         return self._best
 
 
-def verify_both(cast_setup: CastSetup, finer: CastSetup, target: TipTarget, aim: AimedPeak) -> Verified:
-    """Simulate a whip at a tight tolerance, with the links as planned and with those of a finer set-up."""
+def verify_both(
+    cast_setup: CastSetup, finer: CastSetup, target: TipTarget, aim: AimedPeak, end: Deadline | None = None
+) -> Verified:
+    """Simulate a whip at a tight tolerance, with the links as planned and with those of a finer set-up.
+
+    Raises OutOfTime at the `end`.
+    """
     motion = aim.strokes.motion(cast_setup.limits)
-    outcome, again = (verify_whip(each, target, motion, aim.t) for each in (cast_setup, finer))
+    outcome, again = (verify_whip(each, target, motion, aim.t, time_budget=end) for each in (cast_setup, finer))
     return Verified(aim, outcome, again, failure(cast_setup, outcome, again, aim.position_std))
 
 
@@ -152,6 +169,7 @@ def plan_whip(
     *,
     least_speed: float = 5.0,
     angle_tolerance: float = math.radians(20.0),
+    clearance: float = 0.0,
     time_limit: float | None = None,
     time_budget: float = TIME_BUDGET,
     skip_feasibility: bool = False,
@@ -164,7 +182,7 @@ def plan_whip(
 
     Parameters
     ----------
-    rope, arm, limits, skip_feasibility, seed, threads, progress
+    rope, arm, limits, clearance, skip_feasibility, seed, threads, progress
         As of :func:`hyperflex.plan_cast`.
     point : (2,) array_like
         Place of the tip at the peak, m.
@@ -178,7 +196,7 @@ def plan_whip(
         Time within which the tip must be there, s; by default that of the map if one is given, else three periods of
         the rope's swing.
     time_budget : float
-        Time to search, s, without the map, verifications and compiling.
+        Time by the clock for map, search and verifications, s, without compiling.
     whip_map : WhipMap, optional
         Of the same rope, arm, limits and time, from :func:`build_whip_map`; by default it is built, which takes some
         seconds.
@@ -201,17 +219,18 @@ def plan_whip(
     seed = checks.count("seed", seed, least=0)
     if time_limit is not None:
         time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
-    cast_setup = _cast_setup(rope, arm, limits, time_limit, whip_map)
+    cast_setup = replace(_cast_setup(rope, arm, limits, time_limit, whip_map), clearance=clearance)
 
     distance = pivot_distance(cast_setup, target)
     known = WhipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
     planner = None
     with caught() as stop:
         if whip_map is None:
-            whip_map = build_whip_map(cast_setup, threads=threads)
+            whip_map = build_whip_map(cast_setup, threads=threads, left=lambda: MAPPING * time_budget - clock.spent)
         known = check_whip_feasibility(whip_map, target)
         if math.isfinite(known.cost) and (known.feasible or skip_feasibility):
-            planner = WhipPlanner(whip_map, target, time_budget, seed, threads)
+            left = max(0.0, time_budget - clock.spent)
+            planner = WhipPlanner(replace(whip_map, cast_setup=cast_setup), target, left, seed, threads)
             with progress_bar(0.0, time_budget, progress, "planning") as report:
                 planner.run(report)
             planner.verify()

@@ -1,6 +1,7 @@
 """The search for a whip: a map of the peaks of random swings, the feasibility check by it, and CMA-ES from a peak."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ from hyperflex.planning.whip.tip_target import (
 
 SAMPLE_TIME, COARSE_TOL = 0.02, 1e-3  # s, m: of swings in a search
 SWINGS, SEED = 512, 1  # of a map
+TOGETHER = 64  # swings of a map between two looks at the time
 STROKES, STEPS = (0.3, 1.1), (0.35, 0.65)  # half turns; periods from stroke to stroke: means of a map's swings
 SPREAD_ENDS, SPREAD_RESTS = 0.15, 0.06  # half turns, periods: standard deviations in a swing of the map
 MEMBERS = 16  # of a generation
@@ -121,7 +123,13 @@ def simulate_peaks(cast_setup: CastSetup, strokes: list[Strokes], threads: int |
 
 
 @interruptible()
-def build_whip_map(cast_setup: CastSetup, swings: int = SWINGS, threads: int | None = None) -> WhipMap:
+def build_whip_map(
+    cast_setup: CastSetup,
+    swings: int = SWINGS,
+    threads: int | None = None,
+    *,
+    left: Callable[[], float] = lambda: math.inf,
+) -> WhipMap:
     """Simulate random swings, the same ones each time, and find the peaks of the tip's speed.
 
     Parameters
@@ -130,6 +138,8 @@ def build_whip_map(cast_setup: CastSetup, swings: int = SWINGS, threads: int | N
     swings : int
     threads : int, optional
         One a processor by default.
+    left : callable
+        Returns the time that is left, s; without any the map is of the first swings alone, TOGETHER at least.
 
     Raises
     ------
@@ -153,7 +163,14 @@ def build_whip_map(cast_setup: CastSetup, swings: int = SWINGS, threads: int | N
         ends = ends + np.pi * SPREAD_ENDS * rng.standard_normal(count)
         rests = np.abs(rest + period * SPREAD_RESTS * rng.standard_normal(count))
         strokes.append(Strokes(side, ends, rests))
-    return WhipMap(cast_setup, tuple(strokes), simulate_peaks(cast_setup, strokes, threads))
+    found: list[Peaks] = []
+    for low in range(0, swings, TOGETHER):
+        if found and left() < 0.0:
+            strokes = strokes[:low]
+            break
+        some = simulate_peaks(cast_setup, strokes[low : low + TOGETHER], threads)
+        found.append(some._replace(row=some.row + low))
+    return WhipMap(cast_setup, tuple(strokes), Peaks(*map(np.concatenate, zip(*found, strict=True))))
 
 
 class WhipSearch:

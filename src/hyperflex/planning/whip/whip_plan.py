@@ -9,6 +9,7 @@ import numpy as np
 from hyperflex.model import Setup
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.plan import Plan
+from hyperflex.planning.verification import verified_setup
 from hyperflex.planning.whip.impact import IMPACT_RADIUS, Impact, simulate_impact
 from hyperflex.planning.whip.outcome import WINDOW, TipStrike
 from hyperflex.planning.whip.search import WhipFeasibility
@@ -65,7 +66,7 @@ class WhipPlan(Plan):
         """Return the set-up of a run until after the peak, or until the arm stops if nothing was verified."""
         motion = self.required(self.motion, "motion")
         end = float(motion.breaks[-1]) if self.outcome is None else self.outcome.t + WINDOW
-        return Setup(self.cast_setup.rope, motion, self.cast_setup.arm, duration=end)
+        return verified_setup(self.cast_setup, motion, end)
 
     def impact(self, *, radius: float = IMPACT_RADIUS, mu: float = 0.3) -> Impact:
         """Simulate the impact on a small fixed peg whose surface is at the target; see :class:`Impact`.

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from hyperflex.model import Peg, Setup, refine_rope
+from hyperflex.model import Peg, Setup
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import (
     MAX_SLIP,
@@ -16,6 +16,7 @@ from hyperflex.planning.outcome import (
 from hyperflex.planning.plan import Plan
 from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
 from hyperflex.planning.throw import Throw
+from hyperflex.planning.verification import verified_setup
 from hyperflex.planning.wind.feasibility import Feasibility
 
 
@@ -80,10 +81,10 @@ class CastPlan(Plan):
         return [each for each in (self.outcome, self.finer_outcome) if each is not None]
 
     def setup(self) -> Setup:
-        """Return the set-up of the verified run, with links refined near the target."""
-        motion, arm, pegs = self.required(self.motion, "throw"), self.cast_setup.arm, (self.target,)
+        """Return the set-up of the verified run, with links refined near the target, and joint limits."""
+        motion = self.required(self.motion, "throw")
         end = float(motion.breaks[-1]) + SETTLING_TIME + WATCH_TIME
-        return Setup(refine_rope(self.cast_setup.rope, pegs, arm=arm), motion, arm, duration=end, pegs=pegs)
+        return verified_setup(self.cast_setup, motion, end, (self.target,))
 
     def measure_holding_force(self) -> HoldingForce | None:
         """Tug at the rope from the end of the verified run; None unless it is wound and does not slip by itself."""

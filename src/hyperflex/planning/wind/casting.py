@@ -31,6 +31,8 @@ def plan_cast(
     *,
     time_limit: float | None = None,
     holding_force: float = 0.0,
+    contact: float | None = None,
+    clearance: float = 0.0,
     uncertainty: Uncertainty | None = None,
     time_budget: float = TIME_BUDGET,
     skip_feasibility: bool = False,
@@ -55,11 +57,20 @@ def plan_cast(
     holding_force : float
         Pull that the wound rope must bear, N: by a rule in the feasibility check, and by a simulated tug when a throw
         is verified. The success probability does not include it.
+    contact : float, optional
+        Least angle of the target that the rope must cover, rad. By default none is asked for, but where the rope is
+        long enough the search goes on for a full turn until its time is over; with 0 it does not.
+    clearance : float
+        Least distance of the rope from its own arm and the motor's shaft, m, as of :class:`CastSetup`.
     uncertainty : Uncertainty, optional
         Of rope, target and motor. With it the plan is the throw that succeeds in most of the sampled scenarios, and its
         success probability is estimated from others.
     time_budget : float
-        Time to search, s. A plan that succeeds ends the search; with an uncertainty one that succeeds in all samples.
+        Time by the clock for search, verifications and success probability, s, without compiling; on a busy machine,
+        too. Not every plan that succeeds ends the search before, only one with a margin: it slips by at most 0.4 of
+        what is allowed, is pulled with no more than the capstan equation lets it bear, was not folded flat on the way,
+        winds alike with shorter links, and covers a full turn of the target where the rope is long enough; with an
+        uncertainty one that succeeds in all samples.
     skip_feasibility : bool
         Search even for a target that the feasibility check calls out of reach.
     fallback : bool
@@ -103,7 +114,8 @@ def plan_cast(
     time_budget = checks.number("time_budget", time_budget, sign="positive", unit="s")
     fallback, skip_feasibility = checks.flag("fallback", fallback), checks.flag("skip_feasibility", skip_feasibility)
     time = 0.0 if time_limit is None else checks.number("time_limit", time_limit, sign="nonnegative", unit="s")
-    cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, time)
+    motor = MotorLimits() if limits is None else limits
+    cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0)
     Setup(cast_setup.rope, arm=cast_setup.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
     cuts(cast_setup.rope, (target,), arm=cast_setup.arm)  # or not be wound round it
     if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
@@ -113,14 +125,16 @@ def plan_cast(
     if known.impossible or not (known.feasible or skip_feasibility):
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:
-        plan = _search(search, known, uncertainty, time_budget, progress, longer=time_limit is None)
+        free = {"longer": time_limit is None, "full_turn": contact is None}
+        plan = _search(search, known, uncertainty, time_budget, progress, **free)
     with caught() as stop:
         if not (plan.success or plan.interrupted):
             plan = replace(plan, remedies=find_remedies(cast_setup, target, holding_force=holding_force))
             plan = replace(plan, fallback=expected_fallback(plan, holding_force))
             if fallback:
                 given: dict[str, Any] = {"limits": limits, "time_limit": time_limit, "holding_force": holding_force}
-                given |= {"uncertainty": uncertainty, "time_budget": time_budget, "seed": seed, "threads": threads}
+                given |= {"contact": contact, "clearance": clearance, "uncertainty": uncertainty}
+                given |= {"time_budget": time_budget, "seed": seed, "threads": threads}
                 plan_for = partial(plan_cast, rope, arm, **given, progress=progress)
                 plan = plan_fallback(plan, search, time_budget, plan_for)
     if plan.interrupted or stop.met:
@@ -134,17 +148,17 @@ def _search(
     uncertainty: Uncertainty | None,
     time_budget: float,
     progress: bool,
-    *,
-    longer: bool,
+    **free: bool,
 ) -> CastPlan:
-    """Search for a throw, verify it, and estimate its success probability."""
-    planner = CastPlanner(search, time_budget if uncertainty is None else NOMINAL * time_budget, longer=longer)
+    """Search for a throw, verify it, and estimate its success probability; `free` as of :class:`CastPlanner`."""
+    planner = CastPlanner(search, time_budget if uncertainty is None else NOMINAL * time_budget, **free)
     probability = None
     with caught() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
         planner.run(report)
         if uncertainty is not None:
             planner.refine_robustly(uncertainty, report)
-            if (throw := planner.best[0]) is not None:
+            if (throw := planner.best[0]) is not None and (left := time_budget - planner.spent) > 0.0:
                 given = (search.cast_setup, search.peg, throw, uncertainty)
-                probability = estimate_success_probability(*given, seed=search.seed, threads=search.threads)
+                seed, threads = search.seed, search.threads
+                probability = estimate_success_probability(*given, seed=seed, threads=threads, time_budget=left)
     return replace(planner.plan(known, stop.met), success_probability=probability)

@@ -89,7 +89,7 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     aside = math.atan2(abs(x * down[1] - y * down[0]), x * down[0] + y * down[1])  # from straight down
     axis = peg.radius + rope.radius
     room = (rope.total_length - far + axis) / (2.0 * math.pi * axis)
-    needed = _needed(far, aside, axis)
+    needed = _needed(far, aside, axis, cast_setup.contact)
     energy = _energy(cast_setup, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
     bears = _hold(cast_setup, peg, room, _contact(far, aside, axis), _straight(far, axis))
     impossible, message = _geometry(cast_setup, far, axis, room, needed)
@@ -150,13 +150,13 @@ def _straight(far: float, axis: float) -> float:
     return (math.sqrt(max(far**2 - axis**2, 0.0)) - far + axis) / axis
 
 
-def _needed(far: float, aside: float, axis: float) -> float:
-    """Least room of a rope that is wound MIN_TURNS and MARGIN turns with a hanging end, in turns."""
+def _needed(far: float, aside: float, axis: float, contact: float) -> float:
+    """Least room of a rope that is wound MIN_TURNS and MARGIN turns, covers `contact`, rad, and hangs, in turns."""
     angle = _contact(far, aside, axis)
-    rooms = []
-    for _ in range(3):
+    rooms: list[float] = []
+    while len(rooms) < 2:
         end = 2.0 * math.pi * (MIN_TURNS + MARGIN) - math.acos(min(1.0, axis / far)) - angle if far > 0.0 else 0.0
-        if angle > 0.0 and end < 0.5 * math.pi:  # else even a long end makes too few turns
+        if angle > 0.0 and angle >= contact and end < 0.5 * math.pi:  # else even a long end makes too few turns
             hanging = max(HANGING, math.tan(max(end, 0.0)))
             rooms.append((_straight(far, axis) + angle + hanging) / (2.0 * math.pi))
         angle += 2.0 * math.pi

@@ -15,9 +15,10 @@ from hyperflex.planning.search.contact_phase import SLIP_COST
 from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.throw import Throw
-from hyperflex.planning.time_budget import Clock
+from hyperflex.planning.time_budget import Clock, OutOfTime
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
+from hyperflex.simulation import Deadline
 
 GENERATIONS = 5  # of free swings in a round
 MIN_GROWTH, IDLE_ROUNDS = 1.03, 2  # a round that gains less than this factor is idle; after so many contact is next
@@ -31,33 +32,42 @@ RESTART = 12  # generations in contact from one candidate
 ALIKE = 0.05  # points that differ by less are one
 FINER = (2, 3)  # pieces of each link in the verifications after the first
 NOMINAL = 0.5  # fraction of the time of a robust plan for the search in the nominal scenario
-REFINING = 0.8  # fraction of it after which a robust plan is only verified
+# Fractions of it after which a robust plan is only verified, and after which its success probability is estimated
+REFINING, VERIFYING = 0.7, 0.88
 NO_MARGIN_COST = 0.3  # value by which a throw without a margin must be better than one with a margin
 SEARCHING = 0.85  # fraction of the time after which only verifications are begun
-LONGEST, MIN_BUDGET = 0.25, 3.0  # fraction of the time, and processor time, s, for a verification
+LONGEST, MIN_BUDGET = 0.25, 3.0  # fraction of the time, and processor time, s, for a first verification
+LOOK = 1.0  # s; steps of a run between two looks at the clock may take as long on a busy machine
 TRIES = 3  # verifications at most between two generations
 SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
 LOAD_MARGIN = 1.0  # load ratio for which the same holds
 BOTH = 2  # verifications that succeed for a plan that succeeds
+FULL_TURN = 2.0 * np.pi  # rad of contact that a search goes on for where the rope is long enough, if none is asked for
 MAX_DIFFERENCE = 0.5  # turns between both verifications; above, one of them winds once more
 
+STANDS = "a cast stands; one with a margin is sought"
 NONE = (False, False, 0.0)  # value of no throw
 Verified = tuple[Throw | None, CastOutcome | None, CastOutcome | None]  # throw, outcome, outcome with shorter links
 
 
 class CastPlanner:
-    """Rounds of a search until a plan succeeds or the `time_budget` of the nominal search, s, is over.
+    """Rounds of a search until a plan succeeds with a margin or the `time_budget` of the nominal search, s, is over.
 
     `longer`: whether a cast may take LONGER times as long if the swings that the search allows promise too little.
+    `full_turn`: whether a margin includes contact of a full turn where the rope is long enough.
     """
 
-    def __init__(self, search: ThrowSearch, time_budget: float, *, longer: bool = False) -> None:
+    def __init__(
+        self, search: ThrowSearch, time_budget: float, *, longer: bool = False, full_turn: bool = True
+    ) -> None:
         self.search, self.time_budget, self.longer, self.clock = search, time_budget, longer, Clock()
         search.left = lambda: SEARCHING * time_budget - self.spent
         cast_setup = search.cast_setup
         self.finer = [replace(cast_setup, rope=divided(cast_setup.rope, k)) for k in FINER]
-        self.rounds = 0
+        self.rounds, self.verifying = 0, 1.0
         tail = check_feasibility(cast_setup, search.peg).available_turns - HANGING_TAIL
+        full = check_feasibility(replace(cast_setup, contact=FULL_TURN), search.peg)
+        self.contact = FULL_TURN if full_turn and full.available_turns >= full.needed_turns else 0.0
         self.tail = float(np.clip(tail, MIN_TAIL, MAX_TAIL))
         self.checked: list[Candidate] = []
         self.verified: list[Verified] = []
@@ -68,8 +78,12 @@ class CastPlanner:
         """Time spent without compiling, s."""
         return self.clock.spent
 
-    def run(self, report: Callable[[float], None] | None) -> None:
-        """Search until a plan succeeds or the time is over; `report` gets the time spent, s."""
+    def left(self) -> float:
+        """Return the time that is left for verifications, s, less what lies between two looks at it."""
+        return self.verifying * self.time_budget - min(LOOK, 0.05 * self.time_budget) - self.spent
+
+    def run(self, report: Callable[..., None] | None) -> None:
+        """Search until a plan succeeds with a margin or the time is over; `report` gets the time spent and words."""
         score, idle, contact = 0.0, 0, 0
         while not self.search.runs or (self.spent < SEARCHING * self.time_budget and not self.done()):
             late = contact > 0 and self.search.late
@@ -98,7 +112,8 @@ class CastPlanner:
                 contact = 1
             self.verify_new()
             if report is not None:
-                report(min(self.spent, self.time_budget))
+                words = STANDS if _succeeds(self.best) else "planning"
+                report(min(self.spent, self.time_budget), words)
         self.verify_best()
 
     def contact_due(self, score: float, settled: bool) -> bool:
@@ -131,8 +146,8 @@ class CastPlanner:
         return score
 
     def done(self) -> bool:
-        """Whether a plan succeeds with a margin."""
-        return _with_margin(self.best)
+        """Whether a plan succeeds with a margin, and covers a full turn where the rope is long enough."""
+        return _with_margin(self.best) and _covers(self.best, self.contact)
 
     def verify_new(self) -> None:
         """Verify the best candidates that were not verified yet, as many at once as there are threads."""
@@ -155,7 +170,7 @@ class CastPlanner:
 
         Candidates without a margin in the nominal scenario are dropped.
         """
-        self.time_budget /= NOMINAL
+        self.time_budget, self.verifying = self.time_budget / NOMINAL, VERIFYING
         search, known, some = self.search, dict[RobustCandidate, Verified](), list[RobustCandidate]()
         refinement = RobustRefinement(search, uncertainty, left=lambda: REFINING * self.time_budget - self.spent)
         try:
@@ -174,6 +189,9 @@ class CastPlanner:
                 some = [one for one in refinement.best(search.workers) if one not in known]
                 for one, found in zip(some, self.outcomes([one.candidate for one in some]), strict=True):
                     known[one] = found
+        except OutOfTime:
+            some = [one for one in refinement.order[: search.workers] if one not in known]
+            known |= zip(some, self.outcomes([one.candidate for one in some]), strict=True)
         finally:
             search.runs += refinement.runs
             chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
@@ -182,7 +200,8 @@ class CastPlanner:
 
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, and are not like one that was verified nor like each other."""
-        winding = (one for one in self.search.candidates if one.confirmed and one.turns >= MIN_TURNS)
+        least = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN)
+        winding = (one for one in self.search.candidates if one.confirmed and one.turns >= least)
         return distinct(winding, self.checked, self.search.workers, ALIKE)
 
     def check(self, some: Sequence[Candidate]) -> None:
@@ -191,8 +210,14 @@ class CastPlanner:
             worse = finer or outcome
             if worse is not None and not worse.success:
                 self.search.correct(found, abs(worse.turns), abs(worse.turns) - SLIP_COST)
-            if self.best[0] is None or _rank(outcome, finer) > _rank(*self.best[1:]):
-                self.best = (throw, outcome, finer)
+            new = (throw, outcome, finer)
+            if self.best[0] is None or self.rank(new) > self.rank(self.best):
+                self.best = new
+
+    def rank(self, found: Verified) -> tuple[int, bool, bool, bool, float]:
+        """Verifications that succeed; whether they agree, have a margin and cover enough of the peg; the turns."""
+        good, alike, margin, turns = _rank(*found[1:])
+        return good, alike, margin, _covers(found, self.contact), turns
 
     def outcomes(self, some: Sequence[Candidate]) -> list[Verified]:
         """Verify candidates at once."""
@@ -212,16 +237,17 @@ class CastPlanner:
         """
         cast_setup, peg, force = self.search.cast_setup, self.search.peg, self.search.holding_force
         motion = found.throw.motion(cast_setup.limits)
-        longest = max(min(LONGEST * self.time_budget, 0.5 * (self.time_budget - self.spent)), MIN_BUDGET)
-        outcome = require_holding_force(verify_cast(cast_setup, peg, motion, time_budget=longest), peg, force)
+        longest = max(min(LONGEST * self.time_budget, 0.5 * self.left()), MIN_BUDGET)
+        first, later = Deadline(longest, self.left), Deadline(np.inf, self.left)
+        outcome = require_holding_force(verify_cast(cast_setup, peg, motion, time_budget=first), peg, force, later)
         if not outcome.success:
             return outcome, None
         worst: CastOutcome | None = None
         for each in self.finer:
-            finer = verify_cast(each, peg, motion, time_budget=max(self.time_budget - self.spent, MIN_BUDGET))
+            finer = verify_cast(each, peg, motion, time_budget=later)
             if worst is not None and not finer.completed:
                 break
-            finer = require_holding_force(finer, peg, force)
+            finer = require_holding_force(finer, peg, force, later)
             if not finer.success:
                 return outcome, finer
             if worst is None or abs(finer.turns - outcome.turns) > abs(worst.turns - outcome.turns):
@@ -239,13 +265,18 @@ class CastPlanner:
 
 
 def steady(outcome: CastOutcome) -> bool:
-    """Whether a rope that holds does so with a margin, and did not fold through itself before."""
+    """Whether a rope that holds does so with a margin, and was not folded flat before."""
     return outcome.slip <= SLIP_MARGIN * MAX_SLIP and outcome.load_ratio <= LOAD_MARGIN and not outcome.folded
 
 
 def _succeeds(found: Verified) -> bool:
     """Whether all verifications of a throw succeed."""
     return _rank(*found[1:])[0] == BOTH
+
+
+def _covers(found: Verified, contact: float) -> bool:
+    """Whether the rope covers so much of the peg in all verifications, rad."""
+    return all(outcome is not None and outcome.contact_angle >= contact for outcome in found[1:])
 
 
 def _with_margin(found: Verified) -> bool:

@@ -22,7 +22,7 @@ from hyperflex.planning import (
 from hyperflex.report.cast.figures import course_figure, sense, strike_figure, tug_figure, way
 from hyperflex.report.cast.target_map import target_map, target_map_caption
 from hyperflex.report.page import Picture, Section, TextTable
-from hyperflex.report.plan import NOT_KNOWN, PlanReport, counted, searched
+from hyperflex.report.plan import NOT_KNOWN, PlanReport, clearance_tiles, counted, searched
 from hyperflex.report.player import Line, Plot
 from hyperflex.report.style import png
 from hyperflex.simulation import OUT_OF_TIME
@@ -61,7 +61,8 @@ class CastReport(PlanReport[CastPlan]):
         self.verdict = f"No cast that winds and holds was found: {_failure(plan)}."
         if plan.success and plan.outcome is not None:
             self.verdict = (
-                f"The rope winds {abs(plan.outcome.turns):.2f} turns round the target and holds, in simulation."
+                f"The rope winds {abs(plan.outcome.turns):.2f} turns round the target, "
+                f"covers {math.degrees(plan.outcome.contact_angle):.0f} degrees of it, and holds, in simulation."
             )
         self.warning, self.advice = _warning(plan), _advice(plan)
         self.tiles, self.story, self.checks = self._tiles(), self._story(), _checks(plan)
@@ -79,16 +80,17 @@ class CastReport(PlanReport[CastPlan]):
         if cast is not None and cast.completed:
             if math.isfinite(cast.strike_time):
                 shown.append((f"{cast.strike_time:.2f} s", "after the start the rope strikes the target"))
-                contact = f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}"
                 counted_from = (
-                    f"in the end, {way(plan)}, from the arm's tip to the rope's end, {contact} of it on the target; "
-                    f"{MIN_TURNS:g} are needed"
+                    f"in the end, {way(plan)}, from the arm's tip to the rope's end; {MIN_TURNS:g} are needed"
                 )
                 shown.append((f"{abs(cast.turns):.2f} turns", counted_from))
+                covered = f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}"
+                shown.append((covered, _covered(cast.contact_angle, plan.cast_setup.contact)))
             else:
                 shown.append(("never", "the rope strikes the target"))
         elif plan.throw is not None:
             shown.append((NOT_KNOWN, "strike, turns and hold: the throw was not verified to its end"))
+        shown += clearance_tiles(plan)
         if self.held is not None:
             least = "" if self.held.tug.slipped else "at least "
             shown.append(
@@ -181,6 +183,12 @@ class CastReport(PlanReport[CastPlan]):
         return f"wound and held; hold force {self.held.force:.2f} N" + (
             " (tug)" if self.held.tug.slipped else " or more (tug)"
         )
+
+
+def _covered(contact: float, asked: float) -> str:
+    """Return what contact is, and how much is there and was asked for, rad."""
+    told = f"contact: the angle of the target that the rope covers, {contact:.2f} rad"
+    return told + (f"; {asked:.3g} rad are asked" if asked else "")
 
 
 def _place(peg: Peg) -> str:
@@ -302,25 +310,27 @@ def _checks(plan: CastPlan) -> TextTable:
     rows = []
     for name, cast in (("as planned", plan.outcome), ("shorter links", plan.finer_outcome)):
         if cast is None:
-            rows.append((name, "not run", "", "", "", ""))
+            rows.append((name, "not run", *6 * ("",)))
         elif not cast.completed:
-            rows.append((name, "not finished", *4 * (NOT_KNOWN,)))
+            rows.append((name, "not finished", *6 * (NOT_KNOWN,)))
         else:
             struck = math.isfinite(cast.strike_time)
             strike, turns = (f"{cast.strike_time:.2f} s", f"{abs(cast.turns):.2f}") if struck else ("never", "none")
             slip = f"{1e3 * cast.slip:.2g} mm" if math.isfinite(cast.slip) else "does not stay"
-            rows.append((name, str(cast.n_links), strike, turns, slip, "yes" if cast.success else "no"))
-    return TextTable(("run", "links", "strikes", "turns", "slips", "winds and holds"), tuple(rows))
+            contact, clear = f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}", f"{1e3 * cast.clearance:.1f} mm"
+            good = "yes" if cast.success else "no"
+            rows.append((name, str(cast.n_links), strike, turns, contact, slip, clear, good))
+    names = ("run", "links", "strikes", "turns", "contact", "slips", "clear of the arm", "winds and holds")
+    return TextTable(names, tuple(rows))
 
 
 def _warning(plan: CastPlan) -> str:
-    """Return a warning of a rope that folds through itself on the way, else nothing."""
+    """Return a warning of a rope that folds flat on the way, else nothing."""
     folded = [cast for cast in (plan.outcome, plan.finer_outcome) if cast is not None and cast.folded]
     if not folded:
         return ""
     bend = math.degrees(max(cast.max_bend for cast in folded))
     return (
-        f"On the way the simulated rope folds by {bend:.0f} degrees from one link to the next, through itself: its "
-        "contact with itself is not simulated. A real rope makes a loop or a kink there, so what comes after is less "
-        "sure."
+        f"On the way the simulated rope folds flat, by {bend:.0f} degrees from one link to the next. A real rope makes "
+        "a loop or a kink there, so what comes after is less sure."
     )

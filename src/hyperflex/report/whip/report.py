@@ -18,7 +18,7 @@ from hyperflex.planning import (
     WhipPlan,
 )
 from hyperflex.report.page import TextTable
-from hyperflex.report.plan import PlanReport, counted
+from hyperflex.report.plan import PlanReport, clearance_tiles, counted
 from hyperflex.report.whip.figures import course_figure, passing_figure, peak_figure
 
 if TYPE_CHECKING:
@@ -82,7 +82,8 @@ class WhipReport(PlanReport[WhipPlan]):
                     (f"{np.degrees(seen.angle_error):.1f} degrees", f"off the direction needed; {allowed} allowed")
                 )
             shown.append((f"{seen.t:.2f} s", "after the start the tip's speed peaks"))
-        if impact is not None and math.isfinite(impact.t):
+        shown += clearance_tiles(plan)
+        if impact is not None and impact.success:
             shown.append(
                 (
                     f"{1e3 * impact.impulse:.1f} mN s",
@@ -171,8 +172,8 @@ def _peak(seen: TipStrike) -> str:
 
 
 def _impact(impact: Impact) -> str:
-    if not math.isfinite(impact.t):
-        return "A small peg behind the target is not touched by the rope."
+    if impact.message:
+        return f"A small peg behind the target is not struck by the tip: {impact.message}."
     return (
         f"Impact: a fixed peg of {1e3 * IMPACT_RADIUS:g} mm radius just behind the target, struck by the rope's "
         f"link {impact.link + 1}, takes up {1e3 * impact.impulse:.1f} mN s in {1e3 * IMPACT_TIME:g} ms "
@@ -185,9 +186,11 @@ def _checks(plan: WhipPlan) -> TextTable:
     rows = []
     for name, seen in (("as planned", plan.outcome), ("links of half the length", plan.finer_outcome)):
         if seen is None:
-            rows.append((name, "no peak there", "", "", "", ""))
+            rows.append((name, "no peak there", *5 * ("",)))
             continue
         off = "any" if plan.target.any_direction else f"{np.degrees(seen.angle_error):.1f} degrees"
         links = str(seen.n_links)
-        rows.append((name, links, f"{seen.t:.3f} s", f"{seen.speed:.2f} m/s", f"{1e3 * seen.miss:.2g} mm", off))
-    return TextTable(("run", "links", "peak", "speed", "misses by", "off the direction"), tuple(rows))
+        peak, speed, clear = f"{seen.t:.3f} s", f"{seen.speed:.2f} m/s", f"{1e3 * seen.clearance:.1f} mm"
+        rows.append((name, links, peak, speed, f"{1e3 * seen.miss:.2g} mm", off, clear))
+    names = ("run", "links", "peak", "speed", "misses by", "off the direction", "clear of the arm")
+    return TextTable(names, tuple(rows))

@@ -23,7 +23,7 @@ from hyperflex.simulation.arguments import output_times
 from hyperflex.simulation.batch.contact import TURNS, run_blocks, run_members
 from hyperflex.simulation.batch.members import members_of, setups_of, starts_of, terms_of
 from hyperflex.simulation.rollouts import balanced, least_scale, stored
-from hyperflex.simulation.time_budget import INTERRUPTED
+from hyperflex.simulation.time_budget import INTERRUPTED, Deadline
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -136,7 +136,7 @@ def simulate_batch(
     pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]] = (),
     contact_step: float = DEFAULT_CONTACT_STEP,
     refine: bool = True,
-    time_budget: float | None = None,
+    time_budget: float | Deadline | None = None,
     threads: int | None = None,
     progress: bool = False,
 ) -> Batch:

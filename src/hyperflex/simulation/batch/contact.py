@@ -12,7 +12,7 @@ from hyperflex.model import Setup
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.runs import simulate
-from hyperflex.simulation.time_budget import INTERRUPTED
+from hyperflex.simulation.time_budget import INTERRUPTED, Deadline
 from hyperflex.trajectory import Trajectory, swept
 
 TURNS = "turns"
@@ -22,7 +22,7 @@ def run_members(
     setups: Sequence[Setup],
     t: Array,
     keep: dict[str, tuple[str, ...]],
-    time_budget: float | None,
+    time_budget: float | Deadline | None,
     threads: int,
     progress: bool,
 ) -> tuple[dict[str, Array], list[str], Array, Caught]:

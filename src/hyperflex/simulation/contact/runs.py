@@ -19,6 +19,7 @@ from hyperflex.core.contact import bounds as at
 from hyperflex.core.contact import run as core
 from hyperflex.core.contact.arrays import STICK
 from hyperflex.core.contact.step import new_contact_memory
+from hyperflex.core.contact.torque_peaks import COLUMNS, PEAK, WHEN, WINDOWS
 from hyperflex.core.integrate.progress import INDEX, MARK, T
 from hyperflex.interruption import look
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refine_rope
@@ -57,7 +58,8 @@ class ContactRun:
         self.contacts = contacts
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
         run.spin, run.seen = np.zeros((2, m)), np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
-        self.contact = at.ContactState(run.progress.y, np.zeros(at.CLOCK), run.spin, new_contact_memory(n, m))
+        torque = np.zeros((len(WINDOWS), COLUMNS))
+        self.contact = at.ContactState(run.progress.y, np.zeros(at.CLOCK), run.spin, new_contact_memory(n, m), torque)
         self.flights, self.flown, self.clear = 0, 0.0, CLEAR
         self.enter(state)
 
@@ -177,7 +179,7 @@ class ContactRun:
         return float(kinetic + mass * np.hypot(chain.gx, chain.gy) * lever + np.hypot(*self.pull) * lever + torque)
 
     def _facts(self) -> dict[str, float]:
-        clock = self.contact.clock
+        clock, (brief, lasting) = self.contact.clock, self.contact.torque
         return {
             "contact_steps": float(clock[at.TAKEN]),
             "contact_unsolved": float(clock[at.UNSOLVED]),
@@ -187,6 +189,10 @@ class ContactRun:
             "energy_appeared": float(clock[at.ENERGY_GAIN]),
             "free_flights": float(self.flights),
             "free_time": self.flown,
+            "torque_peak": float(brief[PEAK]),
+            "torque_peak_time": float(brief[WHEN]),
+            "torque_mean": float(lasting[PEAK]),
+            "torque_mean_time": float(lasting[WHEN]),
         }
 
 

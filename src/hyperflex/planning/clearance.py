@@ -1,0 +1,101 @@
+"""Clearance of a rope from the arm that throws it: from the motor's shaft, and from the arm between shaft and tip."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.model import Arm, Rope
+from hyperflex.trajectory import Trajectory, interpolated
+
+FINE = 4e-4  # m, that a link moves at most between two looks
+FASTER = 1.5  # times its speeds at two samples that a link may move in between
+# Links that begin so near the arm's tip do not count for the arm, from which they hang: radii of rope and arm, and
+# lengths of the arm
+RADII, LENGTHS = 8.0, 0.3
+
+
+class Clearance(NamedTuple):
+    """Least distance of a rope from its own arm: `value`, m, below 0 where it goes through; when, s; and from what."""
+
+    value: float
+    t: float
+    what: str  # "shaft" or "arm"
+
+
+def rope_clearance(run: Trajectory) -> Clearance:
+    """Find how near a rope comes to its own arm in a run; infinitely far without an arm.
+
+    The arm is a disc of radius ``Arm.shaft_radius`` about its pivot, and a bar of radius ``Arm.radius`` from there to
+    its tip. Links next to the tip, which hang from it, do not count for the bar: those that begin within RADII radii of
+    rope and arm, or LENGTHS of the arm's length.
+
+    Notes
+    -----
+    Angles between samples are those of cubic interpolation. Intervals in which a link may come nearer than at any
+    sample, by its speed, are looked at so closely that no link moves by more than FINE. Half of that is taken off, so
+    what is told may be too small by FINE, but not too large.
+    """
+    arm, rope = run.setup.arm, run.setup.rope
+    if arm is None:
+        return Clearance(np.inf, float(run.t[0]), "arm")
+    gap = _gaps(rope, arm, run.q, run.base)
+    speed = FASTER * _speeds(run, arm)
+    way = np.diff(run.t)[:, None] * np.maximum(speed[1:], speed[:-1])
+    least = 0.5 * (gap[1:] + gap[:-1] - way[:, None]).min(axis=1)  # of each link in each interval, at least
+    bound = least.min(axis=1)
+    best = _least(run.t, gap)
+    for row in np.argsort(bound):
+        if bound[row] >= best.value:
+            break
+        count = np.ceil(way[row, least[row] < best.value].max() / FINE)
+        times = np.linspace(run.t[row], run.t[row + 1], int(count) + 1)
+        q = interpolated(run.t, run.q, run.qd, times)
+        base = interpolated(run.t, run.base, run.base_velocity, times)
+        best = min(best, _least(times, _gaps(rope, arm, q, base)))
+    return best._replace(value=best.value - rope.radius - 0.5 * FINE)
+
+
+def _least(t: Array, gap: Array) -> Clearance:
+    k, what, _ = np.unravel_index(int(gap.argmin()), gap.shape)
+    return Clearance(float(gap.min()), float(t[k]), ("shaft", "arm")[what])
+
+
+def _speeds(run: Trajectory, arm: Arm) -> Array:
+    """Greatest speed of each link (T, n), m/s, as the turning arm sees it."""
+    spin, out = run.setup.rope.length * run.qd, run.joints - np.array(arm.pivot)
+    x = np.cumsum(np.column_stack([run.base_velocity[:, :1], spin * np.cos(run.q)]), axis=1)
+    y = np.cumsum(np.column_stack([run.base_velocity[:, 1:], spin * np.sin(run.q)]), axis=1)
+    rate = run.arm_rate[:, None]
+    speed = np.hypot(x + rate * out[..., 1], y - rate * out[..., 0])
+    return np.asarray(np.maximum(speed[:, 1:], speed[:, :-1]))
+
+
+def _gaps(rope: Rope, arm: Arm, q: Array, tip: Array) -> Array:
+    """Distances (T, 2, n), m, of the links' axes from shaft and arm; angles q (T, n), rad, arm's tip (T, 2), m."""
+    joints = rope.joints(q, tip)
+    pivot = np.broadcast_to(np.array(arm.pivot), tip.shape)[:, None]
+    begin, end, tip = joints[:, :-1], joints[:, 1:], tip[:, None]
+    shaft = _distance(pivot, begin, end)
+    bar = np.minimum(shaft, _distance(tip, begin, end))
+    bar = np.minimum(bar, np.minimum(_distance(begin, pivot, tip), _distance(end, pivot, tip)))
+    apart = _side(pivot, begin, end) * _side(tip, begin, end) >= 0.0
+    apart |= _side(begin, pivot, tip) * _side(end, pivot, tip) >= 0.0
+    near = max(LENGTHS * arm.length, RADII * (rope.radius + arm.radius))
+    hangs = np.cumsum(rope.length) - rope.length <= near
+    bar = np.where(hangs, np.inf, np.where(apart, bar, 0.0))
+    return np.stack([shaft - arm.shaft_radius, bar - arm.radius], axis=1)
+
+
+def _distance(point: Array, begin: Array, end: Array) -> Array:
+    """Distance (...), m, of points (..., 2) from segments."""
+    way, out = end - begin, point - begin
+    square = np.maximum((way**2).sum(axis=-1), 1e-300)
+    part = np.clip((out * way).sum(axis=-1) / square, 0.0, 1.0)
+    return np.asarray(np.hypot(*np.moveaxis(out - part[..., None] * way, -1, 0)))
+
+
+def _side(point: Array, begin: Array, end: Array) -> Array:
+    """Twice the signed area (...) of the triangles of points and segments, m^2."""
+    way, out = end - begin, point - begin
+    return np.asarray(way[..., 0] * out[..., 1] - way[..., 1] * out[..., 0])

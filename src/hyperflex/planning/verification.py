@@ -1,0 +1,86 @@
+"""The set-up of a verified run: links refined near pegs, joints bent no further than the rope's thickness lets them."""
+
+import numpy as np
+
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, refine_rope
+from hyperflex.motion import Motion
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import Clearance
+from hyperflex.trajectory import Trajectory
+
+FOLD = 1e-3  # rad past half a turn, above which a rope has folded through itself: a limit may be passed by less
+
+
+def limit_bend(rope: Rope) -> Rope:
+    """Return the rope with joint limits where it has none, the first joint, a hinge, excepted.
+
+    Its axis bends to a circle of the rope's own radius and no tighter (:meth:`Rope.with_bend_radius`): there the rope
+    touches itself. Joints between links of length l bend by 2 atan(l / (2 radius)) at most, and by half a turn where
+    the radius is 0. Limits that the rope has stay as they are. A rope with friction as the paper prints it, which knows
+    no joint limits, is returned as it is.
+    """
+    if rope.friction_model != "relative":
+        return rope
+    most = 2.0 * np.arctan2(rope.length[:-1] + rope.length[1:], 4.0 * rope.radius)
+    left = most - np.abs(rope.rest_angle[1:])
+    given = np.append(rope.max_bend[0], np.where(left > 0.0, left, np.inf))
+    return rope.replace(max_bend=np.where(np.isfinite(rope.max_bend), rope.max_bend, given))
+
+
+def verified_setup(
+    cast_setup: CastSetup,
+    motion: Motion,
+    duration: float,
+    pegs: tuple[Peg, ...] = (),
+    *,
+    tol: float = DEFAULT_TOL,
+    contact_step: float = DEFAULT_CONTACT_STEP,
+) -> Setup:
+    """Return what is simulated to verify a motion of `duration`, s, from rest; `tol` in m and `contact_step` in s."""
+    rope = limit_bend(refine_rope(cast_setup.rope, pegs, arm=cast_setup.arm))
+    arm = cast_setup.arm
+    return Setup(rope, motion, arm, duration=duration, tol=tol, pegs=pegs, contact_step=contact_step)
+
+
+def greatest_bend(run: Trajectory) -> float:
+    """Return the greatest angle between neighbouring links of a run, rad."""
+    return float(np.abs(np.diff(run.q, axis=1)).max(initial=0.0))
+
+
+def folded_flat(run: Trajectory) -> bool:
+    """Return whether a joint of a run with joint limits reached one."""
+    rope = run.setup.rope
+    bend = np.abs(np.diff(run.q, axis=1) - rope.rest_angle[1:])
+    return bool(run.attrs.get("limit_passed", 0.0) > 0.0 or (bend > rope.max_bend[1:] - FOLD).any())
+
+
+def motor_torques(run: Trajectory) -> tuple[float, float]:
+    """Return the greatest motor torque of a run as a mean over 5 ms, and its greatest peak, a mean over 0.5 ms; N m.
+
+    Samples tell what is smooth, where nothing is touched. Means over steps in contact tell the rest
+    (``core.contact.torque_peaks``): a sample there is a mean over part of a step, which may begin with a blow.
+    """
+    arm, motion, touched = run.setup.arm, run.setup.motion, run.contact_force
+    sampled, own = np.abs(run.motor_torque), np.zeros(run.t.size)
+    if arm is not None and motion is not None:
+        own = arm.shaft_torque(run.setup.rope.gravity, run.arm_angle, run.arm_rate, motion.acceleration(run.t))
+    mean, peak = (
+        abs(run.attrs.get(name, 0.0) + own[np.abs(run.t - run.attrs.get(f"{name}_time", 0.0)).argmin()])
+        for name in ("torque_mean", "torque_peak")
+    )
+    free = sampled if touched is None else sampled[~touched.any(axis=(1, 2))]
+    mean = max(float(mean), float(free.max(initial=0.0)))
+    return mean, max(float(peak), mean)
+
+
+def refusal(cast_setup: CastSetup, max_bend: float, clearance: Clearance) -> str:
+    """Return why a run is refused whatever its goal: the rope goes through itself, or too near its own arm; or ""."""
+    if max_bend > np.pi + FOLD:
+        return f"the rope folds through itself, by {np.degrees(max_bend):.0f} degrees at a joint"
+    name, when = {"shaft": "the motor's shaft", "arm": "the arm"}[clearance.what], f"at {clearance.t:.2f} s"
+    if clearance.value > cast_setup.clearance:
+        return ""
+    if clearance.value <= 0.0:
+        return f"the rope goes through {name} {when}"
+    near, asked = 1e3 * clearance.value, 1e3 * cast_setup.clearance
+    return f"the rope comes within {near:.1f} mm of {name} {when}, and {asked:g} mm are asked"

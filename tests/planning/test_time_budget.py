@@ -1,0 +1,115 @@
+"""Time budgets are kept by the clock: what is at work when the time ends is cut short, whatever the processor did."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import SimulationError
+from hyperflex.planning import Uncertainty, WhipMap, build_whip_map, estimate_success_probability
+from hyperflex.planning.outcome import require_holding_force
+from hyperflex.planning.robust import scenario_rollouts
+from hyperflex.planning.search.candidates import Candidate
+from hyperflex.planning.search.contact_phase import WindingScores, simulate_contact
+from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.time_budget import OutOfTime
+from hyperflex.planning.whip.outcome import verify_whip
+from hyperflex.planning.whip.planner import WhipPlanner
+from hyperflex.planning.whip.search import TOGETHER
+from hyperflex.planning.wind.planner import CastPlanner
+from hyperflex.simulation import OUT_OF_TIME, Deadline
+from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
+from tests.planning.known_whip import planned_whip
+
+OVER = Deadline(math.inf, lambda: -1.0)  # processor time enough, and none by the clock
+
+
+def test_a_run_ends_when_no_time_is_left() -> None:
+    left = iter([1.0, 1.0, 0.0, -1.0])
+    cut = hf.simulate(
+        planned().setup(), time_budget=Deadline(math.inf, lambda: next(left)), throw=False, t_eval=[0.0, 11.0]
+    )
+    assert cut.status == OUT_OF_TIME
+    assert 0.0 < cut.state.t < 11.0
+    assert next(left, None) is None
+    with pytest.raises(SimulationError, match="time was over"):
+        hf.simulate(planned().setup(), time_budget=OVER)
+
+
+def test_verifications_do_not_outlast_the_time() -> None:
+    work = CastPlanner(ThrowSearch(cast_setup(), PEG), 60.0)
+    work.clock = SimpleNamespace(spent=60.1)  # type: ignore[assignment]
+    outcome, finer = work.verify(Candidate(2.0, 2.0, 1, np.zeros(3), WINDS))
+    assert (outcome.completed, finer) == (False, None)
+    assert OUT_OF_TIME in outcome.message
+    held = require_holding_force(planned().outcome, PEG, 0.1, OVER)
+    assert held.message == "what it bears could not be simulated"
+
+
+def test_runs_of_a_search_do_not_outlast_it() -> None:
+    search = ThrowSearch(cast_setup(), PEG)
+    search.left = lambda: -1.0
+    budget = search.run_budget(16)
+    assert isinstance(budget, Deadline)
+    assert budget.left() == -1.0
+    strike = simulated_strikes(cast_setup(), PEG, [WINDS])
+    motions = [WINDS.motion(cast_setup().limits).shifted(-float(strike.t[0]))]
+    batch = RolloutBatch([CABLE], [PEG], motions, strike.q, strike.qd)
+    cut = simulate_contact(batch, strike.t, arm=cast_setup().arm, time_budget=budget)
+    assert cut.turns[0] == 0.0  # with the time that it takes: 2.4
+
+
+def test_whips_are_not_verified_beyond_the_time() -> None:
+    plan = planned_whip()
+    motion = plan.strokes.motion(plan.cast_setup.limits)
+    with pytest.raises(OutOfTime):
+        verify_whip(plan.cast_setup, plan.target, motion, plan.outcome.t, time_budget=OVER)
+    whip_map = WhipMap(plan.cast_setup, (), None)  # type: ignore[arg-type]
+    work = WhipPlanner(whip_map, plan.target, 0.0, 0, 1)
+    found = {"place": plan.outcome.place, "velocity": plan.outcome.velocity, "speed": plan.outcome.speed}
+    work.aims = [SimpleNamespace(strokes=plan.strokes, t=plan.outcome.t, position_std=0.0, **found)]  # type: ignore[list-item]
+    best, interrupted = work.verified()
+    assert not interrupted
+    assert best.message == "the time budget ended before it was verified"
+
+
+def test_a_map_has_the_swings_that_there_was_time_for() -> None:
+    setup = replace(planned_whip().cast_setup, time=0.5)
+    whole = build_whip_map(setup, swings=2 * TOGETHER + 6)
+    left = iter([0.0, -1.0])
+    part = build_whip_map(setup, swings=2 * TOGETHER + 6, left=lambda: next(left))
+    assert (len(part.strokes), len(whole.strokes)) == (2 * TOGETHER, 2 * TOGETHER + 6)
+    same = whole.peaks.row < 2 * TOGETHER
+    assert (~same).any()
+    for one, other in zip(part.peaks, whole.peaks, strict=True):
+        np.testing.assert_array_equal(one, other[same])
+
+
+def test_a_probability_counts_the_samples_that_there_was_time_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+
+    def scores(_: object, pairs: list, *, time_budget: Deadline, threads: object) -> WindingScores:
+        now[0] += 4.0
+        return WindingScores(np.ones(len(pairs)), np.full(len(pairs), 2.0))
+
+    monkeypatch.setattr(scenario_rollouts, "scenario_scores", scores)
+    monkeypatch.setattr(scenario_rollouts, "Clock", lambda: SimpleNamespace(spent=0.0))
+    given = (cast_setup(), PEG, WINDS, Uncertainty())
+    assert estimate_success_probability(*given, samples=40).samples == 40
+
+    class Clock:
+        @property
+        def spent(self) -> float:
+            return now[0]
+
+    now[0] = 0.0
+    monkeypatch.setattr(scenario_rollouts, "Clock", Clock)
+    found = estimate_success_probability(*given, samples=40, time_budget=10.0)
+    assert found.samples == 2 * scenario_rollouts.COUNTED  # the third lot ends after 12 s
+    assert found.estimate == 1.0

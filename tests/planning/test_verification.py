@@ -1,0 +1,182 @@
+"""What a verified run refuses: a rope that goes through itself or its own arm; what it covers of the peg."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import InvalidInput
+from hyperflex.planning import CastSetup, MotorLimits, Throw, verify_cast
+from hyperflex.planning.clearance import FINE, rope_clearance
+from hyperflex.planning.verification import folded_flat, greatest_bend, limit_bend, motor_torques, verified_setup
+from hyperflex.planning.whip.outcome import verify_whip
+from hyperflex.planning.whip.tip_target import TipTarget
+from hyperflex.planning.wind import planner as cast_planner
+from hyperflex.planning.wind.feasibility import check_feasibility
+from tests.planning.known import PEG, WINDS, cast_setup, late, planned
+from tests.planning.known_whip import planned_whip
+
+CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=15, radius=0.004, friction=2e-5)
+QUICK = CastSetup(CORD, hf.Arm(length=0.2), MotorLimits(speed=12.0, acceleration=80.0), 3.0)
+FOLDS = Throw(-1, np.array([3.0, 2.9, 3.0]), np.array([0.2, 0.5, 0.5]), -1.5, 0.3, 1.0, 3)
+
+
+def test_no_joint_bends_further_than_the_ropes_thickness_lets_it() -> None:
+    """Two links of 80 mm whose axes keep to a circle of 4 mm: nearly folded, by 2 atan(40 / 4) = 2.94 rad."""
+    limited = limit_bend(CORD)
+    assert limited.max_bend[0] == np.inf  # a hinge
+    np.testing.assert_allclose(limited.max_bend[1:], 2.0 * np.arctan(10.0), rtol=1e-12)
+    assert limit_bend(CORD.replace(radius=0.0)).max_bend[3] == pytest.approx(np.pi)
+    own = limit_bend(CORD.replace(max_bend=[np.inf, 0.5] + 13 * [np.inf]))
+    assert (own.max_bend[1], own.max_bend[2]) == (0.5, limited.max_bend[2])
+    curled = limit_bend(CORD.replace(rest_angle=0.3))
+    assert curled.max_bend[5] == pytest.approx(limited.max_bend[5] - 0.3)  # of the relative angle, from rest
+    printed = CORD.replace(friction_model="printed")
+    assert limit_bend(printed) == printed
+
+
+def test_a_throw_that_would_fold_the_rope_through_itself_is_simulated_with_a_rope_that_cannot() -> None:
+    motion = FOLDS.motion(QUICK.limits)
+    free = hf.simulate(CORD, motion, arm=QUICK.arm, duration=3.0)
+    assert greatest_bend(free) > 2.0 * np.pi  # once round
+    run = hf.simulate(verified_setup(QUICK, motion, 3.0))
+    assert greatest_bend(run) < 2.0 * np.arctan(10.0) + 1e-3
+    assert folded_flat(run)
+    assert not folded_flat(planned().run)
+
+
+def test_a_rope_whose_own_limits_let_it_fold_through_itself_fails() -> None:
+    loose, motion = replace(QUICK, rope=CORD.replace(max_bend=6.0), clearance=-np.inf), FOLDS.motion(QUICK.limits)
+    seen = verify_whip(loose, TipTarget(0.0, 0.0, 0.0, 0.1, np.pi), motion, 2.5, tol=1e-4)
+    assert "folds through itself" in seen.message
+
+
+def standing(arm_angle: float, aside: float = 0.0, **arm: float) -> hf.Trajectory:
+    """A straight rope at rest that hangs from an arm, turned by some angle."""
+    rope = hf.Rope.uniform(length=1.2, mass=0.06, n_links=12, radius=0.004, friction=2e-3)
+    q = np.full(12, aside)
+    return hf.simulate(rope, hf.hold_arm(arm_angle), arm=hf.Arm(length=0.2, **arm), duration=1e-3, q0=q)
+
+
+@pytest.mark.parametrize(
+    ("arm_angle", "aside", "arm", "clear", "what"),
+    [
+        (np.pi, 0.0, {}, 0.0, "arm"),  # the arm stands up, and the rope hangs along it, over the shaft
+        (np.pi, np.arctan(0.5), {}, 0.1 * np.sin(np.arctan(0.5)), "arm"),  # the second link's begin, 0.1 m from the tip
+        (0.5 * np.pi, -1.2, {"radius": 0.01}, 0.2 * np.cos(1.2) - 0.01, "arm"),  # the third link's
+        (0.5 * np.pi, 0.0, {"shaft_radius": 0.15}, 0.05, "shaft"),
+    ],
+)
+def test_clearance_is_that_of_the_geometry(
+    arm_angle: float, aside: float, arm: dict[str, float], clear: float, what: str
+) -> None:
+    found = rope_clearance(standing(arm_angle, aside, **arm))
+    assert found.what == what
+    assert found.value == pytest.approx(clear - 0.004, abs=FINE)
+
+
+def test_clearance_between_samples_is_found() -> None:
+    """An arm that goes over the top drags its rope across itself within one of these samples, and out again."""
+    arm, motion = hf.Arm(length=0.2), hf.arm_moves([-1.5, -4.4], [0.2], [0.677])
+    fine, rough = (
+        hf.simulate(CORD, motion, arm=arm, duration=1.2, t_eval=np.linspace(0.0, 1.2, count)) for count in (6001, 41)
+    )
+    found = rope_clearance(rough)
+    assert found.value == pytest.approx(-CORD.radius, abs=FINE)
+    assert (found.value, found.t) == pytest.approx(rope_clearance(fine)[:2], abs=1e-3)
+    apart = [rope_clearance(hf.simulate(CORD, motion, arm=arm, duration=t, t_eval=[t])) for t in rough.t[1:]]
+    assert min(one.value for one in apart) > 5e-3
+
+
+def test_a_throw_whose_rope_comes_too_near_its_arm_fails(tmp_path: Path) -> None:
+    seen = planned().outcome
+    assert seen.clearance == planned().clearance == planned().summary()["clearance"] > 0.02
+    near = replace(cast_setup(), arm=hf.Arm(length=0.105, shaft_radius=0.0999))  # the body of a motor
+    whole = verify_cast(near, PEG, WINDS.motion(near.limits))
+    assert (whole.wound, whole.held, whole.success) == (True, True, False)
+    assert "the rope goes through the motor's shaft at" in whole.message
+    asked = verify_cast(replace(cast_setup(), clearance=0.05), PEG, WINDS.motion(near.limits))
+    assert asked.message.startswith(f"the rope comes within {1e3 * seen.clearance:.1f} mm of the arm at")
+    assert asked.message.endswith("and 50 mm are asked")
+    before = replace(near, clearance=-np.inf)
+    assert verify_cast(before, PEG, WINDS.motion(near.limits)).success  # it swings in front of the motor
+    plan = replace(planned(), cast_setup=before, finer_outcome=late().outcome)
+    assert plan.clearance == seen.clearance  # what was not run to its end tells none
+    plan.to_toml(tmp_path / "plan.toml")
+    assert hf.read_plan(tmp_path / "plan.toml").cast_setup == before
+
+
+def test_torque_is_that_of_all_steps() -> None:
+    """And not of samples 10 ms apart: against those 0.2 ms apart, as long as a step, about the greatest."""
+    seen = planned().outcome
+    assert seen.torque_peak > 1.1 * np.abs(seen.run.motor_torque).max()  # a blow between two samples
+    about = seen.run.attrs["torque_peak_time"], seen.run.attrs["torque_mean_time"]
+    t = np.append(0.0, np.arange(min(about) - 0.02, max(about) + 0.02, 2e-4))
+    fine = np.abs(hf.simulate(seen.run.setup, t_eval=t, duration=float(t[-1])).motor_torque[1:])
+    # windows follow each other, and are not moved over the run: of a blow in two of them each has a part
+    moved = np.convolve(fine, np.full(25, 0.04), mode="valid").max()
+    assert 0.8 * moved < seen.torque < 1.02 * moved
+    assert seen.torque < seen.torque_peak
+
+
+def test_the_torque_of_a_blow_is_told() -> None:
+    """A hanging rope whose joint comes to its limit in a swing: what acts for no time is a mean over some."""
+    rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=2, max_bend=0.5)
+    run = hf.simulate(rope, hf.hold_arm(0.0), arm=hf.Arm(length=0.2, mass=0.1, com=0.1), duration=1.0, qd0=[0.0, 6.0])
+    mean, peak = motor_torques(run)
+    assert peak > 5.0 * mean > 5.0 * np.abs(run.motor_torque).max() / 2.0
+    assert peak * 5e-4 == pytest.approx(mean * 5e-3, rel=0.2)  # one blow, and little beside
+
+
+def test_what_the_rope_covers_is_asked_and_told() -> None:
+    """2.36 turns, 850 degrees, of which 643 lie on the peg: the rest is straight or hangs."""
+    seen = planned().outcome
+    assert np.degrees(seen.contact_angle) == pytest.approx(643, abs=3)
+    assert 0.25 < abs(seen.turns) - seen.contact_angle / (2.0 * np.pi) < 0.8
+    motion = WINDS.motion(cast_setup().limits)
+    assert verify_cast(replace(cast_setup(), contact=10.5), PEG, motion).success
+    more = verify_cast(replace(cast_setup(), contact=12.0), PEG, motion)
+    assert (more.wound, more.held, more.success) == (True, True, False)
+    assert more.message.endswith("degrees of the peg, and 688 are asked")
+
+
+def test_contact_that_is_asked_needs_rope() -> None:
+    known = [check_feasibility(replace(cast_setup(), contact=contact), PEG) for contact in (0.0, 6.0, 7.0, 60.0)]
+    needed = [each.needed_turns for each in known]
+    assert needed == sorted(needed)
+    assert needed[1] == needed[2] == pytest.approx(needed[0] + 1.0)  # another time round
+    assert [each.feasible for each in known] == [True, True, True, False]
+    with pytest.raises(InvalidInput, match="contact"):
+        hf.plan_cast(cast_setup().rope, cast_setup().arm, PEG, contact=-1.0)
+    with pytest.raises(InvalidInput, match="clearance"):
+        hf.plan_cast(cast_setup().rope, cast_setup().arm, PEG, clearance=-1.0)
+
+
+@pytest.mark.parametrize(("radius", "contact", "enough"), [(0.04, 6.5, True), (0.04, 5.0, False), (0.085, 5.0, True)])
+def test_a_search_goes_on_for_a_full_turn_of_contact_where_the_rope_is_long_enough(
+    radius: float, contact: float, enough: bool
+) -> None:
+    peg = replace(PEG, radius=radius)
+    work = cast_planner.CastPlanner(SimpleNamespace(cast_setup=cast_setup(), peg=peg, candidates=[]), 1.0)
+    good = SimpleNamespace(
+        success=True, turns=2.0, slip=1e-3, load_ratio=0.8, folded=False, contact_angle=contact, completed=True
+    )
+    work.best = ("a throw", good, good)
+    assert work.done() is enough
+    work = cast_planner.CastPlanner(work.search, 1.0, full_turn=False)
+    work.best = ("a throw", good, good)
+    assert work.done()
+
+
+def test_a_whip_through_its_own_arm_fails() -> None:
+    plan = planned_whip()
+    assert plan.success
+    assert 0.0 < plan.clearance == min(plan.outcome.clearance, plan.finer_outcome.clearance)
+    near = replace(plan.cast_setup, clearance=1.01 * plan.outcome.clearance)
+    motion = plan.strokes.motion(near.limits)
+    assert "comes within" in verify_whip(near, plan.target, motion, plan.outcome.t).message
