@@ -565,7 +565,7 @@ PENDULUM = Rope(length=[0.3], mass=[0.1], friction=1e-3)
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "unknown name": ({"free": ["viscosity"]}, "unknown name: got 'viscosity'.*friction"),
     "not a name": ({"free": [3]}, "unknown name"),
-    "text": ({"free": "friction"}, "names no parameters"),
+    "text": ({"free": "friction"}, "free is not a sequence"),
     "nothing": ({"free": []}, "names no parameters"),
     "twice": ({"free": ["friction", "friction[0]"]}, r"same thing twice.*friction\[0\]"),
     "twice shared": ({"free": ["friction", "friction:shared"]}, "same thing twice"),

@@ -211,7 +211,7 @@ def test_recordings_and_ropes_that_do_not_fit_are_refused():
     data[1, 2] = np.nan
     with pytest.raises(InvalidInput, match="first three samples"):
         hf.estimate_initial_state(hf.Recording(T, data), ROPE)
-    with pytest.raises(InvalidInput, match="Recording and a Rope"):
+    with pytest.raises(InvalidInput, match="recording is not of its class"):
         hf.estimate_initial_state(data, ROPE)
 
 

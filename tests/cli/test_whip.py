@@ -181,7 +181,7 @@ def test_a_target_out_of_reach_is_a_page_with_the_reason(hyperflex, rope_file, r
     [
         (("--direction", "nan"), "--direction"),
         (("--angle-tolerance", "0"), "--angle-tolerance"),
-        (("--angle-tolerance", "4"), "angle_tolerance is too large"),
+        (("--angle-tolerance", "4"), "--angle-tolerance is too large"),
         (("--direction", "30"), "If these are degrees, give 0.5236"),
         (("--angle-tolerance", "15"), "If these are degrees, give 0.2618"),
         (("--least-speed", "0"), "--least-speed"),

@@ -354,7 +354,7 @@ def odd_call(name: str, argument: str, odd: str) -> None:
 
 
 @pytest.mark.filterwarnings("default")
-@examples(150)
+@examples(60)
 @given(st.sampled_from(CASES), st.sampled_from(sorted(ODD)))
 def test_odd_arguments_are_refused_in_words(case: tuple[str, str], odd: str) -> None:
     odd_call(*case, odd)

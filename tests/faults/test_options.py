@@ -75,7 +75,7 @@ def called(command: str, words: list[str]) -> tuple[int, str]:
 def test_odd_options_are_refused_in_one_line(folder: Path) -> None:
     before = sorted(path.name for path in folder.iterdir())
 
-    @examples(60)
+    @examples(25)
     @given(st.sampled_from(options()), st.sampled_from(ODD))
     def odd(option: tuple[str, str], value: str) -> None:
         command, name = option

@@ -137,7 +137,7 @@ def test_damage_is_told_or_harmless(kind: str, sound: Callable[[str], tuple[byte
     path.write_bytes(content)
     assert read(path) is not None
 
-    @examples(12)
+    @examples(8)
     @given(st.lists(CHANGE, min_size=1, max_size=3))
     def damage(changes: list[tuple[str, float, Any]]) -> None:
         path.write_bytes(changed(content, changes))

@@ -22,7 +22,7 @@ def cable(**changes: object) -> hf.Rope:
 
 
 WILD = {
-    "rates-beyond-number": {"qd0": np.full(10, 1e160)},
+    "rates-beyond-number": {"qd0": np.full(10, 1e99)},
     "tolerance-beyond-rounding": {"qd0": np.linspace(-40, 40, 10), "tol": 1e-30},
 }
 COARSE = {"q0": np.linspace(3.0, 1.0, 10), "method": "rk4", "step": 0.03}  # stable for a hanging rope, not for a whip
@@ -50,7 +50,7 @@ def test_without_throwing_the_part_that_holds_is_returned(how: dict[str, object]
 
 
 def test_nothing_that_holds_is_an_empty_trajectory() -> None:
-    run = hf.simulate(cable(), duration=1.0, qd0=np.full(10, 1e160), t_eval=[0.5], throw=False)
+    run = hf.simulate(cable(), duration=1.0, qd0=np.full(10, 1e99), t_eval=[0.5], throw=False)
     assert run.t.shape == (0,)
     assert run.joints.shape == (0, 11, 2)
     assert run.energy_error.shape == (0,)

@@ -78,7 +78,7 @@ def with_options(message: str, options: Mapping[str, str]) -> str:
 
     message = re.sub(rf"\b(?P<name>{'|'.join(options)}){_VALUE}", option, message)
     plain = "|".join(name for name in options if "_" in name) or "$^"
-    message = re.sub(rf"(?<![\w/.'-])({plain})(?![\w/.'])", lambda found: options[found[1]], message)
+    message = re.sub(rf"(?<![\w/.'-])({plain})(?![\w/']|\.\w)", lambda found: options[found[1]], message)
     message = re.sub(
         rf"^({'|'.join(options)})(?= (?:is|has|cannot|leaves)\b|\[)", lambda found: options[found[1]], message
     )

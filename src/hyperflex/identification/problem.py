@@ -48,7 +48,7 @@ def checked_measurements(
     if recording.n_links != rope.n_links:
         raise InvalidInput(
             "the recording and the rope have different numbers of links",
-            got=f"{recording.n_links} in the recording, {rope.n_links} in the rope",
+            got=[recording.n_links, rope.n_links],
             fix="Give a guess with as many links as the recording has angles (markers less one), or arc_lengths=[...]",
         )
     if recording.kind == "markers":
