@@ -8,7 +8,7 @@ import numpy.typing as npt
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, Chain, chain_of_rows, energies, sincos
 from hyperflex.core.chain.drive import ANGLE, ROUNDING, TORQUE, X, Y, polynomial
-from hyperflex.core.jit import inlined, kernel, non_allocating
+from hyperflex.core.jit import inlined, non_allocating
 
 
 class Members(NamedTuple):
@@ -147,7 +147,7 @@ def base_motion(width, path):  # type: ignore[no-untyped-def]
         path[(BASE + 8) * k + j] = y - length * cos
 
 
-@kernel
+@inlined
 def chain_of(members, terms, m, gx, gy):  # type: ignore[no-untyped-def]
     """Chain of member m in the gravity (gx, gy), m/s^2."""
     return chain_of_rows(members.links[m], members.whole[m, TIP_MASS], gx, gy, terms.reaction)

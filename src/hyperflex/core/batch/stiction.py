@@ -25,7 +25,7 @@ from hyperflex.core.batch.members import (
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, sincos
 from hyperflex.core.integrate.event_search import AGAIN, EVENT, TRIES, Search, assess_step, begin_search
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.jit import inlined, kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import (
     QUICK,
     StictionWorkspace,
@@ -84,7 +84,7 @@ def new_lane_stiction(n):  # type: ignore[no-untyped-def]
     )
 
 
-@kernel
+@inlined
 def chain_without_gravity(members, terms, m):  # type: ignore[no-untyped-def]
     """Chain of member m without gravity, which the base's acceleration holds in a batch."""
     return chain_of(members, terms, m, 0.0, 0.0)

@@ -172,7 +172,7 @@ def sines(q, out, at):  # type: ignore[no-untyped-def]
         out[at + n + i] = cos
 
 
-@kernel
+@inlined  # it returns references to arrays, and callers may count none
 def chain_of_rows(rows, tip_mass, gx, gy, reaction):  # type: ignore[no-untyped-def]
     """Chain from its properties of links, `rows` (10 or more, n), in the order of its fields, and the rest."""
     links = (rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8], rows[9])
