@@ -26,7 +26,7 @@ def test_demo_prints_intervals_and_what_to_look_at(hyperflex, ready, tmp_path):
     assert "mapped truth" in out
     assert "report.html" in out
     assert "prediction error" in out
-    assert "round the target and holds, in simulation" in " ".join(out.split())
+    assert "degrees of it, and holds, in simulation" in " ".join(out.split())
 
 
 def test_demo_as_json(hyperflex_json, ready, tmp_path):

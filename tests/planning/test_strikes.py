@@ -75,7 +75,9 @@ def test_a_search_that_is_nearly_over_gives_no_run_much_time() -> None:
     assert search.run_budget(60) == TIME_BUDGET  # without an end
     for left, members, each in ((60.0, 60, TIME_BUDGET), (6.0, 60, 2.0), (0.0, 60, MIN_BUDGET), (-5.0, 4, MIN_BUDGET)):
         search.left = lambda left=left: left  # type: ignore[misc]
-        assert search.run_budget(members) == pytest.approx(each)
+        given = search.run_budget(members)
+        assert given.processor == pytest.approx(each)  # type: ignore[union-attr]
+        assert given.left() == left  # type: ignore[union-attr]
 
 
 def test_what_a_turning_rod_promises() -> None:
