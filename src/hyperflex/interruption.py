@@ -10,6 +10,7 @@ import functools
 import signal
 import sys
 import threading
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
@@ -25,17 +26,29 @@ _USUAL: dict[int, object] = {signal.SIGINT: signal.default_int_handler, signal.S
 class _State:
     """What has come: the first signal's number (0: none); whether it still has to end something; how many defer it.
 
-    And whether compilers are listened to.
+    And whether compilers are listened to, and how many signals have come at all.
     """
 
-    number, pending, deferred, compilers = 0, False, 0, False
+    number, pending, deferred, compilers, count = 0, False, 0, False, 0
+
+
+_thread = threading.local()  # ``caught``: the count of signals at the last one that this thread has caught
 
 
 def _notice(number: int, frame: FrameType | None) -> None:
-    """Handle a signal."""
-    _State.number, _State.pending = _State.number or number, True
-    if not _State.deferred:
+    """Handle a signal. What a finaliser raises Python prints and forgets: there, it waits for the next look."""
+    _State.number, _State.pending, _State.count = _State.number or number, True, _State.count + 1
+    if not (_State.deferred or _finalising(frame)):
         raise KeyboardInterrupt
+
+
+def _finalising(frame: FrameType | None) -> bool:
+    """Return whether a frame belongs to a finaliser, or to the callback of a weak reference."""
+    while frame is not None:
+        if frame.f_code.co_name == "__del__" or frame.f_code.co_filename == weakref.__file__:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def number() -> int:
@@ -44,8 +57,8 @@ def number() -> int:
 
 
 def look() -> None:
-    """Raise KeyboardInterrupt, in any thread, if a signal has come and nobody has caught it yet."""
-    if _State.pending and not _State.deferred:
+    """Raise KeyboardInterrupt, in any thread, if a signal has come and the thread has not caught it yet."""
+    if _State.pending and not _State.deferred and getattr(_thread, "caught", 0) != _State.count:
         raise KeyboardInterrupt
 
 
@@ -68,8 +81,10 @@ class noticing:
         if signal.SIGINT in free:  # nobody notices yet
             _State.number, _State.pending, _State.deferred = 0, False, 0
         self._before = free
+        _State.deferred += 1  # what comes in the meantime is raised by the first look, or at the end
         for each in free:
             signal.signal(each, _notice)
+        _State.deferred -= 1
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         pending = _State.pending
@@ -153,7 +168,7 @@ def caught() -> Iterator[Caught]:
     except (KeyboardInterrupt, Exception) as error:
         if not (_State.pending or isinstance(error, KeyboardInterrupt)):
             raise
-        stop.error = error
+        stop.error, _thread.caught = error, _State.count
         if threading.current_thread() is threading.main_thread():  # others are to end as well
             _State.pending = False
 

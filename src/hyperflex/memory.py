@@ -9,8 +9,11 @@ from hyperflex.errors import InvalidInput
 SMALL = 2.0**26  # bytes that are not asked for
 
 _INFO, _CGROUPS, _SIZE = Path("/proc/meminfo"), Path("/sys/fs/cgroup"), Path("/proc/self/statm")
-# limit and use of a control group, version 2 and 1
-_GROUPS = (("memory.max", "memory.current"), ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"))
+# limit, use and account of a control group, version 2 and 1
+_GROUPS = (
+    ("memory.max", "memory.current", "memory.stat"),
+    ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes", "memory/memory.stat"),
+)
 
 
 def available() -> float:
@@ -56,16 +59,16 @@ def _of_machine() -> float:
 
 
 def _of_container() -> float:
-    for limit, used in _GROUPS:
+    for limit, used, account in _GROUPS:
         with suppress(OSError, ValueError):  # there is no such group, or its limit is the word "max"
-            return float((_CGROUPS / limit).read_text()) - float((_CGROUPS / used).read_text()) + _cache()
+            return float((_CGROUPS / limit).read_text()) - float((_CGROUPS / used).read_text()) + _cache(account)
     return float("inf")
 
 
-def _cache() -> float:
+def _cache(account: str) -> float:
     """Return what a control group counts as used and gives back when asked: files that were read, bytes."""
     with suppress(OSError, ValueError, StopIteration):
-        line = next(each for each in (_CGROUPS / "memory.stat").read_text().splitlines() if "inactive_file" in each)
+        line = next(each for each in (_CGROUPS / account).read_text().splitlines() if "inactive_file" in each)
         return float(line.split()[1])
     return 0.0
 

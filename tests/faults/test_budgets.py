@@ -246,7 +246,7 @@ def test_where_nothing_takes_it_the_first_reason_is_told_and_nothing_is_left(tmp
 
     with pytest.raises(FileProblem, match=r"out\.txt could not be written\.$"):
         files.rescued(fail, full_disk / "out.txt")
-    assert [path for path in tmp_path.rglob("*") if path.name.startswith("result-")] == []
+    assert [path for path in tmp_path.rglob("*") if path.name.startswith("hyperflex-")] == []
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import typer
 
 from hyperflex import checks, files
 from hyperflex.cli import output
+from hyperflex.interruption import deferred
 
 if TYPE_CHECKING:
     from hyperflex.model import Setup
@@ -45,7 +46,8 @@ def simulate(
     trajectory = output.partial_of(lambda: run(wanted, duration=duration, time_budget=time_budget, progress=True))
     if trajectory.status == INTERRUPTED:
         _leave(trajectory, output.partial_path(out), json)
-    files.rescued(trajectory.to_netcdf, out)
+    with deferred():  # what has taken long is written first
+        files.rescued(trajectory.to_netcdf, out)
     worked = float(np.ptp(trajectory.motor_work) + np.ptp(trajectory.kinetic_energy + trajectory.potential_energy))
     result = {
         "output": out,
@@ -83,7 +85,7 @@ def _leave(part: "Trajectory", out: Path, as_json: bool) -> NoReturn:
     """Write what Ctrl-C has left of a run, if it had begun, and exit."""
     if not part.t.size:
         raise KeyboardInterrupt
-    part.to_netcdf(out)
+    files.rescued(part.to_netcdf, out)
     left = {"output": out, "status": part.status, "samples": part.t.size, "end_s": part.state.t}
     message = f"Interrupted at t = {part.state.t:.6g} s; what was simulated until then is in {out}."
     raise typer.Exit(output.interrupted(message, left, as_json=as_json))

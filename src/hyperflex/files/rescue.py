@@ -41,7 +41,7 @@ def _written(write: Callable[[Path], object], base: Path, path: Path) -> Path | 
     """Write to a new folder in `base`, under the name of `path`; return the place, None where that fails, too."""
     try:
         base.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix="result-", dir=base))
+        folder = Path(tempfile.mkdtemp(prefix="hyperflex-", dir=base))
     except OSError:
         return None
     try:
@@ -60,4 +60,5 @@ def _fallbacks() -> Iterator[Path]:
     state = Path(os.environ.get("XDG_STATE_HOME", ""))
     with suppress(RuntimeError):  # a user without a home folder
         yield (state if state.is_absolute() else Path.home() / ".local" / "state") / "hyperflex"
-    yield Path(tempfile.gettempdir()) / "hyperflex"
+    with suppress(OSError):  # no folder takes temporary files
+        yield Path(tempfile.gettempdir())

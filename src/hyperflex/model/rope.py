@@ -131,12 +131,8 @@ class Rope:
         ):
             object.__setattr__(self, field, value)
         if r > 0.5 * self.total_length:
-            raise InvalidInput(
-                "rope radius makes it thicker than it is long",
-                got=r,
-                allowed=f"up to half its length, {0.5 * self.total_length:g} m",
-                fix="Give the radius in m: 2.5 mm are 0.0025",
-            )
+            most = f"up to half its length, {0.5 * self.total_length:g} m: 2.5 mm are 0.0025"
+            raise InvalidInput("rope radius makes it thicker than it is long", got=r, allowed=most)
         empty = self.inertia + self.mass * self.com**2 <= 0.0
         empty[-1] &= self.tip_mass <= 0.0
         if empty.any():

@@ -151,7 +151,7 @@ def _frames(
     from PIL import Image, ImageDraw, ImageFont
 
     view = scene.view
-    step = times[1] - times[0]
+    step = times[1] - times[0] if times.size > 1 else 0.0
     fonts = (ImageFont.load_default(14 * _FINE), ImageFont.load_default(12 * _FINE))
     for number, time in enumerate(times):
         image = Image.new("RGB", (view.width, view.height), _NIGHT)

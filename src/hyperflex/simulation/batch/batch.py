@@ -165,8 +165,8 @@ def simulate_batch(
     contact_step, refine
         As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
     time_budget : float, optional
-        Processor time, s, after which a member with pegs or with joint limits has failed ("time budget exceeded"); by
-        default it may take any.
+        Processor time, s, after which a member with pegs or with joint limits has failed ("time budget exceeded"); the
+        default is that of :func:`simulate`.
     threads : int, optional
         By default one a processor. Results do not depend on it.
     progress : bool
