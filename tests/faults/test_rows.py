@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import _thread
 import contextlib
-import io
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,6 @@ from hyperflex.paper.report import casting
 from hyperflex.paper.report.part import Item
 from hyperflex.simulation import time_budget
 from tests.faults.bounds import LEAKED, bounded, readable
-from tests.faults.interrupting import SECONDS, forked
 
 ROD = hf.Rope([0.3], [0.1], friction=2e-4)
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=12, radius=0.0025, friction=5e-4)
@@ -153,18 +154,24 @@ def test_a_gravity_that_takes_for_ever_is_given_up(monkeypatch: pytest.MonkeyPat
         hf.simulate(CABLE.replace(gravity=(0.0, -1e12)), duration=100.0, q0=[0.5] * 12, t_eval=[50.0, 100.0])
 
 
-def test_random_samples_are_fitted_with_a_word_until_they_are_interrupted() -> None:
+def test_random_samples_are_fitted_with_a_word_until_they_are_interrupted(monkeypatch, capsys) -> None:
+    heard: list[str] = []
+
+    def hear(words: str) -> None:
+        if not heard:
+            threading.Timer(0.5, _thread.interrupt_main).start()
+        heard.append(words)
+
+    @contextlib.contextmanager
+    def lines() -> Iterator[object]:
+        yield hear
+
     t = np.arange(300_000) / 100.0
-    noise = hf.Recording(t, np.random.default_rng(1).normal(0.0, 1.0, (t.size, 1)))
-
-    def work() -> tuple[str, str]:
-        sys.stderr, progress.EVERY = io.StringIO(), 0.01
-        try:
-            hf.identify(noise, ROD, ["friction"], progress=True)
-        except hf.Interrupted as stop:
-            return sys.stderr.getvalue(), getattr(stop.partial, "message", "interrupted")
-        return sys.stderr.getvalue(), "finished"
-
-    ended = forked(work, 1.0)
-    assert ended.told[1] == "interrupted"
-    assert ended.processor_seconds < SECONDS
+    hf.Recording(t, np.random.default_rng(1).normal(0.0, 1.0, (t.size, 1))).to_netcdf("noise.nc")
+    ROD.to_toml("rod.toml")
+    monkeypatch.setattr(progress, "lines", lines)
+    with bounded():
+        given = ["noise.nc", "--guess", "rod.toml", "--free", "friction", "--max-rate", "1e4"]
+        code = run(["identify", *given, "-o", "found.toml", "--json"])
+    assert (code, json.loads(capsys.readouterr().out)["error"]) == (130, "interrupted")
+    assert heard
