@@ -8,7 +8,7 @@ INSTALLED := .venv/.installed
 # --no-compile: Python compiles what is imported, a small part of the packages, when it is imported
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 
-.PHONY: help demo test browser lint docs bench clean
+.PHONY: help demo test faults browser lint docs bench clean
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -22,6 +22,9 @@ demo: $(INSTALLED) ## recording -> identified rope -> cast: a folder of figures,
 test: $(INSTALLED) browser ## kernels once without the compiler, then the whole suite
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q tests/core
 	$(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(if $(filter 1,$(REQUIRE_DATA)),--require-data)
+
+faults: $(INSTALLED) ## faults by the thousand, an hour or two: damage, odd values, full disks, signals
+	$(BIN)/python -m tests.faults
 
 browser: # for the tests of pages, which skip without one (and fail in CI, and with REQUIRE_DATA=1)
 	@for program in $(BROWSERS); do command -v $$program >/dev/null && exit 0; done; \

@@ -74,6 +74,7 @@ def test_ctrl_c_leaves_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SwingModel, "predict", predict)
     plan = left_by(lambda: optimize_pumping(MODEL, WANTED, longest=8.0, rounds=12))
     assert plan.arrival_time == plan.constant_arrival_time
+    assert plan.interrupted
 
 
 def test_what_no_constant_rest_reaches_is_refused() -> None:

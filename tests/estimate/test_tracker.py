@@ -12,6 +12,7 @@ import hyperflex as hf
 from hyperflex.cli.app import run
 from hyperflex.errors import FileProblem, Interrupted, InvalidInput
 from hyperflex.estimate import MovingHorizon, Observations, RopeFilter, RopeTracker, track_video
+from hyperflex.files import read_netcdf
 from hyperflex.vision import (
     Camera,
     MarkerColour,
@@ -66,6 +67,10 @@ def test_ctrl_c_carries_what_was_tracked(video: tuple[Path, Truth], tmp_path: Pa
         track_video(video[0], tracker(*video), preview=tmp_path / "seen.mp4", progress=hit)
     assert stopped.value.partial.frames == 12
     assert 2 <= len(stopped.value.partial.recording.t) <= 12
+    assert stopped.value.partial.interrupted
+    stopped.value.partial.to_netcdf(tmp_path / "part.nc")
+    assert read_netcdf(tmp_path / "part.nc").attributes["interrupted"] == 1
+    (tmp_path / "part.nc").unlink()
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(Interrupted) as early:  # before there is anything to keep
         track_video(video[0], tracker(*video), progress=lambda count: hit(count + 11))

@@ -1,6 +1,7 @@
 """Calls and commands that a signal ends at a chosen time, each in a forked process, and what came of each.
 
-``python -m tests.faults.interrupting --seeds 3 --calls simulate --commands cast`` prints one JSON object a trial.
+``python -m tests.faults.interrupting --seeds 3 --calls simulate --commands cast`` prints a name and a JSON
+object a trial, with what is wrong in ``faults``; without ``--calls`` and ``--commands`` it tries all of them.
 """
 
 from __future__ import annotations
@@ -184,7 +185,7 @@ def calls() -> dict[str, Callable[[], Any]]:
     model = SwingModel(few, arm, t_move=0.4)
     return {
         "simulate": lambda: hf.simulate(cable, swings, arm=arm, duration=1e4, t_eval=np.arange(0.0, 1e4, 0.5)),
-        "simulate long": lambda: hf.simulate(cable, swings, arm=arm, duration=1e5),
+        "simulate long": lambda: hf.simulate(cable, swings, arm=arm, duration=1e5, t_eval=np.arange(0.0, 1e5, 100.0)),
         "simulate links": lambda: hf.simulate(long, swings, arm=arm, duration=200.0),
         "simulate contact": lambda: hf.simulate(cable, swings, arm=arm, duration=60.0, pegs=[peg]),
         "simulate callback": lambda: hf.simulate(
@@ -233,6 +234,8 @@ def run_command(words: list[str], folder: Path, after: float | None, number: int
 
     def work() -> int | str:
         os.chdir(folder)
+        if words[0] == "warm":  # a full cache is warm at once, and the user's is left alone
+            os.environ["HYPERFLEX_CACHE_DIR"] = f"{folder}.cache"
         for name, stream in (("out", sys.stdout), ("err", sys.stderr)):
             os.dup2(os.open(f"{folder}.{name}", os.O_CREAT | os.O_WRONLY, 0o600), stream.fileno())
         from hyperflex.cli import main
@@ -313,39 +316,82 @@ def commands(folder: Path) -> dict[str, list[str]]:
 
 # ---- trials
 
+SECONDS = 5.0  # of the processors, from a signal to the end; the kernels look more often than each second
+LONGEST = 8.0  # s of a call in which it is interrupted
+# Take minutes: what they end with undisturbed is not looked at
+ENDLESS = {"simulate long", "simulate links", "compare models", "warm"}
+SEARCHES = {"cast", "cast robust", "whip", "pumping"}  # end by the clock: no two runs are alike
+NO_PLAN = 4  # exit code of a search that finds nothing in its time
 
-def trials(work: Callable[[], Any], seeds: range, number: int, longest: float | None = None) -> Iterator[Ended]:
-    """Yield how a call ended without a signal, then with one at a random time for each seed."""
-    whole = forked(work, longest, signal.SIGKILL) if longest else forked(work, None)
-    yield whole
-    for seed in seeds:
-        yield forked(work, random.Random(seed).uniform(0.02, 1.0) * (longest or whole.length), number)
+
+def call_faults(name: str, ended: Ended, whole: Ended) -> list[str]:
+    """Return what is wrong with how a call ended, beside how the same one ends undisturbed."""
+    told = ended.told
+    if not isinstance(told, dict) or told["how"] == "failed":
+        return [f"ended with {told}"]
+    wrong = _late(ended)
+    if told["kind"] not in {whole.told["kind"], "NoneType"}:
+        wrong.append(f"leaves a {told['kind']}")
+    if told["how"] == "finished":
+        return wrong if name in SEARCHES or told == whole.told else [*wrong, f"{told}, and undisturbed {whole.told}"]
+    if told["kind"] != "NoneType" and not {"interrupted", "True"} & set(told["marks"]):
+        wrong.append(f"is marked nowhere: {told}")
+    return wrong
+
+
+def _late(ended: Ended) -> list[str]:
+    seconds = ended.processor_seconds
+    return [f"took {seconds:.1f} s of processor time to end"] if seconds > SECONDS else []
+
+
+def moments(name: str, seeds: int, length: float) -> Iterator[tuple[float, int]]:
+    """Yield random times, s, and the signals that are sent then."""
+    for seed in range(seeds):
+        yield random.Random(f"{name} {seed}").uniform(0.02, 1.0) * length, (signal.SIGINT, signal.SIGTERM)[seed % 2]
+
+
+def interrupt_calls(names: list[str], seeds: int) -> None:
+    """Interrupt calls at random times of the first `LONGEST` seconds."""
+    every = calls()
+    for name in names or every:
+        whole = forked(call(every[name]), None) if name not in ENDLESS else None
+        length = min(whole.length, LONGEST) if whole else LONGEST
+        for after, _ in moments(name, seeds, length):
+            ended = forked(call(every[name]), after)
+            _tell(name, vars(ended) | {"after": after, "faults": call_faults(name, ended, whole or ended)})
+
+
+def interrupt_commands(names: list[str], seeds: int, folder: Path) -> None:
+    """Interrupt commands at random times by one signal and the other in turn."""
+    every = commands(folder)
+    for name in names or every:
+        whole, length = Left(0, "", "", {}), LONGEST
+        if name not in ENDLESS:
+            whole, undisturbed = run_command(every[name], folder / name, None)
+            length = undisturbed.length
+        if whole.code not in {0, NO_PLAN}:
+            _tell(f"hyperflex {name}", {"faults": [f"undisturbed: {whole.code} {whole.err}"]})
+        for number, (after, sent) in enumerate(moments(name, seeds, length)):
+            left, ended = run_command(every[name], folder / f"{name}-{number}", after, sent)
+            told = {"after": after, "signal": sent, "seconds": ended.seconds, "processor": ended.processor_seconds}
+            other = left if left.code in {0, NO_PLAN} and name in SEARCHES else whole
+            wrong = faults(left, other) + (_late(ended) if left.interrupted else [])
+            _tell(f"hyperflex {name}", told | {"code": left.code, "files": sorted(left.files), "faults": wrong})
 
 
 def main() -> None:
     """Interrupt what is named at random times, and print what came of it."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--calls", nargs="*", default=[])
-    parser.add_argument("--commands", nargs="*", default=[])
+    parser.add_argument("--calls", nargs="*")
+    parser.add_argument("--commands", nargs="*")
     chosen = parser.parse_args()
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
-        every = calls() if chosen.calls else {}
-        for name in chosen.calls:
-            for ended in trials(call(every[name]), range(chosen.seeds), signal.SIGINT):
-                _tell(name, vars(ended))
-        asked = commands(folder) if chosen.commands else {}
-        for name in chosen.commands:
-            whole, undisturbed = run_command(asked[name], folder / name, None)
-            _tell(f"hyperflex {name}", {"code": whole.code, "length": undisturbed.length, "files": sorted(whole.files)})
-            for seed in range(chosen.seeds):
-                after = random.Random(seed).uniform(0.02, 1.0) * undisturbed.length
-                number = (signal.SIGINT, signal.SIGTERM)[seed % 2]
-                left, ended = run_command(asked[name], folder / f"{name}-{seed}", after, number)
-                told = {"after": after, "seconds": ended.seconds, "processor": ended.processor_seconds}
-                told |= {"code": left.code, "files": sorted(left.files), "err": left.err}
-                _tell(f"hyperflex {name}", told | {"faults": faults(left, whole)})
+    neither = chosen.calls is None and chosen.commands is None
+    if chosen.calls is not None or neither:
+        interrupt_calls(chosen.calls or [], chosen.seeds)
+    if chosen.commands is not None or neither:
+        with tempfile.TemporaryDirectory() as made:
+            interrupt_commands(chosen.commands or [], chosen.seeds, Path(made))
 
 
 def _tell(name: str, told: dict[str, Any]) -> None:

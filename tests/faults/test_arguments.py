@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 import hyperflex as hf
 from tests.faults.bounds import examples, refused_or_done
+from tests.faults.counting import count
 
 ROPE = hf.Rope(length=[0.3, 0.3], mass=[0.1, 0.1], friction=1e-4, radius=0.002)
 PENDULUM = hf.Rope([0.3], [0.1], friction=2e-4)
@@ -350,6 +351,7 @@ def odd_call(name: str, argument: str, odd: str) -> None:
     call, sound = CALLS[name]
     if odd in ("class", "function") and argument in ("progress", "torque"):
         return  # these are called, and fail in their own way
+    count()
     refused_or_done(lambda: call(**{**sound(), argument: ODD[odd]()}), seconds=10.0)
 
 

@@ -108,7 +108,7 @@ def _keeping(out: Path, as_json: bool) -> Iterator[None]:
     if (part := stop.partial) is None:
         raise KeyboardInterrupt
     kept = output.partial_path(out)
-    files.rescued(lambda path: part.to_netcdf(path, {"interrupted": 1}), kept)
+    files.rescued(part.to_netcdf, kept)
     left = {"output": kept, "frames": part.frames, "duration_s": part.recording.duration}
     message = f"Interrupted after {part.frames} frames; what was tracked until then is in {kept}."
     raise typer.Exit(output.interrupted(message, left, as_json=as_json))

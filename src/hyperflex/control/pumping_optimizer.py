@@ -24,7 +24,8 @@ class PumpingPlan:
 
     `rests` (k,), s, are those after the first, second, ... half turn; the first half turn starts at t = 0. The
     amplitude is predicted to be reached at `arrival_time`, s. `constant_rest`, s, is the best constant rest among those
-    tried, `constant_arrival_time`, s, its arrival time; `rollouts` counts the simulated runs.
+    tried, `constant_arrival_time`, s, its arrival time; `rollouts` counts the simulated runs. `interrupted`: Ctrl-C
+    ended the search.
     """
 
     rests: Array
@@ -32,6 +33,7 @@ class PumpingPlan:
     constant_rest: float
     constant_arrival_time: float
     rollouts: int
+    interrupted: bool = False
 
 
 @interruptible(PumpingPlan)
@@ -96,7 +98,7 @@ def optimize_pumping(
             deadline = 0.5 * (low + high)
             found, met = _before(deadline, model, want, rest, found, rounds, seed)
             low, high = (low, found.arrival_time) if met else (deadline, high)
-    return stop.deliver(found)
+    return stop.deliver(replace(found, interrupted=stop.met))
 
 
 def _from_first(later: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,6 +46,8 @@ class VideoTrack:
         What was wrong with the video, and what was made of the parameters.
     changes : tuple of Change
         What was noticed to have changed, where the filter tests for that.
+    interrupted : bool
+        Whether Ctrl-C ended it before the video did.
     """
 
     recording: Recording
@@ -56,13 +58,15 @@ class VideoTrack:
     parameters: dict[str, tuple[float, float]]
     notes: tuple[str, ...]
     changes: tuple[Change, ...] = ()
+    interrupted: bool = False
 
     def to_netcdf(self, path: PathLike, attributes: Mapping[str, Any] | None = None) -> None:
         """Write the recording to NetCDF-4, with what was estimated and the arc lengths of its markers as attributes.
 
         Beside these stand further `attributes`, as of :meth:`hyperflex.Recording.to_netcdf`.
         """
-        found = {f"estimated_{name}": np.array(each) for name, each in self.parameters.items()}
+        found: dict[str, Any] = {f"estimated_{name}": np.array(each) for name, each in self.parameters.items()}
+        found |= {"interrupted": 1} if self.interrupted else {}
         self.recording.to_netcdf(path, {"arc_lengths": self.arc_lengths, **found, **(attributes or {})})
 
 
@@ -134,7 +138,10 @@ def track_video(
                     progress(count)
         seen = sum(_any_seen(each) for each in found)
         if stop.met:
-            raise Interrupted(_result(tracker, found, count, str(video), reader.notes) if seen > 1 else None)
+            if seen < 2:
+                raise Interrupted
+            part = _result(tracker, found, count, str(video), reader.notes)
+            raise Interrupted(replace(part, interrupted=True))
         if seen < 2:
             raise InvalidInput(
                 "the rope was not found in the video",

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -160,16 +160,20 @@ class BarTrack:
         In which part of the frames each bar was seen.
     notes : tuple of str
         What was wrong with the video.
+    interrupted : bool
+        Whether Ctrl-C ended it before the video did.
     """
 
     recording: Recording
     frames: int
     seen: Array
     notes: tuple[str, ...]
+    interrupted: bool = False
 
     def to_netcdf(self, path: PathLike, attributes: Mapping[str, Any] | None = None) -> None:
         """Write the recording to NetCDF-4, with `attributes` as of :meth:`hyperflex.Recording.to_netcdf`."""
-        self.recording.to_netcdf(path, attributes)
+        marks = {"interrupted": 1} if self.interrupted else {}
+        self.recording.to_netcdf(path, marks | dict(attributes or {}))
 
 
 @interruptible(BarTrack)
@@ -234,7 +238,7 @@ def track_bars(
         if not stop.met:
             return _bar_track(times, angles, stds, reader)
         with suppress(InvalidInput):
-            raise Interrupted(_bar_track(times, angles, stds, reader))
+            raise Interrupted(replace(_bar_track(times, angles, stds, reader), interrupted=True))
         raise Interrupted
 
 
