@@ -74,9 +74,10 @@ def test_whips_are_not_verified_beyond_the_time() -> None:
     work = WhipPlanner(whip_map, plan.target, 0.0, 0, 1)
     found = {"place": plan.outcome.place, "velocity": plan.outcome.velocity, "speed": plan.outcome.speed}
     work.aims = [SimpleNamespace(strokes=plan.strokes, t=plan.outcome.t, position_std=0.0, **found)]  # type: ignore[list-item]
-    best, interrupted = work.verified()
-    assert not interrupted
-    assert best.message == "the time budget ended before it was verified"
+    work.verify()
+    assert work.best is not None
+    assert work.best.outcome is None
+    assert work.best.message == "the time budget ended before it was verified"
 
 
 def test_a_map_has_the_swings_that_there_was_time_for() -> None:
