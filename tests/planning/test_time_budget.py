@@ -38,8 +38,12 @@ def test_a_run_ends_when_no_time_is_left() -> None:
     assert cut.status == OUT_OF_TIME
     assert 0.0 < cut.state.t < 11.0
     assert next(left, None) is None
-    with pytest.raises(SimulationError, match="time was over"):
-        hf.simulate(planned().setup(), time_budget=OVER)
+    for budget, words in (
+        (OVER, "the time that it shares with other runs was over by the clock"),
+        (Deadline(1e-9, lambda: 1.0), "its processor time was over"),
+    ):
+        with pytest.raises(SimulationError, match=words):
+            hf.simulate(planned().setup(), time_budget=budget)
 
 
 def test_verifications_do_not_outlast_the_time() -> None:
