@@ -98,7 +98,7 @@ def test_view_without_a_browser_says_where_the_page_is(hyperflex, run_file, tmp_
 
 def test_the_table_holds_the_run_bit_for_bit(hyperflex, run_file, tmp_path):
     hyperflex("plot", run_file, "-o", tmp_path / "a.csv")
-    names, values = files.read_table(tmp_path / "a.csv")
+    names, values, *_ = files.read_table(tmp_path / "a.csv")
     run, at = hf.read_trajectory(run_file), {name: k for k, name in enumerate(names)}
     for name, column in (("t", run.t), ("arm_angle", run.arm_angle), ("th5", run.q[:, 4]), ("w1", run.qd[:, 0])):
         np.testing.assert_array_equal(values[:, at[name]], column)

@@ -37,9 +37,9 @@ def test_the_motors_table_reads_back_as_the_motion(tmp_path):
     assert hf.read_motion(tmp_path / "motion.csv") == plan.motion
     # Rows that differ from the head are a spline's. One through samples every h = 5 ms misses a jump of the
     # acceleration by a = 24 rad/s^2 by less than a h^2 / 8 = 7e-5 rad, beside what the rows were moved by.
-    names, rows = files.read_table(tmp_path / "motion.csv")
-    rows[:, 1] += 1e-6
-    files.write_table(tmp_path / "moved.csv", names, rows, notes=files.read_notes(tmp_path / "motion.csv"))
+    table = files.read_table(tmp_path / "motion.csv")
+    table.values[:, 1] += 1e-6
+    files.write_table(tmp_path / "moved.csv", table.names, table.values, notes=table.notes)
     back, t = hf.read_motion(tmp_path / "moved.csv"), np.linspace(0.0, 9.0, 5001)
     np.testing.assert_allclose(back.angle(t), plan.motion.angle(t), atol=7.1e-5)
     assert np.abs(back.acceleration(t)).max() > 1.25 * plan.cast_setup.limits.acceleration

@@ -38,8 +38,12 @@ def test_a_run_ends_when_no_time_is_left() -> None:
     assert cut.status == OUT_OF_TIME
     assert 0.0 < cut.state.t < 11.0
     assert next(left, None) is None
-    with pytest.raises(SimulationError, match="time was over"):
-        hf.simulate(planned().setup(), time_budget=OVER)
+    for budget, words in (
+        (OVER, "the time that it shares with other runs was over by the clock"),
+        (Deadline(1e-9, lambda: 1.0), "its processor time was over"),
+    ):
+        with pytest.raises(SimulationError, match=words):
+            hf.simulate(planned().setup(), time_budget=budget)
 
 
 def test_verifications_do_not_outlast_the_time() -> None:
@@ -74,9 +78,10 @@ def test_whips_are_not_verified_beyond_the_time() -> None:
     work = WhipPlanner(whip_map, plan.target, 0.0, 0, 1)
     found = {"place": plan.outcome.place, "velocity": plan.outcome.velocity, "speed": plan.outcome.speed}
     work.aims = [SimpleNamespace(strokes=plan.strokes, t=plan.outcome.t, position_std=0.0, **found)]  # type: ignore[list-item]
-    best, interrupted = work.verified()
-    assert not interrupted
-    assert best.message == "the time budget ended before it was verified"
+    work.verify()
+    assert work.best is not None
+    assert work.best.outcome is None
+    assert work.best.message == "the time budget ended before it was verified"
 
 
 def test_a_map_has_the_swings_that_there_was_time_for() -> None:

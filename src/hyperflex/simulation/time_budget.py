@@ -67,7 +67,9 @@ def budget_error(t: float, seconds: float | Deadline | None) -> SimulationError:
     """Return the error of a run that had come to `t`, s, when its time budget of `seconds` was over."""
     if seconds is None:
         return endless(t, "; or let it take its time: time_budget=inf")
-    return _error(t, "its processor time was over. Allow more, or loosen tol")
+    shared = isinstance(seconds, Deadline) and seconds.left() < 0.0
+    over = "the time that it shares with other runs was over by the clock" if shared else "its processor time was over"
+    return _error(t, f"{over}. Allow more, or loosen tol")
 
 
 def endless(t: float, otherwise: str = "") -> SimulationError:

@@ -37,9 +37,10 @@ class TipStrike:
         Greatest speed of the tip at a peak before, m/s.
     max_bend, folded, clearance, torque, torque_peak
         As of :class:`CastOutcome`, until after the peak.
+    refused : str
+        Why the run is refused whatever its goal: the rope goes through itself, arm or shaft; empty if it does not.
     message : str
-        What fails besides the miss: the rope goes through itself, arm or shaft, speed or direction are not as asked;
-        empty if nothing does.
+        What fails besides the miss: that, or speed or direction are not as asked; empty if nothing does.
     n_links : int
         Links of the simulated rope.
     run : Trajectory or None
@@ -57,6 +58,7 @@ class TipStrike:
     clearance: float
     torque: float
     torque_peak: float
+    refused: str
     message: str
     n_links: int
     run: Trajectory | None = None
@@ -97,7 +99,7 @@ def verify_whip(
     error, speed = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k])
     max_bend, clearance = greatest_bend(run), rope_clearance(run)
     torque, torque_peak = motor_torques(run)
-    message = refusal(cast_setup, max_bend, clearance)
+    message = refused = refusal(cast_setup, max_bend, clearance)
     if not message and speed < target.least_speed:
         message = f"the tip's speed is {speed:.2f} m/s, and {target.least_speed:g} is asked"
     elif not message and error > target.angle_tolerance:
@@ -115,6 +117,7 @@ def verify_whip(
         clearance=clearance.value,
         torque=torque,
         torque_peak=torque_peak,
+        refused=refused,
         message=message,
         n_links=run.q.shape[1],
         run=run,
