@@ -7,6 +7,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import hyperflex as hf
+from hyperflex.identification.diagnosis.grade import grade
 
 PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], friction=[3e-4, 1e-4])
 T = np.arange(0.0, 4.0, 0.02)
@@ -74,3 +75,13 @@ def test_a_delay_far_off_is_found(late: float) -> None:
     assert found.success
     assert abs(found.values["delay"] - late) < 4.0 * found.std["delay"] < 4e-3
     assert abs(found.settings["delay_from"] - late) < 0.1  # the grid's step is a sixteenth of a window
+
+
+def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used() -> None:
+    """As a frame rate that is far too low makes it: times are stretched, and with them inertia over first moment."""
+    rope = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09])
+    assert grade((), rope, None, (), identifiable=True).name == "usable"
+    odd = rope.replace(inertia=[0.0225, rope.inertia[1]])
+    told = grade((), odd, None, (), identifiable=True)
+    assert told.name == "do not use"
+    assert "link 0 would have its mass" in told.reasons[0]

@@ -232,8 +232,10 @@ class _Problem:
             with deferred():
                 basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
             if found.converged and not found.interrupted:
-                tests = (*score_tests(basis), *link_test(basis))
-                basis = with_model_error(basis, tests, self.length_std)
+                plain, tests = basis, score_tests(basis)
+                basis = with_model_error(plain, tests, self.length_std)  # what stands if the next test is interrupted
+                tests = (*tests, *link_test(plain))
+                basis = with_model_error(plain, tests, self.length_std)
                 tests = with_sway(basis, tests)
         found.interrupted = found.interrupted or stop.met
         return Trial(list(free), basis, tests, settings | delay)
@@ -254,7 +256,7 @@ class _Problem:
         settings = trial.settings | {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
         settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
         settings |= _fit_settings(basis.plant, trial.free, self.loss.name, self.origin)
-        settings["length_std"] = self.length_std
+        settings["length_std"] = self.length_std if tests else 0.0  # which counts the lengths
         settings["noise"] = "not declared" if self.recording.noise is None else "declared"
         lengths = "" if self.arc_lengths is not None else other_lengths(self.recording, self.guess)
         with caught() as stop:

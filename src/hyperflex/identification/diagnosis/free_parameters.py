@@ -48,10 +48,10 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
             break
         with caught() as stop:
             richer = fit([*trial.free, asked[0].name])
-        if stop.met:
-            trial.basis.fit.interrupted = True
+        if stop.met or (richer.basis.fit.interrupted and not richer.basis.fit.converged):
+            trial.basis.fit.interrupted = True  # what has converged is worth more
             break
-        if not (richer.basis.fit.converged or richer.basis.fit.interrupted):
+        if not richer.basis.fit.converged:
             break
         trial = richer
         why.append(f"{asked[0].name} (it takes away {100.0 * asked[0].gain:.3g} % of the residuals' sum of squares)")

@@ -23,6 +23,7 @@ FORETOLD = 0.9  # the same: the error is as foretold, and what moves is hardly m
 NAMED = 4  # labels of what is hardly known
 LIKELY = 0.5  # probability
 LEFT_OUT = 0.2  # part of the windows
+REACH = 2.0  # of a link's length, to which its mass may reach: real links have counterweights
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
 
 
@@ -123,12 +124,24 @@ def grade(
 
 
 def _impossible(rope: Rope) -> list[str]:
-    """Return what no rope can be."""
-    p, _ = lumped(rope)
+    """Return what no rope can be.
+
+    All mass of a link, and beyond, is between its joints or at the far one, so J <= l p (Cauchy-Schwarz); a real link
+    may reach beyond its joint, and where the last one ends no angle tells.
+    """
+    p, inertia = lumped(rope)
     if np.any(rope.gravity) and p[0] <= 0.0:
         words = (
             "gravity would hold the rope up (its first moment p1 is negative). Check where the angles' zero is "
             "(zero='hanging' or 'up'), or where y points (y_axis='up' or 'down')."
+        )
+        return [words]
+    reach = inertia[:-1] / np.where(p[:-1] > 0.0, p[:-1], np.inf) / rope.length[:-1]
+    if np.any(reach > REACH):
+        k = int(np.argmax(reach))
+        words = (
+            f"link {k} would have its mass {reach[k]:.3g} times as far from its joint as it is long (inertia over "
+            "first moment). Check times, frame rate, scale and lengths, and whether each link is the one that it is called."
         )
         return [words]
     return []

@@ -31,8 +31,9 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], length_std: float
     for each in tests:
         if each.name == LENGTHS:
             continue
-        law = each.name.partition(":")[0] in LAWS or each.name == LINKS
-        if each.surplus > ASKED and not each.slight and (white or law or each.believed):
+        law = each.name.partition(":")[0] in LAWS
+        counts = each.surplus > ASKED and not each.slight and (white or law or each.believed)
+        if counts or each.name == LINKS:  # whose surplus is a probability
             model += each.surplus * np.outer(each.shift, each.shift)
     if not white:
         model += np.diag(_floor(basis.plant.parameters, x) ** 2)
