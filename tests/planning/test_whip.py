@@ -281,3 +281,13 @@ def test_one_bar_stands_over_the_whole_of_a_plan(known: WhipMap, monkeypatch: py
     monkeypatch.setattr(planner.WhipPlanner, "run", lambda _, report: report())
     plan_whip(ROPE, ARM, known.peaks.place[0], least_speed=0.1, time_budget=100.0, skip_feasibility=True, progress=True)
     assert seen == ["begins", "map", "late", "verify", "ends"]
+
+
+def test_a_joint_at_its_limit_touches_no_peg() -> None:
+    """It loses energy as a blow on a peg does, a metre away from this one."""
+    motion = Strokes(-1, np.array([1.4, -1.4]), np.array([0.05, 0.1])).motion(LIMITS)
+    stiff = CastSetup(ROPE.replace(max_bend=np.array([np.inf, *7 * [0.3]])), ARM, LIMITS, 3.0)
+    blow = simulate_impact(stiff, TipTarget(2.5, 2.5, direction=0.0), motion, 1.9)
+    assert blow.message == "the rope does not touch the peg"
+    assert np.isnan(blow.t)
+    assert blow.link == -1
