@@ -104,8 +104,11 @@ def test_contact_and_bend_are_those_of_the_run() -> None:
     bend = np.arccos(np.clip((links[:, 1:] * links[:, :-1]).sum(axis=2), -1.0, 1.0)).max()
     assert cast.max_bend == pytest.approx(bend, abs=1e-6)
     assert not cast.folded
+    stop = planned().motion.breaks[-1] + outcome.SETTLING_TIME
+    watched = winding.measure_winding(run, PEG).contact[run.t >= stop]
+    assert cast.contact_angle == watched.min() < watched[-1]  # what is asked for and what is told are one
     away = run.joints[-1] - [PEG.x, PEG.y]
     lies = np.flatnonzero(np.hypot(*away.T) < PEG.radius + 0.0025 + 0.002)
     angle = np.unwrap(np.arctan2(away[lies, 1], away[lies, 0]))
-    assert cast.contact_angle == pytest.approx(abs(angle[-1] - angle[0]), abs=0.5)  # to the length of a link on the peg
+    assert watched[-1] == pytest.approx(abs(angle[-1] - angle[0]), abs=0.5)  # to the length of a link on the peg
     assert cast.touch_time <= cast.strike_time

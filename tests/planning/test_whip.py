@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +22,7 @@ from hyperflex.planning import (
     check_whip_feasibility,
     plan_whip,
 )
+from hyperflex.planning.whip import planner
 from hyperflex.planning.whip.aim import find_peak
 from hyperflex.planning.whip.impact import IMPACT_TIME, simulate_impact
 from hyperflex.planning.whip.tip_target import TipTarget, find_peaks, peak_costs
@@ -249,3 +252,42 @@ def test_out_of_reach(known: WhipMap) -> None:
         (TipTarget(0.0, 1.0, 0.0), "no peak so near"),
     ):
         assert words in check_whip_feasibility(known, mark).message
+
+
+def test_one_bar_stands_over_the_whole_of_a_plan(known: WhipMap, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Map, search and verification, in the time of them all."""
+    seen: list[str] = []
+
+    @contextmanager
+    def bar(begin: float, end: float, wanted: bool, what: str) -> Iterator[Callable[[float], None]]:
+        seen.append("begins")
+        yield lambda t: seen.append("late" if t > 0.5 * end else "early")
+        seen.append("ends")
+
+    def build(*_: object, **__: object) -> WhipMap:
+        seen.append("map")
+        return known
+
+    def verify(_: object) -> None:
+        seen.append("verify")
+
+    class Clock:
+        spent = elapsed = 60.0
+
+    monkeypatch.setattr(planner, "progress_bar", bar)
+    monkeypatch.setattr(planner, "build_whip_map", build)
+    monkeypatch.setattr(planner, "Clock", Clock)
+    monkeypatch.setattr(planner.WhipPlanner, "verify", verify)
+    monkeypatch.setattr(planner.WhipPlanner, "run", lambda _, report: report())
+    plan_whip(ROPE, ARM, known.peaks.place[0], least_speed=0.1, time_budget=100.0, skip_feasibility=True, progress=True)
+    assert seen == ["begins", "map", "late", "verify", "ends"]
+
+
+def test_a_joint_at_its_limit_touches_no_peg() -> None:
+    """It loses energy as a blow on a peg does, a metre away from this one."""
+    motion = Strokes(-1, np.array([1.4, -1.4]), np.array([0.05, 0.1])).motion(LIMITS)
+    stiff = CastSetup(ROPE.replace(max_bend=np.array([np.inf, *7 * [0.3]])), ARM, LIMITS, 3.0)
+    blow = simulate_impact(stiff, TipTarget(2.5, 2.5, direction=0.0), motion, 1.9)
+    assert blow.message == "the rope does not touch the peg"
+    assert np.isnan(blow.t)
+    assert blow.link == -1

@@ -50,7 +50,7 @@ class CastOutcome:
     touch_time : float
         First touch of the peg, s: before `strike_time` if the rope grazes the peg and comes off.
     contact_angle : float
-        Angle of the peg that the rope covers at the end of the run, rad, >= 0: `turns` less what is straight or hangs.
+        Least angle of the peg that the rope covers in the watch, rad, >= 0: `turns` less what is straight or hangs.
     max_bend : float
         Greatest angle between neighbouring links, rad: of the rope's contact with itself only joint limits are
         simulated (:func:`hyperflex.planning.verification.limit_bend`). Above pi it folds through itself, and fails.
@@ -121,8 +121,8 @@ def verify_cast(
         As for :func:`hyperflex.simulate`, m and s.
     watch_time : float
         Time for which the rope must hold, s, from SETTLING_TIME after the arm's stop.
-    time_budget : float, optional
-        Processor time of the run, s; a run that takes more has failed.
+    time_budget : float or Deadline, optional
+        Processor time of the run, s, or a share in a time by the clock; a run that takes more has failed.
     """
     watch_time = checks.number("watch_time", watch_time, sign="positive", unit="s")
     stop = float(motion.breaks[-1])
@@ -178,7 +178,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         load_ratio=_load_ratio(wound, watched, peg) if on else float("nan"),
         strike_time=_longest_stay(run.t, touched),
         touch_time=float(run.t[touched.argmax()]) if touched.any() else float("nan"),
-        contact_angle=float(wound.contact[-1]),
+        contact_angle=covered,
         max_bend=max_bend,
         folded=folded_flat(run),
         clearance=clearance.value,

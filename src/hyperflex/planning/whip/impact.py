@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -14,6 +15,7 @@ from hyperflex.planning.verification import limit_bend
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
+from hyperflex.winding import TOUCH
 
 IMPACT_RADIUS = 0.01  # m, of the peg
 IMPACT_TIME, WINDOW = 0.05, 0.15  # s: duration of an impact; before and after it
@@ -34,7 +36,7 @@ class Impact:
     impulse_along : float
         Its component in the asked direction, N s.
     energy : float
-        Energy lost in the impact, J.
+        Energy lost in the impact while the rope is on the peg, J.
     link : int
         First link in contact, counted from the motor; -1 if none is.
     message : str
@@ -84,7 +86,7 @@ def simulate_impact(
     run = simulate(setup, t_eval=t)
     loss = np.asarray(run.contact_loss)
     force = -np.asarray(run.contact_force)  # on the peg
-    touched = (loss > 0.0) | (np.abs(force).sum(axis=(1, 2)) > 0.0)
+    touched = _touched(run, peg)
     if not touched.any():
         return Impact(float("nan"), 0.0, 0.0, 0.0, -1, "the rope does not touch the peg")
     first = int(touched.argmax())
@@ -94,10 +96,11 @@ def simulate_impact(
         where = f"link {link + 1} touches the peg first, at {t[first]:.2f} s and {1e2 * left:.0f} cm from the tip"
         return Impact(float(t[first]), 0.0, 0.0, 0.0, link, f"{where}; the tip was expected at {near:.2f} s")
     last = min(first + round(IMPACT_TIME / step), t.size - 1)
-    energy = float(loss[last] - loss[first - 1])
+    lost = np.where(touched, np.diff(loss, prepend=0.0), 0.0)  # else in joints that come to their limits
+    energy = float(lost[first : last + 1].sum())
     total = step * force[first : last + 1].sum(axis=(0, 1))
     for k in range(first, last + 1):
-        if loss[k] - loss[k - 1] > SUDDEN * energy:
+        if lost[k] > SUDDEN * energy:
             total = total - collision_impulse(run, peg, k)
     return Impact(float(run.t[first]), float(np.hypot(*total)), float(total @ way), energy, link)
 
@@ -130,11 +133,31 @@ def momenta(run: Trajectory, k: int) -> Array:
     return np.asarray((own * across).sum(axis=1) + rope.inertia * run.qd[k])
 
 
+def _touched(run: Trajectory, peg: Peg) -> npt.NDArray[np.bool_]:
+    """Whether the rope was on a peg (T,), by its force, or by a loss where the peg was as near as a link moves.
+
+    A loss alone may be that of a joint that comes to its limit.
+    """
+    near = _closest(run, peg, slice(None))[1].min(axis=1) - peg.radius - run.setup.rope.radius
+    ends = run.base_velocity[:, None] + np.cumsum(
+        (run.setup.rope.length * run.qd)[..., None] * np.stack([np.cos(run.q), np.sin(run.q)], axis=-1), axis=1
+    )
+    fastest = np.hypot(ends[..., 0], ends[..., 1]).max(axis=1)
+    lost = np.diff(np.asarray(run.contact_loss), prepend=0.0) > 0.0
+    reach = TOUCH + np.diff(run.t, prepend=run.t[0]) * fastest
+    return np.asarray((lost & (near < reach)) | (np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0))
+
+
 def _touching(run: Trajectory, peg: Peg, k: int) -> tuple[int, float]:
     """Return the link nearest to a peg at sample k, and how far along it the nearest point is, m."""
-    length, q = run.setup.rope.length, run.q[k]
-    out = np.array([peg.x, peg.y]) - run.joints[k, :-1]
-    along = np.clip(out[:, 0] * np.sin(q) - out[:, 1] * np.cos(q), 0.0, length)
-    gap = np.hypot(out[:, 0] - along * np.sin(q), out[:, 1] + along * np.cos(q))
-    link = int(gap.argmin())
+    along, away = _closest(run, peg, k)
+    link = int(away.argmin())
     return link, float(along[link])
+
+
+def _closest(run: Trajectory, peg: Peg, k: int | slice) -> tuple[Array, Array]:
+    """Return how far along each link its nearest point to a peg's centre is at samples k, and its distance, m."""
+    length, q = run.setup.rope.length, run.q[k]
+    out = np.array([peg.x, peg.y]) - run.joints[k][..., :-1, :]
+    along = np.clip(out[..., 0] * np.sin(q) - out[..., 1] * np.cos(q), 0.0, length)
+    return along, np.hypot(out[..., 0] - along * np.sin(q), out[..., 1] + along * np.cos(q))

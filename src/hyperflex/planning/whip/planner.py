@@ -71,8 +71,8 @@ class WhipPlanner:
         """Return the time that is left for the search, s."""
         return SEARCHING * self.time_budget - self.clock.spent
 
-    def run(self, report: Callable[[float], None] | None) -> None:
-        """Aim until there are enough whips, or no time is left; `report` gets the time spent, s."""
+    def run(self, report: Callable[[], None] | None) -> None:
+        """Aim until there are enough whips, or no time is left; `report` is called after each."""
         candidates = self.whip_map.candidates(self.target)
         for found in candidates[:DIRECT]:
             if self.add(aim_peak(self.cast_setup, self.target, found, self.left), report):
@@ -87,13 +87,13 @@ class WhipPlanner:
             if self.add(aim_peak(self.cast_setup, self.target, search.best, self.left), report):
                 return
 
-    def add(self, aim: AimedPeak | None, report: Callable[[float], None] | None) -> bool:
+    def add(self, aim: AimedPeak | None, report: Callable[[], None] | None) -> bool:
         """Keep a whip; return whether there are enough, or no time is left."""
         if aim is not None:
             self.aims.append(aim)
             self.aims.sort(key=self.rank)
         if report is not None:
-            report(min(self.clock.spent, self.time_budget))
+            report()
         return self.left() < 0.0 or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
 
     def rank(self, aim: AimedPeak) -> tuple[float, float]:
@@ -233,15 +233,14 @@ def plan_whip(
     distance = pivot_distance(cast_setup, target)
     known = WhipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
     planner = None
-    with caught() as stop:
+    with caught() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
         if whip_map is None:
             whip_map = build_whip_map(cast_setup, threads=threads, left=lambda: MAPPING * time_budget - clock.spent)
         known = check_whip_feasibility(whip_map, target)
         if math.isfinite(known.cost) and (known.feasible or skip_feasibility):
             left = max(0.0, time_budget - clock.spent)
             planner = WhipPlanner(replace(whip_map, cast_setup=cast_setup), target, left, seed, threads)
-            with progress_bar(0.0, time_budget, progress, "planning") as report:
-                planner.run(report)
+            planner.run(None if report is None else lambda: report(min(clock.spent, time_budget)))
             planner.verify()
     found: dict[str, Any] = {"seconds": clock.elapsed, "interrupted": stop.met}
     if planner is None:
