@@ -141,7 +141,7 @@ def _impossible(rope: Rope) -> list[str]:
         k = int(np.argmax(reach))
         words = (
             f"link {k} would have its mass {reach[k]:.3g} times as far from its joint as it is long (inertia over "
-            "first moment). Check times, frame rate, scale and lengths, and whether each link is the one that it is called."
+            "first moment). Check times, frame rate, scale, lengths and the order of the links."
         )
         return [words]
     return []

@@ -139,7 +139,7 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
         counted = f"That residuals hang together, over {factor:.3g} samples, is counted in"
     deviations = (
         "std: standard deviation; it, the interval and the guess are in the unit of the value. "
-        f"95 % interval: {intervals}. {counted}. Errors of the model itself are not in any of them."
+        f"95 % interval: {intervals}. {counted}. They allow for errors of the model as far as the verdict says."
     )
     counting = "Links and markers count from 0: link 0 hangs from the first joint."
     unknown = not all(np.isfinite(each.std) for each in numbers(found))
