@@ -43,8 +43,6 @@ def link_test(basis: Basis) -> tuple[ScoreTest, ...]:
         again = fit(plant, seen, x, states, loss=found.loss, rounds=ROUNDS)
     except InvalidInput:  # links that are not uniform, or that cannot be simulated
         return ()
-    if again.interrupted:
-        raise KeyboardInterrupt
     noise = basis.information.variance * basis.information.correlation
     pairs = list(zip(found.residuals[::every], again.residuals, strict=True))
     before = sum(found.loss.cost(residual) for residual, _ in pairs)
