@@ -16,9 +16,7 @@ from hyperflex.model import Rope
 from hyperflex.sensors import Angles
 
 LINKS = "links"
-PIECES = (
-    4  # that each link is cut into: what longer links change goes with their length squared, so that little is left
-)
+PIECES = 4  # that each link is cut into; what longer links change goes with their length squared: little is left
 
 
 def link_test(basis: Basis) -> tuple[ScoreTest, ...]:
