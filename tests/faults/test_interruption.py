@@ -21,6 +21,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import interruption
 from hyperflex.files import atomic_path
+from hyperflex.identification.uncertainty import covariance
 from hyperflex.interruption import caught, deferred, interruptible, look, noticing
 from tests.faults.counting import count
 from tests.faults.interrupting import left_by
@@ -173,6 +174,29 @@ def test_a_run_is_interrupted_in_a_kernel_and_goes_on_bit_for_bit() -> None:
     rest = hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], state=part.state, duration=1.0, t_eval=[end + 1.0])
     whole = hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], duration=end + 1.0, t_eval=[end + 1.0])
     np.testing.assert_array_equal(rest.q, whole.q)
+
+
+@pytest.mark.parametrize(("grace", "known"), [(60.0, True), (0.0, False)])
+def test_a_fit_is_kept_when_its_covariance_is_interrupted(monkeypatch, grace: float, known: bool) -> None:
+    """With deviations where they are found at once, and without any where they would take long."""
+    derivatives, begun = covariance._models, []
+
+    def interrupted(*given: object) -> object:
+        begun.append(True)
+        if len(begun) == 1:
+            signal.raise_signal(signal.SIGINT)
+        return derivatives(*given)
+
+    monkeypatch.setattr(covariance, "_models", interrupted)
+    monkeypatch.setattr(covariance, "GRACE", grace)
+    rod = hf.Rope([0.3], [0.1], friction=2e-4)
+    swing = hf.simulate(rod, duration=4.0, q0=[0.8])
+    found = left_by(lambda: hf.identify(hf.Recording(swing.t, swing.q), rod.replace(friction=1e-3), ["friction"]))
+    assert found.message == "interrupted"
+    assert found.rope.friction[0] == pytest.approx(2e-4, rel=1e-3)
+    assert np.isfinite(found.std["friction"]).all() == known
+    assert bool(found.intervals) == known
+    assert any("before deviations and intervals were worked out" in each for each in found.verdict) != known
 
 
 def test_an_interrupt_while_files_are_put_in_place_leaves_no_part(tmp_path, monkeypatch) -> None:

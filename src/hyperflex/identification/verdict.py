@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.ending import CONVERGED
+from hyperflex.identification.ending import CONVERGED, OUT_OF_TIME
 from hyperflex.identification.fit.loss import NORMAL, Loss
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters
@@ -35,6 +35,8 @@ LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a
 
 def verdict(parameters: Parameters, information: Information, spreads: dict[str, Array]) -> list[str]:
     """Return in words what is identifiable; `spreads` (n,) are standard deviations of the ratios."""
+    if not information.estimated:
+        return ["It ended before deviations and intervals were worked out: there are none."]
     return _unknown(parameters, information, spreads) + _values(parameters, information)
 
 
@@ -42,9 +44,10 @@ def not_converged(message: str) -> str:
     """Return a warning where a fit did not converge."""
     if message == CONVERGED:
         return ""
+    how, more = ("out of time", ", or a longer time budget") if message == OUT_OF_TIME else (message, "")
     return (
-        f"The fit is {message}: its values, ratios and deviations are where it stood, not what the data say. Give a "
-        "better guess, shorter windows or fewer free parameters."
+        f"The fit is {how}: its values, ratios and deviations are where it stood, not what the data say. Give a "
+        f"better guess, shorter windows or fewer free parameters{more}."
     )
 
 

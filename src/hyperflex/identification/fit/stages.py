@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from hyperflex import memory
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.fit.loss import Loss
@@ -22,6 +23,7 @@ STAGE_WINDOWS = 40  # of the short ones, spread over the recording
 DELAY_STEPS = 16  # of the grid on either side of 0, over a window's length
 DELAY_WINDOWS = 4  # that are looked at
 DELAY_ROUNDS = 2  # of fitting their states
+COPIES = 4  # of the derivatives of all values that stand in the memory at once
 CLEARLY = 0.8  # part of the cost without delay that another must come below
 
 
@@ -47,6 +49,17 @@ class Measurements:
 
 
 Done = tuple[Fit, list[Window], dict[str, Any]]
+
+
+def check_memory(plant: Plant, measured: Measurements, length: float) -> None:
+    """Refuse, before the work, more derivatives of windows of `length`, s, than there is memory for."""
+    channels, links, count = measured.channels, plant.parameters.guess.n_links, len(plant.parameters)
+    values = channels.data.size // decimation_step(channels, length)
+    memory.check(
+        8.0 * COPIES * values * (2 * links + count),
+        f"a fit of {count} parameters of {links} links to {values} values",
+        "Free fewer parameters, or give a part of the recording",
+    )
 
 
 def fit_in_stages(
