@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
 
 
@@ -25,6 +26,7 @@ def play(
         typer.Option(help="A further host:port by which browsers may ask, several times; others get 403."),
     ] = None,
     no_open: Annotated[bool, typer.Option("--no-open", help="Print the address, but open no browser.")] = False,
+    json: output.Json = False,
 ) -> None:
     """Swing, cast and look in the browser, live: drag the target, change rope and arm, plan, scrub what was seen.
 
@@ -42,7 +44,8 @@ def play(
         session.play(Setup.from_toml(setup), "file")
     with PlayServer(Folder(folder), session, port=port, host=host, allow=allow or ()) as server:
         sys.stderr.write(f"hyperflex: at {server.address}; Ctrl-C ends it\n")
-        sys.stderr.flush()
+        if json:
+            output.print_json({"address": server.address, "port": server.port, "folder": folder}, one_line=True)
         if not no_open:
             with contextlib.suppress(webbrowser.Error):
                 webbrowser.open(server.address)

@@ -25,6 +25,11 @@ class ArmProgram:
         self._ramps: list[float] = []
 
     @property
+    def begun(self) -> bool:
+        """Whether the arm has moved."""
+        return bool(self._durations)
+
+    @property
     def full(self) -> bool:
         """Whether it remembers all that it may."""
         return len(self._durations) >= MOST_MOVES

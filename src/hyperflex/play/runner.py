@@ -3,6 +3,7 @@
 import queue
 import threading
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any
@@ -133,8 +134,14 @@ class Runner:
             self.number += 1
             self._tell()
         except HyperflexError as error:
-            self.paused, self._notice = True, str(error)
-            self.changed(picture=False)
+            self._stop(str(error))
+        except Exception as error:  # noqa: BLE001 last resort: the page is to go on
+            traceback.print_exc()
+            self._stop(f"This is a bug in hyperflex: {error}. Please report it with what the terminal says.")
+
+    def _stop(self, why: str) -> None:
+        self.paused, self._notice = True, why
+        self.changed(picture=False)
 
     def _answer(self, until: float) -> None:
         """Do what is asked, and wait for more until a time."""
@@ -185,7 +192,7 @@ class Runner:
         plan = self._required()
         seen = plan.outcome
         strike = 0.0 if seen is None else seen.strike_time if isinstance(seen, CastOutcome) else seen.t
-        self.session.play(plan.setup(), "cast", skip=max(strike - BEFORE_STRIKE, 0.0))
+        self.session.play(plan.setup(), "cast", skip=max(0.0, strike - BEFORE_STRIKE))  # NaN: it never strikes
         self.session.change({"speed": SLOW})
 
     def _required(self) -> CastPlan | WhipPlan:

@@ -172,7 +172,8 @@ class Session:
 
     def _decide(self, program: ArmProgram, until: float) -> None:
         """Decide the next move of the arm, if it begins before a time."""
-        start = max(self.t, program.end + (self.settings.t_rest if self.activity == "swing" else 0.0))
+        rest = self.settings.t_rest if self.activity == "swing" and program.begun else 0.0
+        start = max(self.t, program.end + rest)
         wanted = self.activity == "swing" or (self._goal is not None and self._goal != program.angle)
         if start >= until or not wanted:
             return
