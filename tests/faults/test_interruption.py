@@ -24,6 +24,7 @@ from hyperflex.core.tangent import forward_sensitivity
 from hyperflex.files import atomic_path
 from hyperflex.identification.uncertainty import covariance
 from hyperflex.interruption import caught, deferred, interruptible, look, noticing
+from hyperflex.simulation.contact import runs
 from tests.faults.counting import count
 from tests.faults.interrupting import left_by
 
@@ -180,6 +181,24 @@ def test_a_run_is_interrupted_in_a_kernel_and_goes_on_bit_for_bit() -> None:
     rest = hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], state=part.state, duration=1.0, t_eval=[end + 1.0])
     whole = hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], duration=end + 1.0, t_eval=[end + 1.0])
     np.testing.assert_array_equal(rest.q, whole.q)
+
+
+def test_a_run_with_contact_is_interrupted_with_state_and_clock_that_fit_together(monkeypatch) -> None:
+    """A signal is heard when the kernel returns, before the run knows how far it has come."""
+    kernel, calls = runs.core.run, []
+
+    def interrupted(*given: object) -> int:
+        code = kernel(*given)
+        calls.append(code)
+        if len(calls) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return code
+
+    how = {"arm": hf.Arm(length=0.1), "pegs": [hf.Peg(0.0, -0.5, 0.03)], "duration": 4.0, "contact_step": 1e-3}
+    monkeypatch.setattr(runs.core, "run", interrupted)
+    part = left_by(lambda: hf.simulate(CABLE, q0=[1.2] * 20, tol=1e-3, **how))
+    assert (part.status, len(calls)) == ("interrupted", 3)
+    assert part.state.t > part.t[-1] > 0.0
 
 
 def test_derivatives_of_a_long_run_are_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
