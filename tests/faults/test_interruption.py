@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import _thread
 import contextlib
+import inspect
 import json
 import os
 import signal
@@ -20,11 +21,16 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import interruption
+from hyperflex.control import optimize_pumping
 from hyperflex.core.tangent import forward_sensitivity
+from hyperflex.demo import write_demo
+from hyperflex.estimate import track_video
 from hyperflex.files import atomic_path
 from hyperflex.identification.uncertainty import covariance
 from hyperflex.interruption import caught, deferred, interruptible, look, noticing
+from hyperflex.paper import reproduce
 from hyperflex.simulation.contact import runs
+from hyperflex.vision import calibrate_camera, track_bars
 from tests.faults.counting import count
 from tests.faults.interrupting import left_by
 
@@ -216,6 +222,18 @@ def test_derivatives_of_a_long_run_are_interrupted(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(forward_sensitivity, "forward_sensitivities", interrupted)
     assert left_by(lambda: hf.sensitivities(CABLE, **long)) is None
     assert not states[0].any()  # it did not come to its end
+
+
+def test_each_public_call_that_takes_long_leaves_as_interrupted() -> None:
+    calls = (reproduce, write_demo, calibrate_camera, track_video, track_bars, optimize_pumping, hf.Stepper.step)
+    assert all(hasattr(call, "__wrapped__") for call in (*calls, hf.BatchStepper.step, hf.Stepper.linearize))
+    short = {"measure_winding", "refine_rope", "forward_kinematics", "mass_matrix", "linearize", "fit_regression"}
+    short |= {"rope_slip", "rope_tension"}
+    rooms = ("hyperflex.motion", "hyperflex.simulation.events")  # of what takes no time
+    for name in set(hf.__all__) - short:
+        call = getattr(hf, name)
+        if inspect.isfunction(call) and not (name.startswith("read_") or call.__module__.startswith(rooms)):
+            assert hasattr(call, "__wrapped__"), name
 
 
 @pytest.mark.parametrize("kind", [hf.Stepper, hf.BatchStepper])
