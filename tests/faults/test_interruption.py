@@ -20,6 +20,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import interruption
+from hyperflex.core.tangent import forward_sensitivity
 from hyperflex.files import atomic_path
 from hyperflex.identification.uncertainty import covariance
 from hyperflex.interruption import caught, deferred, interruptible, look, noticing
@@ -40,6 +41,11 @@ def usual_handler() -> Iterator[None]:
     yield
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     signal.signal(signal.SIGINT, before)
+
+
+def soon() -> None:
+    """Send Ctrl-C to the main thread in a moment."""
+    threading.Timer(0.3, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT)).start()
 
 
 def swallowed() -> None:
@@ -174,6 +180,32 @@ def test_a_run_is_interrupted_in_a_kernel_and_goes_on_bit_for_bit() -> None:
     rest = hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], state=part.state, duration=1.0, t_eval=[end + 1.0])
     whole = hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], duration=end + 1.0, t_eval=[end + 1.0])
     np.testing.assert_array_equal(rest.q, whole.q)
+
+
+def test_derivatives_of_a_long_run_are_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the midst of the kernel that goes through the run's steps again."""
+    kernel, states = forward_sensitivity.forward_sensitivities, []
+
+    def interrupted(*given: np.ndarray) -> None:
+        soon()
+        kernel(*given)
+        states.append(given[-3][-1])
+
+    long = {"q0": [1.0] * 20, "duration": 200.0, "t_eval": [200.0], "wrt": ["qd0", "friction[:]"]}
+    hf.sensitivities(CABLE, **(long | {"duration": 0.1, "t_eval": [0.1]}))
+    monkeypatch.setattr(forward_sensitivity, "forward_sensitivities", interrupted)
+    assert left_by(lambda: hf.sensitivities(CABLE, **long)) is None
+    assert not states[0].any()  # it did not come to its end
+
+
+@pytest.mark.parametrize("kind", [hf.Stepper, hf.BatchStepper])
+def test_steps_are_interrupted_and_go_on(monkeypatch: pytest.MonkeyPatch, kind: type) -> None:
+    stepper = kind(CABLE if kind is hf.Stepper else [CABLE] * 40, arm=hf.Arm(length=0.1))
+    begin = stepper.start()
+    after = stepper.step(begin, 1.0, 0.1)
+    soon()
+    assert left_by(lambda: stepper.step(begin, 1.0, 1e4)) is None
+    np.testing.assert_array_equal(stepper.step(begin, 1.0, 0.1).q, after.q)
 
 
 @pytest.mark.parametrize(("grace", "known"), [(60.0, True), (0.0, False)])

@@ -2,6 +2,7 @@
 
 import inspect
 import os
+import re
 import signal
 import sys
 import traceback
@@ -32,6 +33,7 @@ from hyperflex.interruption import noticing
 # the common base of what the parser raises: BadParameter <- UsageError <- ClickException
 _PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
 
+_NO_NUMBER = re.compile(r"Invalid value for '(?:-\w / )?(--[\w-]+)'.* valid (number|integer)")
 COMPLETE = "_HYPERFLEX_COMPLETE"  # set by a shell that asks what may follow
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -150,9 +152,19 @@ def _misused(error: Any, arguments: Sequence[str]) -> str:
     """Return what the parser complains of in whole sentences, and where to look."""
     worded = getattr(error, "format_message", None)
     message = str(worded() if worded else error).rstrip(".")
-    two = " Give two numbers: --target X Y." if "'--target'" in message else ""
+    if found := _NO_NUMBER.search(message):
+        kind = "a whole number" if found[2] == "integer" else "numbers"
+        message = f"{found[1]} takes {kind}: got {_given(found[1], arguments)}"
+    two = " Give two numbers: --target X Y." if "--target" in message else ""
     named = arguments[0] if arguments and arguments[0] in _COMMANDS else ""
     return f"{message}.{two} See {f'hyperflex {named}'.strip()} --help."
+
+
+def _given(option: str, arguments: Sequence[str]) -> str:
+    """Return the words that were given to an option, as they stand on the command line."""
+    joined = [word.partition("=")[2] for word in arguments if word.startswith(f"{option}=")]
+    after = [word for before, word in pairwise(arguments) if before == option]
+    return ", ".join(map(repr, joined + after)) or "something else"
 
 
 def _invoke(arguments: Sequence[str]) -> int:

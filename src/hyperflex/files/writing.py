@@ -164,7 +164,7 @@ def _write_problem(target: Path, part: Path, error: OSError) -> FileProblem:
     if isinstance(error, PermissionError):
         return FileProblem(f"{target} could not be written: no permission. {stands}. Give a path you may write to.")
     ours = getattr(error, "filename", None) in (None, str(part))
-    if isinstance(error, FileNotFoundError) and ours:
+    if isinstance(error, FileNotFoundError) and (ours or part == target):
         return FileProblem(
             f"{target} could not be written: its folder takes no new files. {stands}. Give another path."
         )

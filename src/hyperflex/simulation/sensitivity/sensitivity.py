@@ -1,5 +1,6 @@
 """Exact derivatives of rollouts by the start, the rope, the arm and the motion."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _NAMED = 4  # parameters that are printed
+LARGE = 1_000_000  # steps x links x directions, some tenths of a second's work, from which Ctrl-C is heard meanwhile
+ON = np.zeros(1, dtype=np.int64)  # nothing halts what is short
 STEPS = 10_000  # noted in one go; a run with more of them is done again with room for all
 
 
@@ -273,9 +276,25 @@ def forward_derivatives(
     if steps.size:
         seeds = seeds or directions.directions(run.chain, run.drive)
         begins = stiction_projection(run.chain, run.drive, begin, y[0, :n], steps[0, MODES:], seeds, dy[0])
-        core.forward_sensitivities(run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
+        given = (run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
+        _stoppable(given, steps.shape[0] * n * directions.width)
     first = times.size - t.size
     return y[first:], dy[first:]
+
+
+def _stoppable(given: tuple[Any, ...], size: int) -> None:
+    """Go through steps with derivatives; where these are many (`size`), on a thread, so that Ctrl-C is heard."""
+    if size < LARGE:
+        core.forward_sensitivities(*given, ON)
+        return
+    halt = np.zeros(1, dtype=np.int64)
+    with ThreadPoolExecutor(1) as pool:
+        work = pool.submit(core.forward_sensitivities, *given, halt)
+        try:
+            work.result()
+        except KeyboardInterrupt:
+            halt[0] = 1
+            raise
 
 
 def acceleration_jacobian(
