@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         InvalidInput,
         SimulationError,
     )
+    from hyperflex.exchange import read_mjcf, write_mjcf
     from hyperflex.identification import (
         Bootstrap,
         Experiment,

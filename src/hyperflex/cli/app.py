@@ -21,8 +21,10 @@ from hyperflex.cli.identify import identify
 from hyperflex.cli.look import plot, view
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
+from hyperflex.cli.start.doctor import doctor
+from hyperflex.cli.start.init import init
+from hyperflex.cli.start.warm import warm
 from hyperflex.cli.track import track
-from hyperflex.cli.warm import warm
 from hyperflex.cli.watch import watch
 from hyperflex.cli.whip import whip
 from hyperflex.errors import HyperflexError, InvalidInput
@@ -32,9 +34,11 @@ from hyperflex.interruption import noticing
 _PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
 
 _NO_NUMBER = re.compile(r"Invalid value for '(?:-\w / )?(--[\w-]+)'.* valid (number|integer)")
+COMPLETE = "_HYPERFLEX_COMPLETE"  # set by a shell that asks what may follow
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 for _command, _example in (
+    (init, "init cast.toml --length 1.5 --mass 0.08 --peg 0.8 -0.6 0.03"),
     (simulate, "simulate cast.toml -o cast.nc"),
     (view, "view cast.nc"),
     (plot, "plot cast.nc -o cast.png"),
@@ -47,6 +51,7 @@ for _command, _example in (
     (reproduce, "reproduce fig10 fig12 -o paper"),
     (demo, "demo -o demo-output"),
     (warm, "warm"),
+    (doctor, "doctor --camera 0"),
 ):
     app.command(epilog=f"\b\nExample:\n  hyperflex {_example}")(_command)
 _COMMANDS = {each.callback.__name__ for each in app.registered_commands if each.callback is not None}
@@ -89,6 +94,8 @@ def run(arguments: Sequence[str]) -> int:
         Exit code, as the command's help has it; 1 also where the reader of a pipe went away.
     """
     as_json = "--json" in arguments
+    if COMPLETE in os.environ:
+        typer.main.get_command(app).main([], prog_name="hyperflex")  # answers, and ends the program
     try:
         _check_empty(arguments)
         return _invoke(arguments)

@@ -277,7 +277,7 @@ def _in_short(demo: Demo) -> Section:
     )
     setup = (
         f"Rope: {rope.total_length:g} m, {rope.total_mass:g} kg. Recording: {recording.t.size} frames over "
-        f"{recording.duration:g} s, {recording.n_links} markers, the first "
+        f"{recording.duration:.1f} s, {recording.n_links} markers, the first "
         f"{demo.identification.settings['fitted_to']:.1f} s fitted. Cast: arm of {1e3 * casting_arm().length:g} mm, "
         f"half a turn in {T_MOVE:g} s, rest {T_REST['success']:g} s, through the bottom."
     )

@@ -43,7 +43,7 @@ class CastReport(PlanReport[CastPlan]):
     """
 
     captions: ClassVar = {
-        "film": "The planned cast, simulated: arm, rope (yellow), path of the tip (green), target (red).",
+        "film": "The planned cast, simulated: arm, rope (ochre), path of the tip (green), target (red).",
         "strike": "The rope about the strike, early instants dark, late ones bright; simulated.",
         "course": "Arm angle, turns, tension and torque over time. Dashed red: the strike. Green: slip is measured.",
         "tug": "The simulated tug that gives the hold force: pull, and slip of the rope on the target.",

@@ -41,7 +41,7 @@ class WhipReport(PlanReport[WhipPlan]):
 
     name = "whip"
     captions: ClassVar = {
-        "film": "The planned whip, simulated: arm, rope (yellow), path of the tip (green), target (red ring).",
+        "film": "The planned whip, simulated: arm, rope (ochre), path of the tip (green), target (red ring).",
         "peak": "The rope about the peak, early instants dark, late ones bright; simulated.",
         "passing": "How the tip passes the target: its path, coloured by its speed; simulated.",
         "course": "Arm angle, speed of the tip, its distance from the target, and torque over time. Dashed: the peak.",
