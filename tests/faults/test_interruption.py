@@ -232,7 +232,7 @@ def test_each_public_call_that_takes_long_leaves_as_interrupted() -> None:
     rooms = ("hyperflex.motion", "hyperflex.simulation.events")  # of what takes no time
     for name in set(hf.__all__) - short:
         call = getattr(hf, name)
-        if inspect.isfunction(call) and not (name.startswith("read_") or call.__module__.startswith(rooms)):
+        if inspect.isfunction(call) and not (name.startswith(("read_", "write_")) or call.__module__.startswith(rooms)):
             assert hasattr(call, "__wrapped__"), name
 
 
