@@ -237,7 +237,7 @@ def test_a_line_now_and_then_where_nobody_watches(monkeypatch, capsys) -> None:
     before, said = threading.active_count(), ""
     with progress.progress_bar(1.0, 5.0, True, "fitting", "models") as report:
         assert report is not None
-        while "fitting: 2 of 4 models (" not in said:
+        while "fitting: 2 of 4 models; begun" not in said:
             report(3.0)
             time.sleep(0.01)
             said += capsys.readouterr().err

@@ -26,6 +26,7 @@ from hyperflex.paper.report import casting
 from hyperflex.paper.report.part import Item
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.wind.fallback_targets import plan_fallback
+from hyperflex.report.units import length
 from hyperflex.simulation import time_budget
 from tests.faults.bounds import LEAKED, bounded, readable
 
@@ -192,3 +193,8 @@ def test_a_plan_for_another_target_is_kept_when_the_next_is_interrupted() -> Non
     with pytest.raises(hf.Interrupted) as stop, noticing():
         plan_fallback(failed, search, 1e-3, interrupted)
     assert stop.value.partial.fallback.plan is other
+
+
+def test_lengths_are_told_in_a_unit_of_their_size() -> None:
+    words = [length(each) for each in (40.0, 0.1324, 1e-5)] + [length(6.618, small="cm"), length(0.661, 2)]
+    assert words == ["40 m", "132 mm", "0.01 mm", "6.62 m", "660 mm"]

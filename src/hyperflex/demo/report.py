@@ -10,6 +10,7 @@ import numpy as np
 from hyperflex import files
 from hyperflex.demo import twin
 from hyperflex.demo.run import INTERVAL, Demo, Parameter, run_demo
+from hyperflex.interruption import interruptible
 from hyperflex.paper import T_MOVE, T_REST, casting_arm
 from hyperflex.report import (
     BLUE,
@@ -82,6 +83,7 @@ class DemoReport:
     verdicts: tuple[tuple[bool, str], ...]  # on the planned cast, and on the same throw of the rope that was recorded
 
 
+@interruptible()
 def write_demo(directory: str | Path, progress: Progress = silent) -> DemoReport:
     """Run the demo and write its folder, as :func:`hyperflex.report.folder.whole_folder` does.
 

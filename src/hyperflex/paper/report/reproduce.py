@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hyperflex import checks, files
+from hyperflex.interruption import interruptible
 from hyperflex.paper.report import casting, estimation, identification, timing
 from hyperflex.paper.report.part import TEXTS, Part, Written, claims_table, verdicts, write_part
 from hyperflex.paper.results import Claim
@@ -22,6 +23,7 @@ class Reproduction:
     claims: tuple[Claim, ...]
 
 
+@interruptible()
 def reproduce(
     names: Sequence[str],
     directory: str | Path,

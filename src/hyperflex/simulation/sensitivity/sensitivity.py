@@ -1,5 +1,6 @@
 """Exact derivatives of rollouts by the start, the rope, the arm and the motion."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -277,19 +278,19 @@ def forward_derivatives(
         seeds = seeds or directions.directions(run.chain, run.drive)
         begins = stiction_projection(run.chain, run.drive, begin, y[0, :n], steps[0, MODES:], seeds, dy[0])
         given = (run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
-        _stoppable(given, steps.shape[0] * n * directions.width)
+        _stoppable(lambda halt: core.forward_sensitivities(*given, halt), steps.shape[0] * n * directions.width)
     first = times.size - t.size
     return y[first:], dy[first:]
 
 
-def _stoppable(given: tuple[Any, ...], size: int) -> None:
-    """Go through steps with derivatives; where these are many (`size`), on a thread, so that Ctrl-C is heard."""
+def _stoppable(kernel: Callable[[npt.NDArray[np.int64]], None], size: int) -> None:
+    """Call a kernel that can be halted; one of a large `size` on a thread, so that Ctrl-C is heard meanwhile."""
     if size < LARGE:
-        core.forward_sensitivities(*given, ON)
+        kernel(ON)
         return
     halt = np.zeros(1, dtype=np.int64)
     with ThreadPoolExecutor(1) as pool:
-        work = pool.submit(core.forward_sensitivities, *given, halt)
+        work = pool.submit(kernel, halt)
         try:
             work.result()
         except KeyboardInterrupt:
