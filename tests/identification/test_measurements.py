@@ -7,7 +7,7 @@ import pytest
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import identify
+from hyperflex.identification import identify, ratios
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings
 from hyperflex.recording import Recording
@@ -44,6 +44,24 @@ def test_fewer_markers_than_links_find_friction_within_its_interval() -> None:
     for name, truth in (("origin_x", 0.4), ("origin_y", 1.2)):
         assert abs(found.values[name] - truth) < 4.0 * found.std[name]
     np.testing.assert_allclose(found.residual_rms, NOISE, rtol=0.4)  # 46 values a channel: 10 %, four times
+
+
+@pytest.mark.parametrize("markers", [[1], [0, 1]], ids=["tip", "both"])
+def test_a_pendulum_that_folds_is_found_from_its_tip_alone(markers: list[int]) -> None:
+    """A tip near the first joint does not show to which side the pendulum is bent."""
+    true = DOUBLE.replace(length=[0.09, 0.07], com=[0.05, 0.03], inertia=[2e-5, 1e-5], friction=1e-5)
+    t = np.arange(601) / 200.0
+    run = simulate(true, duration=t[-1], t_eval=t, q0=[2.4, 1.0], qd0=[3.0, -14.0], tol=1e-9)
+    places = run.joints[:, 1:][:, markers] + 5e-4 * np.random.default_rng(6).standard_normal((t.size, len(markers), 2))
+    recording = Recording(t, places.reshape(t.size, -1), kind="markers", noise=5e-4)
+    assert np.hypot(*run.joints[:, 2].T).min() < 0.08  # of 0.16 m
+    guess = true.replace(inertia=[4e-5, 5e-6], com=[0.04, 0.035], friction=3e-5)
+    arcs = np.array([0.09, 0.16])[markers]
+    found = identify(recording, guess, ["inertia", "com", "friction"], arc_lengths=arcs, origin=(0.0, 0.0))
+    assert found.success
+    np.testing.assert_allclose(found.residual_rms, 5e-4, rtol=0.1)
+    for name in ("J/p1", "p/p1"):
+        assert (np.abs(found.ratios[name] - ratios(true)[name]) <= 3.0 * found.ratio_std[name] + 1e-12).all()
 
 
 def test_where_a_marker_sits_can_be_found() -> None:
