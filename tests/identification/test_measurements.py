@@ -7,7 +7,8 @@ import pytest
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import identify, ratios
+from hyperflex.identification import identify
+from hyperflex.identification.measurements import measure
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings
 from hyperflex.recording import Recording
@@ -46,22 +47,21 @@ def test_fewer_markers_than_links_find_friction_within_its_interval() -> None:
     np.testing.assert_allclose(found.residual_rms, NOISE, rtol=0.4)  # 46 values a channel: 10 %, four times
 
 
-@pytest.mark.parametrize("markers", [[1], [0, 1]], ids=["tip", "both"])
-def test_a_pendulum_that_folds_is_found_from_its_tip_alone(markers: list[int]) -> None:
-    """A tip near the first joint does not show to which side the pendulum is bent."""
-    true = DOUBLE.replace(length=[0.09, 0.07], com=[0.05, 0.03], inertia=[2e-5, 1e-5], friction=1e-5)
-    t = np.arange(601) / 200.0
-    run = simulate(true, duration=t[-1], t_eval=t, q0=[2.4, 1.0], qd0=[3.0, -14.0], tol=1e-9)
-    places = run.joints[:, 1:][:, markers] + 5e-4 * np.random.default_rng(6).standard_normal((t.size, len(markers), 2))
-    recording = Recording(t, places.reshape(t.size, -1), kind="markers", noise=5e-4)
-    assert np.hypot(*run.joints[:, 2].T).min() < 0.08  # of 0.16 m
-    guess = true.replace(inertia=[4e-5, 5e-6], com=[0.04, 0.035], friction=3e-5)
-    arcs = np.array([0.09, 0.16])[markers]
-    found = identify(recording, guess, ["inertia", "com", "friction"], arc_lengths=arcs, origin=(0.0, 0.0))
-    assert found.success
-    np.testing.assert_allclose(found.residual_rms, 5e-4, rtol=0.1)
-    for name in ("J/p1", "p/p1"):
-        assert (np.abs(found.ratios[name] - ratios(true)[name]) <= 3.0 * found.ratio_std[name] + 1e-12).all()
+def test_a_known_first_joint_counts_as_a_marker_and_folded_links_are_among_the_starts() -> None:
+    """A tip near the first joint does not show to which side the pendulum is bent: both are starts of a window."""
+    angles = np.tile([0.4, 2.9], (20, 1))  # rad; folded
+    joints = np.cumsum(DOUBLE.length[:, None] * np.stack([np.sin(angles[0]), -np.cos(angles[0])], axis=1), axis=0)
+    places = np.tile(joints.ravel(), (20, 1)) + np.arange(20)[:, None] * 1e-6
+    t = np.arange(20) / 100.0
+    both = measure(Recording(t, places, kind="markers"), DOUBLE, np.array([0.3, 0.55]), np.zeros((20, 2)))
+    assert both.prior is None
+    np.testing.assert_allclose(both.shape.data, angles, atol=1e-3)
+    tip = measure(Recording(t, places[:, 2:], kind="markers"), DOUBLE, np.array([0.55]), np.zeros((20, 2)))
+    window = tip.windows(0.1)[0][0]
+    off = [np.abs(np.cos(each[:2] - angles[0]) - 1.0).max() for each in (window.guess, *window.others)]
+    assert len(off) == 3
+    assert off[0] > 0.3
+    assert min(off) < 1e-3
 
 
 def test_where_a_marker_sits_can_be_found() -> None:

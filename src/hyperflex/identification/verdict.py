@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.ending import CONVERGED
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED
 from hyperflex.identification.fit.loss import NORMAL, Loss
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters
@@ -42,9 +42,11 @@ def not_converged(message: str) -> str:
     """Return a warning where a fit did not converge."""
     if message == CONVERGED:
         return ""
+    advice = "Give a better guess, shorter windows or fewer free parameters."
+    if message == INTERRUPTED:
+        advice = "Let it run to its end."
     return (
-        f"The fit is {message}: its values, ratios and deviations are where it stood, not what the data say. Give a "
-        "better guess, shorter windows or fewer free parameters."
+        f"The fit is {message}: its values, ratios and deviations are where it stood, not what the data say. {advice}"
     )
 
 
