@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         Interrupted,
         InvalidInput,
         SimulationError,
+        WorkerLost,
     )
     from hyperflex.identification import (
         Bootstrap,
