@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         Interrupted,
         InvalidInput,
         SimulationError,
+        WorkerLost,
     )
     from hyperflex.exchange import read_mjcf, write_mjcf
     from hyperflex.identification import (
