@@ -17,6 +17,7 @@ from hyperflex.cli import output
 from hyperflex.cli.calibrate import calibrate
 from hyperflex.cli.cast import cast
 from hyperflex.cli.demo import demo
+from hyperflex.cli.export import export
 from hyperflex.cli.identify import identify
 from hyperflex.cli.look import plot, view
 from hyperflex.cli.reproduce import reproduce
@@ -42,6 +43,7 @@ for _command, _example in (
     (simulate, "simulate cast.toml -o cast.nc"),
     (view, "view cast.nc"),
     (plot, "plot cast.nc -o cast.png"),
+    (export, "export cast.toml -o cast.xml"),
     (identify, "identify swing.csv --guess guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),
