@@ -20,6 +20,7 @@ from hyperflex.cli.demo import demo
 from hyperflex.cli.export import export
 from hyperflex.cli.identify import identify
 from hyperflex.cli.look import plot, view
+from hyperflex.cli.play import play
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
 from hyperflex.cli.start.doctor import doctor
@@ -44,6 +45,7 @@ for _command, _example in (
     (view, "view cast.nc"),
     (plot, "plot cast.nc -o cast.png"),
     (export, "export cast.toml -o cast.xml"),
+    (play, "play --folder casts"),
     (identify, "identify swing.csv --guess guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),
