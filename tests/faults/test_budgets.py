@@ -23,6 +23,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import files, memory, progress
 from hyperflex.cli.app import run
+from hyperflex.demo import report as demo_report
 from hyperflex.errors import FileProblem, IdentificationError, InvalidInput, SimulationError
 from hyperflex.files import writing
 from hyperflex.simulation import time_budget
@@ -236,7 +237,7 @@ def test_a_line_now_and_then_where_nobody_watches(monkeypatch, capsys) -> None:
     before, said = threading.active_count(), ""
     with progress.progress_bar(1.0, 5.0, True, "fitting", "models") as report:
         assert report is not None
-        while "fitting: 2 of 4 models (" not in said:
+        while "fitting: 2 of 4 models; begun" not in said:
             report(3.0)
             time.sleep(0.01)
             said += capsys.readouterr().err
@@ -306,6 +307,36 @@ def test_a_folder_of_results_is_kept_elsewhere_too(tmp_path, full_disk, capsys) 
     [kept] = (tmp_path / "state" / "hyperflex").rglob("rope.toml")
     assert f"The result is in {kept.parent} instead." in capsys.readouterr().err
     assert hf.Rope.from_toml(kept).friction[0] == pytest.approx(2e-4, rel=0.1)
+
+
+def test_a_figure_that_cannot_be_written_is_kept_elsewhere(tmp_path, full_disk, capsys) -> None:
+    assert run(["reproduce", "fig10", "-o", str(full_disk / "paper"), "--json"]) == 2
+    [kept] = (tmp_path / "state" / "hyperflex").rglob("fig10.png")
+    assert f"The result is in {kept.parent} instead." in json.loads(capsys.readouterr().out)["error"]
+    assert kept.with_suffix(".csv").exists()
+
+
+def test_a_demo_that_cannot_be_written_is_kept_elsewhere_and_not_run_again(tmp_path, full_disk, monkeypatch) -> None:
+    runs = []
+
+    def demo(_: object, video: Path) -> SimpleNamespace:
+        runs.append(video.write_bytes(b"film"))
+        return SimpleNamespace(plan=SimpleNamespace(success=True), held=None, cast=None)
+
+    def write(folder: Path, *_: object) -> dict[str, str]:
+        files.write_text(folder / "report.html", "page")
+        return {"page": "report.html"}
+
+    monkeypatch.setattr(demo_report, "run_demo", demo)
+    monkeypatch.setattr(demo_report, "_write", write)
+    for name in ("_proof", "_parameters_table", "_reaches_table"):
+        monkeypatch.setattr(demo_report, name, lambda _: ())
+    monkeypatch.setattr(demo_report, "CastReport", lambda *_: SimpleNamespace(verdict=""))
+    with pytest.raises(FileProblem, match="The result is in") as caught:
+        demo_report.write_demo(full_disk / "demo")
+    [kept] = (tmp_path / "state" / "hyperflex").rglob("tracked.mp4")
+    assert str(kept.parent) in str(caught.value)
+    assert (kept.read_bytes(), kept.with_name("report.html").exists(), runs) == (b"film", True, [4])
 
 
 def test_where_the_users_state_takes_nothing_temporary_files_do(tmp_path: Path, full_disk: Path) -> None:

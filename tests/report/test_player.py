@@ -186,7 +186,7 @@ def test_a_long_run_has_no_more_frames_than_others():
 
 @pytest.mark.parametrize(
     ("options", "told"),
-    [({"frame_rate": 0.0}, "frame_rate"), ({"speed": -1.0}, "speed"), ({"end": 99.0}, "span is not in the run")],
+    [({"frame_rate": 0.0}, "frame_rate"), ({"speed": -1.0}, "speed"), ({"end": 99.0}, "end=99 is no part of the run")],
 )
 def test_a_page_refuses(cast, options, told):
     with pytest.raises(InvalidInput, match=told):

@@ -1,7 +1,9 @@
 """Scores of policies: returns of whole episodes from given seeds, and their mean with an interval."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -10,9 +12,11 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 
 Policy = Callable[[Array], Any]
 SEEDS = range(200)
+CHUNK = 8  # episodes of a chunk
 RESAMPLES, SIDE = 2000, 0.025  # bootstrap samples of the mean, and the part left out on either side of its interval
 
 
@@ -50,7 +54,13 @@ class Scores:
 
 
 def score_policy(
-    make_policy: Callable[[Any], Policy], environment: str, *, seeds: Sequence[int] = SEEDS, **arguments: Any
+    make_policy: Callable[[Any], Policy],
+    environment: str,
+    *,
+    seeds: Sequence[int] = SEEDS,
+    executor: Executor | None = None,
+    chunk_size: int | None = None,
+    **arguments: Any,
 ) -> Scores:
     """Play an episode from each seed, and return the scores.
 
@@ -64,14 +74,36 @@ def score_policy(
         ``"hyperflex/Swing-v0"`` or another that :func:`gymnasium.make` makes.
     seeds : sequence of int
         Of the episodes; by default the 200 of the benchmark.
+    executor : concurrent.futures.Executor, optional
+        Where episodes are played: processes, or other machines (``docs/how-to/many-machines.md``). Then `make_policy`
+        must be one that can be pickled. Results do not depend on it.
+    chunk_size : int, optional
+        Episodes of a chunk; by default CHUNK.
     arguments
         Of the environment.
+
+    Raises
+    ------
+    WorkerLost
+        If episodes kill the workers of the executor.
     """
-    env = gymnasium.make(environment, **arguments)
-    ends = [_play(env, make_policy, checks.count("seed", seed, least=0)) for seed in seeds]
-    env.close()
-    returns, successes = zip(*ends, strict=True)
+    numbers = [checks.count("seed", seed, least=0) for seed in seeds]
+    executor, size = checked_chunks(executor, chunk_size, CHUNK)
+    ends: dict[int, list[tuple[float, bool]]] = {}
+    work = partial(_episodes, make_policy=make_policy, environment=environment, arguments=arguments)
+    refuse_lost(run_chunks(work, numbers, executor, size, ends.__setitem__), "episodes")
+    returns, successes = zip(*(end for low in sorted(ends) for end in ends[low]), strict=True)
     return Scores(np.array(returns), np.array(successes))
+
+
+def _episodes(
+    seeds: list[int], make_policy: Callable[[Any], Policy], environment: str, arguments: dict[str, Any]
+) -> list[tuple[float, bool]]:
+    """Play an episode from each seed."""
+    env = gymnasium.make(environment, **arguments)
+    ends = [_play(env, make_policy, seed) for seed in seeds]
+    env.close()
+    return ends
 
 
 def _play(env: Any, make_policy: Callable[[Any], Policy], seed: int) -> tuple[float, bool]:

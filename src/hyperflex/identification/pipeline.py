@@ -18,7 +18,7 @@ from hyperflex.identification.diagnosis.free_parameters import Trial, choose_par
 from hyperflex.identification.diagnosis.grade import misdeclared
 from hyperflex.identification.diagnosis.link_test import link_test
 from hyperflex.identification.diagnosis.model_error import with_model_error
-from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests, with_sway
+from hyperflex.identification.diagnosis.score_tests import LENGTHS, ScoreTest, score_tests, with_sway
 from hyperflex.identification.ending import INTERRUPTED, OUT_OF_TIME
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
@@ -273,7 +273,8 @@ class _Problem:
         settings = trial.settings | {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
         settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
         settings |= _fit_settings(basis.plant, trial.free, self.loss.name, self.origin)
-        settings["length_std"] = self.length_std if tests else 0.0  # which counts the lengths
+        tested = any(each.name == LENGTHS for each in tests)
+        settings["length_std"] = self.length_std if tested else 0.0  # else nothing counts the lengths
         settings["noise"] = "not declared" if self.recording.noise is None else "declared"
         lengths = "" if self.arc_lengths is not None else other_lengths(self.recording, self.guess)
         with caught() as stop:

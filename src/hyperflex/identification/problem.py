@@ -39,12 +39,12 @@ def checked_measurements(
         places = checked_arc_lengths(recording, rope, arc_lengths)
         refuse_still_markers(recording, places)
         joint = None
-        if places.size == 1:
-            if origin is None:
-                raise InvalidInput(
-                    "one marker alone does not show where the rope hangs from",
-                    fix="Say where the camera sees that: origin=(x, y), in m; or track a second marker",
-                )
+        if places.size == 1 and origin is None:
+            raise InvalidInput(
+                "one marker alone does not show where the rope hangs from",
+                fix="Say where the camera sees that: origin=(x, y), in m; or track a second marker",
+            )
+        if origin is not None:
             joint = checks.array("origin", origin, (2,), unit="m") + pivot_places(motion, arm, recording.t)
         return measure(recording, rope, places, joint), places
     if recording.n_links != rope.n_links:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.ending import CONVERGED, OUT_OF_TIME
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, OUT_OF_TIME
 from hyperflex.identification.fit.loss import NORMAL, Loss
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters
@@ -44,11 +44,13 @@ def not_converged(message: str) -> str:
     """Return a warning where a fit did not converge."""
     if message == CONVERGED:
         return ""
-    how, more = ("out of time", ", or a longer time budget") if message == OUT_OF_TIME else (message, "")
-    return (
-        f"The fit is {how}: its values, ratios and deviations are where it stood, not what the data say. Give a "
-        f"better guess, shorter windows or fewer free parameters{more}."
-    )
+    how, advice = message, "Give a better guess, shorter windows or fewer free parameters."
+    if message == INTERRUPTED:
+        advice = "Let it run to its end."
+    elif message == OUT_OF_TIME:
+        how = "out of time"
+        advice = "Give a better guess, shorter windows or fewer free parameters, or a longer time budget."
+    return f"The fit is {how}: its values, ratios and deviations are where it stood, not what the data say. {advice}"
 
 
 def consistent(words: list[str]) -> list[str]:

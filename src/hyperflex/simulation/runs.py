@@ -205,7 +205,8 @@ def simulate(
                 raise budget_error(run.time, time_budget) from None
             name = OUT_OF_TIME
     if applied and control_rate is not None:  # for a replay
-        setup = replace(setup, torque=_constant_torques(*np.transpose(applied), begin + length + 1.0 / control_rate))
+        times, torques = np.transpose(applied)
+        setup = replace(setup, torque=_constant_torques(times, torques, begin + length + 1.0 / control_rate))
         run.drive = setup.drive()
     if code == status.RUNNING and name == INTERRUPTED and throw:
         raise Interrupted(partial(conclude, run, setup, code, name, throw=False, skip=skip))
