@@ -67,6 +67,11 @@ class Measured:
         status = Path(f"/proc/{self.server.pid}/status").read_text()
         return int(status.partition("VmRSS:")[2].split()[0]) / 1024.0
 
+    def processor(self) -> float:
+        """Processor time of the server, s, planning left out."""
+        fields = Path(f"/proc/{self.server.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
     def plan(self) -> None:
         """Begin to plan, again if the last search has ended."""
         self.browser.evaluate("play.ask({ set: { time_budget: 120, target_x: -0.83, target_y: -1.07 } })")
@@ -82,11 +87,13 @@ class Measured:
         """Count frames that came and were painted, and time a slider meanwhile."""
         before, begin = self.browser.evaluate("[play.counts.frames, play.counts.painted]"), time.monotonic()
         took: list[float] = []
+        used = self.processor()
         while (left := seconds - (time.monotonic() - begin)) > 0.5:
             took += self.browser.evaluate(SLIDE % (min(left, PIECE), PAUSE))
         after, spent = self.browser.evaluate("[play.counts.frames, play.counts.painted]"), time.monotonic() - begin
         return {
             "seconds": spent,
+            "processor": 1e3 * (self.processor() - used) / (after[0] - before[0]),
             "delivered": (after[0] - before[0]) / spent,
             "painted": (after[1] - before[1]) / spent,
             "answer p50": float(np.percentile(took, 50)),
@@ -144,6 +151,7 @@ def text(found: dict[str, Any]) -> str:
         ("frames painted without a graphics card, 1/s", f"{AIM['painted']:g}", "painted"),
         ("answer of a slider, p50, ms", "", "answer p50"),
         ("answer of a slider, p95, ms", answers, "answer p95"),
+        ("processor time of the server a frame, ms", "", "processor"),
         ("threads busy, all programs together", "", "load"),
     ):
         rows.append(f"| {what} | {aim} | {idle[name]:.1f} | {busy[name]:.1f} |")
@@ -164,7 +172,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--minutes", type=float, default=30.0)
     given = parser.parse_args()
-    about = machine.describe()
+    about = machine.describe() | {"niceness": str(os.nice(0))}
     measured = measure(given.seconds, given.minutes)
     about["load after"] = machine.load()
     short = given.seconds < 60.0 or given.minutes < 30.0

@@ -204,6 +204,8 @@ def test_files_are_listed_opened_and_saved_within_the_folder(server, page, folde
     assert page.ask(files=True)["files"] == ["kept/run.nc", "setup.toml"]
     status, text, _ = get(server, "/view?name=kept/run.nc")
     assert (status, "kept/run.nc, simulated" in text) == (200, True)
+    status, text, _ = get(server, "/view?name=kept/run.nc&rope=setup.toml")  # no recording
+    assert (status, "<html" in text) == (404, False)
     for name in ("", "setup.toml", "../outside.toml", "%2e%2e/outside.nc"):
         assert get(server, f"/view?name={name}")[0] == 404
     assert get(server, "/elsewhere")[0] == 404
