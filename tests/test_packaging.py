@@ -17,6 +17,7 @@ from hyperflex.errors import MissingPackage
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src"
+HIDDEN = ("cv2", "av", "xarray", "pandas", "mcap", "rosbags", "gymnasium", "websockets")
 
 
 def built(kind: str, folder: Path) -> Path:
@@ -38,8 +39,17 @@ def test_the_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
     assert {Path(name).suffix for name in names} >= {".py", ".html", ".mp4", ".toml", ".typed"}
     assert "hyperflex = hyperflex.cli:main" in entries
     needed = {line.split(">")[0] for line in told.get_all("Requires-Dist") if "extra" not in line}
-    assert not needed & {"opencv-python-headless", "av", "xarray", "mcap", "rosbags", "mujoco", "pytest"}
-    assert {"vision", "xarray", "mcap", "ros", "all"} <= set(told.get_all("Provides-Extra"))
+    assert not needed & {
+        "opencv-python-headless",
+        "av",
+        "xarray",
+        "mcap",
+        "rosbags",
+        "gymnasium",
+        "websockets",
+        "pytest",
+    }
+    assert {"vision", "xarray", "gym", "mcap", "ros", "viewer", "all"} <= set(told.get_all("Provides-Extra"))
 
 
 def test_the_sdist_can_be_built_and_tested(tmp_path: Path) -> None:
@@ -54,7 +64,7 @@ def test_each_extra_is_named_as_it_is_called() -> None:
     """By what loads its packages; `pip` installs nothing for an extra that is not there, and only warns."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     text = "".join(path.read_text("utf-8") for path in SOURCE.rglob("*.py"))
-    for extra in ("vision", "xarray", "mcap", "ros"):
+    for extra in ("vision", "xarray", "gym", "mcap", "ros", "viewer"):
         assert extra in project["optional-dependencies"]
         assert f'"{extra}", "' in text
 
@@ -69,7 +79,7 @@ def test_nothing_but_the_extras_needs_their_packages(tmp_path: Path) -> None:
     """Set-ups, runs, fits and casts load where the extras' packages are hidden, and so do their pictures."""
     code = (
         "import sys\n"
-        "for name in ('cv2', 'av', 'xarray', 'pandas', 'mcap', 'rosbags', 'mujoco'): sys.modules[name] = None\n"
+        f"for name in {HIDDEN}: sys.modules[name] = None\n"
         "import hyperflex as hf, hyperflex.report as report\n"
         "hf.simulate, hf.identify, hf.plan_cast, hf.plan_whip, hf.follow_plan, hf.write_mjcf, hf.read_recording\n"
         "run = hf.simulate(hf.Rope.uniform(length=1.0, mass=0.1, n_links=2), duration=0.1, q0=[0.1, 0.2])\n"

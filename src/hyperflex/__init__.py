@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         InvalidInput,
         MissingPackage,
         SimulationError,
+        WorkerLost,
     )
     from hyperflex.exchange import read_mjcf, write_mcap, write_mjcf
     from hyperflex.identification import (

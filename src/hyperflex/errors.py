@@ -79,6 +79,10 @@ class IdentificationError(HyperflexError, RuntimeError):
     """A fit could not be made, or did not converge to anything that may be reported."""
 
 
+class WorkerLost(HyperflexError, RuntimeError):
+    """Workers of an executor died at a part of the work each time that it was run; the message names the part."""
+
+
 class EstimatorLost(HyperflexError, RuntimeError):
     """The process that estimates a rope's state has ended or stalled, or has seen nothing for too long."""
 

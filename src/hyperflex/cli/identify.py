@@ -70,6 +70,12 @@ def identify(
     intervals: Annotated[
         str, typer.Option(help="How 95 % intervals are found: auto, covariance, profile or none.")
     ] = "auto",
+    time_budget: Annotated[
+        float | None,
+        typer.Option(
+            help="Processor time of the fit, s; then the best so far is written. inf: no end. [default: 1800]"
+        ),
+    ] = None,
     json: output.Json = False,
 ) -> None:
     """Identify a rope from a recording.
@@ -125,13 +131,13 @@ def identify(
                 length_std=length_std,
                 loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
                 intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
+                time_budget=time_budget,
                 progress=report,
                 **driven,
             )
         )
     summary = result.ending() | {"output": out, **result.summary()}
-    files = _write(out, measured, result, first, summary, json)
-    summary["files"] = files
+    summary["files"] = files = _write(out, measured, result, first, summary, json)
     if result.message == "interrupted":  # the best so far is written, and says what it is
         if not json:
             _show(result, files)
