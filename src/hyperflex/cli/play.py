@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from hyperflex.cli import output
-from hyperflex.errors import InvalidInput
 
 
 def play(
@@ -33,11 +32,8 @@ def play(
     Ctrl-C ends it. Planning runs in a process of its own. The page asks nothing of any other host, and is given to
     this machine alone unless --host and --allow say otherwise: whoever it is given to can save files in the folder.
     """
-    try:
-        from hyperflex.play import Folder, PlayServer, Session
-    except ImportError as error:
-        raise InvalidInput("this command needs websockets", fix="pip install 'hyperflex[viewer]'") from error
     from hyperflex.model import Setup
+    from hyperflex.play import Folder, PlayServer, Session
 
     session = Session()
     if setup is not None:
