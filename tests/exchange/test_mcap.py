@@ -160,5 +160,5 @@ def test_without_the_package_the_command_is_named(run: hf.Trajectory, monkeypatc
     with pytest.raises(MissingPackage, match=r"pip install 'hyperflex\[mcap\]'"):
         hf.write_mcap(run, tmp_path / "run.mcap")
     (tmp_path / "run.mcap").write_bytes(b"x")
-    with pytest.raises(ImportError, match="MCAP files need the package mcap"):
+    with pytest.raises(ImportError, match="MCAP files need mcap"):
         hf.read_recording(tmp_path / "run.mcap")

@@ -16,13 +16,13 @@ from hyperflex import __version__
 from hyperflex.cli import output
 from hyperflex.cli.calibrate import calibrate
 from hyperflex.cli.cast import cast
-from hyperflex.cli.demo import demo
 from hyperflex.cli.export import export
 from hyperflex.cli.identify import identify
 from hyperflex.cli.look import plot, view
 from hyperflex.cli.play import play
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
+from hyperflex.cli.start.demo import demo
 from hyperflex.cli.start.doctor import doctor
 from hyperflex.cli.start.init import init
 from hyperflex.cli.start.warm import warm

@@ -72,7 +72,8 @@ def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: 
         along = replace(recording, data=np.column_stack([joint, recording.data]), noise=None)
         places = np.append(0.0, arc_lengths)
     shape = _shape(along, rope, places)
-    n, prior, assumed, sides = rope.n_links, None, False, ()
+    n, prior, assumed = rope.n_links, None, False
+    sides: tuple[Recording, ...] = ()
     if places.size - 1 < n and n > 1:
         turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n)
         none = np.zeros_like(turn)

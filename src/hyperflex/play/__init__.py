@@ -12,5 +12,5 @@ if TYPE_CHECKING:
     from hyperflex.play.server import PlayServer
     from hyperflex.play.session import Session
 
-extras.load("websockets", "viewer", "Pages to play with")
+extras.require(("websockets",), "viewer", "Live pages")
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

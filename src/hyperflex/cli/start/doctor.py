@@ -21,7 +21,7 @@ from hyperflex.errors import HyperflexError
 SPACE = 1e9  # bytes that should be free
 LOOKS = 3  # timed runs; the best counts
 WRONG = "wrong"  # what a needed thing is that does not work
-DEVELOPERS = {"test", "lint", "docs", "bench", "dev"}  # extras that a run does not use
+DEVELOPERS = {"test", "lint", "docs", "bench", "dev", "all"}  # extras that a run does not use
 
 
 @dataclass(frozen=True)

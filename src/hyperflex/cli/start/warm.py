@@ -16,7 +16,7 @@ import typer
 
 from hyperflex import checks, files
 from hyperflex.cli import output
-from hyperflex.errors import FileProblem, HyperflexError
+from hyperflex.errors import FileProblem, HyperflexError, MissingPackage
 from hyperflex.progress import progress_bar
 
 OLD = 90 * 86_400.0  # s, after which kernels of other versions are removed
@@ -154,7 +154,8 @@ def _compile(kernels: list[tuple[str, str]], count: int) -> float:
 def call(names: list[str]) -> None:
     """Make some of the calls that compile kernels, one after the other."""
     for name in names:
-        CALLS[name]()
+        with contextlib.suppress(MissingPackage):  # what an extra needs, and is not there
+            CALLS[name]()
 
 
 def _children_time() -> float:

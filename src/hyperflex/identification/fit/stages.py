@@ -152,7 +152,8 @@ def _starts(
             allowed=f"more values than unknowns: a state in each window and {len(plant.parameters)} free parameters",
             fix="Record longer or faster, free fewer parameters, or choose another window length",
         )
-    kept, states = [], []
+    kept: list[Window] = []
+    states: list[Array] = []
     for window in windows:
         starts = [known.get(window.t[0], window.guess), *window.others]
         if window.others and kept and refine:

@@ -214,7 +214,7 @@ class CastPlanner:
                 self.waiting.append((seen, one))
             else:
                 self.keep(one, (one.throw, seen, None))
-        self.waiting.sort(key=lambda each: promise(*each, self.contact), reverse=True)
+        self.waiting.sort(key=lambda each: promise(each[0], each[1], self.contact), reverse=True)
 
     def promises(self, seen: CastOutcome, one: Candidate) -> bool:
         """Whether a throw may be a better plan than the best, but for its turns."""

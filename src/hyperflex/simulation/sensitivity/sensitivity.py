@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import memory
+from hyperflex import extras, memory
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import Drive, base_state, segment
@@ -85,6 +85,7 @@ class Sensitivities:
     @property
     def dataset(self) -> "xr.Dataset":
         """The same as an ``xarray.Dataset`` with the dimensions time, link, axis and parameter."""
+        extras.require(("xarray",), "xarray", "Datasets")
         import xarray as xr
 
         shapes = {"q": ("link",), "qd": ("link",), "tip": ("axis",), "arm_angle": (), "arm_rate": ()}
