@@ -274,7 +274,10 @@ def test_a_planned_cast_winds_as_planned(server, page, folder):
     assert page.ask(save="motion.csv")["saved"] == "motion.csv"
     assert hf.read_motion(folder / "motion.csv").breaks[-1] == pytest.approx(plan.motion.breaks[-1])
     page.ask(button="cast")
-    assert session.t < 0.2
+    assert (session.t < 0.2, session.settings.speed) == (True, 1.0)
+    page.ask(set={"arm_angle": 45.0})
+    assert (session.activity, session.t < 0.2) == ("hang", True)
+    page.ask(set={"arm_angle": -90.0})
 
 
 def test_a_rope_that_cannot_go_on_stops_and_says_why(server, page, monkeypatch):
