@@ -1,1 +1,1 @@
-"""Commands to begin with: the demo, a set-up file, compiled kernels, and whether the installation is sound."""
+"""Commands to begin with: a set-up file, the demo, compiled kernels, and whether the installation is sound."""
