@@ -97,6 +97,15 @@ def test_site_builds_and_needs_no_network(tmp_path: Path) -> None:
         assert not re.search(r'<(script|img|link|iframe)[^>]*(src|href)="?(https?:)?//', text), page.name
 
 
+def test_python_reference_has_every_public_name_once() -> None:
+    pages = "\n".join(page.read_text("utf-8") for page in (ROOT / "docs" / "api").glob("*.md"))
+    named_there = re.findall(r"^::: hyperflex\.([\w.]+)$", pages, re.M)
+    assert sorted(n for n in named_there if "." not in n) == sorted(set(hyperflex.__all__) - {"__version__"})
+    for name in named_there:
+        *room, last = name.split(".")
+        assert last in importlib.import_module(".".join(["hyperflex", *room])).__all__, name
+
+
 def rows_of(page: str, key: str) -> str:
     """Return the rows of a page's tables that begin with `key`."""
     return "\n".join(re.findall(rf"^\| `{re.escape(key)}` \|.*$", page, re.M))

@@ -53,6 +53,10 @@ class FileProblem(HyperflexError, OSError):
     """A file cannot be read or written (missing, truncated, no space left). What stood there before still stands."""
 
 
+class MissingPackage(HyperflexError, ImportError):
+    """A package that an extra of hyperflex brings is not installed; the message names the command that installs it."""
+
+
 class SimulationError(HyperflexError, RuntimeError):
     """A rollout could not be finished within its tolerance.
 

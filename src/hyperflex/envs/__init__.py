@@ -4,9 +4,9 @@ From then on ``gymnasium.make("hyperflex/Swing-v0")`` and ``gymnasium.make("hype
 Gymnasium's make_vec, for many of them at once. They need ``pip install 'hyperflex[gym]'``.
 """
 
-import importlib.util
 from typing import TYPE_CHECKING
 
+from hyperflex import extras
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from hyperflex.envs.vec_env import stable_baselines_env
     from hyperflex.envs.vector import RopeEnv, RopeVectorEnv
 
-if importlib.util.find_spec("gymnasium") is None:
-    raise ImportError("hyperflex.envs needs Gymnasium: pip install 'hyperflex[gym]'")
+extras.require(("gymnasium",), "gym", "Environments")
 
 
 def _register() -> None:

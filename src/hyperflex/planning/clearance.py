@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.model import Arm, Rope
@@ -39,7 +40,7 @@ def rope_clearance(run: Trajectory) -> Clearance:
     arm, rope = run.setup.arm, run.setup.rope
     if arm is None:
         return Clearance(np.inf, float(run.t[0]), "arm")
-    gap = _gaps(rope, arm, run.q, run.base)
+    gap = _gaps(rope, arm, run.q, run.base, np.arange(rope.n_links))
     speed = FASTER * _speeds(run, arm)
     way = np.diff(run.t)[:, None] * np.maximum(speed[1:], speed[:-1])
     least = 0.5 * (gap[1:] + gap[:-1] - way[:, None]).min(axis=1)  # of each link in each interval, at least
@@ -48,11 +49,12 @@ def rope_clearance(run: Trajectory) -> Clearance:
     for row in np.argsort(bound):
         if bound[row] >= best.value:
             break
-        count = np.ceil(way[row, least[row] < best.value].max() / FINE)
-        times = np.linspace(run.t[row], run.t[row + 1], int(count) + 1)
-        q = interpolated(run.t, run.q, run.qd, times)
-        base = interpolated(run.t, run.base, run.base_velocity, times)
-        best = min(best, _least(times, _gaps(rope, arm, q, base)))
+        near = np.flatnonzero(least[row] < best.value)
+        times = np.linspace(run.t[row], run.t[row + 1], int(np.ceil(way[row, near].max() / FINE)) + 1)
+        sides, links = slice(row, row + 2), slice(near[-1] + 1)
+        q = interpolated(run.t[sides], run.q[sides, links], run.qd[sides, links], times)
+        base = interpolated(run.t[sides], run.base[sides], run.base_velocity[sides], times)
+        best = min(best, _least(times, _gaps(rope, arm, q, base, near)))
     return best._replace(value=best.value - rope.radius - 0.5 * FINE)
 
 
@@ -71,28 +73,34 @@ def _speeds(run: Trajectory, arm: Arm) -> Array:
     return np.asarray(np.maximum(speed[:, 1:], speed[:, :-1]))
 
 
-def _gaps(rope: Rope, arm: Arm, q: Array, tip: Array) -> Array:
-    """Distances (T, 2, n), m, of the links' axes from shaft and arm; angles q (T, n), rad, arm's tip (T, 2), m."""
-    joints = rope.joints(q, tip)
-    pivot = np.broadcast_to(np.array(arm.pivot), tip.shape)[:, None]
-    begin, end, tip = joints[:, :-1], joints[:, 1:], tip[:, None]
+def _gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: npt.NDArray[np.int64]) -> Array:
+    """Distances (T, 2, k), m, of the axes of k `links` from shaft and arm.
+
+    Angles q (T, m), rad, are those of the first m links, `tip` (T, 2), m, the arm's.
+    """
+    length = rope.length[: q.shape[1]]
+    ways = np.stack([length * np.sin(q), -length * np.cos(q)], axis=-1)
+    end = (tip[:, None] + np.cumsum(ways, axis=1))[:, links]
+    begin, tip = end - ways[:, links], tip[:, None]
+    pivot = np.broadcast_to(np.array(arm.pivot), tip.shape)
     shaft = _distance(pivot, begin, end)
     bar = np.minimum(shaft, _distance(tip, begin, end))
     bar = np.minimum(bar, np.minimum(_distance(begin, pivot, tip), _distance(end, pivot, tip)))
     apart = _side(pivot, begin, end) * _side(tip, begin, end) >= 0.0
     apart |= _side(begin, pivot, tip) * _side(end, pivot, tip) >= 0.0
     near = max(LENGTHS * arm.length, RADII * (rope.radius + arm.radius))
-    hangs = np.cumsum(rope.length) - rope.length <= near
+    hangs = (np.cumsum(rope.length) - rope.length)[links] <= near
     bar = np.where(hangs, np.inf, np.where(apart, bar, 0.0))
     return np.stack([shaft - arm.shaft_radius, bar - arm.radius], axis=1)
 
 
 def _distance(point: Array, begin: Array, end: Array) -> Array:
     """Distance (...), m, of points (..., 2) from segments."""
-    way, out = end - begin, point - begin
-    square = np.maximum((way**2).sum(axis=-1), 1e-300)
-    part = np.clip((out * way).sum(axis=-1) / square, 0.0, 1.0)
-    return np.asarray(np.hypot(*np.moveaxis(out - part[..., None] * way, -1, 0)))
+    x, y = (end - begin)[..., 0], (end - begin)[..., 1]
+    out = point - begin
+    square = np.maximum(x * x + y * y, 1e-300)
+    part = np.clip((out[..., 0] * x + out[..., 1] * y) / square, 0.0, 1.0)
+    return np.asarray(np.hypot(out[..., 0] - part * x, out[..., 1] - part * y))
 
 
 def _side(point: Array, begin: Array, end: Array) -> Array:

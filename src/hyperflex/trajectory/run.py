@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperflex import files
+from hyperflex import extras, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
@@ -227,6 +227,7 @@ class Trajectory:
     @cached_property
     def dataset(self) -> "xr.Dataset":
         """The whole run as an ``xarray.Dataset`` with units, long names and the set-up in its attributes."""
+        extras.require(("xarray",), "xarray", "Datasets")
         import xarray as xr
 
         variables = self.variables()
@@ -333,10 +334,14 @@ def swept(away: Array) -> Array:
 
 def interpolated(t: Array, value: Array, rate: Array, times: Array) -> Array:
     """Return values (K, ...) at `times` (K,), s, by cubic Hermite interpolation of samples and rates (T, ...)."""
-    from scipy.interpolate import CubicHermiteSpline
-
-    near = slice(max(t.searchsorted(times.min()) - 1, 0), t.searchsorted(times.max()) + 2)
-    return np.asarray(CubicHermiteSpline(t[near], value[near], rate[near])(times))
+    k = np.clip(t.searchsorted(times, side="right") - 1, 0, t.size - 2)
+    wide = [slice(None), *(value.ndim - 1) * [None]]
+    span, part = (each[tuple(wide)] for each in (t[k + 1] - t[k], (times - t[k]) / (t[k + 1] - t[k])))
+    rest = 1.0 - part
+    return np.asarray(
+        rest**2 * ((1.0 + 2.0 * part) * value[k] + part * span * rate[k])
+        + part**2 * ((1.0 + 2.0 * rest) * value[k + 1] - rest * span * rate[k + 1])
+    )
 
 
 def _read_only(value: Array) -> Array:

@@ -23,6 +23,7 @@ from hyperflex.planning.throw import MIN_STROKE, STROKE
 WIDTH, EACH = 12, 2  # swings of a side that are continued, and how many of them after the same strokes
 RESTS, MAX_REST = 5, 0.6  # rests that are tried after a stroke, and the longest of them, in periods
 SIZES = ((1.0, 1.0), (0.5, 0.9), (0.15, 0.5))  # of the strokes tried after each rest, relative to the usual stroke
+ENOUGH = 6  # strikes that are worth a try, after which a beam search may end
 WATCHED = 0.7  # periods after a stroke in which a strike is looked for
 FINER = 3  # pieces of each link, as in the last verification
 MAX_DEVIATION = 0.005  # of the tip with shorter links after a stroke, in rope lengths
@@ -103,13 +104,18 @@ class BeamSearch:
         """Whether any swing of less than `most` strokes ends before `time`, s."""
         return any(one.ready(time, most) for one in self._swings)
 
-    def extend(self, time: float, most: int, left: Callable[[], float] | None = None) -> list[Strike]:
+    def extend(
+        self, time: float, most: int, left: Callable[[], float] | None = None, enough: float = np.inf
+    ) -> list[Strike]:
         """Continue all swings that are ready until none is, or no time is left; return all strikes, best first.
 
         Swings of at most `most` strokes end, and strikes come, before `time`, s. `left` returns the time that is left,
-        s.
+        s. It ends as well where ENOUGH new strikes score `enough`.
         """
+        known = len(self._strikes)
         while self.ready(time, most) and (left is None or left() > 0.0):
+            if sum(one.score >= enough and one.t < time for one in self._strikes[known:]) >= ENOUGH:
+                break
             later = [one for one in self._swings if not one.ready(time, most)]
             struck, onward = self._continue([one for one in self._swings if one.ready(time, most)])
             self._strikes += struck

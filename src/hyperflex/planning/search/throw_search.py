@@ -25,7 +25,7 @@ from hyperflex.simulation import Deadline
 
 MEMBERS, CONTACT_MEMBERS = 32, 16  # of a generation of free swings, and of one in contact
 KEPT = 4  # swings of a generation that may be tried in contact
-TRIED = 4  # swings of a round that are tried in contact
+TRIED = 2  # swings that are tried in contact at once
 # Tried after a strike: strokes still made; then the last move's end, in half turns, and the rest before it, periods
 MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
 SLOW_RUNS, MIN_BUDGET = 10.0, 0.5  # one run in so many takes very long; processor time of each in any case, s
@@ -88,18 +88,24 @@ class ThrowSearch:
         """Number of threads."""
         return self.threads or os.cpu_count() or 1
 
-    def beam_search(self) -> float:
-        """Search free swings stroke by stroke; continues the last beam search if time was added, else begins one.
+    @property
+    def climbing(self) -> bool:
+        """Whether the last beam search can be continued."""
+        most = max(each.strokes for each in self.parametrizations.values())
+        return self._beam is not None and self._beam.ready(self.cast_setup.time, most)
 
-        Returns the best score so far.
+    def beam_search(self, enough: float = np.inf) -> float:
+        """Search free swings stroke by stroke; continues the last beam search if it can be, else begins one.
+
+        It ends where some swings score `enough`. Returns the best score so far.
         """
         self._check()
         time, most = self.cast_setup.time, max(each.strokes for each in self.parametrizations.values())
-        if self._beam is None or not self._beam.ready(time, most):
+        if self._beam is None or not self.climbing:
             sides = list(self.parametrizations)
             self._beam = BeamSearch(self.cast_setup, self.peg, sides, self._random, self.threads)
         before = self._beam.runs
-        found = self._beam.extend(time, most, self.left)
+        found = self._beam.extend(time, most, self.left, enough)
         self.runs += self._beam.runs - before
 
         def swing(one: Strike) -> Swing:
@@ -164,6 +170,10 @@ class ThrowSearch:
         """Whether the best swings strike late in the time allowed, or none strikes."""
         times = [one.t for one in self.swings[:KEPT]]
         return not times or float(np.median(times)) > LATE * self.cast_setup.time
+
+    def untried(self, score: float) -> bool:
+        """Whether a swing of such a score was not tried in contact yet."""
+        return bool(distinct((one for one in self.swings if one.score >= score), self._tried, 1))
 
     def try_last_moves(self) -> None:
         """Simulate the best swings that were not tried yet in contact, with several last moves each."""

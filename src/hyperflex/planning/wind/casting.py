@@ -1,5 +1,6 @@
 """Plan a cast: check the target, search for a throw that winds and holds, verify it, and look for fallbacks."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -40,6 +41,7 @@ def plan_cast(
     seed: int = 0,
     threads: int | None = None,
     progress: bool = False,
+    on_plan: Callable[[CastPlan], bool | None] | None = None,
 ) -> CastPlan:
     """Plan how an arm casts its rope round a target so that the rope winds and holds.
 
@@ -82,6 +84,9 @@ def plan_cast(
         One a processor by default.
     progress : bool
         Show a progress bar.
+    on_plan : callable, optional
+        Called with the first plan that succeeds as soon as it does, and with each better one. If it returns True the
+        search ends with that plan. Plans for fallback targets are not told.
 
     Returns
     -------
@@ -93,6 +98,7 @@ def plan_cast(
         If an argument is out of range or of another class.
     Interrupted
         By Ctrl-C. Its ``partial`` is the best plan until then; what was not verified before is not verified any more.
+        None while the target is checked, before the search.
 
     Examples
     --------
@@ -126,7 +132,7 @@ def plan_cast(
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:
         free = {"longer": time_limit is None, "full_turn": contact is None}
-        plan = _search(search, known, uncertainty, time_budget, progress, **free)
+        plan = _search(search, known, uncertainty, time_budget, progress, on_plan, **free)
     with caught() as stop:
         if not (plan.success or plan.interrupted):
             plan = replace(plan, remedies=find_remedies(cast_setup, target, holding_force=holding_force))
@@ -137,6 +143,7 @@ def plan_cast(
                 given |= {"time_budget": time_budget, "seed": seed, "threads": threads}
                 plan_for = partial(plan_cast, rope, arm, **given, progress=progress)
                 plan = plan_fallback(plan, search, time_budget, plan_for)
+    plan = stop.partial if isinstance(stop.partial, CastPlan) else plan
     if plan.interrupted or stop.met:
         raise Interrupted(replace(plan, interrupted=True))
     return plan
@@ -148,11 +155,14 @@ def _search(
     uncertainty: Uncertainty | None,
     time_budget: float,
     progress: bool,
+    on_plan: Callable[[CastPlan], bool | None] | None,
     **free: bool,
 ) -> CastPlan:
     """Search for a throw, verify it, and estimate its success probability; `free` as of :class:`CastPlanner`."""
     planner = CastPlanner(search, time_budget if uncertainty is None else NOMINAL * time_budget, **free)
     probability = None
+    if on_plan is not None:
+        planner.hear = lambda: on_plan(planner.plan(known))
     with caught() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
         planner.run(report)
         if uncertainty is not None:

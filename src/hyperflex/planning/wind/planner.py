@@ -7,17 +7,28 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex.model import divided
-from hyperflex.planning.outcome import MAX_SLIP, MIN_TURNS, CastOutcome, require_holding_force, verify_cast
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.outcome import MIN_TURNS, CastOutcome, require_holding_force, verify_cast
 from hyperflex.planning.robust.refinement import RobustCandidate, RobustRefinement
 from hyperflex.planning.robust.uncertainty import Uncertainty
-from hyperflex.planning.search.candidates import Candidate, distinct
+from hyperflex.planning.search.candidates import Candidate, distinct, same_swing
 from hyperflex.planning.search.contact_phase import SLIP_COST
 from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
 from hyperflex.planning.search.throw_search import ThrowSearch
-from hyperflex.planning.throw import Throw
 from hyperflex.planning.time_budget import Clock, OutOfTime
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
+from hyperflex.planning.wind.verified import (
+    Verified,
+    covers,
+    failure,
+    incomplete,
+    promise,
+    rank,
+    succeeds,
+    with_margin,
+    worst_of,
+)
 from hyperflex.simulation import Deadline
 
 GENERATIONS = 5  # of free swings in a round
@@ -36,18 +47,14 @@ NOMINAL = 0.5  # fraction of the time of a robust plan for the search in the nom
 REFINING, VERIFYING = 0.7, 0.88
 NO_MARGIN_COST = 0.3  # value by which a throw without a margin must be better than one with a margin
 SEARCHING = 0.85  # fraction of the time after which only verifications are begun
-LONGEST, MIN_BUDGET = 0.25, 3.0  # fraction of the time, and processor time, s, for a first verification
+LONGEST = 0.25  # fraction of the time that a first verification may take, or half of what is left
 LOOK = 1.0  # s; steps of a run between two looks at the clock may take as long on a busy machine
 TRIES = 3  # verifications at most between two generations
-SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
-LOAD_MARGIN = 1.0  # load ratio for which the same holds
-BOTH = 2  # verifications that succeed for a plan that succeeds
+BETTER = 2.0  # a full turn of contact that nobody asked for is sought until so many times the time of the first plan
 FULL_TURN = 2.0 * np.pi  # rad of contact that a search goes on for where the rope is long enough, if none is asked for
-MAX_DIFFERENCE = 0.5  # turns between both verifications; above, one of them winds once more
 
 STANDS = "a cast stands; one with a margin is sought"
 NONE = (False, False, 0.0)  # value of no throw
-Verified = tuple[Throw | None, CastOutcome | None, CastOutcome | None]  # throw, outcome, outcome with shorter links
 
 
 class CastPlanner:
@@ -70,8 +77,12 @@ class CastPlanner:
         self.contact = FULL_TURN if full_turn and full.available_turns >= full.needed_turns else 0.0
         self.tail = float(np.clip(tail, MIN_TAIL, MAX_TAIL))
         self.checked: list[Candidate] = []
+        self.waiting: list[tuple[CastOutcome, Candidate]] = []  # that succeed in the first verification, best first
         self.verified: list[Verified] = []
         self.best: Verified = (None, None, None)
+        self.first = np.inf  # time spent until a plan stood, s
+        self.ended = False  # by who hears of plans
+        self.hear: Callable[[], bool | None] | None = None  # called when a plan stands, and when a better one does
 
     @property
     def spent(self) -> float:
@@ -85,7 +96,7 @@ class CastPlanner:
     def run(self, report: Callable[..., None] | None) -> None:
         """Search until a plan succeeds with a margin or the time is over; `report` gets the time spent and words."""
         score, idle, contact = 0.0, 0, 0
-        while not self.search.runs or (self.spent < SEARCHING * self.time_budget and not self.done()):
+        while not self.search.runs or not (self.late or self.done()):
             late = contact > 0 and self.search.late
             settled = idle >= IDLE_ROUNDS * (2 if late and score < WORTHY * self.tail else 1)
             if (
@@ -107,18 +118,37 @@ class CastPlanner:
                 before, score = score, self.swing()
                 idle = idle + 1 if 0.0 < score < MIN_GROWTH * before + 0.01 else 0
                 if self.contact_due(score, settled):
-                    self.search.try_last_moves()
+                    self.try_worthy()
                 self.search.restart()
                 contact = 1
             self.verify_new()
             if report is not None:
-                words = STANDS if _succeeds(self.best) else "planning"
+                words = STANDS if self.stands else "planning"
                 report(min(self.spent, self.time_budget), words)
         self.verify_best()
 
+    @property
+    def stands(self) -> bool:
+        """Whether a plan succeeds."""
+        return succeeds(self.best)
+
+    def try_worthy(self) -> None:
+        """Try the best swings in contact, and others that are worth it until a plan stands."""
+        self.search.try_last_moves()
+        for _ in range(TRIES - 1):
+            self.verify_new()
+            if self.stands or self.late or not self.search.untried(WORTHY * self.tail):
+                return
+            self.search.try_last_moves()
+
+    @property
+    def late(self) -> bool:
+        """Whether only verifications are begun."""
+        return self.spent > SEARCHING * self.time_budget
+
     def contact_due(self, score: float, settled: bool) -> bool:
         """Whether the best swings are to be tried in contact now."""
-        if self.spent > SEARCHING * self.time_budget:
+        if self.late:
             return not self.search.candidates
         return score >= WORTHY * self.tail or settled or not self.search.late or self.spent > FREE * self.time_budget
 
@@ -134,31 +164,61 @@ class CastPlanner:
         self.checked.clear()
 
     def swing(self) -> float:
-        """Make a round of free swings, by turns beam search and CMA-ES; return the best score so far."""
+        """Make a round of free swings, by turns beam search and CMA-ES; return the best score so far.
+
+        A beam search that has found swings worth a try is gone on with in the next round.
+        """
+        if self.search.climbing or self.rounds % 2 == 0:
+            score = self.search.beam_search(WORTHY * self.tail)
+            self.rounds += not self.search.climbing
+            return score
         self.rounds += 1
-        if self.rounds % 2:
-            return self.search.beam_search()
         score = 0.0
         for _ in range(GENERATIONS):
             score = max(score, self.search.evolve_swings())
-            if self.spent > SEARCHING * self.time_budget:
+            if self.late:
                 break
         return score
 
     def done(self) -> bool:
-        """Whether a plan succeeds with a margin, and covers a full turn where the rope is long enough."""
-        return _with_margin(self.best) and _covers(self.best, self.contact)
+        """Whether a plan succeeds with a margin, and covers a full turn where the rope is long enough.
+
+        Such a full turn is sought until BETTER times the time in which the first plan stood.
+        """
+        if self.ended or not with_margin(self.best):
+            return self.ended
+        return covers(self.best, self.contact) or self.spent > BETTER * self.first
 
     def verify_new(self) -> None:
-        """Verify the best candidates that were not verified yet, as many at once as there are threads."""
+        """Verify the best candidates that were not verified yet: once as many as there are threads, then the best."""
         for _ in range(TRIES):
-            if self.done() or (self.spent > SEARCHING * self.time_budget and self.best[0] is not None):
+            if self.done() or (self.late and self.best[0] is not None):
                 return
             self.search.confirm()
-            found = self.fresh()
-            if not found:
+            self.verify_first(self.fresh())
+            if self.stands:
+                self.waiting = [each for each in self.waiting if self.promises(*each)]
+            if not self.waiting:
                 return
-            self.check(found)
+            count = max(1, self.search.workers // len(self.finer))
+            some, self.waiting = self.waiting[:count], self.waiting[count:]
+            self.check([one for _, one in some], [seen for seen, _ in some])
+
+    def verify_first(self, some: Sequence[Candidate]) -> None:
+        """Verify candidates on the rope as given, all at once; those that succeed wait for the other verifications."""
+        self.checked += some
+        with ThreadPoolExecutor(max(1, min(len(some), self.search.workers))) as pool:
+            outcomes = list(pool.map(self.first_outcome, some))
+        for one, seen in zip(some, outcomes, strict=True):
+            if seen.success:
+                self.waiting.append((seen, one))
+            else:
+                self.keep(one, (one.throw, seen, None))
+        self.waiting.sort(key=lambda each: promise(each[0], each[1], self.contact), reverse=True)
+
+    def promises(self, seen: CastOutcome, one: Candidate) -> bool:
+        """Whether a throw may be a better plan than the best, but for its turns."""
+        return promise(seen, one, self.contact)[:-1] > rank(self.best, self.contact)[:-1]
 
     def verify_best(self) -> None:
         """Verify the best candidate if none was verified."""
@@ -175,11 +235,11 @@ class CastPlanner:
         refinement = RobustRefinement(search, uncertainty, left=lambda: REFINING * self.time_budget - self.spent)
         try:
             refinement.halve(search.candidates, [one for one in self.checked if one.throw is self.best[0]])
-            complete = [found for found in self.verified if not _incomplete(found)]
+            complete = [found for found in self.verified if not incomplete(found)]
             known |= {one: found for one in refinement.order for found in complete if found[0] is one.candidate.throw}
-            refinement.evaluate_common([one for one, found in known.items() if _succeeds(found)])
+            refinement.evaluate_common([one for one, found in known.items() if succeeds(found)])
             while True:
-                refinement.drop([one for one, found in known.items() if not _with_margin(found)])
+                refinement.drop([one for one, found in known.items() if not with_margin(found)])
                 refinement.run(None if report is None else lambda: report(self.spent))
                 if not refinement.order or refinement.incumbent in known or (some and self.spent > self.time_budget):
                     break
@@ -195,7 +255,7 @@ class CastPlanner:
         finally:
             search.runs += refinement.runs
             chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
-            if chosen is not None and (_succeeds(known[chosen]) or not _succeeds(self.best)):
+            if chosen is not None and (succeeds(known[chosen]) or not succeeds(self.best)):
                 self.best = known[chosen]
 
     def fresh(self) -> list[Candidate]:
@@ -204,55 +264,65 @@ class CastPlanner:
         winding = (one for one in self.search.candidates if one.confirmed and one.turns >= least)
         return distinct(winding, self.checked, self.search.workers, ALIKE)
 
-    def check(self, some: Sequence[Candidate]) -> None:
-        """Verify candidates, keep the best, and correct the scores of those that fail."""
-        for found, (throw, outcome, finer) in zip(some, self.outcomes(some), strict=True):
-            worse = finer or outcome
-            if worse is not None and not worse.success:
-                self.search.correct(found, abs(worse.turns), abs(worse.turns) - SLIP_COST)
-            new = (throw, outcome, finer)
-            if self.best[0] is None or self.rank(new) > self.rank(self.best):
-                self.best = new
+    def keep(self, one: Candidate, found: Verified) -> bool:
+        """Take a verified candidate as the best if it is; correct its score if it fails. Whether it is the best."""
+        worse = found[2] or found[1]
+        if worse is not None and not worse.success:
+            self.search.correct(one, abs(worse.turns), abs(worse.turns) - SLIP_COST)
+            self.waiting.sort(key=lambda each: same_swing(each[1], one))  # those of the same swing last
+        best = self.best[0] is None or rank(found, self.contact) > rank(self.best, self.contact)
+        if best:
+            self.best = found
+        return best
 
-    def rank(self, found: Verified) -> tuple[int, bool, bool, bool, float]:
-        """Verifications that succeed; whether they agree, have a margin and cover enough of the peg; the turns."""
-        good, alike, margin, turns = _rank(*found[1:])
-        return good, alike, margin, _covers(found, self.contact), turns
+    def check(self, some: Sequence[Candidate], firsts: Sequence[CastOutcome] = ()) -> None:
+        """Verify candidates, keep the best, and correct the scores of those that fail; `firsts` are of those known."""
+        better = [self.keep(one, found) for one, found in zip(some, self.outcomes(some, firsts), strict=True)]
+        if any(better) and self.stands:
+            self.first = min(self.first, self.spent)
+            self.ended = bool(self.hear is not None and self.hear())
 
-    def outcomes(self, some: Sequence[Candidate]) -> list[Verified]:
-        """Verify candidates at once."""
-        self.checked += some
-        with ThreadPoolExecutor(max(1, len(some))) as pool:
-            found: list[Verified] = [
-                (one.throw, *seen) for one, seen in zip(some, pool.map(self.verify, some), strict=True)
-            ]
+    def outcomes(self, some: Sequence[Candidate], firsts: Sequence[CastOutcome] = ()) -> list[Verified]:
+        """Verify candidates, as many at once as there are threads for."""
+        self.checked += [one for one in some if not any(one is other for other in self.checked)]
+        known = [firsts] if firsts else []
+        with ThreadPoolExecutor(max(1, min(len(some), self.search.workers // len(self.finer)))) as pool:
+            seen = pool.map(self.verify, some, *known)
+            found: list[Verified] = [(one.throw, *each) for one, each in zip(some, seen, strict=True)]
         self.verified += found
         return found
 
-    def verify(self, found: Candidate) -> tuple[CastOutcome, CastOutcome | None]:
-        """Verify a throw on the rope as given; then, if it winds and holds, with shorter and shorter links.
+    def verify(self, found: Candidate, first: CastOutcome | None = None) -> tuple[CastOutcome, CastOutcome | None]:
+        """Verify a throw on the rope as given, or as it is known; then, if it winds and holds, with shorter links.
 
         Of these the outcome that fails is returned, or the one whose turns differ most: unpredictable throws differ
-        with the length of the links. The last may run out of time; then the others count.
+        with the length of the links. The last may run out of time; then the others count. A run that fails ends those
+        with still shorter links.
         """
-        cast_setup, peg, force = self.search.cast_setup, self.search.peg, self.search.holding_force
-        motion = found.throw.motion(cast_setup.limits)
-        longest = max(min(LONGEST * self.time_budget, 0.5 * self.left()), MIN_BUDGET)
-        first, later = Deadline(longest, self.left), Deadline(np.inf, self.left)
-        outcome = require_holding_force(verify_cast(cast_setup, peg, motion, time_budget=first), peg, force, later)
-        if not outcome.success:
-            return outcome, None
-        worst: CastOutcome | None = None
-        for each in self.finer:
-            finer = verify_cast(each, peg, motion, time_budget=later)
-            if worst is not None and not finer.completed:
-                break
-            finer = require_holding_force(finer, peg, force, later)
-            if not finer.success:
-                return outcome, finer
-            if worst is None or abs(finer.turns - outcome.turns) > abs(worst.turns - outcome.turns):
-                worst = finer
-        return outcome, worst
+        first = first or self.first_outcome(found)
+        if not first.success:
+            return first, None
+        refuted = [len(self.finer)]
+
+        def run(k: int) -> CastOutcome:
+            seen = self.run_once(self.finer[k], found, lambda: -1.0 if min(refuted) < k else self.left())
+            if seen.completed and not seen.success:
+                refuted.append(k)
+            return seen
+
+        with ThreadPoolExecutor(max(1, min(len(self.finer), self.search.workers))) as pool:
+            return first, worst_of(first, list(pool.map(run, range(len(self.finer)))))
+
+    def first_outcome(self, found: Candidate) -> CastOutcome:
+        """Verify a throw on the rope as given, in a part of the time."""
+        until = self.spent + max(LONGEST * self.time_budget, 0.5 * self.left())
+        return self.run_once(self.search.cast_setup, found, lambda: min(until - self.spent, self.left()))
+
+    def run_once(self, cast_setup: CastSetup, found: Candidate, left: Callable[[], float]) -> CastOutcome:
+        """Simulate a throw on a rope, and a tug at its end, in the time that is `left`, s."""
+        peg, budget, motion = self.search.peg, Deadline(np.inf, left), found.throw.motion(cast_setup.limits)
+        outcome = verify_cast(cast_setup, peg, motion, time_budget=budget)
+        return require_holding_force(outcome, peg, self.search.holding_force, budget)
 
     def plan(self, known: Feasibility, interrupted: bool = False) -> CastPlan:
         """Return the plan so far; if nothing was verified, with the best candidate. `interrupted`: by Ctrl-C."""
@@ -264,52 +334,7 @@ class CastPlanner:
         return CastPlan(search.cast_setup, search.peg, known, *found)
 
 
-def steady(outcome: CastOutcome) -> bool:
-    """Whether a rope that holds does so with a margin, and was not folded flat before."""
-    return outcome.slip <= SLIP_MARGIN * MAX_SLIP and outcome.load_ratio <= LOAD_MARGIN and not outcome.folded
-
-
-def _succeeds(found: Verified) -> bool:
-    """Whether all verifications of a throw succeed."""
-    return _rank(*found[1:])[0] == BOTH
-
-
-def _covers(found: Verified, contact: float) -> bool:
-    """Whether the rope covers so much of the peg in all verifications, rad."""
-    return all(outcome is not None and outcome.contact_angle >= contact for outcome in found[1:])
-
-
-def _with_margin(found: Verified) -> bool:
-    """Whether all verifications of a throw succeed with a margin."""
-    return _rank(*found[1:])[:3] == (BOTH, True, True)
-
-
-def _incomplete(found: Verified) -> bool:
-    """Whether a verification of a throw ran out of time."""
-    return any(outcome is not None and not outcome.completed for outcome in found[1:])
-
-
 def _value(one: RobustCandidate, found: Verified) -> tuple[bool, bool, float]:
     """Value of a robust candidate as a plan."""
-    cost = 0.0 if _with_margin(found) else NO_MARGIN_COST
-    return _succeeds(found), not _incomplete(found), one.common_mean - cost
-
-
-def _rank(outcome: CastOutcome | None, finer: CastOutcome | None) -> tuple[int, bool, bool, float]:
-    """Verifications that succeed; whether their turns agree; whether both have a margin; the turns."""
-    if outcome is None or finer is None:
-        return 0, False, False, 0.0 if outcome is None else abs(outcome.turns)
-    alike = abs(outcome.turns - finer.turns) < MAX_DIFFERENCE
-    good = int(outcome.success) + int(finer.success)
-    return good, alike, steady(outcome) and steady(finer), min(abs(outcome.turns), abs(finer.turns))
-
-
-def failure(outcome: CastOutcome | None, finer: CastOutcome | None, interrupted: bool) -> str:
-    """Return why a cast fails; empty if it succeeds."""
-    if outcome is None:
-        return "interrupted before any throw was verified" if interrupted else "no throw was found that strikes it"
-    if outcome.message:
-        return outcome.message
-    if finer is None:
-        return "interrupted before it was verified with shorter links"
-    return f"with shorter links {finer.message}" if finer.message else ""
+    cost = 0.0 if with_margin(found) else NO_MARGIN_COST
+    return succeeds(found), not incomplete(found), one.common_mean - cost

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks, memory
+from hyperflex import checks, extras, memory
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
@@ -110,6 +110,7 @@ class Batch:
     @property
     def dataset(self) -> "xr.Dataset":
         """The batch as an ``xarray.Dataset`` with the dimensions member, time, link and axis."""
+        extras.require(("xarray",), "xarray", "Datasets")
         import xarray as xr
 
         variables: dict[str, Any] = {

@@ -1,0 +1,80 @@
+"""Verified throws: which of two is better, whether one stands, has a margin and covers enough, and why one fails."""
+
+from collections.abc import Sequence
+
+from hyperflex.planning.outcome import MAX_SLIP, CastOutcome
+from hyperflex.planning.search.candidates import Candidate
+from hyperflex.planning.throw import Throw
+
+SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
+LOAD_MARGIN = 1.0  # load ratio for which the same holds
+BOTH = 2  # verifications that succeed for a plan that succeeds
+MAX_DIFFERENCE = 0.5  # turns between both verifications; above, one of them winds once more
+
+Verified = tuple[Throw | None, CastOutcome | None, CastOutcome | None]  # throw, outcome, outcome with shorter links
+
+
+def steady(outcome: CastOutcome) -> bool:
+    """Whether a rope that holds does so with a margin, and was not folded flat before."""
+    return outcome.slip <= SLIP_MARGIN * MAX_SLIP and outcome.load_ratio <= LOAD_MARGIN and not outcome.folded
+
+
+def succeeds(found: Verified) -> bool:
+    """Whether all verifications of a throw succeed."""
+    return rank(found)[0] == BOTH
+
+
+def covers(found: Verified, contact: float) -> bool:
+    """Whether the rope covers so much of the peg in all verifications, rad."""
+    return contact <= 0.0 or all(outcome is not None and outcome.contact_angle >= contact for outcome in found[1:])
+
+
+def with_margin(found: Verified) -> bool:
+    """Whether all verifications of a throw succeed with a margin."""
+    return rank(found)[:3] == (BOTH, True, True)
+
+
+def incomplete(found: Verified) -> bool:
+    """Whether a verification of a throw ran out of time."""
+    return any(outcome is not None and not outcome.completed for outcome in found[1:])
+
+
+def rank(found: Verified, contact: float = 0.0) -> tuple[int, bool, bool, bool, float]:
+    """Return verifications that succeed; whether they agree, have a margin and cover `contact`, rad; and the turns."""
+    _, outcome, finer = found
+    if outcome is None or finer is None:
+        return 0, False, False, False, 0.0 if outcome is None else abs(outcome.turns)
+    alike = abs(outcome.turns - finer.turns) < MAX_DIFFERENCE
+    margin = steady(outcome) and steady(finer)
+    turns = min(abs(outcome.turns), abs(finer.turns))
+    return int(outcome.success) + int(finer.success), alike, margin, covers(found, contact), turns
+
+
+def promise(seen: CastOutcome, one: Candidate, contact: float) -> tuple[int, bool, bool, bool, float]:
+    """Rank of a throw if its other verifications tell what the first does; the fewer turns, the sooner these end."""
+    *good, turns = rank((one.throw, seen, seen), contact)
+    return *good, -turns  # type: ignore[return-value]
+
+
+def worst_of(first: CastOutcome, finer: Sequence[CastOutcome]) -> CastOutcome:
+    """Return of the runs with shorter links the first that fails, or the one whose turns differ most from `first`."""
+    worst = finer[0]
+    for each in finer:
+        if not each.completed and each is not worst:
+            break
+        if not each.success:
+            return each
+        if abs(each.turns - first.turns) > abs(worst.turns - first.turns):
+            worst = each
+    return worst
+
+
+def failure(outcome: CastOutcome | None, finer: CastOutcome | None, interrupted: bool) -> str:
+    """Return why a cast fails; empty if it succeeds."""
+    if outcome is None:
+        return "interrupted before any throw was verified" if interrupted else "no throw was found that strikes it"
+    if outcome.message:
+        return outcome.message
+    if finer is None:
+        return "interrupted before it was verified with shorter links"
+    return f"with shorter links {finer.message}" if finer.message else ""
