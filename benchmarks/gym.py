@@ -180,7 +180,7 @@ def speed() -> tuple[float, float, float]:
 
 def text(rows: list[lines.Row], rate: tuple[float, float, float]) -> str:
     """Results as Markdown."""
-    titles = ("environment", "policy", "return (95 %)", "of the best scripted", "successes", "learned in")
+    titles = ("environment", "policy", "episodes", "return (95 %)", "of the best scripted", "successes", "learned in")
     found = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
     for name, each in SCRIPTED.items():
         learned = {row["learned"]: row for row in rows if row.get("name") == name and "learned" in row}
@@ -196,11 +196,19 @@ def text(rows: list[lines.Row], rate: tuple[float, float, float]) -> str:
             told = f"{spent['seconds']:.0f} s, {spent['steps']:,} steps" if spent else ""
             part = scores.mean / max(means[one] for one in each if one in means)
             won = f"{scores.successes.sum()} of {len(played)}" if name == "Cast" else ""
-            cells = [name, policy, f"{scores.mean:.4g} ({low:.4g} to {high:.4g})", f"{part:.0%}", won, told]
+            cells = [
+                name,
+                policy,
+                str(len(played)),
+                f"{scores.mean:.4g} ({low:.4g} to {high:.4g})",
+                f"{part:.0%}",
+                won,
+                told,
+            ]
             found.append(f"| {' | '.join(cells)} |")
     many = TOGETHER
     return "\n".join(found) + (
-        "\n\nEpisodes from the seeds 0 to 199. "
+        "\n\nEpisodes from the seeds 0 to 199, or as many of them as are told. "
         f"{MEMBERS} members of Swing (20 links, 50 Hz) take {rate[0]:,.0f} steps/s by the clock "
         f"({rate[1]:,.0f} to {rate[2]:,.0f}); at least {AIM:,.0f} are asked. Learned: PPO of Stable-Baselines3 "
         f"on {many['Swing']} members (Cast: {many['Cast']}), until it returns {PART:.0%} of what the best "
