@@ -116,7 +116,7 @@ def scores_of(rows: list[lines.Row]) -> Scores:
 
 
 def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Callable[[lines.Row], None]) -> None:
-    """Train by PPO until it returns PART of what the best scripted policy does, or the time is over; then score it."""
+    """Train by PPO until it returns PART of what the best scripted policy does or the time is over; then score it."""
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -130,19 +130,6 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
     model = PPO("MlpPolicy", stable_baselines_env(envs), seed=seed, device="cpu", **LEARNING)
     begin, clock, looks = time.process_time(), time.perf_counter(), [0.0]
 
-    def play(tried: range) -> float:
-        """Mean return of the policy so far."""
-        those = gymnasium.make_vec(environment, num_envs=len(tried), autoreset_mode="Disabled")
-        seen, _ = those.reset(seed=tried[0])
-        total, going = np.zeros(len(tried)), np.ones(len(tried), dtype=bool)
-        while going.any():
-            seen, reward, terminated, truncated, _ = those.step(model.predict(seen, deterministic=True)[0])
-            total, ended = total + going * reward, terminated | truncated
-            going &= ~ended
-            if ended.any():
-                seen, _ = those.reset(options={"reset_mask": ended})
-        return float(total.mean())
-
     class Looking(BaseCallback):  # type: ignore[misc]
         """Ends learning."""
 
@@ -153,7 +140,7 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
 
         def _on_rollout_end(self) -> None:
             if time.process_time() - begin > looks[-1] + EVERY:
-                self.reached = play(TRIED[name])
+                self.reached = play(model, environment, TRIED[name]).mean
                 looks.append(time.process_time() - begin)
                 print(f"{name} {seed}: {self.num_timesteps} steps, {looks[-1]:.0f} s, {self.reached:.1f}", flush=True)
 
@@ -161,7 +148,26 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
     spent = {"seconds": time.process_time() - begin, "clock": time.perf_counter() - clock}
     policy = f"PPO, seed {seed}"
     keep({"name": name, "learned": policy, "steps": looking.num_timesteps, **spent})
-    score(name, policy, lambda env: lambda seen: model.predict(seen, deterministic=True)[0], seeds, rows, keep)
+    scores = play(model, environment, seeds)
+    for each, total, success in zip(seeds, scores.returns, scores.successes, strict=True):
+        row = {"name": name, "policy": policy, "seed": each}
+        keep(row | {"return": float(total), "success": bool(success)})
+
+
+def play(model: Any, environment: str, seeds: range) -> Scores:
+    """Scores of what was learned, all episodes at once: members are, to the bit, single environments."""
+    envs = gymnasium.make_vec(environment, num_envs=len(seeds), autoreset_mode="Disabled")
+    seen, _ = envs.reset(seed=seeds[0])
+    total, success = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
+    going = ~success
+    while going.any():
+        seen, reward, terminated, truncated, info = envs.step(model.predict(seen, deterministic=True)[0])
+        total, ended = total + going * reward, terminated | truncated
+        success |= going & info.get("is_success", success)
+        going &= ~ended
+        if ended.any():
+            seen, _ = envs.reset(options={"reset_mask": ended})
+    return Scores(total, success)
 
 
 def speed() -> tuple[float, float, float]:
@@ -180,7 +186,7 @@ def speed() -> tuple[float, float, float]:
 
 def text(rows: list[lines.Row], rate: tuple[float, float, float]) -> str:
     """Results as Markdown."""
-    titles = ("environment", "policy", "return (95 %)", "of the best scripted", "successes", "learned in")
+    titles = ("environment", "policy", "episodes", "return (95 %)", "of the best scripted", "successes", "learned in")
     found = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
     for name, each in SCRIPTED.items():
         learned = {row["learned"]: row for row in rows if row.get("name") == name and "learned" in row}
@@ -196,11 +202,19 @@ def text(rows: list[lines.Row], rate: tuple[float, float, float]) -> str:
             told = f"{spent['seconds']:.0f} s, {spent['steps']:,} steps" if spent else ""
             part = scores.mean / max(means[one] for one in each if one in means)
             won = f"{scores.successes.sum()} of {len(played)}" if name == "Cast" else ""
-            cells = [name, policy, f"{scores.mean:.4g} ({low:.4g} to {high:.4g})", f"{part:.0%}", won, told]
+            cells = [
+                name,
+                policy,
+                str(len(played)),
+                f"{scores.mean:.4g} ({low:.4g} to {high:.4g})",
+                f"{part:.0%}",
+                won,
+                told,
+            ]
             found.append(f"| {' | '.join(cells)} |")
     many = TOGETHER
     return "\n".join(found) + (
-        "\n\nEpisodes from the seeds 0 to 199. "
+        "\n\nEpisodes from the seeds 0 to 199, or as many of them as are told. "
         f"{MEMBERS} members of Swing (20 links, 50 Hz) take {rate[0]:,.0f} steps/s by the clock "
         f"({rate[1]:,.0f} to {rate[2]:,.0f}); at least {AIM:,.0f} are asked. Learned: PPO of Stable-Baselines3 "
         f"on {many['Swing']} members (Cast: {many['Cast']}), until it returns {PART:.0%} of what the best "

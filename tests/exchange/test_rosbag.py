@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +54,15 @@ def test_places_bit_for_bit(kind: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(got.data, np.tile(ANGLES[:, [0, 2]], 2 if kind == bags.POSE_ARRAY else 1))
     with pytest.raises(InvalidInput, match="columns are names of joints"):
         hf.read_recording(bag, topic="/seen", columns=["a"], plane="xz")
+
+
+def test_a_bag_that_does_not_say_what_its_messages_are(tmp_path: Path) -> None:
+    """As ROS 2 wrote them until 2023: the types are those of Humble, which later ones share."""
+    bags.content_of("sqlite3")(tmp_path)
+    with closing(sqlite3.connect(next((tmp_path / "sqlite3").glob("*.db3")))) as held:
+        held.execute("delete from message_definitions")
+        held.commit()
+    assert hf.read_recording(tmp_path / "sqlite3").n_links == 2
 
 
 def test_an_incomplete_bag_is_refused(tmp_path: Path) -> None:

@@ -56,6 +56,8 @@ WRITERS: dict[str, Callable[[Path, hf.Trajectory], object]] = {
     "figures.json": lambda path, run: files.write_json(path, {"t": run.t}),
     "run.nc": lambda path, run: run.to_netcdf(path),
     "angles.nc": lambda path, run: hf.Recording(run.t, run.q).to_netcdf(path),
+    "run.mcap": lambda path, run: hf.write_mcap(run, path),
+    "rope.xml": lambda path, run: hf.write_mjcf(run.setup, path),
     "figure.png": png,
     "film.gif": lambda path, run: animate(run, path, end=0.05, width=64),
     "film.mp4": mp4,
