@@ -80,7 +80,7 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
     """
     motion, joints, of = workspace.motion, workspace.joints, workspace.joints.of
     for i in joints.which:
-        bend = workspace.q[i] - (workspace.q[i - 1] if i > 0 else workspace.base[1, 4]) - chain.rest[i]
+        bend = motion.q[i] - (motion.q[i - 1] if i > 0 else workspace.base[1, 4]) - chain.rest[i]
         rate = motion.w[i] - (motion.w[i - 1] if i > 0 else workspace.base[0, 3])
         of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
         of[FREE, i], of[FREE + 1, i] = motion.joint[i, 0], motion.joint[i, 1]

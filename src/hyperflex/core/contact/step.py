@@ -12,6 +12,7 @@ from hyperflex.core.contact.arrays import IMPULSE, OPEN, Impulses, Joints, Motio
 from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joint_positions, nearest, new_contacts, speeds
 from hyperflex.core.contact.joints import BEYOND, bend_clearance, bound_joint_rates, joint_losses
 from hyperflex.core.contact.modes import solve
+from hyperflex.core.contact.sweep import TX, TY
 from hyperflex.core.contact.turning_pegs import Spin, lost_in_bearings, new_spin, prepare_spin
 from hyperflex.core.jit import kernel, non_allocating
 
@@ -51,7 +52,6 @@ class ContactWorkspace(NamedTuple):
     motion: Motion
     joints: Joints
     spin: Spin
-    q: Array  # (n,) in the middle of the step
     xy: Array  # (2, n + 1) joints there
     ahead: Array  # (2, n + 1) and where they would be a step later
     ahead_q: Array
@@ -77,10 +77,9 @@ def new_contact_workspace(chain, pegs, rate, longest):  # type: ignore[no-untype
     return ContactWorkspace(
         new_contacts(most),
         new_impulses(most, RESIDUAL_SHARE * rate),
-        new_motion(n),
+        new_motion(chain),
         new_joints(chain),
         new_spin(n, pegs),
-        np.zeros(n),
         np.zeros((2, n + 1)),
         np.zeros((2, n + 1)),
         np.zeros(n),
@@ -113,17 +112,41 @@ def new_contact_memory(n, pegs):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def joint_impulses(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped-def]
-    """Angular impulses of the joints: implicit friction, springs at the mean of the angles before and after.
+def implicitness(chain, i, h):  # type: ignore[no-untyped-def]
+    """Part of the change of its rate with which friction at joint i acts in a step: one half, of second order.
 
-    `q` (n,) are angles in the middle of the step, `w` (n,) rates before; `base` (3, 9); ``joint`` (n, 2) out.
+    More where links turn against each other by friction alone within the step: so much that this dies out.
     """
-    for i in range(w.size):
-        rate = w[i] - (w[i - 1] if i > 0 else base[0, 3])
+    fastest = 2.0 * h * chain.viscous[i] * (1.0 / chain.inertia[i] + (1.0 / chain.inertia[i - 1] if i > 0 else 0.0))
+    return 0.5 if fastest <= 2.0 else 1.0 - 1.0 / fastest
+
+
+@non_allocating
+def friction_impulse(chain, motion, trend, base, h, i):  # type: ignore[no-untyped-def]
+    """Angular impulse of viscous friction at joint i, N m s, less its slope times the change of the rate; that slope.
+
+    What is more than one half of the change acts on its difference from h times the accelerations before, ``trend``.
+    """
+    theta = implicitness(chain, i, h)
+    rate = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
+    foretold = h * (trend[i] - (trend[i - 1] if i > 0 else base[0, 2]))
+    slope, _ = joint_law.jacobian(joint_of(chain, i), 1.0, theta * h, 0.0)
+    return h * joint_law.friction(joint_of(chain, i), rate - (theta - 0.5) * foretold, 0.0), slope
+
+
+@non_allocating
+def joint_impulses(chain, motion, trend, base, h, torque):  # type: ignore[no-untyped-def]
+    """Angular impulses of the joints, to ``motion.joint``: implicit friction, springs at the mean of the angles.
+
+    `trend` (n,) are the accelerations of the last step, rad/s^2; `base` (3, 9).
+    """
+    joint, q = motion.joint, motion.q
+    for i in range(q.size):
         angle = q[i] - (q[i - 1] if i > 0 else base[1, 4])
         law = joint_of(chain, i)
-        joint[i, 0] = h * (joint_law.friction(law, rate, 0.0) + joint_law.spring(law, angle))
-        joint[i, 1], _ = joint_law.jacobian(law, 1.0, h, 0.25 * h * h)
+        impulse, slope = friction_impulse(chain, motion, trend, base, h, i)
+        stiff, _ = joint_law.jacobian(law, 1.0, 0.0, 0.25 * h * h)
+        joint[i, 0], joint[i, 1] = impulse + h * joint_law.spring(law, angle), slope + stiff
     joint[0, 0] += h * torque
 
 
@@ -155,7 +178,7 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
         a = max(abs(motion.speed[0, i]), abs(motion.speed[1, i]))
         b = max(abs(motion.speed[0, i + 1]), abs(motion.speed[1, i + 1]))
         workspace.margin[i] = NEAR + 1.5 * FASTER * h * max(a, b)
-    least = find(chain, pegs, workspace.q, motion.trig, workspace.xy, workspace.margin, contacts)
+    least = find(chain, pegs, motion.q, motion.trig, workspace.xy, workspace.margin, contacts)
     count = contacts.total[0]
     if count == 0:
         return least
@@ -170,7 +193,7 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
             impulses.tangent_target[c] = 0.0
         return least
     for i in range(n):
-        workspace.ahead_q[i] = workspace.q[i] + h * motion.w[i]
+        workspace.ahead_q[i] = motion.q[i] + h * motion.w[i]
     sines(workspace.ahead_q, workspace.ahead_trig, 0)
     x = workspace.base[1, 7] + h * workspace.base[0, 5]  # as the joints' velocities, which are those before the step
     y = workspace.base[1, 8] + h * workspace.base[0, 6]
@@ -256,13 +279,12 @@ def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, b
     for i in range(n):
         whole += chain.mass[i]
         motion.w[i] = y[n + i]
-        workspace.q[i] = y[i] + 0.5 * h * y[n + i]
+        motion.q[i] = y[i] + 0.5 * h * y[n + i]
         motion.change[i] = h * workspace.trend[i]
-    motion.rho[:] = 0.0
-    sines(workspace.q, motion.trig, 0)
+    sines(motion.q, motion.trig, 0)
     joint_positions(chain, motion.trig, base[1, 7], base[1, 8], workspace.xy)
     speeds(chain, motion.trig, motion.w, base[0, 5], base[0, 6], motion.speed)
-    joint_impulses(chain, workspace.q, motion.w, base, h, torque, motion.joint)
+    joint_impulses(chain, motion, workspace.trend, base, h, torque)
     add_drag_impulses(chain, workspace.air, motion, base[1], h)
     motion.base[0] = base[2, 5] - base[0, 5] - h * chain.gx
     motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
@@ -275,25 +297,38 @@ def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, b
     rounds = solve(chain, workspace.contacts, workspace.impulses, motion, workspace.joints, workspace.spin, h, whole)
     for i in range(n):
         rate = motion.w[i] + motion.change[i]
-        workspace.out[i] = workspace.q[i] + 0.5 * h * rate
+        workspace.out[i] = motion.q[i] + 0.5 * h * rate
         workspace.out[n + i] = rate
     bend, out = workspace.bend, workspace.out
     bend[0], bend[1] = bend_clearance(chain, out[:n], out[n:], base[2, 4], base[2, 3])
-    energy_account(chain, workspace, torque, h)
+    energy_account(chain, workspace, torque, whole, h)
     return least, rounds
 
 
 @non_allocating
-def energy_account(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
+def mean_velocities(chain, motion, base, out):  # type: ignore[no-untyped-def]
+    """Mean velocities of the joints in a step, m/s, to ``out`` (2, n + 1), along which forces acted; `base` (3, 9)."""
+    n = motion.w.size
+    out[0, 0], out[1, 0] = 0.5 * (base[0, 5] + base[2, 5]), 0.5 * (base[0, 6] + base[2, 6])
+    for i in range(n):
+        way = chain.length[i] * (motion.w[i] + 0.5 * motion.change[i])
+        out[0, i + 1] = out[0, i] + way * motion.frame[i, TX]
+        out[1, i + 1] = out[1, i] + way * motion.frame[i, TY]
+
+
+@non_allocating
+def energy_account(chain, workspace, torque, whole, h):  # type: ignore[no-untyped-def]
     """Energy that joints, air, axles and contacts took in a step, and work put in: impulses times mean velocities."""
     motion, base, spin = workspace.motion, workspace.base, workspace.spin
-    contacts, impulses = workspace.contacts, workspace.impulses
+    contacts, impulses, mean = workspace.contacts, workspace.impulses, workspace.ahead_speed
     n = motion.w.size
+    mean_velocities(chain, motion, base, mean)
     taken = 0.0
     for i in range(n):
-        before = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
-        after = workspace.out[n + i] - (workspace.out[n + i - 1] if i > 0 else base[2, 3])
-        taken -= h * joint_law.friction(joint_of(chain, i), after, 0.0) * 0.5 * (before + after)
+        change = motion.change[i] - (motion.change[i - 1] if i > 0 else motion.base[2])
+        rate = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3]) + 0.5 * change
+        impulse, slope = friction_impulse(chain, motion, workspace.trend, base, h, i)
+        taken -= (impulse - slope * change) * rate
     taken += drag_work(workspace.air, motion, workspace.out[n:], base[0], base[2], h)
     rubbed, limited = joint_losses(workspace.joints)
     workspace.account[FRICTION] = taken + rubbed + lost_in_bearings(spin)
@@ -301,19 +336,19 @@ def energy_account(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
     for c in range(contacts.total[0]):
         if impulses.mode[c] == OPEN:
             continue
-        closing, sliding = velocity_before(contacts, motion, c)
-        sliding -= spin.reach[contacts.peg[c]] * spin.before[contacts.peg[c]]
-        taken -= 0.5 * impulses.normal[c] * (closing + impulses.vn[c])
-        taken -= 0.5 * impulses.tangent[c] * (sliding + impulses.vt[c])
+        i, p = contacts.link[c], contacts.peg[c]
+        lever = contacts.place[c] * (motion.w[i] + 0.5 * motion.change[i])
+        vx, vy = mean[0, i] + lever * motion.trig[n + i], mean[1, i] + lever * motion.trig[i]
+        sliding = vy * contacts.nx[c] - vx * contacts.ny[c]
+        sliding -= 0.5 * spin.reach[p] * (spin.before[p] + spin.after[p])
+        taken -= impulses.normal[c] * (vx * contacts.nx[c] + vy * contacts.ny[c]) + impulses.tangent[c] * sliding
     workspace.account[CONTACT] = taken
     work = 0.5 * (motion.load[0] * (base[0, 5] + base[2, 5]) + motion.load[1] * (base[0, 6] + base[2, 6]))
     work += 0.5 * motion.load[2] * (base[0, 3] + base[2, 3])
     work += 0.5 * h * torque * (motion.w[0] + workspace.out[n])
-    vx, vy = base[2, 5], base[2, 6]
-    for i in range(n):
-        vx += chain.length[i] * motion.trig[n + i] * workspace.out[n + i]
-        vy += chain.length[i] * motion.trig[i] * workspace.out[n + i]
-    work += 0.5 * (motion.tip[0] * (motion.speed[0, n] + vx) + motion.tip[1] * (motion.speed[1, n] + vy))
+    for k, g in ((0, chain.gx), (1, chain.gy)):
+        fallen = 0.5 * h * (base[0, 5 + k] + base[2, 5 + k]) - (base[2, 7 + k] - base[0, 7 + k])
+        work += whole * g * fallen + motion.tip[k] * mean[k, n]
     workspace.account[WORK] = work
 
 
