@@ -58,7 +58,7 @@ class Motion(NamedTuple):
     q: Array  # (n,) angles in the middle of the step as the rates before make them; those of the contacts
     trig: Array  # (2 n,) their sines and cosines
     mean: Array  # (3 n,) means of the angles before and after, their sines and cosines
-    frame: Array  # (n, 7)
+    frame: Array  # (n, 8)
     joint: Array  # (n, 2)
     touch: Array  # (n, 12)
     weight: Array  # (n,) moment of the mass that a link bears about its motor-side joint, kg m
@@ -68,7 +68,9 @@ class Motion(NamedTuple):
     base: Array  # (3,)
     tip: Array  # (2,)
     load: Array  # (3,) out, impulse at the first joint
-    work: Array  # (4 n,)
+    pull: Array  # (2, n)
+    span: Array  # (1,) s, step that `pull` is of
+    work: Array  # (12 n,)
 
 
 @kernel
@@ -125,7 +127,7 @@ def new_motion(chain):  # type: ignore[no-untyped-def]
         np.zeros(n),
         np.zeros(2 * n),
         np.zeros(3 * n),
-        np.zeros((n, 7)),
+        np.zeros((n, 8)),
         np.zeros((n, 2)),
         np.zeros((n, 12)),
         weight,
@@ -135,5 +137,7 @@ def new_motion(chain):  # type: ignore[no-untyped-def]
         np.zeros(3),
         np.zeros(2),
         np.zeros(3),
-        np.zeros(4 * n),
+        np.zeros((2, n)),
+        np.zeros(1),
+        np.zeros(12 * n),
     )

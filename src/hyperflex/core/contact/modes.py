@@ -11,7 +11,7 @@ from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
 from hyperflex.core.contact.joints import release_joints, update_joint_modes, update_joint_multipliers, write_joints
 from hyperflex.core.contact.point import add_contact_impulse, velocity
-from hyperflex.core.contact.sweep import KX, KY, TURN, TX, TY, VX, VY, changes, clear
+from hyperflex.core.contact.sweep import KX, KY, SLOPE, TURN, TX, TY, VX, VY, changes, clear
 from hyperflex.core.contact.turning_pegs import turn_pegs
 from hyperflex.core.jit import inlined, non_allocating
 
@@ -122,7 +122,8 @@ def linearize(chain, motion, h):  # type: ignore[no-untyped-def]
         vy = change * cos * ny - 2.0 * rate * sin * dy
         row[KX], row[KY] = vx - change * row[VX], vy - change * row[VY]
         pull_x, pull_y = (sinc - cos) * nx + tilt * dx, (sinc - cos) * ny + tilt * dy
-        row[TURN] = h * motion.weight[i] * (chain.gx * pull_x + chain.gy * pull_y)
+        row[SLOPE] = max(-0.5 * h * (dx * motion.pull[0, i] + dy * motion.pull[1, i]), -0.5 * chain.inertia[i])
+        row[TURN] = change * row[SLOPE] + h * motion.weight[i] * (chain.gx * pull_x + chain.gy * pull_y)
         turned[0, i], turned[1, i] = x, y
         x += chain.length[i] * (change * motion.trig[n + i] - vx)
         y += chain.length[i] * (change * motion.trig[i] - vy)
@@ -160,6 +161,7 @@ def solve_round(chain, contacts, impulses, motion, joints, spin, penalty, change
         motion.tip,
         motion.change,
         motion.place,
+        motion.pull,
         motion.work,
     )
     motion.load[0], motion.load[1], motion.load[2] = fx, fy, moment
@@ -183,6 +185,7 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
             return turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
             motion.change[:] = 0.0
+            motion.pull[:] = 0.0
             return -(turn + 1)
     return -most
 

@@ -1,6 +1,6 @@
 """Outputs of a rollout with contact."""
 
-from hyperflex.core.assign import assign
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import INDEX, LOST, MOMENT, T, energy_allowance, energy_balanced
 from hyperflex.core.contact.step import CONTACT, FRICTION, WORK, energy, try_step
@@ -17,7 +17,8 @@ def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside
     """
     if x * h <= MOMENT:
         return False
-    assign(aside.trend, workspace.trend)
+    assign_rows(aside.trend, workspace.trend)
+    assign(aside.pace, workspace.pace)
     assign(aside.spin.before, workspace.spin.before)
     t, y = state.clock[T], state.y
     _, rounds = try_step(chain, drive, part, pegs, pull, t, x * h, y, state.memory, aside, True, 0.0, True)

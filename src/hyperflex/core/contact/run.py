@@ -14,12 +14,14 @@ from hyperflex.core.contact.bounds import (
     DEEPEST,
     ENERGY_GAIN,
     FORCED,
+    GIVEN,
     IMPACT_DUE,
     IMPACTS,
     INDEX,
     LOST,
     MOMENT,
     REJECTED,
+    SPENT,
     STEP,
     TAKEN,
     UNSOLVED,
@@ -31,24 +33,29 @@ from hyperflex.core.contact.gaps import find, joint_positions, new_contacts, spe
 from hyperflex.core.contact.joints import BEYOND, bend_clearance
 from hyperflex.core.contact.output import write
 from hyperflex.core.contact.step import (
+    BEFORE,
     CONTACT,
     FRICTION,
+    LAST,
+    STEADY,
     WORK,
     energy,
+    keeps_modes,
     new_contact_memory,
     new_contact_workspace,
     save_memory,
+    step_error,
     try_step,
 )
 from hyperflex.core.contact.torque_peaks import watch_torque
 from hyperflex.core.contact.turning_pegs import turning_energy
-from hyperflex.core.integrate.step_size import fitted
+from hyperflex.core.integrate.step_size import allowed, fitted, lasting
 from hyperflex.core.jit import kernel, non_allocating
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
 GROWTH = 1.5
-EASY = 0.2  # part of the energy allowed, below which steps grow
+REJECTED_ERROR = 4.0  # relative error of a step that is tried again at half its length
 SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a step
 GENEROUS = 100.0  # how many times more energy than may appear contacts may give a rope that they push out
 DEEPER = 5e-5  # m, penetration at which a step is tried again at half its length
@@ -66,19 +73,33 @@ def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-u
     y[2 * n] += account[WORK]
     y[2 * n + 1] += account[FRICTION] + account[CONTACT]
     clock[LOST] += account[CONTACT]
+    clock[GIVEN] = max(0.0, clock[GIVEN] - account[CONTACT])
+    clock[SPENT] += h
     clock[DEEPEST] = max(clock[DEEPEST], -least)
     clock[BEND] = max(clock[BEND], -workspace.bend[0])
     clock[TAKEN] += 1.0
+    clock[BEND] += abs(rounds)  # TEMP
     if rounds < 0:
         clock[UNSOLVED] += 1.0
     for p in workspace.spin.which:
         state.spin[0, p] += 0.5 * h * (workspace.spin.before[p] + workspace.spin.after[p])
         state.spin[1, p] = workspace.spin.before[p] = workspace.spin.after[p]
     long = h > MOMENT
-    for i in range(n):
-        workspace.trend[i] = workspace.motion.change[i] / h if long else 0.0
+    save_trend(state.memory, workspace, h if long else 0.0)
     if long:
         save_memory(state.memory, workspace.contacts, workspace.impulses, workspace.joints, h)
+
+
+@non_allocating
+def save_trend(memory, workspace, h):  # type: ignore[no-untyped-def]
+    """Keep the accelerations of a step of the length h, s, and whether it changed modes; of a short one, 0.0, none."""
+    motion, trend, pace = workspace.motion, workspace.trend, workspace.pace
+    steady = h > 0.0 and keeps_modes(memory, workspace.contacts, workspace.impulses, workspace.joints)
+    pace[BEFORE] = pace[LAST] if steady and pace[STEADY] == 1.0 else 0.0
+    pace[LAST], pace[STEADY] = h, 1.0 if steady else 0.0
+    for i in range(motion.w.size):
+        trend[1, i] = trend[0, i]
+        trend[0, i] = motion.change[i] / h if h > 0.0 else 0.0
 
 
 @non_allocating
@@ -105,6 +126,27 @@ def impact(chain, drive, part, pegs, pull, state, workspace, nothing):  # type: 
     accept_step(drive, state, workspace, 0.0, rounds, least)
     state.clock[IMPACTS] += 1.0
     state.clock[IMPACT_DUE] = 0.0
+
+
+@non_allocating
+def gives_little(bounds, clock, workspace, h):  # type: ignore[no-untyped-def]
+    """Whether contacts give back no more of what they took, after a step, than may come from nowhere in all the time."""
+    given = clock[GIVEN] - workspace.account[CONTACT]
+    return given <= bounds.rate * (clock[SPENT] + h) or workspace.account[CONTACT] >= -energy_allowance(bounds, h)
+
+
+@non_allocating
+def growth(error):  # type: ignore[no-untyped-def]
+    """Factor from a step with a relative error to the next one."""
+    return min(GROWTH, max(1.0 / GROWTH, (0.5 / (error + 1e-9)) ** 0.4))
+
+
+@non_allocating
+def relative_error(chain, bounds, memory, workspace, h):  # type: ignore[no-untyped-def]
+    """Error of a step in units of what is allowed, as in free flight; 0.0 where modes change."""
+    if not keeps_modes(memory, workspace.contacts, workspace.impulses, workspace.joints):
+        return 0.0
+    return step_error(chain, workspace, h) * lasting(h) / allowed(bounds.tol, h, 0.0)
 
 
 @non_allocating
@@ -158,20 +200,22 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
             h = max(touch, BRIEF)
             shortest = min(shortest, h)
             continue
-        allowed = energy_allowance(bounds, h)
-        if push and workspace.account[CONTACT] < -GENEROUS * allowed:
+        given = energy_allowance(bounds, h)
+        if push and workspace.account[CONTACT] < -GENEROUS * given:
             push = False
             continue
         longest = longest_safe_step(chain, pegs, workspace)
+        error = relative_error(chain, bounds, state.memory, workspace, h)
         if math.isnan(had):
             had = energy(chain, y, workspace.base[0]) + turning_energy(workspace.spin, workspace.spin.before)
         has = energy(chain, workspace.out, workspace.base[2]) + turning_energy(workspace.spin, workspace.spin.after)
         surplus = has - had + workspace.account[FRICTION] + workspace.account[CONTACT] - workspace.account[WORK]
-        good = energy_balanced(surplus, allowed) and rounds > 0 and h <= longest
+        good = energy_balanced(surplus, given) and rounds > 0 and h <= longest
         good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])
+        good = good and gives_little(bounds, clock, workspace, h) and error <= REJECTED_ERROR
         good = good and (workspace.bend[0] > -BEYOND or -workspace.bend[0] <= SINKING * clock[BEND])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
-            return h, wanted, least, touch, rounds, surplus, has, good
+            return h, wanted, least, touch, rounds, surplus, has, good, error
         if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
             anew, back, stale = not anew, anew, surplus
             continue
@@ -217,7 +261,7 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
         end = min(part.end, bounds.stop)
         wanted = min(clock[STEP], bounds.step)
         h = fitted(wanted, end - t)
-        h, wanted, least, touch, rounds, surplus, has, good = choose_step(
+        h, wanted, least, touch, rounds, surplus, has, good, error = choose_step(
             chain, drive, part, pegs, pull, bounds, state, workspace, nothing, h, wanted, struck, had
         )
         if not (abs(surplus) < np.inf):
@@ -236,7 +280,7 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
         accept_step(drive, state, workspace, h, rounds, least)
         clock[IMPACT_DUE] = 1.0 if touch <= 1.001 * h else 0.0
         clock[T] = end if h >= end - t else t + h
-        clock[STEP] = wanted * GROWTH if abs(surplus) < EASY * energy_allowance(bounds, h) else wanted
+        clock[STEP] = wanted * growth(error)
         if least > bounds.clear and workspace.bend[1] > bounds.slack and clock[T] < bounds.stop:
             return status.LEFT
     return status.RUNNING if clock[T] < bounds.stop else status.OK

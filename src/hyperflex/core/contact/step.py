@@ -1,5 +1,6 @@
 """One contact step of the Moreau-Jean scheme: angles at its middle, rates at its ends."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ NEAR = 1e-4  # m, gap below which a link is watched even at rest
 BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
+LAST, BEFORE, STEADY = range(3)  # of ContactWorkspace.pace
 FRICTION, CONTACT, WORK = range(
     3
 )  # of ContactWorkspace.account, J: lost in joints, air, axles; in contacts, limits; put in
@@ -58,7 +60,8 @@ class ContactWorkspace(NamedTuple):
     ahead_trig: Array
     ahead_speed: Array  # (2, n + 1)
     margin: Array  # (n,)
-    trend: Array  # (n,) rad/s^2, accelerations of the last step: where the next one begins to search
+    trend: Array  # (2, n) rad/s^2, accelerations of the last step, where the next one begins to search, and before it
+    pace: Array  # (3,) s, lengths of these steps, 0.0 where there was none; 1.0 where the last one changed no mode
     out: Array  # (2 n,) angles and rates after the step
     base: Array  # (3, 9) motion of the first joint before, in the middle and after
     air: Air
@@ -86,7 +89,8 @@ def new_contact_workspace(chain, pegs, rate, longest):  # type: ignore[no-untype
         np.zeros(2 * n),
         np.zeros((2, n + 1)),
         np.zeros(n),
-        np.zeros(n),
+        np.zeros((2, n)),
+        np.zeros(3),
         np.zeros(2 * n),
         np.zeros((3, 9)),
         new_air(n),
@@ -122,29 +126,30 @@ def implicitness(chain, i, h):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def friction_impulse(chain, motion, trend, base, h, i):  # type: ignore[no-untyped-def]
+def friction_impulse(chain, motion, trend, steady, base, h, i):  # type: ignore[no-untyped-def]
     """Angular impulse of viscous friction at joint i, N m s, less its slope times the change of the rate; that slope.
 
-    What is more than one half of the change acts on its difference from h times the accelerations before, ``trend``.
+    What is more than one half of the change acts on its difference from h times the accelerations before, ``trend``,
+    where modes were `steady`, 1.0, and from nothing else, 0.0.
     """
     theta = implicitness(chain, i, h)
     rate = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
-    foretold = h * (trend[i] - (trend[i - 1] if i > 0 else base[0, 2]))
+    foretold = steady * h * (trend[0, i] - (trend[0, i - 1] if i > 0 else base[0, 2]))
     slope, _ = joint_law.jacobian(joint_of(chain, i), 1.0, theta * h, 0.0)
     return h * joint_law.friction(joint_of(chain, i), rate - (theta - 0.5) * foretold, 0.0), slope
 
 
 @non_allocating
-def joint_impulses(chain, motion, trend, base, h, torque):  # type: ignore[no-untyped-def]
+def joint_impulses(chain, motion, trend, steady, base, h, torque):  # type: ignore[no-untyped-def]
     """Angular impulses of the joints, to ``motion.joint``: implicit friction, springs at the mean of the angles.
 
-    `trend` (n,) are the accelerations of the last step, rad/s^2; `base` (3, 9).
+    `trend`, `steady` as in ``friction_impulse``; `base` (3, 9).
     """
     joint, q = motion.joint, motion.q
     for i in range(q.size):
         angle = q[i] - (q[i - 1] if i > 0 else base[1, 4])
         law = joint_of(chain, i)
-        impulse, slope = friction_impulse(chain, motion, trend, base, h, i)
+        impulse, slope = friction_impulse(chain, motion, trend, steady, base, h, i)
         stiff, _ = joint_law.jacobian(law, 1.0, 0.0, 0.25 * h * h)
         joint[i, 0], joint[i, 1] = impulse + h * joint_law.spring(law, angle), slope + stiff
     joint[0, 0] += h * torque
@@ -237,6 +242,46 @@ def warm_start(memory, contacts, impulses, h):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
+def keeps_modes(memory, contacts, impulses, joints):  # type: ignore[no-untyped-def]
+    """Whether contacts and joints have the modes of the last step; `joints` are the Joints."""
+    for i in joints.which:
+        if memory.bent[i] != joints.mode[i]:
+            return False
+    for c in range(contacts.total[0]):
+        if memory.mode[contacts.link[c], contacts.peg[c]] != impulses.mode[c]:
+            return False
+    return True
+
+
+@non_allocating
+def foresight(pace, h):  # type: ignore[no-untyped-def]
+    """How many times the accelerations change again in a step h, s, as they did last; 0.0 where modes changed."""
+    if pace[BEFORE] == 0.0 or pace[STEADY] == 0.0:
+        return 0.0
+    return (h + pace[LAST]) / (pace[LAST] + pace[BEFORE])
+
+
+@non_allocating
+def step_error(chain, workspace, h):  # type: ignore[no-untyped-def]
+    """Error that a step makes in the velocity of any joint, m/s, where no mode changed for three steps; else 0.0.
+
+    A twelfth of the difference from what the last two steps foretell.
+    """
+    motion, trend, pace = workspace.motion, workspace.trend, workspace.pace
+    further = foresight(pace, h)
+    if further == 0.0:
+        return 0.0
+    n = motion.w.size
+    x = y = worst = 0.0
+    for i in range(n):
+        off = motion.change[i] - h * (trend[0, i] + further * (trend[0, i] - trend[1, i]))
+        x += chain.length[i] * motion.trig[n + i] * off
+        y += chain.length[i] * motion.trig[i] * off
+        worst = max(worst, x * x + y * y)
+    return math.sqrt(worst) / 12.0
+
+
+@non_allocating
 def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyped-def]
     """Save modes and forces for the next step; `joints` are the Joints."""
     for i in joints.which:
@@ -250,6 +295,17 @@ def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyp
         i, p = contacts.link[c], contacts.peg[c]
         memory.mode[i, p] = impulses.mode[c]
         memory.normal[i, p], memory.tangent[i, p] = impulses.normal[c] / h, impulses.tangent[c] / h
+
+
+@non_allocating
+def scale_pull(motion, h):  # type: ignore[no-untyped-def]
+    """Scale the impulses ``motion.pull`` of the last step that was tried to a step h, s; those of a short one are none."""
+    ratio = h / motion.span[0] if motion.span[0] > 0.25 * h else 0.0
+    for k in range(2):
+        for i in range(motion.w.size):
+            pull = ratio * motion.pull[k, i]
+            motion.pull[k, i] = pull if abs(pull) < np.inf and ratio > 0.0 else 0.0
+    motion.span[0] = h
 
 
 @non_allocating
@@ -275,16 +331,17 @@ def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, b
     torque = base_state(drive, part, t + 0.5 * h, base[1])
     base_state(drive, part, t, base[0])
     base_state(drive, part, t + h, base[2])
-    whole = chain.tip_mass
+    whole, further = chain.tip_mass, foresight(workspace.pace, h)
     for i in range(n):
         whole += chain.mass[i]
         motion.w[i] = y[n + i]
         motion.q[i] = y[i] + 0.5 * h * y[n + i]
-        motion.change[i] = h * workspace.trend[i]
+        motion.change[i] = h * (workspace.trend[0, i] + further * (workspace.trend[0, i] - workspace.trend[1, i]))
+    scale_pull(motion, h)
     sines(motion.q, motion.trig, 0)
     joint_positions(chain, motion.trig, base[1, 7], base[1, 8], workspace.xy)
     speeds(chain, motion.trig, motion.w, base[0, 5], base[0, 6], motion.speed)
-    joint_impulses(chain, motion, workspace.trend, base, h, torque)
+    joint_impulses(chain, motion, workspace.trend, workspace.pace[STEADY], base, h, torque)
     add_drag_impulses(chain, workspace.air, motion, base[1], h)
     motion.base[0] = base[2, 5] - base[0, 5] - h * chain.gx
     motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
@@ -323,11 +380,11 @@ def energy_account(chain, workspace, torque, whole, h):  # type: ignore[no-untyp
     contacts, impulses, mean = workspace.contacts, workspace.impulses, workspace.ahead_speed
     n = motion.w.size
     mean_velocities(chain, motion, base, mean)
-    taken = 0.0
+    taken, steady = 0.0, workspace.pace[STEADY]
     for i in range(n):
         change = motion.change[i] - (motion.change[i - 1] if i > 0 else motion.base[2])
         rate = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3]) + 0.5 * change
-        impulse, slope = friction_impulse(chain, motion, workspace.trend, base, h, i)
+        impulse, slope = friction_impulse(chain, motion, workspace.trend, steady, base, h, i)
         taken -= (impulse - slope * change) * rate
     taken += drag_work(workspace.air, motion, workspace.out[n:], base[0], base[2], h)
     rubbed, limited = joint_losses(workspace.joints)

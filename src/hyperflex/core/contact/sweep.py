@@ -14,10 +14,10 @@ DD = 8  # s^2 n.B n, kg m^2
 CX, CY, RC = range(9, 12)  # C, N s, and s n.C, N m s
 TOUCH = 12
 # of a row of `frame`: a link whose rate changes by x changes the velocity of its far joint, seen from the other one, by
-# its length times V x + K; T is the way, in its lengths, along which forces at the far joint turn it; TURN, N m s, acts
-# on the link alone. At rest T = V = n, K = 0
-TX, TY, VX, VY, KX, KY, TURN = range(7)
-FRAME = 7
+# its length times V x + K; T is the way, in its lengths, along which forces at the far joint turn it; what
+# acts on the link alone turns it by TURN, N m s, less SLOPE, kg m^2, for a unit change of its rate. At rest T = V = n, K = 0
+TX, TY, VX, VY, SLOPE, KX, KY, TURN = range(8)
+FRAME = 8
 
 
 @inlined
@@ -28,7 +28,7 @@ def link_change(link, joint, frame, touch, beyond):  # type: ignore[no-untyped-d
     ----------
     link : (length, mass * com, mass * com^2, inertia about the centre of mass, mass)
     joint : (T, kappa), angular impulse T - kappa (change of this rate less change of the parent's), N m s, kg m^2
-    frame : (7,) how the link moves, see the names above
+    frame : (8,) how the link moves, see the names above
     touch : (12,) the contacts of the link
     beyond : (axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta)
 
@@ -49,7 +49,7 @@ def link_change(link, joint, frame, touch, beyond):  # type: ignore[no-untyped-d
     gy = ma * vy + ay + fy + touch[GY]
     ex = ma * tx + (mx * axx + my * ayx) + ux + touch[EX]
     ey = ma * ty + (mx * axy + my * ayy) + uy + touch[EY]
-    own = inertia + maa * (tx * vx + ty * vy) + touch[DD]
+    own = inertia + maa * (tx * vx + ty * vy) + touch[DD] + frame[SLOPE]
     rigid = own + s + (mx * fx + my * fy) + (lx * ux + ly * uy) + (mx * ax + my * ay)
     inv = 1.0 / (rigid + kappa)
     k = kappa * inv
@@ -76,20 +76,21 @@ def link_change(link, joint, frame, touch, beyond):  # type: ignore[no-untyped-d
 
 
 @non_allocating
-def changes(chain, joint, frame, touch, base, tip, change, place, work):  # type: ignore[no-untyped-def]
+def changes(chain, joint, frame, touch, base, tip, change, place, pull, work):  # type: ignore[no-untyped-def]
     """Changes of all rates within a step; O(n).
 
     Parameters
     ----------
     chain : Chain, with friction that acts on both links of a joint
     joint : (n, 2) angular impulse of each joint, N m s, and its slope kappa, kg m^2
-    frame : (n, 7) how the links move, see the names above
+    frame : (n, 8) how the links move, see the names above
     touch : (n, 12) contacts, see the names above
     base : (3,) change of the first joint's velocity less step times gravity, m/s, and of the parent's rate, rad/s
     tip : (2,) impulse on the tip beside gravity, N s
     change : (n,) out, rad/s
     place : (2, n) out, change of the velocity of each link's motor-side joint less step times gravity, m/s
-    work : (4 n,) scratch
+    pull : (2, n) out, forces along which T turns each link, times their levers, N m s
+    work : (12 n,) scratch
 
     Returns
     -------
@@ -102,20 +103,27 @@ def changes(chain, joint, frame, touch, base, tip, change, place, work):  # type
         i = n - 1 - way
         ma = chain.mass[i] * chain.com[i]
         link = (chain.length[i], ma, ma * chain.com[i], chain.inertia[i], chain.mass[i])
+        o = 12 * i
+        work[o + 4], work[o + 5], work[o + 6], work[o + 7], work[o + 8], work[o + 9], work[o + 10], work[o + 11] = at[:8]
         at, back = link_change(link, (joint[i, 0], joint[i, 1]), frame[i], touch[i], at)
-        o = 4 * i
         work[o], work[o + 1], work[o + 2], work[o + 3] = back
     px, py, up = base[0], base[1], base[2]
     fx = at[0] * px + at[1] * py + at[4] * up + at[6]
     fy = at[2] * px + at[3] * py + at[5] * up + at[7]
     moment = at[8] * px + at[9] * py + at[10] * up + at[11]
     for i in range(n):
-        o = 4 * i
+        o = 12 * i
         place[0, i], place[1, i] = px, py
         up = work[o] - work[o + 1] * px - work[o + 2] * py + work[o + 3] * up
         change[i] = up
-        px += chain.length[i] * (frame[i, VX] * up + frame[i, KX])
-        py += chain.length[i] * (frame[i, VY] * up + frame[i, KY])
+        length, ma = chain.length[i], chain.mass[i] * chain.com[i]
+        vx, vy = frame[i, VX] * up + frame[i, KX], frame[i, VY] * up + frame[i, KY]
+        pull[0, i] = ma * (px + chain.com[i] * vx)
+        pull[1, i] = ma * (py + chain.com[i] * vy)
+        px += length * vx
+        py += length * vy
+        pull[0, i] += length * (work[o + 4] * px + work[o + 5] * py + work[o + 8] * up + work[o + 10])
+        pull[1, i] += length * (work[o + 6] * px + work[o + 7] * py + work[o + 9] * up + work[o + 11])
     return fx, fy, moment
 
 

@@ -35,9 +35,10 @@ class Spin(NamedTuple):
     system: Array  # (k, k + 1) equations of the rates after the step
     change: Array  # (k, n) answers to a rate of 1 rad/s: of the links' rates
     place: Array  # (k, 2, n) of the joints' velocities
+    pull: Array  # (2, n)
     load: Array  # (k, 3) of the impulse at the first joint
     joint: Array  # (n, 2) angular impulse of each joint in these answers: 0, and its slope
-    frame: Array  # (n, 7) as ``Motion.frame``, without K and TURN
+    frame: Array  # (n, 8) as ``Motion.frame``, without K and TURN
     none: Array  # (3,) nothing
 
 
@@ -65,9 +66,10 @@ def new_spin(n, pegs):  # type: ignore[no-untyped-def]
         np.zeros((k, k + 1)),
         np.zeros((k, links)),
         np.zeros((k, 2, links)),
+        np.zeros((2, links)),
         np.zeros((k, 3)),
         np.zeros((links, 2)),
-        np.zeros((links, 7)),
+        np.zeros((links, 8)),
         np.zeros(3),
     )
 
@@ -107,7 +109,7 @@ def peg_response(chain, contacts, impulses, motion, spin, penalty, k):  # type: 
         return
     base, tip = spin.none, spin.none[:2]
     spin.load[k, 0], spin.load[k, 1], spin.load[k, 2] = changes(
-        chain, spin.joint, spin.frame, motion.touch, base, tip, spin.change[k], spin.place[k], motion.work
+        chain, spin.joint, spin.frame, motion.touch, base, tip, spin.change[k], spin.place[k], spin.pull, motion.work
     )
 
 

@@ -158,7 +158,7 @@ class ContactRun:
         forced = run.time < least
         stop = min(run.limits.stop, least) if forced else run.limits.stop
         clear = np.inf if always or forced else self.clear
-        bounds = at.Bounds(stop, self.longest, rate, clear, SLACK, BUDGET)
+        bounds = at.Bounds(stop, self.longest, self.setup.tol, rate, clear, SLACK, BUDGET)
         code = int(core.run(run.chain, run.drive, self.contacts, self.pull, bounds, contact, run.t, run.y, run.seen))
         index = contact.clock[at.INDEX]
         clock[:MARK] = starting_clock(float(contact.clock[at.T]))
@@ -183,6 +183,8 @@ class ContactRun:
         return {
             "contact_steps": float(clock[at.TAKEN]),
             "contact_unsolved": float(clock[at.UNSOLVED]),
+            "contact_forced": float(clock[at.FORCED]),  # TEMP
+            "contact_rejected": float(clock[at.REJECTED]),
             "contact_impacts": float(clock[at.IMPACTS]),
             "contact_deepest": float(clock[at.DEEPEST]),
             "limit_passed": float(clock[at.BEND]),
