@@ -55,6 +55,8 @@ from hyperflex.core.jit import kernel, non_allocating
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
 GROWTH = 1.5
+EASY = 0.2  # relative error of a step, below which steps grow
+RESOLVED = 0.12  # of the longest step: errors of positions shorten none that is shorter
 REJECTED_ERROR = 4.0  # relative error of a step that is tried again at half its length
 SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a step
 GENEROUS = 100.0  # how many times more energy than may appear contacts may give a rope that they push out
@@ -78,7 +80,6 @@ def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-u
     clock[DEEPEST] = max(clock[DEEPEST], -least)
     clock[BEND] = max(clock[BEND], -workspace.bend[0])
     clock[TAKEN] += 1.0
-    clock[BEND] += abs(rounds)  # TEMP
     if rounds < 0:
         clock[UNSOLVED] += 1.0
     for p in workspace.spin.which:
@@ -138,7 +139,7 @@ def gives_little(bounds, clock, workspace, h):  # type: ignore[no-untyped-def]
 @non_allocating
 def growth(error):  # type: ignore[no-untyped-def]
     """Factor from a step with a relative error to the next one."""
-    return min(GROWTH, max(1.0 / GROWTH, (0.5 / (error + 1e-9)) ** 0.4))
+    return GROWTH if error < EASY else 1.0 if error < 1.0 else 1.0 / GROWTH
 
 
 @non_allocating
@@ -212,7 +213,7 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
         surplus = has - had + workspace.account[FRICTION] + workspace.account[CONTACT] - workspace.account[WORK]
         good = energy_balanced(surplus, given) and rounds > 0 and h <= longest
         good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])
-        good = good and gives_little(bounds, clock, workspace, h) and error <= REJECTED_ERROR
+        good = good and gives_little(bounds, clock, workspace, h) and (error <= REJECTED_ERROR or h <= RESOLVED * bounds.step)
         good = good and (workspace.bend[0] > -BEYOND or -workspace.bend[0] <= SINKING * clock[BEND])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
             return h, wanted, least, touch, rounds, surplus, has, good, error
@@ -280,7 +281,7 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
         accept_step(drive, state, workspace, h, rounds, least)
         clock[IMPACT_DUE] = 1.0 if touch <= 1.001 * h else 0.0
         clock[T] = end if h >= end - t else t + h
-        clock[STEP] = wanted * growth(error)
+        clock[STEP] = max(wanted * growth(error), min(wanted, RESOLVED * bounds.step))
         if least > bounds.clear and workspace.bend[1] > bounds.slack and clock[T] < bounds.stop:
             return status.LEFT
     return status.RUNNING if clock[T] < bounds.stop else status.OK

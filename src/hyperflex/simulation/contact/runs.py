@@ -183,8 +183,6 @@ class ContactRun:
         return {
             "contact_steps": float(clock[at.TAKEN]),
             "contact_unsolved": float(clock[at.UNSOLVED]),
-            "contact_forced": float(clock[at.FORCED]),  # TEMP
-            "contact_rejected": float(clock[at.REJECTED]),
             "contact_impacts": float(clock[at.IMPACTS]),
             "contact_deepest": float(clock[at.DEEPEST]),
             "limit_passed": float(clock[at.BEND]),
