@@ -98,6 +98,4 @@ def test_a_step_with_dry_friction_is_that_of_dense_projections(n: int, seed: int
     sticks = np.abs(impulses) < STEP * rope.dry_friction * (1.0 - 1e-9)
     assert np.abs((relative @ found)[sticks]).max(initial=0.0) < 1e-6
     mean = 0.5 * relative @ (w + expected)
-    assert account[0] == pytest.approx(
-        -impulses @ mean + STEP * (rope.friction * mean) @ mean, rel=1e-3, abs=1e-12
-    )
+    assert account[0] == pytest.approx(-impulses @ mean + STEP * (rope.friction * mean) @ mean, rel=1e-3, abs=1e-12)

@@ -134,7 +134,9 @@ def half_turn(x):  # type: ignore[no-untyped-def]
     """Cosine of x, and sine of x over x; to rounding for x up to 0.5, rad."""
     z = x * x
     cos = 1.0 - z / 2.0 * (1.0 - z / 12.0 * (1.0 - z / 30.0 * (1.0 - z / 56.0 * (1.0 - z / 90.0 * (1.0 - z / 132.0)))))
-    sinc = 1.0 - z / 6.0 * (1.0 - z / 20.0 * (1.0 - z / 42.0 * (1.0 - z / 72.0 * (1.0 - z / 110.0 * (1.0 - z / 156.0)))))
+    sinc = 1.0 - z / 6.0 * (
+        1.0 - z / 20.0 * (1.0 - z / 42.0 * (1.0 - z / 72.0 * (1.0 - z / 110.0 * (1.0 - z / 156.0))))
+    )
     return cos, sinc
 
 

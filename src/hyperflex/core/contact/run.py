@@ -213,7 +213,8 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
         surplus = has - had + workspace.account[FRICTION] + workspace.account[CONTACT] - workspace.account[WORK]
         good = energy_balanced(surplus, given) and rounds > 0 and h <= longest
         good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])
-        good = good and gives_little(bounds, clock, workspace, h) and (error <= REJECTED_ERROR or h <= RESOLVED * bounds.step)
+        good = good and (error <= REJECTED_ERROR or h <= RESOLVED * bounds.step)
+        good = good and gives_little(bounds, clock, workspace, h)
         good = good and (workspace.bend[0] > -BEYOND or -workspace.bend[0] <= SINKING * clock[BEND])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
             return h, wanted, least, touch, rounds, surplus, has, good, error

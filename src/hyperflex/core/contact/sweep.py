@@ -104,7 +104,9 @@ def changes(chain, joint, frame, touch, base, tip, change, place, pull, work):  
         ma = chain.mass[i] * chain.com[i]
         link = (chain.length[i], ma, ma * chain.com[i], chain.inertia[i], chain.mass[i])
         o = 12 * i
-        work[o + 4], work[o + 5], work[o + 6], work[o + 7], work[o + 8], work[o + 9], work[o + 10], work[o + 11] = at[:8]
+        work[o + 4], work[o + 5], work[o + 6], work[o + 7], work[o + 8], work[o + 9], work[o + 10], work[o + 11] = at[
+            :8
+        ]
         at, back = link_change(link, (joint[i, 0], joint[i, 1]), frame[i], touch[i], at)
         work[o], work[o + 1], work[o + 2], work[o + 3] = back
     px, py, up = base[0], base[1], base[2]
