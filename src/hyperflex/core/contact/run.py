@@ -33,29 +33,23 @@ from hyperflex.core.contact.gaps import find, joint_positions, new_contacts, spe
 from hyperflex.core.contact.joints import BEYOND, bend_clearance
 from hyperflex.core.contact.output import write
 from hyperflex.core.contact.step import (
-    BEFORE,
     CONTACT,
     FRICTION,
-    LAST,
-    STEADY,
     WORK,
     energy,
-    keeps_modes,
     new_contact_memory,
     new_contact_workspace,
     save_memory,
-    step_error,
     try_step,
 )
 from hyperflex.core.contact.torque_peaks import watch_torque
+from hyperflex.core.contact.trend import growth, relative_error, save_trend
 from hyperflex.core.contact.turning_pegs import turning_energy
-from hyperflex.core.integrate.step_size import allowed, fitted, lasting
+from hyperflex.core.integrate.step_size import fitted
 from hyperflex.core.jit import kernel, non_allocating
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
-GROWTH = 1.5
-EASY = 0.2  # relative error of a step, below which steps grow
 RESOLVED = 0.12  # of the longest step: errors of positions shorten none that is shorter
 REJECTED_ERROR = 4.0  # relative error of a step that is tried again at half its length
 SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a step
@@ -92,18 +86,6 @@ def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-u
 
 
 @non_allocating
-def save_trend(memory, workspace, h):  # type: ignore[no-untyped-def]
-    """Keep the accelerations of a step of the length h, s, and whether it changed modes; of a short one, 0.0, none."""
-    motion, trend, pace = workspace.motion, workspace.trend, workspace.pace
-    steady = h > 0.0 and keeps_modes(memory, workspace.contacts, workspace.impulses, workspace.joints)
-    pace[BEFORE] = pace[LAST] if steady and pace[STEADY] == 1.0 else 0.0
-    pace[LAST], pace[STEADY] = h, 1.0 if steady else 0.0
-    for i in range(motion.w.size):
-        trend[1, i] = trend[0, i]
-        trend[0, i] = motion.change[i] / h if h > 0.0 else 0.0
-
-
-@non_allocating
 def clear_memory(memory):  # type: ignore[no-untyped-def]
     """Clear the modes and forces of the last step."""
     memory.penalty[0] = 0.0
@@ -131,23 +113,9 @@ def impact(chain, drive, part, pegs, pull, state, workspace, nothing):  # type: 
 
 @non_allocating
 def gives_little(bounds, clock, workspace, h):  # type: ignore[no-untyped-def]
-    """Whether contacts give back no more of what they took, after a step, than may come from nowhere in all the time."""
+    """Whether contacts give back no more of what they took than may come from nowhere in all the time."""
     given = clock[GIVEN] - workspace.account[CONTACT]
     return given <= bounds.rate * (clock[SPENT] + h) or workspace.account[CONTACT] >= -energy_allowance(bounds, h)
-
-
-@non_allocating
-def growth(error):  # type: ignore[no-untyped-def]
-    """Factor from a step with a relative error to the next one."""
-    return GROWTH if error < EASY else 1.0 if error < 1.0 else 1.0 / GROWTH
-
-
-@non_allocating
-def relative_error(chain, bounds, memory, workspace, h):  # type: ignore[no-untyped-def]
-    """Error of a step in units of what is allowed, as in free flight; 0.0 where modes change."""
-    if not keeps_modes(memory, workspace.contacts, workspace.impulses, workspace.joints):
-        return 0.0
-    return step_error(chain, workspace, h) * lasting(h) / allowed(bounds.tol, h, 0.0)
 
 
 @non_allocating

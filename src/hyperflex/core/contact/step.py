@@ -1,19 +1,25 @@
 """One contact step of the Moreau-Jean scheme: angles at its middle, rates at its ends."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from hyperflex.core import joint_law
-from hyperflex.core.chain.articulated_body import Array, energies, joint_of, sines
+from hyperflex.core.chain.articulated_body import Array, energies, sines
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.contact.air import Air, add_drag_impulses, drag_work, new_air
 from hyperflex.core.contact.arrays import IMPULSE, OPEN, Impulses, Joints, Motion, new_impulses, new_joints, new_motion
 from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joint_positions, nearest, new_contacts, speeds
-from hyperflex.core.contact.joints import BEYOND, bend_clearance, bound_joint_rates, joint_losses
+from hyperflex.core.contact.joints import (
+    BEYOND,
+    bend_clearance,
+    bound_joint_rates,
+    friction_impulse,
+    joint_impulses,
+    joint_losses,
+)
 from hyperflex.core.contact.modes import solve
 from hyperflex.core.contact.sweep import TX, TY
+from hyperflex.core.contact.trend import STEADY, foresight
 from hyperflex.core.contact.turning_pegs import Spin, lost_in_bearings, new_spin, prepare_spin
 from hyperflex.core.jit import kernel, non_allocating
 
@@ -29,7 +35,6 @@ NEAR = 1e-4  # m, gap below which a link is watched even at rest
 BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
 
-LAST, BEFORE, STEADY = range(3)  # of ContactWorkspace.pace
 FRICTION, CONTACT, WORK = range(
     3
 )  # of ContactWorkspace.account, J: lost in joints, air, axles; in contacts, limits; put in
@@ -113,46 +118,6 @@ def new_contact_memory(n, pegs):  # type: ignore[no-untyped-def]
         np.zeros(n),
         np.zeros(n, np.int64),
     )
-
-
-@non_allocating
-def implicitness(chain, i, h):  # type: ignore[no-untyped-def]
-    """Part of the change of its rate with which friction at joint i acts in a step: one half, of second order.
-
-    More where links turn against each other by friction alone within the step: so much that this dies out.
-    """
-    fastest = 2.0 * h * chain.viscous[i] * (1.0 / chain.inertia[i] + (1.0 / chain.inertia[i - 1] if i > 0 else 0.0))
-    return 0.5 if fastest <= 2.0 else 1.0 - 1.0 / fastest
-
-
-@non_allocating
-def friction_impulse(chain, motion, trend, steady, base, h, i):  # type: ignore[no-untyped-def]
-    """Angular impulse of viscous friction at joint i, N m s, less its slope times the change of the rate; that slope.
-
-    What is more than one half of the change acts on its difference from h times the accelerations before, ``trend``,
-    where modes were `steady`, 1.0, and from nothing else, 0.0.
-    """
-    theta = implicitness(chain, i, h)
-    rate = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
-    foretold = steady * h * (trend[0, i] - (trend[0, i - 1] if i > 0 else base[0, 2]))
-    slope, _ = joint_law.jacobian(joint_of(chain, i), 1.0, theta * h, 0.0)
-    return h * joint_law.friction(joint_of(chain, i), rate - (theta - 0.5) * foretold, 0.0), slope
-
-
-@non_allocating
-def joint_impulses(chain, motion, trend, steady, base, h, torque):  # type: ignore[no-untyped-def]
-    """Angular impulses of the joints, to ``motion.joint``: implicit friction, springs at the mean of the angles.
-
-    `trend`, `steady` as in ``friction_impulse``; `base` (3, 9).
-    """
-    joint, q = motion.joint, motion.q
-    for i in range(q.size):
-        angle = q[i] - (q[i - 1] if i > 0 else base[1, 4])
-        law = joint_of(chain, i)
-        impulse, slope = friction_impulse(chain, motion, trend, steady, base, h, i)
-        stiff, _ = joint_law.jacobian(law, 1.0, 0.0, 0.25 * h * h)
-        joint[i, 0], joint[i, 1] = impulse + h * joint_law.spring(law, angle), slope + stiff
-    joint[0, 0] += h * torque
 
 
 @non_allocating
@@ -242,46 +207,6 @@ def warm_start(memory, contacts, impulses, h):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def keeps_modes(memory, contacts, impulses, joints):  # type: ignore[no-untyped-def]
-    """Whether contacts and joints have the modes of the last step; `joints` are the Joints."""
-    for i in joints.which:
-        if memory.bent[i] != joints.mode[i]:
-            return False
-    for c in range(contacts.total[0]):
-        if memory.mode[contacts.link[c], contacts.peg[c]] != impulses.mode[c]:
-            return False
-    return True
-
-
-@non_allocating
-def foresight(pace, h):  # type: ignore[no-untyped-def]
-    """How many times the accelerations change again in a step h, s, as they did last; 0.0 where modes changed."""
-    if pace[BEFORE] == 0.0 or pace[STEADY] == 0.0:
-        return 0.0
-    return (h + pace[LAST]) / (pace[LAST] + pace[BEFORE])
-
-
-@non_allocating
-def step_error(chain, workspace, h):  # type: ignore[no-untyped-def]
-    """Error that a step makes in the velocity of any joint, m/s, where no mode changed for three steps; else 0.0.
-
-    A twelfth of the difference from what the last two steps foretell.
-    """
-    motion, trend, pace = workspace.motion, workspace.trend, workspace.pace
-    further = foresight(pace, h)
-    if further == 0.0:
-        return 0.0
-    n = motion.w.size
-    x = y = worst = 0.0
-    for i in range(n):
-        off = motion.change[i] - h * (trend[0, i] + further * (trend[0, i] - trend[1, i]))
-        x += chain.length[i] * motion.trig[n + i] * off
-        y += chain.length[i] * motion.trig[i] * off
-        worst = max(worst, x * x + y * y)
-    return math.sqrt(worst) / 12.0
-
-
-@non_allocating
 def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyped-def]
     """Save modes and forces for the next step; `joints` are the Joints."""
     for i in joints.which:
@@ -299,7 +224,7 @@ def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyp
 
 @non_allocating
 def scale_pull(motion, h):  # type: ignore[no-untyped-def]
-    """Scale the impulses ``motion.pull`` of the last step that was tried to a step h, s; those of a short one are none."""
+    """Scale the impulses ``motion.pull`` of the last step that was tried to a step h, s; of a short one take none."""
     ratio = h / motion.span[0] if motion.span[0] > 0.25 * h else 0.0
     for k in range(2):
         for i in range(motion.w.size):

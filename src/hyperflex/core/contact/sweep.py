@@ -13,9 +13,9 @@ GX, GY, EX, EY = range(4, 8)  # s B n and s n B, kg m
 DD = 8  # s^2 n.B n, kg m^2
 CX, CY, RC = range(9, 12)  # C, N s, and s n.C, N m s
 TOUCH = 12
-# of a row of `frame`: a link whose rate changes by x changes the velocity of its far joint, seen from the other one, by
-# its length times V x + K; T is the way, in its lengths, along which forces at the far joint turn it; what
-# acts on the link alone turns it by TURN, N m s, less SLOPE, kg m^2, for a unit change of its rate. At rest T = V = n, K = 0
+# of a row of `frame`: where its rate changes by x, the velocity of a link's far joint less that of its other one
+# changes by its length times V x + K; T is the way, in its lengths, along which forces at the far joint turn it; TURN,
+# N m s, less SLOPE x, kg m^2, turns the link alone. At rest T = V = n, the rest is 0
 TX, TY, VX, VY, SLOPE, KX, KY, TURN = range(8)
 FRAME = 8
 

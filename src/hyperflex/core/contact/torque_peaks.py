@@ -7,9 +7,7 @@ from hyperflex.core.jit import non_allocating
 WINDOWS = (5e-4, 5e-3)  # s; an impact takes no time, so its torque is a mean over some
 PARTS = 10  # a window slides by such parts of it, and holds one more: what lies within it counts wherever it begins
 CELLS = PARTS + 1
-END, CELL, SUM, PEAK, WHEN, FIRST = range(
-    6
-)  # of a window: end, s, last cell, N m s, peak, its time, first of the cells
+END, CELL, SUM, PEAK, WHEN, FIRST = range(6)  # of a window: end, last cell, N m s, peak, its time, first cell
 COLUMNS = FIRST + CELLS
 
 
