@@ -5,7 +5,7 @@ import math
 from hyperflex.core.jit import non_allocating
 
 WINDOWS = (5e-4, 5e-3)  # s; an impact takes no time, so its torque is a mean over some
-PARTS = 10  # a window slides by such parts of it, and holds one more: what lies within it counts wherever it begins
+PARTS = 10  # a window slides over cells of such a part of it; of the one that it is leaving what is left counts
 CELLS = PARTS + 1
 END, CELL, SUM, PEAK, WHEN, FIRST = range(6)  # of a window: end, last cell, N m s, peak, its time, first cell
 COLUMNS = FIRST + CELLS
@@ -33,11 +33,12 @@ def add_impulse(row, width, impulse, t, h):  # type: ignore[no-untyped-def]
     for j in range(first, last + 1):
         if j > row[CELL]:
             move_window(row, j)
-        inside = min(t + h, (j + 1) * width) - max(t, j * width)
-        part = impulse * inside / h if h > 0.0 else impulse
+        end = min(t + h, (j + 1) * width)
+        part = impulse * (end - max(t, j * width)) / h if h > 0.0 else impulse
         row[FIRST + int(row[CELL]) % CELLS] += part
         row[SUM] += part
-        mean = row[SUM] / (PARTS * width)
+        left = (end - j * width) / width
+        mean = (row[SUM] - left * row[FIRST + (j + 1) % CELLS]) / (PARTS * width)
         if abs(mean) > abs(row[PEAK]):
             row[PEAK], row[WHEN] = mean, t
 
