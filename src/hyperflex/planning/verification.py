@@ -60,8 +60,8 @@ def motor_torques(run: Trajectory) -> tuple[float, float]:
     Samples tell what is smooth, where nothing is touched. Means over steps in contact tell the rest
     (``core.contact.torque_peaks``): a sample there is a mean over part of a step, which may begin with a blow.
 
-    Those means are up to a factor of two too small: their windows follow each other, and a blow may lie in two. The
-    arm's own torque is added to the rope's where that is greatest, which need not be where their sum is.
+    Their windows slide by a tenth of their length. The arm's own torque is added to the rope's where that is greatest,
+    which need not be where their sum is.
     """
     arm, motion, touched = run.setup.arm, run.setup.motion, run.contact_force
     sampled, own = np.abs(run.motor_torque), np.zeros(run.t.size)
