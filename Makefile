@@ -43,7 +43,7 @@ lint: $(INSTALLED) ## ruff, mypy, import-linter
 
 docs: $(INSTALLED) ## the documentation, into site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
-	@echo "Open site/index.html"
+	@echo "Open site/index.html (with search: $(BIN)/python -m http.server --directory site)"
 
 bench: $(INSTALLED) ## speed and accuracy, beside other simulators in the same run
 	$(BIN)/python benchmarks/run.py

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -11,12 +13,12 @@ from cast import Cast, Contestant
 
 import hyperflex as hf
 from hyperflex.checks import Array
+from hyperflex.exchange.mjcf import ROTOR
 from hyperflex.simulation.stability import runge_kutta_limit
 
 NAME = "MuJoCo"
-ARMATURE = 1e5  # kg m^2: the rope's pull (about 1 N m) then disturbs the arm's acceleration by 1e-5 rad/s^2
 ARM = (
-    f"a hinge with an armature of {ARMATURE:g} kg m^2 and the torque that gives it the arm's acceleration, constant "
+    f"a hinge with an armature of {ROTOR:g} kg m^2 and the torque that gives it the arm's acceleration, constant "
     "between switches; every switch falls on a whole step, and one call takes all steps up to the next"
 )
 DRIVE = "torque on a heavy rotor"
@@ -25,31 +27,14 @@ FIRST_ORDER = (("implicitfast", 1e-3), ("Euler", 1.93e-4), ("implicitfast", 1.93
 
 
 def model(rope: hf.Rope, arm: hf.Arm | None, integrator: str, step: float) -> mujoco.MjModel:
-    """Return a model of a rope on an arm, or on a wall; hinges turn about -y, so that angles agree with hyperflex's."""
-    link = (
-        '<body pos="0 0 {drop!r}"><joint type="hinge" axis="0 -1 0" damping="{damping!r}"/>'
-        '<inertial pos="0 0 {com!r}" mass="{mass!r}" diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>'
-    )
-    bodies, drop = "", 0.0 if arm is None else -arm.length
-    for i in range(rope.n_links):
-        bodies += link.format(
-            drop=drop,
-            damping=float(rope.friction[i]),
-            com=-float(rope.com[i]),
-            mass=float(rope.mass[i]),
-            inertia=float(rope.inertia[i]),
-        )
-        drop = -float(rope.length[i])
-    bodies += f'<site name="tip" pos="0 0 {drop!r}"/>' + "</body>" * rope.n_links
-    if arm is not None:
-        bodies = (
-            f'<body><joint name="arm" type="hinge" axis="0 -1 0" armature="{ARMATURE}"/>'
-            f'<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-9 1e-9 1e-9"/>{bodies}</body>'
-        )
-    return mujoco.MjModel.from_xml_string(
-        f'<mujoco><option integrator="{integrator}" timestep="{step!r}" gravity="0 0 {float(rope.gravity[1])!r}">'
-        f'<flag contact="disable" constraint="disable"/></option><worldbody>{bodies}</worldbody></mujoco>'
-    )
+    """Return a model of a rope on an arm, or on a wall, contacts and constraints off."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rope.xml"
+        hf.write_mjcf(hf.Setup(rope, arm=arm), path, timestep=step)
+        compiled = mujoco.MjModel.from_xml_path(str(path))
+    compiled.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
+    compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    return compiled
 
 
 def run(cast: Cast, compiled: mujoco.MjModel, longest: float) -> Array:
@@ -62,7 +47,7 @@ def run(cast: Cast, compiled: mujoco.MjModel, longest: float) -> Array:
     for part in cast.stretches():
         steps = math.ceil((part.end - part.start) / longest - 1e-9)
         compiled.opt.timestep = (part.end - part.start) / steps
-        data.qfrc_applied[0] = ARMATURE * part.acceleration
+        data.ctrl[0] = part.acceleration
         mujoco.mj_step(compiled, data, nstep=steps)
         if part.output:
             mujoco.mj_kinematics(compiled, data)

@@ -1,7 +1,7 @@
-"""A soak: a thousand calls of simulate, identify, plan_cast and others in one process, and what they leave there.
+"""A soak: a thousand calls or more of simulate, identify, plan_cast and others in one process, and what they leave.
 
-python benchmarks/soak.py              about ten minutes; the page goes to benchmarks/results/soak.md
-python benchmarks/soak.py --calls 200  a shorter one, printed alone
+python benchmarks/soak.py                          ten minutes; the page goes to benchmarks/results/soak.md
+python benchmarks/soak.py --calls 200 --minutes 0  a shorter one, printed alone
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ import numpy as np
 import hyperflex as hf
 
 PAGE = Path(__file__).parent / "results" / "soak.md"
-CALLS, WARM, ALLOWED = 1000, 100, 20.0  # calls; calls before them, that fill caches; growth of memory, MB
+CALLS, MINUTES = 1000, 10.0  # at least
+WARM, ALLOWED = 100, 20.0  # calls before them, that fill caches; growth of memory, MB
 CABLE = hf.Rope.uniform(length=1.0, mass=0.05, n_links=12, radius=0.0025, friction=5e-4)
 ARM, PEG = hf.Arm(length=0.1), hf.Peg(-0.4, -0.5, 0.03)
 ROD = hf.Rope(length=[0.3], mass=[0.1], friction=2e-4)
@@ -84,17 +85,19 @@ def held() -> dict[str, float]:
     }
 
 
-def soak(calls: int) -> list[tuple[int, dict[str, float]]]:
-    """Make the calls; return what the process holds after every tenth part of them."""
-    rows = []
+def soak(calls: int, minutes: float) -> list[tuple[int, dict[str, float]]]:
+    """Make so many calls, and more until the time is over; return what the process holds after each tenth of them."""
+    rows: list[tuple[int, dict[str, float]]] = []
+    part, begin, number = max(1, calls // 10), time.monotonic(), 0
     with tempfile.TemporaryDirectory(prefix="hyperflex-soak-") as folder:
         tempfile.tempdir = folder  # what anybody leaves is seen
         os.environ["TMPDIR"] = folder
-        for number in range(WARM + calls + 1):
-            if number >= WARM and (number - WARM) % max(1, calls // 10) == 0:
+        while not rows or rows[-1][0] < calls or time.monotonic() < begin + 60.0 * minutes:
+            ROUND[number % len(ROUND)](Path(folder), number)
+            number += 1
+            if number >= WARM and (number - WARM) % part == 0:
                 rows.append((number - WARM, held()))
                 print(*rows[-1], flush=True)
-            ROUND[number % len(ROUND)](Path(folder), number)
         tempfile.tempdir = None
     return rows
 
@@ -124,9 +127,10 @@ def main() -> None:
     """Soak, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--calls", type=int, default=CALLS)
-    calls = parser.parse_args().calls
-    begin = time.monotonic()
-    rows = soak(calls)
+    parser.add_argument("--minutes", type=float, default=MINUTES)
+    chosen, begin = parser.parse_args(), time.monotonic()
+    calls = chosen.calls
+    rows = soak(calls, chosen.minutes)
     page = text(rows, time.monotonic() - begin)
     print(page)
     if calls >= CALLS:

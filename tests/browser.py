@@ -18,7 +18,7 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable"
 FLAGS = (
     "--headless=new --no-sandbox --disable-gpu --disable-dev-shm-usage --no-first-run --remote-debugging-pipe "
     "--disable-background-networking --disable-component-update --disable-extensions --hide-scrollbars "
-    "--disable-sync --no-proxy-server --host-resolver-rules=MAP\u00a0*\u00a0~NOTFOUND"
+    "--disable-sync --no-proxy-server --host-resolver-rules=MAP\u00a0*\u00a0~NOTFOUND,EXCLUDE\u00a0127.0.0.1"
 )
 LAUNCH = """
 import os, sys
@@ -151,6 +151,8 @@ class Browser:
         method, told = message.get("method", ""), message.get("params", {})
         if method == "Network.requestWillBeSent":
             self.requests.append(told["request"]["url"])
+        elif method == "Network.webSocketCreated":
+            self.requests.append(told["url"])
         elif method == "Runtime.exceptionThrown":
             self.complaints.append(str(told["exceptionDetails"]))
         elif method == "Runtime.consoleAPICalled":

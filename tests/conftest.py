@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from tests.browser import NAMES, Browser, found
 
 WANT = "real recordings not found"
 
@@ -54,6 +57,20 @@ def data_dir(pytestconfig: pytest.Config) -> Path:
     if pytestconfig.getoption("--require-data") or os.environ.get("HYPERFLEX_DATA"):
         pytest.fail(reason, pytrace=False)
     pytest.skip(reason)
+
+
+@pytest.fixture(scope="session")
+def browser(pytestconfig: pytest.Config) -> Iterator[Browser]:
+    """A browser without a window; without one the test skips, or fails under --require-data and in CI."""
+    program = found()
+    if program is None:
+        reason = f"no browser found ({', '.join(NAMES)}): on Debian, apt-get install chromium"
+        if pytestconfig.getoption("--require-data") or os.environ.get("CI"):
+            pytest.fail(reason, pytrace=False)
+        pytest.skip(reason)
+    page = Browser(program)
+    yield page
+    page.close()
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -11,6 +11,7 @@ import pkgutil
 import re
 import subprocess
 import sys
+import tomllib
 import warnings
 from dataclasses import fields
 from inspect import signature
@@ -97,6 +98,15 @@ def test_site_builds_and_needs_no_network(tmp_path: Path) -> None:
         assert not re.search(r'<(script|img|link|iframe)[^>]*(src|href)="?(https?:)?//', text), page.name
 
 
+def test_python_reference_has_every_public_name_once() -> None:
+    pages = "\n".join(page.read_text("utf-8") for page in (ROOT / "docs" / "api").glob("*.md"))
+    named_there = re.findall(r"^::: hyperflex\.([\w.]+)$", pages, re.M)
+    assert sorted(n for n in named_there if "." not in n) == sorted(set(hyperflex.__all__) - {"__version__"})
+    for name in named_there:
+        *room, last = name.split(".")
+        assert last in importlib.import_module(".".join(["hyperflex", *room])).__all__, name
+
+
 def rows_of(page: str, key: str) -> str:
     """Return the rows of a page's tables that begin with `key`."""
     return "\n".join(re.findall(rf"^\| `{re.escape(key)}` \|.*$", page, re.M))
@@ -152,6 +162,7 @@ def public_names() -> set[str]:
 def test_changelog_uses_the_names_of_today() -> None:
     text = re.sub(r"\(before[^()]*(\([^()]*\)[^()]*)*\)", "", (ROOT / "CHANGELOG.md").read_text("utf-8"))
     cli, known = (ROOT / "docs" / "cli.md").read_text("utf-8"), public_names()
+    known |= set(tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"])
     files_of_benchmarks = "\n".join(path.read_text("utf-8") for path in (ROOT / "benchmarks").glob("*.py"))
     stale = []
     for word in sorted(set(re.findall(r"`([^`]+)`", text))):

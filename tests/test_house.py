@@ -24,6 +24,7 @@ PACKAGE = ROOT / "src" / "hyperflex"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = {"xarray", "pandas", "matplotlib", "PIL", "h5netcdf", "h5py", "rich", "typer", "jinja2", "cv2", "av"}
 HEAVY |= {
+    "gymnasium",
     "scipy.linalg",
     "scipy.sparse",
     "scipy.optimize",

@@ -130,6 +130,21 @@ def test_double_pendulum_from_video_markers(data_dir: Path) -> None:
     np.testing.assert_allclose(figures(other)[0], one, atol=0.2 * max(one_std))
 
 
+def test_a_pendulum_is_found_from_its_two_markers_and_a_known_first_joint(data_dir: Path) -> None:
+    """The first link's angle shows; when it was taken for the second one's, a fit from the best guess ended at 6 mm."""
+    path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"
+    every = read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 16.0)
+    length = every.link_lengths()
+    seen = Recording(every.t, every.data[:, 2:], kind="markers", noise=1e-3)
+    guess = Rope(length=length, mass=0.1, inertia=[4e-5, 2e-5], com=[0.06, 0.02], friction=2e-5)
+    origin = np.nanmedian(every.data[:, :2], axis=0)
+    free, arcs = ["inertia", "com", "friction"], np.cumsum(length)
+    found = identify(seen, guess, free, arc_lengths=arcs, origin=origin, intervals=None)
+    assert found.success
+    assert found.residual_rms_all < 6e-4  # m; the camera's own noise is about 0.3 mm
+    np.testing.assert_allclose(figures(found)[0], [0.0905, 0.00686, 0.1019], rtol=0.02)
+
+
 def test_a_little_more_data_hardly_moves_standard_deviations(data_dir: Path) -> None:
     """What is left of run 16 wanders slowly, and each window's state absorbs most of that."""
     path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"

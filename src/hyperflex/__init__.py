@@ -16,8 +16,11 @@ if TYPE_CHECKING:
         IdentificationError,
         Interrupted,
         InvalidInput,
+        MissingPackage,
         SimulationError,
+        WorkerLost,
     )
+    from hyperflex.exchange import read_mjcf, write_mcap, write_mjcf
     from hyperflex.identification import (
         Bootstrap,
         Experiment,

@@ -53,6 +53,10 @@ class FileProblem(HyperflexError, OSError):
     """A file cannot be read or written (missing, truncated, no space left). What stood there before still stands."""
 
 
+class MissingPackage(HyperflexError, ImportError):
+    """A package that an extra of hyperflex brings is not installed; the message names the command that installs it."""
+
+
 class SimulationError(HyperflexError, RuntimeError):
     """A rollout could not be finished within its tolerance.
 
@@ -73,6 +77,10 @@ class SimulationError(HyperflexError, RuntimeError):
 
 class IdentificationError(HyperflexError, RuntimeError):
     """A fit could not be made, or did not converge to anything that may be reported."""
+
+
+class WorkerLost(HyperflexError, RuntimeError):
+    """Workers of an executor died at a part of the work each time that it was run; the message names the part."""
 
 
 class EstimatorLost(HyperflexError, RuntimeError):

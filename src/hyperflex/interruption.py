@@ -10,6 +10,7 @@ import functools
 import signal
 import sys
 import threading
+import time
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -32,7 +33,8 @@ class _State:
     number, pending, deferred, compilers, count = 0, False, 0, False, 0
 
 
-_thread = threading.local()  # ``caught``: the count of signals at the last one that this thread has caught
+# ``caught``: the count of signals at the last one that this thread has caught; ``limits``: its time limits
+_thread = threading.local()
 
 
 def _notice(number: int, frame: FrameType | None) -> None:
@@ -57,9 +59,42 @@ def number() -> int:
 
 
 def look() -> None:
-    """Raise KeyboardInterrupt, in any thread, if a signal has come and the thread has not caught it yet."""
+    """Raise KeyboardInterrupt, in any thread, if a signal has come and the thread has not caught it yet.
+
+    And if the time of a :class:`time_limit` of the thread is over.
+    """
     if _State.pending and not _State.deferred and getattr(_thread, "caught", 0) != _State.count:
         raise KeyboardInterrupt
+    for limit in getattr(_thread, "limits", ()):
+        limit.look()
+
+
+class time_limit:
+    """Context that a look ends once, like an interrupt, when its thread has worked for so many s; `over` tells.
+
+    Compiling does not count.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        self.over, self._left = False, seconds
+
+    def __enter__(self) -> "time_limit":
+        self._end = time.thread_time() + self._left
+        _thread.limits = (*getattr(_thread, "limits", ()), self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        _thread.limits = tuple(each for each in _thread.limits if each is not self)
+
+    def look(self) -> None:
+        """Raise KeyboardInterrupt if the time is over and nobody was told yet."""
+        if not self.over and time.thread_time() > self._end:
+            self.over = True
+            raise KeyboardInterrupt
+
+    def extend(self, seconds: float) -> None:
+        """Allow so many s more."""
+        self._end += seconds
 
 
 class noticing:
@@ -121,16 +156,21 @@ class _Compiling:
 
     def __init__(self) -> None:
         self._stack: list[Any] = []
+        self._begun = 0.0
 
     def notify(self, event: Any) -> None:
         """Defer signals from the start of an event, which may hold others, to its end."""
         if threading.current_thread() is not threading.main_thread():
             return
         if event.is_start:
+            self._begun = self._begun if self._stack else time.thread_time()
             self._stack.append(deferred())
             self._stack[-1].__enter__()
-        else:
-            self._stack.pop().__exit__(None, None, None)
+            return
+        if len(self._stack) == 1:
+            for limit in getattr(_thread, "limits", ()):
+                limit.extend(time.thread_time() - self._begun)
+        self._stack.pop().__exit__(None, None, None)
 
 
 class Caught:

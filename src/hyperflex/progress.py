@@ -54,7 +54,7 @@ def lines() -> Iterator[Callable[[str], None]]:
         while not over.wait(EVERY):
             with suppress(OSError, ValueError):  # whoever read it went away
                 if newest[0]:
-                    sys.stderr.write(f"hyperflex: {newest[0]} ({time.monotonic() - began:.0f} s so far)\n")
+                    sys.stderr.write(f"hyperflex: {newest[0]}; begun {time.monotonic() - began:.0f} s ago\n")
                     sys.stderr.flush()
 
     def say(words: str) -> None:

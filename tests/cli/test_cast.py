@@ -266,7 +266,7 @@ def test_a_target_of_one_number_is_told_to_need_two(hyperflex, rope_file, tmp_pa
     assert "requires 2 arguments. Give two numbers: --target X Y. See" in err
     code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out", target=("-0.8",)))
     assert code == 2
-    assert "as a number. Give two numbers: --target X Y. See hyperflex cast --help." in err
+    assert "--target takes numbers: got '-0.8'. Give two numbers: --target X Y. See hyperflex cast --help." in err
 
 
 @pytest.mark.parametrize(

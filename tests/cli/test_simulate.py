@@ -140,3 +140,26 @@ def test_a_wrong_suffix_is_refused(hyperflex, setup_file, tmp_path):
     assert code == 2
     assert ".nc" in err
     assert not (tmp_path / "cast.csv").exists()
+
+
+def test_simulate_tells_how_the_rope_lies_on_the_pegs(hyperflex, hyperflex_json, tmp_path):
+    """One peg that the rope hangs over, with what it holds on demand, and one that it never meets."""
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=8, radius=0.003, friction=1e-4)
+    pegs = [hf.Peg(0.0, 0.0, 0.1, mu=0.5), hf.Peg(2.0, 0.0, 0.1)]
+    setup = hf.Setup(rope, arm=hf.Arm(length=0.1, pivot=(-0.3, 0.25)), pegs=pegs, duration=1.0, q0=np.full(8, 1.6))
+    setup.to_toml(tmp_path / "over.toml")
+    call = ("simulate", tmp_path / "over.toml", "-o", tmp_path / "over.nc", "--tug")
+    code, result = hyperflex_json(*call)
+    assert code == 0
+    run = hf.read_trajectory(tmp_path / "over.nc")
+    over, never = result["pegs"]
+    measured = hf.measure_winding(run, pegs[0])
+    assert (over["turns"], over["covered_rad"]) == (measured.turns[-1], measured.contact[-1])
+    assert over["covered_rad"] > 0.5
+    assert over["slip_m"] == hf.rope_slip(run, pegs[0])[-1] or over["slip_m"] is None
+    assert over["hold_N"] == hf.tug_test(run, pegs[0]).hold
+    assert (never["slip_m"], never["tension_N"], "hold_N" in never) == (None, None, False)
+    said = hyperflex(*call)[1]
+    assert f"{over['turns']:.2f} turns, {np.degrees(over['covered_rad']):.0f} degrees covered" in said
+    assert "peg at (2, 0) m" in said
+    assert "does not touch it at the end" in said

@@ -1,4 +1,4 @@
-"""The tutorial from a phone video to a cast: its commands run as they stand, and find what the page says."""
+"""The tutorials: their commands run as they stand, and find what the pages say."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from hyperflex.vision import Board, VideoWriter
 from tests.vision.rendered_boards import SIZE, poses, render
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "video.md"
+LIVE = PAGE.with_name("live.md")
 MICRO = 1e-6
 FIGURES = ("identified/identification.json", "finer/identification.json")
 
@@ -56,3 +57,17 @@ def test_the_commands_find_what_the_page_says(hyperflex_json, filmed):
     assert errors == pytest.approx([4.2e-3, 1.8e-3], rel=0.1)
     assert cast["success"]
     assert (filmed / "seen.mp4").stat().st_size > 0
+
+
+def test_the_film_is_followed_live_as_the_page_says(hyperflex, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "swing.mp4").write_bytes(twin.BUNDLED.read_bytes())
+    twin.camera().write(tmp_path / "camera.toml")
+    twin.coarse_rope().to_toml(tmp_path / "rope.toml")
+    (command,) = commands(LIVE)
+    code, out, _ = hyperflex(*command, "--json")
+    told = json.loads(out.splitlines()[-1])  # after a line for each estimate
+    assert code == 0, told
+    assert (told["frames"], told["found"]) == (300, 300)
+    assert told["seen"] == pytest.approx(0.993, abs=0.003)
+    assert (tmp_path / "live.mp4").stat().st_size > 0

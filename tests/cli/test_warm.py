@@ -11,8 +11,8 @@ from pathlib import Path
 import numba
 import pytest
 
-from hyperflex.cli import warm
 from hyperflex.cli.app import run
+from hyperflex.cli.start import warm
 from hyperflex.core import cache
 
 needs_compiler = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")

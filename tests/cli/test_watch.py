@@ -170,7 +170,7 @@ def test_a_video_that_is_damaged_within_is_followed(
         said = " ".join(result["notes"])
     else:
         *estimates, result = lines(out)
-        said = " ".join(words for each in estimates for words in each["news"])
+        said = " ".join(words for each in estimates for words in each["messages"])
         assert all(each["found"] for each in estimates)
     assert COUNT // 4 < result["frames"] <= COUNT
     assert f"the file lists {COUNT} frames" in said or "cannot be decoded" in said

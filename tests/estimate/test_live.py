@@ -113,7 +113,7 @@ def test_every_frame_has_an_estimate(video: tuple[Path, MarkerColour], pictures:
     with open_frames(str(video[0])) as frames:
         found = list(itertools.islice(Watch(frames, tracker(video), interval=30.0), FRAMES))
     assert [each.frame.time for each in found if each.frame] == [each.time for each in pictures]
-    assert all(each.found and each.age == 0.0 and each.seen == 8 and not each.news for each in found)
+    assert all(each.found and each.age == 0.0 and each.seen == 8 and not each.messages for each in found)
     swing = free_swing(0, 4.0)
     true = [swing.joints[round(each.t * 600.0), -1] for each in found[10:]]
     off = np.linalg.norm([each.tip - place for each, place in zip(found[10:], true, strict=True)], axis=1)
@@ -132,9 +132,9 @@ def test_a_stall_is_said_and_bridged(video: tuple[Path, MarkerColour], pictures:
     assert np.all(np.diff([each.age for each in blind]) > 0.0)
     assert blind[-1].age == pytest.approx(blind[-1].t - found[9].t, abs=1e-6)
     assert blind[-1].tip_std > blind[0].tip_std > found[9].tip_std
-    news = " ".join(words for each in found for words in each.news)
-    assert "no frame for" in news
-    assert "frames come again" in news
+    messages = " ".join(words for each in found for words in each.messages)
+    assert "no frame for" in messages
+    assert "frames come again" in messages
     assert source.closed
 
 
@@ -144,12 +144,12 @@ def test_dropped_frames_and_another_size_are_said(video: tuple[Path, MarkerColou
     with FrameThread(lambda: source, live=False) as frames:
         found = list(Watch(frames, tracker(video), interval=30.0))
     assert len(found) == 17
-    assert found[8].news == (f"3 frames missing before {pictures[11].time:.3f} s",)
-    assert "frames of 320x240 px are left out" in found[11].news[0]
+    assert found[8].messages == (f"3 frames missing before {pictures[11].time:.3f} s",)
+    assert "frames of 320x240 px are left out" in found[11].messages[0]
     assert [each.tracked is None for each in found[11:14]] == [True] * 3
     assert all(each.found for each in found)  # the rope's equations go on
     assert found[13].age == pytest.approx(pictures[16].time - pictures[13].time, abs=1e-9)
-    assert "640x480 px again" in found[14].news[0]
+    assert "640x480 px again" in found[14].messages[0]
     assert found[-1].seen == 8
     assert found[-1].age == 0.0
 
@@ -162,7 +162,7 @@ def test_a_long_gap_is_not_bridged(video: tuple[Path, MarkerColour], pictures: l
     with FrameThread(lambda: source, live=False) as frames:
         found = list(Watch(frames, tracker(video), interval=30.0))
     assert time.monotonic() - begin < 20.0  # ten minutes are not simulated
-    assert "a gap of 599" in found[5].news[0] or "a gap of 600" in found[5].news[0]
+    assert "a gap of 599" in found[5].messages[0] or "a gap of 600" in found[5].messages[0]
     assert not found[5].found
     assert np.isinf(found[5].tip_std)
     assert found[5].age > 590.0
@@ -182,7 +182,7 @@ def test_a_live_source_is_opened_again(video: tuple[Path, MarkerColour], picture
         found = []
         while frames.ended is None:
             found.append(frames.take(0.05))
-        said = frames.news()
+        said = frames.messages()
     taken = [each for each in found if each is not None]
     assert {3, 4, 5} & {each.frame.index for each in taken}
     assert said.count("no more frames come; the source is opened again") == 2
@@ -202,7 +202,7 @@ def test_time_goes_on_where_a_source_begins_its_stamps_anew(
         return Scripted(*script, 0.5)
 
     def reopenings() -> list[int]:  # that were told; of a busy machine one may be over before anybody looked
-        return [k for k, each in enumerate(found) if any("opened again: the rope" in words for words in each.news)]
+        return [k for k, each in enumerate(found) if any("opened again: the rope" in words for words in each.messages)]
 
     for retime in (None, StampClock()):
         opened, begin, found = 0, time.monotonic(), []

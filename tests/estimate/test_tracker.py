@@ -179,12 +179,12 @@ def test_slow_motion_is_doubted(slower: float, said: str | None) -> None:
     image = np.full((99, 99, 3), 128, np.uint8)
     image[46:53, 46:53] = 0, 0, 200
     tracker = RopeTracker(estimator, MarkerDetector(MarkerColour.from_click(image, (49, 49))))
-    assert tracker.doubt == ""
+    assert tracker.warning == ""
     for t, joints in zip(run.t, np.asarray(run.joints), strict=True):
         pixels = view.project(joints[2::2])
         estimator.update(Observations(float(t) * slower, pixels + 0.3 * rng.normal(size=pixels.shape), 0.3))
     if said is None:
-        assert tracker.doubt == ""
+        assert tracker.warning == ""
     else:
-        assert said in tracker.doubt
-        assert "offset_x" in tracker.doubt
+        assert said in tracker.warning
+        assert "offset_x" in tracker.warning

@@ -12,7 +12,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,7 +23,8 @@ import pytest
 import hyperflex as hf
 from hyperflex import files, memory, progress
 from hyperflex.cli.app import run
-from hyperflex.errors import FileProblem, InvalidInput, SimulationError
+from hyperflex.demo import report as demo_report
+from hyperflex.errors import FileProblem, IdentificationError, InvalidInput, SimulationError
 from hyperflex.files import writing
 from hyperflex.simulation import time_budget
 
@@ -127,6 +128,82 @@ def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.Mo
         hf.sensitivities(ROPE, duration=1e4, t_eval=times, q0=[1.0] * 4, wrt="friction")
 
 
+@pytest.mark.parametrize("throw", [True, False])
+def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, throw: bool) -> None:
+    monkeypatch.setattr(progress, "EVERY", 0.05)
+    how = {"arm": hf.Arm(0.1, mass=0.1, inertia=1e-3), "duration": 100.0, "control_rate": 50.0, "progress": True}
+
+    def torque(*_: object) -> float:
+        end = time.thread_time() + 0.02
+        while time.thread_time() < end:
+            pass
+        return 1e-3
+
+    if throw:
+        with pytest.raises(SimulationError, match="its processor time was over"):
+            hf.simulate(ROPE, torque=torque, time_budget=0.3, **how)
+    else:
+        part = hf.simulate(ROPE, torque=torque, time_budget=0.3, throw=False, **how)
+        assert (part.status, part.setup.torque.torque(0.0)) == (time_budget.OUT_OF_TIME, 1e-3)
+        assert 0.05 < part.t[-1] < 1.0
+    assert "simulating: " in capsys.readouterr().err
+
+
+def test_half_an_hour_is_judged_by_the_speed_of_late_and_in_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow beginning ends no run, and one that stalls near its end does not go on for days."""
+    worked = [0.0]
+    monkeypatch.setattr(time, "thread_time", lambda: worked[0])
+
+    def ends_after(reached: Callable[[float], float]) -> float | None:
+        """Return the work, s, after which a run of 1 s ends that has come to `reached` then."""
+        worked[0] = 0.0
+        heard = time_budget.enforce_budget(None, None, (0.0, 1.0))
+        while reached(worked[0]) < 1.0:
+            worked[0] += 1.0
+            try:
+                heard(reached(worked[0]))
+            except time_budget.TimeBudgetExceeded:
+                return worked[0]
+        return None
+
+    assert ends_after(lambda work: work / 1700.0) is None
+    assert ends_after(lambda work: work / 2e4) == pytest.approx(11.0, abs=1.0)
+    assert ends_after(lambda work: 0.006 * work / 10.0 if work < 10.0 else 0.006 + (work - 10.0) / 600.0) is None
+    stalled = ends_after(lambda work: min(work / 20.0, 0.99))
+    assert stalled == pytest.approx(time_budget.PATIENCE, rel=0.05)
+
+
+def test_a_fit_ends_when_its_time_budget_is_over() -> None:
+    t = np.arange(2000) / 100.0
+    noise = hf.Recording(t, np.random.default_rng(1).normal(0.0, 1.0, (t.size, 1)))
+    rod, heard = hf.Rope([0.3], [0.1], friction=2e-4), []
+    with pytest.raises(IdentificationError, match=r"over before anything was fitted to 1600 samples\. Allow more"):
+        hf.identify(noise, rod, ["friction"], time_budget=1e-6)
+
+    def work(entry: dict[str, float]) -> None:
+        heard.append(entry)
+        end = time.thread_time() + 0.15
+        while time.thread_time() < end:
+            pass
+
+    found = hf.identify(noise, rod, ["friction"], time_budget=0.5, progress=work)
+    assert (found.message, found.success, found.status) == ("time budget exceeded", False, 1)
+    assert "The fit is out of time" in found.verdict[0]
+    assert len(heard) < 6
+    assert found.held_out is None
+
+
+@pytest.mark.usefixtures("one_gibibyte")
+def test_a_fit_that_would_fill_the_memory_is_refused_before_it_is_begun() -> None:
+    t = np.arange(300_000) / 100.0
+    many = hf.Recording(t, np.random.default_rng(1).normal(0.0, 0.1, (t.size, 10)))
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10)
+    with pytest.raises(
+        InvalidInput, match=r"fit of 20 parameters of 10 links to 2400000 values would fill.*Free fewer"
+    ):
+        hf.identify(many, rope, ["friction", "inertia"])
+
+
 def test_runge_kutta_with_thousands_of_links_is_refused() -> None:
     with pytest.raises(InvalidInput, match=r"'rk4'.*got 5000. Allowed: up to 1000. Take method='extrapolation'"):
         hf.simulate(LONG, duration=1.0, method="rk4", step=1e-3)
@@ -160,7 +237,7 @@ def test_a_line_now_and_then_where_nobody_watches(monkeypatch, capsys) -> None:
     before, said = threading.active_count(), ""
     with progress.progress_bar(1.0, 5.0, True, "fitting", "models") as report:
         assert report is not None
-        while "fitting: 2 of 4 models (" not in said:
+        while "fitting: 2 of 4 models; begun" not in said:
             report(3.0)
             time.sleep(0.01)
             said += capsys.readouterr().err
@@ -230,6 +307,36 @@ def test_a_folder_of_results_is_kept_elsewhere_too(tmp_path, full_disk, capsys) 
     [kept] = (tmp_path / "state" / "hyperflex").rglob("rope.toml")
     assert f"The result is in {kept.parent} instead." in capsys.readouterr().err
     assert hf.Rope.from_toml(kept).friction[0] == pytest.approx(2e-4, rel=0.1)
+
+
+def test_a_figure_that_cannot_be_written_is_kept_elsewhere(tmp_path, full_disk, capsys) -> None:
+    assert run(["reproduce", "fig10", "-o", str(full_disk / "paper"), "--json"]) == 2
+    [kept] = (tmp_path / "state" / "hyperflex").rglob("fig10.png")
+    assert f"The result is in {kept.parent} instead." in json.loads(capsys.readouterr().out)["error"]
+    assert kept.with_suffix(".csv").exists()
+
+
+def test_a_demo_that_cannot_be_written_is_kept_elsewhere_and_not_run_again(tmp_path, full_disk, monkeypatch) -> None:
+    runs = []
+
+    def demo(_: object, video: Path) -> SimpleNamespace:
+        runs.append(video.write_bytes(b"film"))
+        return SimpleNamespace(plan=SimpleNamespace(success=True), held=None, cast=None)
+
+    def write(folder: Path, *_: object) -> dict[str, str]:
+        files.write_text(folder / "report.html", "page")
+        return {"page": "report.html"}
+
+    monkeypatch.setattr(demo_report, "run_demo", demo)
+    monkeypatch.setattr(demo_report, "_write", write)
+    for name in ("_proof", "_parameters_table", "_reaches_table"):
+        monkeypatch.setattr(demo_report, name, lambda _: ())
+    monkeypatch.setattr(demo_report, "CastReport", lambda *_: SimpleNamespace(verdict=""))
+    with pytest.raises(FileProblem, match="The result is in") as caught:
+        demo_report.write_demo(full_disk / "demo")
+    [kept] = (tmp_path / "state" / "hyperflex").rglob("tracked.mp4")
+    assert str(kept.parent) in str(caught.value)
+    assert (kept.read_bytes(), kept.with_name("report.html").exists(), runs) == (b"film", True, [4])
 
 
 def test_where_the_users_state_takes_nothing_temporary_files_do(tmp_path: Path, full_disk: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import _thread
 import contextlib
+import inspect
 import json
 import os
 import signal
@@ -20,8 +21,16 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import interruption
+from hyperflex.control import optimize_pumping
+from hyperflex.core.tangent import forward_sensitivity
+from hyperflex.demo import write_demo
+from hyperflex.estimate import track_video
 from hyperflex.files import atomic_path
+from hyperflex.identification.uncertainty import covariance
 from hyperflex.interruption import caught, deferred, interruptible, look, noticing
+from hyperflex.paper import reproduce
+from hyperflex.simulation.contact import runs
+from hyperflex.vision import calibrate_camera, track_bars
 from tests.faults.counting import count
 from tests.faults.interrupting import left_by
 
@@ -39,6 +48,11 @@ def usual_handler() -> Iterator[None]:
     yield
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     signal.signal(signal.SIGINT, before)
+
+
+def soon() -> None:
+    """Send Ctrl-C to the main thread in a moment."""
+    threading.Timer(0.3, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT)).start()
 
 
 def swallowed() -> None:
@@ -173,6 +187,86 @@ def test_a_run_is_interrupted_in_a_kernel_and_goes_on_bit_for_bit() -> None:
     rest = hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], state=part.state, duration=1.0, t_eval=[end + 1.0])
     whole = hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], duration=end + 1.0, t_eval=[end + 1.0])
     np.testing.assert_array_equal(rest.q, whole.q)
+
+
+def test_a_run_with_contact_is_interrupted_with_state_and_clock_that_fit_together(monkeypatch) -> None:
+    """A signal is heard when the kernel returns, before the run knows how far it has come."""
+    kernel, calls = runs.core.run, []
+
+    def interrupted(*given: object) -> int:
+        code = kernel(*given)
+        calls.append(code)
+        if len(calls) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return code
+
+    how = {"arm": hf.Arm(length=0.1), "pegs": [hf.Peg(0.0, -0.5, 0.03)], "duration": 4.0, "contact_step": 1e-3}
+    monkeypatch.setattr(runs.core, "run", interrupted)
+    part = left_by(lambda: hf.simulate(CABLE, q0=[1.2] * 20, tol=1e-3, **how))
+    assert (part.status, len(calls)) == ("interrupted", 3)
+    whole = hf.simulate(CABLE, q0=[1.2] * 20, tol=1e-3, **(how | {"duration": part.state.t, "t_eval": [part.state.t]}))
+    np.testing.assert_allclose(part.state.q, whole.q[-1], atol=1e-3)
+
+
+def test_derivatives_of_a_long_run_are_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the midst of the kernel that goes through the run's steps again."""
+    kernel, states = forward_sensitivity.forward_sensitivities, []
+
+    def interrupted(*given: np.ndarray) -> None:
+        soon()
+        kernel(*given)
+        states.append(given[-3][-1])
+
+    long = {"q0": [1.0] * 20, "duration": 200.0, "t_eval": [200.0], "wrt": ["qd0", "friction[:]"]}
+    hf.sensitivities(CABLE, **(long | {"duration": 0.1, "t_eval": [0.1]}))
+    monkeypatch.setattr(forward_sensitivity, "forward_sensitivities", interrupted)
+    assert left_by(lambda: hf.sensitivities(CABLE, **long)) is None
+    assert not states[0].any()  # it did not come to its end
+
+
+def test_each_public_call_that_takes_long_leaves_as_interrupted() -> None:
+    calls = (reproduce, write_demo, calibrate_camera, track_video, track_bars, optimize_pumping, hf.Stepper.step)
+    assert all(hasattr(call, "__wrapped__") for call in (*calls, hf.BatchStepper.step, hf.Stepper.linearize))
+    short = {"measure_winding", "refine_rope", "forward_kinematics", "mass_matrix", "linearize", "fit_regression"}
+    short |= {"rope_slip", "rope_tension"}
+    rooms = ("hyperflex.motion", "hyperflex.simulation.events")  # of what takes no time
+    for name in set(hf.__all__) - short:
+        call = getattr(hf, name)
+        if inspect.isfunction(call) and not (name.startswith(("read_", "write_")) or call.__module__.startswith(rooms)):
+            assert hasattr(call, "__wrapped__"), name
+
+
+@pytest.mark.parametrize("kind", [hf.Stepper, hf.BatchStepper])
+def test_steps_are_interrupted_and_go_on(monkeypatch: pytest.MonkeyPatch, kind: type) -> None:
+    stepper = kind(CABLE if kind is hf.Stepper else [CABLE] * 40, arm=hf.Arm(length=0.1))
+    begin = stepper.start()
+    after = stepper.step(begin, 1.0, 0.1)
+    soon()
+    assert left_by(lambda: stepper.step(begin, 1.0, 1e4)) is None
+    np.testing.assert_array_equal(stepper.step(begin, 1.0, 0.1).q, after.q)
+
+
+@pytest.mark.parametrize(("grace", "known"), [(60.0, True), (0.0, False)])
+def test_a_fit_is_kept_when_its_covariance_is_interrupted(monkeypatch, grace: float, known: bool) -> None:
+    """With deviations where they are found at once, and without any where they would take long."""
+    derivatives, begun = covariance._models, []
+
+    def interrupted(*given: object) -> object:
+        begun.append(True)
+        if len(begun) == 1:
+            signal.raise_signal(signal.SIGINT)
+        return derivatives(*given)
+
+    monkeypatch.setattr(covariance, "_models", interrupted)
+    monkeypatch.setattr(covariance, "GRACE", grace)
+    rod = hf.Rope([0.3], [0.1], friction=2e-4)
+    swing = hf.simulate(rod, duration=4.0, q0=[0.8])
+    found = left_by(lambda: hf.identify(hf.Recording(swing.t, swing.q), rod.replace(friction=1e-3), ["friction"]))
+    assert found.message == "interrupted"
+    assert found.rope.friction[0] == pytest.approx(2e-4, rel=1e-3)
+    assert np.isfinite(found.std["friction"]).all() == known
+    assert bool(found.intervals) == known
+    assert any("before deviations and intervals were worked out" in each for each in found.verdict) != known
 
 
 def test_an_interrupt_while_files_are_put_in_place_leaves_no_part(tmp_path, monkeypatch) -> None:

@@ -223,6 +223,40 @@ def test_two_processes_at_once_leave_a_whole_file(tmp_path: Path) -> None:
     assert set(content(tmp_path)) == {"shared.csv", "shared.toml"}
 
 
+SAME = """
+import sys
+import numpy as np
+import hyperflex as hf
+from hyperflex import files
+from hyperflex.report import whole_folder
+number = float(sys.argv[1])
+for _ in range(10):
+    if sys.argv[2] == "run":
+        t = np.linspace(0.0, 1.0, 200)
+        hf.Recording(t, np.full((200, 1), number)).to_netcdf("shared.nc")
+    else:
+        with whole_folder("shared") as stage:
+            for name in ("a.toml", "b.toml"):
+                files.write_toml(stage / name, {"x": number})
+"""
+
+
+@pytest.mark.parametrize("kind", ["run", "folder"])
+def test_several_processes_at_once_leave_a_whole_run_and_folder(tmp_path: Path, kind: str) -> None:
+    words = [[sys.executable, "-c", SAME, str(k), kind] for k in (1, 2, 3)]
+    rivals = [subprocess.Popen(each, cwd=tmp_path, stderr=subprocess.PIPE, text=True) for each in words]
+    told = [rival.communicate()[1] for rival in rivals]
+    assert [rival.returncode for rival in rivals] == [0, 0, 0], told
+    if kind == "run":
+        assert len(set(hf.read_recording(tmp_path / "shared.nc").data.ravel())) == 1
+        assert set(content(tmp_path)) == {"shared.nc"}
+    else:
+        assert [path.name for path in tmp_path.iterdir()] == ["shared"]
+        assert {path.name for path in (tmp_path / "shared").iterdir()} == {"a.toml", "b.toml"}
+        for path in (tmp_path / "shared").iterdir():
+            assert files.read_toml(path)["x"] in {1.0, 2.0, 3.0}
+
+
 def test_a_read_only_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Such a disk refuses to remove what is not there, too."""
 

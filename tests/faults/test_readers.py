@@ -14,12 +14,14 @@ from hypothesis import strategies as st
 import hyperflex as hf
 from hyperflex.planning.robust.posterior import RopePosterior
 from hyperflex.vision import Camera, read_camera
+from tests.exchange import bags
 from tests.faults.bounds import examples, refused_or_done
 from tests.faults.counting import count
 
 T = np.linspace(0.0, 0.5, 6)
 ROPE = hf.Rope(length=[0.3, 0.3], mass=[0.1, 0.1], friction=1e-4, radius=0.002)
 SETUP = hf.Setup(ROPE, hf.arm_swings(), hf.Arm(length=0.1), duration=0.02, pegs=[hf.Peg(0.5, -0.9, 0.05)])
+MUJOCO = hf.Setup(ROPE, hf.arm_swings(), hf.Arm(length=0.1), duration=0.02)
 CSV = "# time_unit: s\n# unit: deg\nframe,t,th1,th2\n" + "".join(
     f"{k},{t:.3f},{30 * np.cos(t):.4f},{'' if k == 2 else k}\n" for k, t in enumerate(T)
 )
@@ -57,6 +59,15 @@ KINDS: dict[str, tuple[Callable[[Path], bytes], str, Callable[[Path], object]]] 
     "recording.csv": (lambda _: CSV.encode(), ".csv", hf.read_recording),
     "recording.nc": (of_file(hf.Recording(T, np.zeros((6, 2))).to_netcdf, ".nc"), ".nc", hf.read_recording),
     "recording.mat": (of_file(mat, ".mat"), ".mat", hf.read_recording),
+    "recording.mcap": (
+        of_file(lambda path: hf.write_mcap(hf.Recording(T, np.zeros((6, 2)), noise=0.1), path), ".mcap"),
+        ".mcap",
+        hf.read_recording,
+    ),
+    "bag.db3": (bags.content_of("sqlite3"), ".db3", hf.read_recording),
+    "bag.mcap": (bags.content_of("mcap"), ".mcap", hf.read_recording),
+    "bag.yaml": (bags.metadata, ".yaml", lambda path: hf.read_recording(bags.described(path))),
+    "setup.xml": (of_file(lambda path: hf.write_mjcf(MUJOCO, path), ".xml"), ".xml", hf.read_mjcf),
     "motion.csv": (lambda _: b"t,angle\n0,0.0\n0.5,0.1\n1,0.2\n", ".csv", hf.read_motion),
     "setup.toml": (lambda _: SETUP.dumps().encode(), ".toml", hf.Setup.from_toml),
     "rope.toml": (of_file(ROPE.to_toml, ".toml"), ".toml", hf.Rope.from_toml),
@@ -138,7 +149,7 @@ def test_damage_is_told_or_harmless(kind: str, sound: Callable[[str], tuple[byte
     path.write_bytes(content)
     assert read(path) is not None
 
-    @examples(8)
+    @examples(15 if kind.endswith((".mcap", ".db3", ".yaml", ".xml")) else 8)
     @given(st.lists(CHANGE, min_size=1, max_size=3))
     def damage(changes: list[tuple[str, float, Any]]) -> None:
         count()

@@ -12,6 +12,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,9 +21,12 @@ import hyperflex as hf
 from hyperflex import progress
 from hyperflex.cli.app import run
 from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.interruption import _USUAL
+from hyperflex.interruption import _USUAL, noticing
 from hyperflex.paper.report import casting
 from hyperflex.paper.report.part import Item
+from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.wind.fallback_targets import plan_fallback
+from hyperflex.report.units import length
 from hyperflex.simulation import time_budget
 from tests.faults.bounds import LEAKED, bounded, readable
 
@@ -175,3 +179,22 @@ def test_random_samples_are_fitted_with_a_word_until_they_are_interrupted(monkey
         code = run(["identify", *given, "-o", "found.toml", "--json"])
     assert (code, json.loads(capsys.readouterr().out)["error"]) == (130, "interrupted")
     assert heard
+
+
+def test_a_plan_for_another_target_is_kept_when_the_next_is_interrupted() -> None:
+    other = SimpleNamespace(success=True)
+
+    def interrupted(_: object) -> None:
+        raise hf.Interrupted(other)
+
+    far, arm = hf.Peg(2.5, 0.0, 0.03), hf.Arm(length=0.105)
+    failed = hf.plan_cast(CABLE, arm, far)
+    search = ThrowSearch(failed.cast_setup, far, 0, 1, 0.0)
+    with pytest.raises(hf.Interrupted) as stop, noticing():
+        plan_fallback(failed, search, 1e-3, interrupted)
+    assert stop.value.partial.fallback.plan is other
+
+
+def test_lengths_are_told_in_a_unit_of_their_size() -> None:
+    words = [length(each) for each in (40.0, 0.1324, 1e-5)] + [length(6.618, small="cm"), length(0.661, 2)]
+    assert words == ["40 m", "132 mm", "0.01 mm", "6.62 m", "660 mm"]

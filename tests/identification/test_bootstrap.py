@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from hyperflex.core.tangent.forward_sensitivity import forward_sensitivities
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Identification, bootstrap, identify
 from hyperflex.identification.fit.multiple_shooting import Fit, fit
 from hyperflex.identification.uncertainty import bootstrap as _bootstrap
-from hyperflex.identification.uncertainty.bootstrap import Bootstrap, _Noise
+from hyperflex.identification.uncertainty.bootstrap import Bootstrap, _Draws, _Noise
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -51,6 +53,19 @@ def test_fits_scatter_as_the_covariance_says(found: Identification) -> None:
     one = result.interval("friction[0]", 0.8)
     inside = (result.samples[:, 1] > one.low) & (result.samples[:, 1] < one.high)
     assert (one.kind, inside.sum()) == ("bootstrap", 48)
+
+
+def test_pickled_draws_compile_nothing(found: Identification) -> None:
+    """Kernels are compiled for arrays that cannot be written to; what comes out of a pickle can be."""
+    bootstrap(found, 1)
+    clean = [
+        found.basis.plant.predict(found.basis.fit.x, w.t, s)
+        for w, s in zip(found.basis.windows, found.basis.fit.states, strict=True)
+    ]
+    draws = _Draws(found.basis, clean, 0)
+    before = len(forward_sensitivities.signatures)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(draws))([3]), draws([3]))
+    assert len(forward_sensitivities.signatures) == before > 0
 
 
 def test_the_seed_fixes_each_draw_whatever_their_number(found: Identification) -> None:

@@ -8,6 +8,7 @@ import pytest
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import identify
+from hyperflex.identification.measurements import measure
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings
 from hyperflex.recording import Recording
@@ -44,6 +45,23 @@ def test_fewer_markers_than_links_find_friction_within_its_interval() -> None:
     for name, truth in (("origin_x", 0.4), ("origin_y", 1.2)):
         assert abs(found.values[name] - truth) < 4.0 * found.std[name]
     np.testing.assert_allclose(found.residual_rms, NOISE, rtol=0.4)  # 46 values a channel: 10 %, four times
+
+
+def test_a_known_first_joint_counts_as_a_marker_and_folded_links_are_among_the_starts() -> None:
+    """A tip near the first joint does not show to which side the pendulum is bent: both are starts of a window."""
+    angles = np.tile([0.4, 2.9], (20, 1))  # rad; folded
+    joints = np.cumsum(DOUBLE.length[:, None] * np.stack([np.sin(angles[0]), -np.cos(angles[0])], axis=1), axis=0)
+    places = np.tile(joints.ravel(), (20, 1)) + np.arange(20)[:, None] * 1e-6
+    t = np.arange(20) / 100.0
+    both = measure(Recording(t, places, kind="markers"), DOUBLE, np.array([0.3, 0.55]), np.zeros((20, 2)))
+    assert both.prior is None
+    np.testing.assert_allclose(both.shape.data, angles, atol=1e-3)
+    tip = measure(Recording(t, places[:, 2:], kind="markers"), DOUBLE, np.array([0.55]), np.zeros((20, 2)))
+    window = tip.windows(0.1)[0][0]
+    off = [np.abs(np.cos(each[:2] - angles[0]) - 1.0).max() for each in (window.guess, *window.others)]
+    assert len(off) == 3
+    assert off[0] > 0.3
+    assert min(off) < 1e-3
 
 
 def test_where_a_marker_sits_can_be_found() -> None:

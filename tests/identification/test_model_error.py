@@ -66,3 +66,15 @@ def test_a_chain_of_just_these_links_is_not_told() -> None:
     assert test.sway > 0.1  # were it a rope
     assert "more links" not in str(found)
     assert found.values["stiffness:factor"] == pytest.approx(0.5, rel=0.03)
+
+
+@pytest.mark.parametrize("left_out", [{"drag": 0.02}, {"dry_friction": 4e-4}], ids=["drag", "dry friction"])
+def test_a_law_that_was_left_out_is_not_taken_for_links_that_are_too_long(left_out: dict[str, float]) -> None:
+    rope = Rope.uniform(length=1.0, mass=0.1, n_links=8, friction=4e-4)
+    t = np.arange(120) / 30.0
+    run = simulate(rope.replace(**left_out), duration=t[-1], t_eval=t, q0=np.linspace(0.7, 1.1, 8), tol=1e-8)
+    angles = run.q + 3e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
+    found = identify(Recording(t, angles, noise=3e-3), rope, ["friction:shared"], train=np.inf, intervals=None)
+    (test,) = (each for each in found.score_tests if each.name == "links")
+    assert test.surplus < 0.5
+    assert "more links" not in str(found)

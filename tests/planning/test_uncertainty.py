@@ -14,7 +14,7 @@ from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import arm_moves
 from hyperflex.planning import CastSetup, MotorLimits, Throw, Uncertainty
-from hyperflex.planning.robust.uncertainty import MOVES, Scenario, scaled
+from hyperflex.planning.robust.uncertainty import MOVES, Scenario, scaled_rope
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, radius=0.003, friction=1e-3, tip_mass=0.02)
 CAST_SETUP = CastSetup(ROPE, hf.Arm(length=0.1), MotorLimits())
@@ -55,7 +55,7 @@ def test_a_draw_is_the_same_whatever_their_number_and_another_with_another_seed(
 def test_a_scaled_rope_swings_as_its_length_says() -> None:
     """Without friction the shape of a swing depends on length alone: its time goes with the root."""
     free = ROPE.replace(friction=0.0)
-    longer = scaled(free, 1.21, 1.7, 1.0)
+    longer = scaled_rope(free, 1.21, 1.7, 1.0)
     start = np.full(6, 0.3)
     one = hf.simulate(free, duration=1.0, q0=start, t_eval=[1.0], tol=1e-9)
     two = hf.simulate(longer, duration=1.1, q0=start, t_eval=[1.1], tol=1e-9)

@@ -41,6 +41,17 @@ def test_strobe_shows_the_span_that_was_asked_for(short_cast):
     assert part.axes[0].dataLim.width < 0.8 * whole.axes[0].dataLim.width
 
 
+def test_strobe_says_which_time_a_colour_is_and_hides_no_wraps(short_cast):
+    (axis,) = strobe_figure(short_cast, start=0.25, end=1.25, count=5).axes
+    assert {"0.25 s", "1.25 s"} <= {text.get_text() for text in axis.texts}
+    (key,) = (each for each in axis.collections if each.get_label() == "key")
+    np.testing.assert_allclose(key.get_colors()[[0, -1], :3], axis.collections[0].get_colors()[[0, -1], :3])
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6, radius=0.004, friction=1e-3)
+    run = hf.simulate(hf.Setup(rope, duration=0.1, pegs=(hf.Peg(0.3, -0.5, 0.05),)))
+    (axis,) = strobe_figure(run).axes
+    assert axis.patches[0].get_zorder() < min(each.get_zorder() for each in axis.collections)
+
+
 def test_strobe_draws_a_rope_without_an_arm(hanging):
     assert opened(png(strobe_figure(hanging, count=5), dpi=40)).format == "PNG"
 

@@ -16,6 +16,7 @@ from tests.planning.known_whip import planned_whip
 
 LARGEST = 1.5e6  # bytes of a page of 10 s, 50 links, 60 Hz
 PRECISE = 1e-4  # m
+BETWEEN = 2e-4  # m, between samples 10 ms apart
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +61,19 @@ def test_the_page_draws_what_the_file_holds(cast, page):
     assert np.hypot(*(points[:, 0] - shaft).T).max() < PRECISE
     assert page.requests == [page.evaluate("location.href").split("#")[0]]
     assert page.complaints == []
+
+
+def test_the_page_is_true_to_samples_that_are_closer_than_frames_and_to_what_lies_between(browser, tmp_path):
+    rope = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    fine = hf.simulate(rope, hf.arm_swings(), arm=hf.Arm(length=0.105), duration=4.0, t_eval=np.arange(1601) / 400.0)
+    sampled = hf.simulate(rope, hf.arm_swings(), arm=hf.Arm(length=0.105), duration=4.0, t_eval=np.arange(401) / 100.0)
+    assert np.hypot(*fine.tip_velocity.T).max() > 4.0  # 40 mm between two samples
+    sampled.to_html(tmp_path / "close.html")
+    browser.open((tmp_path / "close.html").as_uri())
+    points = browser.evaluate("Array.from({length: 1601}, (_, k) => Array.from(player.points(k / 400)))")
+    away = np.hypot(*(np.reshape(points, (1601, -1, 2))[:, 1:] - fine.joints).T).max(axis=0)
+    assert away[::4].max() < PRECISE
+    assert away.max() < BETWEEN, away.max()
 
 
 def test_a_rope_of_20_m_is_as_precise(browser, tmp_path):
@@ -172,7 +186,7 @@ def test_a_long_run_has_no_more_frames_than_others():
 
 @pytest.mark.parametrize(
     ("options", "told"),
-    [({"frame_rate": 0.0}, "frame_rate"), ({"speed": -1.0}, "speed"), ({"end": 99.0}, "span is not in the run")],
+    [({"frame_rate": 0.0}, "frame_rate"), ({"speed": -1.0}, "speed"), ({"end": 99.0}, "end=99 is no part of the run")],
 )
 def test_a_page_refuses(cast, options, told):
     with pytest.raises(InvalidInput, match=told):

@@ -2,6 +2,7 @@
 
 import inspect
 import os
+import re
 import signal
 import sys
 import traceback
@@ -15,13 +16,17 @@ from hyperflex import __version__
 from hyperflex.cli import output
 from hyperflex.cli.calibrate import calibrate
 from hyperflex.cli.cast import cast
-from hyperflex.cli.demo import demo
+from hyperflex.cli.export import export
 from hyperflex.cli.identify import identify
 from hyperflex.cli.look import plot, view
+from hyperflex.cli.play import play
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
+from hyperflex.cli.start.demo import demo
+from hyperflex.cli.start.doctor import doctor
+from hyperflex.cli.start.init import init
+from hyperflex.cli.start.warm import warm
 from hyperflex.cli.track import track
-from hyperflex.cli.warm import warm
 from hyperflex.cli.watch import watch
 from hyperflex.cli.whip import whip
 from hyperflex.errors import HyperflexError, InvalidInput
@@ -30,11 +35,17 @@ from hyperflex.interruption import noticing
 # the common base of what the parser raises: BadParameter <- UsageError <- ClickException
 _PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+_NO_NUMBER = re.compile(r"Invalid value for '(?:-\w / )?(--[\w-]+)'.* valid (number|integer)")
+COMPLETE = "_HYPERFLEX_COMPLETE"  # set by a shell that asks what may follow
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 for _command, _example in (
+    (init, "init cast.toml --length 1.5 --mass 0.08 --peg 0.8 -0.6 0.03"),
     (simulate, "simulate cast.toml -o cast.nc"),
     (view, "view cast.nc"),
     (plot, "plot cast.nc -o cast.png"),
+    (export, "export cast.toml -o cast.xml"),
+    (play, "play --folder casts"),
     (identify, "identify swing.csv --guess guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),
@@ -44,6 +55,7 @@ for _command, _example in (
     (reproduce, "reproduce fig10 fig12 -o paper"),
     (demo, "demo -o demo-output"),
     (warm, "warm"),
+    (doctor, "doctor --camera 0"),
 ):
     app.command(epilog=f"\b\nExample:\n  hyperflex {_example}")(_command)
 _COMMANDS = {each.callback.__name__ for each in app.registered_commands if each.callback is not None}
@@ -86,6 +98,8 @@ def run(arguments: Sequence[str]) -> int:
         Exit code, as the command's help has it; 1 also where the reader of a pipe went away.
     """
     as_json = "--json" in arguments
+    if COMPLETE in os.environ:
+        typer.main.get_command(app).main([], prog_name="hyperflex")  # answers, and ends the program
     try:
         _check_empty(arguments)
         return _invoke(arguments)
@@ -142,9 +156,19 @@ def _misused(error: Any, arguments: Sequence[str]) -> str:
     """Return what the parser complains of in whole sentences, and where to look."""
     worded = getattr(error, "format_message", None)
     message = str(worded() if worded else error).rstrip(".")
-    two = " Give two numbers: --target X Y." if "'--target'" in message else ""
+    if found := _NO_NUMBER.search(message):
+        kind = "a whole number" if found[2] == "integer" else "numbers"
+        message = f"{found[1]} takes {kind}: got {_given(found[1], arguments)}"
+    two = " Give two numbers: --target X Y." if "--target" in message else ""
     named = arguments[0] if arguments and arguments[0] in _COMMANDS else ""
     return f"{message}.{two} See {f'hyperflex {named}'.strip()} --help."
+
+
+def _given(option: str, arguments: Sequence[str]) -> str:
+    """Return the words that were given to an option, as they stand on the command line."""
+    joined = [word.partition("=")[2] for word in arguments if word.startswith(f"{option}=")]
+    after = [word for before, word in pairwise(arguments) if before == option]
+    return ", ".join(map(repr, joined + after)) or "something else"
 
 
 def _invoke(arguments: Sequence[str]) -> int:

@@ -75,8 +75,9 @@ def cast(
     third of the length. Writes a page on which the run plays, pictures, the motion for the motor (CSV), the verified
     run (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
 
-    Ctrl-C ends the search; the best so far is written, and marked as such, without pictures. While page and pictures
-    are drawn, it leaves the plan's other files, which are written before.
+    Ctrl-C ends the search; the best so far is written, and marked as such, without pictures (in the first seconds,
+    while the target is checked, there is nothing yet). While page and pictures are drawn, it leaves the plan's other
+    files, which are written before.
 
     The exit code is 4 if no cast that winds and holds was found; the best throw is written all the same, with the
     reason and with the nearest target that should work.

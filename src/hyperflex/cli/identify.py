@@ -20,7 +20,7 @@ _ROWS = 24  # of a table in the terminal
 
 
 def identify(
-    recording: Annotated[Path, typer.Argument(help="CSV, NetCDF or .mat file of angles or markers.")],
+    recording: Annotated[Path, typer.Argument(help="CSV, NetCDF, MCAP, .mat file or ROS 2 bag of angles or markers.")],
     guess: Annotated[Path, typer.Option(help="TOML file with the rope to begin with.")],
     out: Annotated[
         Path,
@@ -48,7 +48,7 @@ def identify(
         Path | None, typer.Option(help="TOML file of a set-up (as for simulate) whose motion and arm drive the rope.")
     ] = None,
     kind: Annotated[str | None, typer.Option(help="angles or markers.")] = None,
-    time: Annotated[str, typer.Option(help="Name of the time column.")] = "t",
+    time: Annotated[str, typer.Option(help="Name of the time column; of messages t or log.")] = "t",
     time_unit: Annotated[str | None, typer.Option(help="s, ms, us, min or frame.")] = None,
     unit: Annotated[str | None, typer.Option(help="rad, mrad, deg, turn; m, cm, mm, px.")] = None,
     frame_rate: Annotated[float | None, typer.Option(help="Frames a second, for --time-unit frame.")] = None,
@@ -59,13 +59,23 @@ def identify(
     angles: Annotated[str | None, typer.Option(help="absolute, or relative to the link before.")] = None,
     wrapped: Annotated[bool | None, typer.Option(help="Whether angles jump by whole turns.")] = None,
     noise: Annotated[float | None, typer.Option(help="Standard deviation of a sample, in its unit.")] = None,
-    columns: Annotated[str | None, typer.Option(help="Data columns in order, with commas between them.")] = None,
+    columns: Annotated[str | None, typer.Option(help="Data columns, or joints, in order, with commas.")] = None,
+    topic: Annotated[str | None, typer.Option(help="Topic of an MCAP file or a bag that holds several.")] = None,
+    plane: Annotated[
+        str | None, typer.Option(help="In which the rope swings, of poses in space: xz (x right, z up), xy or yz.")
+    ] = None,
     max_rate: Annotated[
         float | None, typer.Option(help="Angles that turn faster, rad/s, are refused as wrong units. [default: 300]")
     ] = None,
     intervals: Annotated[
         str, typer.Option(help="How 95 % intervals are found: auto, covariance, profile or none.")
     ] = "auto",
+    time_budget: Annotated[
+        float | None,
+        typer.Option(
+            help="Processor time of the fit, s; then the best so far is written. inf: no end. [default: 1800]"
+        ),
+    ] = None,
     json: output.Json = False,
 ) -> None:
     """Identify a rope from a recording.
@@ -89,7 +99,7 @@ def identify(
     driven = _drive(setup)
     places = output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6") if arc_lengths else None
     seen = output.numbers("--origin", [origin], "0.01,-0.02") if origin else None
-    fastest: dict[str, Any] = {} if max_rate is None else {"max_rate": max_rate}
+    known: dict[str, Any] = {"topic": topic, "plane": plane} | ({} if max_rate is None else {"max_rate": max_rate})
     measured = read_recording(
         recording,
         kind=kind,
@@ -105,7 +115,7 @@ def identify(
         wrapped=wrapped,
         noise=noise,
         columns=columns.split(",") if columns else None,
-        **fastest,
+        **known,
     )
     first = Rope.from_toml(guess)
     with _bar() as report:
@@ -121,13 +131,13 @@ def identify(
                 length_std=length_std,
                 loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
                 intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
+                time_budget=time_budget,
                 progress=report,
                 **driven,
             )
         )
     summary = result.ending() | {"output": out, **result.summary()}
-    files = _write(out, measured, result, first, summary, json)
-    summary["files"] = files
+    summary["files"] = files = _write(out, measured, result, first, summary, json)
     if result.message == "interrupted":  # the best so far is written, and says what it is
         if not json:
             _show(result, files)

@@ -147,7 +147,9 @@ def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, 
     pegs = [each for each in task.obstacles if isinstance(each, Peg)]
     if len(pegs) > 1 or len(pegs) < len(task.obstacles):
         raise InvalidInput(
-            "the set-up holds more than a target", got=task.obstacles, allowed="one peg: casts know no other obstacle"
+            "the set-up holds more than a target",
+            got=f"{len(pegs)} pegs, {len(task.obstacles) - len(pegs)} other obstacles",
+            allowed="one peg: casts know no other obstacle",
         )
     given = {"radius": radius, "mu": mu} | dict(zip("xy", place or (None, None), strict=True))
     named = {name: value for name, value in given.items() if value is not None}

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
+import numpy as np
 import typer
 
 from hyperflex import checks, files
@@ -10,8 +11,10 @@ from hyperflex.cli import output
 from hyperflex.interruption import deferred
 
 if TYPE_CHECKING:
-    from hyperflex.model import Setup
+    from hyperflex.model import Peg, Setup
     from hyperflex.trajectory import Trajectory
+
+WATCH = 2.0  # s, of a rope's slip on a peg
 
 
 def simulate(
@@ -22,6 +25,10 @@ def simulate(
         float | None,
         typer.Option(help="Tell, too, until when an error of tol made on the way stays below this, m (some 20 runs)."),
     ] = None,
+    tug: Annotated[
+        bool,
+        typer.Option("--tug", help="Pull at a rope that lies on a peg at the end, and tell what it holds."),
+    ] = False,
     time_budget: Annotated[
         float | None,
         typer.Option(help="Processor time, s; inf: any. [default: half an hour, which is judged after ten seconds]"),
@@ -30,10 +37,11 @@ def simulate(
 ) -> None:
     """Simulate a set-up and write the motion to NetCDF.
 
+    Of each round peg it tells the rope's turns at the end, the angle that it covers, and how far it slipped on it in
+    the last 2 s.
+
     After Ctrl-C, what has been simulated is in a file of its own, cast-interrupted.nc.
     """
-    import numpy as np
-
     from hyperflex.model import Setup
     from hyperflex.simulation import INTERRUPTED, file_size
     from hyperflex.simulation import simulate as run
@@ -65,6 +73,8 @@ def simulate(
     with output.keeping({"run": out}, "until when it can be trusted", result, as_json=json):
         trust = {} if horizon is None else _trust(wanted, duration, horizon)
     result |= trust
+    with output.keeping({"run": out}, "how the rope lies on the pegs", result, as_json=json):
+        result["pegs"] = [_wound(trajectory, peg, tug) for peg in trajectory.setup.round_pegs]
     x, y = trajectory.tip[-1]
     output.show(
         result,
@@ -74,11 +84,43 @@ def simulate(
             ("greatest |x| of the tip", f"{result['greatest_x_m']:.4f} m"),
             ("greatest motor torque", f"{result['greatest_torque_Nm']:.4g} N m"),
             ("energy error", f"{result['energy_error_J']:.2g} J of {worked:.3g} J moved"),
+            *((f"peg at ({peg['x_m']:g}, {peg['y_m']:g}) m", _told_of(peg)) for peg in result["pegs"]),
             *([("trusted", _told(trust))] if trust else []),
-            ("written", f"{out} ({trajectory.t.size} samples); hyperflex view {out} plays it"),
+            ("written", f"{out} ({trajectory.t.size} samples); hyperflex view plays it, hyperflex plot draws it"),
         ],
         as_json=json,
     )
+
+
+def _wound(run: "Trajectory", peg: "Peg", tug: bool) -> dict[str, Any]:
+    """Return how the rope lies on a peg at the end of a run, and on demand what it holds."""
+    from hyperflex import winding
+
+    measured = winding.measure_winding(run, peg)
+    found = {
+        "x_m": peg.x,
+        "y_m": peg.y,
+        "turns": measured.turns[-1],
+        "covered_rad": measured.contact[-1],
+        "slip_m": winding.rope_slip(run, peg, since=max(run.t[0], run.t[-1] - WATCH))[-1],
+        "tension_N": measured.before[-1],
+    }
+    if tug and np.isfinite(measured.before[-1]):
+        pulled = winding.tug_test(run, peg)
+        found |= {"hold_N": pulled.hold, "tug_slipped": pulled.slipped}
+    return found
+
+
+def _told_of(peg: dict[str, Any]) -> str:
+    turns = f"{peg['turns']:.2f} turns"
+    if np.isnan(peg["tension_N"]):
+        return f"{turns}; the rope does not touch it at the end"
+    slip = peg["slip_m"]
+    on = f"slipped {1e3 * slip:.1f} mm" if np.isfinite(slip) else "came to lie on it, or let go,"
+    words = f"{turns}, {np.degrees(peg['covered_rad']):.0f} degrees covered, {on} in the last {WATCH:g} s"
+    if "hold_N" not in peg:
+        return words
+    return f"{words}; holds {'' if peg['tug_slipped'] else 'at least '}{peg['hold_N']:.2g} N"
 
 
 def _leave(part: "Trajectory", out: Path, as_json: bool) -> NoReturn:

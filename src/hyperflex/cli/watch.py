@@ -116,7 +116,7 @@ def _run(follow: Watch, until: float, takers: list[Callable[[LiveEstimate], None
                 output.print_json(_line(estimate), one_line=True)
             else:
                 said("   ".join(_status(estimate)))
-                for words in estimate.news:
+                for words in estimate.messages:
                     sys.stderr.write(f"hyperflex: {estimate.t:.2f} s: {words}\n")
             if time.monotonic() - begin > until:
                 return
@@ -137,7 +137,7 @@ def _line(estimate: LiveEstimate) -> dict[str, Any]:
     """Return an estimate for a program."""
     names = ("t", "found", "tip", "tip_std", "age", "latency", "rate", "seen", "markers")
     state = {"frame": estimate.frame is not None, "q": estimate.state.q, "qd": estimate.state.qd}
-    return {name: getattr(estimate, name) for name in names} | state | {"news": list(estimate.news)}
+    return {name: getattr(estimate, name) for name in names} | state | {"messages": list(estimate.messages)}
 
 
 def _tell(result: dict[str, Any], as_json: bool) -> None:
@@ -150,8 +150,8 @@ def _tell(result: dict[str, Any], as_json: bool) -> None:
             ("seen", f"{100.0 * result['seen']:.1f} % of all markers, {result['found']} frames with a rope"),
             ("latency", f"median {1e3 * latency['median']:.1f} ms, of 99 % at most {1e3 * latency['p99']:.1f} ms"),
             *((name, f"{each['value']:.5g} ± {each['std']:.2g}") for name, each in result["estimated"].items()),
-            ("events", str(result["news"])),
-            *([("doubt", result["doubt"])] if result["doubt"] else []),
+            ("messages", str(result["messages"])),
+            *([("warning", result["warning"])] if result["warning"] else []),
             ("written", str(result["output"])),
         ],
         as_json=as_json,
@@ -163,13 +163,13 @@ class _Tally:
     """Counts what a run has seen."""
 
     def __init__(self) -> None:
-        self.frames = self.found = self.seen = self.markers = self.news = 0
+        self.frames = self.found = self.seen = self.markers = self.messages = 0
         self.changes: list[Change] = []
         self.latency = [0] * 4096  # frames of 0 to 0.1 ms, 0.1 to 0.2 ms, ...
 
     def note(self, estimate: LiveEstimate) -> None:
         """Count an estimate."""
-        self.news += len(estimate.news)
+        self.messages += len(estimate.messages)
         self.changes += [] if estimate.tracked is None else estimate.tracked.changes
         if estimate.frame is None:
             return
@@ -185,9 +185,9 @@ class _Tally:
             "found": self.found,
             "seen": self.seen / max(self.markers, 1),
             "latency_s": {"median": self._quantile(0.5), "p99": self._quantile(0.99)},
-            "news": self.news,
+            "messages": self.messages,
             "noise_level": tracker.estimator.measurement_noise.value,
-            "doubt": tracker.doubt,
+            "warning": tracker.warning,
             "changes": [asdict(change) for change in self.changes],
             "estimated": {
                 name: {"value": value, "std": std} for name, (value, std) in tracker.estimator.values.items()

@@ -71,7 +71,9 @@ def whip(
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
     if task.obstacles:
-        raise InvalidInput("whips are planned without obstacles", got=task.obstacles, fix="Leave them out")
+        raise InvalidInput(
+            "whips are planned without obstacles", got=f"{len(task.obstacles)} obstacles", fix="Leave them out"
+        )
     options = {"direction": direction, "angle_tolerance": angle_tolerance, "least_speed": least_speed}
     asked = _target(task, target, options)
     angle = asked.get("direction")

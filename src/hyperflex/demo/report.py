@@ -10,6 +10,7 @@ import numpy as np
 from hyperflex import files
 from hyperflex.demo import twin
 from hyperflex.demo.run import INTERVAL, Demo, Parameter, run_demo
+from hyperflex.interruption import interruptible
 from hyperflex.paper import T_MOVE, T_REST, casting_arm
 from hyperflex.report import (
     BLUE,
@@ -22,6 +23,7 @@ from hyperflex.report import (
     Progress,
     Section,
     TextTable,
+    check_folder,
     fit_figure,
     fitted_channels,
     legend,
@@ -81,15 +83,30 @@ class DemoReport:
     verdicts: tuple[tuple[bool, str], ...]  # on the planned cast, and on the same throw of the rope that was recorded
 
 
+@interruptible()
 def write_demo(directory: str | Path, progress: Progress = silent) -> DemoReport:
-    """Run the demo and write its folder, as :func:`hyperflex.report.folder.whole_folder` does."""
+    """Run the demo and write its folder, as :func:`hyperflex.report.folder.whole_folder` does.
+
+    Where the folder cannot be written in the end, it goes to a fallback folder, see :func:`hyperflex.files.rescued`.
+    """
+    check_folder(directory)
+    done: list[tuple[Demo, bytes]] = []  # worked out once, and the video of what was tracked
+    return files.rescued(lambda folder: _write_folder(folder, progress, done), Path(directory))
+
+
+def _write_folder(directory: Path, progress: Progress, done: list[tuple[Demo, bytes]]) -> DemoReport:
+    """Write the folder of the demo; run it, unless that is `done`."""
     with whole_folder(directory) as stage:
-        demo = run_demo(progress, stage / "tracked.mp4")
+        if not done:
+            demo = run_demo(progress, stage / "tracked.mp4")
+            done.append((demo, (stage / "tracked.mp4").read_bytes()))
+        demo, video = done[0]
+        files.write_bytes(stage / "tracked.mp4", video)
         winding = CastReport(demo.plan, demo.held, "wound")
         verdicts = ((demo.plan.success, winding.verdict), *_proof(demo))
         report = DemoReport({}, demo, _parameters_table(demo), _reaches_table(demo), verdicts)
         names = _write(stage, report, winding, progress)
-    return replace(report, files={kind: Path(directory) / name for kind, name in names.items()})
+    return replace(report, files={kind: directory / name for kind, name in names.items()})
 
 
 def _write(folder: Path, report: DemoReport, winding: CastReport, progress: Progress) -> dict[str, str]:
@@ -260,7 +277,7 @@ def _in_short(demo: Demo) -> Section:
     )
     setup = (
         f"Rope: {rope.total_length:g} m, {rope.total_mass:g} kg. Recording: {recording.t.size} frames over "
-        f"{recording.duration:g} s, {recording.n_links} markers, the first "
+        f"{recording.duration:.1f} s, {recording.n_links} markers, the first "
         f"{demo.identification.settings['fitted_to']:.1f} s fitted. Cast: arm of {1e3 * casting_arm().length:g} mm, "
         f"half a turn in {T_MOVE:g} s, rest {T_REST['success']:g} s, through the bottom."
     )

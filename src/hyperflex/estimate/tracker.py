@@ -201,7 +201,7 @@ class RopeTracker(CameraTracker):
         return self._result(t, found.places, found.covariances, predicted, _of_each(spread), rows)
 
     @property
-    def doubt(self) -> str:
+    def warning(self) -> str:
         """What speaks against all this: nothing, or that what is seen and what the rope can do are far apart."""
         level, disturbance = self.estimator.measurement_noise.value, self.estimator.process_noise
         density, known = float(disturbance.value[0]), float(disturbance.log_std[0]) < KNOWN

@@ -192,7 +192,7 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, source: st
     where = ", ".join(f"{arc:.5g}" for arc in now)
     convention = f"positions in m, x right, y up from the camera's origin, of markers at {where} m along the rope"
     recording = _recording(tracker, found, seen, "; ".join([convention, *applied]), source)
-    notes = [*said, *([tracker.doubt] if tracker.doubt else []), *applied, *_missing(arcs, kept)]
+    notes = [*said, *([tracker.warning] if tracker.warning else []), *applied, *_missing(arcs, kept)]
     notes += _of_the_rope(wanted, now) + _untold(tracker)
     return VideoTrack(
         recording,

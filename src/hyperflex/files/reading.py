@@ -33,7 +33,7 @@ def regular_file(path: PathLike, what: str = "file", most: float = LARGEST) -> P
             f"the path of the {what} is no path", got=path, allowed="a name that can be encoded"
         ) from None
     if stat.S_ISDIR(status.st_mode):
-        raise FileProblem(f"{path} is a folder, not a {what}.")
+        raise FileProblem(f"{path} is a folder, not a {what}. Add a file name.")
     if not stat.S_ISREG(status.st_mode):
         raise FileProblem(
             f"{path} is a device, pipe or socket, not a {what}. Only regular files are read: save what comes from it "
@@ -57,7 +57,7 @@ def read_bytes(path: PathLike, what: str = "file", most: int = LARGEST) -> bytes
     except FileProblem:
         raise
     except OSError as error:
-        raise FileProblem(f"The {what} {path} cannot be read: {error.strerror}.") from error
+        raise FileProblem(f"The {what} {path} cannot be read: {error.strerror}. Give another path.") from error
 
 
 def read_text(path: PathLike, what: str = "file", most: int = LARGEST) -> str:

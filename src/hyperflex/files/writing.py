@@ -134,7 +134,7 @@ def _target(path: PathLike) -> Path:
     except FileNotFoundError:
         kind = None
     except OSError as error:
-        raise FileProblem(f"{target} cannot be reached: {error.strerror}.") from error
+        raise FileProblem(f"{target} cannot be reached: {error.strerror}. Give another path.") from error
     if kind is not None and stat.S_ISDIR(kind):
         raise FileProblem(f"{target} is a folder, not a file. Add a file name.")
     if kind is not None and not stat.S_ISREG(kind):
@@ -164,11 +164,11 @@ def _write_problem(target: Path, part: Path, error: OSError) -> FileProblem:
     if isinstance(error, PermissionError):
         return FileProblem(f"{target} could not be written: no permission. {stands}. Give a path you may write to.")
     ours = getattr(error, "filename", None) in (None, str(part))
-    if isinstance(error, FileNotFoundError) and ours:
+    if isinstance(error, FileNotFoundError) and (ours or part == target):
         return FileProblem(
             f"{target} could not be written: its folder takes no new files. {stands}. Give another path."
         )
     if getattr(error, "errno", None) == errno.EROFS:
         return FileProblem(f"{target} could not be written: the disk is read-only. {stands}. Give a path on another.")
     reason = (ours and getattr(error, "strerror", None)) or str(error).replace(part.name, target.name)
-    return FileProblem(f"{target} could not be written: {reason}. {stands}.")
+    return FileProblem(f"{target} could not be written: {reason}. {stands}. Give another path.")

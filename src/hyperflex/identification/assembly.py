@@ -42,8 +42,12 @@ def assemble_result(
     remark: str,
     intervals: dict[str, Interval] | None = None,
     tests: tuple[ScoreTest, ...] = (),
+    early: str = INTERRUPTED,
 ) -> Identification:
-    """Return the result of a fit; `remark` joins the verdict, intervals of the ratios those of the parameters."""
+    """Return the result of a fit, whose message is `early` if it was interrupted.
+
+    `remark` joins the verdict, intervals of the ratios those of the parameters.
+    """
     plant, information, found, windows = basis.plant, basis.information, basis.fit, basis.windows
     parameters = plant.parameters
     x = parameters.rounded(found.x)
@@ -53,7 +57,7 @@ def assemble_result(
         residuals, torque = residuals[:, :-1], residuals[:, -1]
     known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     moves = ratio_spread(parameters, information, model=True)
-    message = INTERRUPTED if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
+    message = early if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
     unit, declared = "rad" if isinstance(plant.sensor, Angles) else "m", settings["noise"] == "declared"
     warnings = (
         not_converged(message),

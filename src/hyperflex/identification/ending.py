@@ -1,10 +1,14 @@
 """How a search ended: success, status and message, as scipy's OptimizeResult has them."""
 
 CONVERGED, NOT_CONVERGED, INTERRUPTED = "converged", "not converged", "interrupted"
+OUT_OF_TIME = "time budget exceeded"
 
 
 class Ended:
-    """A result with a `message`: ``converged``, ``not converged``, or ``interrupted`` (Ctrl-C; the best so far)."""
+    """A result with a `message`: ``converged``, ``not converged``, ``interrupted`` (Ctrl-C; the best so far).
+
+    Or ``time budget exceeded``: the best so far as well.
+    """
 
     message: str
 

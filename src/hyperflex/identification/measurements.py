@@ -15,6 +15,7 @@ from hyperflex.recording import Recording, unwrap
 
 BEND = 0.5  # rad, standard deviation of the turn from the middle of a link to that of the next, over sqrt(n links)
 STUCK = 0.02  # of the swing of the marker that swings most, per distance from the first joint
+BENDS = 256  # that are looked at
 SWAY = 5.0  # rad/s, the same of its rate
 UNTOLD = 2e-3  # of the rope's length: noise of a marker where none is given and it must be weighed against these
 
@@ -66,20 +67,22 @@ def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: 
     if arc_lengths is None:
         angles = recording.angles()
         return Measurements(angles, angles)
-    if arc_lengths.size == 1 and joint is not None:
+    along, places = recording, arc_lengths
+    if arc_lengths[0] > 0.0 and joint is not None:
         along = replace(recording, data=np.column_stack([joint, recording.data]), noise=None)
-        shape = _shape(along, rope, np.append(0.0, arc_lengths))
-    else:
-        shape = _shape(recording, rope, arc_lengths)
+        places = np.append(0.0, arc_lengths)
+    shape = _shape(along, rope, places)
     n, prior, assumed = rope.n_links, None, False
-    if arc_lengths.size - 1 < n and n > 1:
+    sides: tuple[Recording, ...] = ()
+    if places.size - 1 < n and n > 1:
         turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n)
         none = np.zeros_like(turn)
         prior = np.block([[turn / BEND, none], [none, turn / SWAY]])
         assumed = recording.noise is None
         if assumed:
             recording = replace(recording, noise=np.array(UNTOLD * rope.total_length))
-    return Measurements(recording, shape, prior, assumed)
+        sides = tuple(_shape(along, rope, places, side) for side in (1.0, -1.0))
+    return Measurements(recording, shape, prior, assumed, sides)
 
 
 def with_torque(measured: Measurements, torque: npt.ArrayLike, noise: npt.ArrayLike | None) -> Measurements:
@@ -106,21 +109,47 @@ def with_torque(measured: Measurements, torque: npt.ArrayLike, noise: npt.ArrayL
     return replace(measured, channels=joined)
 
 
-def _shape(recording: Recording, rope: Rope, arc_lengths: Array) -> Recording:
-    """Return each link's angle (T, n): that of the line between the markers on either side of its middle."""
+def _shape(recording: Recording, rope: Rope, arc_lengths: Array, side: float = 0.0) -> Recording:
+    """Return each link's angle (T, n): that of the line between the markers on either side of its middle.
+
+    With `side` 1.0 or -1.0 links between two markers are bent evenly to that side, as far as their distance asks.
+    """
     places = recording.data.reshape(recording.t.size, -1, 2)
     middle = np.cumsum(rope.length) - 0.5 * rope.length
     angles = np.full((recording.t.size, rope.n_links), np.nan)
+    bends: dict[tuple[float, float], tuple[Array, Array]] = {}
     for row, frame in enumerate(places):
         known = np.flatnonzero(~np.isnan(frame).any(axis=1))
-        if known.size > 1:
-            step = np.diff(frame[known], axis=0)
-            after = np.clip(np.searchsorted(arc_lengths[known], middle) - 1, 0, known.size - 2)
-            angles[row] = np.arctan2(step[after, 0], -step[after, 1])
+        if known.size < 2:
+            continue
+        step, arcs = np.diff(frame[known], axis=0), arc_lengths[known]
+        after = np.clip(np.searchsorted(arcs, middle) - 1, 0, known.size - 2)
+        angles[row] = np.arctan2(step[after, 0], -step[after, 1])
+        for k in np.unique(after) if side else ():
+            ends = (float(arcs[k]), float(arcs[k + 1]))
+            if ends not in bends:
+                bends[ends] = _bends(rope, *ends)
+            distance, turns = bends[ends]
+            least = min(int(np.searchsorted(-distance, -np.hypot(*step[k]))), BENDS - 1)
+            angles[row] += side * np.where(after == k, turns[least], 0.0)
     angles = unwrap(angles)
     first = np.array([column[np.flatnonzero(~np.isnan(column))[0]] for column in angles.T])
-    angles += np.unwrap(first) - first  # whole turns: neighbours begin within half a turn of each other
+    if not side:
+        angles += np.unwrap(first) - first  # whole turns: neighbours begin within half a turn of each other
     return replace(recording, data=angles, kind="angles", noise=None, rates=None, convention="")
+
+
+def _bends(rope: Rope, begin: float, end: float) -> tuple[Array, Array]:
+    """Return distances (BENDS,), m, of two places (m along the rope) if it is bent evenly between them, more and more.
+
+    And the links' angles (BENDS, n) from the line between them.
+    """
+    ends = np.cumsum(rope.length)
+    share = np.clip(np.minimum(ends, end) - np.maximum(ends - rope.length, begin), 0.0, None)
+    along_rope = (ends - 0.5 * rope.length - 0.5 * (begin + end)) / (end - begin)
+    bend = np.linspace(0.0, 2.0 * np.pi, BENDS)[:, None] * along_rope
+    across, along = (share * np.sin(bend)).sum(axis=1), (share * np.cos(bend)).sum(axis=1)
+    return np.hypot(across, along), bend - np.arctan2(across, along)[:, None]
 
 
 def first_joint(recording: Recording, arc_lengths: Array, pivot: Array) -> Array:

@@ -11,36 +11,36 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import Interrupted, InvalidInput
+from hyperflex.errors import IdentificationError, Interrupted
 from hyperflex.identification.assembly import assemble_result
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, scaled_angles, suspicious
 from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
 from hyperflex.identification.diagnosis.grade import misdeclared
 from hyperflex.identification.diagnosis.link_test import link_test
 from hyperflex.identification.diagnosis.model_error import with_model_error
-from hyperflex.identification.diagnosis.score_tests import ScoreTest, score_tests, with_sway
-from hyperflex.identification.ending import INTERRUPTED
+from hyperflex.identification.diagnosis.score_tests import LENGTHS, ScoreTest, score_tests, with_sway
+from hyperflex.identification.ending import INTERRUPTED, OUT_OF_TIME
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
 from hyperflex.identification.fit.multiple_shooting import Report, one_thread
-from hyperflex.identification.fit.stages import Measurements, fit_in_stages, search_delay, with_delay
+from hyperflex.identification.fit.stages import Measurements, check_memory, fit_in_stages, search_delay, with_delay
 from hyperflex.identification.fit.windows import part_left, usual_length, with_enough_frames
 from hyperflex.identification.measurements import with_torque
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
-from hyperflex.identification.problem import build_plant, checked_measurements
+from hyperflex.identification.problem import build_plant, checked_measurements, refuse_half_a_drive, split
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import Basis, Interval, estimate_covariance
+from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information
 from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
 from hyperflex.identification.verdict import POOR, other_lengths, uneven_scale
-from hyperflex.interruption import caught, deferred, interruptible
+from hyperflex.interruption import caught, deferred, interruptible, time_limit
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
 from hyperflex.sensors import Markers
 
 LENGTH_STD = 0.01  # relative: what rulers and pictures measure lengths to
-TRAIN = 0.8  # part of a recording that is fitted when nothing is said
+PATIENCE = 1800.0  # s of processor time, where no time budget is given
 
 
 @interruptible(Identification)
@@ -63,6 +63,7 @@ def identify(
     lead: float = 0.5,
     ahead: float = 1.0,
     intervals: How | None = "auto",
+    time_budget: float | None = None,
     progress: bool | Report = False,
 ) -> Identification:
     """Identify a rope from its recorded motion by multiple shooting with exact derivatives.
@@ -115,6 +116,9 @@ def identify(
     intervals : {"auto", "covariance", "profile", None}
         Method of the 95 % intervals: from standard deviations; by profile likelihood (some six short fits a
         parameter); ``auto`` profiles where the covariance is skewed, as that of a parameter near 0; None: no intervals.
+    time_budget : float, s, optional
+        Of processor time, compiling left out; 1800 by default, inf: no end. The best so far is returned then, with
+        ``message == "time budget exceeded"``.
     progress : bool or callable
         True prints a line a round on standard error; a callable gets a dict with window, stage, stages, round, cost,
         gain, damping, and of a profile its parameter and ``phase="profile"``.
@@ -123,9 +127,9 @@ def identify(
     ------
     InvalidInput
         For unknown names in `free`, recordings with too few samples or without motion, links or lengths that do not
-        fit the rope.
+        fit the rope, or more samples, links and parameters than the memory holds.
     IdentificationError
-        When no window can be simulated at all.
+        When no window can be simulated at all, or the time budget was over before anything was fitted.
     Interrupted
         By Ctrl-C. Its ``partial`` is the best so far, with ``message == "interrupted"``, if anything was fitted.
 
@@ -151,14 +155,16 @@ def identify(
     checks.choice("loss", loss, LOSSES)
     if intervals is not None:
         checks.choice("intervals", intervals, HOWS)
+    if time_budget is not None:
+        checks.number("time_budget", time_budget, sign="positive", unit="s", infinite=True)
     if window is not None:
         checks.number("window", window, sign="positive", infinite=True)
     checks.number("length_std", length_std, sign="nonnegative")
-    _refuse_half_a_drive(motion, arm, torque)
+    refuse_half_a_drive(motion, arm, torque)
     measured, places = checked_measurements(recording, rope_guess, arc_lengths, origin, motion, arm)
-    fitted, rest = _split(measured, train, lead, ahead)
+    fitted, rest = split(measured, train, lead, ahead)
     check_excitation(fitted.channels, fitted.shape, rope_guess, moved=motion is not None)
-    seen = fitted if torque is None else _split(with_torque(measured, torque, torque_noise), train, lead, ahead)[0]
+    seen = fitted if torque is None else split(with_torque(measured, torque, torque_noise), train, lead, ahead)[0]
     problem = _Problem(
         recording=recording,
         guess=rope_guess,
@@ -177,13 +183,9 @@ def identify(
         lead=lead,
         ahead=ahead,
         report=_reporter(progress),
+        limit=time_limit(PATIENCE if time_budget is None else time_budget),
     )
-    remark = ""
-    if free is None:
-        trial, remark = choose_parameters(problem.fit, rope_guess)
-    else:
-        trial = problem.fit(free)
-    result = problem.complete(trial, intervals, remark, began)
+    result = problem.solve(free, intervals, began)
     if result.message == INTERRUPTED:
         raise Interrupted(result)
     return result
@@ -213,6 +215,21 @@ class _Problem:
     lead: float
     ahead: float
     report: Report
+    limit: time_limit
+
+    def solve(self, free: Sequence[str] | None, intervals: How | None, began: float) -> Identification:
+        """Return the result, or the best of it within the time limit."""
+        with self.limit:
+            try:
+                trial, remark = choose_parameters(self.fit, self.guess) if free is None else (self.fit(free), "")
+            except KeyboardInterrupt:
+                if not self.limit.over:
+                    raise
+                raise IdentificationError(
+                    f"The time budget was over before anything was fitted to {self.fitted.channels.t.size} samples. "
+                    "Allow more (time_budget=...), give a part of the recording, or look at its unit and its noise."
+                ) from None
+            return self.complete(trial, intervals, remark, began)
 
     def fit(self, free: Sequence[str]) -> Trial:
         """Return the fit of these parameters, its covariance and score tests."""
@@ -226,11 +243,11 @@ class _Problem:
             delay["delay_from"] = search_delay(plant.without_torque(), self.untorqued, usual, self.loss)
             plant = with_delay(plant, delay["delay_from"])
         length = min(usual if self.window is None else self.window, 1.001 * self.fitted.channels.duration)
+        check_memory(plant, self.fitted, length)
         found, windows, settings = fit_in_stages(plant, self.fitted, length, usual, self.report, self.loss)
         tests: tuple[ScoreTest, ...] = ()
+        basis = Basis(plant, windows, found, fit_information(plant, windows, found))
         with caught() as stop:  # what was fitted is worth more than its tests
-            with deferred():
-                basis = Basis(plant, windows, found, estimate_covariance(plant, windows, found))
             if found.converged and not found.interrupted:
                 plain, tests = basis, score_tests(basis)
                 basis = with_model_error(plain, tests, self.length_std)  # what stands if the next test is interrupted
@@ -256,17 +273,18 @@ class _Problem:
         settings = trial.settings | {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
         settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
         settings |= _fit_settings(basis.plant, trial.free, self.loss.name, self.origin)
-        settings["length_std"] = self.length_std if tests else 0.0  # which counts the lengths
+        tested = any(each.name == LENGTHS for each in tests)
+        settings["length_std"] = self.length_std if tested else 0.0  # else nothing counts the lengths
         settings["noise"] = "not declared" if self.recording.noise is None else "declared"
         lengths = "" if self.arc_lengths is not None else other_lengths(self.recording, self.guess)
         with caught() as stop:
             with deferred():
-                result = assemble_result(basis, held_out, settings, lengths, ranges, tests)
+                result = assemble_result(basis, held_out, settings, lengths, ranges, tests, self._early)
             if not found.interrupted:
                 result = self._doubted(result, trial)
         if stop.met:
             found.interrupted = True
-            result = assemble_result(basis, held_out, settings, lengths, ranges, tests)
+            result = assemble_result(basis, held_out, settings, lengths, ranges, tests, self._early)
         return result.with_remark(remark) if remark else result
 
     def _doubted(self, result: Identification, trial: Trial) -> Identification:
@@ -279,44 +297,20 @@ class _Problem:
             result = result.with_reason(explained(self.recording, self.origin, short, named=named))
         return result.with_reason(uneven_scale(self.recording)) if self.arc_lengths is None else result
 
+    @property
+    def _early(self) -> str:
+        """What has ended a fit that was interrupted."""
+        return OUT_OF_TIME if self.limit.over else INTERRUPTED
+
     def _intervals(self, trial: Trial, how: How | None) -> dict[str, Interval] | None:
-        if how is None:
-            return None
         basis = trial.basis
+        if how is None or not basis.information.estimated:
+            return None
         if not basis.fit.converged or basis.fit.interrupted:
             how = "covariance"
         if how == "auto" and (misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > POOR):
             how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
         return all_intervals(basis, how, report=self.report)
-
-
-def _refuse_half_a_drive(motion: Motion | None, arm: Arm | None, torque: npt.ArrayLike | None) -> None:
-    if arm is not None and motion is None:
-        raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
-    if torque is not None and arm is None:
-        raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
-
-
-def _split(
-    measured: Measurements, train: float | None, lead: float, ahead: float
-) -> tuple[Measurements, Measurements | None]:
-    """Return the part to fit and the part held out."""
-    every = measured.channels
-    checks.number("lead", lead, sign="positive", unit="s")
-    checks.number("ahead", ahead, sign="positive", unit="s")
-    if train is None:
-        time = float(every.t[0] + TRAIN * every.duration)
-        if every.t[-1] - time < lead + ahead:
-            return measured, None
-    else:
-        time = checks.number("train", train, unit="s", infinite=True)
-        if time > every.t[-1]:
-            return measured, None
-        if time <= every.t[0]:
-            raise InvalidInput("train leaves nothing to fit", got=time, allowed=f"a time after {every.t[0]:g} s")
-    fitted = measured.between(-np.inf, time)
-    rest = every.t >= time
-    return fitted, measured.between(time, np.inf) if rest.sum() > 1 else None
 
 
 def _fit_settings(plant: Plant, free: Sequence[str], loss: str, origin: npt.ArrayLike | None) -> dict[str, Any]:

@@ -19,6 +19,8 @@ from hyperflex.motion import Motion
 from hyperflex.recording import Recording
 from hyperflex.sensors import Angles, Markers
 
+TRAIN = 0.8  # part of a recording that is fitted when nothing is said
+
 
 def checked_measurements(
     recording: Recording,
@@ -37,12 +39,12 @@ def checked_measurements(
         places = checked_arc_lengths(recording, rope, arc_lengths)
         refuse_still_markers(recording, places)
         joint = None
-        if places.size == 1:
-            if origin is None:
-                raise InvalidInput(
-                    "one marker alone does not show where the rope hangs from",
-                    fix="Say where the camera sees that: origin=(x, y), in m; or track a second marker",
-                )
+        if places.size == 1 and origin is None:
+            raise InvalidInput(
+                "one marker alone does not show where the rope hangs from",
+                fix="Say where the camera sees that: origin=(x, y), in m; or track a second marker",
+            )
+        if origin is not None:
             joint = checks.array("origin", origin, (2,), unit="m") + pivot_places(motion, arm, recording.t)
         return measure(recording, rope, places, joint), places
     if recording.n_links != rope.n_links:
@@ -92,3 +94,33 @@ def build_plant(
     starts = {"origin_x": float(place[0]), "origin_y": float(place[1])}
     chosen = [replace(each, start=starts.get(each.name, each.start)) for each in chosen]
     return Plant(Parameters(guess, chosen), Markers(arc_lengths, place), motion, arm, torque=torque)
+
+
+def refuse_half_a_drive(motion: Motion | None, arm: Arm | None, torque: npt.ArrayLike | None) -> None:
+    """Refuse an arm without its motion, and a torque without its arm."""
+    if arm is not None and motion is None:
+        raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or leave arm out")
+    if torque is not None and arm is None:
+        raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
+
+
+def split(
+    measured: Measurements, train: float | None, lead: float, ahead: float
+) -> tuple[Measurements, Measurements | None]:
+    """Return the part to fit and the part held out."""
+    every = measured.channels
+    checks.number("lead", lead, sign="positive", unit="s")
+    checks.number("ahead", ahead, sign="positive", unit="s")
+    if train is None:
+        time = float(every.t[0] + TRAIN * every.duration)
+        if every.t[-1] - time < lead + ahead:
+            return measured, None
+    else:
+        time = checks.number("train", train, unit="s", infinite=True)
+        if time > every.t[-1]:
+            return measured, None
+        if time <= every.t[0]:
+            raise InvalidInput("train leaves nothing to fit", got=time, allowed=f"a time after {every.t[0]:g} s")
+    fitted = measured.between(-np.inf, time)
+    rest = every.t >= time
+    return fitted, measured.between(time, np.inf) if rest.sum() > 1 else None

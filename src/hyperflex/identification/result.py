@@ -64,7 +64,8 @@ class Identification(Ended):
         time of the residuals (samples), seconds taken; ``free``, loss, base, and where given `arc_lengths`, `origin`
         and the delay that the fit started from (s).
     message, unit : str
-        ``converged``, ``not converged`` or ``interrupted`` (the best so far); ``rad`` or ``m``.
+        ``converged``, ``not converged``, ``interrupted`` or ``time budget exceeded`` (the best so far); ``rad``
+        or ``m``.
     history : tuple of dict
         Round by round: window length, stage (of how many stages), round, cost, gain, damping.
     torque_residuals : (m,) N m, or None
@@ -108,6 +109,8 @@ class Identification(Ended):
         """The fit itself, for profiles and the bootstrap; raises InvalidInput for a result read from a file."""
         if self._basis is None:
             raise InvalidInput("this result no longer has its fit", fix="Run identify again, in this session")
+        if not self._basis.information.estimated:
+            raise InvalidInput("this fit was interrupted before its deviations were found", fix="Run identify again")
         return self._basis
 
     @property
@@ -156,7 +159,7 @@ class Identification(Ended):
 
     def _changed(self, **fields: Any) -> "Identification":
         result: Identification = replace(self, **fields)
-        object.__setattr__(result, "_basis", self.basis)
+        object.__setattr__(result, "_basis", self._basis)
         return result
 
     def to_json(self, path: PathLike) -> None:

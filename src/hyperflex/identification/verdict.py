@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.ending import CONVERGED
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, OUT_OF_TIME
 from hyperflex.identification.fit.loss import NORMAL, Loss
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters
@@ -35,6 +35,8 @@ LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a
 
 def verdict(parameters: Parameters, information: Information, spreads: dict[str, Array]) -> list[str]:
     """Return in words what is identifiable; `spreads` (n,) are standard deviations of the ratios."""
+    if not information.estimated:
+        return ["It ended before deviations and intervals were worked out: there are none."]
     return _unknown(parameters, information, spreads) + _values(parameters, information)
 
 
@@ -42,10 +44,13 @@ def not_converged(message: str) -> str:
     """Return a warning where a fit did not converge."""
     if message == CONVERGED:
         return ""
-    return (
-        f"The fit is {message}: its values, ratios and deviations are where it stood, not what the data say. Give a "
-        "better guess, shorter windows or fewer free parameters."
-    )
+    how, advice = message, "Give a better guess, shorter windows or fewer free parameters."
+    if message == INTERRUPTED:
+        advice = "Let it run to its end."
+    elif message == OUT_OF_TIME:
+        how = "out of time"
+        advice = "Give a better guess, shorter windows or fewer free parameters, or a longer time budget."
+    return f"The fit is {how}: its values, ratios and deviations are where it stood, not what the data say. {advice}"
 
 
 def consistent(words: list[str]) -> list[str]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hyperflex.planning.plan_files import read_plan
     from hyperflex.planning.robust.posterior import RopePosterior
     from hyperflex.planning.robust.scenario_rollouts import SuccessProbability, estimate_success_probability
-    from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
+    from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty, scaled_rope
     from hyperflex.planning.throw import Throw
     from hyperflex.planning.whip.aim import FRICTION_STD, LENGTH_STD, TIMING_STD
     from hyperflex.planning.whip.impact import IMPACT_RADIUS, IMPACT_TIME, Impact

@@ -7,8 +7,13 @@ from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, as_path, read_netcdf, regular_file
 from hyperflex.recording import csv as _csv
 from hyperflex.recording import matfile as _matfile
+from hyperflex.recording import mcap as _mcap
+from hyperflex.recording import rosbag as _rosbag
 from hyperflex.recording.declare import FASTEST, Raw, to_recording
+from hyperflex.recording.messages import Selection
 from hyperflex.recording.recording import VARIABLE, Kind, Recording
+
+SUFFIXES = (".csv", ".txt", ".nc", ".mat", ".mcap", ".db3")
 
 
 def read_recording(
@@ -26,11 +31,13 @@ def read_recording(
     angles: str | None = None,
     wrapped: bool | None = None,
     columns: Sequence[str] | None = None,
+    topic: str | None = None,
+    plane: str | None = None,
     noise: object = None,
     max_rate: float = FASTEST,
     name: str | None = None,
 ) -> Recording:
-    r"""Read measured angles or markers from a CSV, NetCDF or MultiArm-pendulum ``.mat`` file.
+    r"""Read measured angles or markers from a CSV, NetCDF, MCAP or MultiArm-pendulum ``.mat`` file, or a ROS 2 bag.
 
     Units, axes, scale and frame rate are what the file or the arguments declare. What neither declares is refused
     with the name of the argument; what both declare must agree. A CSV file declares by notes before its header
@@ -39,11 +46,12 @@ def read_recording(
     Parameters
     ----------
     path : path-like
-        The format follows from the suffix: ``.csv`` (also ``.txt``), ``.nc`` or ``.mat``.
+        The format follows from the suffix: ``.csv`` (also ``.txt``), ``.nc``, ``.mat``, ``.mcap`` or ``.db3``; a bag
+        is a folder. MCAP needs the extra ``mcap``, bags the extra ``ros``.
     kind : {"angles", "markers"}, optional
-        Needed only where a CSV file holds both, or with `columns`.
+        Needed only where a file holds both, or with `columns` of a CSV file.
     time : str
-        Name of the time column (CSV).
+        Name of the time column (CSV); of messages "t", their own stamps, or "log", when they were recorded.
     time_unit : {"s", "ms", "us", "min", "frame"}
         Unit of the times; ``"frame"`` counts frames and needs `frame_rate`.
     unit : str
@@ -60,7 +68,12 @@ def read_recording(
     wrapped : bool
         True for angles that jump by whole turns; they are unwrapped, the smaller turn from sample to sample.
     columns : sequence of str, optional
-        Names of the data columns in order (CSV), for other names than ``th1, ..`` or ``x0, y0, ..``; needs `kind`.
+        Names of the data columns in order (CSV), for other names than ``th1, ..`` or ``x0, y0, ..``; needs `kind`. Of
+        joint states the names of the joints, from the motor to the tip; by default all, in the file's order.
+    topic : str, optional
+        Of an MCAP file or a bag that holds several.
+    plane : {"xz", "xy", "yz"}, optional
+        In which the rope swings, of poses in space: the axes to the right and up.
     noise : float or array_like (C,) or (T, C), optional
         Standard deviation in the unit of the data; also by CSV columns ``std_th1, ..`` or a note.
     max_rate : float, rad/s
@@ -77,6 +90,8 @@ def read_recording(
     ------
     FileProblem
         When the file is missing, empty, damaged or cut off.
+    MissingPackage
+        When the package that reads its format is not installed.
     InvalidInput
         When something is not declared, contradicts the file, or the numbers cannot be used (the place is named).
 
@@ -91,7 +106,12 @@ def read_recording(
     """
     file = as_path(path, "recording")
     suffix = file.suffix.lower()
-    if suffix in (".csv", ".txt"):
+    bag = suffix == ".db3" or _rosbag.is_bag(file)
+    if not (bag or suffix == ".mcap") and (topic is not None or plane is not None):
+        raise InvalidInput(f"topic and plane are for MCAP files and bags, {path} is neither", fix="Leave them out")
+    if bag or suffix == ".mcap":
+        raw = (_rosbag if bag else _mcap).read(path, Selection(topic, kind, columns, plane, time))
+    elif suffix in (".csv", ".txt"):
         raw = _csv.read(path, time, kind, columns)
     elif suffix in (".nc", ".mat"):
         if columns is not None or time != "t":
@@ -101,7 +121,9 @@ def read_recording(
             raise InvalidInput(f"{path} holds {raw.kind}", got=kind, fix="Leave kind out")
     else:
         regular_file(file, "recording")  # tells of one that is not there
-        raise InvalidInput(f"{path} has no known suffix", got=suffix, allowed=".csv, .txt, .nc, .mat")
+        raise InvalidInput(
+            f"{path} has no known suffix", got=suffix, allowed=f"{', '.join(SUFFIXES)}, the folder of a bag"
+        )
     given: dict[str, object] = {"time_unit": time_unit, "unit": unit, "frame_rate": frame_rate}
     given |= {"y_axis": y_axis, "scale": scale}
     given |= {"zero": zero, "sense": sense, "angles": angles, "wrapped": wrapped, "noise": noise}

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from hyperflex.report.identification.page import identification_page, write_found, write_identification
     from hyperflex.report.identification.parameters import parameters_table, ratios_table
     from hyperflex.report.notebook import identification_html, plan_html, rope_html, run_html
-    from hyperflex.report.page import Film, Picture, Section, TextTable, sections_markdown, write_page
+    from hyperflex.report.page import Film, Picture, Section, TextTable, render, sections_markdown, write_page
     from hyperflex.report.plan import PlanReport, search_summary
     from hyperflex.report.player import Line, Plot, player_html, write_player
     from hyperflex.report.strobe import strobe_figure

@@ -14,7 +14,6 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Wall
 from hyperflex.report.shapes import NO_TARGETS, ground_corners, shapes, span, view, wall_ends
 from hyperflex.trajectory import Trajectory
-from hyperflex.vision import VideoWriter
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -118,6 +117,8 @@ def animate(
     if suffix == ".gif":
         files.write_bytes(path, _gif(frames, frame_rate))
         return
+    from hyperflex.vision import VideoWriter
+
     with VideoWriter(path, (scene.view.width // _FINE, scene.view.height // _FINE)) as video:
         for number, frame in enumerate(frames):
             video.write(np.asarray(frame)[..., ::-1], number / frame_rate)  # blue first

@@ -4,7 +4,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hyperflex import files
@@ -48,7 +48,7 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
         with deferred():
             stage = _stage(target)
         yield stage
-        with deferred():
+        with deferred(), _alone(target):
             _move(stage, target, own)
     except _NotPutBackError:
         kept = True
@@ -88,6 +88,22 @@ def _stage(target: Path) -> Path:
     except OSError as error:
         raise _problem(target, error) from error
     return stage
+
+
+@contextmanager
+def _alone(target: Path) -> Iterator[None]:
+    """Let one process at a time fill a folder, where the system can lock the one above it."""
+    descriptor = None
+    with suppress(ImportError, OSError):  # Windows; some network disks
+        import fcntl
+
+        descriptor = os.open(next(path for path in target.parents if path.exists()), os.O_RDONLY)
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if descriptor is not None:
+            os.close(descriptor)
 
 
 def _move(stage: Path, target: Path, own: Sequence[str]) -> None:

@@ -71,13 +71,13 @@ def write_page(path: str | Path, title: str, lead: str, badge: str, sections: li
     files.write_text(path, render("page.html", title=title, lead=lead, badge=badge, sections=sections))
 
 
-def render(template: str, **content: Any) -> str:
-    """Return a template of this room with its content filled in."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+def render(template: str, *, room: str = "hyperflex.report", **content: Any) -> str:
+    """Return a template of a `room` with its content filled in; it may include those of this one."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     from hyperflex import __version__
 
-    loader = PackageLoader("hyperflex.report", "templates")
+    loader = ChoiceLoader([PackageLoader(each, "templates") for each in dict.fromkeys((room, "hyperflex.report"))])
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )

@@ -63,8 +63,9 @@ def player_html(
     start, end : float, optional
         Simulated time to show, s; the whole run by default.
     frame_rate : float, optional
-        Frames a simulated second, Hz; the page moves the rope between them. Where the run has samples as close as
-        that, the frames are samples. By default FRAME_RATE, or as many as make MOST_FRAMES.
+        Frames a simulated second, Hz; the page moves the rope between them on cubics. Where the run has samples as
+        close as that, the frames are samples. By default they are all samples, if these are as close as FRAME_RATE and
+        at most MOST_FRAMES; else FRAME_RATE, or as many as make MOST_FRAMES.
     speed : float
         Simulated seconds a second at first, > 0.
     title, note : str, callable, optional
@@ -84,9 +85,9 @@ def player_html(
         Another frame rate, speed or span than allowed.
     """
     first, last = span(run, start, end)
-    if frame_rate is None:
-        frame_rate = min(FRAME_RATE, MOST_FRAMES / (last - first))
-    times = _frame_times(run, first, last, checks.number("frame_rate", frame_rate, sign="positive", unit="Hz"))
+    if frame_rate is not None:
+        checks.number("frame_rate", frame_rate, sign="positive", unit="Hz")
+    times = _frame_times(run, first, last, frame_rate)
     targets = NO_TARGETS if targets is None else targets
     drawn = shapes(run, times)
     arm = run.setup.arm is not None
@@ -119,12 +120,15 @@ def write_player(run: Trajectory, path: str | Path, **options: Any) -> None:
     files.write_text(path, player_html(run, **options))
 
 
-def _frame_times(run: Trajectory, first: float, last: float, rate: float) -> Array:
-    """Return the frames' times: those samples that are next to a uniform grid, or the grid if they are too few."""
+def _frame_times(run: Trajectory, first: float, last: float, given: float | None) -> Array:
+    """Return the frames' times: samples, all or those next to a uniform grid, or the grid if they are too few."""
+    rate = min(FRAME_RATE, MOST_FRAMES / (last - first)) if given is None else given
     grid = np.linspace(first, last, max(round((last - first) * rate), 1) + 1)
     samples = run.t[(run.t >= first) & (run.t <= last)]
     if samples.size < 2 or np.diff(samples, prepend=first, append=last).max() > (1.0 + _ALIKE) / rate:
         return grid
+    if given is None and samples.size <= MOST_FRAMES + 1:
+        return np.asarray(samples)
     right = np.clip(samples.searchsorted(grid), 1, samples.size - 1)
     nearest = right - (grid - samples[right - 1] < samples[right] - grid)
     return np.asarray(samples[np.unique(nearest)])

@@ -38,7 +38,9 @@ def span(run: Trajectory, start: float | None, end: float | None) -> tuple[float
     first = float(run.t[0]) if start is None else checks.number("start", start, unit="s")
     last = float(run.t[-1]) if end is None else checks.number("end", end, unit="s")
     if not run.t[0] <= first < last <= run.t[-1]:
-        raise InvalidInput("span is not in the run", got=[first, last], allowed=f"{run.t[0]:g} to {run.t[-1]:g} s")
+        given = [f"{name}={value:g}" for name, value in (("start", start), ("end", end)) if value is not None]
+        allowed = f"times from {run.t[0]:g} to {run.t[-1]:g} s, the start before the end"
+        raise InvalidInput(f"{' and '.join(given)} is no part of the run", allowed=allowed)
     return first, last
 
 

@@ -31,6 +31,8 @@ def strobe_figure(
 ) -> "Figure":
     """Draw the rope at `count` instants of a run, early ones dark, late ones bright, with the path of the tip.
 
+    A bar of the colours in the lower left corner says from when to when.
+
     Parameters
     ----------
     run, title
@@ -61,17 +63,23 @@ def strobe_figure(
         axis.plot(*targets.T, "o", ms=15.0, mfc="none", mec=PEG, mew=1.8, zorder=7)
         _draw_arm(axis, drawn, run.setup.arm is not None)
         _draw_scale(axis, low, high)
+        _draw_key(axis, first, last)
         axis.text(
             0.018, 0.965, title, transform=axis.transAxes, color="white", fontsize=11, va="top", fontweight="bold"
         )
     return figure
 
 
-def _draw_ropes(axis: Any, ropes: Array, trail: Array) -> None:
-    from matplotlib.collections import LineCollection
+def _dusk() -> Any:
     from matplotlib.colors import LinearSegmentedColormap
 
-    dusk = LinearSegmentedColormap.from_list("dusk", _COLOURS)
+    return LinearSegmentedColormap.from_list("dusk", _COLOURS)
+
+
+def _draw_ropes(axis: Any, ropes: Array, trail: Array) -> None:
+    from matplotlib.collections import LineCollection
+
+    dusk = _dusk()
     colours = dusk(np.linspace(0.0, 1.0, len(ropes)))[:, :3]
     fade = np.linspace(0.35, 1.0, len(ropes)) ** 1.5
     for glow, opacity in ((5.5, 0.07), (3.0, 0.16), (1.4, 1.0)):
@@ -100,7 +108,7 @@ def _draw_obstacle(axis: Any, obstacle: Peg | Wall | Ground, far: float) -> None
 
     if isinstance(obstacle, Peg):
         centre = (obstacle.x, obstacle.y)
-        axis.add_patch(Circle(centre, obstacle.radius, facecolor=PEG, edgecolor="white", lw=0.8, zorder=4))
+        axis.add_patch(Circle(centre, obstacle.radius, facecolor=PEG, lw=0, zorder=1))  # below the wraps
     elif isinstance(obstacle, Wall):
         axis.plot(*np.transpose(wall_ends(obstacle)), color=PEG, lw=2.2, zorder=4)
     else:
@@ -114,3 +122,19 @@ def _draw_scale(axis: Any, low: Array, high: Array) -> None:
     axis.plot([x - length, x], [y, y], color=PALE, lw=1.2)
     text = f"{length:g} m"
     axis.text(x - 0.5 * length, y + 0.012 * (high[1] - low[1]), text, color=PALE, fontsize=8, ha="center", va="bottom")
+
+
+def _draw_key(axis: Any, first: float, last: float) -> None:
+    """Draw the colours from the first instant to the last, s, with both, in the lower left corner."""
+    from matplotlib.collections import LineCollection
+
+    x, y = np.linspace(0.03, 0.19, 65), np.full(65, 0.045)
+    pieces = list(np.stack([np.stack([x[:-1], y[:-1]], axis=1), np.stack([x[1:], y[1:]], axis=1)], axis=1))
+    colours = _dusk()(np.linspace(0.0, 1.0, 64))
+    key = LineCollection(
+        pieces, colors=colours, linewidths=5.0, transform=axis.transAxes, label="key", antialiaseds=False
+    )
+    axis.add_collection(key, autolim=False)
+    for place, t, side in ((x[0], first, "left"), (x[-1], last, "right")):
+        style: Any = {"color": PALE, "fontsize": 8, "ha": side, "va": "bottom", "transform": axis.transAxes}
+        axis.text(place, y[0] + 0.012, f"{t:.2f} s", **style)

@@ -21,7 +21,7 @@ from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import scheme
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
-from hyperflex.interruption import caught, defer_while_compiling, look
+from hyperflex.interruption import defer_while_compiling, look
 from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
 
@@ -189,31 +189,31 @@ class Interval:
 
 
 def controlled(
-    run: Rollout, interval: Interval, control: Control, period: float, go: Callable[[], int]
-) -> tuple[int, Array, Array]:
-    """Run with a torque that `control` sets every `period`, s.
+    run: Rollout,
+    interval: Interval,
+    control: Control,
+    period: float,
+    go: Callable[[], int],
+    applied: list[tuple[float, float]],
+) -> int:
+    """Run with a torque that `control` sets every `period`, s; return the last status code.
 
-    The run is driven by the interval's drive; `go` runs until ``run.limits.stop`` and returns the status code. Returns
-    the last of these (RUNNING after Ctrl-C), when the torque was set (m,), s, and what it was (m,), N m.
+    The run is driven by the interval's drive; `go` runs until ``run.limits.stop`` and returns the status code. When
+    the torque was set, s, and what it was, N m, joins `applied`, also where the run is ended.
     """
     n, limit = run.chain.length.size, run.drive.torque_limit
-    begin, stop, code, count = run.time, run.limits.stop, status.OK, 0
-    times, torques = [], []
-    with caught() as interrupt:
-        while run.time < stop and code == status.OK:
-            y = run.progress.y
-            now = run.time
-            answer = control(now, float(y[0]), float(y[n]), y[1:n].copy(), y[n + 1 : 2 * n].copy())
-            wanted = checks.number(f"torque callback at t = {now:g} s", answer, unit="N m")
-            times.append(now)
-            torques.append(float(np.clip(wanted, -limit, limit)))
-            count += 1
-            until = min(begin + count * period, stop)
-            interval.set(now, until, TORQUE, [torques[-1], 0.0, 0.0, 0.0, 0.0, 0.0])
-            run.limits = run.limits._replace(stop=until)
-            code = go()
-            restart(run.progress.clock)
-    return status.RUNNING if interrupt.met else code, np.array(times), np.array(torques)
+    begin, stop, code = run.time, run.limits.stop, status.OK
+    while run.time < stop and code == status.OK:
+        y, now = run.progress.y, run.time
+        answer = control(now, float(y[0]), float(y[n]), y[1:n].copy(), y[n + 1 : 2 * n].copy())
+        wanted = checks.number(f"torque callback at t = {now:g} s", answer, unit="N m")
+        applied.append((now, float(np.clip(wanted, -limit, limit))))
+        until = min(begin + len(applied) * period, stop)
+        interval.set(now, until, TORQUE, [applied[-1][1], 0.0, 0.0, 0.0, 0.0, 0.0])
+        run.limits = run.limits._replace(stop=until)
+        code = go()
+        restart(run.progress.clock)
+    return code
 
 
 def stored(chain: Chain, q: Array) -> Array:

@@ -133,8 +133,8 @@ def simulate(
         with the status "interrupted".
     time_budget : float, optional
         Processor time, s, after which the run ends as a failure ("time budget exceeded"). It is looked at between some
-        hundred steps; with a torque callback not at all. By default a run that would take more than half an hour, as
-        its first ten seconds promise, ends there; inf lets it take as long as it takes.
+        hundred steps. By default a run that would take more than half an hour, as every ten seconds of work promise,
+        ends there; inf lets it take as long as it takes.
     progress : bool
         Show a progress bar on standard error.
 
@@ -194,16 +194,20 @@ def simulate(
     if state is not None:
         resume(run, state, setup)
     code, name = status.RUNNING, INTERRUPTED
+    applied: list[tuple[float, float]] = []
     with caught():
         try:
-            if control is not None and control_rate is not None:
-                code, setup = _controlled(run, setup, state, control, control_rate)
-            else:
-                code = _finished(run, setup, state, (begin, begin + length), time_budget, progress)
+            with progress_bar(begin, begin + length, progress) as bar:
+                report = enforce_budget(bar, time_budget, (begin, begin + length))
+                code = _finished(run, setup, state, report, control, control_rate, applied)
         except TimeBudgetExceeded:
             if throw:
                 raise budget_error(run.time, time_budget) from None
             name = OUT_OF_TIME
+    if applied and control_rate is not None:  # for a replay
+        times, torques = np.transpose(applied)
+        setup = replace(setup, torque=_constant_torques(times, torques, begin + length + 1.0 / control_rate))
+        run.drive = setup.drive()
     if code == status.RUNNING and name == INTERRUPTED and throw:
         raise Interrupted(partial(conclude, run, setup, code, name, throw=False, skip=skip))
     event = None
@@ -238,13 +242,18 @@ def _finished(
     run: Rollout,
     setup: Setup,
     state: State | None,
-    span: tuple[float, float],
-    time_budget: float | Deadline | None,
-    progress: bool,
+    report: Callable[[float], None],
+    control: Control | None,
+    control_rate: float | None,
+    applied: list[tuple[float, float]],
 ) -> int:
-    """Run to the end of a span, s, and return the status code."""
-    with progress_bar(*span, progress) as bar:
-        return runner(run, setup, state)(enforce_budget(bar, time_budget, span))
+    """Run to the end and return the status code; the torques that `control` sets join `applied`."""
+    if control is None or control_rate is None:
+        return runner(run, setup, state)(report)
+    interval = Interval(run.drive)
+    run.drive = interval.drive
+    go = partial(runner(run, setup, state), report)
+    return controlled(run, interval, control, 1.0 / control_rate, go, applied)
 
 
 def runner(run: Rollout, setup: Setup, state: State | None) -> Callable[..., int]:
@@ -302,15 +311,3 @@ def _constant_torques(times: Array, torques: Array, end: float) -> Motion:
     coef = np.zeros((times.size, *hold_arm().coef.shape[1:]))
     coef[:, TORQUE, 0] = torques
     return Motion(breaks, coef, np.ones(breaks.size, dtype=np.bool_))
-
-
-def _controlled(run: Rollout, setup: Setup, state: State | None, control: Control, rate: float) -> tuple[int, Setup]:
-    """Run under a torque callback; the returned set-up holds the torque that was applied, for a replay."""
-    interval, stop = Interval(run.drive), run.limits.stop
-    run.drive = interval.drive
-    code, times, torques = controlled(run, interval, control, 1.0 / rate, runner(run, setup, state))
-    if not times.size:
-        return code, setup
-    setup = replace(setup, torque=_constant_torques(times, torques, stop + 1.0 / rate))
-    run.drive = setup.drive()
-    return code, setup

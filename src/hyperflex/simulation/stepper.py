@@ -16,6 +16,7 @@ from hyperflex.core.integrate.progress import JOINT, MARK, MODES, REJECTED, TAKE
 from hyperflex.core.tangent import forward_sensitivity
 from hyperflex.core.tangent.directions import Directions
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Obstacle, Rope, Setup, checked_obstacles
 from hyperflex.motion import hold_arm
 from hyperflex.simulation.arguments import chosen, whole_setup
@@ -27,6 +28,7 @@ from hyperflex.simulation.outcome import refuse_failure
 from hyperflex.simulation.restart import check_state, resume, state_of
 from hyperflex.simulation.rollouts import TABLES, Interval, finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.sensitivity.directions import check_smooth
+from hyperflex.simulation.sensitivity.sensitivity import ON
 from hyperflex.simulation.sensitivity.stiction import stiction_projection
 from hyperflex.trajectory import State
 
@@ -154,6 +156,7 @@ class Stepper:
         time = checks.number("t", t, unit="s")
         return State(time, q, qd, arm_angle=setup.arm_angle0, arm_rate=setup.arm_rate0)
 
+    @interruptible()
     def step(self, state: State, command: float, dt: float) -> State:
         """Return the state an interval later.
 
@@ -178,6 +181,7 @@ class Stepper:
         self._finish()
         return self._state(arm)
 
+    @interruptible()
     def linearize(self, state: State, command: float, dt: float) -> Linearization:
         """Return the state an interval later, and its derivatives.
 
@@ -204,7 +208,7 @@ class Stepper:
         times = np.array([run.drive.breaks[0], run.time])
         begins = stiction_projection(run.chain, run.drive, times[0], begin[:n], steps[0, MODES:], seeds, start)
         forward_sensitivity.forward_sensitivities(
-            run.chain, run.drive, TABLES, steps, times[0], begins, seeds, times, y, jacobian
+            run.chain, run.drive, TABLES, steps, times[0], begins, seeds, times, y, jacobian, ON
         )
         moved = jacobian[1]
         if self.command != "torque":  # the arm is no link of the chain: what it does follows from the command alone

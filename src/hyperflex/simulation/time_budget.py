@@ -33,8 +33,9 @@ def enforce_budget(
 ) -> Callable[[float], None]:
     """Return what a run over a `span`, s, reports to: `report`, and TimeBudgetExceeded once its time is over.
 
-    That is so once its thread has worked for `seconds`, or, if these are None, for JUDGED s of what would become more
-    than PATIENCE s if it went on like that. A Deadline ends the run as well once no time is left by the clock.
+    That is so once its thread has worked for `seconds`. If these are None it is judged every JUDGED s of work, and over
+    if the whole would take more than PATIENCE s, going on as on the whole or, if that was faster, as since the judgment
+    before. A Deadline ends the run as well once no time is left by the clock.
 
     What passes between two reports does not count if kernels were compiled meanwhile: that is no fault of the run.
 
@@ -44,19 +45,21 @@ def enforce_budget(
     if most is not None:
         most = checks.number("time_budget", most, sign="positive", unit="s", infinite=True)
     worked, last, compiled = 0.0, time.thread_time(), compiling()
+    judged = 0.0, span[0]  # work and simulated time at the last judgment, s
 
     def heard(t: float) -> None:
-        nonlocal worked, last, compiled
+        nonlocal worked, last, compiled, judged
         if report is not None:
             report(t)
         now, before, compiled = time.thread_time(), compiled, compiling()
         if compiled == before:
             worked += now - last
         last = now
-        if most is None:
-            over = worked > JUDGED and worked * (span[1] - t) > PATIENCE * (t - span[0])
-        else:
+        if most is not None:
             over = worked > most or (left is not None and left() < 0.0)
+        elif over := worked - judged[0] > JUDGED:
+            rate = max((t - span[0]) / worked, (t - judged[1]) / (worked - judged[0]))
+            over, judged = rate * worked + span[1] - t > rate * PATIENCE, (worked, t)
         if over:
             raise TimeBudgetExceeded
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperflex import files
+from hyperflex import extras, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
@@ -227,6 +227,7 @@ class Trajectory:
     @cached_property
     def dataset(self) -> "xr.Dataset":
         """The whole run as an ``xarray.Dataset`` with units, long names and the set-up in its attributes."""
+        extras.require(("xarray",), "xarray", "Datasets")
         import xarray as xr
 
         variables = self.variables()

@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from hyperflex import extras
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
@@ -23,5 +24,7 @@ if TYPE_CHECKING:
     from hyperflex.vision.renderer.scene import Bar, Occluder, Scene, random_occlusion
     from hyperflex.vision.renderer.truth import Truth
     from hyperflex.vision.video import Frame, Image, VideoReader, VideoWriter
+
+extras.require(("cv2", "av"), "vision", "Cameras, pictures and videos")
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
 from hyperflex.vision.boards import Board, BoardView
 from hyperflex.vision.camera import Camera
 from hyperflex.vision.video import Image
@@ -96,6 +97,7 @@ class Calibration:
         return camera if origin is None else camera.with_origin(origin)
 
 
+@interruptible()
 def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = None, **timing: Any) -> Calibration:
     """Calibrate a camera from pictures of a board held at different angles and places.
 

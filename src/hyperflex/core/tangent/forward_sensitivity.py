@@ -52,7 +52,7 @@ def set_change(drive, part, t_new, stop, directions, workspace):  # type: ignore
 
 
 @kernel
-def forward_sensitivities(chain, drive, tables, steps, begin, start, directions, t_out, y_out, dy_out):  # type: ignore[no-untyped-def]
+def forward_sensitivities(chain, drive, tables, steps, begin, start, directions, t_out, y_out, dy_out, halt):  # type: ignore[no-untyped-def]
     """Go through a recorded run again; O(n p) a step.
 
     Parameters
@@ -65,6 +65,7 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
     t_out : (T,) increasing times, s
     y_out : (T, 2 n + 2) out; row 0 holds the state at `begin` when called, and t_out[0] is `begin`
     dy_out : (T, 2 n, p) out, but for row 0
+    halt : (1,) another value than 0, set from another thread, ends it at the next step
     """
     workspace = new_tangent_workspace(chain, directions.kind.size)
     turn = new_event_workspace(chain, drive, directions)
@@ -76,6 +77,8 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
     part = segment(drive, t)
     stop = steps[-1, END]
     for m in range(steps.shape[0]):
+        if halt[0]:
+            return
         step, t_new = steps[m, LENGTH], steps[m, END]
         table = tables[int(steps[m, DEGREE]) - tables[0].order]
         if t >= part.end:

@@ -134,7 +134,7 @@ class FrameThread:
             played, self._played = self.live or (self._paced and self._played), True
             return found if played else found._replace(at=time.monotonic())
 
-    def news(self) -> tuple[str, ...]:
+    def messages(self) -> tuple[str, ...]:
         """Return what happened to the source since this was asked last: stalls, ends, frames that cannot be used."""
         with self._condition:
             said, self._notes = tuple(self._notes), []

@@ -61,7 +61,7 @@ class WatchLog:
         sizes = {"link": links, "marker": markers, "axis": 2}
         fields = [(name, np.float64, tuple(sizes[dim] for dim in dims)) for name, (dims, _, _) in _COLUMNS.items()]
         self._row = np.zeros(1, dtype=np.dtype(fields))
-        self._news: list[tuple[float, str]] = []
+        self._messages: list[tuple[float, str]] = []
         self._count = 0
 
     def __enter__(self) -> Self:
@@ -113,7 +113,7 @@ class WatchLog:
         except OSError as error:
             raise FileProblem(f"The log {self.path} cannot go on: {error.strerror}. Free some space.") from error
         self._count += 1
-        self._news += [(estimate.t, words) for words in estimate.news]
+        self._messages += [(estimate.t, words) for words in estimate.messages]
 
     def _write(self) -> None:
         self._file.flush()
@@ -127,7 +127,7 @@ class WatchLog:
             "source": self.source,
             "ending": self.ending,
             "interrupted": int(self.interrupted),
-            "news": "\n".join(f"{t:.3f} s: {words}" for t, words in self._news),
+            "messages": "\n".join(f"{t:.3f} s: {words}" for t, words in self._messages),
             "hyperflex": __version__,
         }
         content = NetCDF(variables, attributes)

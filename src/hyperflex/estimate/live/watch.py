@@ -51,7 +51,7 @@ class LiveEstimate:
         None: none came, and this is what the rope's equations say.
     tracked : TrackedFrame or None
         What was made of the frame; None where it could not be used.
-    news : tuple of str
+    messages : tuple of str
         What happened since the estimate before.
     """
 
@@ -67,7 +67,7 @@ class LiveEstimate:
     rate: float
     frame: Frame | None
     tracked: TrackedFrame | None
-    news: tuple[str, ...]
+    messages: tuple[str, ...]
 
 
 class Watch:
@@ -108,16 +108,16 @@ class Watch:
         self._seen_at = -math.inf
         self._opening = 0
         self._told = self._sized = False
-        self._news: list[str] = []
+        self._messages: list[str] = []
 
     def __iter__(self) -> Iterator[LiveEstimate]:
         while True:
             arrival = self.frames.take(self.interval)
-            self._news += self.frames.news()
+            self._messages += self.frames.messages()
             if arrival is not None:
                 yield self._look(arrival)
             elif self.frames.ended is not None:
-                if self._news:  # of the end itself: it goes with a last estimate
+                if self._messages:  # of the end itself: it goes with a last estimate
                     yield self._wait()
                 return
             else:
@@ -133,11 +133,11 @@ class Watch:
             try:
                 tracked = self.tracker.look(frame)
             except (SimulationError, np.linalg.LinAlgError) as error:
-                self._news.append(f"the estimate was lost and begins anew: {error}")
+                self._messages.append(f"the estimate was lost and begins anew: {error}")
                 estimator.restart()
         t = frame.time - self.tracker.camera.delay + 0.5 * self.tracker.camera.readout
         if tracked is not None:
-            self._news += [str(change) for change in tracked.changes]
+            self._messages += [str(change) for change in tracked.changes]
         if tracked is not None and tracked.state is not None:
             self._seen_at = max(self._seen_at, tracked.t - estimator.age)
         return self._estimate(t, frame, tracked, time.monotonic() - arrival.at)
@@ -149,7 +149,7 @@ class Watch:
         stamp, at = self._last
         since = time.monotonic() - at
         if since > STALLED and not self._told:
-            self._news.append(f"no frame for {since:.1f} s")
+            self._messages.append(f"no frame for {since:.1f} s")
             self._told = True
         camera = self.tracker.camera
         return self._estimate(stamp + since - camera.delay + 0.5 * camera.readout, None, None, math.nan)
@@ -157,7 +157,7 @@ class Watch:
     def _estimate(self, t: float, frame: Frame | None, tracked: TrackedFrame | None, latency: float) -> LiveEstimate:
         state, found = self._state(t, tracked)
         place, wide = self.tracker.estimator.tip(state)
-        news, self._news = tuple(self._news), []
+        messages, self._messages = tuple(self._messages), []
         return LiveEstimate(
             state.t,
             state,
@@ -171,7 +171,7 @@ class Watch:
             self._rate(),
             frame,
             tracked,
-            news,
+            messages,
         )
 
     def _state(self, t: float, tracked: TrackedFrame | None) -> tuple[RopeState, bool]:
@@ -197,18 +197,18 @@ class Watch:
             gap, opened = stamp - self._last[0], arrival.opening != self._opening
             if opened or gap > LONGEST:
                 why = "the source was opened again" if opened else f"a gap of {gap:.1f} s"
-                self._news.append(f"{why}: the rope is looked for anew")
+                self._messages.append(f"{why}: the rope is looked for anew")
                 self.tracker.estimator.restart()
                 self._gaps.clear()
             elif arrival.missed:
-                self._news.append(f"{arrival.missed} frames left out: they came while others were looked at")
+                self._messages.append(f"{arrival.missed} frames left out: they came while others were looked at")
             elif len(self._gaps) > 2 and gap > MISSING * statistics.median(self._gaps):
                 count = round(gap / statistics.median(self._gaps)) - 1
-                self._news.append(f"{count} frames missing before {stamp:.3f} s")
+                self._messages.append(f"{count} frames missing before {stamp:.3f} s")
             else:
                 self._gaps.append(gap)
         if self._told:
-            self._news.append("frames come again")
+            self._messages.append("frames come again")
             self._told = False
         self._last, self._opening = (stamp, arrival.at), arrival.opening
         self._arrivals.append(arrival.at)
@@ -218,11 +218,11 @@ class Watch:
         size, wanted = frame.image.shape[1::-1], tuple(self.tracker.camera.image_size)
         fits = size == wanted
         if not fits and not self._sized:
-            self._news.append(
+            self._messages.append(
                 f"frames of {size[0]}x{size[1]} px are left out: the camera's file is of {wanted[0]}x{wanted[1]} px"
             )
         if fits and self._sized:
-            self._news.append(f"frames have {size[0]}x{size[1]} px again")
+            self._messages.append(f"frames have {size[0]}x{size[1]} px again")
         self._sized = not fits
         return fits
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperflex import files
+from hyperflex import extras, files
 from hyperflex.files import PathLike
 from hyperflex.identification.comparison.evidence import COLOURED, probability
 from hyperflex.identification.ending import CONVERGED, Ended
@@ -90,6 +90,7 @@ class ModelComparison(Ended):
     @property
     def dataset(self) -> "xr.Dataset":
         """The table as an ``xarray.Dataset`` over the dimension model; NaN where there is nothing to tell."""
+        extras.require(("xarray",), "xarray", "Datasets")
         import xarray as xr
 
         columns: dict[str, Any] = {}

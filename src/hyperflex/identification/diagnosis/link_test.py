@@ -12,10 +12,12 @@ from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameter
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import Rope
 from hyperflex.sensors import Angles
 
 LINKS = "links"
+UNSURE, ELSE = 0.25, 2.0  # of the pattern's amplitude, where something else may have been left out as well
 PIECES = 4  # that each link is cut into; what longer links change goes with their length squared: little is left
 
 
@@ -26,8 +28,8 @@ def link_test(basis: Basis) -> tuple[ScoreTest, ...]:
     -----
     Indirect inference: the rope as fitted, its links cut into PIECES, is simulated, and the fit repeated on what the
     same sensor would see of that. The parameters' change is the error that too long links make; the residuals are its
-    pattern. Both hypotheses being as likely before, the probability that the recorded rope is the finer one follows
-    from how much of the squares goes away with this pattern; a chain that has just these links does not show it.
+    pattern. How much of it the residuals hold is 1 of the finer rope and 0 of a chain that has just these links; see
+    :func:`_probability`.
     """
     plant, x, found = basis.plant, basis.fit.x, basis.fit
     n, parameters = plant.parameters.guess.n_links, plant.parameters.all
@@ -41,17 +43,42 @@ def link_test(basis: Basis) -> tuple[ScoreTest, ...]:
         again = fit(plant, seen, x, states, loss=found.loss, rounds=ROUNDS)
     except InvalidInput:  # links that are not uniform, or that cannot be simulated
         return ()
-    noise = basis.information.variance * basis.information.correlation
     pairs = list(zip(found.residuals[::every], again.residuals, strict=True))
     before = sum(found.loss.cost(residual) for residual, _ in pairs)
     gained = before - sum(found.loss.cost(residual - pattern) for residual, pattern in pairs)
-    likely = 1.0 / (1.0 + float(np.exp(min(-0.5 * gained / noise, 700.0)))) if noise > 0.0 else 0.0
+    likely = _probability(basis, pairs)
     shift = again.x - x
     std = np.sqrt(np.diag(basis.information.covariance))
     parts = [_part(*each) for each in zip(parameters, x, shift, strict=True)]
     sway = float(np.max(parts, where=np.abs(shift) > 2.0 * std, initial=0.0))
     part = max(gained, 0.0) / before if before > 0.0 else 0.0
     return (ScoreTest(LINKS, part, np.array([float(n * PIECES)]), shift=shift, surplus=likely, sway=sway),)
+
+
+def _probability(basis: Basis, pairs: list[tuple[Array, Array]]) -> float:
+    """Return the probability of the finer rope, by windows' residuals and patterns [((m C,), (m C,)), ..].
+
+    The amplitude of the pattern is fitted to the residuals; its standard deviation follows from the noise, and from how
+    the windows scatter. Where residuals are not white it is UNSURE at least, and the amplitude may come from anything
+    else that was left out as well, which makes it as large as ELSE.
+    """
+    dots, sizes = np.array([(pattern @ residual, pattern @ pattern) for residual, pattern in pairs]).T
+    total = float(sizes.sum())
+    if total <= 0.0:
+        return 0.0
+    amplitude, count = float(dots.sum()) / total, len(pairs)
+    variance = basis.information.variance * basis.information.correlation / total
+    if count > 1:
+        scatter = float(((dots - amplitude * sizes) ** 2).sum()) / total**2 * count / (count - 1.0)
+        variance = max(variance, scatter)
+    white = basis.information.whiteness >= CHANCE
+    std = float(np.sqrt(variance if white else variance + UNSURE**2))
+    away = np.array([amplitude - 1.0, amplitude]) / max(std, 1e-12)
+    finer, these = -0.5 * away**2
+    other = -np.inf if white else -0.5 * (amplitude / ELSE) ** 2 + np.log(std / ELSE)
+    most = max(finer, these, other)
+    weights = np.exp(np.array([finer, these, other]) - most)
+    return float(weights[0] / weights.sum())
 
 
 def _part(parameter: Parameter, x: float, shift: float) -> float:

@@ -26,6 +26,7 @@ ROUGH = 1e-5  # part of the cost that a fit may leave where it stalls: dry frict
 STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up
 NEAR, FALL = 1e-2, 0.7  # in scales: farther above its bound a parameter falls by no more than this part of the way
 PREDICTION_DAMPING = 1e-6  # for the predicted decrease: parameters that do not act promise nothing
+SKETCH = 6  # rounds after which one of several states is preferred
 Report = Callable[[dict[str, Any]], None]
 
 
@@ -160,14 +161,28 @@ def fit(
 
 
 def fit_state(
-    plant: Plant, x: Array, window: Window, state: Array, *, loss: Loss | None = None, rounds: int = 30
+    plant: Plant, x: Array, window: Window, *starts: Array, loss: Loss | None = None, rounds: int = 30
 ) -> tuple[Array, Array] | None:
-    """Return the fitted state (2n,) at a window's start and its residual (m C,), parameters fixed; None on failure."""
+    """Return the fitted state (2n,) at a window's start and its residual (m C,), parameters fixed; None on failure.
+
+    Of several `starts` the one goes on that a few rounds bring farthest.
+    """
+    found: Fit | None = None
+    for start in starts:
+        sketch = SKETCH if len(starts) > 1 else rounds
+        tried = _fit_state(plant, x, window, start, loss, sketch)
+        if tried is not None and (found is None or tried.cost < found.cost):
+            found = tried
+    if found is not None and len(starts) > 1 and not found.converged:
+        found = _fit_state(plant, x, window, found.states[0], loss, rounds) or found
+    return None if found is None else (found.states[0], found.residuals[0])
+
+
+def _fit_state(plant: Plant, x: Array, window: Window, start: Array, loss: Loss | None, rounds: int) -> Fit | None:
     try:
-        found = fit(plant, [window], x, [state], loss=loss, states_only=True, rounds=rounds)
+        return fit(plant, [window], x, [start], loss=loss, states_only=True, rounds=rounds)
     except InvalidInput:
         return None
-    return found.states[0], found.residuals[0]
 
 
 def _residuals(plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array]) -> list[Array] | None:

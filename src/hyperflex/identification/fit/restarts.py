@@ -43,8 +43,7 @@ def refit_poor_windows(
 
 def poor_windows(windows: Sequence[Window], found: Fit, *, known_noise: bool) -> list[int]:
     """Return the windows whose cost a value is far above the median, or above that of known noise."""
-    each = zip(windows, found.states, found.residuals, strict=True)
-    costs = np.array([found.window_cost(window, state, r) / window.values for window, state, r in each])
+    costs = np.array([found.loss.cost(r) / w.values for w, r in zip(windows, found.residuals, strict=True)])
     limit = float(np.median(costs))
     return [int(k) for k in np.flatnonzero(costs > WORSE * (min(limit, 1.0) if known_noise else limit))]
 
@@ -52,12 +51,9 @@ def poor_windows(windows: Sequence[Window], found: Fit, *, known_noise: bool) ->
 def _better_state(plant: Plant, windows: Sequence[Window], found: Fit, states: list[Array], k: int) -> Array | None:
     """Return a state of window k that costs less than the present one, from the best of several starts; else None."""
     window = windows[k]
-    least, best = BETTER * found.window_cost(window, found.states[k], found.residuals[k]), None
-    for start in _restart_states(plant, windows, found.x, states, k):
-        tried = fit_state(plant, found.x, window, start, loss=found.loss)
-        if tried is not None and (cost := found.window_cost(window, *tried)) < least:
-            least, best = BETTER * cost, tried[0]
-    return best
+    tried = fit_state(plant, found.x, window, *_restart_states(plant, windows, found.x, states, k), loss=found.loss)
+    now = found.window_cost(window, found.states[k], found.residuals[k])
+    return None if tried is None or found.window_cost(window, *tried) >= BETTER * now else tried[0]
 
 
 def _restart_states(
@@ -66,13 +62,18 @@ def _restart_states(
     """Yield states to start window k from: the end of the window before, that of the data, and both angles at rest."""
     window, n = windows[k], states[k].size // 2
     if k > 0:
-        arrived = plant.propagate(x, float(windows[k - 1].t[0]), states[k - 1], float(window.t[0]))
-        if arrived is not None:
-            turns = 2.0 * np.pi * np.round((window.guess[:n] - arrived[:n]) / (2.0 * np.pi))
-            yield np.append(arrived[:n] + turns, arrived[n:])
-    yield window.guess
+        yield from arrived(plant, x, windows[k - 1], states[k - 1], window)
+    yield from (window.guess, *window.others)
     yield np.append(window.guess[:n], np.zeros(n))
     yield np.append(states[k][:n], np.zeros(n))
+
+
+def arrived(plant: Plant, x: Array, before: Window, state: Array, window: Window) -> list[Array]:
+    """Return the state (2n,) in which a window begins if the one before began in `state`, or nothing."""
+    end, n = plant.propagate(x, float(before.t[0]), state, float(window.t[0])), state.size // 2
+    if end is None:
+        return []
+    return [np.append(end[:n] + 2.0 * np.pi * np.round((window.guess[:n] - end[:n]) / (2.0 * np.pi)), end[n:])]
 
 
 def fit_from_starts(
@@ -110,7 +111,7 @@ def fit_from_starts(
 
 def _is_bad(windows: Sequence[Window], found: Fit, known_noise: bool) -> bool:
     if known_noise:
-        return found.cost > WORSE * sum(window.values for window in windows)
+        return found.cost - found.prior_cost > WORSE * sum(window.values for window in windows)
     return not found.converged or part_left(windows, found.residuals) > BAD
 
 
@@ -118,12 +119,8 @@ def _states_at(plant: Plant, windows: Sequence[Window], found: Fit, x: Array) ->
     """Return each window's state of least cost at x, from several starts, or None where a window has none."""
     states = list(found.states)
     for k, window in enumerate(windows):
-        least, best = np.inf, None
-        for start in _restart_states(plant, windows, x, states, k):
-            tried = fit_state(plant, x, window, start, loss=found.loss)
-            if tried is not None and (cost := found.window_cost(window, *tried)) < least:
-                least, best = cost, tried[0]
+        best = fit_state(plant, x, window, *_restart_states(plant, windows, x, states, k), loss=found.loss)
         if best is None:
             return None
-        states[k] = best
+        states[k] = best[0]
     return states

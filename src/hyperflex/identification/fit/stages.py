@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from hyperflex import memory
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state, with_entries
-from hyperflex.identification.fit.restarts import fit_from_starts, refit_poor_windows
+from hyperflex.identification.fit.restarts import arrived, fit_from_starts, refit_poor_windows
 from hyperflex.identification.fit.windows import FEWEST, Window, cut_windows, decimation_step
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
@@ -22,6 +23,7 @@ STAGE_WINDOWS = 40  # of the short ones, spread over the recording
 DELAY_STEPS = 16  # of the grid on either side of 0, over a window's length
 DELAY_WINDOWS = 4  # that are looked at
 DELAY_ROUNDS = 2  # of fitting their states
+COPIES = 4  # of the derivatives of all values that stand in the memory at once
 CLEARLY = 0.8  # part of the cost without delay that another must come below
 
 
@@ -29,24 +31,41 @@ CLEARLY = 0.8  # part of the cost without delay that another must come below
 class Measurements:
     """What is fitted: channels, the angles that they show, and the prior of a state (see Window).
 
-    assumed: the channels' noise was not declared, but taken to be of a usual size.
+    assumed: the channels' noise was not declared, but taken to be of a usual size. sides: other angles that would show
+    as the same channels.
     """
 
     channels: Recording
     shape: Recording
     prior: Array | None = None
     assumed: bool = False
+    sides: tuple[Recording, ...] = ()
 
     def windows(self, length: float, step: int = 1) -> tuple[list[Window], int]:
         """Return windows of so many seconds with every `step`-th sample, and how many were left out."""
-        return cut_windows(self.channels.decimate(step), length, self.shape.decimate(step), self.prior)
+        sides = [each.decimate(step).data for each in self.sides]
+        return cut_windows(self.channels.decimate(step), length, self.shape.decimate(step), self.prior, sides)
 
     def between(self, start: float, end: float) -> "Measurements":
         """Return the samples with ``start <= t < end``, s."""
-        return replace(self, channels=self.channels.window(start, end), shape=self.shape.window(start, end))
+        sides = tuple(each.window(start, end) for each in self.sides)
+        return replace(
+            self, channels=self.channels.window(start, end), shape=self.shape.window(start, end), sides=sides
+        )
 
 
 Done = tuple[Fit, list[Window], dict[str, Any]]
+
+
+def check_memory(plant: Plant, measured: Measurements, length: float) -> None:
+    """Refuse, before the work, more derivatives of windows of `length`, s, than there is memory for."""
+    channels, links, count = measured.channels, plant.parameters.guess.n_links, len(plant.parameters)
+    values = channels.data.size // decimation_step(channels, length)
+    memory.check(
+        8.0 * COPIES * values * (2 * links + count),
+        f"a fit of {count} parameters of {links} links to {values} values",
+        "Free fewer parameters, or give a part of the recording",
+    )
 
 
 def fit_in_stages(
@@ -73,8 +92,8 @@ def fit_in_stages(
         with caught() as stop:
             known = {} if not done else {w.t[0]: s for w, s in zip(done[-1][1], done[-1][0].states, strict=True)}
             usable, states = _starts(plant, windows, x, known, loss, refine=bool(done))
-            enough = None if part == length else HARDLY
             heard = with_entries(report, stage)
+            enough = None if part == length else HARDLY
             found = fit(plant, usable, x, states, loss=loss, enough=enough, report=heard)
             if part == length:
                 known_noise = measured.channels.noise is not None
@@ -123,7 +142,8 @@ def _starts(
 ) -> tuple[list[Window], list[Array]]:
     """Return the windows that can be simulated, with states fitted before or guessed from the data.
 
-    With `refine` the states are fitted at the parameters x. Not at the guess: a wrong one would bias them.
+    With `refine` the states are fitted at the parameters x. Not at the guess, which would bias them if it is wrong,
+    but for windows with several guesses: of these the one is kept that fits best, or the end of the window before.
     """
     if not _enough(plant, windows):
         raise InvalidInput(
@@ -132,10 +152,14 @@ def _starts(
             allowed=f"more values than unknowns: a state in each window and {len(plant.parameters)} free parameters",
             fix="Record longer or faster, free fewer parameters, or choose another window length",
         )
-    kept, states = [], []
+    kept: list[Window] = []
+    states: list[Array] = []
     for window in windows:
-        start = known.get(window.t[0], window.guess)
-        found = fit_state(plant, x, window, start, loss=loss, rounds=30 if refine else 0)
+        starts = [known.get(window.t[0], window.guess), *window.others]
+        if window.others and kept and refine:
+            starts += arrived(plant, x, kept[-1], states[-1], window)
+        rounds = 30 if refine or window.others else 0
+        found = fit_state(plant, x, window, *starts, loss=loss, rounds=rounds)
         if found is not None:
             kept.append(window)
             states.append(found[0])

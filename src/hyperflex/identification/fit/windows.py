@@ -17,6 +17,7 @@ PART = 1.2  # periods
 TURN = 8.0  # rad a link may turn within a window, as rms rate times time: beyond it fits find false minima
 BLIND = 0.5  # part of a window for which a link may be out of sight
 LEAST = 4  # values of a link's angle in a window
+ASIDE = 0.3  # rad by which a shape must differ from another to be a start of its own
 ROUNDS = 8  # of weighted least squares that come near to least absolute errors
 STILL = 1e-3  # rad, a recording that moves less holds no dynamics
 
@@ -26,7 +27,8 @@ class Window:
     """Measurements over a short time, with a first guess of the state.
 
     t (m,) s; y (m, C) rad or m, with 0 in gaps; weight (m, C), 1 / rad or 1 / m, 0 in gaps; guess (2n,) of the state at
-    t[0]; prior (r, 2n): linear combinations of the state that are 0, in units of their standard deviations.
+    t[0]; prior (r, 2n): linear combinations of the state that are 0, in units of their standard deviations. others:
+    further guesses, of shapes that look alike.
     """
 
     t: Array
@@ -34,6 +36,7 @@ class Window:
     weight: Array
     guess: Array
     prior: Array
+    others: tuple[Array, ...] = ()
 
     @property
     def values(self) -> int:
@@ -101,12 +104,17 @@ def decimation_step(recording: Recording, length: float) -> int:
 
 
 def cut_windows(
-    recording: Recording, length: float, shape: Recording | None = None, prior: Array | None = None
+    recording: Recording,
+    length: float,
+    shape: Recording | None = None,
+    prior: Array | None = None,
+    sides: Sequence[Array] = (),
 ) -> tuple[list[Window], int]:
     """Cut a recording into windows of `length` (s), [start, start + length); return them and the number left out.
 
     Windows are left out where some link has too few values, or too long a gap, to tell its angle and rate. `shape`
-    holds link angles for first states, by default the recording itself; prior (r, 2n): see :class:`Window`.
+    holds link angles for first states, by default the recording itself, `sides` others (T, n); prior (r, 2n): see
+    :class:`Window`.
     """
     t, data, noise = recording.t, recording.data, recording.noise
     weight = np.where(np.isnan(data), 0.0, 1.0 if noise is None else 1.0 / noise)
@@ -123,7 +131,9 @@ def cut_windows(
         if known.sum(axis=0).min() < LEAST or span < 0.5 * length or _longest_gap(t[rows], known) > BLIND * span:
             dropped += 1
             continue
-        windows.append(Window(t[rows], y[rows], weight[rows], first_state(t[rows], angles[rows]), prior))
+        guess, *others = (first_state(t[rows], each[rows]) for each in (angles, *sides))
+        others = [each for each in others if np.abs(each - guess)[: angles.shape[1]].max() > ASIDE]
+        windows.append(Window(t[rows], y[rows], weight[rows], guess, prior, tuple(others)))
     return windows, dropped
 
 

@@ -1,6 +1,7 @@
 """Predicted measurements of a window, with derivatives by state and parameters."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -72,6 +73,10 @@ class Plant:
         self.motor = MotorTorque(arm) if torque and arm is not None else None
         self._setup = Setup(parameters.guess, motion, arm, tol=PRECISION * parameters.guess.total_length)
         self._last: tuple[bytes | None, _Evaluation | None] = (None, None)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: not the last evaluation, whose arrays could be written to then; no kernel's may."""
+        return vars(self) | {"_last": (None, None)}
 
     def without_torque(self) -> "Plant":
         """Return the same without the torque channel."""

@@ -1,5 +1,6 @@
 """Parametric bootstrap: fits to recordings simulated from a fit."""
 
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
+from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit, one_thread
 from hyperflex.identification.fit.windows import Window
@@ -77,7 +79,15 @@ class Bootstrap:
 
 @interruptible(Bootstrap)
 @one_thread()
-def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progress: bool = False) -> Bootstrap:
+def bootstrap(
+    found: Identification,
+    count: int = 200,
+    *,
+    seed: int = 0,
+    executor: Executor | None = None,
+    chunk_size: int | None = None,
+    progress: bool = False,
+) -> Bootstrap:
     """Simulate recordings like the one that was fitted, and fit each (parametric bootstrap).
 
     Parameters
@@ -88,6 +98,11 @@ def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progres
         Number of recordings.
     seed : int
         Of all draws; draw number b is the same whatever `count` is.
+    executor : concurrent.futures.Executor, optional
+        Where the fits are made: processes, or other machines (``docs/how-to/many-machines.md``). Results do not depend
+        on it.
+    chunk_size : int, optional
+        Fits of a chunk; by default one.
     progress : bool
         Show a bar on standard error.
 
@@ -97,6 +112,8 @@ def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progres
         For a result without its fit (read from a file).
     IdentificationError
         When the fit itself cannot be simulated.
+    WorkerLost
+        If fits kill the workers of the executor.
     Interrupted
         By Ctrl-C. Its ``partial`` holds the fits until then.
 
@@ -114,19 +131,20 @@ def bootstrap(found: Identification, count: int = 200, *, seed: int = 0, progres
     clean = [y for y in seen if y is not None]
     if len(clean) < len(seen):
         raise IdentificationError("The fit cannot be simulated any more: nothing can be drawn from it.")
-    noise = _Noise(basis)
-    done, failed = [], 0
+    executor, size = checked_chunks(executor, chunk_size, 1)
+    fits: dict[int, list[Array | None]] = {}
     with caught() as stop, progress_bar(0.0, float(count), progress, "fitting", "simulated recordings") as report:
-        for number in range(count):
-            windows = noise.add(clean, np.random.default_rng([seed, number]))
-            x = _refitted(basis, windows)
-            if x is None:
-                failed += 1
-            else:
-                done.append((plant.parameters.values(x), list(_ratios(plant.parameters, x).values())))
+
+        def keep(low: int, some: list[Array | None]) -> None:
+            fits[low] = some
             if report is not None:
-                report(number + 1.0)
-    names = tuple(_ratios(plant.parameters, fitted.x))
+                report(float(low + len(some)))
+
+        lost = run_chunks(_Draws(basis, clean, seed), range(count), executor, size, keep)
+        refuse_lost(lost, "simulated recordings")
+    every = [x for low in sorted(fits) for x in fits[low]]
+    done = [(plant.parameters.values(x), list(_ratios(plant.parameters, x).values())) for x in every if x is not None]
+    failed, names = len(every) - len(done), tuple(_ratios(plant.parameters, fitted.x))
     table = np.array([values for values, _ in done]).reshape(len(done), len(plant.parameters))
     numbers = np.array([ratios for _, ratios in done]).reshape(len(done), len(names))
     return stop.deliver(Bootstrap(plant.parameters.labels, table, failed, stop.met, names, numbers))
@@ -147,6 +165,19 @@ def _refitted(basis: Basis, windows: list[Window]) -> Array | None:
     except InvalidInput:
         return None
     return found.x if found.converged else None
+
+
+class _Draws:
+    """Draws recordings by their numbers, and fits them; `clean` is what is predicted for each window, (m, C) each."""
+
+    def __init__(self, basis: Basis, clean: list[Array], seed: int) -> None:
+        self.basis, self.clean, self.seed, self.noise = basis, clean, seed, _Noise(basis)
+
+    @one_thread()
+    def __call__(self, numbers: list[int]) -> list[Array | None]:
+        """Return x (P,) of the fit to each recording; None where it fails."""
+        rngs = [np.random.default_rng([self.seed, number]) for number in numbers]
+        return [_refitted(self.basis, self.noise.add(self.clean, rng)) for rng in rngs]
 
 
 class _Noise:

@@ -18,6 +18,7 @@ from hyperflex.identification.model.scale import Mask, in_common_factor
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.identification.uncertainty.whiteness import whiteness
+from hyperflex.interruption import caught, look, time_limit
 from hyperflex.model import RESISTANCES, Rope
 
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
@@ -25,6 +26,7 @@ LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals co
 TOUCHED = 1e-3  # a parameter or ratio is unknown when this part of it lies in an unknown direction
 End = Literal["crossed", "bound", "open"]
 LEVEL = 0.95
+GRACE = 0.5  # s of work: what an interrupted fit may still take to tell how far it is known
 SIGNED = ("p/p1",)  # ratios that may be negative: a centre of mass behind its joint
 
 
@@ -39,7 +41,7 @@ class Information:
     memory (m,): autocorrelations of the noise by lag; agrees: whether they explain the residuals. whiteness: p-value of
     white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters stand in an
     unknown common factor. lengths (P,): change of x that one standard deviation of the lengths makes; stretch: that
-    standard deviation, of a common factor.
+    standard deviation, of a common factor. estimated: False where an interrupt has left all of it open.
     """
 
     x: Array
@@ -60,6 +62,7 @@ class Information:
     model: Array = field(default_factory=lambda: np.zeros((0, 0)))
     lengths: Array = field(default_factory=lambda: np.zeros(0))
     stretch: float = 0.0
+    estimated: bool = True
 
     @property
     def total(self) -> Array:
@@ -98,6 +101,28 @@ class Basis:
     windows: list[Window]
     fit: Fit
     information: Information
+
+
+def not_estimated(plant: Plant, fit: Fit) -> Information:
+    """Return the information of a fit of which nothing was worked out: all is unknown."""
+    total = len(plant.parameters)
+    none = np.zeros((total, total))
+    return Information(
+        fit.x, plant.parameters.widths, np.zeros(total), none[:, :0], np.eye(total), none, 1.0, none, estimated=False
+    )
+
+
+def fit_information(plant: Plant, windows: Sequence[Window], found: Fit) -> Information:
+    """Return what the windows tell; of a fit that is interrupted, then or before, what can be told within GRACE."""
+    known = not_estimated(plant, found)
+    if not found.interrupted:
+        with caught() as stop:
+            known = estimate_covariance(plant, windows, found)
+        found.interrupted = stop.met
+    if found.interrupted:
+        with caught(), time_limit(GRACE):
+            known = estimate_covariance(plant, windows, found)
+    return known
 
 
 def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
@@ -180,6 +205,7 @@ def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float) -> l
     """Return all windows' derivatives, those of values times the root of the mean of psi'."""
     models = []
     for window, state, residual in zip(windows, fit.states, fit.residuals, strict=True):
+        look()
         linear = linearise(plant, window, fit.x, state, residual, Loss())
         scale = np.ones((linear.residual.size, 1))
         scale[: residual.size] = np.sqrt(mean)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.interruption import look
 
 MOST_TERMS = 8  # of the autoregression
 MAX_WORSE_TERMS = 2  # further terms in a row that BIC does not ask for before the search ends
@@ -148,6 +149,7 @@ def _autocorrelations(pieces: Sequence[Piece]) -> Array:
     longest = max(piece.residual.shape[0] for piece in pieces)
     sums = np.zeros(longest)
     for piece in pieces:
+        look()
         for lag in range(piece.residual.shape[0]):
             sums[lag] += _lagged_product(piece.residual, lag)
     if sums[0] <= 0.0:
@@ -160,6 +162,7 @@ def _of_pairs(pieces: Sequence[Piece], most: int) -> Array:
     """Return what sums of products (most + 1,) miss for gaps: the pairs there would be without any, over those seen."""
     seen, every = np.zeros((2, most + 1))
     for piece in pieces:
+        look()
         m, part = piece.seen.shape[0], piece.seen.mean()
         lags = np.arange(min(most + 1, m))
         seen[lags] += [_lagged_product(piece.seen, int(lag)) for lag in lags]
@@ -176,6 +179,7 @@ def expected_products(pieces: Sequence[Piece], most: int) -> Array:
     longest = max(most + 1, *(piece.residual.shape[0] for piece in pieces))
     result = np.zeros((most + 1, longest))
     for piece in pieces:
+        look()
         basis, seen, m = piece.basis, piece.seen, piece.residual.shape[0]
         spectrum = np.fft.rfft(basis, 2 * m, axis=0)
         crossed = spectrum.conj().swapaxes(1, 2) @ spectrum
@@ -228,6 +232,7 @@ def _lagged_products(pieces: Sequence[Piece]) -> Array:
     longest = max(piece.residual.shape[0] for piece in pieces)
     sums = np.zeros(min(longest, MOST_TERMS + 1))
     for piece in pieces:
+        look()
         for lag in range(min(sums.size, piece.residual.shape[0])):
             sums[lag] += _lagged_product(piece.residual, lag)
     return sums

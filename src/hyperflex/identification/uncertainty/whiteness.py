@@ -6,6 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.uncertainty.noise import Piece
+from hyperflex.interruption import look
 
 CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
 LAGS = 10  # samples, or a quarter of the shortest window
@@ -28,6 +29,7 @@ def whiteness(parts: Sequence[Piece]) -> float:
     spread = _channel_covariance(parts)
     away, covariance = np.zeros(lags.size), np.zeros((lags.size, lags.size))
     for part in parts:
+        look()
         mean, varies = _moments(part, spread, lags)
         away += np.array([float((part.residual[k:] * part.residual[:-k]).sum()) for k in lags]) - mean
         covariance += varies

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,19 +61,23 @@ def write_part(
     for name in names:
         progress(f"making {name}")
         item = part.items[name]
-        with whole_folder(folder, TEXTS) as stage:
-            if item.draw is not None:
-                content = png(item.draw())
-                files.write_bytes(stage / f"{name}.png", content)
-                pictures.append(Picture(content, item.caption))
-            table = item.table()
-            rows = list(zip(*table.columns.values(), strict=True))
-            files.write_table(stage / f"{name}.csv", list(table.columns), rows, notes=table.notes)
+        picture, table = None if item.draw is None else png(item.draw()), item.table()
+        files.rescued(partial(_write_item, name, picture, table), folder)
+        if picture is not None:
+            pictures.append(Picture(picture, item.caption))
         for kind in ("csv",) if item.draw is None else ("png", "csv"):
             note(folder / f"{name}.{kind}")
         sections += item.sections()
     progress("measuring the claims")
     return Written(part.claims(), part.sections(sections, tuple(pictures)))
+
+
+def _write_item(name: str, picture: bytes | None, table: Table, folder: Path) -> None:
+    with whole_folder(folder, TEXTS) as stage:
+        if picture is not None:
+            files.write_bytes(stage / f"{name}.png", picture)
+        rows = list(zip(*table.columns.values(), strict=True))
+        files.write_table(stage / f"{name}.csv", list(table.columns), rows, notes=table.notes)
 
 
 def claims_table(claims: Sequence[Claim]) -> TextTable:

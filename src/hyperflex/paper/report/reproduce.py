@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hyperflex import checks, files
+from hyperflex.interruption import interruptible
 from hyperflex.paper.report import casting, estimation, identification, timing
 from hyperflex.paper.report.part import TEXTS, Part, Written, claims_table, verdicts, write_part
 from hyperflex.paper.results import Claim
-from hyperflex.report import Progress, Section, sections_markdown, silent, whole_folder, write_page
+from hyperflex.report import Progress, Section, check_folder, sections_markdown, silent, whole_folder, write_page
 
 PARTS = (identification.PART, estimation.PART, casting.PART, timing.PART)
 FIGURES = tuple(name for part in PARTS for name in part.items)
@@ -22,6 +23,7 @@ class Reproduction:
     claims: tuple[Claim, ...]
 
 
+@interruptible()
 def reproduce(
     names: Sequence[str],
     directory: str | Path,
@@ -47,9 +49,13 @@ def reproduce(
     ------
     InvalidInput
         A name that is not known.
+    FileProblem
+        The folder cannot be made or filled; what cannot be written in the end is in a fallback folder, which the
+        message names.
     """
     chosen = [checks.choice("figure", name, (*FIGURES, "all")) for name in names]
     wanted = [name for name in FIGURES if "all" in chosen or name in chosen]
+    check_folder(directory)
     paths: list[Path] = []
 
     def note(path: Path) -> None:
@@ -63,11 +69,15 @@ def reproduce(
         sections_markdown(part.claims_title, [_verdict(part, each), *(s for s in each.sections if not s.pictures)])
         for part, each in done
     ]
-    with whole_folder(directory) as stage:
-        files.write_text(stage / "claims.md", "\n".join(texts))
-        sections = [section for part, each in done for section in (_verdict(part, each), *each.sections)]
-        title, lead = "; ".join(part.title for part, _ in done), " ".join(part.lead for part, _ in done)
-        write_page(stage / "report.html", title, lead, "simulated", sections)
+    sections = [section for part, each in done for section in (_verdict(part, each), *each.sections)]
+    title, lead = "; ".join(part.title for part, _ in done), " ".join(part.lead for part, _ in done)
+
+    def write(folder: Path) -> None:
+        with whole_folder(folder) as stage:
+            files.write_text(stage / "claims.md", "\n".join(texts))
+            write_page(stage / "report.html", title, lead, "simulated", sections)
+
+    files.rescued(write, Path(directory))
     for name in TEXTS:
         note(Path(directory) / name)
     return Reproduction(tuple(paths), tuple(claim for _, each in done for claim in each.claims))

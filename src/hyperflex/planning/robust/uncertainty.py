@@ -179,10 +179,10 @@ class Uncertainty:
             links = f"{cast_setup.rope.n_links} links, as thrown"
             raise InvalidInput("posterior is of another rope", got=rope.n_links, allowed=links)
         target = replace(peg, mu=peg.mu * float(factors[3]))
-        return Scenario(scaled(rope, *factors[:3]), target, lag, delays)
+        return Scenario(scaled_rope(rope, *factors[:3]), target, lag, delays)
 
 
-def scaled(rope: Rope, length: float, mass: float, friction: float) -> Rope:
+def scaled_rope(rope: Rope, length: float, mass: float, friction: float) -> Rope:
     """Return a rope with lengths, masses and friction multiplied by factors; inertias scale with them."""
     changes: dict[str, Any] = {
         "length": rope.length * length,

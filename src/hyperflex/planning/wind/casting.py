@@ -108,6 +108,7 @@ def plan_cast(
         If an argument is out of range or of another class.
     Interrupted
         By Ctrl-C. Its ``partial`` is the best plan until then; what was not verified before is not verified any more.
+        None while the target is checked, before the search.
 
     Examples
     --------
@@ -161,6 +162,7 @@ def plan_cast(
                 given |= {"time_budget": time_budget, "seed": seed, "threads": threads}
                 plan_for = partial(plan_cast, rope, arm, **given, progress=progress)
                 plan = plan_fallback(plan, search, time_budget, plan_for)
+    plan = stop.partial if isinstance(stop.partial, CastPlan) else plan
     if plan.interrupted or stop.met:
         raise Interrupted(replace(plan, interrupted=True))
     return plan

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.interruption import caught
 from hyperflex.model import Peg
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
@@ -48,6 +49,7 @@ def plan_fallback(
 ) -> CastPlan:
     """Plan for the nearest targets until a plan succeeds; return the failed plan with its fallback.
 
+    Ctrl-C raises Interrupted with it, and with the plan for the nearest target where that succeeds as far as it got.
     `search` is the one that the plan came from, `time_budget` its time, s, and `plan_for` plans for another peg.
     """
     force = search.holding_force
@@ -62,9 +64,14 @@ def plan_fallback(
         near = replace(near, failed_plans=len(tried))
         if number == len(MARGINS) - 1:
             return replace(plan, fallback=near)
-        other = plan_for(near.target)
-        if other.success:
-            return replace(plan, fallback=replace(near, plan=other))
+        with caught() as stop:
+            other: CastPlan | None = plan_for(near.target)
+        if stop.met:
+            other = stop.partial
+        if other is not None and other.success:
+            plan = replace(plan, fallback=replace(near, plan=other))
+        if stop.met or (other is not None and other.success):
+            return stop.deliver(plan)
         tried.append(near.target)
     return plan
 

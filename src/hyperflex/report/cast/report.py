@@ -25,6 +25,7 @@ from hyperflex.report.page import Picture, Section, TextTable
 from hyperflex.report.plan import NOT_KNOWN, PlanReport, clearance_tiles, counted, searched
 from hyperflex.report.player import Line, Plot
 from hyperflex.report.style import png
+from hyperflex.report.units import length
 from hyperflex.simulation import OUT_OF_TIME
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class CastReport(PlanReport[CastPlan]):
     """
 
     captions: ClassVar = {
-        "film": "The planned cast, simulated: arm, rope (yellow), path of the tip (green), target (red).",
+        "film": "The planned cast, simulated: arm, rope (ochre), path of the tip (green), target (red).",
         "strike": "The rope about the strike, early instants dark, late ones bright; simulated.",
         "course": "Arm angle, turns, tension and torque over time. Dashed red: the strike. Green: slip is measured.",
         "tug": "The simulated tug that gives the hold force: pull, and slip of the rope on the target.",
@@ -74,7 +75,7 @@ class CastReport(PlanReport[CastPlan]):
     def _tiles(self) -> tuple[tuple[str, str], ...]:
         plan, peg, cast = self.plan, self.plan.target, self.plan.outcome
         place = f"target, a round peg: radius; centre at x = {peg.x:.3g} m, y = {peg.y:.3g} m from the motor's shaft"
-        shown = [(f"{1e3 * peg.radius:.3g} mm", place)]
+        shown = [(length(peg.radius), place)]
         if plan.throw is not None:
             shown.append((_swings(plan), "of the arm to and fro, then one last move"))
         if cast is not None and cast.completed:
@@ -193,7 +194,7 @@ def _covered(contact: float, asked: float) -> str:
 
 def _place(peg: Peg) -> str:
     """Return where the target is and how large."""
-    return f"x = {peg.x:.3g} m, y = {peg.y:.3g} m, radius {1e3 * peg.radius:.3g} mm"
+    return f"x = {peg.x:.3g} m, y = {peg.y:.3g} m, radius {length(peg.radius)}"
 
 
 def _swings(plan: CastPlan) -> str:
@@ -244,7 +245,7 @@ def _expected(plan: CastPlan) -> str:
 
 
 def _nearest(plan: CastPlan, near: FallbackTarget) -> str:
-    where = f"x = {near.target.x:.4g} m, y = {near.target.y:.4g} m, {1e2 * near.distance:.3g} cm away"
+    where = f"x = {near.target.x:.4g} m, y = {near.target.y:.4g} m, {length(near.distance, small='cm')} away"
     if near.plan is not None:
         return f"Nearest target that works: {where}. A throw was planned for it that winds and holds, simulated."
     tried = (

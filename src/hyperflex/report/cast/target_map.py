@@ -9,6 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.model import Peg
 from hyperflex.planning import CastPlan
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
+from hyperflex.report.units import length
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,7 +42,7 @@ def target_map(plan: CastPlan) -> "Figure":
                 plan.fallback.target,
                 2.0 * half[0],
                 GREEN,
-                f"{_kind(plan)}, {1e2 * plan.fallback.distance:.3g} cm away",
+                f"{_kind(plan)}, {length(plan.fallback.distance, small='cm')} away",
             )
         axis.set(xlim=(middle - half)[0] + np.array([0.0, 2.0 * half[0]]), aspect="equal")
         axis.set(ylim=(middle - half)[1] + np.array([0.0, 2.0 * half[1]]))

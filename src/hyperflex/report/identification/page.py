@@ -183,8 +183,8 @@ def _prediction(view: FittedChannels) -> Section:
     title = "Prediction of what the fit has not seen"
     if held is None:
         why = "the recording was fitted to its end, or what was left of it is too short"
-        if found.message == "interrupted":
-            why = "the fit was interrupted"
+        if found.message in {"interrupted", "time budget exceeded"}:
+            why = f"the fit ended early ({found.message})"
         return Section(title, text=(f"Nothing was predicted: {why}.",))
     times = "once" if held.starts.size == 1 else f"{held.starts.size} times, one after the other"
     text = (

@@ -10,6 +10,7 @@ from hyperflex.report.shapes import shapes
 from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure, note
 from hyperflex.report.time_course import ArmMoves, event_note, room_above, time_course
+from hyperflex.report.units import length
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,7 +51,7 @@ def passing_figure(plan: WhipPlan) -> "Figure":
         _arrow(axis, place, size * seen.velocity / max(seen.speed, 1e-9), INK)
         axis.plot([], [], color=INK, lw=2.0, label=f"velocity at the peak, {seen.speed:.1f} m/s")
         axis.plot(0.0, 0.0, "o", ms=13.0, mfc="none", mec=RED, mew=1.8, label="target")
-        axis.plot(*place, "o", ms=4.5, color=INK, label=f"tip at its peak, {1e3 * seen.miss:.2g} mm off")
+        axis.plot(*place, "o", ms=4.5, color=INK, label=f"tip at its peak, {length(seen.miss, 2)} off")
         axis.set(xlim=(-1e3 * half, 1e3 * half), ylim=(-1e3 * half, 1e3 * half), aspect="equal")
         axis.set(xlabel="x from the target, mm", ylabel="y from the target, mm (up)")
         axis.set_title("How the tip passes the target, simulated")

@@ -19,6 +19,7 @@ from hyperflex.planning import (
 )
 from hyperflex.report.page import TextTable
 from hyperflex.report.plan import PlanReport, clearance_tiles, counted
+from hyperflex.report.units import length
 from hyperflex.report.whip.figures import course_figure, passing_figure, peak_figure
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ class WhipReport(PlanReport[WhipPlan]):
 
     name = "whip"
     captions: ClassVar = {
-        "film": "The planned whip, simulated: arm, rope (yellow), path of the tip (green), target (red ring).",
+        "film": "The planned whip, simulated: arm, rope (ochre), path of the tip (green), target (red ring).",
         "peak": "The rope about the peak, early instants dark, late ones bright; simulated.",
         "passing": "How the tip passes the target: its path, coloured by its speed; simulated.",
         "course": "Arm angle, speed of the tip, its distance from the target, and torque over time. Dashed: the peak.",
@@ -59,7 +60,7 @@ class WhipReport(PlanReport[WhipPlan]):
         self.verdict = f"No whip that meets the target was found: {plan.message}."
         if plan.success and (seen := plan.outcome) is not None:
             self.verdict = (
-                f"The tip passes the target at {seen.speed:.1f} m/s, {1e3 * seen.miss:.2g} mm off, in simulation."
+                f"The tip passes the target at {seen.speed:.1f} m/s, {length(seen.miss, 2)} off, in simulation."
             )
         self.target = (
             f"x = {target.x:.3g} m, y = {target.y:.3g} m, {_direction(target)}, at {target.least_speed:.3g} m/s or more"
@@ -75,7 +76,7 @@ class WhipReport(PlanReport[WhipPlan]):
             shown.append(
                 (f"{seen.speed:.1f} m/s", f"speed of the tip at its peak; {target.least_speed:.3g} are needed")
             )
-            shown.append((f"{1e3 * seen.miss:.2g} mm", "miss: from the target to the tip at its peak"))
+            shown.append((length(seen.miss, 2), "miss: from the target to the tip at its peak"))
             if not target.any_direction:
                 allowed = f"{np.degrees(target.angle_tolerance):.3g}"
                 shown.append(
@@ -136,7 +137,7 @@ class WhipReport(PlanReport[WhipPlan]):
         def note(t: float) -> str:
             begun = 0 if starts is None else int((starts <= t).sum())
             arm = f"stroke {begun} of {_strokes(self.plan)}" if begun else f"{_strokes(self.plan)} to come"
-            end = f"met at {seen.t:.2f} s: {seen.speed:.1f} m/s, {1e3 * seen.miss:.2g} mm off"
+            end = f"met at {seen.t:.2f} s: {seen.speed:.1f} m/s, {length(seen.miss, 2)} off"
             if not self.plan.success:
                 end = f"FAILS: {self.plan.message}"
             place = f"target: x = {target.x:.3g} m, y = {target.y:.3g} m, {target.least_speed:.3g} m/s or more"
@@ -166,7 +167,7 @@ def _peak(seen: TipStrike) -> str:
         else f"it reached {seen.earlier_speed:.1f} before"
     )
     return (
-        f"At {seen.t:.2f} s the tip's speed peaks at {seen.speed:.2f} m/s ({before}), {1e3 * seen.miss:.2g} mm from "
+        f"At {seen.t:.2f} s the tip's speed peaks at {seen.speed:.2f} m/s ({before}), {length(seen.miss, 2)} from "
         f"the target, in the direction {way:.0f} degrees."
     )
 
@@ -191,6 +192,6 @@ def _checks(plan: WhipPlan) -> TextTable:
         off = "any" if plan.target.any_direction else f"{np.degrees(seen.angle_error):.1f} degrees"
         links = str(seen.n_links)
         peak, speed, clear = f"{seen.t:.3f} s", f"{seen.speed:.2f} m/s", f"{1e3 * seen.clearance:.1f} mm"
-        rows.append((name, links, peak, speed, f"{1e3 * seen.miss:.2g} mm", off, clear))
+        rows.append((name, links, peak, speed, length(seen.miss, 2), off, clear))
     names = ("run", "links", "peak", "speed", "misses by", "off the direction", "clear of the arm")
     return TextTable(names, tuple(rows))

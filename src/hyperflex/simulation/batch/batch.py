@@ -3,25 +3,29 @@
 import math
 import os
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks, memory
+from hyperflex import checks, extras, memory
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
 from hyperflex.core.batch.members import LENGTH, Members, Terms, observe_block
 from hyperflex.core.chain.lanes import MEMBERS
 from hyperflex.errors import InvalidInput
+from hyperflex.executor import checked_chunks
 from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import output_times
 from hyperflex.simulation.batch.contact import TURNS, run_blocks, run_members
 from hyperflex.simulation.batch.members import members_of, setups_of, starts_of, terms_of
+from hyperflex.simulation.batch.pieces import run_pieces
 from hyperflex.simulation.rollouts import balanced, least_scale, stored
 from hyperflex.simulation.time_budget import INTERRUPTED, Deadline
 
@@ -33,6 +37,7 @@ if TYPE_CHECKING:
 BLOCKS = 2
 LARGEST_BLOCK = 16 * len(MEMBERS)
 STATES = 1e6  # numbers that a block may hold in work
+CHUNK, CONTACT_CHUNK = 64, 4  # members of a chunk on an executor
 # name: (dimensions after member and time, units, long name)
 KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
     "tip": (("axis",), "m", "position of the tip"),
@@ -99,15 +104,13 @@ class Batch:
             raise InvalidInput("no such member", got=member, allowed=f"0 to {len(self.status) - 1}")
         name = self.status[member]
         advice = {status.NAMES[code]: text for code, text in status.ADVICE.items()}.get(name, "")
-        return (
-            ""
-            if name == "ok"
-            else f"stopped at t = {self.reached[member]:.6g} s ({name})" + (advice and f": {advice}.")
-        )
+        where = f"stopped at t = {self.reached[member]:.6g} s ({name})"
+        return "" if name == "ok" else where + (advice and f": {advice}.")
 
     @property
     def dataset(self) -> "xr.Dataset":
         """The batch as an ``xarray.Dataset`` with the dimensions member, time, link and axis."""
+        extras.require(("xarray",), "xarray", "Datasets")
         import xarray as xr
 
         variables: dict[str, Any] = {
@@ -138,6 +141,8 @@ def simulate_batch(
     refine: bool = True,
     time_budget: float | Deadline | None = None,
     threads: int | None = None,
+    executor: Executor | None = None,
+    chunk_size: int | None = None,
     progress: bool = False,
 ) -> Batch:
     """Simulate many ropes, motions or initial states at once.
@@ -168,7 +173,12 @@ def simulate_batch(
         Processor time, s, after which a member with pegs or with joint limits has failed ("time budget exceeded"); the
         default is that of :func:`simulate`.
     threads : int, optional
-        By default one a processor. Results do not depend on it.
+        By default one a processor, or one in each worker of an executor. Results do not depend on it.
+    executor : concurrent.futures.Executor, optional
+        Where chunks of members are run: processes, or other machines (``docs/how-to/many-machines.md``). Results do not
+        depend on it. Members whose chunk kills each worker that runs it have the status "worker lost".
+    chunk_size : int, optional
+        Members of a chunk; by default CHUNK, with contact CONTACT_CHUNK.
     progress : bool
         Show a progress bar on standard error.
 
@@ -196,35 +206,51 @@ def simulate_batch(
     names_kept = checks.sequence("keep", keep, f"names among {', '.join(KEPT)}")
     keep = tuple(checks.choice("keep", name, tuple(KEPT)) for name in names_kept)
     refine, progress = checks.flag("refine", refine), checks.flag("progress", progress)
-    workers = checks.count("threads", threads, most=checks.MOST_THREADS) if threads is not None else os.cpu_count() or 1
+    usual = 1 if executor is not None else os.cpu_count() or 1
+    workers = checks.count("threads", threads, most=checks.MOST_THREADS) if threads is not None else usual
     others = {"duration": duration, "tol": tol, "contact_step": contact_step}
     setups = setups_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, **others)
     if not pegs and any("peg" in KEPT[name][0] for name in keep):
         raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
     t = _outputs(t_eval, setups[0].duration)
     _check_memory(setups, t.size, keep)
-    if any(setup.touches for setup in setups):
-        if step is not None:
-            raise InvalidInput(
-                "step is not there with pegs or with joint limits", got=step, fix="Give contact_step or tol"
-            )
-        shapes = {name: KEPT[name][0] for name in keep}
-        values, names, reached, interrupt = run_members(setups, t, shapes, time_budget, workers, progress)
-        return interrupt.deliver(Batch(t, values, tuple(names), reached))
-    if time_budget is not None:
-        raise InvalidInput(
-            "time_budget is for members with pegs or with joint limits, and there are none",
-            got=time_budget,
-            fix="Leave it out",
-        )
-    chains = [setup.chain() for setup in setups]
-    drives = [setup.drive() for setup in setups]
-    starts = starts_of(setups)
-    members = members_of(chains, drives, starts)
+    touches = any(setup.touches for setup in setups)
+    if touches and step is not None:
+        raise InvalidInput("step is not there with pegs or with joint limits", got=step, fix="Give contact_step or tol")
+    if not touches and time_budget is not None:
+        what = "time_budget is for members with pegs or with joint limits, and there are none"
+        raise InvalidInput(what, got=time_budget, fix="Leave it out")
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
-    terms = terms_of(setups[0], chains[0], chosen)
-    work = _Work(members, terms, t, keep, setups)
-    return work.run(workers, progress)
+    executor, size = checked_chunks(executor, chunk_size, CONTACT_CHUNK if touches else CHUNK)
+    run = partial(_in_contact, time_budget=time_budget) if touches else partial(_in_flight, step=chosen)
+    run = partial(run, t=t, keep=keep, workers=workers)
+    if executor is None:
+        return run(setups, progress=progress)
+    values, names, reached, interrupt = run_pieces(run, setups, executor, size, progress)
+    return interrupt.deliver(Batch(t, values, tuple(names), reached))
+
+
+def _in_contact(
+    setups: list[Setup],
+    t: Array,
+    keep: tuple[str, ...],
+    workers: int,
+    time_budget: float | Deadline | None,
+    progress: bool = False,
+) -> Batch:
+    """Run members with pegs or with joint limits in this process, on threads."""
+    shapes = {name: KEPT[name][0] for name in keep}
+    values, names, reached, interrupt = run_members(setups, t, shapes, time_budget, workers, progress)
+    return interrupt.deliver(Batch(t, values, tuple(names), reached))
+
+
+def _in_flight(
+    setups: list[Setup], t: Array, keep: tuple[str, ...], workers: int, step: float, progress: bool = False
+) -> Batch:
+    """Run members in free flight in this process, on threads."""
+    chains = [setup.chain() for setup in setups]
+    members = members_of(chains, [setup.drive() for setup in setups], starts_of(setups))
+    return _Work(members, terms_of(setups[0], chains[0], step), t, keep, setups).run(workers, progress)
 
 
 class _Work:

@@ -16,6 +16,7 @@ from hyperflex.core.batch import rollouts as core
 from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.chain.lanes import MEMBERS
 from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_TOL, Arm, Rope
 from hyperflex.simulation.batch.members import INITIAL_CLOCK, MOST_MEMBERS, members_of, setups_of, starts_of, terms_of
 from hyperflex.simulation.commands import COMMANDS, arm_polynomials, setup_for
@@ -235,6 +236,7 @@ class BatchStepper:
             turn * swing + np.einsum("mci,mi->mc", across, lengths * state.qd),
         )
 
+    @interruptible()
     def step(self, state: BatchState, commands: npt.ArrayLike, dt: float) -> BatchState:
         """Return the state an interval later, as :meth:`hyperflex.Stepper.step` does.
 

@@ -21,7 +21,7 @@ from hyperflex.core.contact.arrays import STICK
 from hyperflex.core.contact.step import new_contact_memory
 from hyperflex.core.contact.torque_peaks import COLUMNS, PEAK, WHEN, WINDOWS
 from hyperflex.core.integrate.progress import INDEX, MARK, T
-from hyperflex.interruption import look
+from hyperflex.interruption import deferred, look
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refine_rope
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.contact.turning_pegs import coast, spin_energy, starting_spin
@@ -116,8 +116,9 @@ class ContactRun:
             return code
         gap, speed, _ = core.clearance(run.chain, run.drive, self.contacts, run.time, run.progress.y, 0.0)
         if np.isfinite(span) and (speed > bound or gap <= 0.0):
-            run.progress.y[:], clock[:], self.contact.spin[:] = y, before, spin
-            return self._touch(begin + span)
+            with deferred():
+                run.progress.y[:], clock[:], self.contact.spin[:] = y, before, spin
+                return self._touch(begin + span)
         self.flights, self.flown = self.flights + 1, self.flown + run.time - begin
         for array in self.contact.memory:
             array[:] = 0
@@ -159,10 +160,13 @@ class ContactRun:
         stop = min(run.limits.stop, least) if forced else run.limits.stop
         clear = np.inf if always or forced else self.clear
         bounds = at.Bounds(stop, self.longest, rate, clear, SLACK, BUDGET)
-        code = int(core.run(run.chain, run.drive, self.contacts, self.pull, bounds, contact, run.t, run.y, run.seen))
-        index = contact.clock[at.INDEX]
-        clock[:MARK] = starting_clock(float(contact.clock[at.T]))
-        clock[INDEX], clock[MARK] = index, -np.inf
+        with deferred():  # else state and clock would not fit together
+            code = int(
+                core.run(run.chain, run.drive, self.contacts, self.pull, bounds, contact, run.t, run.y, run.seen)
+            )
+            index = contact.clock[at.INDEX]
+            clock[:MARK] = starting_clock(float(contact.clock[at.T]))
+            clock[INDEX], clock[MARK] = index, -np.inf
         return status.RUNNING if code == status.OK and run.time < run.limits.stop else code
 
     def _energy(self) -> float:

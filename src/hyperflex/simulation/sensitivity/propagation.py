@@ -17,7 +17,7 @@ from hyperflex.simulation.sensitivity.directions import (
     check_smooth,
     parameter_directions,
 )
-from hyperflex.simulation.sensitivity.sensitivity import record_steps
+from hyperflex.simulation.sensitivity.sensitivity import ON, record_steps
 from hyperflex.simulation.sensitivity.stiction import stiction_projection
 
 
@@ -89,7 +89,7 @@ class Propagator:
         steps, seeds = run.progress.log, self._seeds(width // 2)
         begins = stiction_projection(self.chain, self.drive, begin, y[0, :n], steps[0, MODES:], seeds, dy[0])
         times = np.array([begin, end])
-        core.forward_sensitivities(self.chain, self.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
+        core.forward_sensitivities(self.chain, self.drive, TABLES, steps, begin, begins, seeds, times, y, dy, ON)
         moved = dy[1].T
         return y[1, :n], y[1, n : 2 * n], moved[first : first + len(changes)], moved[: self.count]
 

@@ -1,12 +1,14 @@
 """Exact derivatives of rollouts by the start, the rope, the arm and the motion."""
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import memory
+from hyperflex import extras, memory
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import Drive, base_state, segment
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _NAMED = 4  # parameters that are printed
+LARGE = 1_000_000  # steps x links x directions, some tenths of a second's work, from which Ctrl-C is heard meanwhile
+ON = np.zeros(1, dtype=np.int64)  # nothing halts what is short
 STEPS = 10_000  # noted in one go; a run with more of them is done again with room for all
 
 
@@ -81,6 +85,7 @@ class Sensitivities:
     @property
     def dataset(self) -> "xr.Dataset":
         """The same as an ``xarray.Dataset`` with the dimensions time, link, axis and parameter."""
+        extras.require(("xarray",), "xarray", "Datasets")
         import xarray as xr
 
         shapes = {"q": ("link",), "qd": ("link",), "tip": ("axis",), "arm_angle": (), "arm_rate": ()}
@@ -273,9 +278,25 @@ def forward_derivatives(
     if steps.size:
         seeds = seeds or directions.directions(run.chain, run.drive)
         begins = stiction_projection(run.chain, run.drive, begin, y[0, :n], steps[0, MODES:], seeds, dy[0])
-        core.forward_sensitivities(run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
+        given = (run.chain, run.drive, TABLES, steps, begin, begins, seeds, times, y, dy)
+        _stoppable(lambda halt: core.forward_sensitivities(*given, halt), steps.shape[0] * n * directions.width)
     first = times.size - t.size
     return y[first:], dy[first:]
+
+
+def _stoppable(kernel: Callable[[npt.NDArray[np.int64]], None], size: int) -> None:
+    """Call a kernel that can be halted; one of a large `size` on a thread, so that Ctrl-C is heard meanwhile."""
+    if size < LARGE:
+        kernel(ON)
+        return
+    halt = np.zeros(1, dtype=np.int64)
+    with ThreadPoolExecutor(1) as pool:
+        work = pool.submit(kernel, halt)
+        try:
+            work.result()
+        except KeyboardInterrupt:
+            halt[0] = 1
+            raise
 
 
 def acceleration_jacobian(

@@ -16,7 +16,7 @@ import typer
 
 from hyperflex import checks, files
 from hyperflex.cli import output
-from hyperflex.errors import FileProblem, HyperflexError
+from hyperflex.errors import FileProblem, HyperflexError, MissingPackage
 from hyperflex.progress import progress_bar
 
 OLD = 90 * 86_400.0  # s, after which kernels of other versions are removed
@@ -44,7 +44,7 @@ def warm(
     if numba.config.DISABLE_JIT:
         _tell(json, {"kernels": 0, "compiled": 0}, "Nothing to do: NUMBA_DISABLE_JIT is set, and nothing is compiled.")
         return
-    kernels = _kernels()
+    kernels = every_kernel()
     stamp = cache.folder() / f"warm-{cache.fingerprint(module for module, _ in kernels)}.txt"
     before = cache.compiled(kernels)
     if not _is_whole(stamp):
@@ -83,7 +83,7 @@ def _tell(as_json: bool, result: dict[str, Any], sentence: str) -> None:
         output.console().print(sentence, soft_wrap=True)
 
 
-def _kernels() -> list[tuple[str, str]]:
+def every_kernel() -> list[tuple[str, str]]:
     """Return module and name of every kernel."""
     from hyperflex import core
     from hyperflex.core.jit import KERNELS
@@ -127,7 +127,7 @@ def _compile(kernels: list[tuple[str, str]], count: int) -> float:
     from hyperflex.core import cache
 
     lanes = [[name for lane in LANES[k::count] for name in lane] for k in range(min(count, len(LANES)))]
-    command = [sys.executable, "-c", "import sys; from hyperflex.cli.warm import call; call(sys.argv[1:])"]
+    command = [sys.executable, "-c", "import sys; from hyperflex.cli.start.warm import call; call(sys.argv[1:])"]
     workers = [
         subprocess.Popen([*command, *lane], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         for lane in lanes
@@ -154,7 +154,8 @@ def _compile(kernels: list[tuple[str, str]], count: int) -> float:
 def call(names: list[str]) -> None:
     """Make some of the calls that compile kernels, one after the other."""
     for name in names:
-        CALLS[name]()
+        with contextlib.suppress(MissingPackage):  # what an extra needs, and is not there
+            CALLS[name]()
 
 
 def _children_time() -> float:

@@ -1,0 +1,215 @@
+"""Environments: steps a second, and the scores of scripted, random and learned policies over 200 seeds.
+
+python -m benchmarks.gym                        speed and scripted scores, with what was learned before; an hour
+python -m benchmarks.gym --seeds 10 --out -     a look; nothing is written
+python -m benchmarks.gym --learn Swing 0        train a policy with Stable-Baselines3, which must be there, and score it
+
+Seeds are 0 to 199, arguments the environments' defaults; intervals are 95 % of the mean return, by a bootstrap. To
+enter a policy, play the same episodes with ``hyperflex.envs.score_policy``. Rows are kept in gym.jsonl: the same
+command goes on where it stopped. Times of learning and of planning are the processor's, of all threads, so that other
+programs do not matter. All simulated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from benchmarks import log as lines
+from benchmarks import machine
+
+from hyperflex import files
+from hyperflex.envs import CrossingPolicy, PlannedCast, PumpingPolicy, Scores, score_policy, stable_baselines_env
+
+RESULTS = Path(__file__).parent / "results"
+MEMBERS, STEPS, ROUNDS, AIM = 256, 300, 5, 50_000.0  # members, steps a round, rounds, steps/s
+LIMIT, PART, EVERY = 600.0, 0.9, 20.0  # s of learning; part of the scripted return; s between two looks at it
+PLANNING = 4.0  # s of planning a cast, twice at most
+TRIED = {"Swing": range(1000, 1050), "Cast": range(1000, 1016)}  # seeds that learning looks at
+TOGETHER = {"Swing": 64, "Cast": 16}  # members that learn
+LEARNING: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 6, "learning_rate": 6e-4, "ent_coef": 0.003}
+
+
+class RandomPolicy:
+    """Actions drawn from the action space."""
+
+    def __init__(self, env: Any) -> None:
+        self.space = env.action_space
+
+    def __call__(self, seen: Any) -> Any:
+        return self.space.sample()
+
+
+SCRIPTED: dict[str, dict[str, Callable[[Any], Any]]] = {
+    "Swing": {"random": RandomPolicy, "crossing": CrossingPolicy, "pumping": PumpingPolicy},
+    "Cast": {
+        "random": RandomPolicy,
+        "planned": functools.partial(PlannedCast, tries=2, time_budget=PLANNING, threads=1),
+    },
+}
+BEST = "pumping"  # of the scripted policies of Swing
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--learn", nargs=2, metavar=("NAME", "SEED"), help="Swing or Cast, and the seed of learning")
+    parser.add_argument("--only", choices=sorted(SCRIPTED), help="scores of one environment alone")
+    parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
+    options = parser.parse_args()
+    log = None if options.out == "-" else Path(options.out) / "gym.jsonl"
+    rows = lines.read(log)
+
+    def keep(row: lines.Row) -> None:
+        rows.append(row)
+        print(row, flush=True)
+        if log is not None:
+            lines.append(log, row)
+
+    seeds = range(options.first, options.first + options.seeds)
+    if options.learn:
+        learn(options.learn[0], int(options.learn[1]), seeds, rows, keep)
+        return
+    time.monotonic = time.process_time  # the planner's clock
+    for name in [options.only] if options.only else SCRIPTED:
+        for policy, make in SCRIPTED[name].items():
+            score(name, policy, make, seeds, rows, keep)
+    if options.only:
+        return
+    page = f"# Environments: speed and scores\n\n{text(rows, speed())}\n\n{machine.sentence(machine.describe())}\n"
+    print(page)
+    if log is not None:
+        files.write_text(log.with_name("gym.md"), page)
+
+
+def score(
+    name: str,
+    policy: str,
+    make: Callable[[Any], Any],
+    seeds: range,
+    rows: list[lines.Row],
+    keep: Callable[[lines.Row], None],
+) -> Scores:
+    """Play the seeds that were not played yet."""
+    known = {row["seed"]: row for row in rows if (row.get("name"), row.get("policy")) == (name, policy)}
+    for seed in seeds:
+        if seed not in known:
+            found = score_policy(make, f"hyperflex/{name}-v0", seeds=[seed])
+            row = {"name": name, "policy": policy, "seed": seed, "return": found.mean}
+            known[seed] = row | {"success": bool(found.successes[0])}
+            keep(known[seed])
+    return scores_of([known[seed] for seed in seeds])
+
+
+def scores_of(rows: list[lines.Row]) -> Scores:
+    """Scores of rows."""
+    return Scores(np.array([row["return"] for row in rows]), np.array([row["success"] for row in rows]))
+
+
+def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Callable[[lines.Row], None]) -> None:
+    """Train by PPO until it returns PART of what the best scripted policy does, or the time is over; then score it."""
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    torch.set_num_threads(1)
+    environment = f"hyperflex/{name}-v0"
+    best = "pumping" if name == "Swing" else "planned"
+    scripted = [row["return"] for row in rows if (row.get("name"), row.get("policy")) == (name, best)]
+    aim = PART * float(np.mean(scripted)) * 1.02 if scripted else np.inf  # a little more: other seeds are looked at
+    envs = gymnasium.make_vec(environment, num_envs=TOGETHER[name], autoreset_mode="SameStep")
+    model = PPO("MlpPolicy", stable_baselines_env(envs), seed=seed, device="cpu", **LEARNING)
+    begin, clock, looks = time.process_time(), time.perf_counter(), [0.0]
+
+    def play(tried: range) -> float:
+        """Mean return of the policy so far."""
+        those = gymnasium.make_vec(environment, num_envs=len(tried), autoreset_mode="Disabled")
+        seen, _ = those.reset(seed=tried[0])
+        total, going = np.zeros(len(tried)), np.ones(len(tried), dtype=bool)
+        while going.any():
+            seen, reward, terminated, truncated, _ = those.step(model.predict(seen, deterministic=True)[0])
+            total, ended = total + going * reward, terminated | truncated
+            going &= ~ended
+            if ended.any():
+                seen, _ = those.reset(options={"reset_mask": ended})
+        return float(total.mean())
+
+    class Looking(BaseCallback):  # type: ignore[misc]
+        """Ends learning."""
+
+        reached = -np.inf
+
+        def _on_step(self) -> bool:
+            return self.reached < aim and time.process_time() - begin < LIMIT
+
+        def _on_rollout_end(self) -> None:
+            if time.process_time() - begin > looks[-1] + EVERY:
+                self.reached = play(TRIED[name])
+                looks.append(time.process_time() - begin)
+                print(f"{name} {seed}: {self.num_timesteps} steps, {looks[-1]:.0f} s, {self.reached:.1f}", flush=True)
+
+    model.learn(1_000_000_000, callback=(looking := Looking()))
+    spent = {"seconds": time.process_time() - begin, "clock": time.perf_counter() - clock}
+    policy = f"PPO, seed {seed}"
+    keep({"name": name, "learned": policy, "steps": looking.num_timesteps, **spent})
+    score(name, policy, lambda env: lambda seen: model.predict(seen, deterministic=True)[0], seeds, rows, keep)
+
+
+def speed() -> tuple[float, float, float]:
+    """Median, least and most steps a second of many members, by the clock."""
+    envs = gymnasium.make_vec("hyperflex/Swing-v0", num_envs=MEMBERS)
+    envs.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, MEMBERS, 1))
+    rates = []
+    for _ in range(ROUNDS):
+        begin = time.perf_counter()
+        for each in actions:
+            envs.step(each)
+        rates.append(STEPS * MEMBERS / (time.perf_counter() - begin))
+    return statistics.median(rates), min(rates), max(rates)
+
+
+def text(rows: list[lines.Row], rate: tuple[float, float, float]) -> str:
+    """Results as Markdown."""
+    titles = ("environment", "policy", "return (95 %)", "of the best scripted", "successes", "learned in")
+    found = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
+    for name, each in SCRIPTED.items():
+        learned = {row["learned"]: row for row in rows if row.get("name") == name and "learned" in row}
+        means = {}
+        for policy in (*each, *sorted(learned)):
+            played = [row for row in rows if (row.get("name"), row.get("policy")) == (name, policy)]
+            if not played:
+                continue
+            scores = scores_of(played)
+            means[policy] = scores.mean
+            low, high = scores.interval
+            spent = learned.get(policy)
+            told = f"{spent['seconds']:.0f} s, {spent['steps']:,} steps" if spent else ""
+            part = scores.mean / max(means[one] for one in each if one in means)
+            won = f"{scores.successes.sum()} of {len(played)}" if name == "Cast" else ""
+            cells = [name, policy, f"{scores.mean:.4g} ({low:.4g} to {high:.4g})", f"{part:.0%}", won, told]
+            found.append(f"| {' | '.join(cells)} |")
+    many = TOGETHER
+    return "\n".join(found) + (
+        "\n\nEpisodes from the seeds 0 to 199. "
+        f"{MEMBERS} members of Swing (20 links, 50 Hz) take {rate[0]:,.0f} steps/s by the clock "
+        f"({rate[1]:,.0f} to {rate[2]:,.0f}); at least {AIM:,.0f} are asked. Learned: PPO of Stable-Baselines3 "
+        f"on {many['Swing']} members (Cast: {many['Cast']}), until it returns {PART:.0%} of what the best "
+        f"scripted policy does, on other seeds, {LIMIT:.0f} s of processor time (all threads) at most. "
+        "`crossing` is the paper's rule, `pumping` looks ahead with the model, `planned` carries out what "
+        f"`plan_cast` finds in {PLANNING:g} s of processor time, twice at most. All of them see the true "
+        "state; the true rope is the model's."
+    )
+
+
+if __name__ == "__main__":
+    main()

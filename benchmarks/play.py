@@ -1,0 +1,181 @@
+"""The page of hyperflex play: frames, answers of a slider, cancelling, memory; at rest and while a cast is planned.
+
+python benchmarks/play.py                  60 s of frames, a soak of 30 minutes; results in benchmarks/results/
+python benchmarks/play.py --seconds 20 --minutes 2   the short form; it says so
+
+The server is a process of its own, as the command starts it; the page is in a chromium without a window, which paints
+without a graphics card. All on this machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import machine
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+from tests.browser import Browser, found
+
+RESULTS = Path(__file__).parent / "results"
+LINKS, PAUSE, PIECE = 200, 0.1, 15.0  # s between two moves of the slider, and of one look
+AIM = {"delivered": 55.0, "painted": 20.0, "idle p95": 100.0, "planning p95": 200.0, "cancel": 1.0, "growth": 5.0}
+SLIDE = """(async () => {
+    const took = [], end = performance.now() + 1000 * %g;
+    for (let k = 0; performance.now() < end; k++) {
+        const begin = performance.now();
+        await play.ask({ set: { t_rest: k %% 2 ? 0.5 : 0.6 } });
+        took.push(performance.now() - begin);
+        await new Promise((done) => setTimeout(done, 1000 * %g));
+    }
+    return took;
+})()"""
+
+
+class Measured:
+    """The server, and the page in a browser."""
+
+    def __init__(self, folder: str) -> None:
+        command = [sys.executable, "-m", "hyperflex", "play", "--no-open", "--json", "--folder", folder]
+        self.server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        self.address = json.loads(self.server.stdout.readline())["address"]
+        self.browser = Browser(found() or sys.exit("no chromium was found"))
+        self.browser.open(self.address)
+        self.wait("window.play && play.scene && play.frames.length")
+        self.browser.evaluate(f"play.ask({{ set: {{ links: {LINKS} }} }})")
+        self.browser.evaluate("play.ask({ button: 'swing' })")
+
+    def close(self) -> None:
+        self.browser.close()
+        self.server.terminate()
+        self.server.wait()
+
+    def wait(self, what: str) -> None:
+        while not self.browser.evaluate(f"Boolean({what})"):
+            time.sleep(0.05)
+
+    def memory(self) -> float:
+        """Resident memory of the server, MB."""
+        status = Path(f"/proc/{self.server.pid}/status").read_text()
+        return int(status.partition("VmRSS:")[2].split()[0]) / 1024.0
+
+    def plan(self) -> None:
+        """Begin to plan, again if the last search has ended."""
+        self.browser.evaluate("play.ask({ set: { time_budget: 120, target_x: -0.83, target_y: -1.07 } })")
+        self.browser.evaluate("play.ask({ button: 'plan' })")
+        self.wait("play.scene.planning && play.scene.planning.spent > 0")
+
+    def cancel(self) -> float:
+        """Cancel; returns how long it took, s."""
+        took = "(async () => { const t = performance.now(); await play.ask({ button: 'cancel' }); "
+        return float(self.browser.evaluate(took + "return performance.now() - t; })()")) / 1000.0
+
+    def frames(self, seconds: float) -> dict[str, Any]:
+        """Count frames that came and were painted, and time a slider meanwhile."""
+        before, begin = self.browser.evaluate("[play.counts.frames, play.counts.painted]"), time.monotonic()
+        took: list[float] = []
+        while (left := seconds - (time.monotonic() - begin)) > 0.5:
+            took += self.browser.evaluate(SLIDE % (min(left, PIECE), PAUSE))
+        after, spent = self.browser.evaluate("[play.counts.frames, play.counts.painted]"), time.monotonic() - begin
+        return {
+            "seconds": spent,
+            "delivered": (after[0] - before[0]) / spent,
+            "painted": (after[1] - before[1]) / spent,
+            "answer p50": float(np.percentile(took, 50)),
+            "answer p95": float(np.percentile(took, 95)),
+            "answers": len(took),
+            "load": os.getloadavg()[0],
+        }
+
+
+def measure(seconds: float, minutes: float) -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as folder:
+        page = Measured(folder)
+        try:
+            time.sleep(3.0)  # kernels are loaded
+            idle = page.frames(seconds)
+            page.plan()
+            busy = page.frames(seconds)
+            still = bool(page.browser.evaluate("Boolean(play.scene.planning)"))
+            cancelled = [page.cancel()] if still else []
+            while len(cancelled) < 3:
+                page.plan()
+                cancelled.append(page.cancel())
+            page.browser.evaluate("play.ask({ button: 'swing' })")
+            page.browser.evaluate("play.ask({ button: 'hang' })")
+            page.browser.evaluate("play.ask({ button: 'swing' })")
+            time.sleep(20.0)
+            first = page.memory()
+            end = time.monotonic() + 60.0 * minutes
+            while time.monotonic() < end:
+                time.sleep(1.0)
+                page.browser.evaluate("play.ask({ set: { target_x: -0.8 - 0.05 * Math.random() } }).catch(() => 0)")
+            last = page.memory()
+            foreign = [each for each in page.browser.requests if not each.split("://")[1].startswith("127.0.0.1:")]
+            complaints = page.browser.complaints
+        finally:
+            page.close()
+    soak = {"minutes": minutes, "first MB": first, "last MB": last, "growth %": 100.0 * (last / first - 1.0)}
+    told = {"foreign requests": len(foreign), "console": len(complaints)}
+    return {
+        "idle": idle,
+        "planning": busy,
+        "planned throughout": still,
+        "cancel s": max(cancelled),
+        "soak": soak,
+        **told,
+    }
+
+
+def text(found: dict[str, Any]) -> str:
+    rows = ["| | aim | at rest | while planning |", "|---|---|---|---|"]
+    idle, busy, soak = found["idle"], found["planning"], found["soak"]
+    answers = f"{AIM['idle p95']:g}; {AIM['planning p95']:g} while planning"
+    for what, aim, name in (
+        ("frames delivered, 1/s", f"{AIM['delivered']:g}", "delivered"),
+        ("frames painted without a graphics card, 1/s", f"{AIM['painted']:g}", "painted"),
+        ("answer of a slider, p50, ms", "", "answer p50"),
+        ("answer of a slider, p95, ms", answers, "answer p95"),
+        ("threads busy, all programs together", "", "load"),
+    ):
+        rows.append(f"| {what} | {aim} | {idle[name]:.1f} | {busy[name]:.1f} |")
+    search = "the search went on all the while" if found["planned throughout"] else "the search ended before"
+    grown = f"{soak['first MB']:.0f} to {soak['last MB']:.0f} MB, {soak['growth %']:+.1f} %"
+    lines = [
+        f"A rope of {LINKS} links swings beside a peg and strikes it; {idle['seconds']:.0f} s each, {search}.",
+        f"Cancelling a search took {found['cancel s']:.2f} s at most of three (aim {AIM['cancel']:g} s).",
+        f"Memory of the server in {soak['minutes']:g} minutes, moving the peg: {grown} (aim +{AIM['growth']:g} %).",
+        f"Requests to other hosts: {found['foreign requests']}. Complaints in the console: {found['console']}.",
+    ]
+    return "\n".join(rows) + "\n\n" + "\n".join(lines)
+
+
+def main() -> None:
+    """Measure, print, and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--minutes", type=float, default=30.0)
+    given = parser.parse_args()
+    about = machine.describe()
+    measured = measure(given.seconds, given.minutes)
+    about["load after"] = machine.load()
+    short = given.seconds < 60.0 or given.minutes < 30.0
+    words = f"\nThe short form: `--seconds {given.seconds:g} --minutes {given.minutes:g}`.\n" if short else ""
+    page = f"# hyperflex play: frames, answers, memory\n\n{text(measured)}\n{words}\n{machine.sentence(about)}\n\n"
+    page += "`python benchmarks/play.py` makes this page again.\n"
+    sys.stdout.write(page)
+    (RESULTS / "play.md").write_text(page, encoding="utf-8")
+    content = {"machine": about, **measured}
+    (RESULTS / "play.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

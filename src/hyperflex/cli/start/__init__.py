@@ -1,0 +1,1 @@
+"""Commands to begin with: a set-up file, the demo, compiled kernels, and whether the installation is sound."""

@@ -1,0 +1,170 @@
+"""``hyperflex doctor``: whether packages, kernels, folders and on demand a camera are sound, and how fast runs are."""
+
+import importlib.metadata
+import os
+import platform
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hyperflex import __version__
+from hyperflex.cli import output
+from hyperflex.errors import HyperflexError
+
+SPACE = 1e9  # bytes that should be free
+LOOKS = 3  # timed runs; the best counts
+WRONG = "wrong"  # what a needed thing is that does not work
+DEVELOPERS = {"test", "lint", "docs", "bench", "dev", "all"}  # extras that a run does not use
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found of one thing: ``good``, ``missing`` (an extra, or kernels yet to be compiled) or ``wrong``."""
+
+    name: str
+    state: str
+    found: str
+    fix: str = ""
+
+
+def doctor(
+    camera: Annotated[
+        int | None, typer.Option(help="Open this camera, too, and take a picture. [default: none is opened]")
+    ] = None,
+    no_speed: Annotated[bool, typer.Option("--no-speed", help="Do not time a run.")] = False,
+    json: output.Json = False,
+) -> None:
+    """Check the installation: packages, extras, compiled kernels, folders, and how fast a run is.
+
+    Nothing is changed, and no camera is opened unless --camera names it. The exit code is 2 if something is wrong that
+    hyperflex cannot do without.
+    """
+    found = [_interpreter(), *_packages(), _kernels(), *_folders()]
+    if camera is not None:
+        found.append(_camera(camera))
+    speed = None if no_speed else _speed()
+    if speed is not None:
+        found.append(Finding("speed", "good", f"{speed:.3g} s of processor time for 1 s of a cable of 50 links"))
+    wrong = [each.name for each in found if each.state == WRONG]
+    if json:
+        told = {"version": __version__, "wrong": wrong, "processor_seconds_per_simulated_second": speed}
+        output.print_json(told | {"findings": [asdict(each) for each in found]})
+    else:
+        title = f"{len(wrong)} wrong: {', '.join(wrong)}" if wrong else "Nothing is wrong"
+        output.print_pairs(title, [(f"{each.state:<9}{each.name}", f"{each.found} {each.fix}") for each in found])
+    if wrong:
+        raise typer.Exit(output.REFUSED)
+
+
+def _interpreter() -> Finding:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    machine = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {cores} cores"
+    return Finding("hyperflex", "good", f"{__version__} in {Path(__file__).parents[2]}; {machine}")
+
+
+def _packages() -> Iterator[Finding]:
+    """Yield what is found of the required packages, all in one, and of each extra."""
+    try:
+        requirements = importlib.metadata.requires("hyperflex") or []
+    except importlib.metadata.PackageNotFoundError:
+        yield Finding("packages", WRONG, "hyperflex is not installed, its folder alone is there.", "pip install it.")
+        return
+    wanted: dict[str, list[str]] = {}
+    for each in requirements:
+        match = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", each)
+        wanted.setdefault(match[1] if match else "", []).append(re.split(r"[\s\[<>=!~;]", each, maxsplit=1)[0])
+    for extra, names in sorted(wanted.items()):
+        versions = {name: _version(name) for name in names if name != "hyperflex"}
+        lacking = [name for name, version in versions.items() if not version]
+        there = ", ".join(f"{name} {version}" for name, version in versions.items() if version)
+        command = f"pip install 'hyperflex[{extra}]'" if extra else "pip install --force-reinstall hyperflex"
+        if extra in DEVELOPERS:
+            continue
+        if lacking:
+            state = "missing" if extra else WRONG
+            yield Finding(_title(extra), state, f"without {', '.join(lacking)}.", f"{command} brings them.")
+        elif versions:
+            yield Finding(_title(extra), "good", there)
+
+
+def _title(extra: str) -> str:
+    return f"extra {extra}" if extra else "packages"
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return ""
+
+
+def _kernels() -> Finding:
+    import numba
+
+    from hyperflex.cli.start.warm import every_kernel
+    from hyperflex.core import cache
+
+    if numba.config.DISABLE_JIT:
+        return Finding("kernels", WRONG, "NUMBA_DISABLE_JIT is set: nothing is compiled, and runs take very long.")
+    every, folder = every_kernel(), cache.folder()
+    there = cache.compiled(every)
+    if (trouble := _trouble(folder)) is not None:
+        fix = "Without it kernels are compiled in every process: name another in HYPERFLEX_CACHE_DIR."
+        return Finding("kernels", WRONG, f"{folder} {trouble}.", fix)
+    fix = "" if there else "hyperflex warm compiles them in advance."
+    return Finding("kernels", "good" if there else "missing", f"{there} of {len(every)} compiled, in {folder}.", fix)
+
+
+def _folders() -> Iterator[Finding]:
+    for name, folder in (("this folder", Path.cwd()), ("temporary files", Path(tempfile.gettempdir()))):
+        trouble, free = _trouble(folder), shutil.disk_usage(folder).free
+        if trouble is not None:
+            yield Finding(name, WRONG, f"{folder} {trouble}.", "Work in a folder of your own.")
+        elif free < SPACE:
+            yield Finding(name, WRONG, f"{folder}: {free / 1e6:.0f} MB are free.", "Make room: runs are large.")
+        else:
+            yield Finding(name, "good", f"{folder}, {free / 1e9:.0f} GB free")
+
+
+def _trouble(folder: Path) -> str | None:
+    """Return why nothing can be written in a folder, or in the first one above it that is there; None if it can."""
+    base = next(each for each in (folder, *folder.parents) if each.exists())
+    try:
+        with tempfile.TemporaryFile(dir=base):
+            return None
+    except OSError as error:
+        return f"cannot be written to ({error.strerror})"
+
+
+def _camera(number: int) -> Finding:
+    from hyperflex.vision import LiveCamera
+
+    name = f"camera {number}"
+    try:
+        with LiveCamera(number) as source:
+            frame = next(iter(source))
+            width, height = source.image_size
+            shade = float(frame.image.mean())
+            return Finding(name, "good", f"{width} x {height} px, times by its {source.stamps}, mean level {shade:.0f}")
+    except HyperflexError as error:
+        return Finding(name, WRONG, str(error))
+
+
+def _speed() -> float:
+    """Return the processor time that a second of the source paper's cable takes, s; the best of a few runs."""
+    import hyperflex as hf
+
+    cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    arm, motion, duration, best = hf.Arm(), hf.arm_swings(), 2.0, float("inf")
+    for _ in range(LOOKS + 1):  # the first may compile
+        begin = time.process_time()
+        hf.simulate(cable, motion, arm=arm, duration=duration)
+        best = min(best, time.process_time() - begin)
+    return best / duration

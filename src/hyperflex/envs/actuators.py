@@ -1,0 +1,98 @@
+"""Actions of an environment and what the arms do then: an acceleration, or half turns that start when asked."""
+
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.planning import MotorLimits
+
+ACTIONS = ("acceleration", "timing")
+QUARTER = 0.5 * math.pi  # rad; arms begin at -QUARTER, and half turns go to and fro below the shaft
+
+
+class Actuator(ABC):
+    """Turns actions of many members into accelerations of their arms within the motor's limits.
+
+    `limits` are those of the motor, `dt`, s, is the interval of an action, `count` the number of members.
+    """
+
+    space: spaces.Space[np.generic] | spaces.Box  # of one member's action
+
+    def __init__(self, limits: MotorLimits, dt: float, count: int) -> None:
+        self.limits, self.dt, self.count = limits, dt, count
+
+    @abstractmethod
+    def accelerations(self, actions: npt.NDArray[np.generic], angle: Array, rate: Array) -> Array:
+        """Return accelerations (M,), rad/s^2, of arms at an angle (M,), rad, with a rate (M,), rad/s."""
+
+    @abstractmethod
+    def begin(self, which: npt.NDArray[np.intp]) -> None:
+        """Forget what some members were doing."""
+
+
+class AccelerationActuator(Actuator):
+    """An action is the arm's acceleration as a part of the motor's greatest, -1 to 1.
+
+    It is reduced where the arm would pass the motor's speed, or could not brake any more before the end of its range.
+    """
+
+    def __init__(self, limits: MotorLimits, dt: float, count: int) -> None:
+        super().__init__(limits, dt, count)
+        self.space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    def accelerations(self, actions: npt.NDArray[np.generic], angle: Array, rate: Array) -> Array:
+        """Return accelerations (M,), rad/s^2, for actions (M, 1)."""
+        most, dt = self.limits.acceleration, self.dt
+        asked = most * np.clip(np.asarray(actions, dtype=np.float64).reshape(self.count), -1.0, 1.0)
+        half, middle = 0.5 * most * dt, angle + 0.5 * dt * rate
+        room = middle - self.limits.angles[0], self.limits.angles[1] - middle
+        low, high = (np.sqrt(half**2 + 2.0 * most * np.maximum(way, 0.0)) - half for way in room)
+        speed = self.limits.speed
+        given = np.clip(asked, (-np.minimum(low, speed) - rate) / dt, (np.minimum(high, speed) - rate) / dt)
+        return np.asarray(np.clip(given, -most, most))
+
+    def begin(self, which: npt.NDArray[np.intp]) -> None:
+        """Forget nothing: an acceleration lasts for its interval."""
+
+
+class TimingActuator(Actuator):
+    """An action of 1 starts a half turn of an arm that rests; 0 waits. While the arm moves both do nothing.
+
+    A half turn goes below the shaft to the other side, half of it at a constant acceleration and half of it at the
+    opposite one, as quickly as the motor allows in an even number of intervals.
+    """
+
+    def __init__(self, limits: MotorLimits, dt: float, count: int) -> None:
+        super().__init__(limits, dt, count)
+        if limits.angles[0] > -QUARTER or limits.angles[1] < QUARTER:
+            raise InvalidInput("motor angles leave no room for half turns", got=limits.angles, allowed="-pi/2 to pi/2")
+        self.space = spaces.Discrete(2)
+        shortest = max(math.sqrt(math.pi / limits.acceleration), math.pi / limits.speed)
+        self.half = math.ceil(shortest / dt - 1e-9)  # intervals
+        self.acceleration = math.pi / (self.half * dt) ** 2
+        self._left = np.zeros(count, dtype=np.int64)  # intervals of the half turn that is being made
+        self._sense = np.ones(count)
+
+    def accelerations(self, actions: npt.NDArray[np.generic], angle: Array, rate: Array) -> Array:
+        """Return accelerations (M,), rad/s^2, for actions (M,)."""
+        starts = (self._left == 0) & (np.asarray(actions).reshape(self.count) == 1)
+        self._sense = np.where(starts, np.where(angle < 0.0, 1.0, -1.0), self._sense)
+        self._left[starts] = 2 * self.half
+        sign = np.where(self._left > self.half, self._sense, np.where(self._left > 0, -self._sense, 0.0))
+        self._left = np.maximum(self._left - 1, 0)
+        return np.asarray(self.acceleration * sign)
+
+    def begin(self, which: npt.NDArray[np.intp]) -> None:
+        """Forget the half turns of some members."""
+        self._left[which] = 0
+
+
+def actuator(action: str, limits: MotorLimits, dt: float, count: int) -> Actuator:
+    """Return the actuator of a kind of action, one of ACTIONS."""
+    kinds: dict[str, type[Actuator]] = {"acceleration": AccelerationActuator, "timing": TimingActuator}
+    return kinds[action](limits, dt, count)

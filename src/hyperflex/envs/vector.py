@@ -1,0 +1,264 @@
+"""Environments of many ropes side by side, and one of them alone: actions, observations, episodes and their ends."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.envs.actuators import ACTIONS, QUARTER, actuator
+from hyperflex.envs.drawing import Drawing, default_rope
+from hyperflex.envs.sensing import Sensing
+from hyperflex.envs.worlds import World
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, Peg, Rope
+from hyperflex.planning import MotorLimits
+
+Flags = npt.NDArray[np.bool_]
+TOL = 1e-5  # m
+NOWHERE = Peg(1.0, 0.0, 0.05)  # stands for the target where there is none
+
+
+class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
+    """Many ropes on arms, each with an episode of its own; the arguments are those of :class:`RopeEnv`, and two more.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of members M.
+    autoreset_mode : {"NextStep", "SameStep", "Disabled"} or gymnasium.vector.AutoresetMode
+        When a member whose episode has ended begins anew: at the next step, whose action it ignores; at once, with the
+        last observation in ``info["final_obs"]``; or by ``reset(options={"reset_mask": mask})`` alone.
+    max_episode_steps : int, optional
+        Steps after which an episode is cut; by default it is not.
+    others
+        See :class:`RopeEnv`.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    n_links: ClassVar[int] = 20
+    extra: ClassVar[int] = 0  # numbers that the environment adds to an observation
+    world_class: ClassVar[type[World]]
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        rope: Rope | None = None,
+        arm: Arm | None = None,
+        limits: MotorLimits | None = None,
+        action: str = "acceleration",
+        observation: str = "state",
+        markers: int = 5,
+        dt: float = 0.02,
+        tol: float = TOL,
+        mismatch: Mapping[str, float] | None = None,
+        randomization: Mapping[str, float] | None = None,
+        render_mode: None = None,
+    ) -> None:
+        self.num_envs = checks.count("num_envs", num_envs)
+        modes = [mode.value for mode in AutoresetMode]
+        chosen = getattr(autoreset_mode, "value", autoreset_mode)
+        self._mode = AutoresetMode(checks.choice("autoreset_mode", chosen, modes))
+        self.metadata = {**self.metadata, "autoreset_mode": self._mode}
+        if render_mode is not None:
+            raise InvalidInput("this environment draws nothing", got=render_mode, allowed="render_mode=None")
+        self._longest = math.inf if max_episode_steps is None else checks.count("max_episode_steps", max_episode_steps)
+        self.model = default_rope(self.n_links) if rope is None else checks.instance("rope", rope, Rope)
+        self.arm = Arm() if arm is None else checks.instance("arm", arm, Arm)
+        self.limits = MotorLimits() if limits is None else checks.instance("limits", limits, MotorLimits)
+        self.dt = checks.number("dt", dt, sign="positive", unit="s")
+        self.drawing = Drawing(self.model, self.arm, self.limits, mismatch or {}, randomization or {})
+        self.actuator = actuator(checks.choice("action", action, ACTIONS), self.limits, self.dt, self.num_envs)
+        self._sensing = Sensing(observation, markers, self.model.n_links, self.extra)
+        self.world = self.world_class(self.drawing.true, self.arm, self.num_envs, tol)
+        self.single_action_space, self.single_observation_space = self.actuator.space, self._sensing.space
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.generators: list[np.random.Generator] = []
+        self.pegs = [NOWHERE] * self.num_envs  # the targets, as they are known
+        self.steps, self._ended = np.zeros(self.num_envs, dtype=np.int64), np.zeros(self.num_envs, dtype=np.bool_)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array, dict[str, Any]]:
+        """Begin episodes; member i of a seed draws from `seed` + i, and goes on drawing from there without one.
+
+        Parameters
+        ----------
+        seed : int or sequence of int, optional
+            For all members, or one each.
+        options : dict, optional
+            ``{"reset_mask": (M,) bool}``: the members that begin anew; by default all.
+        """
+        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=np.bool_))
+        if np.shape(mask) != (self.num_envs,) or np.asarray(mask).dtype != np.bool_ or not np.any(mask):
+            raise InvalidInput("reset_mask is not of these members", got=mask, allowed=f"({self.num_envs},) of bool")
+        which = np.flatnonzero(mask)
+        seeds = seed if isinstance(seed, Sequence) else [None if seed is None else seed + m for m in self._all]
+        if len(seeds) != self.num_envs:
+            raise InvalidInput("there are not as many seeds as members", got=len(seeds), allowed=str(self.num_envs))
+        if not self.generators:
+            self.generators = [seeding.np_random()[0] for _ in self._all]
+            which = np.arange(self.num_envs)
+        for m in which.tolist():
+            if seeds[m] is not None:
+                self.generators[m] = seeding.np_random(seeds[m])[0]
+        self._begin(which)
+        return self._sensing.observe(self.world, self._extra()), self._info(np.isin(self._all, which))
+
+    def step(self, actions: npt.NDArray[np.generic]) -> tuple[Array, Array, Flags, Flags, dict[str, Any]]:
+        """Take an interval with actions (M, ...); return observations, rewards, terminated, truncated and info."""
+        if not self.generators:
+            raise InvalidInput("the environment has not begun", fix="Call reset() first")
+        anew = np.zeros_like(self._ended)
+        if self._mode is AutoresetMode.NEXT_STEP:
+            anew = self._ended
+        elif self._mode is AutoresetMode.DISABLED and self._ended.any():
+            fix = 'Call reset() first, for some of many with options={"reset_mask": mask}'
+            raise InvalidInput("episodes have ended", got=np.flatnonzero(self._ended).tolist(), fix=fix)
+        world = self.world
+        world.step(self.actuator.accelerations(actions, world.arm_angle, world.arm_rate), self.dt)
+        self.steps = self.steps + 1
+        places = world.places()
+        self._sensing.look(world, places)
+        rewards, reached = self._judge(places)
+        rewards, terminated = np.where(world.failed | anew, 0.0, rewards), (reached | world.failed) & ~anew
+        truncated = (self.steps >= self._longest) & ~anew
+        self._ended = terminated | truncated
+        if anew.any():
+            self._begin(np.flatnonzero(anew))
+        seen, info = self._sensing.observe(world, self._extra()), self._info(np.ones_like(anew))
+        if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
+            seen, info = self._begin_at_once(seen, info)
+        return seen, rewards, terminated, truncated, info
+
+    @property
+    def _all(self) -> range:
+        return range(self.num_envs)
+
+    def _begin_at_once(self, seen: Array, info: dict[str, Any]) -> tuple[Array, dict[str, Any]]:
+        """Begin anew with what has ended; returns what is seen then, and the information with the last of before."""
+        ended, last = self._ended.copy(), np.full(self.num_envs, None, dtype=object)
+        final = {name: value & ended if name.startswith("_") else value for name, value in info.items()}
+        for m in np.flatnonzero(ended):
+            last[m] = seen[m]
+        self._begin(np.flatnonzero(ended))
+        told = {"final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
+        return self._sensing.observe(self.world, self._extra()), self._info(np.ones_like(ended)) | told
+
+    def _begin(self, which: npt.NDArray[np.intp]) -> None:
+        """Begin episodes of some members."""
+        drawn = [self._draw(int(m)) for m in which]
+        q0, ropes, pegs = (list(each) for each in zip(*drawn, strict=True))
+        self.world.begin(which, ropes, pegs, np.array(q0), -QUARTER)
+        self.actuator.begin(which)
+        self.steps[which], self._ended[which] = 0, False
+        places = self.world.places()
+        self._sensing.begin(self.world, places, which)
+        self._start(which, places)
+
+    def _draw(self, m: int) -> tuple[Array, Rope, Peg]:
+        """Draw the start of a member's episode: the rope's angles (n,), rad, and the true rope and peg."""
+        rng = self.generators[m]
+        q0 = self.drawing.angles(rng)
+        self.pegs[m] = self._target(rng)
+        return q0, *self.drawing.scenario(rng, self.pegs[m])
+
+    def _target(self, rng: np.random.Generator) -> Peg:
+        """Return the target of a member's episode."""
+        return NOWHERE
+
+    def _extra(self) -> Array | None:
+        """Return what the environment adds to the observations (M, extra)."""
+        return None
+
+    @abstractmethod
+    def _start(self, which: npt.NDArray[np.intp], places: Array) -> None:
+        """Note what the rewards of an episode that begins are counted from."""
+
+    @abstractmethod
+    def _judge(self, places: Array) -> tuple[Array, Flags]:
+        """Return rewards (M,), and whether episodes have come to their goal (M,)."""
+
+    @abstractmethod
+    def _values(self) -> dict[str, Any]:
+        """Return what is told beside observation and reward, (M,) each."""
+
+    def _info(self, told: Flags) -> dict[str, Any]:
+        """Return the information, in Gymnasium's form: each with a mask (M,) of the members that it is of."""
+        info: dict[str, Any] = {}
+        for name, value in {**self._values(), "failed": self.world.failed}.items():
+            info |= {name: np.array(value), f"_{name}": told.copy()}
+        return info
+
+
+class RopeEnv(gymnasium.Env[Array, Any], ABC):
+    """A rope on an arm: member 0 of a :class:`RopeVectorEnv` of one, and to the bit what it is among many.
+
+    Parameters
+    ----------
+    rope, arm : Rope, Arm, optional
+        The model; by default the paper's cable on an arm of 105 mm.
+    limits : MotorLimits, optional
+        Of the motor; by default the paper's.
+    action : {"acceleration", "timing"}
+        What an action is.
+    observation : {"state", "markers"}
+        What is seen.
+    markers : int
+        Number of markers.
+    dt : float
+        Interval of an action, s.
+    tol : float
+        As in :func:`hyperflex.simulate`, m.
+    mismatch : mapping of str to float, optional
+        Factors of the true rope's ``length``, ``mass`` and ``friction``: what a model does not know.
+    randomization : mapping of str to float, optional
+        Relative standard deviations of the same, and of ``mu`` of a peg, drawn in each episode.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    vector_class: ClassVar[type[RopeVectorEnv]]
+
+    def __init__(self, **arguments: Any) -> None:
+        self.members = self.vector_class(1, autoreset_mode=AutoresetMode.DISABLED, **arguments)
+        self.action_space = self.members.single_action_space
+        self.observation_space = self.members.single_observation_space
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Begin an episode; see :meth:`gymnasium.Env.reset`. There are no `options`."""
+        super().reset(seed=seed)
+        self.members.generators = [self.np_random]
+        seen, info = self.members.reset()
+        return seen[0], _first(info)
+
+    def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Take an interval with an `action`; see :meth:`gymnasium.Env.step`."""
+        seen, rewards, terminated, _, info = self.members.step(np.asarray(action)[None])
+        return seen[0], float(rewards[0]), bool(terminated[0]), False, _first(info)
+
+
+def _first(info: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the information of the first member alone."""
+    return {name: value[0].item() for name, value in info.items() if not name.startswith("_")}

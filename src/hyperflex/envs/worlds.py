@@ -1,0 +1,128 @@
+"""The ropes of an environment's members: side by side in free flight, or each with a peg of its own."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.checks import Array
+from hyperflex.core import status
+from hyperflex.errors import SimulationError
+from hyperflex.model import Arm, Peg, Rope
+from hyperflex.simulation import BatchState, BatchStepper, Stepper
+from hyperflex.trajectory import State
+
+
+class World(ABC):
+    """Ropes on arms, taken from interval to interval by accelerations of the arms.
+
+    Attributes
+    ----------
+    q, qd : (M, n) float64
+        Absolute link angles, rad, and rates, rad/s.
+    arm_angle, arm_rate : (M,) float64
+        Of the arms, rad and rad/s.
+    failed : (M,) bool
+        Whether a member could not be simulated; its state is then NaN until it begins anew.
+    lengths : (M, n) float64
+        Of the links, m.
+    """
+
+    q: Array
+    qd: Array
+    arm_angle: Array
+    arm_rate: Array
+    failed: npt.NDArray[np.bool_]
+
+    def __init__(self, rope: Rope, arm: Arm, count: int, tol: float) -> None:
+        self.rope, self.arm, self.count, self.tol = rope, arm, count, tol
+        self.lengths = np.tile(rope.length, (count, 1))
+
+    @abstractmethod
+    def begin(
+        self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
+    ) -> None:
+        """Begin anew with some members (K,): ropes and pegs (K,) of their own, at rest at angles `q0` (K, n), rad.
+
+        Their arms begin at `angle`, rad.
+        """
+
+    @abstractmethod
+    def step(self, accelerations: Array, dt: float) -> None:
+        """Take an interval of `dt`, s, with accelerations (M,) of the arms, rad/s^2."""
+
+    def places(self) -> Array:
+        """Return the places (M, n + 1, 2) of the arms' tips and all joints behind them, m."""
+        first = self.arm.tip(self.arm_angle)
+        along = np.stack([self.lengths * np.sin(self.q), -self.lengths * np.cos(self.q)], axis=2)
+        return np.concatenate([first[:, None], first[:, None] + np.cumsum(along, axis=1)], axis=1)
+
+
+class FreeWorld(World):
+    """Ropes in free flight, by a :class:`hyperflex.BatchStepper`; pegs are not there."""
+
+    def __init__(self, rope: Rope, arm: Arm, count: int, tol: float) -> None:
+        super().__init__(rope, arm, count, tol)
+        self._stepper = BatchStepper(rope, members=count, arm=arm, tol=tol)
+        self._ropes = [rope] * count
+        self._show(self._stepper.start())
+
+    def begin(
+        self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
+    ) -> None:
+        """Begin anew with some members."""
+        if any(self._ropes[m] is not rope for m, rope in zip(which, ropes, strict=True)):
+            state = self._stepper.restart(self._state, which, ropes, q0, arm_angle=angle)
+            self.lengths[which] = [rope.length for rope in ropes]
+            for m, rope in zip(which, ropes, strict=True):
+                self._ropes[m] = rope
+        else:
+            state = self._stepper.restart(self._state, which, None, q0, arm_angle=angle)
+        self._show(state)
+
+    def step(self, accelerations: Array, dt: float) -> None:
+        """Take an interval."""
+        now = replace(self._state, t=0.0)  # so that a step is the same one, to the bit, whenever it is taken
+        self._show(self._stepper.step(now, accelerations, dt))
+
+    def _show(self, state: BatchState) -> None:
+        self._state, self.q, self.qd = state, state.q, state.qd
+        self.arm_angle, self.arm_rate, self.failed = state.arm_angle, state.arm_rate, state.codes != status.OK
+
+
+class PegWorld(World):
+    """Ropes with a peg each, by a :class:`hyperflex.Stepper` each; links are not cut finer at the peg."""
+
+    def __init__(self, rope: Rope, arm: Arm, count: int, tol: float) -> None:
+        super().__init__(rope, arm, count, tol)
+        self._members: list[tuple[Stepper, State] | None] = [None] * count
+        self.q, self.qd = (np.full((count, rope.n_links), np.nan) for _ in range(2))
+        self.arm_angle, self.arm_rate = np.zeros(count), np.zeros(count)
+        self.failed = np.ones(count, dtype=np.bool_)
+
+    def begin(
+        self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
+    ) -> None:
+        """Begin anew with some members."""
+        for m, rope, peg, q in zip(which, ropes, pegs, q0, strict=True):
+            stepper = Stepper(rope, arm=self.arm, pegs=[peg], tol=self.tol, refine=False)
+            self.lengths[m] = rope.length
+            self._show(int(m), stepper, stepper.start(q, arm_angle=angle))
+
+    def step(self, accelerations: Array, dt: float) -> None:
+        """Take an interval."""
+        for m, member in enumerate(self._members):
+            if member is None:
+                continue
+            stepper, state = member
+            try:
+                self._show(m, stepper, stepper.step(state, float(accelerations[m]), dt))
+            except SimulationError:
+                self._members[m], self.failed[m] = None, True
+                self.q[m] = self.qd[m] = self.arm_angle[m] = self.arm_rate[m] = np.nan
+
+    def _show(self, m: int, stepper: Stepper, state: State) -> None:
+        self._members[m], self.failed[m] = (stepper, state), False
+        self.q[m], self.qd[m], self.arm_angle[m], self.arm_rate[m] = state.q, state.qd, state.arm_angle, state.arm_rate

@@ -1,0 +1,125 @@
+"""Runs and recordings as MCAP files with Foxglove's JSON messages, numbers to the last bit.
+
+Angles are absolute link angles in joint states on ``/joints``; places are poses on ``/rope``, x right, z up. Each
+message has its exact time ``t``, s, too.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from hyperflex import extras, files
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.files import PathLike
+from hyperflex.recording import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_IN_FRAME, Recording
+from hyperflex.trajectory import Trajectory
+
+TOPICS = {JOINT_STATES: "/joints", POSES_IN_FRAME: "/rope"}
+_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+_NUMBERS = {"type": ["number", "null"]}  # null in gaps
+_VECTOR = {"type": "object", "properties": dict.fromkeys("xyz", _NUMBERS)}
+Channel = Iterator[tuple[int, str]]  # messages with their times, ns
+_TURN = {"type": "object", "properties": {axis: {"type": "number"} for axis in "xyzw"}}
+
+
+def write_mcap(source: Trajectory | Recording, path: PathLike) -> None:
+    """Write a run or a recording as an MCAP file, for Foxglove and what else reads its JSON messages.
+
+    Parameters
+    ----------
+    source : Trajectory or Recording
+        Of a run, angles and rates of arm and links are written to the topic ``/joints`` and the places of joints and
+        tip to ``/rope``; of a recording what it holds. :func:`hyperflex.read_recording` reads both, bit for bit, gaps
+        included.
+    path : path-like
+        File to write, whole or not at all.
+
+    Raises
+    ------
+    InvalidInput
+        If `source` is something else.
+    MissingPackage
+        If the package mcap is not installed.
+    """
+    writer = extras.load("mcap.writer", "mcap", "MCAP files")
+    if isinstance(source, Trajectory):
+        told, channels = _run(source)
+    elif isinstance(source, Recording):
+        told, channels = _recording(source)
+    else:
+        raise InvalidInput("source is neither a run nor a recording", got=type(source), allowed="Trajectory, Recording")
+    with files.atomic(path, "wb") as stream:
+        out = writer.Writer(stream)
+        out.start(profile="", library="hyperflex")
+        out.add_metadata(MCAP_METADATA, {"format": MCAP_FORMAT, **{key: value for key, value in told.items() if value}})
+        schemas = {kind: out.register_schema(kind, "jsonschema", _schema(kind)) for kind in channels}
+        ids = [out.register_channel(TOPICS[kind], "json", schema) for kind, schema in schemas.items()]
+        for k, together in enumerate(zip(*channels.values(), strict=True)):
+            for channel, (stamp, message) in zip(ids, together, strict=True):
+                out.add_message(channel, stamp, message.encode(), stamp, k)
+        out.finish()
+
+
+def _run(run: Trajectory) -> tuple[dict[str, str], dict[str, Channel]]:
+    """Return what is declared of a run, and its messages by schema."""
+    links = [f"link{k}" for k in range(run.q.shape[1])]
+    told = {"kind": "angles", "plane": "xz", "columns": json.dumps(links), "name": run.setup.rope.name}
+    told |= {"source": "simulated", "status": run.status, "message": run.message, "setup": run.setup.dumps()}
+    angles = np.column_stack([run.arm_angle, run.q])
+    rates = np.column_stack([run.arm_rate, run.qd])
+    joints = _joint_states(run.t, ["arm", *links], angles, rates)
+    return told, {JOINT_STATES: joints, POSES_IN_FRAME: _poses(run.t, run.joints.reshape(run.t.size, -1))}
+
+
+def _recording(recording: Recording) -> tuple[dict[str, str], dict[str, Channel]]:
+    """Return what is declared of a recording, and its messages by schema."""
+    told = {key: getattr(recording, key) for key in ("kind", "convention", "name", "source")} | {"plane": "xz"}
+    if recording.kind == "markers":
+        return told, {POSES_IN_FRAME: _poses(recording.t, recording.data, recording.noise)}
+    names = [f"link{k}" for k in range(recording.n_links)]
+    states = _joint_states(recording.t, names, recording.data, recording.rates, recording.noise)
+    return told, {JOINT_STATES: states}
+
+
+def _joint_states(
+    t: Array, names: Sequence[str], position: Array, velocity: Array | None, noise: Array | None = None
+) -> Channel:
+    rate = "" if velocity is None else ',"velocity":%s'
+    states = ",".join(f'{{"name":"{name}","position":%s{rate}}}' for name in names)
+    values = position if velocity is None else np.stack([position, velocity], axis=-1).reshape(t.size, -1)
+    return _filled(t, f'"joints":[{states}]', values, noise)
+
+
+def _poses(t: Array, places: Array, noise: Array | None = None) -> Channel:
+    one = '{"position":{"x":%s,"y":0.0,"z":%s},"orientation":{"x":0.0,"y":0.0,"z":0.0,"w":1.0}}'
+    held = ",".join([one] * (places.shape[1] // 2))
+    return _filled(t, f'"frame_id":"world","poses":[{held}]', places, noise)
+
+
+def _filled(t: Array, form: str, values: Array, noise: Array | None) -> Channel:
+    """Yield messages; a float's shortest decimals (repr) are read back as the same float."""
+    if noise is not None:
+        form += ',"std":[' + ",".join(["%s"] * noise.shape[1]) + "]"
+        values = np.column_stack([values, noise])
+    form = f'{{"timestamp":{{"sec":%d,"nsec":%d}},"t":%r,{form}}}'
+    first = min(0.0, float(t[0]))
+    for time, row in zip(t.tolist(), values, strict=True):
+        stamp = round((time - first) * 1e9)
+        numbers = ("null" if value != value else repr(value) for value in row.tolist())
+        yield stamp, form % (*divmod(stamp, 1_000_000_000), time, *numbers)
+
+
+def _schema(kind: str) -> bytes:
+    """Return the JSON schema of a message."""
+    if kind == JOINT_STATES:
+        state = {"name": {"type": "string"}, "position": _NUMBERS, "velocity": _NUMBERS}
+        held: dict[str, Any] = {"joints": {"type": "array", "items": {"type": "object", "properties": state}}}
+    else:
+        pose = {"position": _VECTOR, "orientation": _TURN}
+        held = {"frame_id": {"type": "string"}}
+        held["poses"] = {"type": "array", "items": {"type": "object", "properties": pose}}
+    held |= {"timestamp": _TIME, "t": {"type": "number"}, "std": {"type": "array", "items": {"type": "number"}}}
+    return json.dumps({"title": kind, "type": "object", "properties": held}).encode()

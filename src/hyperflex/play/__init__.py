@@ -1,0 +1,16 @@
+"""A page in the browser to swing, cast and look, live; it needs ``pip install 'hyperflex[viewer]'``."""
+
+from typing import TYPE_CHECKING
+
+from hyperflex import extras
+from hyperflex.lazy import attach
+
+if TYPE_CHECKING:
+    from hyperflex.play.controls import CONTROLS, Control, Settings
+    from hyperflex.play.folder import Folder
+    from hyperflex.play.runner import Runner
+    from hyperflex.play.server import PlayServer
+    from hyperflex.play.session import Session
+
+extras.require(("websockets",), "viewer", "Live pages")
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

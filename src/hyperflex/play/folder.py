@@ -1,0 +1,83 @@
+"""The folder that the page may read from and write to: nothing outside of it, and nothing that is there is replaced."""
+
+from pathlib import Path
+
+from hyperflex import files
+from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.model import Setup
+from hyperflex.planning import CastPlan, WhipPlan
+from hyperflex.play.session import Recorded
+from hyperflex.trajectory import read_trajectory
+
+OPENED, SAVED = (".nc", ".toml"), (".nc", ".html", ".toml", ".csv")
+MOST_NAMES, LONGEST = 200, 100
+
+
+class Folder:
+    """A folder.
+
+    Parameters
+    ----------
+    path : path-like
+        It must be there; FileProblem otherwise.
+    """
+
+    def __init__(self, path: files.PathLike) -> None:
+        self.path = files.as_path(path, "folder").resolve()
+        if not self.path.is_dir():
+            raise FileProblem(f"There is no folder {path}. Make it, or choose another.")
+
+    def names(self) -> list[str]:
+        """Return the files in it, and in its folders, that can be opened."""
+        found = [each for pattern in ("*", "*/*") for each in self.path.glob(pattern) if each.suffix in OPENED]
+        names = (each.relative_to(self.path) for each in found if each.is_file() and self._inside(each))
+        shown = (each.as_posix() for each in names if not any(part.startswith(".") for part in each.parts))
+        return sorted(shown)[:MOST_NAMES]
+
+    def page(self, name: str) -> str:
+        """Return the player of a saved run."""
+        from hyperflex.report import player_html
+
+        path = self._existing(name, ".nc")
+        return player_html(read_trajectory(path), title=f"{name}, simulated")
+
+    def setup(self, name: str) -> Setup:
+        """Return a set-up, or the verified one of a plan."""
+        return Setup.from_toml(self._existing(name, ".toml"))
+
+    def save(self, name: str, recorded: Recorded, plan: CastPlan | WhipPlan | None) -> str:
+        """Write what the suffix of a new file says; returns its name.
+
+        ``.nc``: the run; ``.html``: its player; ``.toml``: the set-up, from its beginning; ``.csv``: the motion of the
+        plan, for the motor.
+        """
+        path = self._new(name)
+        if path.suffix == ".nc":
+            recorded.run().to_netcdf(path)
+        elif path.suffix == ".html":
+            recorded.run().to_html(path, title=f"{path.stem}, simulated")
+        elif path.suffix == ".toml":
+            whole = recorded.duration + (0.0 if recorded.begin is None else recorded.begin.t)
+            recorded.setup.replace(duration=max(whole, 1.0)).to_toml(path)
+        elif plan is None:
+            raise InvalidInput("there is no plan whose motion could be saved", fix="Plan first")
+        else:
+            plan.to_csv(path)
+        return name
+
+    def _inside(self, path: Path) -> bool:
+        return path.resolve().is_relative_to(self.path)
+
+    def _existing(self, name: str, suffix: str) -> Path:
+        if name not in self.names() or not name.endswith(suffix):
+            raise InvalidInput("there is no such file in the folder", got=name, allowed=f"its files {suffix}")
+        return self.path / name
+
+    def _new(self, name: str) -> Path:
+        plain = Path(name).name == name and not name.startswith(".") and name.isprintable() and len(name) < LONGEST
+        if not plain or "\\" in name or Path(name).suffix not in SAVED or not Path(name).stem:
+            raise InvalidInput("the file's name cannot be used", got=name, allowed=f"a name with {', '.join(SAVED)}")
+        path = self.path / name
+        if path.exists() or path.is_symlink():
+            raise InvalidInput("the file is there already", got=name, fix="Take another name")
+        return path

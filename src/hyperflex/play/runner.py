@@ -1,0 +1,209 @@
+"""The thread in which a session moves on at the pace of the clock, and all that is asked of it is done."""
+
+import queue
+import threading
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from typing import Any
+
+from hyperflex.errors import HyperflexError, InvalidInput
+from hyperflex.model import Setup
+from hyperflex.planning import CastOutcome, CastPlan, WhipPlan
+from hyperflex.play.planning_process import PlanningProcess, PlanningTask
+from hyperflex.play.session import Session
+
+FRAME_RATE = 60.0  # Hz
+SLOW = 0.25  # of real time, in which winding is shown
+BEFORE_STRIKE = 0.5  # s
+_LATE = 0.1  # s, by which frames may be late; then they are left out
+_TOLD = 0.25  # s between two words on how far a search is
+
+
+class Runner:
+    """Runs a session.
+
+    Parameters
+    ----------
+    session : Session
+    tell : callable
+        Called from the thread at each new frame and each change of :meth:`scene`.
+
+    Attributes
+    ----------
+    frame : bytes
+        The newest frame, as of :meth:`Session.frame`.
+    watched : bool
+        Whether somebody looks; else nothing moves.
+    plan : CastPlan, WhipPlan or None
+        The last one that was made.
+    """
+
+    def __init__(self, session: Session, tell: Callable[[], None]) -> None:
+        self.session, self.frame, self.watched, self.paused = session, session.frame(), False, False
+        self.plan: CastPlan | WhipPlan | None = None
+        self.number = self.version = 0
+        self._tell, self._notice, self._late = tell, "", False
+        self._asked: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
+        self._planning: PlanningProcess | None = None
+        self._told, self._closed = 0.0, threading.Event()
+        self._thread = threading.Thread(target=self._run, name="hyperflex play", daemon=True)
+        self._thread.start()
+
+    def call(self, action: Callable[[], Any]) -> "Future[Any]":
+        """Have the thread call a function between two frames; the future has what it returns or raises."""
+        future: Future[Any] = Future()
+        self._asked.put((action, future))
+        return future
+
+    def close(self) -> None:
+        """End thread and planning."""
+        self._closed.set()
+        self.call(lambda: None)
+        self._thread.join()
+        if self._planning is not None:
+            self._planning.cancel()
+
+    def scene(self) -> dict[str, Any]:
+        """Return what the page has to know beside the frames; of the thread."""
+        plan, busy = self.plan, self._planning
+        said = None if plan is None else {"kind": plan.kind, "success": plan.success, "message": plan.message}
+        spent = time.monotonic() - busy.begun if busy is not None and busy.begun else 0.0
+        search = None if busy is None else {"kind": busy.task.kind, "spent": spent, "budget": busy.task.time_budget}
+        own = {"paused": self.paused, "notice": self._notice, "late": self._late, "plan": said, "planning": search}
+        return self.session.scene() | own
+
+    def act(self, name: str) -> None:
+        """Do what a button says; InvalidInput if there is no such button, or nothing to do."""
+        actions: dict[str, Callable[[], None]] = {
+            "hang": self.session.hang,
+            "swing": self.session.swing,
+            "cast": self._cast,
+            "wind": self._wind,
+            "plan": lambda: self._plan("cast"),
+            "whip": lambda: self._plan("whip"),
+            "cancel": self._cancel,
+            "pause": self._pause,
+            "step": self._step,
+        }
+        if name not in actions:
+            raise InvalidInput("there is no such button", got=name, allowed=", ".join(actions))
+        self._notice = ""
+        actions[name]()
+        self.paused = self.paused and name not in ("hang", "swing", "cast", "wind")
+        self.changed(name not in ("plan", "whip", "cancel", "pause"))
+
+    def change(self, values: Mapping[str, object]) -> None:
+        """Set what the page can set, as of :meth:`Session.change`."""
+        self.session.change(values)
+        self.changed()
+
+    def open(self, setup: Setup) -> None:
+        """Begin with a set-up from a file."""
+        self.session.play(setup, "file")
+        self.paused = False
+        self.changed()
+
+    def changed(self, picture: bool = True) -> None:
+        """Have the pages get the scene, and with a changed `picture` a new frame, though nothing moves."""
+        self.version += 1
+        if picture:
+            self.frame, self.number = self.session.frame(), self.number + 1
+        self._tell()
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._closed.is_set():
+            self._answer(due)
+            self._look_at_plan()
+            now = time.monotonic()
+            if now < due:
+                continue
+            late, due = now - due > _LATE, max(due + 1.0 / FRAME_RATE, now - _LATE)
+            if self.paused or not self.watched:
+                due = now + 1.0 / FRAME_RATE
+                continue
+            if late != self._late:
+                self._late, self.version = late, self.version + 1
+            self._advance()
+
+    def _advance(self) -> None:
+        try:
+            self.frame = self.session.advance(self.session.settings.speed / FRAME_RATE)
+            self.number += 1
+            self._tell()
+        except HyperflexError as error:
+            self._stop(str(error))
+        except Exception as error:  # noqa: BLE001 last resort: the page is to go on
+            traceback.print_exc()
+            self._stop(f"This is a bug in hyperflex: {error}. Please report it with what the terminal says.")
+
+    def _stop(self, why: str) -> None:
+        self.paused, self._notice = True, why
+        self.changed(picture=False)
+
+    def _answer(self, until: float) -> None:
+        """Do what is asked, and wait for more until a time."""
+        while True:
+            try:
+                action, future = self._asked.get(timeout=max(until - time.monotonic(), 0.0))
+            except queue.Empty:
+                return
+            if not future.set_running_or_notify_cancel():  # the page went away
+                continue
+            try:
+                future.set_result(action())
+            except Exception as error:  # noqa: BLE001 whoever asked gets it
+                future.set_exception(error)
+
+    def _look_at_plan(self) -> None:
+        if self._planning is None:
+            return
+        found = self._planning.result()
+        if found is not None:
+            self._planning = None
+            if isinstance(found, str):
+                self._notice = found
+            else:
+                self.plan = found
+        if found is not None or time.monotonic() - self._told > _TOLD:
+            self._told = time.monotonic()
+            self.changed(picture=False)
+
+    def _plan(self, kind: Any) -> None:
+        if self._planning is not None:
+            raise InvalidInput("a plan is being made", fix="Wait for it, or cancel it")
+        session, settings = self.session, self.session.settings
+        self._planning = PlanningProcess(
+            PlanningTask(kind, session.rope, session.arm, settings.target, settings.limits, settings.time_budget)
+        )
+
+    def _cancel(self) -> None:
+        if self._planning is not None:
+            self._planning.cancel()
+            self._planning = None
+
+    def _cast(self) -> None:
+        self.session.play(self._required().setup(), "cast")
+
+    def _wind(self) -> None:
+        """Show the plan in slow motion, from a little before the rope strikes."""
+        plan = self._required()
+        seen = plan.outcome
+        strike = 0.0 if seen is None else seen.strike_time if isinstance(seen, CastOutcome) else seen.t
+        self.session.play(plan.setup(), "cast", skip=max(0.0, strike - BEFORE_STRIKE))  # NaN: it never strikes
+        self.session.change({"speed": SLOW})
+
+    def _required(self) -> CastPlan | WhipPlan:
+        if self.plan is None or self.plan.outcome is None:
+            why = "no plan has been made yet" if self.plan is None else f"the plan fails: {self.plan.message}"
+            raise InvalidInput(why, fix="Plan first, for a target that the rope reaches")
+        return self.plan
+
+    def _pause(self) -> None:
+        self.paused = not self.paused
+
+    def _step(self) -> None:
+        self.paused = True
+        self.session.advance(self.session.settings.speed / FRAME_RATE)

@@ -1,0 +1,235 @@
+"""The server of the page: HTTP for the page itself, a websocket for frames and what is asked, this machine alone."""
+
+import asyncio
+import contextlib
+import json
+import threading
+from collections.abc import Sequence
+from http import HTTPStatus
+from types import TracebackType
+from typing import Any, Self
+from urllib.parse import parse_qs, urlsplit
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from hyperflex import checks
+from hyperflex.errors import HyperflexError, InvalidInput
+from hyperflex.play.folder import Folder
+from hyperflex.play.page import page
+from hyperflex.play.runner import Runner
+from hyperflex.play.session import Session
+
+HOST = "127.0.0.1"  # this machine alone
+LARGEST = 1 << 16  # bytes of a message
+_SECURITY = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'; "
+    "frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
+)
+_START = 30.0  # s
+
+
+class PlayServer:
+    """Serves the page until it is closed, from a thread of its own.
+
+    Parameters
+    ----------
+    folder : Folder
+        What the page may read from and write to.
+    session : Session, optional
+    port : int
+        0: any that is free; see `address`.
+    host : str
+        Address to listen at.
+    allow : sequence of str
+        Hosts, as ``name:port``, that pages may be asked for by, beside this machine's own names.
+
+    Attributes
+    ----------
+    address : str
+        What to open in the browser.
+
+    Raises
+    ------
+    InvalidInput
+        If it cannot listen there.
+    """
+
+    def __init__(
+        self,
+        folder: Folder,
+        session: Session | None = None,
+        *,
+        port: int = 0,
+        host: str = HOST,
+        allow: Sequence[str] = (),
+    ) -> None:
+        self.folder, self._news = folder, set[asyncio.Event]()
+        self._given, self._wanted, self._allow = session or Session(), (host, port), set(allow)
+        self._loop, self._end = asyncio.new_event_loop(), asyncio.Event()
+        self._ready, self._problem = threading.Event(), ""
+        self.port, self.runner = 0, Runner(self._given, self._tell)
+        self._thread = threading.Thread(target=self._serve, name="hyperflex play server", daemon=True)
+        self._thread.start()
+        self._ready.wait(_START)
+        if self._problem:
+            self.close()
+            raise InvalidInput(
+                "no page can be shown at this port", got=port, allowed="a free one, or 0 for any", fix=self._problem
+            )
+        self._allow |= {f"{name}:{self.port}" for name in (HOST, "localhost")}
+        self.address = f"http://{HOST if host == '0.0.0.0' else host}:{self.port}/"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End server, session and planning."""
+        with contextlib.suppress(RuntimeError):  # the loop is over
+            self._loop.call_soon_threadsafe(self._end.set)
+        self._thread.join()
+        self.runner.close()
+
+    def wait(self, seconds: float | None = None) -> None:
+        """Wait until the server ends, or for so long, s."""
+        self._thread.join(seconds)
+
+    def _serve(self) -> None:
+        try:
+            self._loop.run_until_complete(self._listen())
+        finally:
+            self._ready.set()
+            self._loop.close()
+
+    async def _listen(self) -> None:
+        host, port = self._wanted
+        try:
+            server = await serve(
+                self._talk, host, port, process_request=self._answer, compression=None, max_size=LARGEST
+            )
+        except (OSError, OverflowError) as error:
+            self._problem = str(error)
+            return
+        self.port = int(next(iter(server.sockets)).getsockname()[1])
+        self._ready.set()
+        async with server:
+            await self._end.wait()
+
+    def _tell(self) -> None:
+        """Wake all who send; of the runner's thread."""
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._wake)
+
+    def _wake(self) -> None:
+        for each in self._news:
+            each.set()
+
+    async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Answer a request for a page; None lets a websocket be opened."""
+        host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+        if host not in self._allow or (origin is not None and urlsplit(origin).netloc not in self._allow):
+            return _response(HTTPStatus.FORBIDDEN, "Pages of this address, or from there, are not answered.", "plain")
+        asked = urlsplit(request.path)
+        if asked.path == "/socket":
+            return None
+        if asked.path == "/":
+            return _response(HTTPStatus.OK, page())
+        if asked.path == "/view":
+            try:
+                name = parse_qs(asked.query).get("name", [""])[0]
+                return _response(HTTPStatus.OK, await asyncio.to_thread(self.folder.page, name))
+            except HyperflexError as error:
+                return _response(HTTPStatus.NOT_FOUND, str(error), "plain")
+        return _response(HTTPStatus.NOT_FOUND, "There is no such page.", "plain")
+
+    async def _talk(self, connection: ServerConnection) -> None:
+        """Send frames to a page, and do what it asks, until one of both goes away."""
+        news = asyncio.Event()
+        news.set()
+        self._news.add(news)
+        self.runner.watched = True
+        sender = asyncio.create_task(self._send(connection, news))
+        try:
+            with contextlib.suppress(ConnectionClosed):
+                async for message in connection:
+                    await connection.send(json.dumps(await self._obey(message)))
+        finally:
+            sender.cancel()
+            self._news.discard(news)
+            self.runner.watched = bool(self._news)
+
+    async def _send(self, connection: ServerConnection, news: asyncio.Event) -> None:
+        """Send the newest scene and frame whenever the last ones have gone out: who is slow gets fewer."""
+        version: tuple[int, int] | None = None
+        number = -1
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                await news.wait()
+                news.clear()
+                if self._version() != version:
+                    version, scene = await self._call(lambda: (self._version(), self.runner.scene()))
+                    await connection.send(json.dumps({"scene": scene}))
+                if self.runner.number != number:
+                    number = self.runner.number
+                    await connection.send(self.runner.frame)
+
+    def _version(self) -> tuple[int, int]:
+        return self.runner.version, self.runner.session.version
+
+    async def _call(self, action: Any) -> Any:
+        return await asyncio.wrap_future(self.runner.call(action))
+
+    async def _obey(self, message: str | bytes) -> dict[str, Any]:
+        """Do what a message asks; returns the answer, with its number."""
+        number: object = None
+        try:
+            asked = checks.mapping("the message", json.loads(message))
+            number = asked.get("id")
+            return {"id": number, **await self._do(asked)}
+        except (HyperflexError, ValueError, RecursionError) as error:
+            return {"id": number, "error": str(error)}
+
+    async def _do(self, asked: Any) -> dict[str, Any]:
+        """Do what is asked: a ``button``, values to ``set``, a file to ``open`` or ``save``, or the ``files``."""
+        session, runner = self.runner.session, self.runner
+        if "set" in asked:
+            values = checks.mapping("set", asked["set"])
+            await self._call(lambda: runner.change(values))
+        elif "button" in asked:
+            await self._call(lambda: runner.act(str(asked["button"])))
+        elif "open" in asked:
+            setup = await asyncio.to_thread(self.folder.setup, checks.text("open", asked["open"]))
+            await self._call(lambda: runner.open(setup))
+        elif "save" in asked:
+            recorded, plan = await self._call(lambda: (session.recorded(), runner.plan))
+            name = checks.text("save", asked["save"])
+            return {"saved": await asyncio.to_thread(self.folder.save, name, recorded, plan)}
+        elif "files" in asked:
+            return {"files": await asyncio.to_thread(self.folder.names)}
+        else:
+            raise InvalidInput(
+                "the message asks for nothing", got=list(asked), allowed="set, button, open, save, files"
+            )
+        return {}
+
+
+def _response(status: HTTPStatus, text: str, kind: str = "html") -> Response:
+    body = text.encode()
+    headers = {
+        "Content-Type": f"text/{kind}; charset=utf-8",
+        "Content-Length": str(len(body)),
+        "Content-Security-Policy": _SECURITY,
+        "Cache-Control": "no-store",
+        "X-Content-Type-Options": "nosniff",
+        "Referrer-Policy": "no-referrer",
+        "Cross-Origin-Resource-Policy": "same-origin",
+        "Connection": "close",
+    }
+    return Response(status.value, status.phrase, Headers(headers), body)

@@ -1,0 +1,217 @@
+"""A rope on an arm that moves on frame by frame, by the public functions of the package, and what is shown of it."""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hyperflex import control
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Arm, Peg, Rope, Setup
+from hyperflex.play.arm_program import ArmProgram
+from hyperflex.play.controls import Settings
+from hyperflex.simulation import simulate
+from hyperflex.trajectory import State, Trajectory
+from hyperflex.winding import rope_tension, turns
+
+MOST_RECORDED = 120.0  # s of a run that can be kept
+_MEDIAN = 5  # frames, of which the tension is the median: beside a peg that of a single step jumps
+_ABOVE = 0.5  # part of what the rope reaches above the shaft that is in the picture
+_ROPE, _PLACE = ("length", "mass", "links", "friction", "arm_length"), "target_"
+NUMBERS = ("t", "arm_angle", "pseudo_energy", "x", "scaled_velocity", "tension", "turns", "tip_speed")
+
+
+class Recorded(NamedTuple):
+    """What has been shown since the last change, to be simulated again in one go."""
+
+    setup: Setup
+    begin: State | None
+    duration: float
+
+    def run(self) -> Trajectory:
+        """Return it as a run, with a sample every 10 ms."""
+        if not self.duration > 0.0:
+            raise InvalidInput("nothing has moved yet", fix="Let it run for a moment")
+        return simulate(self.setup, duration=self.duration, state=self.begin)
+
+
+class Session:
+    """A rope on an arm, at an instant.
+
+    Attributes
+    ----------
+    settings : Settings
+    setup : Setup
+        What is simulated, with the motion as far as it is decided.
+    t : float
+        Simulated time, s.
+    activity : str
+        ``"hang"``, ``"swing"``, ``"cast"`` (a planned motion) or ``"file"``.
+    version : int
+        Grows with each change of what :meth:`scene` tells.
+    """
+
+    def __init__(self, settings: Settings | None = None) -> None:
+        self.settings = settings or Settings()
+        self.version = 0
+        self._given: Setup | None = None  # whose rope and arm are used until others are set
+        self.activity, self.t, self._begun = "hang", 0.0, 0.0
+        self._program: ArmProgram | None = None  # None: the motion is that of a whole set-up
+        self._goal: float | None = None  # rad, where the arm is to go when it rests
+        self._state: State | None = None
+        self._origin: State | None = None
+        self._tensions: deque[float] = deque(maxlen=_MEDIAN)
+        self.hang()
+
+    @property
+    def rope(self) -> Rope:
+        """The rope that hangs, swings and is planned with."""
+        return self.settings.rope if self._given is None else self._given.rope
+
+    @property
+    def arm(self) -> Arm:
+        """The arm that it hangs from."""
+        return self.settings.arm if self._given is None else self._given.arm or Arm()
+
+    def hang(self) -> None:
+        """Begin again: the rope hangs at rest from the arm at its angle."""
+        program = ArmProgram(math.radians(self.settings.arm_angle))
+        self._begin(Setup(self.rope, program.motion, self.arm, pegs=self._pegs()), "hang", program)
+
+    def swing(self) -> None:
+        """Let the arm make half turns, or stop after the one that it makes."""
+        if self._program is None:
+            self.hang()
+        self.activity = "hang" if self.activity == "swing" else "swing"
+        self._goal = None
+        self.version += 1
+
+    def play(self, setup: Setup, activity: str, skip: float = 0.0) -> None:
+        """Begin a whole set-up; the first `skip` seconds are simulated at once. Its first round peg is the target."""
+        self._begin(setup, activity, None)
+        self._given = setup if activity == "file" else self._given
+        if setup.round_pegs:
+            peg = setup.round_pegs[0]
+            place = {"target_x": peg.x, "target_y": peg.y, "target_radius": peg.radius, "target_friction": peg.mu}
+            self.settings = replace(self.settings, **place, target_solid=1)
+        if skip > 0.0:
+            self._go_on(skip)
+
+    def change(self, values: Mapping[str, object]) -> None:
+        """Set what the page can set. InvalidInput leaves all as it was."""
+        before, self.settings = self.settings, self.settings.changed(values)
+        try:
+            if any(name in values for name in _ROPE):
+                given, self._given, swings = self._given, None, self.activity == "swing"
+                try:
+                    self.hang()
+                except InvalidInput:
+                    self._given = given
+                    raise
+                self.activity = "swing" if swings else "hang"
+            elif any(name.startswith(_PLACE) for name in values):
+                self._move_target()
+        except InvalidInput:
+            self.settings = before
+            raise
+        if "arm_angle" in values and self._program is not None:
+            self.activity, self._goal = "hang", math.radians(self.settings.arm_angle)
+        self.version += 1
+
+    def advance(self, dt: float) -> bytes:
+        """Go on by dt, s; returns the frame: NUMBERS and places of shaft and joints, m, as float32."""
+        if self._program is not None:
+            self._decide(self._program, self.t + dt)
+        self._go_on(dt)
+        if self.t - self._begun > MOST_RECORDED:
+            self._record_from_here()
+        return self.frame()
+
+    def frame(self) -> bytes:
+        """Return what :meth:`advance` does, of now."""
+        run = self._run
+        shaft = run.base if self.setup.arm is None else run.base - self._lever(self.setup.arm, run.arm_angle)
+        points = run.joints[0] if self.setup.arm is None else np.concatenate([shaft, run.joints[0]])
+        return np.concatenate([self._numbers(run), points.ravel()]).astype("<f4").tobytes()
+
+    def scene(self) -> dict[str, Any]:
+        """Return what the page has to know beside the frames."""
+        reach = 1.08 * (float(self.setup.rope.length.sum()) + (self.setup.arm.length if self.setup.arm else 0.0))
+        x, y = (0.0, 0.0) if self.setup.arm is None else self.setup.arm.pivot
+        return {
+            "settings": asdict(self.settings),
+            "activity": self.activity,
+            "given": self._given is not None,
+            "rope": repr(self.setup.rope),
+            "arm": self.setup.arm is not None,
+            "radius": self.setup.rope.radius,
+            "view": [x - reach, y - reach, x + reach, y + _ABOVE * reach],
+            "obstacles": [{**asdict(each), "kind": type(each).__name__.lower()} for each in self.setup.pegs],
+            "targets": [] if self.setup.pegs else [[self.settings.target_x, self.settings.target_y]],
+        }
+
+    def recorded(self) -> Recorded:
+        """Return what has been shown since the last change, MOST_RECORDED s at most."""
+        return Recorded(self.setup, self._origin, self.t - self._begun)
+
+    def _begin(self, setup: Setup, activity: str, program: ArmProgram | None) -> None:
+        run = simulate(setup, duration=1e-6, t_eval=[0.0])
+        self.setup, self.activity, self._program = setup, activity, program
+        self.t, self._begun, self._run = 0.0, 0.0, run
+        self._state = self._origin = self._goal = None
+        self._tensions.clear()
+        self.version += 1
+
+    def _go_on(self, dt: float) -> None:
+        self._run = simulate(self.setup, duration=dt, t_eval=[self.t + dt], state=self._state)
+        self._state = self._run.state
+        self.t = self._state.t
+
+    def _decide(self, program: ArmProgram, until: float) -> None:
+        """Decide the next move of the arm, if it begins before a time."""
+        rest = self.settings.t_rest if self.activity == "swing" and program.begun else 0.0
+        start = max(self.t, program.end + rest)
+        wanted = self.activity == "swing" or (self._goal is not None and self._goal != program.angle)
+        if start >= until or not wanted:
+            return
+        if program.full:
+            program = self._program = ArmProgram(program.angle, program.end)
+            self._record_from_here()
+        if self.activity == "swing":
+            program.move(program.next_end(), start, self.settings.t_move)
+        elif self._goal is not None:
+            durations, ramps = self.settings.limits.fastest_moves([self._goal - program.angle])
+            program.move(self._goal, start, float(durations[0]), float(ramps[0]))
+        self.setup = self.setup.replace(motion=program.motion)
+
+    def _pegs(self) -> tuple[Peg, ...]:
+        return (self.settings.target,) if self.settings.target_solid else ()
+
+    def _move_target(self) -> None:
+        """Move the peg, unless it would be in the rope; it is put there, it does not push."""
+        others = [each for each in self.setup.pegs if each not in self.setup.round_pegs[:1]]
+        setup = self.setup.replace(pegs=(*self._pegs(), *others))
+        state = None if self._state is None else replace(self._state, checkpoint={})
+        simulate(setup, duration=1e-6, t_eval=[self.t], state=state)
+        self.setup, self._state = setup, state
+        self._record_from_here()
+
+    def _record_from_here(self) -> None:
+        self._origin, self._begun = self._state, self.t
+
+    def _lever(self, arm: Arm, angle: Any) -> Any:
+        return arm.tip(angle) - np.array(arm.pivot)
+
+    def _numbers(self, run: Trajectory) -> list[float]:
+        target = next(iter(self.setup.round_pegs), self.settings.target)
+        c = control.driving_constant(self.settings.t_move, self.settings.t_rest)
+        x, v = run.tip[:, 0], run.tip_velocity[:, 0]
+        energy = control.pseudo_energy(x, v, float(self.setup.rope.mass.sum()), c)
+        self._tensions.append(math.nan if self.setup.torque_driven else float(rope_tension(run)[0, 0]))
+        tension = float(np.median(self._tensions))
+        speed = float(np.hypot(*run.tip_velocity[0]))
+        numbers = [math.degrees(float(run.arm_angle[0])), float(energy[0]), float(x[0]), c * float(v[0]), tension]
+        return [self.t, *numbers, float(turns(run, target)[0]), speed]

@@ -1,0 +1,134 @@
+"""Scripted policies, their scores, and the adapter for Stable-Baselines3."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from abc import ABC, abstractmethod
+from types import ModuleType
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.envs import CrossingPolicy, PlannedCast, PumpingPolicy, Scores, score_policy, stable_baselines_env
+from hyperflex.envs.policies import members_of
+from hyperflex.errors import InvalidInput
+
+SWING, CAST = "hyperflex/Swing-v0", "hyperflex/Cast-v0"
+
+
+def test_rules_swing_better_than_chance_and_with_either_action() -> None:
+    chance = score_policy(lambda env: lambda _: env.action_space.sample(), SWING, seeds=[0, 1])
+    again = score_policy(lambda env: lambda _: env.action_space.sample(), SWING, seeds=[0, 1])
+    np.testing.assert_array_equal(chance.returns, again.returns)
+    crossing = score_policy(CrossingPolicy, SWING, seeds=[1], action="timing")
+    pumping = [score_policy(PumpingPolicy, SWING, seeds=[1], action=kind).mean for kind in ("timing", "acceleration")]
+    assert chance.mean < 80.0 < crossing.mean < pumping[0]
+    assert pumping[1] == pytest.approx(pumping[0], rel=1e-3)
+
+
+def test_a_plan_is_carried_out() -> None:
+    """The arm follows the motion that was planned; whether the rope winds is up to the planner."""
+    target = hf.Peg(0.9, -0.8, 0.05)
+    env = gymnasium.make(CAST, target=target)
+    seen, _ = env.reset(seed=0)
+    policy = PlannedCast(env, tries=0)
+    assert policy(seen) == 0.0
+    policy._motion = hf.arm_moves([-np.pi / 2, np.pi / 2, 0.3], [0.3, 0.4], [0.8, 0.9], [0.5, 0.3])
+    gaps = []
+    for k in range(100):
+        seen, *_ = env.step(policy(seen))
+        gaps.append(members_of(env).world.arm_angle[0] - float(policy._motion.angle(0.02 * (k + 1))))
+    assert np.abs(gaps).max() < 5e-3
+    with pytest.raises(InvalidInput, match="needs accelerations"):
+        PlannedCast(gymnasium.make(CAST, action="timing"))
+    with pytest.raises(InvalidInput, match="no environment of hyperflex"):
+        PlannedCast(gymnasium.make("CartPole-v1"))
+
+
+def test_scores_have_an_interval() -> None:
+    scores = Scores(np.random.default_rng(0).normal(5.0, 2.0, 200), np.zeros(200, dtype=np.bool_))
+    low, high = scores.interval
+    assert low < scores.mean < high
+    assert high - low == pytest.approx(4.0 * scores.returns.std() / np.sqrt(200), rel=0.1)
+    assert "200 episodes" in str(scores)
+
+
+def test_adapter_does_what_stable_baselines_asks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against the package where it is there, else against the part of its VecEnv that it calls."""
+    if importlib.util.find_spec("stable_baselines3") is None:
+        for name in ("stable_baselines3", "stable_baselines3.common", "stable_baselines3.common.vec_env"):
+            monkeypatch.setitem(sys.modules, name, ModuleType(name))
+        sys.modules["stable_baselines3.common.vec_env"].VecEnv = VecEnv  # type: ignore[attr-defined]
+    make = {"num_envs": 2, "autoreset_mode": "SameStep", "max_episode_steps": 3}
+    envs = stable_baselines_env(gymnasium.make_vec(SWING, **make))
+    plain = gymnasium.make_vec(SWING, **make)
+    envs.seed(5)
+    np.testing.assert_array_equal(envs.reset(), plain.reset(seed=5)[0])
+    for k in range(7):
+        actions = np.full((2, 1), 0.5)
+        envs.step_async(actions)
+        seen, rewards, ended, infos = envs.step_wait()
+        other, want, _, truncated, info = plain.step(actions)
+        np.testing.assert_array_equal(seen, other)
+        np.testing.assert_allclose(rewards, want, rtol=1e-6)
+        np.testing.assert_array_equal(ended, truncated)
+        assert ended.all() == (k % 3 == 2)
+        for m, each in enumerate(infos):
+            assert each["TimeLimit.truncated"] == ended[m]
+            assert ("terminal_observation" in each) == ended[m]
+            if ended[m]:
+                np.testing.assert_array_equal(each["terminal_observation"], info["final_obs"][m])
+                assert each["amplitude"] == info["final_info"]["amplitude"][m] == pytest.approx(want[m])
+    assert envs.get_attr("render_mode") == [None, None]
+    assert envs.env_is_wrapped(gymnasium.Wrapper, 0) == [False]
+    with pytest.raises(InvalidInput, match="begin anew"):
+        stable_baselines_env(gymnasium.make_vec(SWING, num_envs=2))
+
+
+def test_without_stable_baselines_its_command_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common", None)
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    with pytest.raises(ImportError, match="pip install stable-baselines3"):
+        stable_baselines_env(gymnasium.make_vec(SWING, num_envs=2, autoreset_mode="SameStep"))
+
+
+class VecEnv(ABC):
+    """The part of stable_baselines3.common.vec_env.VecEnv that algorithms and the adapter touch."""
+
+    def __init__(self, num_envs: int, observation_space: Any, action_space: Any) -> None:
+        self.num_envs, self.observation_space, self.action_space = num_envs, observation_space, action_space
+        self.reset_infos: list[dict[str, Any]] = [{} for _ in range(num_envs)]
+        self._seeds: list[int | None] = [None] * num_envs
+        assert self.get_attr("render_mode") == [None] * num_envs
+
+    def seed(self, seed: int) -> None:
+        self._seeds = [seed + m for m in range(self.num_envs)]
+
+    @abstractmethod
+    def reset(self) -> Any: ...
+
+    @abstractmethod
+    def step_async(self, actions: Any) -> None: ...
+
+    @abstractmethod
+    def step_wait(self) -> Any: ...
+
+    @abstractmethod
+    def close(self) -> None: ...
+
+    @abstractmethod
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]: ...
+
+    @abstractmethod
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None: ...
+
+    @abstractmethod
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> Any: ...
+
+    @abstractmethod
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]: ...

@@ -1,0 +1,66 @@
+"""ROS 2 bags of both storages, as their own package writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import FileProblem, InvalidInput
+from tests.exchange import bags
+
+START = 1_700_000_000_123_456_789  # ns
+STAMPS = START + np.cumsum(np.random.default_rng(1).integers(10**6, 10**7, 9))  # too few for rates to be tested
+ANGLES = np.cumsum(np.random.default_rng(2).normal(size=(9, 3)) * 1e-3, axis=0)
+
+
+@pytest.mark.parametrize("storage", bags.SUFFIX)
+@pytest.mark.parametrize("whole", [True, False], ids=["the folder", "its file"])
+def test_joint_states_bit_for_bit(storage: str, whole: bool, tmp_path: Path) -> None:
+    rows = [
+        (int(t) + 10**9, bags.joint_state(t, ["a", "b", "c"], x, x[::-1])) for t, x in zip(STAMPS, ANGLES, strict=True)
+    ]
+    bag = bags.write(tmp_path / "bag", {"/joint_states": (bags.JOINT_STATE, rows)}, storage)
+    path = bag if whole else next(bag.glob(f"*{bags.SUFFIX[storage]}"))
+    got = hf.read_recording(path, angles="absolute", max_rate=1e9, columns=["a", "b"])
+    np.testing.assert_array_equal(got.t, (STAMPS - STAMPS[0]) / 1e9)
+    np.testing.assert_array_equal(got.data, ANGLES[:, :2])
+    np.testing.assert_array_equal(got.rates, ANGLES[:, :0:-1])
+    np.testing.assert_array_equal(hf.read_recording(path).data, np.cumsum(ANGLES, axis=1))  # joints are relative
+    assert hf.read_recording(path, time="log").t[-1] == got.t[-1]
+
+
+@pytest.mark.parametrize("kind", [bags.POSE_ARRAY, bags.POSE, bags.POINT])
+def test_places_bit_for_bit(kind: str, tmp_path: Path) -> None:
+    def message(stamp: int, place: Any) -> Any:
+        if kind == bags.POINT:
+            return bags.make(kind, bags.header(stamp), bags.point(place))
+        held = bags.pose(place)
+        return bags.make(kind, bags.header(stamp), [held, held] if kind == bags.POSE_ARRAY else held)
+
+    rows = [(int(t), message(t, x)) for t, x in zip(STAMPS, ANGLES, strict=True)]
+    other = [(START, bags.joint_state(START, ["a"], [0.0]))]
+    bag = bags.write(tmp_path / "bag", {"/seen": (kind, rows), "/joint_states": (bags.JOINT_STATE, other)})
+    with pytest.raises(InvalidInput, match="several topics"):
+        hf.read_recording(bag)
+    with pytest.raises(InvalidInput, match="no plane is declared"):
+        hf.read_recording(bag, topic="/seen")
+    got = hf.read_recording(bag, kind="markers", plane="xz")
+    np.testing.assert_array_equal(got.data, np.tile(ANGLES[:, [0, 2]], 2 if kind == bags.POSE_ARRAY else 1))
+    with pytest.raises(InvalidInput, match="columns are names of joints"):
+        hf.read_recording(bag, topic="/seen", columns=["a"], plane="xz")
+
+
+def test_an_incomplete_bag_is_refused(tmp_path: Path) -> None:
+    bag = bags.write(tmp_path / "bag", {"/joint_states": (bags.JOINT_STATE, [])})
+    with pytest.raises(InvalidInput, match="has no messages"):
+        hf.read_recording(bag)
+    next(bag.glob("*.db3")).unlink()
+    with pytest.raises(FileProblem, match="incomplete"):
+        hf.read_recording(bag)
+    (bag / "metadata.yaml").unlink()
+    with pytest.raises(FileProblem, match="is a folder"):
+        hf.read_recording(bag)

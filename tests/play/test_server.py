@@ -1,0 +1,292 @@
+"""The server of the page: who is answered and who is not, what messages do, files, several pages at once."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import time
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+import hyperflex as hf
+from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.play import Folder, PlayServer, Session, Settings
+from tests.planning.known import planned
+
+SMALL = {"links": 6, "target_solid": 0}
+PATIENCE = 60.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("play")
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=5, friction=1e-3)
+    setup = hf.Setup(rope, hf.arm_swings(), hf.Arm(length=0.1), duration=0.5)
+    (path / "kept").mkdir()
+    hf.simulate(setup).to_netcdf(path / "kept" / "run.nc")
+    setup.to_toml(path / "setup.toml")
+    (path / "notes.txt").write_text("mine")
+    (path.parent / "outside.toml").write_text(setup.dumps())
+    (path / "link.toml").symlink_to(path.parent / "outside.toml")
+    return path
+
+
+@pytest.fixture(scope="module")
+def server(folder):
+    with PlayServer(Folder(folder), Session(Settings().changed(SMALL))) as running:
+        yield running
+
+
+class Page:
+    """What a page does over its websocket."""
+
+    def __init__(self, server, **headers):
+        self._stack = ExitStack()
+        address = f"ws://127.0.0.1:{server.port}/socket"
+        self.socket = self._stack.enter_context(connect(address, additional_headers=headers, compression=None))
+        self.frames, self.scene, self._count = [], None, 0
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._stack.close()
+
+    def ask(self, **message):
+        self._count += 1
+        self.socket.send(json.dumps({"id": self._count, **message}))
+        return self.until(lambda given: given.get("id") == self._count)
+
+    def until(self, wanted):
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            told = self.socket.recv(timeout=PATIENCE)
+            if isinstance(told, bytes):
+                self.frames.append(np.frombuffer(told, "<f4"))
+                continue
+            told = json.loads(told)
+            self.scene = told.get("scene", self.scene)
+            if wanted(told):
+                return told
+        raise AssertionError("the server did not say it")
+
+    def see(self, count):
+        while len(self.frames) < count:
+            told = self.socket.recv(timeout=PATIENCE)
+            if isinstance(told, bytes):
+                self.frames.append(np.frombuffer(told, "<f4"))
+
+
+@pytest.fixture
+def page(server):
+    with Page(server) as opened:
+        opened.ask(button="hang")
+        yield opened
+
+
+def get(server, path="/", **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE)
+    connection.request("GET", path, headers={"Host": f"127.0.0.1:{server.port}", **headers})
+    answer = connection.getresponse()
+    return answer.status, answer.read().decode(), answer.headers
+
+
+def test_the_page_needs_nothing_else_and_nobody_may_frame_it(server):
+    status, text, headers = get(server)
+    assert status == 200
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    assert "frame-ancestors 'self'" in headers["Content-Security-Policy"]
+    assert "http://" not in text
+    assert "https://" not in text
+    assert server.runner.session.settings.links == 6
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "evil.example"},
+        {"Host": "127.0.0.1"},
+        {"Host": "evil.example:{port}"},
+        {"Origin": "http://evil.example"},
+        {"Origin": "http://127.0.0.1"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1.evil.example:{port}"},
+        {"Origin": "http://127.0.0.1:{port}@evil.example"},
+    ],
+    ids=lambda given: str(*given.values()),
+)
+def test_foreign_hosts_and_origins_get_403(server, headers):
+    headers = {name: value.format(port=server.port) for name, value in headers.items()}
+    assert get(server, **headers)[0] == 403
+    assert get(server, "/view?name=kept/run.nc", **headers)[0] == 403
+    if "Origin" in headers:
+        with pytest.raises(InvalidStatus, match="403"):
+            Page(server, **headers)
+
+
+def test_own_origins_and_allowed_hosts_are_answered(server, folder):
+    for name in ("127.0.0.1", "localhost"):
+        own = f"{name}:{server.port}"
+        assert get(server, Host=own, Origin=f"http://{own}")[0] == 200
+    with PlayServer(Folder(folder), allow=["lab.example:80"]) as other:
+        assert get(other, Host="lab.example:80", Origin="http://lab.example:80")[0] == 200
+        assert get(other, Host="lab.example:81")[0] == 403
+    with pytest.raises(InvalidInput, match="no page can be shown"):
+        PlayServer(Folder(folder), port=server.port)
+
+
+def test_frames_come_while_it_runs_and_none_move_while_it_is_paused(server, page):
+    assert page.ask(button="swing").keys() == {"id"}
+    page.see(20)
+    times = [frame[0] for frame in page.frames[-10:]]
+    assert (np.diff(times) > 0.0).all()
+    page.ask(button="pause")
+    assert page.scene["paused"] or page.until(lambda told: "scene" in told)["scene"]["paused"]
+    before = server.runner.session.t
+    page.ask(button="step")
+    assert server.runner.session.t == pytest.approx(before + 1.0 / 60.0)
+    page.ask(set={"speed": 0.1})
+    page.ask(button="step")
+    assert server.runner.session.t == pytest.approx(before + 1.1 / 60.0)
+    page.ask(set={"speed": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        ({}, "asks for nothing"),
+        ({"button": "explode"}, "no such button"),
+        ({"button": ["hang"]}, "no such button"),
+        ({"button": "cast"}, "no plan has been made"),
+        ({"set": {"length": 99}}, "out of range"),
+        ({"set": {"length": None}}, "not a number"),
+        ({"set": [1]}, "set"),
+        ({"open": "../outside.toml"}, "no such file"),
+        ({"open": "link.toml"}, "no such file"),
+        ({"open": "notes.txt"}, "no such file"),
+        ({"open": 3}, "open"),
+        ({"save": "../run.nc"}, "name cannot be used"),
+        ({"save": "sub/run.nc"}, "name cannot be used"),
+        ({"save": "run.exe"}, "name cannot be used"),
+        ({"save": ".nc"}, "name cannot be used"),
+        ({"save": "a\0.nc"}, "name cannot be used"),
+        ({"save": "setup.toml"}, "there already"),
+        ({"save": "link.toml"}, "there already"),
+        ({"save": "motion.csv"}, "no plan"),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_done_is_said_and_harms_nothing(page, message, told):
+    assert told in page.ask(**message)["error"]
+    assert "error" not in page.ask(button="hang")
+
+
+@pytest.mark.parametrize("text", ["", "not json", "[]", "3", "NaN", '{"id": ' + "[" * 50_000], ids=range(6))
+def test_messages_that_are_none_are_refused(page, text):
+    page.socket.send(text)
+    assert page.until(lambda given: "error" in given)["id"] is None
+    assert "error" not in page.ask(button="hang")
+
+
+def test_a_message_too_large_ends_its_own_connection_alone(server, page):
+    with Page(server) as other:
+        other.socket.send("x" * (1 << 17))
+        with pytest.raises(Exception, match=r"too big|1009|close"):
+            other.ask(button="hang")
+    assert "error" not in page.ask(button="hang")
+
+
+def test_files_are_listed_opened_and_saved_within_the_folder(server, page, folder):
+    assert page.ask(files=True)["files"] == ["kept/run.nc", "setup.toml"]
+    status, text, _ = get(server, "/view?name=kept/run.nc")
+    assert (status, "kept/run.nc, simulated" in text) == (200, True)
+    for name in ("", "setup.toml", "../outside.toml", "%2e%2e/outside.nc"):
+        assert get(server, f"/view?name={name}")[0] == 404
+    assert get(server, "/elsewhere")[0] == 404
+    assert page.ask(open="setup.toml").keys() == {"id"}
+    assert server.runner.session.setup.rope.n_links == 5
+    page.see(len(page.frames) + 15)
+    for suffix in ("nc", "html", "toml"):
+        assert page.ask(save=f"seen.{suffix}")["saved"] == f"seen.{suffix}"
+    run = hf.read_trajectory(folder / "seen.nc")
+    again = hf.simulate(hf.Setup.from_toml(folder / "seen.toml"), duration=float(run.t[-1]), t_eval=run.t)
+    np.testing.assert_allclose(again.joints, run.joints, atol=1e-9)
+    assert "seen, simulated" in (folder / "seen.html").read_text("utf-8")
+    assert "there already" in page.ask(save="seen.nc")["error"]
+    assert (folder / "notes.txt").read_text() == "mine"
+    with pytest.raises(FileProblem, match="no folder"):
+        Folder(folder / "missing")
+
+
+def test_pages_see_the_same_and_one_that_breaks_off_harms_none(server, page):
+    with Page(server) as other:
+        other.ask(set={"mass": 0.2})
+        page.until(lambda told: told.get("scene", {}).get("settings", {}).get("mass") == 0.2)
+        other.socket.socket.close()  # no good-bye
+    page.see(len(page.frames) + 10)
+    page.ask(set={"mass": 0.125})
+
+
+def test_nothing_moves_while_nobody_looks(folder):
+    with PlayServer(Folder(folder), Session(Settings().changed(SMALL))) as alone:
+        time.sleep(0.1)
+        assert alone.runner.session.t == 0.0
+        with Page(alone) as opened:
+            opened.see(5)
+        assert alone.runner.session.t > 0.0
+
+
+def test_a_plan_is_searched_in_a_process_of_its_own_and_cancelled(server, page):
+    runner = server.runner
+    page.ask(set={"links": 10, "target_x": -0.83, "time_budget": 60.0})
+    page.ask(button="plan")
+    page.until(lambda told: (told.get("scene", {}).get("planning") or {}).get("spent", 0.0) > 0.0)
+    process = runner._planning._process
+    assert "a plan is being made" in page.ask(button="whip")["error"]
+    begin = time.monotonic()
+    page.ask(button="cancel")
+    assert time.monotonic() - begin < 30.0  # the figure, 1 s, is measured by benchmarks/play.py
+    assert not process.is_alive()
+    page.ask(set={"target_x": 5.0, "target_y": 5.0})
+    page.ask(button="plan")  # out of reach: said at once
+    plan = page.until(lambda told: told.get("scene", {}).get("plan"))["scene"]["plan"]
+    assert (plan["success"], plan["message"][:12]) == (False, "out of reach")
+    assert "the plan fails" in page.ask(button="cast")["error"]
+
+
+def test_a_planned_cast_winds_as_planned(server, page, folder):
+    plan = planned()
+    server.runner.call(lambda: setattr(server.runner, "plan", plan)).result()
+    page.ask(button="wind")
+    session = server.runner.session
+    assert session.settings.speed == 0.25
+    assert session.t == pytest.approx(plan.outcome.strike_time - 0.5, abs=0.2)
+    page.ask(button="pause")
+    server.runner.call(lambda: session._go_on(3.0)).result()
+    frame = np.frombuffer(session.frame(), "<f4")
+    assert frame[6] == pytest.approx(plan.outcome.turns, abs=0.05)
+    assert page.ask(save="motion.csv")["saved"] == "motion.csv"
+    assert hf.read_motion(folder / "motion.csv").breaks[-1] == pytest.approx(plan.motion.breaks[-1])
+    page.ask(button="cast")
+    assert session.t < 0.2
+
+
+def test_a_rope_that_cannot_go_on_stops_and_says_why(server, page, monkeypatch):
+    def fail(dt):
+        raise hf.SimulationError("it diverges", status="diverged", time=1.0)
+
+    session = server.runner.session
+    monkeypatch.setattr(session, "advance", fail)
+    told = page.until(lambda told: told.get("scene", {}).get("notice"))["scene"]
+    assert (told["paused"], told["notice"]) == (True, "it diverges")
+    monkeypatch.setattr(session, "advance", lambda dt: 1 / 0)
+    page.ask(button="hang")
+    told = page.until(lambda told: told.get("scene", {}).get("notice"))["scene"]
+    assert told["notice"].startswith("This is a bug in hyperflex: division by zero")
+    monkeypatch.undo()
+    page.ask(button="hang")
+    page.see(len(page.frames) + 3)

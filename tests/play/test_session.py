@@ -1,0 +1,160 @@
+"""The rope of the page: it moves as `simulate` moves it, takes what is set, and refuses what cannot be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import InvalidInput
+from hyperflex.play.arm_program import MOST_MOVES, ArmProgram
+from hyperflex.play.controls import CONTROLS, Settings
+from hyperflex.play.session import MOST_RECORDED, NUMBERS, Session
+
+DT = 1.0 / 60.0
+FREE = {"links": 12, "target_solid": 0}
+
+
+def numbers_of(frame: bytes) -> dict[str, float]:
+    return dict(zip(NUMBERS, np.frombuffer(frame, "<f4").tolist(), strict=False))
+
+
+def points_of(frame: bytes) -> np.ndarray:
+    return np.frombuffer(frame, "<f4")[len(NUMBERS) :].reshape(-1, 2)
+
+
+def run_for(session: Session, seconds: float) -> bytes:
+    for _ in range(round(seconds / DT)):
+        frame = session.advance(DT)
+    return frame
+
+
+def test_swinging_is_the_papers_motion_and_the_run_is_what_was_shown():
+    session = Session(Settings().changed(FREE))
+    session.swing()
+    frame = run_for(session, 4.0)
+    cast = hf.simulate(session.rope, hf.arm_swings(), arm=session.arm, duration=session.t, t_eval=[session.t])
+    np.testing.assert_allclose(points_of(frame)[1:], cast.joints[0], atol=1e-4)
+    np.testing.assert_allclose(points_of(frame)[0], 0.0, atol=1e-6)
+    shown = numbers_of(frame)
+    assert shown["t"] == pytest.approx(4.0, abs=1e-5)
+    assert math.radians(shown["arm_angle"]) == pytest.approx(cast.arm_angle[0], abs=1e-5)
+    assert shown["x"] == pytest.approx(cast.tip[0, 0], abs=1e-4)
+    assert shown["tip_speed"] == pytest.approx(np.hypot(*cast.tip_velocity[0]), abs=1e-3)
+    run = session.recorded().run()
+    np.testing.assert_allclose(run.joints[-1], points_of(frame)[1:], atol=1e-4)
+    assert run.t[[0, -1]].tolist() == pytest.approx([0.0, 4.0])
+
+
+def test_the_tension_of_a_hanging_rope_is_its_weight():
+    assert numbers_of(Session().advance(DT))["tension"] == pytest.approx(0.125 * 9.81, rel=1e-3)
+
+
+def test_timings_count_from_the_next_half_turn_on_and_the_arm_goes_where_it_is_sent():
+    session = Session(Settings().changed(FREE))
+    session.swing()
+    run_for(session, 0.3)
+    session.change({"t_move": 1.0, "t_rest": 0.2})
+    run_for(session, 1.0)
+    starts = session.setup.motion.breaks  # the half turn that was begun took 0.73 s, the next begins 0.2 s after it
+    assert starts[[2, 3, 5]].tolist() == pytest.approx([0.73, 0.93, 1.93])
+    session.change({"arm_angle": 30.0})
+    assert session.activity == "hang"
+    assert numbers_of(run_for(session, 2.0))["arm_angle"] == pytest.approx(30.0)
+    session.swing()
+    run_for(session, 1.1)  # the half turn, and half of the rest
+    assert session.setup.motion.angle([session.t])[0] == pytest.approx(-0.5 * math.pi)
+
+
+def test_a_peg_is_put_where_it_is_dragged_but_not_into_the_rope():
+    session = Session(Settings().changed({"links": 12}))
+    run_for(session, 0.1)
+    session.change({"target_x": 0.5, "target_y": -1.2})
+    assert (session.setup.pegs[0].x, session.setup.pegs[0].y) == (0.5, -1.2)
+    kept, setup = session.settings, session.setup
+    with pytest.raises(InvalidInput, match="inside an obstacle"):
+        session.change({"target_x": -0.105, "target_y": -1.0})
+    assert (session.settings, session.setup) == (kept, setup)
+    run = session.recorded()
+    assert run.begin is not None
+    with pytest.raises(InvalidInput, match="nothing has moved"):
+        run.run()
+    session.advance(DT)
+    assert session.recorded().run().t[0] == pytest.approx(0.1)
+    session.change({"target_solid": 0})
+    assert session.setup.pegs == ()
+    assert session.scene()["targets"] == [[0.5, -1.2]]
+
+
+def test_a_rope_strikes_the_peg_while_swinging():
+    session = Session(Settings().changed({"links": 20}))
+    session.swing()
+    shown = [numbers_of(session.advance(DT)) for _ in range(600)]
+    assert max(abs(each["turns"]) for each in shown) > 0.6  # a rope that goes by makes half a turn at most
+    assert max(each["tension"] for each in shown) < 50.0  # of single steps 30,000 N were seen
+
+
+def test_another_rope_begins_anew_and_an_impossible_one_changes_nothing():
+    session = Session()
+    session.swing()
+    run_for(session, 0.5)
+    session.change({"length": 1.0, "links": 8})
+    assert (session.t, session.activity, session.setup.rope.n_links) == (0.0, "swing", 8)
+    before = session.scene()
+    with pytest.raises(InvalidInput):  # thicker than it is long
+        session.change({"length": 0.2, "links": 200, "target_x": -0.105, "target_y": -0.1})
+    assert session.scene() == before
+
+
+def test_a_set_up_is_played_to_its_end_and_on_and_its_peg_is_the_target():
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6, friction=1e-3)
+    motion, arm, peg = hf.arm_moves([0.0, 1.0], [0.1], [0.4]), hf.Arm(length=0.2), hf.Peg(0.7, -0.3, 0.05, 0.4)
+    setup = hf.Setup(rope, motion, arm, duration=0.5, pegs=(peg, hf.Ground(0.0, -1.5)))
+    session = Session()
+    session.play(setup, "file", skip=0.25)
+    assert session.t == pytest.approx(0.25)
+    frame = run_for(session, 0.5)
+    assert numbers_of(frame)["arm_angle"] == pytest.approx(math.degrees(1.0))
+    assert (session.settings.target_x, session.settings.target_friction) == (0.7, 0.4)
+    session.change({"target_x": 0.75})
+    assert [type(each).__name__ for each in session.setup.pegs] == ["Peg", "Ground"]
+    session.hang()
+    assert (session.rope, session.arm) == (rope, arm)
+    session.change({"length": 1.5})
+    assert session.arm == Settings().arm
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"length": 99.0}, "rope length is out of range"),
+        ({"length": "long"}, "not a number"),
+        ({"length": float("nan")}, "not finite"),
+        ({"colour": 1.0}, "colour"),
+    ],
+)
+def test_what_cannot_be_set_is_named(values, told):
+    with pytest.raises(InvalidInput, match=told):
+        Session().change(values)
+
+
+def test_controls_hold_their_own_defaults():
+    assert set(CONTROLS) == set(vars(Settings()))
+    assert all(CONTROLS[name].low <= value <= CONTROLS[name].high for name, value in vars(Settings()).items())
+
+
+def test_hours_of_swinging_keep_a_bounded_memory():
+    program = ArmProgram(0.0)
+    for k in range(MOST_MOVES):
+        program.move((-1.0) ** k, 2.0 * k, 0.5)
+    assert program.full
+    session = Session(Settings().changed({"links": 4, "t_move": 0.2, "t_rest": 0.0, "target_solid": 0}))
+    session.swing()
+    for _ in range(700):
+        session.advance(0.2)
+    assert session.t == pytest.approx(140.0)
+    assert session.setup.motion.breaks.size <= 3 * MOST_MOVES
+    assert session.recorded().duration <= MOST_RECORDED
+    session.recorded().run()
