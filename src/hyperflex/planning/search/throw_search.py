@@ -1,7 +1,7 @@
 """The search for a throw: first over free swings with promising strikes, then over the last moves in contact."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -191,6 +191,19 @@ class ThrowSearch:
                 for more in MORE
                 for end in ENDS
                 for rest in (RESTS if more < 1.0 else RESTS[:1])
+            ]
+            if points:
+                self.evaluate(side, points)
+
+    def try_throws(self, throws: Sequence[Throw]) -> None:
+        """Simulate given throws in contact: their strokes until they strike, and then some more of them."""
+        for side, each in self.parametrizations.items():
+            points = [
+                np.append(each.repeated(one)[:-LAST], [more, one.end / np.pi, rest, one.speed])
+                for one in throws
+                if one.side == side
+                for more in MORE
+                for rest in RESTS
             ]
             if points:
                 self.evaluate(side, points)

@@ -1,6 +1,6 @@
 """Plan a cast: check the target, search for a throw that winds and holds, verify it, and look for fallbacks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -48,6 +48,7 @@ def plan_cast(
     threads: int | None = None,
     progress: bool = False,
     on_plan: Callable[[CastPlan], bool | None] | None = None,
+    start_from: Sequence[CastPlan] = (),
 ) -> CastPlan:
     """Plan how an arm casts its rope round a target so that the rope winds and holds.
 
@@ -97,6 +98,8 @@ def plan_cast(
     on_plan : callable, optional
         Called with the first plan that succeeds as soon as it does, and with each better one. If it returns True the
         search ends with that plan. Plans for fallback targets are not told.
+    start_from : sequence of CastPlan
+        Plans for targets near by, for the same rope and arm, whose throws are tried first.
 
     Returns
     -------
@@ -145,6 +148,7 @@ def plan_cast(
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:
         free = {"longer": time_limit is None, "full_turn": contact is None, "clock": clock}
+        search.try_throws([one.throw for one in start_from if one.throw is not None])
         plan = _search(search, known, uncertainty, time_budget, progress, on_plan, **free)
     with caught() as stop:
         if not (plan.success or plan.interrupted):

@@ -102,6 +102,8 @@ class CastPlanner:
     def run(self, report: Callable[..., None] | None) -> None:
         """Search until a plan succeeds with a margin or the time is over; `report` gets the time spent and words."""
         score, idle, contact = 0.0, 0, 0
+        if self.search.candidates:
+            self.verify_new()
         while not self.search.runs or not (self.late or self.done()):
             late = contact > 0 and self.search.late
             settled = idle >= IDLE_ROUNDS * (2 if late and score < WORTHY * self.tail else 1)
