@@ -1,5 +1,7 @@
 """The set-up of a verified run: links refined near pegs, joints bent no further than the rope's thickness lets them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, refine_rope
@@ -39,7 +41,11 @@ def verified_setup(
     """Return what is simulated to verify a motion of `duration`, s, from rest; `tol` in m and `contact_step` in s."""
     rope = limit_bend(refine_rope(cast_setup.rope, pegs, arm=cast_setup.arm))
     arm = cast_setup.arm
-    return Setup(rope, motion, arm, duration=duration, tol=tol, pegs=pegs, contact_step=contact_step)
+    setup = Setup(rope, motion, arm, duration=duration, tol=tol, pegs=pegs, contact_step=contact_step)
+    if not cast_setup.q0:
+        return setup
+    q0, qd0 = cast_setup.start_on(rope)
+    return replace(setup, q0=q0, qd0=qd0)
 
 
 def greatest_bend(run: Trajectory) -> float:
