@@ -114,6 +114,12 @@ def test_what_fails_all_the_same_is_a_message(tmp_path, monkeypatch, capsys, err
 # ---- time
 
 
+def test_a_run_that_came_to_its_end_is_kept_however_long_it_took():
+    short = hf.simulate(hf.Rope.uniform(1.0, 0.1, 3), duration=0.01, time_budget=1e-9)
+    assert (short.status, short.t[-1]) == ("ok", 0.01)
+
+
+
 def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time_budget, "JUDGED", 0.0)
     monkeypatch.setattr(time_budget, "PATIENCE", 0.0)

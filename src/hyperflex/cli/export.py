@@ -1,6 +1,7 @@
 """``hyperflex export``: a set-up as MuJoCo's model and back, a run or a recording as MCAP."""
 
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +15,8 @@ WAYS = {".toml": ".xml", ".xml": ".toml"}  # of what else is read, an .mcap
 
 def export(
     source: Annotated[
-        Path, typer.Argument(help="Set-up (.toml), MJCF file of ours (.xml), run (.nc) or recording (.nc, .mat, .csv).")
+        Path,
+        typer.Argument(help="Set-up (.toml), MJCF of ours (.xml), run (.nc) or recording (.nc, .mat, .csv, .mcap)."),
     ],
     out: Annotated[
         Path,
@@ -27,6 +29,7 @@ def export(
     An MJCF file that was written by hyperflex becomes a set-up again. What MuJoCo cannot say is refused by name. The
     file of a recording has to declare its own units and axes.
     """
+    from hyperflex import files
     from hyperflex.exchange import read_mjcf, write_mjcf
     from hyperflex.model import Setup
 
@@ -35,9 +38,9 @@ def export(
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", UserWarning)
         if suffix == ".toml":
-            write_mjcf(Setup.from_toml(source), out)
+            files.rescued(partial(write_mjcf, Setup.from_toml(source)), out)
         elif suffix == ".xml":
-            read_mjcf(source).to_toml(out)
+            files.rescued(read_mjcf(source).to_toml, out)
         else:
             _messages(source, out)
     notes = [str(each.message) for each in told if each.category is UserWarning]
@@ -59,4 +62,4 @@ def _messages(source: Path, out: Path) -> None:
     except InvalidInput as error:
         fix = "Export files that declare all of it, or in Python write_mcap(read_recording(.., unit=..), ..)"
         raise InvalidInput(error.what, got=error.got, allowed=error.allowed, fix=fix) from None
-    write_mcap(held, out)
+    files.rescued(partial(write_mcap, held), out)

@@ -131,7 +131,10 @@ def check_destination(out: Path | None, suffix: str, inputs: Sequence[Path]) -> 
     check_no_input(out, inputs)
     if out.suffix.lower() != suffix:
         raise InvalidInput(
-            "the output has the wrong suffix", got=str(out), allowed=f"a name ending in {suffix}", fix="Change -o"
+            "the output has the wrong suffix",
+            got=str(out),
+            allowed=f"a name ending in {suffix}",
+            fix="Give a name that ends so",
         )
     files.check_writable(out)
 

@@ -344,6 +344,6 @@ def _number_of_links(values: Mapping[str, npt.ArrayLike | None]) -> int:
             "rope arrays do not tell one number of links",
             got=sizes,
             allowed="arrays (n,) of one length n >= 1, and single numbers",
-            fix="Give length=[...] with one entry a link, or use Rope.uniform",
+            fix="Give length = [...] with one entry a link (of equal links: n_links in a file, Rope.uniform in Python)",
         )
     return next(iter(sizes.values()))
