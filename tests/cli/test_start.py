@@ -130,5 +130,5 @@ def test_bash_completes_commands_and_options(line: str, completed: list[str], tm
     )
     environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
     call = ["bash", "-c", script, "bash", *words]
-    done = subprocess.run(call, env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(call, env=environment, capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.split() == completed, json.dumps([done.stdout, done.stderr])
