@@ -13,10 +13,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import sys
 import time
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,11 +32,13 @@ from rich.progress import Progress
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import HyperflexError
+from hyperflex.executor import refuse_lost, run_chunks
 from hyperflex.identification import ratios
 from hyperflex.model import divided
 
 RESULTS = Path(__file__).parent / "results"
 LEVEL = 0.95
+CHUNK = 10  # experiments that a process fits at once
 CHANCE = 0.05  # that any of the parameters leaves the band although all intervals are right
 NOISE = 0.01  # rad
 LINKS, FINE = 5, 20
@@ -226,6 +232,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--count", type=int, default=2000, help="experiments of each kind with the right model (2000)")
     parser.add_argument("--wrong", type=int, metavar="COUNT", help="with wrong models (a quarter of count)")
     parser.add_argument("--length", type=int, default=0, metavar="COUNT", help="at least, with lengths 1 %% too long")
+    parser.add_argument("--workers", type=int, default=1, help="processes (1)")
     parser.add_argument("--seed", type=int, default=1, help="of all draws (1)")
     parser.add_argument("--out", default=str(RESULTS), metavar="FOLDER", help="for JSON and Markdown; - writes nothing")
     return parser.parse_args()
@@ -239,13 +246,21 @@ def main() -> int:
     counts |= {"length": max(counts["length"], options.length)}
     about = machine.describe()
     rows: dict[str, list[dict[str, Any]]] = {kind: [] for kind in KINDS}
-    with Progress(console=Console(stderr=True)) as bar:
+    context = multiprocessing.get_context("forkserver")
+    with (
+        Progress(console=Console(stderr=True)) as bar,
+        nullcontext() if options.workers == 1 else ProcessPoolExecutor(options.workers, context) as pool,
+    ):
         try:
             for number, kind in enumerate(KINDS):
                 task = bar.add_task(kind, total=counts[kind])
-                for index in range(counts[kind]):
-                    rows[kind].append(examine(KINDS[kind][0], np.random.default_rng([options.seed, number, index])))
-                    bar.update(task, advance=1)
+
+                def keep(_: int, some: list[dict[str, Any]], kind: str = kind, task: Any = task) -> None:
+                    rows[kind] += some
+                    bar.update(task, advance=len(some))
+
+                work = partial(examined, kind=kind, seed=(options.seed, number))
+                refuse_lost(run_chunks(work, range(counts[kind]), pool, 1 if pool is None else CHUNK, keep), kind)
         except KeyboardInterrupt:
             sys.stderr.write("interrupted: what was done is shown\n")
     about["load after"] = machine.load()
@@ -258,6 +273,11 @@ def main() -> int:
         files.write_text(folder / "coverage.json", json.dumps(data, separators=(",", ":")) + "\n")
         files.write_text(folder / "coverage.md", page)
     return int(not passed(rows))
+
+
+def examined(indices: list[int], kind: str, seed: tuple[int, int]) -> list[dict[str, Any]]:
+    """Fit the experiments of these numbers."""
+    return [examine(KINDS[kind][0], np.random.default_rng([*seed, index])) for index in indices]
 
 
 def examine(draw: Draw, random: np.random.Generator) -> dict[str, Any]:

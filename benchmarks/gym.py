@@ -34,7 +34,9 @@ LIMIT, PART, EVERY = 600.0, 0.9, 20.0  # s of learning; part of the scripted ret
 PLANNING = 4.0  # s of planning a cast, twice at most
 TRIED = {"Swing": range(1000, 1050), "Cast": range(1000, 1016)}  # seeds that learning looks at
 TOGETHER = {"Swing": 64, "Cast": 16}  # members that learn
-LEARNING: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 6, "learning_rate": 6e-4, "ent_coef": 0.003}
+DT, REPEAT = 0.02, 3  # s of a step, and steps for which a learned policy holds its action
+LEARNING: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 6, "gamma": 0.98}
+LEARNING |= {"learning_rate": 6e-4, "ent_coef": 0.003}
 
 
 class RandomPolicy:
@@ -116,7 +118,7 @@ def scores_of(rows: list[lines.Row]) -> Scores:
 
 
 def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Callable[[lines.Row], None]) -> None:
-    """Train by PPO until it returns PART of what the best scripted policy does, or the time is over; then score it."""
+    """Train by PPO until it returns PART of what the best scripted policy does or the time is over; then score it."""
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -126,22 +128,10 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
     best = "pumping" if name == "Swing" else "planned"
     scripted = [row["return"] for row in rows if (row.get("name"), row.get("policy")) == (name, best)]
     aim = PART * float(np.mean(scripted)) * 1.02 if scripted else np.inf  # a little more: other seeds are looked at
-    envs = gymnasium.make_vec(environment, num_envs=TOGETHER[name], autoreset_mode="SameStep")
+    given = {"dt": REPEAT * DT, "max_episode_steps": gymnasium.spec(environment).max_episode_steps // REPEAT}
+    envs = gymnasium.make_vec(environment, num_envs=TOGETHER[name], autoreset_mode="SameStep", **given)
     model = PPO("MlpPolicy", stable_baselines_env(envs), seed=seed, device="cpu", **LEARNING)
     begin, clock, looks = time.process_time(), time.perf_counter(), [0.0]
-
-    def play(tried: range) -> float:
-        """Mean return of the policy so far."""
-        those = gymnasium.make_vec(environment, num_envs=len(tried), autoreset_mode="Disabled")
-        seen, _ = those.reset(seed=tried[0])
-        total, going = np.zeros(len(tried)), np.ones(len(tried), dtype=bool)
-        while going.any():
-            seen, reward, terminated, truncated, _ = those.step(model.predict(seen, deterministic=True)[0])
-            total, ended = total + going * reward, terminated | truncated
-            going &= ~ended
-            if ended.any():
-                seen, _ = those.reset(options={"reset_mask": ended})
-        return float(total.mean())
 
     class Looking(BaseCallback):  # type: ignore[misc]
         """Ends learning."""
@@ -153,7 +143,7 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
 
         def _on_rollout_end(self) -> None:
             if time.process_time() - begin > looks[-1] + EVERY:
-                self.reached = play(TRIED[name])
+                self.reached = play(model, environment, TRIED[name]).mean
                 looks.append(time.process_time() - begin)
                 print(f"{name} {seed}: {self.num_timesteps} steps, {looks[-1]:.0f} s, {self.reached:.1f}", flush=True)
 
@@ -161,7 +151,30 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
     spent = {"seconds": time.process_time() - begin, "clock": time.perf_counter() - clock}
     policy = f"PPO, seed {seed}"
     keep({"name": name, "learned": policy, "steps": looking.num_timesteps, **spent})
-    score(name, policy, lambda env: lambda seen: model.predict(seen, deterministic=True)[0], seeds, rows, keep)
+    scores = play(model, environment, seeds)
+    for each, total, success in zip(seeds, scores.returns, scores.successes, strict=True):
+        row = {"name": name, "policy": policy, "seed": each}
+        keep(row | {"return": float(total), "success": bool(success)})
+
+
+def play(model: Any, environment: str, seeds: range) -> Scores:
+    """Scores of what was learned, all episodes at once: members are, to the bit, single environments.
+
+    An action is held for REPEAT steps.
+    """
+    envs = gymnasium.make_vec(environment, num_envs=len(seeds), autoreset_mode="Disabled")
+    seen, _ = envs.reset(seed=seeds[0])
+    total, success, actions = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool), None
+    going, count = ~success, 0
+    while going.any():
+        actions, count = actions if count % REPEAT else model.predict(seen, deterministic=True)[0], count + 1
+        seen, reward, terminated, truncated, info = envs.step(actions)
+        total, ended = total + going * reward, terminated | truncated
+        success |= going & info.get("is_success", success)
+        going &= ~ended
+        if ended.any():
+            seen, _ = envs.reset(options={"reset_mask": ended})
+    return Scores(total, success)
 
 
 def speed() -> tuple[float, float, float]:
@@ -180,7 +193,7 @@ def speed() -> tuple[float, float, float]:
 
 def text(rows: list[lines.Row], rate: tuple[float, float, float]) -> str:
     """Results as Markdown."""
-    titles = ("environment", "policy", "return (95 %)", "of the best scripted", "successes", "learned in")
+    titles = ("environment", "policy", "episodes", "return (95 %)", "of the best scripted", "successes", "learned in")
     found = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
     for name, each in SCRIPTED.items():
         learned = {row["learned"]: row for row in rows if row.get("name") == name and "learned" in row}
@@ -196,11 +209,19 @@ def text(rows: list[lines.Row], rate: tuple[float, float, float]) -> str:
             told = f"{spent['seconds']:.0f} s, {spent['steps']:,} steps" if spent else ""
             part = scores.mean / max(means[one] for one in each if one in means)
             won = f"{scores.successes.sum()} of {len(played)}" if name == "Cast" else ""
-            cells = [name, policy, f"{scores.mean:.4g} ({low:.4g} to {high:.4g})", f"{part:.0%}", won, told]
+            cells = [
+                name,
+                policy,
+                str(len(played)),
+                f"{scores.mean:.4g} ({low:.4g} to {high:.4g})",
+                f"{part:.0%}",
+                won,
+                told,
+            ]
             found.append(f"| {' | '.join(cells)} |")
     many = TOGETHER
     return "\n".join(found) + (
-        "\n\nEpisodes from the seeds 0 to 199. "
+        "\n\nEpisodes from the seeds 0 to 199, or as many of them as are told. "
         f"{MEMBERS} members of Swing (20 links, 50 Hz) take {rate[0]:,.0f} steps/s by the clock "
         f"({rate[1]:,.0f} to {rate[2]:,.0f}); at least {AIM:,.0f} are asked. Learned: PPO of Stable-Baselines3 "
         f"on {many['Swing']} members (Cast: {many['Cast']}), until it returns {PART:.0%} of what the best "

@@ -40,14 +40,15 @@ _thread = threading.local()
 def _notice(number: int, frame: FrameType | None) -> None:
     """Handle a signal. What a finaliser raises Python prints and forgets: there, it waits for the next look."""
     _State.number, _State.pending, _State.count = _State.number or number, True, _State.count + 1
-    if not (_State.deferred or _finalising(frame)):
+    if not (_State.deferred or _ending(frame)):
         raise KeyboardInterrupt
 
 
-def _finalising(frame: FrameType | None) -> bool:
-    """Return whether a frame belongs to a finaliser, or to the callback of a weak reference."""
+def _ending(frame: FrameType | None) -> bool:
+    """Return whether a frame belongs to a finaliser, the callback of a weak reference, or the end of a `noticing`."""
     while frame is not None:
-        if frame.f_code.co_name == "__del__" or frame.f_code.co_filename == weakref.__file__:
+        code = frame.f_code
+        if code.co_name == "__del__" or code.co_filename == weakref.__file__ or code is noticing.__exit__.__code__:
             return True
         frame = frame.f_back
     return False
@@ -222,14 +223,13 @@ def interruptible(kind: type | None = None) -> Callable[[Callable[_P, _R]], Call
     def decorate(function: Callable[_P, _R]) -> Callable[_P, _R]:
         @functools.wraps(function)
         def call(*args: _P.args, **named: _P.kwargs) -> _R:
-            with noticing():
-                try:
-                    result = function(*args, **named)
-                except KeyboardInterrupt as stop:
-                    raise Interrupted(functools.partial(_own, stop, kind)) from None
-                if _State.pending:
-                    raise Interrupted(result)
-                return result
+            done: list[_R] = []
+            try:
+                with noticing():
+                    done.append(function(*args, **named))
+            except KeyboardInterrupt as stop:
+                raise Interrupted(done[0] if done else functools.partial(_own, stop, kind)) from None
+            return done[0]
 
         return call
 

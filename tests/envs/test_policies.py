@@ -15,7 +15,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.envs import CrossingPolicy, PlannedCast, PumpingPolicy, Scores, score_policy, stable_baselines_env
 from hyperflex.envs.policies import members_of
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, MissingPackage
 
 SWING, CAST = "hyperflex/Swing-v0", "hyperflex/Cast-v0"
 
@@ -93,7 +93,7 @@ def test_without_stable_baselines_its_command_is_named(monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
     monkeypatch.setitem(sys.modules, "stable_baselines3.common", None)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    with pytest.raises(ImportError, match="pip install stable-baselines3"):
+    with pytest.raises(MissingPackage, match="pip install stable-baselines3"):
         stable_baselines_env(gymnasium.make_vec(SWING, num_envs=2, autoreset_mode="SameStep"))
 
 

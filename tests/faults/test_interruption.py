@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 import pytest
@@ -62,9 +63,43 @@ def swallowed() -> None:
 
 
 @interruptible(list)
+def idle(result: list[int]) -> list[int]:
+    return result
+
+
+@interruptible(list)
 def work(result: list[int]) -> list[int]:
     swallowed()
     return result
+
+
+def test_a_signal_at_the_very_end_of_a_call_leaves_the_next_one_alone() -> None:
+    def trace(frame: FrameType, *_: object) -> None:
+        if frame.f_code is noticing.__exit__.__code__:
+            sys.settrace(before)
+            signal.raise_signal(signal.SIGINT)
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        with pytest.raises(hf.Interrupted) as stop:
+            idle([1])
+    finally:
+        sys.settrace(before)
+    assert stop.value.partial == [1]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert idle([2]) == [2]
+
+
+def test_another_error_that_hides_an_interrupt_comes_out_as_one() -> None:
+    @interruptible()
+    def fails() -> None:
+        swallowed()
+        raise ValueError
+
+    with pytest.raises(hf.Interrupted) as stop:
+        fails()
+    assert stop.value.partial is None
 
 
 def test_what_a_library_swallows_comes_out_at_the_end_of_the_call() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -51,6 +52,14 @@ def test_what_is_no_count_is_refused() -> None:
             SuccessProbability(won, draws)
     with pytest.raises(InvalidInput, match="samples"):
         estimate_success_probability(CAST_SETUP, PEG, WINDS, samples=0)
+
+
+def test_an_executor_counts_the_same_samples() -> None:
+    want = estimate_success_probability(CAST_SETUP, PEG, WINDS, samples=6)
+    with ThreadPoolExecutor(2) as pool:
+        for size in (None, 4):
+            found = estimate_success_probability(CAST_SETUP, PEG, WINDS, samples=6, executor=pool, chunk_size=size)
+            assert (found.successes, found.samples) == (want.successes, 6)
 
 
 def test_in_the_expected_world_a_throw_ends_as_the_search_saw_it_end() -> None:

@@ -204,6 +204,8 @@ def test_files_are_listed_opened_and_saved_within_the_folder(server, page, folde
     assert page.ask(files=True)["files"] == ["kept/run.nc", "setup.toml"]
     status, text, _ = get(server, "/view?name=kept/run.nc")
     assert (status, "kept/run.nc, simulated" in text) == (200, True)
+    status, text, _ = get(server, "/view?name=kept/run.nc&rope=setup.toml")  # no recording
+    assert (status, "<html" in text) == (404, False)
     for name in ("", "setup.toml", "../outside.toml", "%2e%2e/outside.nc"):
         assert get(server, f"/view?name={name}")[0] == 404
     assert get(server, "/elsewhere")[0] == 404
@@ -272,7 +274,10 @@ def test_a_planned_cast_winds_as_planned(server, page, folder):
     assert page.ask(save="motion.csv")["saved"] == "motion.csv"
     assert hf.read_motion(folder / "motion.csv").breaks[-1] == pytest.approx(plan.motion.breaks[-1])
     page.ask(button="cast")
-    assert session.t < 0.2
+    assert (session.t < 0.2, session.settings.speed) == (True, 1.0)
+    page.ask(set={"arm_angle": 45.0})
+    assert (session.activity, session.t < 0.2) == ("hang", True)
+    page.ask(set={"arm_angle": -90.0})
 
 
 def test_a_rope_that_cannot_go_on_stops_and_says_why(server, page, monkeypatch):

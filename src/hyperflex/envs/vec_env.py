@@ -8,7 +8,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, MissingPackage
 
 
 def stable_baselines_env(envs: VectorEnv[Any, Any, Any]) -> Any:
@@ -23,13 +23,13 @@ def stable_baselines_env(envs: VectorEnv[Any, Any, Any]) -> Any:
     ------
     InvalidInput
         If it begins anew in another way.
-    ImportError
+    MissingPackage
         Without Stable-Baselines3.
     """
     try:
         from stable_baselines3.common.vec_env import VecEnv
     except ImportError as missing:
-        raise ImportError("Stable-Baselines3 is missing: pip install stable-baselines3") from missing
+        raise MissingPackage("Stable-Baselines3 is missing: pip install stable-baselines3") from missing
     if envs.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
         fix = 'Make it with autoreset_mode="SameStep"'
         raise InvalidInput("members begin anew in another way", got=envs.metadata.get("autoreset_mode"), fix=fix)

@@ -6,9 +6,8 @@ from hyperflex import extras
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.play.controls import CONTROLS, Control, Settings
+    from hyperflex.play.controls import Settings
     from hyperflex.play.folder import Folder
-    from hyperflex.play.runner import Runner
     from hyperflex.play.server import PlayServer
     from hyperflex.play.session import Session
 

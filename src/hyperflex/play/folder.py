@@ -9,7 +9,7 @@ from hyperflex.planning import CastPlan, WhipPlan
 from hyperflex.play.session import Recorded
 from hyperflex.trajectory import read_trajectory
 
-OPENED, SAVED = (".nc", ".toml"), (".nc", ".html", ".toml", ".csv")
+OPENED, SAVED = (".nc", ".csv", ".toml"), (".nc", ".html", ".toml", ".csv")
 MOST_NAMES, LONGEST = 200, 100
 
 
@@ -34,11 +34,16 @@ class Folder:
         shown = (each.as_posix() for each in names if not any(part.startswith(".") for part in each.parts))
         return sorted(shown)[:MOST_NAMES]
 
-    def page(self, name: str) -> str:
-        """Return the player of a saved run."""
+    def page(self, name: str, rope: str = "") -> str:
+        """Return the player of a saved run; of a recording, with the `rope` that was identified from it."""
+        from hyperflex.play.comparison import comparison_page
         from hyperflex.report import player_html
 
-        path = self._existing(name, ".nc")
+        path = self._existing(name, ".nc", ".csv")
+        if rope:
+            return comparison_page(path, self._existing(rope, ".toml"))
+        if path.suffix == ".csv":
+            raise InvalidInput(f"{name} is a recording", fix="Choose the file (.toml) of its rope, too")
         return player_html(read_trajectory(path), title=f"{name}, simulated")
 
     def setup(self, name: str) -> Setup:
@@ -68,9 +73,10 @@ class Folder:
     def _inside(self, path: Path) -> bool:
         return path.resolve().is_relative_to(self.path)
 
-    def _existing(self, name: str, suffix: str) -> Path:
-        if name not in self.names() or not name.endswith(suffix):
-            raise InvalidInput("there is no such file in the folder", got=name, allowed=f"its files {suffix}")
+    def _existing(self, name: str, *suffixes: str) -> Path:
+        if name not in self.names() or not name.endswith(suffixes):
+            allowed = f"its files {', '.join(suffixes)}"
+            raise InvalidInput("there is no such file in the folder", got=name, allowed=allowed)
         return self.path / name
 
     def _new(self, name: str) -> Path:

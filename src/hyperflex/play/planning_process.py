@@ -61,7 +61,7 @@ class PlanningProcess:
                     self.cancel()
                     return answer  # type: ignore[no-any-return]
                 self.begun = time.monotonic()
-        except EOFError:
+        except (EOFError, OSError):
             self.cancel()
             return "the planning process ended without a word"
         return None

@@ -45,6 +45,7 @@ class Runner:
         self.plan: CastPlan | WhipPlan | None = None
         self.number = self.version = 0
         self._tell, self._notice, self._late = tell, "", False
+        self._usual: float | None = None  # the speed, while a plan is shown in slow motion
         self._asked: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
         self._planning: PlanningProcess | None = None
         self._told, self._closed = 0.0, threading.Event()
@@ -90,6 +91,9 @@ class Runner:
         if name not in actions:
             raise InvalidInput("there is no such button", got=name, allowed=", ".join(actions))
         self._notice = ""
+        if self._usual is not None and name in ("hang", "swing", "cast"):
+            self.session.change({"speed": self._usual})
+            self._usual = None
         actions[name]()
         self.paused = self.paused and name not in ("hang", "swing", "cast", "wind")
         self.changed(name not in ("plan", "whip", "cancel", "pause"))
@@ -193,6 +197,8 @@ class Runner:
         seen = plan.outcome
         strike = 0.0 if seen is None else seen.strike_time if isinstance(seen, CastOutcome) else seen.t
         self.session.play(plan.setup(), "cast", skip=max(0.0, strike - BEFORE_STRIKE))  # NaN: it never strikes
+        if self._usual is None:
+            self._usual = self.session.settings.speed
         self.session.change({"speed": SLOW})
 
     def _required(self) -> CastPlan | WhipPlan:

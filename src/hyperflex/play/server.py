@@ -143,8 +143,8 @@ class PlayServer:
             return _response(HTTPStatus.OK, page())
         if asked.path == "/view":
             try:
-                name = parse_qs(asked.query).get("name", [""])[0]
-                return _response(HTTPStatus.OK, await asyncio.to_thread(self.folder.page, name))
+                name, rope = (parse_qs(asked.query).get(each, [""])[0] for each in ("name", "rope"))
+                return _response(HTTPStatus.OK, await asyncio.to_thread(self.folder.page, name, rope))
             except HyperflexError as error:
                 return _response(HTTPStatus.NOT_FOUND, str(error), "plain")
         return _response(HTTPStatus.NOT_FOUND, "There is no such page.", "plain")

@@ -117,7 +117,9 @@ class Session:
         except InvalidInput:
             self.settings = before
             raise
-        if "arm_angle" in values and self._program is not None:
+        if "arm_angle" in values and self._program is None:
+            self.hang()
+        elif "arm_angle" in values:
             self.activity, self._goal = "hang", math.radians(self.settings.arm_angle)
         self.version += 1
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hyperflex.report.notebook import identification_html, plan_html, rope_html, run_html
     from hyperflex.report.page import Film, Picture, Section, TextTable, render, sections_markdown, write_page
     from hyperflex.report.plan import PlanReport, search_summary
-    from hyperflex.report.player import Line, Plot, player_html, write_player
+    from hyperflex.report.player import Dots, Line, Plot, player_html, write_player
     from hyperflex.report.strobe import strobe_figure
     from hyperflex.report.style import BLUE, GREEN, GREY, INK, OUTCOME_COLOUR, RED, legend, new_figure, png, save_png
     from hyperflex.report.time_course import run_figure

@@ -32,6 +32,13 @@ class Line(NamedTuple):
     values: Array
 
 
+class Dots(NamedTuple):
+    """Measured places to mark: times (K,), s, and places (K, m, 2), m, NaN where there are none."""
+
+    t: Array
+    places: Array
+
+
 class Plot(NamedTuple):
     """A plot over time: what it shows, the unit, and its curves, three at most."""
 
@@ -52,6 +59,8 @@ def player_html(
     targets: Array | None = None,
     plots: Sequence[Plot] = (),
     marks: Sequence[float] = (),
+    dots: Dots | None = None,
+    ropes: Sequence[Trajectory] = (),
     autoplay: bool = True,
 ) -> str:
     """Return the HTML document that plays a run; ``#t=1.5`` behind its address shows the run at that time, s.
@@ -76,6 +85,10 @@ def player_html(
         Shown after arm angle, speed of the tip and energy.
     marks : sequence of float, optional
         Times that the plots mark, s.
+    dots : Dots, optional
+        Measured places, marked by rings; those that are next in time.
+    ropes : sequence of Trajectory, optional
+        Further runs of as many links, drawn thin beside it, such as draws of what is not known exactly.
     autoplay : bool
         Whether it plays at once.
 
@@ -104,6 +117,8 @@ def player_html(
         "obstacles": _obstacles(run),
         "peg_angles": None if run.peg_angle is None else _packed(_at(run, run.peg_angle, times).astype("<f4")),
         "targets": targets.tolist(),
+        "dots": None if dots is None else {"t": _packed(dots.t), "places": _packed(dots.places.astype("<f4"))},
+        "ropes": [_packed(shapes(each, times).joints.astype("<f4")) for each in ropes],
         "notes": [each for k, each in enumerate(words) if not k or each[1] != words[k - 1][1]],
         "note_lines": max((text.count("\n") + 1 for _, text in words), default=0),
         "marks": [[t] for t in marks],

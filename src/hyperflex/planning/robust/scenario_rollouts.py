@@ -2,13 +2,16 @@
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg
 from hyperflex.planning.cast_setup import CastSetup
@@ -37,9 +40,10 @@ def scenario_scores(
     time_budget: float | Deadline = TIME_BUDGET,
     threads: int | None = None,
 ) -> WindingScores:
-    """Simulate throws in scenarios (M), each rope from rest; see :func:`winding_scores`."""
+    """Simulate throws in scenarios (M), each rope from its start; see :func:`winding_scores`."""
     motions = [scenario.motion(throw, cast_setup) for throw, scenario in pairs]
-    batch = RolloutBatch.from_rest([each.rope for _, each in pairs], [each.peg for _, each in pairs], motions)
+    ropes, pegs = [each.rope for _, each in pairs], [each.peg for _, each in pairs]
+    batch = RolloutBatch.from_start(cast_setup, ropes, pegs, motions)
     return winding_scores(batch, cast_setup.arm, cast_setup.time, time_budget=time_budget, threads=threads)
 
 
@@ -119,7 +123,7 @@ def nominal_strike_times(
 ) -> Array:
     """Return the times (M,), s, at which throws strike in the nominal scenario; NaN without a strike."""
     motions = [throw.motion(cast_setup.limits) for throw in throws]
-    batch = RolloutBatch.from_rest([cast_setup.rope] * len(throws), [peg] * len(throws), motions)
+    batch = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(throws), [peg] * len(throws), motions)
     return first_strikes(batch, cast_setup.arm, cast_setup.time, threads=threads)[0]
 
 
@@ -168,15 +172,25 @@ def estimate_success_probability(
     seed: int = 0,
     threads: int | None = None,
     time_budget: float = math.inf,
+    executor: Executor | None = None,
+    chunk_size: int | None = None,
 ) -> SuccessProbability:
     """Estimate how often a throw winds and stays wound, by simulation in sampled scenarios.
 
     The throw is made in open loop: its moves start when planned, apart from the timing noise of each scenario. By
     default the uncertainty is that of a realistic identification. The scenarios of a search are others in any case.
-    With a `time_budget`, s, by the clock, fewer samples may be counted, as the result tells, but always some.
+    With a `time_budget`, s, by the clock, fewer samples may be counted, as the result tells, but always some; it counts
+    only without an `executor`, on which chunks of `chunk_size` samples are simulated, COUNTED by default (see
+    ``docs/how-to/many-machines.md``; WorkerLost if they kill its workers).
     """
     known = uncertainty or Uncertainty()
     scenarios = known.sample(samples, cast_setup, peg, seed=[STREAM, checks.count("seed", seed, least=0)])
+    executor, size = checked_chunks(executor, chunk_size, COUNTED)
+    if executor is not None:
+        wins: dict[int, int] = {}
+        work = partial(_wins, cast_setup=cast_setup, throw=throw, threads=threads or 1)
+        refuse_lost(run_chunks(work, scenarios, executor, size, wins.__setitem__), "samples")
+        return SuccessProbability(sum(wins.values()), len(scenarios))
     clock, won, counted = Clock(), 0, 0
 
     def left() -> float:
@@ -190,3 +204,9 @@ def estimate_success_probability(
             break
         won, counted = won + int((found.turns >= MIN_TURNS).sum()), counted + len(some)
     return SuccessProbability(won, counted)
+
+
+def _wins(scenarios: list[Scenario], cast_setup: CastSetup, throw: Throw, threads: int) -> int:
+    """Return in how many scenarios a throw succeeds."""
+    found = scenario_scores(cast_setup, [(throw, scenario) for scenario in scenarios], threads=threads)
+    return int((found.turns >= MIN_TURNS).sum())

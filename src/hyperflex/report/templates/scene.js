@@ -15,7 +15,8 @@ function mapping([x0, y0, x1, y1], w, h) {
     x: (X) => (X - w / 2) / scale + (x0 + x1) / 2, y: (Y) => (h / 2 - Y) / scale + (y0 + y1) / 2 };
 }
 // s: view; now: x, y of the shaft (if arm) and the joints, m, the tip last; ghosts: such points of a little earlier, the
-// oldest first; path: places of the tip; radius of the rope, m; obstacles, `angle` that of a peg that turns; targets
+// oldest first; path: places of the tip; radius of the rope, m; obstacles, `angle` that of a peg that turns; targets; by
+// choice dots: measured places; others: points of further ropes
 function drawScene(pen, w, h, s) {
   const { scale, X, Y } = mapping(s.view, w, h), now = s.now, p = s.arm ? 1 : 0, last = now.length - 2;
   const stroke = (c, width, alpha) => { pen.strokeStyle = c; pen.lineWidth = width; pen.globalAlpha = alpha; pen.stroke(); pen.globalAlpha = 1; };
@@ -44,9 +45,11 @@ function drawScene(pen, w, h, s) {
     stroke(colour.trail, 2, 0.15 + 0.75 * k / most);
   }
   pen.lineCap = "round";
+  for (const q of s.others || []) { line(q, 0); stroke(colour.a, 1, 0.35); }
   line(now, p); stroke(colour.rope, Math.max(2.5, 2 * s.radius * scale), 1);
   disc(now[last], now[last + 1], 4, colour.tip);
   for (const [x, y] of s.targets) { pen.beginPath(); pen.arc(X(x), Y(y), 8, 0, 7); stroke(colour.peg, 2, 1); }
+  for (const [x, y] of s.dots || []) { pen.beginPath(); pen.arc(X(x), Y(y), 6, 0, 7); stroke(colour.peg, 1.8, 1); }
   if (s.arm) { line(now.subarray(0, 4), 0); stroke(colour.arm, 5, 1); }
   disc(now[0], now[1], 5, colour.arm);
   const bar = 10 ** Math.floor(Math.log10(0.4 * w / scale)), right = w - 4, low = h - 6;

@@ -1,0 +1,98 @@
+"""A recording beside the rope that was identified from it: what was measured, what is simulated, how sure that is."""
+
+from pathlib import Path
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.estimate import MovingHorizon, Observations, smooth
+from hyperflex.model import Rope
+from hyperflex.planning import RopePosterior
+from hyperflex.recording import Recording, read_recording
+from hyperflex.report import Dots, Line, Plot, player_html
+from hyperflex.simulation import simulate
+from hyperflex.trajectory import Trajectory
+
+LEAD, MOST_FRAMES = 0.5, 120  # s and frames at the beginning that tell the state
+LONGEST = 20.0  # s that are simulated
+DRAWN = 20  # ropes of the posterior
+NOISE = 2e-3  # m, of a marker where the recording says nothing; corrected by what is seen
+_SEED = 0
+
+
+def comparison_page(recording: Path, rope: Path) -> str:
+    """Return a player of the rope as it is simulated, with the measured markers, and ropes drawn from the posterior.
+
+    The state at the beginning is what the first LEAD seconds tell (:func:`hyperflex.estimate.smooth`); all after that
+    is prediction. Each of the other ropes has a state and, if the file holds their covariance, parameters of its own.
+
+    Parameters
+    ----------
+    recording : Path
+        Angles of the rope's links, or markers at its joints, the first at the fixed pivot.
+    rope : Path
+        TOML file of the rope, as identify writes it.
+
+    Raises
+    ------
+    FileProblem, InvalidInput
+        If a file cannot be read, or they do not fit each other.
+    """
+    read = read_recording(recording)
+    posterior = RopePosterior.from_toml(rope)
+    known = Rope.from_toml(rope) if posterior is None else posterior.rope
+    t, places = _joints(read, known)
+    mean, factor = _state(known, t, places)
+    times = t[t <= LONGEST]
+    run = _simulated(known, mean, times)
+    rng, others = np.random.default_rng(_SEED), []
+    for _ in range(DRAWN):
+        drawn = known if posterior is None else posterior.sample(rng)
+        try:
+            others.append(_simulated(drawn, mean + factor @ rng.standard_normal(mean.size), times))
+        except SimulationError:
+            continue
+    off = np.hypot(*(run.joints[:, 1:] - places[: times.size, 1:]).T)
+    lines = tuple(Line(f"joint {k + 1}", off[k]) for k in (0, len(off) - 1)[: len(off)])
+    unsure = "state alone" if posterior is None else "state and parameters"
+    words = f"simulated from the first {min(LEAD, t[-1]):g} s on; rings: measured; thin: {DRAWN} draws of {unsure}"
+    return player_html(
+        run,
+        title=f"{recording.name} and {rope.name}",
+        note=lambda _: words,
+        dots=Dots(times, places[: times.size]),
+        ropes=others,
+        plots=[Plot("simulated less measured", "m", lines)],
+    )
+
+
+def _joints(read: Recording, rope: Rope) -> tuple[Array, Array]:
+    """Return times (T,), s, from 0 on, and places of the joints (T, n + 1, 2), m, from the pivot; NaN in gaps."""
+    if read.n_links != rope.n_links:
+        raise InvalidInput(
+            "recording and rope have different numbers of links", got=[read.n_links, rope.n_links], allowed="the same"
+        )
+    if read.kind == "angles":
+        places = rope.joints(read.data, np.zeros((read.t.size, 2)))
+    else:
+        places = read.data.reshape(read.t.size, -1, 2)
+        places = places - np.nanmean(places[:, :1], axis=0)
+    return read.t - read.t[0], places
+
+
+def _state(rope: Rope, t: Array, places: Array) -> tuple[Array, Array]:
+    """Return the state (2 n,) at the beginning, and a root (2 n, 2 n) of its covariance."""
+    rows = np.flatnonzero(t <= LEAD)
+    rows = rows[:: max(1, rows.size // MOST_FRAMES)]
+    estimator = MovingHorizon(rope, np.cumsum(rope.length))
+    track = smooth(estimator, [Observations(float(t[k]), places[k, 1:], std=NOISE) for k in rows])
+    first = track.states[0]
+    covariance = np.zeros((2 * rope.n_links,) * 2) if first.covariance is None else first.covariance
+    sizes, directions = np.linalg.eigh(covariance)
+    return np.concatenate([first.q, first.qd]), directions * np.sqrt(np.maximum(sizes, 0.0))
+
+
+def _simulated(rope: Rope, state: Array, times: Array) -> Trajectory:
+    n = rope.n_links
+    return simulate(rope, duration=float(times[-1]), q0=state[:n], qd0=state[n:], t_eval=times)

@@ -1,0 +1,57 @@
+"""``hyperflex play``: it says where it is, begins with a set-up, and refuses what it cannot do."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+import hyperflex as hf
+from hyperflex.play import PlayServer
+
+
+@pytest.fixture
+def seen(monkeypatch):
+    """Servers that were waited for; nobody has to press Ctrl-C."""
+    waited = []
+    monkeypatch.setattr(PlayServer, "wait", lambda server: waited.append(server))
+    return waited
+
+
+def test_it_opens_the_page_with_a_set_up(hyperflex_json, seen, tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=5, friction=1e-3)
+    hf.Setup(rope, hf.arm_swings(), hf.Arm(length=0.1)).to_toml(tmp_path / "setup.toml")
+    code, told = hyperflex_json("play", tmp_path / "setup.toml", "--folder", tmp_path)
+    (server,) = seen
+    assert code == 0
+    assert opened == [told["address"]] == [server.address]
+    assert server.runner.session.rope == rope
+    assert server.folder.path == tmp_path.resolve()
+    assert hyperflex_json("play", "--no-open", "--folder", tmp_path)[0] == 0
+    assert len(opened) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--folder", "missing"), "There is no folder"),
+        (("missing.toml",), "missing.toml"),
+        (("--host", "203.0.113.1"), "no page can be shown"),
+        (("--port", "99999"), "no page can be shown"),
+    ],
+)
+def test_it_refuses(hyperflex, seen, words, told):
+    code, _, err = hyperflex("play", "--no-open", *words)
+    assert (code, seen) == (2, [])
+    assert told in err
+
+
+def test_without_the_extra_it_names_the_command_that_installs_it(hyperflex, monkeypatch):
+    monkeypatch.setitem(sys.modules, "websockets", None)
+    for name in [name for name in sys.modules if name.startswith("hyperflex.play")]:
+        monkeypatch.delitem(sys.modules, name)
+    code, _, err = hyperflex("play", "--no-open")
+    assert code == 2
+    assert "pip install 'hyperflex[viewer]'" in err
