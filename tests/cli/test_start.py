@@ -125,10 +125,11 @@ def test_bash_completes_commands_and_options(line: str, completed: list[str], tm
     program.chmod(0o755)
     words = line.split()
     script = (
-        'source <(_HYPERFLEX_COMPLETE=source_bash hyperflex); COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1))\n'
+        "told=$(_HYPERFLEX_COMPLETE=source_bash hyperflex); [[ $told == *complete_bash* ]] || exit 9\n"
+        'eval "$told"; COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1))\n'
         "_hyperflex_completion hyperflex; printf '%s\\n' \"${COMPREPLY[@]}\""
     )
     environment = os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
     call = ["bash", "-c", script, "bash", *words]
-    done = subprocess.run(call, env=environment, capture_output=True, text=True, check=True)
+    done = subprocess.run(call, env=environment, capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.split() == completed, json.dumps([done.stdout, done.stderr])
