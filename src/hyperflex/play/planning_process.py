@@ -89,7 +89,7 @@ class PlanningProcess:
 
 
 def work(descriptor: int) -> None:
-    """Read a task from standard input; say to a pipe that the search begins (None), then the plan or what went wrong."""
+    """Read a task from standard input; send that the search begins (None), then the plan or what went wrong."""
     answers: Connection = Connection(descriptor, readable=False)
     task: PlanningTask = pickle.load(sys.stdin.buffer)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the page, which ends this process
