@@ -34,7 +34,9 @@ LIMIT, PART, EVERY = 600.0, 0.9, 20.0  # s of learning; part of the scripted ret
 PLANNING = 4.0  # s of planning a cast, twice at most
 TRIED = {"Swing": range(1000, 1050), "Cast": range(1000, 1016)}  # seeds that learning looks at
 TOGETHER = {"Swing": 64, "Cast": 16}  # members that learn
-LEARNING: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 6, "learning_rate": 6e-4, "ent_coef": 0.003}
+DT, REPEAT = 0.02, 3  # s of a step, and steps for which a learned policy holds its action
+LEARNING: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 6, "gamma": 0.98}
+LEARNING |= {"learning_rate": 6e-4, "ent_coef": 0.003}
 
 
 class RandomPolicy:
@@ -126,7 +128,8 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
     best = "pumping" if name == "Swing" else "planned"
     scripted = [row["return"] for row in rows if (row.get("name"), row.get("policy")) == (name, best)]
     aim = PART * float(np.mean(scripted)) * 1.02 if scripted else np.inf  # a little more: other seeds are looked at
-    envs = gymnasium.make_vec(environment, num_envs=TOGETHER[name], autoreset_mode="SameStep")
+    given = {"dt": REPEAT * DT, "max_episode_steps": gymnasium.spec(environment).max_episode_steps // REPEAT}
+    envs = gymnasium.make_vec(environment, num_envs=TOGETHER[name], autoreset_mode="SameStep", **given)
     model = PPO("MlpPolicy", stable_baselines_env(envs), seed=seed, device="cpu", **LEARNING)
     begin, clock, looks = time.process_time(), time.perf_counter(), [0.0]
 
@@ -155,13 +158,17 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
 
 
 def play(model: Any, environment: str, seeds: range) -> Scores:
-    """Scores of what was learned, all episodes at once: members are, to the bit, single environments."""
+    """Scores of what was learned, all episodes at once: members are, to the bit, single environments.
+
+    An action is held for REPEAT steps.
+    """
     envs = gymnasium.make_vec(environment, num_envs=len(seeds), autoreset_mode="Disabled")
     seen, _ = envs.reset(seed=seeds[0])
-    total, success = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool)
-    going = ~success
+    total, success, actions = np.zeros(len(seeds)), np.zeros(len(seeds), dtype=bool), None
+    going, count = ~success, 0
     while going.any():
-        seen, reward, terminated, truncated, info = envs.step(model.predict(seen, deterministic=True)[0])
+        actions, count = actions if count % REPEAT else model.predict(seen, deterministic=True)[0], count + 1
+        seen, reward, terminated, truncated, info = envs.step(actions)
         total, ended = total + going * reward, terminated | truncated
         success |= going & info.get("is_success", success)
         going &= ~ended

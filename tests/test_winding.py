@@ -232,3 +232,24 @@ def test_a_rope_is_held_as_long_as_one_of_its_links_is() -> None:
     assert np.isnan(rope_slip(replace(away, base=away.base + 1.0), peg)).all()
     with pytest.raises(InvalidInput, match="since is after the end"):
         rope_slip(run, peg, since=99.0)
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])
+def test_what_a_rope_covers_does_not_depend_on_its_size(scale: float) -> None:
+    """Of a wound rope one link stands off by a part of its length: a tenth counts as contact, more does not."""
+    peg, length = hf.Peg(0.0, 0.0, 0.05 * scale, 0.3), 0.01 * scale
+    rope = hf.Rope.uniform(60 * length, 0.1 * scale**3, 60, 0.002 * scale, friction=1e-4 * scale**4.5)
+    axis = (peg.radius + rope.radius) * (1.0 + 1e-6)
+    start, covered = (-axis, 0.1 * scale), []
+    q = laid(rope.length, start, axis, 1.5 * math.pi)
+    fixed = hf.moving_pivot([0.0, 1.0], [start[0]] * 2, [start[1]] * 2)
+    run = hf.simulate(rope, fixed, q0=q, pegs=[peg], duration=1e-5, t_eval=[0.0, 1e-5], refine=False)
+    for part in (0.0, 0.05, 0.3):
+        shifted = run.q.copy()
+        shifted[:, 20] -= part  # so that link 21 is `part` of a link farther out
+        shifted[:, 22] += part
+        covered.append(hf.measure_winding(replace(run, q=shifted), peg).contact[0])
+    whole, slight, far = covered
+    assert whole == pytest.approx(1.5 * math.pi, abs=0.4)
+    assert slight == pytest.approx(whole, abs=0.01)
+    assert far < whole - 1.5 * length / axis

@@ -62,6 +62,7 @@ if TYPE_CHECKING:
         build_whip_map,
         follow_plan,
         plan_cast,
+        plan_casts,
         plan_whip,
         read_plan,
     )

@@ -15,7 +15,7 @@ from hyperflex.simulation import Deadline, simulate
 from hyperflex.trajectory import State, Trajectory, swept
 
 TOUCH = 1e-4  # m, gap below which a link lies on a peg
-LIFTED = 1e-3  # m, gap above which a link between two that lie on a peg does not
+LIFTED = 0.1  # of its length, gap above which a link between two that lie on a peg does not
 STEADY = 0.1  # s, over which a pull must last to count
 PULL = 0.05  # m, of a taut rope
 LOOSE, QUICK = 0.9, 3.0  # part of what hangs loose that is taken up faster, and how much faster
@@ -33,7 +33,7 @@ class Winding:
         Signed angle about the peg from the first to the last link that lies on it, rad; 0 where fewer than two do.
     contact : (T,) float64
         Angle of the peg that the rope covers, rad, >= 0: from link to link between those, where none is off it by more
-        than LIFTED.
+        than LIFTED of its length.
     before, after : (T,) float64
         Tension of the rope towards the motor and towards the tip of the links on the peg, N; NaN where none is.
     tail : (T,) float64
@@ -55,7 +55,7 @@ class TugTest:
     Attributes
     ----------
     hold : float
-        Greatest tension at the first joint, a mean over STEADY, until the rope had slipped, N.
+        Greatest force along the pull, a mean over STEADY, until the rope had slipped, N.
     slipped : bool
         Whether the rope slipped within the pull; if not, `hold` is a lower bound.
     run : Trajectory
@@ -104,7 +104,7 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
     through = np.cumsum(np.concatenate([np.zeros((run.t.size, 1)), angles], axis=1), axis=1)
     middle = 0.5 * (through[:, :-1] + through[:, 1:])
     between = np.arange(gap.shape[1])
-    on = np.asarray((gap < LIFTED) & (between >= first[:, None]) & (between <= last[:, None]))
+    on = np.asarray((gap < LIFTED * run.setup.rope.length) & (between >= first[:, None]) & (between <= last[:, None]))
     on &= np.asarray(any_touch)[:, None]
     covered = np.abs(np.where(on[:, 1:] & on[:, :-1], swept(out), 0.0).sum(axis=1))
     pull, rope = rope_tension(run), run.setup.rope
@@ -269,10 +269,19 @@ def tug_test(
     way = slid(pulled.setup.rope, peg, pulled.q, pulled.joints)
     gone = np.abs(way) > allowed
     slipped = bool(gone.any())
-    pull = rope_tension(pulled)[: int(np.argmax(gone)) + 1 if slipped else pulled.t.size, 0]
+    pull = _pull(pulled)[: int(np.argmax(gone)) + 1 if slipped else pulled.t.size]
     count = min(max(1, round(STEADY / float(pulled.t[1] - pulled.t[0]))), pull.size)
     steady = np.convolve(pull, np.full(count, 1.0 / count), mode="valid")
     return TugTest(hold=float(steady.max()), slipped=slipped, run=pulled, slip=way)
+
+
+def _pull(run: Trajectory) -> Array:
+    """Force along the way of a moving end (T,), N: its work over its way, from the sample before to the one after.
+
+    A rope that comes taut trembles: its tension at an instant tells little.
+    """
+    force = np.diff(run.motor_work) / np.hypot(*np.diff(run.base, axis=0).T)
+    return np.asarray(0.5 * (np.append(force[:1], force) + np.append(force, force[-1:])))
 
 
 def _slack(run: Trajectory, peg: Peg) -> float:

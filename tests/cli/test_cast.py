@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import io
 import signal
 
 import pytest
@@ -83,6 +84,10 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     assert told["outcome"]["turns"] == planned().outcome.turns
     assert told["holding_force"]["force"] > told["holding_force"]["capstan_force"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
+    with contextlib.redirect_stderr(io.StringIO()) as said:
+        asked["on_plan"](planned())
+    assert said.getvalue().startswith("hyperflex: a cast stands after ")
+    assert said.getvalue().endswith(" degrees of the target\n")
     assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["stop"], abs=5e-3)
 
 

@@ -21,12 +21,18 @@ class Case:
         rng = np.random.default_rng([n, seed])
         self.links, self.q = random_links(n, seed), random_state(n, seed).q
         self.joint = np.stack([rng.normal(size=n) * 1e-3, rng.uniform(0.0, 1e-4, n)], axis=1)
-        self.rho = rng.uniform(0.0, 3.0, n)
+        across = dense.directions(self.q)[1]
+        self.way = across + 0.1 * rng.normal(size=(n, 2))  # along which forces turn a link
+        self.turned = across + 0.1 * rng.normal(size=(n, 2))  # in which it turns
+        self.steady = rng.uniform(-3.0, 3.0, (n, 2))
+        self.slope = rng.uniform(-0.5, 1.0, n) * self.links.inertia
+        self.own = rng.normal(size=n) * 1e-3
         self.base, self.tip = rng.normal(size=3), rng.normal(size=2) * 1e-3
         self.at = rng.integers(0, n, max(1, n // 2))
         self.place = rng.uniform(0.0, 1.0, self.at.size) * self.links.length[self.at]
         self.b = rng.normal(size=(self.at.size, 2, 2)) * 0.05 + 30.0 * np.eye(2)  # no symmetry, and stiff
         self.c = rng.normal(size=(self.at.size, 2)) * 1e-2
+        self.pull = np.empty((2, n))
 
     def kernel(self) -> tuple[dense.Real, dense.Real]:
         """Changes of the rates, and impulse at the first joint with the angular one, by the sweep."""
@@ -35,49 +41,55 @@ class Case:
         touch, change = np.zeros((n, sweeps.TOUCH)), np.empty(n)
         for i, s, b, c in zip(self.at, self.place, self.b, self.c, strict=True):
             sweeps.add_contact(touch, i, s, trig[i], trig[n + i], tuple(b.ravel()), tuple(c))
-        call = chain_of(self.links), trig, self.joint, self.rho, touch, self.base, self.tip
-        load = sweeps.changes(*call, change, np.empty((2, n)), np.empty(4 * n))
+        frame = np.concatenate([self.way, self.turned, self.slope[:, None], self.steady, self.own[:, None]], axis=1)
+        call = chain_of(self.links), self.joint, frame, touch, self.base, self.tip
+        load = sweeps.changes(*call, change, np.empty((2, n)), self.pull, np.empty(12 * n))
         return change, np.array(load)
 
-    def dense(self) -> tuple[dense.Real, dense.Real]:
-        """The same by virtual work: one linear system for all rates."""
+    def dense(self) -> tuple[dense.Real, dense.Real, dense.Real]:
+        """The same by virtual work: one linear system for all rates; and what turns each link, times its lever."""
         n, links = self.q.size, self.links
-        along, across = dense.directions(self.q)
+        across = dense.directions(self.q)[1]
         mass, reach = dense.bodies(links)
-        jacobians = [reach[:, :, None] * across[None], np.zeros((0, n, 2))]
-        steady = self.base[:2] - np.einsum("kj,ja,j->ka", reach, along, self.rho)  # of the bodies, without the change
-        matrix = np.diag(links.inertia) + np.einsum("k,kia,kja->ij", mass, jacobians[0], jacobians[0])
-        right = -np.einsum("k,kia,ka->i", mass, jacobians[0], steady)
-        right += jacobians[0][n] @ self.tip
+        turned, way = reach[:, :, None] * self.turned[None], reach[:, :, None] * self.way[None]
+        steady = self.base[:2] + np.einsum("kj,ja->ka", reach, self.steady)  # of the bodies, without the change
+        matrix = np.diag(links.inertia + self.slope) + np.einsum("k,kia,kja->ij", mass, way, turned)
+        right = self.own - np.einsum("k,kia,ka->i", mass, way, steady) + way[n] @ self.tip
         relative = np.eye(n) - np.eye(n, k=-1)
         matrix += relative.T @ np.diag(self.joint[:, 1]) @ relative
         right += relative.T @ self.joint[:, 0]
         right[0] += self.joint[0, 1] * self.base[2]
         rows = []
         for i, s, b, c in zip(self.at, self.place, self.b, self.c, strict=True):
-            arms = np.where(np.arange(n) < i, links.length, 0.0)
-            held = self.base[:2] - (arms * self.rho) @ along
-            arms[i] = s
-            row = arms[:, None] * across
-            matrix += row @ b @ row.T
-            right += row @ (c - b @ held)
-            rows.append((row, b, c, held))
+            arms = np.where(np.arange(n) < i, links.length, 0.0)[:, None]
+            held = self.base[:2] + (arms * self.steady).sum(axis=0)
+            own = np.where(np.arange(n) == i, s, 0.0)[:, None] * across  # its own link sees a contact as it is
+            row, back = arms * self.turned + own, arms * self.way + own
+            matrix += back @ b @ row.T
+            right += back @ (c - b @ held)
+            rows.append((i, row, b, c, held))
         change = np.linalg.solve(matrix, right)
-        force = mass @ (steady + np.einsum("kia,i->ka", jacobians[0], change)) - self.tip
-        for row, b, c, held in rows:
-            force = force - (c - b @ (held + row.T @ change))
+        forces = mass[:, None] * (steady + np.einsum("kia,i->ka", turned, change))
+        forces[n] -= self.tip
+        pull = np.einsum("ki,ka->ia", reach, forces)
+        force = forces.sum(axis=0)
+        for i, row, b, c, held in rows:
+            given = c - b @ (held + row.T @ change)
+            force = force - given
+            pull[:i] -= links.length[:i, None] * given
         moment = self.joint[0, 0] - self.joint[0, 1] * (change[0] - self.base[2])
-        return change, np.append(force, moment)
+        return change, np.append(force, moment), pull
 
 
 @pytest.mark.parametrize("n", SIZES)
 def test_changes_of_the_rates_are_those_of_the_dense_system(n: int) -> None:
     for seed in range(5):
         case = Case(n, seed)
-        (change, load), (want, wanted_load) = case.kernel(), case.dense()
+        (change, load), (want, wanted_load, pull) = case.kernel(), case.dense()
         # Stiff contacts, a thousand times the rope's mass, cost the sweep and the dense solver three digits each.
         np.testing.assert_allclose(change, want, rtol=0, atol=1e-9 * np.abs(want).max())
         np.testing.assert_allclose(load, wanted_load, rtol=0, atol=1e-8 * (np.abs(wanted_load).max() + 1.0))
+        np.testing.assert_allclose(case.pull.T, pull, rtol=0, atol=1e-8 * (np.abs(pull).max() + 1.0))
 
 
 def test_contacts_are_taken_off_again() -> None:

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from benchmarks.wrong_input import Case, outcome, real, simulated
+
+import hyperflex as hf
+from hyperflex.identification.diagnosis.declarations import ShortFit
+from hyperflex.identification.fit.loss import Loss
 
 ROOT = Path(__file__).parents[2]
 SIMULATED = list(simulated())
@@ -56,3 +61,11 @@ def test_the_page_lists_these_cases() -> None:
     missing = [case.name for case in SIMULATED if f"| {case.name} |" not in page]
     assert missing == [], "python -m benchmarks.wrong_input --data FOLDER"
     assert "WRONG" not in page
+
+
+def test_a_recording_shorter_than_a_usual_window_is_looked_at_as_well() -> None:
+    rod = hf.Rope([2.0], [0.1], friction=1e-3)
+    t = np.linspace(0.0, 1.0, 101)
+    swing = hf.Recording(t, hf.simulate(rod, duration=1.0, t_eval=t, q0=[0.8]).q)
+    left, _ = ShortFit(rod, ["friction"], None, None, None, None, Loss("squares"))(swing)
+    assert left < 1e-5

@@ -131,6 +131,17 @@ def test_swings_left_to_chance_are_not_continued(monkeypatch: pytest.MonkeyPatch
     assert not searched(FAR, 3.0)._swings
 
 
+def test_a_search_ends_where_swings_are_worth_a_try_and_goes_on_from_there() -> None:
+    work = ThrowSearch(CAST_SETUP, hf.Peg(1.36 * np.sin(0.66), -1.36 * np.cos(0.66), 0.04))
+    score = work.beam_search(0.5)
+    assert score > 0.5
+    assert work.climbing
+    runs = work.runs
+    assert work.beam_search() >= score
+    assert work.runs > runs
+    assert not work.climbing
+
+
 def test_a_search_whose_time_is_over_begins_nothing() -> None:
     found = BeamSearch(CAST_SETUP, LEVEL, (-1, 1), np.random.default_rng(1))
     assert found.extend(8.0, 20, lambda: 0.0) == []

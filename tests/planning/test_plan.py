@@ -371,6 +371,79 @@ def test_while_a_better_plan_is_sought_it_is_said_that_one_stands(monkeypatch: p
     assert told == ["planning", *3 * [cast_planner.STANDS]]
 
 
+@pytest.mark.parametrize(("spent", "enough"), [(5.9, False), (6.1, True)])
+def test_a_full_turn_that_nobody_asked_for_is_sought_for_as_long_again_as_the_first_plan_took(
+    spent: float, enough: bool
+) -> None:
+    search = SimpleNamespace(cast_setup=CastSetup(CABLE, ARM, hf.MotorLimits()), peg=EASY, candidates=[])
+    work = cast_planner.CastPlanner(search, 60.0, clock=SimpleNamespace(spent=spent))  # type: ignore[arg-type]
+    cast = SimpleNamespace(success=True, turns=1.3, slip=1e-3, load_ratio=0.8, folded=False, contact_angle=3.0)
+    work.best, work.first = ("a throw", cast, cast), 3.0  # type: ignore[assignment]
+    assert work.done() is enough
+    cast.slip = 3e-3  # nothing in hand: sought until the time is over
+    assert not work.done()
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_each_better_plan_that_stands_is_told_and_may_end_the_search(
+    monkeypatch: pytest.MonkeyPatch, ends: bool
+) -> None:
+    landed = [cast_planner.Candidate(1.0, 2.0, 1, np.full(3, float(k)), f"throw {k}") for k in range(4)]  # type: ignore[arg-type]
+    turns = {"throw 0": 0.4, "throw 1": 1.4, "throw 2": 1.3, "throw 3": 1.6}
+    heard: list[object] = []
+
+    def verified(self: cast_planner.CastPlanner, found: cast_planner.Candidate) -> object:
+        told = {"slip": 3e-3, "load_ratio": 0.5, "folded": False, "contact_angle": 3.0, "message": ""}
+        cast = SimpleNamespace(success=turns[found.throw] > 1.0, turns=turns[found.throw], **told)  # type: ignore[index]
+        return cast, cast
+
+    def go(self: cast_planner.CastPlanner, report: object) -> None:
+        for one in landed:
+            if not self.done():
+                self.check([one])
+
+    def on_plan(plan: hf.CastPlan) -> bool:
+        heard.append(plan.throw)
+        return ends
+
+    monkeypatch.setattr(cast_planner.CastPlanner, "run", go)
+    monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
+    plan = hf.plan_cast(CABLE, ARM, EASY, on_plan=on_plan)
+    assert heard == (["throw 1"] if ends else ["throw 1", "throw 3"])
+    assert (plan.throw, plan.success) == (heard[-1], True)
+
+
+def test_the_best_of_the_throws_that_a_first_verification_bears_out_is_verified_further(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With a margin before without, and the one whose verification ends sooner; not those that fail."""
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=4)
+    throws = [SimpleNamespace(name=name, count=2) for name in "abcd"]
+    points = [np.full(2 * search.parametrizations[1].strokes + 4, float(k)) for k in range(4)]
+    search.candidates = [
+        cast_planner.Candidate(3.0, 2.0, 1, x, throw, confirmed=True)  # type: ignore[arg-type]
+        for x, throw in zip(points, throws, strict=True)
+    ]
+    told = {"a": {"folded": True}, "b": {"success": False}, "c": {"turns": 3.0}, "d": {"turns": 2.0}}
+    asked: list[str] = []
+
+    def first(self: cast_planner.CastPlanner, found: cast_planner.Candidate) -> object:
+        good = {"success": True, "turns": 2.0, "slip": 1e-3, "load_ratio": 0.5, "folded": False, "contact_angle": 9.0}
+        return SimpleNamespace(**(good | told[found.throw.name]))  # type: ignore[attr-defined]
+
+    def verified(self: cast_planner.CastPlanner, found: cast_planner.Candidate, known: object) -> object:
+        asked.append(found.throw.name)  # type: ignore[attr-defined]
+        return known, SimpleNamespace(**(vars(known) | {"success": False, "turns": 0.3}))
+
+    monkeypatch.setattr(cast_planner.CastPlanner, "first_outcome", first)
+    monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
+    work = cast_planner.CastPlanner(search, 60.0)
+    work.verify_new()
+    assert asked[:2] == ["d", "c"]
+    assert "b" not in asked
+    assert {one.throw.name for one in work.checked} == set("abcd")  # type: ignore[attr-defined]
+
+
 def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     search = SimpleNamespace(
         cast_setup=CastSetup(CABLE, ARM, hf.MotorLimits()),

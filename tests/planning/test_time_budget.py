@@ -14,6 +14,7 @@ from hyperflex.errors import SimulationError
 from hyperflex.planning import Uncertainty, WhipMap, build_whip_map, estimate_success_probability
 from hyperflex.planning.outcome import require_holding_force
 from hyperflex.planning.robust import scenario_rollouts
+from hyperflex.planning.search import throw_search
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.contact_phase import WindingScores, simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -22,6 +23,7 @@ from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.planning.whip.outcome import verify_whip
 from hyperflex.planning.whip.planner import WhipPlanner
 from hyperflex.planning.whip.search import TOGETHER
+from hyperflex.planning.wind import casting
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.simulation import OUT_OF_TIME, Deadline
 from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
@@ -54,6 +56,17 @@ def test_verifications_do_not_outlast_the_time() -> None:
     assert OUT_OF_TIME in outcome.message
     held = require_holding_force(planned().outcome, PEG, 0.1, OVER)
     assert held.message == "what it bears could not be simulated"
+
+
+def test_the_time_counts_from_the_call_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before a search begins, kernels are loaded; what a search imports only where it needs it takes seconds, too."""
+    begun: list[CastPlanner] = []
+    monkeypatch.setattr(casting, "Clock", lambda: SimpleNamespace(spent=59.9))
+    monkeypatch.setattr(CastPlanner, "run", lambda self, report: begun.append(self))
+    monkeypatch.setattr(throw_search, "cma_es", None)
+    plan = hf.plan_cast(CABLE, cast_setup().arm, PEG, time_budget=60.0)
+    assert (plan.seconds, begun[0].late) == (59.9, True)
+    assert begun[0].left() < 0.0
 
 
 def test_runs_of_a_search_do_not_outlast_it() -> None:

@@ -119,9 +119,9 @@ def test_torque_is_that_of_all_steps() -> None:
     about = seen.run.attrs["torque_peak_time"], seen.run.attrs["torque_mean_time"]
     t = np.append(0.0, np.arange(min(about) - 0.02, max(about) + 0.02, 2e-4))
     fine = np.abs(hf.simulate(seen.run.setup, t_eval=t, duration=float(t[-1])).motor_torque[1:])
-    # windows follow each other, and are not moved over the run: of a blow in two of them each has a part
+    # windows slide by a tenth of their length
     moved = np.convolve(fine, np.full(25, 0.04), mode="valid").max()
-    assert 0.8 * moved < seen.torque < 1.02 * moved
+    assert 0.95 * moved < seen.torque < 1.02 * moved
     assert seen.torque < seen.torque_peak
 
 

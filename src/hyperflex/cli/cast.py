@@ -1,5 +1,7 @@
 """``hyperflex cast``: a rope, an arm and a target in, a throw that winds and holds out."""
 
+import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -66,6 +68,9 @@ def cast(
     5 mm in 2 s. How much of the target it covers is told beside the turns; where the rope is long enough, the search
     goes on for a full turn of contact. A rope that goes through itself, its arm or the motor's shaft fails.
 
+    The first plan that stands, and each better one, is told on standard error when it is found. The search ends with a
+    plan that has a margin, or with the time.
+
     The plan is verified in simulation, with links near the target cut shorter, then with all links of half and of a
     third of the length. Writes a page on which the run plays, pictures, the motion for the motor (CSV), the verified
     run (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
@@ -100,6 +105,7 @@ def cast(
             fallback=fallback,
             seed=seed,
             progress=True,
+            on_plan=_tell,
         )
     )
     with planner.writing(CastReport(plan, None), out, rate=rate, as_json=json) as (files, progress):
@@ -113,6 +119,13 @@ def cast(
     if plan.success_probability is not None:
         notes.append(f"Success probability: {plan.success_probability}.")
     planner.finish(report, files, _result(plan, held, uncertainty), [*notes, *report.advice], as_json=json)
+
+
+def _tell(plan: "CastPlan") -> None:
+    """Say on standard error that a plan stands."""
+    outcome = plan.required(plan.outcome, "outcome")
+    got = f"{abs(outcome.turns):.2f} turns, {math.degrees(outcome.contact_angle):.0f} degrees of the target"
+    sys.stderr.write(f"hyperflex: a cast stands after {plan.seconds:.1f} s: {got}\n")
 
 
 def _result(plan: "CastPlan", held: "HoldingForce | None", uncertainty: "Uncertainty | None") -> dict[str, Any]:

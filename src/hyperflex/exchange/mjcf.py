@@ -290,11 +290,12 @@ def _numbers(element: ET.Element, name: str, count: int) -> list[float]:
     """Return the numbers of an attribute."""
     text = element.get(name, "")
     try:
-        found = [float(word) for word in text.split()]
+        found = [] if "_" in text else [float(word) for word in text.split()]  # Python's 1_000 is not MuJoCo's
     except ValueError:
         found = []
     if len(found) != count:
-        raise InvalidInput(f"{_named(element)} has no {name}", got=text, allowed=f"{count} numbers")
+        allowed = "a number" if count == 1 else f"{count} numbers"
+        raise InvalidInput(f"{_named(element)} has no usable {name}", got=text, allowed=allowed)
     return found
 
 

@@ -42,5 +42,6 @@ if TYPE_CHECKING:
     from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget
     from hyperflex.planning.wind.casting import plan_cast
     from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
+    from hyperflex.planning.wind.many import plan_casts
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,7 +1,7 @@
 """What a plan is made for: a rope on an arm, the motor's limits, and the time until the strike."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +10,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Rope
+from hyperflex.model import Arm, Rope, divided
 
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
 MIN_LINKS, MIN_TIME = 4, 0.1  # links, s
@@ -96,12 +96,16 @@ class CastSetup:
         where it swings in front of them.
     contact : float
         Least angle of a peg that a wound rope covers, rad, >= 0.
+    side : {-1, 0, 1}
+        Side on which the arm stands at first, left or right; 0 lets the planner choose.
+    q0, qd0 : (n,) tuples of float
+        Link angles, rad, and rates, rad/s, of a rope that swings at first; then `side` is -1 or 1. Empty: it hangs.
 
     Raises
     ------
     InvalidInput
         If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, the time is too short or
-        too long, or clearance or contact is below 0.
+        too long, clearance or contact is below 0, or side or start are not as above.
     """
 
     rope: Rope
@@ -110,6 +114,9 @@ class CastSetup:
     time: float = 0.0
     clearance: float = 0.0
     contact: float = 0.0
+    side: int = 0
+    q0: tuple[float, ...] = ()
+    qd0: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name, kind in (("rope", Rope), ("arm", Arm), ("limits", MotorLimits)):
@@ -135,3 +142,32 @@ class CastSetup:
             object.__setattr__(self, "clearance", clearance)
         contact = checks.number("contact", self.contact, sign="nonnegative", unit="rad")
         object.__setattr__(self, "contact", contact)
+        self._check_start()
+
+    def _check_start(self) -> None:
+        if self.side not in (-1, 0, 1) or (self.q0 and not self.side):
+            allowed, fix = "-1 (left), 1 (right), or 0 for a rope that hangs", "Say on which side the arm stands"
+            raise InvalidInput("side of the arm at the start", got=self.side, allowed=allowed, fix=fix)
+        shape = (self.rope.n_links if self.q0 else 0,)
+        for name, unit in (("q0", "rad"), ("qd0", "rad/s")):
+            value = checks.array(name, getattr(self, name), shape, unit=unit) if self.q0 or self.qd0 else ()
+            object.__setattr__(self, name, tuple(map(float, value)))
+
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """Link angles (n,), rad, and rates, rad/s, at the start."""
+        if self.q0:
+            return np.array(self.q0), np.array(self.qd0)
+        return np.full(self.rope.n_links, self.rope.hanging_angle), np.zeros(self.rope.n_links)
+
+    def start_on(self, rope: Rope) -> tuple[Array, Array]:
+        """Return the start of the same rope cut into shorter links (m,)."""
+        middle = np.cumsum(rope.length) - 0.5 * rope.length
+        link = np.minimum(np.searchsorted(np.cumsum(self.rope.length), middle), self.rope.n_links - 1)
+        q, qd = self.start
+        return q[link], qd[link]
+
+    def cut(self, pieces: int) -> "CastSetup":
+        """Return the same with each link of the rope cut into pieces."""
+        q0, qd0 = (tuple(np.repeat(each, pieces)) for each in (self.q0, self.qd0))
+        return replace(self, rope=divided(self.rope, pieces), q0=q0, qd0=qd0)

@@ -172,6 +172,10 @@ class ThrowParametrization:
             x[self.strokes + k] = rest / self.period
         return x
 
+    def repeated(self, throw: Throw) -> Array:
+        """Return the initial point (2 k + 4,) with the strokes of a throw; the next one comes a period later."""
+        return self.point(throw.strokes[: throw.count].tolist(), throw.rests[: throw.count].tolist(), self.period)
+
     def spreads(self) -> Array:
         """Initial standard deviations of a search (2 k + 4,)."""
         return np.concatenate([np.full(2 * self.strokes, SPREAD), [0.5, END_SPREAD, 0.1, 0.2]])

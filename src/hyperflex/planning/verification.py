@@ -1,5 +1,7 @@
 """The set-up of a verified run: links refined near pegs, joints bent no further than the rope's thickness lets them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, refine_rope
@@ -39,7 +41,11 @@ def verified_setup(
     """Return what is simulated to verify a motion of `duration`, s, from rest; `tol` in m and `contact_step` in s."""
     rope = limit_bend(refine_rope(cast_setup.rope, pegs, arm=cast_setup.arm))
     arm = cast_setup.arm
-    return Setup(rope, motion, arm, duration=duration, tol=tol, pegs=pegs, contact_step=contact_step)
+    setup = Setup(rope, motion, arm, duration=duration, tol=tol, pegs=pegs, contact_step=contact_step)
+    if not cast_setup.q0:
+        return setup
+    q0, qd0 = cast_setup.start_on(rope)
+    return replace(setup, q0=q0, qd0=qd0)
 
 
 def greatest_bend(run: Trajectory) -> float:
@@ -60,8 +66,8 @@ def motor_torques(run: Trajectory) -> tuple[float, float]:
     Samples tell what is smooth, where nothing is touched. Means over steps in contact tell the rest
     (``core.contact.torque_peaks``): a sample there is a mean over part of a step, which may begin with a blow.
 
-    Those means are up to a factor of two too small: their windows follow each other, and a blow may lie in two. The
-    arm's own torque is added to the rope's where that is greatest, which need not be where their sum is.
+    Their windows slide by a tenth of their length. The arm's own torque is added to the rope's where that is greatest,
+    which need not be where their sum is.
     """
     arm, motion, touched = run.setup.arm, run.setup.motion, run.contact_force
     sampled, own = np.abs(run.motor_torque), np.zeros(run.t.size)

@@ -3,6 +3,7 @@
 import os
 import secrets
 import shutil
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -11,6 +12,7 @@ from hyperflex import files
 from hyperflex.errors import FileProblem
 from hyperflex.interruption import deferred
 
+PATIENCE = 5.0  # s for which another process may fill the folder; it takes thousandths
 LEAST_SPACE = 8.0 * 2**20  # bytes that a report with a film takes, or more
 Progress = Callable[[str], None]  # called with a message on what is being done
 
@@ -48,7 +50,7 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
         with deferred():
             stage = _stage(target)
         yield stage
-        with deferred(), _alone(target):
+        with _alone(target), deferred():
             _move(stage, target, own)
     except _NotPutBackError:
         kept = True
@@ -92,14 +94,19 @@ def _stage(target: Path) -> Path:
 
 @contextmanager
 def _alone(target: Path) -> Iterator[None]:
-    """Let one process at a time fill a folder, where the system can lock the one above it."""
+    """Let one process at a time fill a folder, where the system can lock the one above it, and nobody keeps it so."""
     descriptor = None
-    with suppress(ImportError, OSError):  # Windows; some network disks
-        import fcntl
-
-        descriptor = os.open(next(path for path in target.parents if path.exists()), os.O_RDONLY)
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
     try:
+        with suppress(ImportError, OSError):  # Windows; some network disks
+            import fcntl
+
+            descriptor = os.open(next(path for path in target.parents if path.exists()), os.O_RDONLY)
+            end = time.monotonic() + PATIENCE
+            while time.monotonic() < end:
+                with suppress(BlockingIOError):
+                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                time.sleep(0.01)
         yield
     finally:
         if descriptor is not None:

@@ -91,9 +91,9 @@ def simulate(
         Increasing times of the output, s, within the run; by default every 10 ms and the end.
     tol : float, optional
         Error that one step may make in the position of any joint, m; by default 1e-5. The error at the tip after some
-        seconds of casting is of the order of ten times as much (docs/models.md). Beside pegs it bounds the energy that
-        may come from nowhere, in proportion: by default a millionth of what is at stake in a second; 1e-3 is for a
-        search.
+        seconds of casting is of the order of ten times as much (docs/models.md). Beside pegs it also bounds the energy
+        that may come from nowhere, in proportion: by default a millionth of what is at stake in a second; 1e-3 is for
+        a search.
     method : {"extrapolation", "rk4"}, optional
         The linearly implicit extrapolation with error control (by default), or classical Runge-Kutta with a fixed
         `step`, s, as a check; a step beyond its stability limit is refused. The limit holds for a rope that hangs: one

@@ -54,17 +54,23 @@ class Motion(NamedTuple):
 
     w: Array  # (n,) before
     change: Array  # (n,)
-    rho: Array  # (n,)
+    last: Array  # (n,) the change about which `frame` is linear
+    q: Array  # (n,) angles in the middle of the step as the rates before make them; those of the contacts
+    trig: Array  # (2 n,) their sines and cosines
+    mean: Array  # (3 n,) means of the angles before and after, their sines and cosines
+    frame: Array  # (n, 8)
     joint: Array  # (n, 2)
     touch: Array  # (n, 12)
-    trig: Array  # (2 n,)
+    weight: Array  # (n,) moment of the mass that a link bears about its motor-side joint, kg m
     speed: Array  # (2, n + 1) velocities of the joints at the rates before, in the middle's configuration
     place: Array  # (2, n)
-    turned: Array  # (2, n + 1) what `place` lacks of the change of the joints' velocities, m/s
+    turned: Array  # (2, n + 1) what `place` lacks of the change of the joints' velocities in that configuration, m/s
     base: Array  # (3,)
     tip: Array  # (2,)
     load: Array  # (3,) out, impulse at the first joint
-    work: Array  # (4 n,)
+    pull: Array  # (2, n)
+    span: Array  # (1,) s, step that `pull` is of
+    work: Array  # (12 n,)
 
 
 @kernel
@@ -106,20 +112,32 @@ def new_joints(chain):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def new_motion(n):  # type: ignore[no-untyped-def]
-    """Arrays for n links."""
+def new_motion(chain):  # type: ignore[no-untyped-def]
+    """Arrays for a chain."""
+    n = chain.length.size
+    weight, beyond = np.zeros(n), chain.tip_mass
+    for way in range(n):
+        i = n - 1 - way
+        weight[i] = chain.length[i] * beyond + chain.mass[i] * chain.com[i]
+        beyond += chain.mass[i]
     return Motion(
         np.zeros(n),
         np.zeros(n),
         np.zeros(n),
+        np.zeros(n),
+        np.zeros(2 * n),
+        np.zeros(3 * n),
+        np.zeros((n, 8)),
         np.zeros((n, 2)),
         np.zeros((n, 12)),
-        np.zeros(2 * n),
+        weight,
         np.zeros((2, n + 1)),
         np.zeros((2, n)),
         np.zeros((2, n + 1)),
         np.zeros(3),
         np.zeros(2),
         np.zeros(3),
-        np.zeros(4 * n),
+        np.zeros((2, n)),
+        np.zeros(1),
+        np.zeros(12 * n),
     )

@@ -14,8 +14,9 @@ LOSS = 10.0  # how many times more energy may vanish in a step than appear
 # not solved. IMPACTS: of links that closed fast. LOST: energy that contacts took, J. DEEPEST: greatest penetration, m.
 # FORCED: steps taken though their energy balance is off. ENERGY_GAIN: energy that came from nowhere, J. IMPACT_DUE: 1.0
 # where a link touches or a joint reaches its limit, and an impact is due. BEND: greatest angle past a joint limit, rad.
+# GIVEN: by how much the energy that contacts took has fallen since it was greatest, J. SPENT: time with contact, s.
 T, STEP, INDEX, TAKEN, REJECTED, UNSOLVED, IMPACTS, LOST = range(8)
-DEEPEST, FORCED, ENERGY_GAIN, IMPACT_DUE, BEND, CLOCK = range(8, 14)
+DEEPEST, FORCED, ENERGY_GAIN, IMPACT_DUE, BEND, GIVEN, SPENT, CLOCK = range(8, 16)
 
 
 class Bounds(NamedTuple):
@@ -23,6 +24,7 @@ class Bounds(NamedTuple):
 
     stop: float  # s
     step: float  # s, longest step
+    tol: float  # m, error allowed in the position of any joint, as in ``rollout.run``
     rate: float  # W, at which energy may appear from nowhere
     clear: float  # m, smallest gap at which the rope has left the pegs
     slack: float  # rad, smallest gap, by the present rates, at which joints have left their limits

@@ -1,14 +1,16 @@
-"""Joints in a contact step: dry friction with stiction, and inelastic bend limits.
+"""Joints in a contact step: viscous friction and springs, dry friction with stiction, and inelastic bend limits.
 
-Both are one law between the relative rate of a joint after the step and its angular impulse L, a staircase that only
-falls (a maximal monotone graph): at the lower limit any L above that of friction, then the friction of a joint that
-turns back, at rest any L within friction, the friction of one that turns ahead, at the upper limit any L below it. A
-mode is a step of the staircase. Where the rate is given, L = L0 - M rate by the proximal method, as for contacts: no
+The last two are one law between the relative rate of a joint after the step and its angular impulse L, a staircase that
+only falls (a maximal monotone graph): at the lower limit any L above that of friction, then the friction of a joint
+that turns back, at rest any L within friction, the friction of one that turns ahead, at the upper limit any L below it.
+A mode is a step of the staircase. Where the rate is given, L = L0 - M rate by the proximal method, as for contacts: no
 more than a change of the joint's (T, kappa) in the sweep.
 """
 
 import math
 
+from hyperflex.core import joint_law
+from hyperflex.core.chain.articulated_body import joint_of
 from hyperflex.core.contact.arrays import (
     AFTER,
     AHEAD,
@@ -80,7 +82,7 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
     """
     motion, joints, of = workspace.motion, workspace.joints, workspace.joints.of
     for i in joints.which:
-        bend = workspace.q[i] - (workspace.q[i - 1] if i > 0 else workspace.base[1, 4]) - chain.rest[i]
+        bend = motion.q[i] - (motion.q[i - 1] if i > 0 else workspace.base[1, 4]) - chain.rest[i]
         rate = motion.w[i] - (motion.w[i - 1] if i > 0 else workspace.base[0, 3])
         of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
         of[FREE, i], of[FREE + 1, i] = motion.joint[i, 0], motion.joint[i, 1]
@@ -208,3 +210,43 @@ def bend_clearance(chain, q, w, angle, rate):  # type: ignore[no-untyped-def]
             least, left = min(least, gap), min(left, gap + SOON * min(opening, 0.0))
         angle, rate = q[i], w[i]
     return least, left
+
+
+@non_allocating
+def implicitness(chain, i, h):  # type: ignore[no-untyped-def]
+    """Part of the change of its rate with which friction at joint i acts in a step: one half, of second order.
+
+    More where links turn against each other by friction alone within the step: so much that this dies out.
+    """
+    fastest = 2.0 * h * chain.viscous[i] * (1.0 / chain.inertia[i] + (1.0 / chain.inertia[i - 1] if i > 0 else 0.0))
+    return 0.5 if fastest <= 2.0 else 1.0 - 1.0 / fastest
+
+
+@non_allocating
+def friction_impulse(chain, motion, trend, steady, base, h, i):  # type: ignore[no-untyped-def]
+    """Angular impulse of viscous friction at joint i, N m s, less its slope times the change of the rate; that slope.
+
+    What is more than one half of the change acts on its difference from h times the accelerations before, ``trend``,
+    where modes were `steady`, 1.0, and from nothing else, 0.0.
+    """
+    theta = implicitness(chain, i, h)
+    rate = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
+    foretold = steady * h * (trend[0, i] - (trend[0, i - 1] if i > 0 else base[0, 2]))
+    slope, _ = joint_law.jacobian(joint_of(chain, i), 1.0, theta * h, 0.0)
+    return h * joint_law.friction(joint_of(chain, i), rate - (theta - 0.5) * foretold, 0.0), slope
+
+
+@non_allocating
+def joint_impulses(chain, motion, trend, steady, base, h, torque):  # type: ignore[no-untyped-def]
+    """Angular impulses of the joints, to ``motion.joint``: implicit friction, springs at the mean of the angles.
+
+    `trend`, `steady` as in ``friction_impulse``; `base` (3, 9).
+    """
+    joint, q = motion.joint, motion.q
+    for i in range(q.size):
+        angle = q[i] - (q[i - 1] if i > 0 else base[1, 4])
+        law = joint_of(chain, i)
+        impulse, slope = friction_impulse(chain, motion, trend, steady, base, h, i)
+        stiff, _ = joint_law.jacobian(law, 1.0, 0.0, 0.25 * h * h)
+        joint[i, 0], joint[i, 1] = impulse + h * joint_law.spring(law, angle), slope + stiff
+    joint[0, 0] += h * torque

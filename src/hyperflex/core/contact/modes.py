@@ -7,12 +7,13 @@ on the cone. Its residual velocity is (P - P0) / M and dies out where the load i
 
 import math
 
+from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
 from hyperflex.core.contact.joints import release_joints, update_joint_modes, update_joint_multipliers, write_joints
 from hyperflex.core.contact.point import add_contact_impulse, velocity
-from hyperflex.core.contact.sweep import changes, clear
+from hyperflex.core.contact.sweep import KX, KY, SLOPE, TURN, TX, TY, VX, VY, changes, clear
 from hyperflex.core.contact.turning_pegs import turn_pegs
-from hyperflex.core.jit import non_allocating
+from hyperflex.core.jit import inlined, non_allocating
 
 STIFF = 1e3  # M in masses of the whole rope
 SOFTER, GROW, STIFFEST = 0.1, 10.0, 1e6  # where that is too stiff to find modes, and where too soft for small residuals
@@ -21,7 +22,7 @@ LEAST = 1.4  # growth of M; where none is found for less, the search ends
 CLOSING = 1e-9  # m/s, at which an open contact closes
 SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
 ROUNDS = 12  # of one search, and one more a joint; one that takes longer goes in a circle more often than not
-SETTLED = 1e-10  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
+SETTLED = 2e-5  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
 USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
 SETTLING = 4  # rounds in which they settle anew
 AGAIN = 4  # times that a solution with a slight residual starts the search anew
@@ -93,25 +94,58 @@ def update_modes(contacts, impulses, motion, joints, spin, penalty, change):  # 
 
 
 @non_allocating
-def centrifugal(chain, motion, h, gx, gy):  # type: ignore[no-untyped-def]
-    """Centrifugal terms at the mean of the rates before and after, and what ``motion.turned`` makes up for.
+def linearize(chain, motion, h):  # type: ignore[no-untyped-def]
+    """Linearize the motion of the links in a step about the present changes of the rates, to ``motion.frame``.
 
-    Returns the greatest change of a rate that this may make, relative to the greatest rate.
+    With the angles before and after, q and q', the joints' velocities change by l (n' w' - n w) a link, and forces act
+    along the mean velocity, l (n w + n' w') / 2: so what they do is the change of the energy, exactly.
     """
     n = motion.w.size
-    moved = largest = 0.0
+    mean, frame, turned = motion.mean, motion.frame, motion.turned
     for i in range(n):
-        mean = motion.w[i] + 0.5 * motion.change[i]
-        rho = h * mean * mean
-        moved = max(moved, abs(rho - motion.rho[i]))
-        largest = max(largest, abs(mean))
-        motion.rho[i] = rho
-    x, y = h * gx, h * gy
+        mean[i] = motion.q[i] + 0.25 * h * motion.change[i]
+        motion.last[i] = motion.change[i]
+    sines(mean[:n], mean, n)
+    x, y = h * chain.gx, h * chain.gy
     for i in range(n):
-        motion.turned[0, i], motion.turned[1, i] = x, y
-        x += chain.length[i] * motion.trig[i] * motion.rho[i]
-        y -= chain.length[i] * motion.trig[n + i] * motion.rho[i]
-    return moved / (1.0 + largest)
+        change = motion.change[i]
+        rate = motion.w[i] + 0.5 * change
+        cos, sinc = half_turn(0.5 * h * rate)
+        sin = 0.5 * h * rate * sinc
+        nx, ny, dx, dy = mean[2 * n + i], mean[n + i], mean[n + i], -mean[2 * n + i]
+        tilt, ahead = 0.25 * h * change * sinc, 0.5 * h * (rate + 0.5 * change)
+        across, along = cos - ahead * sin, -(sin + ahead * cos)
+        row = frame[i]
+        row[TX], row[TY] = cos * nx - tilt * dx, cos * ny - tilt * dy
+        row[VX], row[VY] = across * nx + along * dx, across * ny + along * dy
+        vx = change * cos * nx - 2.0 * rate * sin * dx
+        vy = change * cos * ny - 2.0 * rate * sin * dy
+        row[KX], row[KY] = vx - change * row[VX], vy - change * row[VY]
+        pull_x, pull_y = (sinc - cos) * nx + tilt * dx, (sinc - cos) * ny + tilt * dy
+        row[SLOPE] = max(-0.5 * h * (dx * motion.pull[0, i] + dy * motion.pull[1, i]), -0.5 * chain.inertia[i])
+        row[TURN] = change * row[SLOPE] + h * motion.weight[i] * (chain.gx * pull_x + chain.gy * pull_y)
+        turned[0, i], turned[1, i] = x, y
+        x += chain.length[i] * (change * motion.trig[n + i] - vx)
+        y += chain.length[i] * (change * motion.trig[i] - vy)
+
+
+@inlined
+def half_turn(x):  # type: ignore[no-untyped-def]
+    """Cosine of x, and sine of x over x; to 3e-13 for x up to 0.25, rad, and to rounding up to 0.1."""
+    z = x * x
+    cos = 1.0 - z / 2.0 * (1.0 - z / 12.0 * (1.0 - z / 30.0 * (1.0 - z / 56.0)))
+    sinc = 1.0 - z / 6.0 * (1.0 - z / 20.0 * (1.0 - z / 42.0 * (1.0 - z / 72.0)))
+    return cos, sinc
+
+
+@non_allocating
+def moved(motion):  # type: ignore[no-untyped-def]
+    """How far the changes of the rates are from those about which they were linear, relative to the greatest rate."""
+    far = largest = 0.0
+    for i in range(motion.w.size):
+        far = max(far, abs(motion.change[i] - motion.last[i]))
+        largest = max(largest, abs(motion.w[i]))
+    return far / (1.0 + largest)
 
 
 @non_allocating
@@ -120,14 +154,14 @@ def solve_round(chain, contacts, impulses, motion, joints, spin, penalty, change
     write_modes(contacts, impulses, motion, joints, penalty)
     fx, fy, moment = changes(
         chain,
-        motion.trig,
         motion.joint,
-        motion.rho,
+        motion.frame,
         motion.touch,
         motion.base,
         motion.tip,
         motion.change,
         motion.place,
+        motion.pull,
         motion.work,
     )
     motion.load[0], motion.load[1], motion.load[2] = fx, fy, moment
@@ -145,12 +179,13 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
         impulses.closed[c] = 0
     most = ROUNDS + joints.which.size
     for turn in range(most):
-        moved = centrifugal(chain, motion, h, chain.gx, chain.gy)
+        linearize(chain, motion, h)
         violations = solve_round(chain, contacts, impulses, motion, joints, spin, penalty, True)
-        if violations == 0 and moved <= settled:
+        if violations == 0 and moved(motion) <= settled:
             return turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
             motion.change[:] = 0.0
+            motion.pull[:] = 0.0
             return -(turn + 1)
     return -most
 
@@ -250,7 +285,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
                 impulses.mode[c] = OPEN
         motion.change[:] = 0.0
         for _ in range(SETTLING):
-            centrifugal(chain, motion, h, chain.gx, chain.gy)
+            linearize(chain, motion, h)
             solve_round(chain, contacts, impulses, motion, joints, spin, last if last > 0.0 else penalty, False)
     impulses.penalty[0] = min(RECOVERING * last, STIFF * whole)
     return total if residual <= SLIGHT else -total

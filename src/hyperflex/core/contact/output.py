@@ -1,6 +1,6 @@
 """Outputs of a rollout with contact."""
 
-from hyperflex.core.assign import assign
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import INDEX, LOST, MOMENT, T, energy_allowance, energy_balanced
 from hyperflex.core.contact.step import CONTACT, FRICTION, WORK, energy, try_step
@@ -10,20 +10,23 @@ from hyperflex.core.jit import non_allocating
 
 @non_allocating
 def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside, h, x, had):  # type: ignore[no-untyped-def]
-    """Take the part x of the step of `workspace` to `aside`; False if the run would not take such a step.
+    """Take the part x of the step of `workspace` to `aside`; False if it does not keep the energy.
 
     The rates are off the straight line between the ends of a step by a term of second order, and their energy with
     them, so a sample within a step is a shorter step. `had` is the energy before it, J.
     """
     if x * h <= MOMENT:
         return False
-    assign(aside.trend, workspace.trend)
+    assign_rows(aside.trend, workspace.trend)
+    assign(aside.pace, workspace.pace)
+    assign_rows(aside.motion.pull, workspace.motion.pull)
+    aside.motion.span[0] = workspace.motion.span[0]
     assign(aside.spin.before, workspace.spin.before)
     t, y = state.clock[T], state.y
-    _, rounds = try_step(chain, drive, part, pegs, pull, t, x * h, y, state.memory, aside, True, 0.0, True)
+    try_step(chain, drive, part, pegs, pull, t, x * h, y, state.memory, aside, True, 0.0, True)
     taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]
     has = energy(chain, aside.out, aside.base[2]) + turning_energy(aside.spin, aside.spin.after)
-    return rounds > 0 and energy_balanced(has - had + taken, energy_allowance(bounds, h))
+    return energy_balanced(has - had + taken, energy_allowance(bounds, h))
 
 
 @non_allocating

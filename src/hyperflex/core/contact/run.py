@@ -14,12 +14,14 @@ from hyperflex.core.contact.bounds import (
     DEEPEST,
     ENERGY_GAIN,
     FORCED,
+    GIVEN,
     IMPACT_DUE,
     IMPACTS,
     INDEX,
     LOST,
     MOMENT,
     REJECTED,
+    SPENT,
     STEP,
     TAKEN,
     UNSOLVED,
@@ -41,14 +43,15 @@ from hyperflex.core.contact.step import (
     try_step,
 )
 from hyperflex.core.contact.torque_peaks import watch_torque
+from hyperflex.core.contact.trend import growth, relative_error, save_trend
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.integrate.step_size import fitted
 from hyperflex.core.jit import kernel, non_allocating
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
-GROWTH = 1.5
-EASY = 0.2  # part of the energy allowed, below which steps grow
+RESOLVED = 0.12  # of the longest step: errors of positions shorten none that is shorter
+REJECTED_ERROR = 4.0  # relative error of a step that is tried again at half its length
 SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a step
 GENEROUS = 100.0  # how many times more energy than may appear contacts may give a rope that they push out
 DEEPER = 5e-5  # m, penetration at which a step is tried again at half its length
@@ -66,6 +69,8 @@ def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-u
     y[2 * n] += account[WORK]
     y[2 * n + 1] += account[FRICTION] + account[CONTACT]
     clock[LOST] += account[CONTACT]
+    clock[GIVEN] = max(0.0, clock[GIVEN] - account[CONTACT])
+    clock[SPENT] += h
     clock[DEEPEST] = max(clock[DEEPEST], -least)
     clock[BEND] = max(clock[BEND], -workspace.bend[0])
     clock[TAKEN] += 1.0
@@ -75,8 +80,7 @@ def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-u
         state.spin[0, p] += 0.5 * h * (workspace.spin.before[p] + workspace.spin.after[p])
         state.spin[1, p] = workspace.spin.before[p] = workspace.spin.after[p]
     long = h > MOMENT
-    for i in range(n):
-        workspace.trend[i] = workspace.motion.change[i] / h if long else 0.0
+    save_trend(state.memory, workspace, h if long else 0.0)
     if long:
         save_memory(state.memory, workspace.contacts, workspace.impulses, workspace.joints, h)
 
@@ -105,6 +109,13 @@ def impact(chain, drive, part, pegs, pull, state, workspace, nothing):  # type: 
     accept_step(drive, state, workspace, 0.0, rounds, least)
     state.clock[IMPACTS] += 1.0
     state.clock[IMPACT_DUE] = 0.0
+
+
+@non_allocating
+def gives_little(bounds, clock, workspace, h):  # type: ignore[no-untyped-def]
+    """Whether contacts give back no more of what they took than may come from nowhere in all the time."""
+    given = clock[GIVEN] - workspace.account[CONTACT]
+    return given <= bounds.rate * (clock[SPENT] + h) or workspace.account[CONTACT] >= -energy_allowance(bounds, h)
 
 
 @non_allocating
@@ -158,20 +169,23 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
             h = max(touch, BRIEF)
             shortest = min(shortest, h)
             continue
-        allowed = energy_allowance(bounds, h)
-        if push and workspace.account[CONTACT] < -GENEROUS * allowed:
+        given = energy_allowance(bounds, h)
+        if push and workspace.account[CONTACT] < -GENEROUS * given:
             push = False
             continue
         longest = longest_safe_step(chain, pegs, workspace)
+        error = relative_error(chain, bounds, state.memory, workspace, h)
         if math.isnan(had):
             had = energy(chain, y, workspace.base[0]) + turning_energy(workspace.spin, workspace.spin.before)
         has = energy(chain, workspace.out, workspace.base[2]) + turning_energy(workspace.spin, workspace.spin.after)
         surplus = has - had + workspace.account[FRICTION] + workspace.account[CONTACT] - workspace.account[WORK]
-        good = energy_balanced(surplus, allowed) and rounds > 0 and h <= longest
+        good = energy_balanced(surplus, given) and rounds > 0 and h <= longest
         good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])
+        good = good and (error <= REJECTED_ERROR or h <= RESOLVED * bounds.step)
+        good = good and gives_little(bounds, clock, workspace, h)
         good = good and (workspace.bend[0] > -BEYOND or -workspace.bend[0] <= SINKING * clock[BEND])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
-            return h, wanted, least, touch, rounds, surplus, has, good
+            return h, wanted, least, touch, rounds, surplus, has, good, error
         if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
             anew, back, stale = not anew, anew, surplus
             continue
@@ -217,7 +231,7 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
         end = min(part.end, bounds.stop)
         wanted = min(clock[STEP], bounds.step)
         h = fitted(wanted, end - t)
-        h, wanted, least, touch, rounds, surplus, has, good = choose_step(
+        h, wanted, least, touch, rounds, surplus, has, good, error = choose_step(
             chain, drive, part, pegs, pull, bounds, state, workspace, nothing, h, wanted, struck, had
         )
         if not (abs(surplus) < np.inf):
@@ -236,7 +250,7 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
         accept_step(drive, state, workspace, h, rounds, least)
         clock[IMPACT_DUE] = 1.0 if touch <= 1.001 * h else 0.0
         clock[T] = end if h >= end - t else t + h
-        clock[STEP] = wanted * GROWTH if abs(surplus) < EASY * energy_allowance(bounds, h) else wanted
+        clock[STEP] = max(wanted * growth(error), min(wanted, RESOLVED * bounds.step))
         if least > bounds.clear and workspace.bend[1] > bounds.slack and clock[T] < bounds.stop:
             return status.LEFT
     return status.RUNNING if clock[T] < bounds.stop else status.OK

@@ -4,14 +4,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hyperflex.core import joint_law
-from hyperflex.core.chain.articulated_body import Array, energies, joint_of, sines
+from hyperflex.core.chain.articulated_body import Array, energies, sines
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.contact.air import Air, add_drag_impulses, drag_work, new_air
 from hyperflex.core.contact.arrays import IMPULSE, OPEN, Impulses, Joints, Motion, new_impulses, new_joints, new_motion
 from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joint_positions, nearest, new_contacts, speeds
-from hyperflex.core.contact.joints import BEYOND, bend_clearance, bound_joint_rates, joint_losses
+from hyperflex.core.contact.joints import (
+    BEYOND,
+    bend_clearance,
+    bound_joint_rates,
+    friction_impulse,
+    joint_impulses,
+    joint_losses,
+)
 from hyperflex.core.contact.modes import solve
+from hyperflex.core.contact.sweep import TX, TY
+from hyperflex.core.contact.trend import STEADY, foresight
 from hyperflex.core.contact.turning_pegs import Spin, lost_in_bearings, new_spin, prepare_spin
 from hyperflex.core.jit import kernel, non_allocating
 
@@ -51,14 +59,14 @@ class ContactWorkspace(NamedTuple):
     motion: Motion
     joints: Joints
     spin: Spin
-    q: Array  # (n,) in the middle of the step
     xy: Array  # (2, n + 1) joints there
     ahead: Array  # (2, n + 1) and where they would be a step later
     ahead_q: Array
     ahead_trig: Array
     ahead_speed: Array  # (2, n + 1)
     margin: Array  # (n,)
-    trend: Array  # (n,) rad/s^2, accelerations of the last step: where the next one begins to search
+    trend: Array  # (2, n) rad/s^2, accelerations of the last step, where the next one begins to search, and before it
+    pace: Array  # (3,) s, lengths of these steps, 0.0 where there was none; 1.0 where the last one changed no mode
     out: Array  # (2 n,) angles and rates after the step
     base: Array  # (3, 9) motion of the first joint before, in the middle and after
     air: Air
@@ -77,17 +85,17 @@ def new_contact_workspace(chain, pegs, rate, longest):  # type: ignore[no-untype
     return ContactWorkspace(
         new_contacts(most),
         new_impulses(most, RESIDUAL_SHARE * rate),
-        new_motion(n),
+        new_motion(chain),
         new_joints(chain),
         new_spin(n, pegs),
-        np.zeros(n),
         np.zeros((2, n + 1)),
         np.zeros((2, n + 1)),
         np.zeros(n),
         np.zeros(2 * n),
         np.zeros((2, n + 1)),
         np.zeros(n),
-        np.zeros(n),
+        np.zeros((2, n)),
+        np.zeros(3),
         np.zeros(2 * n),
         np.zeros((3, 9)),
         new_air(n),
@@ -110,21 +118,6 @@ def new_contact_memory(n, pegs):  # type: ignore[no-untyped-def]
         np.zeros(n),
         np.zeros(n, np.int64),
     )
-
-
-@non_allocating
-def joint_impulses(chain, q, w, base, h, torque, joint):  # type: ignore[no-untyped-def]
-    """Angular impulses of the joints: implicit friction, springs at the mean of the angles before and after.
-
-    `q` (n,) are angles in the middle of the step, `w` (n,) rates before; `base` (3, 9); ``joint`` (n, 2) out.
-    """
-    for i in range(w.size):
-        rate = w[i] - (w[i - 1] if i > 0 else base[0, 3])
-        angle = q[i] - (q[i - 1] if i > 0 else base[1, 4])
-        law = joint_of(chain, i)
-        joint[i, 0] = h * (joint_law.friction(law, rate, 0.0) + joint_law.spring(law, angle))
-        joint[i, 1], _ = joint_law.jacobian(law, 1.0, h, 0.25 * h * h)
-    joint[0, 0] += h * torque
 
 
 @non_allocating
@@ -155,7 +148,7 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
         a = max(abs(motion.speed[0, i]), abs(motion.speed[1, i]))
         b = max(abs(motion.speed[0, i + 1]), abs(motion.speed[1, i + 1]))
         workspace.margin[i] = NEAR + 1.5 * FASTER * h * max(a, b)
-    least = find(chain, pegs, workspace.q, motion.trig, workspace.xy, workspace.margin, contacts)
+    least = find(chain, pegs, motion.q, motion.trig, workspace.xy, workspace.margin, contacts)
     count = contacts.total[0]
     if count == 0:
         return least
@@ -170,7 +163,7 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
             impulses.tangent_target[c] = 0.0
         return least
     for i in range(n):
-        workspace.ahead_q[i] = workspace.q[i] + h * motion.w[i]
+        workspace.ahead_q[i] = motion.q[i] + h * motion.w[i]
     sines(workspace.ahead_q, workspace.ahead_trig, 0)
     x = workspace.base[1, 7] + h * workspace.base[0, 5]  # as the joints' velocities, which are those before the step
     y = workspace.base[1, 8] + h * workspace.base[0, 6]
@@ -230,6 +223,17 @@ def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyp
 
 
 @non_allocating
+def scale_pull(motion, h):  # type: ignore[no-untyped-def]
+    """Scale the impulses ``motion.pull`` of the last step that was tried to a step h, s; of a short one take none."""
+    ratio = h / motion.span[0] if motion.span[0] > 0.25 * h else 0.0
+    for k in range(2):
+        for i in range(motion.w.size):
+            pull = ratio * motion.pull[k, i]
+            motion.pull[k, i] = pull if abs(pull) < np.inf and ratio > 0.0 else 0.0
+    motion.span[0] = h
+
+
+@non_allocating
 def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Take a step from y (2 n or more,) at time t to ``workspace.out``; h = 0.0: an impact, in which nothing else acts.
 
@@ -252,17 +256,17 @@ def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, b
     torque = base_state(drive, part, t + 0.5 * h, base[1])
     base_state(drive, part, t, base[0])
     base_state(drive, part, t + h, base[2])
-    whole = chain.tip_mass
+    whole, further = chain.tip_mass, foresight(workspace.pace, h)
     for i in range(n):
         whole += chain.mass[i]
         motion.w[i] = y[n + i]
-        workspace.q[i] = y[i] + 0.5 * h * y[n + i]
-        motion.change[i] = h * workspace.trend[i]
-    motion.rho[:] = 0.0
-    sines(workspace.q, motion.trig, 0)
+        motion.q[i] = y[i] + 0.5 * h * y[n + i]
+        motion.change[i] = h * (workspace.trend[0, i] + further * (workspace.trend[0, i] - workspace.trend[1, i]))
+    scale_pull(motion, h)
+    sines(motion.q, motion.trig, 0)
     joint_positions(chain, motion.trig, base[1, 7], base[1, 8], workspace.xy)
     speeds(chain, motion.trig, motion.w, base[0, 5], base[0, 6], motion.speed)
-    joint_impulses(chain, workspace.q, motion.w, base, h, torque, motion.joint)
+    joint_impulses(chain, motion, workspace.trend, workspace.pace[STEADY], base, h, torque)
     add_drag_impulses(chain, workspace.air, motion, base[1], h)
     motion.base[0] = base[2, 5] - base[0, 5] - h * chain.gx
     motion.base[1] = base[2, 6] - base[0, 6] - h * chain.gy
@@ -275,25 +279,38 @@ def try_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, b
     rounds = solve(chain, workspace.contacts, workspace.impulses, motion, workspace.joints, workspace.spin, h, whole)
     for i in range(n):
         rate = motion.w[i] + motion.change[i]
-        workspace.out[i] = workspace.q[i] + 0.5 * h * rate
+        workspace.out[i] = motion.q[i] + 0.5 * h * rate
         workspace.out[n + i] = rate
     bend, out = workspace.bend, workspace.out
     bend[0], bend[1] = bend_clearance(chain, out[:n], out[n:], base[2, 4], base[2, 3])
-    energy_account(chain, workspace, torque, h)
+    energy_account(chain, workspace, torque, whole, h)
     return least, rounds
 
 
 @non_allocating
-def energy_account(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
+def mean_velocities(chain, motion, base, out):  # type: ignore[no-untyped-def]
+    """Mean velocities of the joints in a step, m/s, to ``out`` (2, n + 1), along which forces acted; `base` (3, 9)."""
+    n = motion.w.size
+    out[0, 0], out[1, 0] = 0.5 * (base[0, 5] + base[2, 5]), 0.5 * (base[0, 6] + base[2, 6])
+    for i in range(n):
+        way = chain.length[i] * (motion.w[i] + 0.5 * motion.change[i])
+        out[0, i + 1] = out[0, i] + way * motion.frame[i, TX]
+        out[1, i + 1] = out[1, i] + way * motion.frame[i, TY]
+
+
+@non_allocating
+def energy_account(chain, workspace, torque, whole, h):  # type: ignore[no-untyped-def]
     """Energy that joints, air, axles and contacts took in a step, and work put in: impulses times mean velocities."""
     motion, base, spin = workspace.motion, workspace.base, workspace.spin
-    contacts, impulses = workspace.contacts, workspace.impulses
+    contacts, impulses, mean = workspace.contacts, workspace.impulses, workspace.ahead_speed
     n = motion.w.size
-    taken = 0.0
+    mean_velocities(chain, motion, base, mean)
+    taken, steady = 0.0, workspace.pace[STEADY]
     for i in range(n):
-        before = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
-        after = workspace.out[n + i] - (workspace.out[n + i - 1] if i > 0 else base[2, 3])
-        taken -= h * joint_law.friction(joint_of(chain, i), after, 0.0) * 0.5 * (before + after)
+        change = motion.change[i] - (motion.change[i - 1] if i > 0 else motion.base[2])
+        rate = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3]) + 0.5 * change
+        impulse, slope = friction_impulse(chain, motion, workspace.trend, steady, base, h, i)
+        taken -= (impulse - slope * change) * rate
     taken += drag_work(workspace.air, motion, workspace.out[n:], base[0], base[2], h)
     rubbed, limited = joint_losses(workspace.joints)
     workspace.account[FRICTION] = taken + rubbed + lost_in_bearings(spin)
@@ -301,19 +318,19 @@ def energy_account(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
     for c in range(contacts.total[0]):
         if impulses.mode[c] == OPEN:
             continue
-        closing, sliding = velocity_before(contacts, motion, c)
-        sliding -= spin.reach[contacts.peg[c]] * spin.before[contacts.peg[c]]
-        taken -= 0.5 * impulses.normal[c] * (closing + impulses.vn[c])
-        taken -= 0.5 * impulses.tangent[c] * (sliding + impulses.vt[c])
+        i, p = contacts.link[c], contacts.peg[c]
+        lever = contacts.place[c] * (motion.w[i] + 0.5 * motion.change[i])
+        vx, vy = mean[0, i] + lever * motion.trig[n + i], mean[1, i] + lever * motion.trig[i]
+        sliding = vy * contacts.nx[c] - vx * contacts.ny[c]
+        sliding -= 0.5 * spin.reach[p] * (spin.before[p] + spin.after[p])
+        taken -= impulses.normal[c] * (vx * contacts.nx[c] + vy * contacts.ny[c]) + impulses.tangent[c] * sliding
     workspace.account[CONTACT] = taken
     work = 0.5 * (motion.load[0] * (base[0, 5] + base[2, 5]) + motion.load[1] * (base[0, 6] + base[2, 6]))
     work += 0.5 * motion.load[2] * (base[0, 3] + base[2, 3])
     work += 0.5 * h * torque * (motion.w[0] + workspace.out[n])
-    vx, vy = base[2, 5], base[2, 6]
-    for i in range(n):
-        vx += chain.length[i] * motion.trig[n + i] * workspace.out[n + i]
-        vy += chain.length[i] * motion.trig[i] * workspace.out[n + i]
-    work += 0.5 * (motion.tip[0] * (motion.speed[0, n] + vx) + motion.tip[1] * (motion.speed[1, n] + vy))
+    for k, g in ((0, chain.gx), (1, chain.gy)):
+        fallen = 0.5 * h * (base[0, 5 + k] + base[2, 5 + k]) - (base[2, 7 + k] - base[0, 7 + k])
+        work += whole * g * fallen + motion.tip[k] * mean[k, n]
     workspace.account[WORK] = work
 
 

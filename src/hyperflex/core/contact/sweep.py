@@ -13,18 +13,22 @@ GX, GY, EX, EY = range(4, 8)  # s B n and s n B, kg m
 DD = 8  # s^2 n.B n, kg m^2
 CX, CY, RC = range(9, 12)  # C, N s, and s n.C, N m s
 TOUCH = 12
+# of a row of `frame`: where its rate changes by x, the velocity of a link's far joint less that of its other one
+# changes by its length times V x + K; T is the way, in its lengths, along which forces at the far joint turn it; TURN,
+# N m s, less SLOPE x, kg m^2, turns the link alone. At rest T = V = n, the rest is 0
+TX, TY, VX, VY, SLOPE, KX, KY, TURN = range(8)
+FRAME = 8
 
 
 @inlined
-def link_change(link, joint, sin, cos, rho, touch, beyond):  # type: ignore[no-untyped-def]
+def link_change(link, joint, frame, touch, beyond):  # type: ignore[no-untyped-def]
     """One link of the sweep from tip to motor, as ``articulated_body.link_step``, with contacts and without symmetry.
 
     Parameters
     ----------
-    link : (length, mass * com, inertia about the motor-side joint, mass)
+    link : (length, mass * com, mass * com^2, inertia about the centre of mass, mass)
     joint : (T, kappa), angular impulse T - kappa (change of this rate less change of the parent's), N m s, kg m^2
-    sin, cos : float, of the link's angle
-    rho : float, step times squared rate, rad^2/s
+    frame : (8,) how the link moves, see the names above
     touch : (12,) the contacts of the link
     beyond : (axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta)
 
@@ -33,24 +37,27 @@ def link_change(link, joint, sin, cos, rho, touch, beyond):  # type: ignore[no-u
     at : tuple, the same answer at the link's motor-side joint
     back : (r inv, ex inv, ey inv, k), for the way back
     """
-    length, ma, inertia, mass = link
+    length, ma, maa, inertia, mass = link
     torque, kappa = joint
     axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = beyond
-    lc = length * cos
-    ls = length * sin
-    lx = lc * axx + ls * axy
-    ly = lc * ayx + ls * ayy
-    gx = ma * cos + lx + fx + touch[GX]
-    gy = ma * sin + ly + fy + touch[GY]
-    ex = ma * cos + (lc * axx + ls * ayx) + ux + touch[EX]
-    ey = ma * sin + (lc * axy + ls * ayy) + uy + touch[EY]
-    rigid = inertia + s + touch[DD] + lc * (fx + ux) + ls * (fy + uy) + (lc * lx + ls * ly)
+    tx, ty, vx, vy, kx, ky = frame[TX], frame[TY], frame[VX], frame[VY], frame[KX], frame[KY]
+    lx, ly = length * vx, length * vy
+    mx, my = length * tx, length * ty
+    ax = lx * axx + ly * axy
+    ay = lx * ayx + ly * ayy
+    gx = ma * vx + ax + fx + touch[GX]
+    gy = ma * vy + ay + fy + touch[GY]
+    ex = ma * tx + (mx * axx + my * ayx) + ux + touch[EX]
+    ey = ma * ty + (mx * axy + my * ayy) + uy + touch[EY]
+    own = inertia + maa * (tx * vx + ty * vy) + touch[DD] + frame[SLOPE]
+    rigid = own + s + (mx * fx + my * fy) + (lx * ux + ly * uy) + (mx * ax + my * ay)
     inv = 1.0 / (rigid + kappa)
     k = kappa * inv
-    hx = rho * (ls * axx - lc * axy) - bx
-    hy = rho * (ls * ayx - lc * ayy) - by
-    r = torque - beta + (lc * hx + ls * hy) + rho * (ls * ux - lc * uy) + touch[RC]
-    turn = r * inv
+    px, py = length * kx, length * ky
+    hx = axx * px + axy * py + bx
+    hy = ayx * px + ayy * py + by
+    turn = torque + frame[TURN] + touch[RC] - maa * (tx * kx + ty * ky)
+    turn = (turn - beta - (mx * hx + my * hy) - (px * ux + py * uy)) * inv
     at = (
         axx + mass + touch[BXX] - gx * ex * inv,
         axy + touch[BXY] - gx * ey * inv,
@@ -58,58 +65,67 @@ def link_change(link, joint, sin, cos, rho, touch, beyond):  # type: ignore[no-u
         ayy + mass + touch[BYY] - gy * ey * inv,
         gx * k,
         gy * k,
-        gx * turn - hx - ma * rho * sin - touch[CX],
-        gy * turn - hy + ma * rho * cos - touch[CY],
+        gx * turn + hx + ma * kx - touch[CX],
+        gy * turn + hy + ma * ky - touch[CY],
         k * ex,
         k * ey,
         k * rigid,
-        torque - k * r,
+        torque - kappa * turn,
     )
     return at, (turn, ex * inv, ey * inv, k)
 
 
 @non_allocating
-def changes(chain, trig, joint, rho, touch, base, tip, change, place, work):  # type: ignore[no-untyped-def]
+def changes(chain, joint, frame, touch, base, tip, change, place, pull, work):  # type: ignore[no-untyped-def]
     """Changes of all rates within a step; O(n).
 
     Parameters
     ----------
     chain : Chain, with friction that acts on both links of a joint
-    trig : (2 n,) sines and cosines of the angles in the middle of the step
     joint : (n, 2) angular impulse of each joint, N m s, and its slope kappa, kg m^2
-    rho : (n,) step times squared rate, rad^2/s
+    frame : (n, 8) how the links move, see the names above
     touch : (n, 12) contacts, see the names above
     base : (3,) change of the first joint's velocity less step times gravity, m/s, and of the parent's rate, rad/s
     tip : (2,) impulse on the tip beside gravity, N s
     change : (n,) out, rad/s
     place : (2, n) out, change of the velocity of each link's motor-side joint less step times gravity, m/s
-    work : (4 n,) scratch
+    pull : (2, n) out, forces along which T turns each link, times their levers, N m s
+    work : (12 n,) scratch
 
     Returns
     -------
     (px, py, l) : impulse on the rope at its first joint, N s, and angular impulse through that joint, N m s
     """
-    n = rho.size
+    n = change.size
     zero = 0.0
     at = (chain.tip_mass, zero, zero, chain.tip_mass, zero, zero, -tip[0], -tip[1], zero, zero, zero, zero)
     for way in range(n):
         i = n - 1 - way
         ma = chain.mass[i] * chain.com[i]
-        link = (chain.length[i], ma, chain.inertia[i] + ma * chain.com[i], chain.mass[i])
-        at, back = link_change(link, (joint[i, 0], joint[i, 1]), trig[i], trig[n + i], rho[i], touch[i], at)
-        o = 4 * i
+        link = (chain.length[i], ma, ma * chain.com[i], chain.inertia[i], chain.mass[i])
+        o = 12 * i
+        work[o + 4], work[o + 5], work[o + 6], work[o + 7], work[o + 8], work[o + 9], work[o + 10], work[o + 11] = at[
+            :8
+        ]
+        at, back = link_change(link, (joint[i, 0], joint[i, 1]), frame[i], touch[i], at)
         work[o], work[o + 1], work[o + 2], work[o + 3] = back
     px, py, up = base[0], base[1], base[2]
     fx = at[0] * px + at[1] * py + at[4] * up + at[6]
     fy = at[2] * px + at[3] * py + at[5] * up + at[7]
     moment = at[8] * px + at[9] * py + at[10] * up + at[11]
     for i in range(n):
-        o = 4 * i
+        o = 12 * i
         place[0, i], place[1, i] = px, py
         up = work[o] - work[o + 1] * px - work[o + 2] * py + work[o + 3] * up
         change[i] = up
-        px += chain.length[i] * (trig[n + i] * up - trig[i] * rho[i])
-        py += chain.length[i] * (trig[i] * up + trig[n + i] * rho[i])
+        length, ma = chain.length[i], chain.mass[i] * chain.com[i]
+        vx, vy = frame[i, VX] * up + frame[i, KX], frame[i, VY] * up + frame[i, KY]
+        pull[0, i] = ma * (px + chain.com[i] * vx)
+        pull[1, i] = ma * (py + chain.com[i] * vy)
+        px += length * vx
+        py += length * vy
+        pull[0, i] += length * (work[o + 4] * px + work[o + 5] * py + work[o + 8] * up + work[o + 10])
+        pull[1, i] += length * (work[o + 6] * px + work[o + 7] * py + work[o + 9] * up + work[o + 11])
     return fx, fy, moment
 
 

@@ -5,26 +5,52 @@ import math
 from hyperflex.core.jit import non_allocating
 
 WINDOWS = (5e-4, 5e-3)  # s; an impact takes no time, so its torque is a mean over some
-SPENT, SUM, END, PEAK, WHEN, COLUMNS = range(6)  # of a window: time so far, s, angular impulse, end, peak, its time
+PARTS = 10  # a window slides over cells of such a part of it; of the one that it is leaving what is left counts
+CELLS = PARTS + 1
+END, CELL, SUM, PEAK, WHEN, FIRST = range(6)  # of a window: end, last cell, N m s, peak, its time, first cell
+COLUMNS = FIRST + CELLS
 
 
 @non_allocating
 def watch_torque(peaks, arm_length, workspace, t, h):  # type: ignore[no-untyped-def]
-    """Add a step from t, s, of length h, s, to windows (k, COLUMNS), which begin anew after free flight.
+    """Add a step from t, s, of length h, s, to sliding windows (k, COLUMNS), which begin anew after free flight.
 
     ``PEAK`` is the mean torque about the shaft of greatest size, N m, with the motor's sign; ``WHEN`` is its time.
     """
     load, angle = workspace.motion.load, workspace.base[1, 4]
     impulse = load[2] + arm_length * (math.cos(angle) * load[0] + math.sin(angle) * load[1])
     for k, window in enumerate(WINDOWS):
-        row = peaks[k]
-        if t > row[END] + 1e-12:
-            row[SPENT] = row[SUM] = 0.0
-        row[SUM] += impulse
-        row[SPENT] += h
-        row[END] = t + h
-        mean = row[SUM] / max(row[SPENT], window)
+        add_impulse(peaks[k], window / PARTS, impulse, t, h)
+
+
+@non_allocating
+def add_impulse(row, width, impulse, t, h):  # type: ignore[no-untyped-def]
+    """Add an angular impulse, N m s, spread evenly over t..t + h, to a window with cells of a `width`, s."""
+    if t > row[END] + 1e-12:
+        move_window(row, int(row[CELL]) + CELLS)
+    row[END] = t + h
+    first, last = math.floor(t / width), math.floor((t + h) / width)
+    for j in range(first, last + 1):
+        if j > row[CELL]:
+            move_window(row, j)
+        end = min(t + h, (j + 1) * width)
+        part = impulse * (end - max(t, j * width)) / h if h > 0.0 else impulse
+        row[FIRST + int(row[CELL]) % CELLS] += part
+        row[SUM] += part
+        left = (end - j * width) / width
+        mean = (row[SUM] - left * row[FIRST + (j + 1) % CELLS]) / (PARTS * width)
         if abs(mean) > abs(row[PEAK]):
             row[PEAK], row[WHEN] = mean, t
-        if row[SPENT] >= window:
-            row[SPENT] = row[SUM] = 0.0
+
+
+@non_allocating
+def move_window(row, cell):  # type: ignore[no-untyped-def]
+    """Let a window end with a later cell; what it leaves behind is forgotten."""
+    last = int(row[CELL])
+    for j in range(max(last, cell - CELLS) + 1, cell + 1):
+        at = FIRST + j % CELLS
+        row[SUM] -= row[at]
+        row[at] = 0.0
+    if cell - last >= CELLS:
+        row[SUM] = 0.0
+    row[CELL] = cell

@@ -16,7 +16,7 @@ from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.arrays import OPEN, STICK
 from hyperflex.core.contact.gaps import Index
 from hyperflex.core.contact.point import add_contact_impulse, friction_ratio, velocity
-from hyperflex.core.contact.sweep import changes, clear
+from hyperflex.core.contact.sweep import KX, TX, changes, clear
 from hyperflex.core.jit import kernel, non_allocating
 
 
@@ -35,9 +35,11 @@ class Spin(NamedTuple):
     system: Array  # (k, k + 1) equations of the rates after the step
     change: Array  # (k, n) answers to a rate of 1 rad/s: of the links' rates
     place: Array  # (k, 2, n) of the joints' velocities
+    pull: Array  # (2, n)
     load: Array  # (k, 3) of the impulse at the first joint
     joint: Array  # (n, 2) angular impulse of each joint in these answers: 0, and its slope
-    none: Array  # (n + 3,) nothing
+    frame: Array  # (n, 8) as ``Motion.frame``, without K and TURN
+    none: Array  # (3,) nothing
 
 
 @kernel
@@ -64,9 +66,11 @@ def new_spin(n, pegs):  # type: ignore[no-untyped-def]
         np.zeros((k, k + 1)),
         np.zeros((k, links)),
         np.zeros((k, 2, links)),
+        np.zeros((2, links)),
         np.zeros((k, 3)),
         np.zeros((links, 2)),
-        np.zeros(links + 3),
+        np.zeros((links, 8)),
+        np.zeros(3),
     )
 
 
@@ -91,7 +95,7 @@ def prepare_spin(spin, motion, h):  # type: ignore[no-untyped-def]
 @non_allocating
 def peg_response(chain, contacts, impulses, motion, spin, penalty, k):  # type: ignore[no-untyped-def]
     """Find what a rate of 1 rad/s of turning peg k alone does to the rope, in these modes; `penalty` is M, kg."""
-    p, n = spin.which[k], motion.w.size
+    p = spin.which[k]
     clear(motion.touch, contacts.link, contacts.total[0])
     sticks = False
     for c in range(contacts.total[0]):
@@ -103,9 +107,9 @@ def peg_response(chain, contacts, impulses, motion, spin, penalty, k):  # type: 
         spin.change[k] = spin.load[k] = 0.0
         spin.place[k] = 0.0
         return
-    rho, base, tip = spin.none[:n], spin.none[:3], spin.none[:2]
+    base, tip = spin.none, spin.none[:2]
     spin.load[k, 0], spin.load[k, 1], spin.load[k, 2] = changes(
-        chain, motion.trig, spin.joint, rho, motion.touch, base, tip, spin.change[k], spin.place[k], motion.work
+        chain, spin.joint, spin.frame, motion.touch, base, tip, spin.change[k], spin.place[k], spin.pull, motion.work
     )
 
 
@@ -163,6 +167,9 @@ def turn_pegs(chain, contacts, impulses, motion, joints, spin, penalty):  # type
     last = spin.which.size
     for i in joints.which:
         spin.joint[i, 1] = motion.joint[i, 1]
+    for i in range(motion.w.size):
+        for k in range(TX, KX):
+            spin.frame[i, k] = motion.frame[i, k]
     for k in range(last):
         p = spin.which[k]
         peg_response(chain, contacts, impulses, motion, spin, penalty, k)

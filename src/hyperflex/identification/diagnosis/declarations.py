@@ -123,7 +123,7 @@ class ShortFit:
 
     def _left(self, plant: Plant, measured: Measurements) -> tuple[float, Array]:
         usual = with_enough_frames(usual_length(measured.shape, self.rope), measured.shape)
-        x, found = plant.parameters.start, None
+        x, fitted = plant.parameters.start, None
         for length in (usual / SHORTER, usual):
             windows, _ = measured.windows(length, decimation_step(measured.channels, length))
             windows = windows[:WINDOWS]
@@ -131,10 +131,10 @@ class ShortFit:
                 continue
             states = [each.guess for each in windows]
             found = fit(plant, windows, x, states, loss=self.loss, rounds=ROUNDS, enough=HARDLY)
-            x = found.x
-        if found is None or lumped(plant.parameters.rope(x))[0][0] <= 0.0:
+            x, fitted = found.x, (windows, found.residuals)
+        if fitted is None or lumped(plant.parameters.rope(x))[0][0] <= 0.0:
             return np.inf, x
-        return part_left(windows, found.residuals), x
+        return part_left(*fitted), x
 
 
 def scaled_angles(recording: Recording, left: ShortFit) -> str:

@@ -34,7 +34,7 @@ class Goal:
     def of(cls, cast_setup: CastSetup, peg: Peg, throw: Throw) -> "Goal | None":
         """Return the goal of a throw; None without a strike."""
         motion = throw.motion(cast_setup.limits)
-        one = RolloutBatch.from_rest([cast_setup.rope], [peg], [motion])
+        one = RolloutBatch.from_start(cast_setup, [cast_setup.rope], [peg], [motion])
         t, q, qd, _ = first_strikes(one, cast_setup.arm, cast_setup.time)
         if not np.isfinite(t[0]):
             return None

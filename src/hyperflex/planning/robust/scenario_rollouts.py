@@ -40,9 +40,10 @@ def scenario_scores(
     time_budget: float | Deadline = TIME_BUDGET,
     threads: int | None = None,
 ) -> WindingScores:
-    """Simulate throws in scenarios (M), each rope from rest; see :func:`winding_scores`."""
+    """Simulate throws in scenarios (M), each rope from its start; see :func:`winding_scores`."""
     motions = [scenario.motion(throw, cast_setup) for throw, scenario in pairs]
-    batch = RolloutBatch.from_rest([each.rope for _, each in pairs], [each.peg for _, each in pairs], motions)
+    ropes, pegs = [each.rope for _, each in pairs], [each.peg for _, each in pairs]
+    batch = RolloutBatch.from_start(cast_setup, ropes, pegs, motions)
     return winding_scores(batch, cast_setup.arm, cast_setup.time, time_budget=time_budget, threads=threads)
 
 
@@ -122,7 +123,7 @@ def nominal_strike_times(
 ) -> Array:
     """Return the times (M,), s, at which throws strike in the nominal scenario; NaN without a strike."""
     motions = [throw.motion(cast_setup.limits) for throw in throws]
-    batch = RolloutBatch.from_rest([cast_setup.rope] * len(throws), [peg] * len(throws), motions)
+    batch = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(throws), [peg] * len(throws), motions)
     return first_strikes(batch, cast_setup.arm, cast_setup.time, threads=threads)[0]
 
 

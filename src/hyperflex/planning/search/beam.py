@@ -69,7 +69,7 @@ class _Continuation(NamedTuple):
 
 
 class BeamSearch:
-    """Beam search over the swings of a hanging rope; it can be continued.
+    """Beam search over the swings of a rope; it can be continued.
 
     Parameters
     ----------
@@ -93,11 +93,10 @@ class BeamSearch:
     ) -> None:
         self.cast_setup, self.peg, self.threads, self.runs = cast_setup, peg, threads, 0
         self._random, self._period = random, swing_period(cast_setup.rope)
-        hanging = np.full((1, cast_setup.rope.n_links), cast_setup.rope.hanging_angle)
         self._strikes: list[Strike] = []
-        still = np.zeros_like(hanging)
+        q, qd = (part[None] for part in cast_setup.start)
         self._swings = [
-            _Swing(0.0, side, (), (), cast_setup.limits.start_angle(side), 0.0, 0.0, hanging, still) for side in sides
+            _Swing(0.0, side, (), (), cast_setup.limits.start_angle(side), 0.0, 0.0, q, qd) for side in sides
         ]
 
     def ready(self, time: float, most: int) -> bool:

@@ -10,6 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
+from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.simulation import Batch, simulate_batch
 
 
@@ -29,10 +30,12 @@ class RolloutBatch:
     since: float = 0.0
 
     @classmethod
-    def from_rest(cls, ropes: Sequence[Rope], pegs: Sequence[Peg], motions: Sequence[Motion]) -> "RolloutBatch":
-        """Return rollouts of ropes (M,) that hang at rest."""
-        q = np.array([np.full(rope.n_links, rope.hanging_angle) for rope in ropes])
-        return cls(ropes, pegs, motions, q, np.zeros_like(q))
+    def from_start(
+        cls, cast_setup: CastSetup, ropes: Sequence[Rope], pegs: Sequence[Peg], motions: Sequence[Motion]
+    ) -> "RolloutBatch":
+        """Return rollouts of ropes (M,) from the start of a cast set-up."""
+        q, qd = (np.tile(part, (len(ropes), 1)) for part in cast_setup.start)
+        return cls(ropes, pegs, motions, q, qd)
 
     @classmethod
     def from_state(

@@ -50,9 +50,9 @@ class Strikes:
 def simulate_strikes(
     cast_setup: CastSetup, peg: Peg, motions: Sequence[Motion], *, threads: int | None = None
 ) -> Strikes:
-    """Simulate free swings from rest at t = 0 under each motion (M,), and find their first strikes on a peg."""
+    """Simulate free swings from the start at t = 0 under each motion (M,), and find their first strikes on a peg."""
     t: Array = SAMPLE_TIME * np.arange(1.0, round(cast_setup.time / SAMPLE_TIME) + 1.0)
-    swings = RolloutBatch.from_rest([cast_setup.rope] * len(motions), [], motions)
+    swings = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(motions), [], motions)
     batch = swings.run(cast_setup.arm, t, tol=COARSE_TOL, keep=("q", "qd"), threads=threads)
     return find_strikes(cast_setup, peg, motions, t, batch.q, batch.qd)
 

@@ -1,7 +1,7 @@
 """The search for a throw: first over free swings with promising strikes, then over the last moves in contact."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Peg, Setup, divided
+from hyperflex.model import Peg, Setup
 from hyperflex.motion import hold_arm
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
@@ -66,10 +66,12 @@ class ThrowSearch:
 
     def _begin(self) -> None:
         rope, arm, limits = self.cast_setup.rope, self.cast_setup.arm, self.cast_setup.limits
-        starts = {side: Setup(rope, hold_arm(limits.start_angle(side)), arm, pegs=(self.peg,)) for side in (-1, 1)}
-        sides = [side for side, start in starts.items() if starts_outside(start)]
+        q, _ = self.cast_setup.start
+        may = [side for side in (-1, 1) if self.cast_setup.side in (side, 0)]
+        starts = {side: Setup(rope, hold_arm(limits.start_angle(side)), arm, pegs=(self.peg,)) for side in may}
+        sides = [side for side, start in starts.items() if starts_outside(start, 0.0, q)]
         self.parametrizations = {side: ThrowParametrization(self.cast_setup, side) for side in sides}
-        self._free = {side: self._cma_es(g.centre(), 1.0, MEMBERS, side) for side, g in self.parametrizations.items()}
+        self._free: dict[int, Any] = {}  # made when it is needed: to import it takes seconds
         self.swings.clear()
         self.candidates.clear()
         self._tried: list[Swing] = []
@@ -81,7 +83,7 @@ class ThrowSearch:
     @property
     def _finer(self) -> CastSetup:
         """The same with shorter links."""
-        return replace(self.cast_setup, rope=divided(self.cast_setup.rope, FINER))
+        return self.cast_setup.cut(FINER)
 
     @property
     def workers(self) -> int:
@@ -148,6 +150,8 @@ class ThrowSearch:
     def evolve_swings(self) -> float:
         """Simulate one generation of free swings from each side; return the best score so far."""
         self._check()
+        for side in self.parametrizations.keys() - self._free.keys():
+            self._free[side] = self._cma_es(self.parametrizations[side].centre(), 1.0, MEMBERS, side)
         asked = {side: optimizer.ask() for side, optimizer in self._free.items()}
         each = max(1, self.workers // len(asked))
 
@@ -187,6 +191,19 @@ class ThrowSearch:
                 for more in MORE
                 for end in ENDS
                 for rest in (RESTS if more < 1.0 else RESTS[:1])
+            ]
+            if points:
+                self.evaluate(side, points)
+
+    def try_throws(self, throws: Sequence[Throw]) -> None:
+        """Simulate given throws in contact: their strokes until they strike, and then some more of them."""
+        for side, each in self.parametrizations.items():
+            points = [
+                np.append(each.repeated(one)[:-LAST], [more, one.end / np.pi, rest, one.speed])
+                for one in throws
+                if one.side == side
+                for more in MORE
+                for rest in RESTS
             ]
             if points:
                 self.evaluate(side, points)

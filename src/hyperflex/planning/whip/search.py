@@ -116,7 +116,7 @@ def simulate_peaks(cast_setup: CastSetup, strokes: list[Strokes], threads: int |
     """Simulate free swings from rest and find the peaks of the tip's speed."""
     t = np.asarray(SAMPLE_TIME * np.arange(round(cast_setup.time / SAMPLE_TIME) + 1.0))
     motions = [each.motion(cast_setup.limits) for each in strokes]
-    swings = RolloutBatch.from_rest([cast_setup.rope] * len(motions), [], motions)
+    swings = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(motions), [], motions)
     batch = swings.run(cast_setup.arm, t, tol=COARSE_TOL, keep=("tip", "q", "qd"), threads=threads)
     angle, rate = (np.stack(each) for each in zip(*((m.angle(t), m.rate(t)) for m in motions), strict=True))
     return find_peaks(t, batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate))

@@ -1,24 +1,28 @@
 """Plan a cast: check the target, search for a throw that winds and holds, verify it, and look for fallbacks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from hyperflex import checks
 from hyperflex.errors import Interrupted, InvalidInput
+from hyperflex.interfaces import RopeState
 from hyperflex.interruption import caught, interruptible
 from hyperflex.model import Arm, Peg, Rope, Setup, cuts
+from hyperflex.motion import hold_arm
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fallback
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
 from hyperflex.planning.wind.planner import NOMINAL, CastPlanner
 from hyperflex.planning.wind.remedies import find_remedies
 from hyperflex.progress import progress_bar
+from hyperflex.simulation import simulate
 
 TIME_BUDGET = 60.0  # s
 
@@ -30,6 +34,8 @@ def plan_cast(
     target: Peg,
     limits: MotorLimits | None = None,
     *,
+    state0: RopeState | None = None,
+    side: int | None = None,
     time_limit: float | None = None,
     holding_force: float = 0.0,
     contact: float | None = None,
@@ -42,17 +48,23 @@ def plan_cast(
     threads: int | None = None,
     progress: bool = False,
     on_plan: Callable[[CastPlan], bool | None] | None = None,
+    start_from: Sequence[CastPlan] = (),
 ) -> CastPlan:
     """Plan how an arm casts its rope round a target so that the rope winds and holds.
 
     Parameters
     ----------
     rope, arm : Rope, Arm
-        The rope hangs at rest from the arm, which points to one side.
+        The rope hangs from the arm, which points to one side, at rest unless `state0` says otherwise.
     target : Peg
         To be wound by MIN_TURNS turns or more.
     limits : MotorLimits, optional
         Of the motor; by default the paper's.
+    state0 : RopeState, optional
+        Of a rope that swings while the arm stands still, as a tracker tells it: angles, rad, and rates, rad/s, at a
+        time `t` <= 0, s, before the motion begins at 0. Its covariance is not used. By default the rope hangs at rest.
+    side : {-1, 1}, optional
+        Side on which the arm stands, left or right; needed with `state0`. By default the planner chooses.
     time_limit : float, optional
         Time within which the rope must strike, s; by default five periods of its swing, and half as many again if
         these do not seem to give it energy enough.
@@ -61,7 +73,7 @@ def plan_cast(
         is verified. The success probability does not include it.
     contact : float, optional
         Least angle of the target that the rope must cover, rad. By default none is asked for, but where the rope is
-        long enough the search goes on for a full turn until its time is over; with 0 it does not.
+        long enough a full turn is sought until twice the time in which the first plan stood; with 0 it is not.
     clearance : float
         Least distance of the rope from its own arm and the motor's shaft, m, as of :class:`CastSetup`.
     uncertainty : Uncertainty, optional
@@ -69,10 +81,9 @@ def plan_cast(
         success probability is estimated from others.
     time_budget : float
         Time by the clock for search, verifications and success probability, s, without compiling; on a busy machine,
-        too. Not every plan that succeeds ends the search before, only one with a margin: it slips by at most 0.4 of
-        what is allowed, is pulled with no more than the capstan equation lets it bear, was not folded flat on the way,
-        winds alike with shorter links, and covers a full turn of the target where the rope is long enough; with an
-        uncertainty one that succeeds in all samples.
+        too. A plan that succeeds with a margin ends the search before: it slips by at most 0.4 of what is allowed, is
+        pulled with no more than the capstan equation lets it bear, was not folded flat on the way, and winds alike with
+        shorter links; with an uncertainty one that succeeds in all samples.
     skip_feasibility : bool
         Search even for a target that the feasibility check calls out of reach.
     fallback : bool
@@ -87,6 +98,8 @@ def plan_cast(
     on_plan : callable, optional
         Called with the first plan that succeeds as soon as it does, and with each better one. If it returns True the
         search ends with that plan. Plans for fallback targets are not told.
+    start_from : sequence of CastPlan
+        Plans for targets near by, for the same rope and arm, whose throws are tried first.
 
     Returns
     -------
@@ -117,11 +130,14 @@ def plan_cast(
         raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
     if target.turns:
         raise InvalidInput("casts are planned for fixed targets", got=target, fix="Leave out inertia and bearing")
+    clock = Clock()
     time_budget = checks.number("time_budget", time_budget, sign="positive", unit="s")
     fallback, skip_feasibility = checks.flag("fallback", fallback), checks.flag("skip_feasibility", skip_feasibility)
     time = 0.0 if time_limit is None else checks.number("time_limit", time_limit, sign="nonnegative", unit="s")
     motor = MotorLimits() if limits is None else limits
-    cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0)
+    cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0)
+    if state0 is not None:
+        cast_setup = _swinging(cast_setup, state0)
     Setup(cast_setup.rope, arm=cast_setup.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
     cuts(cast_setup.rope, (target,), arm=cast_setup.arm)  # or not be wound round it
     if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
@@ -131,14 +147,21 @@ def plan_cast(
     if known.impossible or not (known.feasible or skip_feasibility):
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:
-        free = {"longer": time_limit is None, "full_turn": contact is None}
+        free = {"longer": time_limit is None, "full_turn": contact is None, "clock": clock}
+        search.try_throws([one.throw for one in start_from if one.throw is not None])
         plan = _search(search, known, uncertainty, time_budget, progress, on_plan, **free)
     with caught() as stop:
         if not (plan.success or plan.interrupted):
             plan = replace(plan, remedies=find_remedies(cast_setup, target, holding_force=holding_force))
             plan = replace(plan, fallback=expected_fallback(plan, holding_force))
             if fallback:
-                given: dict[str, Any] = {"limits": limits, "time_limit": time_limit, "holding_force": holding_force}
+                given: dict[str, Any] = {
+                    "state0": state0,
+                    "side": side,
+                    "limits": limits,
+                    "time_limit": time_limit,
+                    "holding_force": holding_force,
+                }
                 given |= {"contact": contact, "clearance": clearance, "uncertainty": uncertainty}
                 given |= {"time_budget": time_budget, "seed": seed, "threads": threads}
                 plan_for = partial(plan_cast, rope, arm, **given, progress=progress)
@@ -156,7 +179,7 @@ def _search(
     time_budget: float,
     progress: bool,
     on_plan: Callable[[CastPlan], bool | None] | None,
-    **free: bool,
+    **free: Any,
 ) -> CastPlan:
     """Search for a throw, verify it, and estimate its success probability; `free` as of :class:`CastPlanner`."""
     planner = CastPlanner(search, time_budget if uncertainty is None else NOMINAL * time_budget, **free)
@@ -172,3 +195,18 @@ def _search(
                 seed, threads = search.seed, search.threads
                 probability = estimate_success_probability(*given, seed=seed, threads=threads, time_budget=left)
     return replace(planner.plan(known, stop.met), success_probability=probability)
+
+
+def _swinging(cast_setup: CastSetup, state: RopeState) -> CastSetup:
+    """Return the set-up whose rope begins in a state, or in what becomes of that until t = 0 while the arm stands."""
+    if not isinstance(state, RopeState):
+        raise InvalidInput("state0 is no rope state", got=state, allowed="hyperflex.RopeState(t, q, qd)")
+    t = checks.number("state0.t", state.t, unit="s")
+    if t > 0.0:
+        raise InvalidInput("state0 is after the motion's begin", got=t, allowed="t <= 0 s", fix="Count t from there")
+    begins = replace(cast_setup, q0=tuple(state.q), qd0=tuple(state.qd))
+    if t == 0.0:
+        return begins
+    held = hold_arm(cast_setup.limits.start_angle(cast_setup.side))
+    run = simulate(cast_setup.rope, held, arm=cast_setup.arm, duration=-t, q0=state.q, qd0=state.qd, t_eval=[-t])
+    return replace(begins, q0=tuple(run.q[-1]), qd0=tuple(run.qd[-1]))

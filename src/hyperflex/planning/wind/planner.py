@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from hyperflex.model import divided
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS, CastOutcome, require_holding_force, verify_cast
 from hyperflex.planning.robust.refinement import RobustCandidate, RobustRefinement
@@ -61,16 +60,23 @@ class CastPlanner:
     """Rounds of a search until a plan succeeds with a margin or the `time_budget` of the nominal search, s, is over.
 
     `longer`: whether a cast may take LONGER times as long if the swings that the search allows promise too little.
-    `full_turn`: whether a margin includes contact of a full turn where the rope is long enough.
+    `full_turn`: whether a margin includes contact of a full turn where the rope is long enough. `clock` tells the time
+    spent, from now on by default.
     """
 
     def __init__(
-        self, search: ThrowSearch, time_budget: float, *, longer: bool = False, full_turn: bool = True
+        self,
+        search: ThrowSearch,
+        time_budget: float,
+        *,
+        longer: bool = False,
+        full_turn: bool = True,
+        clock: Clock | None = None,
     ) -> None:
-        self.search, self.time_budget, self.longer, self.clock = search, time_budget, longer, Clock()
+        self.search, self.time_budget, self.longer, self.clock = search, time_budget, longer, clock or Clock()
         search.left = lambda: SEARCHING * time_budget - self.spent
         cast_setup = search.cast_setup
-        self.finer = [replace(cast_setup, rope=divided(cast_setup.rope, k)) for k in FINER]
+        self.finer = [cast_setup.cut(k) for k in FINER]
         self.rounds, self.verifying = 0, 1.0
         tail = check_feasibility(cast_setup, search.peg).available_turns - HANGING_TAIL
         full = check_feasibility(replace(cast_setup, contact=FULL_TURN), search.peg)
@@ -96,6 +102,8 @@ class CastPlanner:
     def run(self, report: Callable[..., None] | None) -> None:
         """Search until a plan succeeds with a margin or the time is over; `report` gets the time spent and words."""
         score, idle, contact = 0.0, 0, 0
+        if self.search.candidates:
+            self.verify_new()
         while not self.search.runs or not (self.late or self.done()):
             late = contact > 0 and self.search.late
             settled = idle >= IDLE_ROUNDS * (2 if late and score < WORTHY * self.tail else 1)

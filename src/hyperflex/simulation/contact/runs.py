@@ -159,7 +159,7 @@ class ContactRun:
         forced = run.time < least
         stop = min(run.limits.stop, least) if forced else run.limits.stop
         clear = np.inf if always or forced else self.clear
-        bounds = at.Bounds(stop, self.longest, rate, clear, SLACK, BUDGET)
+        bounds = at.Bounds(stop, self.longest, self.setup.tol, rate, clear, SLACK, BUDGET)
         with deferred():  # else state and clock would not fit together
             code = int(
                 core.run(run.chain, run.drive, self.contacts, self.pull, bounds, contact, run.t, run.y, run.seen)
