@@ -1,10 +1,13 @@
 """Planning in a process of its own, so that the rope goes on moving, and can be cancelled at once."""
 
 import contextlib
-import multiprocessing
 import os
+import pickle
 import signal
+import subprocess
+import sys
 import time
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple
 
@@ -14,6 +17,7 @@ from hyperflex.planning import CastPlan, MotorLimits, WhipPlan, plan_cast, plan_
 
 NICENESS = 10
 _PATIENCE = 0.5  # s until a process that does not end is killed
+_COMMAND = "import sys; from hyperflex.play.planning_process import work; work(int(sys.argv[1]))"
 
 
 class PlanningTask(NamedTuple):
@@ -45,12 +49,19 @@ class PlanningProcess:
     """
 
     def __init__(self, task: PlanningTask) -> None:
-        context = multiprocessing.get_context("spawn")
         self.task, self.begun = task, 0.0
-        self._answers, answers = context.Pipe(duplex=False)
-        self._process = context.Process(target=_work, args=(answers, task), daemon=True)
-        self._process.start()
+        self._answers, answers = Pipe(duplex=False)
+        command = [
+            sys.executable,
+            "-c",
+            _COMMAND,
+            str(answers.fileno()),
+        ]  # a program of its own: no main module runs twice
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=[answers.fileno()])
         answers.close()
+        if self._process.stdin is not None:
+            with self._process.stdin as told, contextlib.suppress(OSError):  # it has ended: there will be no answer
+                told.write(pickle.dumps(task))
 
     def result(self) -> CastPlan | WhipPlan | str | None:
         """Return the plan, or what went wrong, once there is one of both; else None."""
@@ -69,15 +80,18 @@ class PlanningProcess:
     def cancel(self) -> None:
         """End the process."""
         self._process.terminate()
-        self._process.join(_PATIENCE)
-        if self._process.is_alive():
+        try:
+            self._process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
             self._process.kill()
-            self._process.join()
+            self._process.wait()
         self._answers.close()
 
 
-def _work(answers: Connection, task: PlanningTask) -> None:
-    """Say that the search begins (None), plan, and send the plan or what went wrong."""
+def work(descriptor: int) -> None:
+    """Read a task from standard input; send that the search begins (None), then the plan or what went wrong."""
+    answers: Connection = Connection(descriptor, readable=False)
+    task: PlanningTask = pickle.load(sys.stdin.buffer)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the page, which ends this process
     with contextlib.suppress(OSError):
         os.nice(NICENESS)

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import threading
+import traceback
 from collections.abc import Sequence
 from http import HTTPStatus
 from types import TracebackType
@@ -28,7 +29,7 @@ _SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'; "
     "frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
 )
-_START = 30.0  # s
+_START, _ANSWER = 30.0, 120.0  # s that it may take to listen, and to make a page
 
 
 class PlayServer:
@@ -112,7 +113,13 @@ class PlayServer:
         host, port = self._wanted
         try:
             server = await serve(
-                self._talk, host, port, process_request=self._answer, compression=None, max_size=LARGEST
+                self._talk,
+                host,
+                port,
+                process_request=self._answer,
+                open_timeout=_ANSWER,
+                compression=None,
+                max_size=LARGEST,
             )
         except (OSError, OverflowError) as error:
             self._problem = str(error)
@@ -195,6 +202,9 @@ class PlayServer:
             return {"id": number, **await self._do(asked)}
         except (HyperflexError, ValueError, RecursionError) as error:
             return {"id": number, "error": str(error)}
+        except Exception as error:  # noqa: BLE001 last resort: the connection is to stay
+            traceback.print_exc()
+            return {"id": number, "error": f"This is a bug in hyperflex: {error}"}
 
     async def _do(self, asked: Any) -> dict[str, Any]:
         """Do what is asked: a ``button``, values to ``set``, a file to ``open`` or ``save``, or the ``files``."""
