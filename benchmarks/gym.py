@@ -197,22 +197,22 @@ def text(rows: list[lines.Row], rate: tuple[float, float, float]) -> str:
     found = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
     for name, each in SCRIPTED.items():
         learned = {row["learned"]: row for row in rows if row.get("name") == name and "learned" in row}
-        means = {}
-        for policy in (*each, *sorted(learned)):
-            played = [row for row in rows if (row.get("name"), row.get("policy")) == (name, policy)]
-            if not played:
-                continue
-            scores = scores_of(played)
-            means[policy] = scores.mean
+        played = {
+            policy: [row for row in rows if (row.get("name"), row.get("policy")) == (name, policy)]
+            for policy in (*each, *sorted(learned))
+        }
+        every = {policy: scores_of(some) for policy, some in played.items() if some}
+        best = max(every[policy].mean for policy in each if policy in every)
+        for policy, scores in every.items():
             low, high = scores.interval
             spent = learned.get(policy)
             told = f"{spent['seconds']:.0f} s, {spent['steps']:,} steps" if spent else ""
-            part = scores.mean / max(means[one] for one in each if one in means)
-            won = f"{scores.successes.sum()} of {len(played)}" if name == "Cast" else ""
+            part = scores.mean / best
+            won = f"{scores.successes.sum()} of {scores.returns.size}" if name == "Cast" else ""
             cells = [
                 name,
                 policy,
-                str(len(played)),
+                str(scores.returns.size),
                 f"{scores.mean:.4g} ({low:.4g} to {high:.4g})",
                 f"{part:.0%}",
                 won,
