@@ -1,7 +1,8 @@
 """Casting a rope round random targets: wound and held, in runs that no planner saw.
 
 python -m benchmarks.casting                     the paper's cable and arm, 60 targets in reach; an hour or so
-python -m benchmarks.casting --rope weighted     the same with 20 g at the tip
+python -m benchmarks.casting --rope weighted     the same with 20 g at the tip; or tapered, cord, long: ropes of ROPES
+python -m benchmarks.casting --rope cord --seed 99 --ours   targets that nobody has seen
 python -m benchmarks.casting --count 5 --out -   a look; nothing is written
 python -m benchmarks.casting --outside           targets called out of reach, each searched ten times as long
 
@@ -14,7 +15,8 @@ simulated; targets are judged while the next are planned, at the lowest priority
 Rows are kept in casting.jsonl: the same command goes on where it stopped.
 
 Anyone can take part: the ropes, the arm, the motor's limits and the targets are in ``cast_setup`` and ``targets``,
-which need nothing but numpy's generator; the judge is ``hyperflex.planning.verify_cast`` on ``cast_setup(rope, 125)``.
+which need nothing but numpy's generator; the judge is ``hyperflex.planning.verify_cast`` on
+``cast_setup(rope, FINER)``. The time of the first plan that stood is told beside that of the search.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from benchmarks import log as lines
@@ -53,42 +55,71 @@ from hyperflex.planning import (
 from hyperflex.planning.search.strikes import simulate_strikes
 
 RESULTS = Path(__file__).parent / "results"
-LINKS, FINE_LINKS = 50, 125
+LINKS = 50
+FINER = 2.5  # times as many links in a judging run
 STEP, TOL = 0.5 * DEFAULT_CONTACT_STEP, 0.2 * DEFAULT_TOL  # s, m, of a judging run
 FRICTION = 5e-4  # N m s/rad, of each joint of LINKS links
 TIP = {"nominal": 0.0, "weighted": 0.02}  # kg
+SEED = 7  # of the targets
+
+
+class Kind(NamedTuple):
+    """A rope on an arm, SI units: friction of each joint, weight at the tip; taper of the mass to the tip."""
+
+    length: float
+    mass: float
+    links: int
+    radius: float
+    friction: float
+    tip: float
+    arm: float | None  # None: the paper's
+    taper: float = 1.0
+
+
+ROPES = {
+    "nominal": Kind(2.0, 0.125, LINKS, 0.0025, FRICTION, TIP["nominal"], None),
+    "weighted": Kind(2.0, 0.125, LINKS, 0.0025, FRICTION, TIP["weighted"], None),
+    "tapered": Kind(2.0, 0.125, LINKS, 0.0025, FRICTION, 0.01, None, taper=0.3),
+    "cord": Kind(1.2, 0.06, 30, 0.003, 2e-4, 0.0, 0.2),
+    "long": Kind(3.0, 0.25, 60, 0.004, 1e-3, 0.0, 0.15),
+}
 TIME_BUDGET, TENFOLD = 60.0, 10.0  # s
 LEAST, GREATEST, MU = 0.02, 0.05, 0.3  # m, m
-GOAL = {"nominal": 0.85, "weighted": 0.90}
+GOAL = {"nominal": 0.85, "weighted": 0.90, "tapered": 0.90, "cord": 0.90, "long": 0.90}
 HALF_TURN = 0.73  # s
 JUDGES = 2  # targets that are judged at once
 LONGEST = 300.0  # s of processor time for a judging run; one that takes more counts as a cast that fails
 
 
-def cast_setup(rope: str, links: int = LINKS) -> CastSetup:
-    """The paper's cable, perhaps with a weight, on its arm, as so many links.
+def cast_setup(rope: str, finer: float = 1.0) -> CastSetup:
+    """A rope of ROPES on its arm, as so many times its links.
 
     It bends with the same friction per length whatever their number, and the hinge at the arm keeps its own, as
     :func:`hyperflex.model.divided` has it.
     """
-    cable = hf.Rope.uniform(2.0, 0.125, links, 0.0025, tip_mass=TIP[rope])
-    friction = np.full(links, FRICTION * links / LINKS)
-    friction[0] = FRICTION
-    return CastSetup(cable.replace(friction=friction), casting_arm(), MotorLimits())
+    kind = ROPES[rope]
+    links = round(finer * kind.links)
+    cable = hf.Rope.uniform(kind.length, kind.mass, links, kind.radius, tip_mass=kind.tip)
+    share = 2.0 * np.linspace(1.0, kind.taper, links) / (1.0 + kind.taper)
+    friction = np.full(links, kind.friction * finer)
+    friction[0] = kind.friction
+    cable = cable.replace(friction=friction, mass=share * cable.mass, inertia=share * cable.inertia)
+    return CastSetup(cable, casting_arm() if kind.arm is None else hf.Arm(length=kind.arm), MotorLimits())
 
 
-def target(number: int) -> hf.Peg:
+def target(number: int, rope: str = "nominal", seed: int = SEED) -> hf.Peg:
     """A target anywhere about the arm, uniform in area up to the length of rope and arm."""
-    random = np.random.default_rng([7, number])
-    far, angle = 2.105 * math.sqrt(random.uniform()), random.uniform(-math.pi, math.pi)
+    random, known = np.random.default_rng([seed, number]), cast_setup(rope)
+    reach = known.rope.total_length + known.arm.length
+    far, angle = reach * math.sqrt(random.uniform()), random.uniform(-math.pi, math.pi)
     return hf.Peg(far * math.sin(angle), -far * math.cos(angle), float(random.uniform(LEAST, GREATEST)), MU)
 
 
-def targets(rope: str, count: int, within: bool = True) -> list[int]:
+def targets(rope: str, count: int, within: bool = True, seed: int = SEED) -> list[int]:
     """Numbers of the first targets that are in reach, or that are not though geometry allows them."""
     known, found, number = cast_setup(rope), [], 0
     while len(found) < count:
-        told = check_feasibility(known, target(number))
+        told = check_feasibility(known, target(number, rope, seed))
         if told.feasible if within else not (told.feasible or told.impossible):
             found.append(number)
         number += 1
@@ -98,23 +129,26 @@ def targets(rope: str, count: int, within: bool = True) -> list[int]:
 def main() -> None:
     """Plan, judge, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rope", choices=sorted(TIP), default="nominal")
+    parser.add_argument("--rope", choices=sorted(ROPES), default="nominal")
     parser.add_argument("--count", type=int, default=60, help="targets (60)")
     parser.add_argument("--patience", type=float, default=TIME_BUDGET, help="s of planning a target (60)")
+    parser.add_argument("--seed", type=int, default=SEED, help=f"of the targets ({SEED})")
     parser.add_argument("--outside", action="store_true", help="targets called out of reach, ten times the patience")
     parser.add_argument("--ours", action="store_true", help="our plans alone, without the paper's two ways")
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
     about = machine.describe()
-    kind = f"{options.rope}{' outside' if options.outside else ''}"
+    drawn = "" if options.seed == SEED else f" seed {options.seed}"
+    kind = f"{options.rope}{' outside' if options.outside else ''}{drawn}"
     patience = options.patience * (TENFOLD if options.outside else 1.0)
-    numbers = targets(options.rope, options.count, within=not options.outside)
+    numbers = targets(options.rope, options.count, within=not options.outside, seed=options.seed)
     log = None if options.out == "-" else Path(options.out) / "casting.jsonl"
     known = read(log, kind, patience)
     rows = [known[number] for number in numbers if number in known]
     lines.told(rows, planned=True)
     missing = [n for n in numbers if n not in known]
-    for found in done(options.rope, missing, patience, ours_alone=options.outside or options.ours):
+    alone = options.outside or options.ours or options.rope not in TIP
+    for found in done(options.rope, missing, patience, ours_alone=alone, seed=options.seed):
         rows.append(found)
         print(line(found), flush=True)
         if log is not None:
@@ -134,16 +168,23 @@ def read(log: Path | None, kind: str, patience: float) -> dict[int, dict[str, An
     return {row["number"]: row for row in lines.read(log) if (row["kind"], row["patience"]) == (kind, patience)}
 
 
-def done(rope: str, numbers: list[int], patience: float, ours_alone: bool) -> Iterator[dict[str, Any]]:
+def done(rope: str, numbers: list[int], patience: float, ours_alone: bool, seed: int) -> Iterator[dict[str, Any]]:
     """A row for each target as it is judged: with what time the planner leaves, while the next is planned."""
     with ThreadPoolExecutor(JUDGES, initializer=yielding) as judge:
         waiting: list[Future[dict[str, Any]]] = []
         for number in numbers:
-            peg = target(number)
+            peg, known = target(number, rope, seed), cast_setup(rope)
+            told: list[float] = []  # s, when plans stood
             plan = plan_cast(
-                cast_setup(rope).rope, casting_arm(), peg, time_budget=patience, skip_feasibility=True, seed=number
+                known.rope,
+                known.arm,
+                peg,
+                time_budget=patience,
+                skip_feasibility=True,
+                seed=number,
+                on_plan=lambda found, told=told: told.append(found.seconds),  # type: ignore[misc]
             )
-            waiting.append(judge.submit(entry, number, rope, plan, ours_alone))
+            waiting.append(judge.submit(entry, number, rope, plan, ours_alone, told[0] if told else None))
             for one in [one for one in waiting if one.done()]:
                 waiting.remove(one)
                 yield one.result()
@@ -157,7 +198,7 @@ def yielding() -> None:
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
 
 
-def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool) -> dict[str, Any]:
+def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool, first: float | None) -> dict[str, Any]:
     """What was planned, and what becomes of it and of the paper's ways."""
     peg, ways = plan.target, {"ours": plan.motion}
     if not ours_alone:
@@ -173,6 +214,7 @@ def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool) -> dict[str,
         "room": plan.feasibility.available_turns,
         "energy": plan.feasibility.energy_ratio,
         "seconds": plan.seconds,
+        "first": first,
         "runs": plan.runs,
         "planned": plan.success,
         "reason": plan.message,
@@ -186,7 +228,7 @@ def judged(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
     """What becomes of a motion in a finer run, and what the wound rope bears."""
     if motion is None:
         return {"success": False, "reason": "nothing to do"}
-    fine = cast_setup(rope, FINE_LINKS)
+    fine = cast_setup(rope, FINER)
     cast = verify_cast(fine, peg, motion, tol=TOL, contact_step=STEP, time_budget=LONGEST)
     row = {
         "success": cast.success,
@@ -251,7 +293,11 @@ def text(rows: list[dict[str, Any]], rope: str) -> str:
     """Results as Markdown."""
     lines = list(scores(rows))
     seconds = np.array([row["seconds"] for row in rows])
-    lines += ["", f"Planning: median {np.median(seconds):.0f} s, at most {seconds.max():.0f} s a target."]
+    median, most, late = np.median(seconds), seconds.max(), np.quantile(seconds, 0.95)
+    lines += ["", f"Planning: median {median:.1f} s, 95 % within {late:.1f} s, at most {most:.1f} s a target."]
+    first = [row["first"] for row in rows if row.get("first") is not None]
+    if first:
+        lines[-1] += f" The first plan stood after {np.median(first):.1f} s in the median of {len(first)}."
     lines += [f"Goal: {GOAL[rope]:.0%} wound and held. Plans that fail say so: {told(rows)}.", ""]
     bends = [row["ours"]["bend"] for row in rows if row["ours"].get("bend") is not None and row["ours"]["success"]]
     if bends:

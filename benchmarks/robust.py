@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 from benchmarks import log as lines
 from benchmarks import machine
-from benchmarks.casting import FINE_LINKS, STEP, TIP, TOL, cast_setup, target, targets
+from benchmarks.casting import FINER, STEP, TIP, TOL, cast_setup, target, targets
 from benchmarks.robust_page import page
 
 import hyperflex as hf
@@ -243,7 +243,7 @@ class Case:
 
     def fine(self, throw: Throw, count: int) -> dict[str, Any]:
         """Judge a throw in the first draws with 2.5 times the links, refined beside the peg, and shorter steps."""
-        known = cast_setup(self.options.rope, FINE_LINKS)
+        known = cast_setup(self.options.rope, FINER)
 
         def one(world: Scenario) -> tuple[bool, bool]:
             one = replace(known, rope=world.rope)

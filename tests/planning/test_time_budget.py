@@ -69,6 +69,13 @@ def test_the_time_counts_from_the_call_on(monkeypatch: pytest.MonkeyPatch) -> No
     assert begun[0].left() < 0.0
 
 
+def test_a_time_that_is_over_before_the_search_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(casting, "Clock", lambda: SimpleNamespace(spent=60.1))
+    plan = hf.plan_cast(CABLE, cast_setup().arm, PEG, time_budget=60.0)
+    assert (plan.message, plan.runs) == ("the time budget was over before the search began", 0)
+    assert plan.status == 2  # nothing found; not: infeasible
+
+
 def test_runs_of_a_search_do_not_outlast_it() -> None:
     search = ThrowSearch(cast_setup(), PEG)
     search.left = lambda: -1.0

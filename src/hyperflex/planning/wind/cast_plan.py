@@ -13,7 +13,7 @@ from hyperflex.planning.outcome import (
     HoldingForce,
     measure_holding_force,
 )
-from hyperflex.planning.plan import Plan
+from hyperflex.planning.plan import INFEASIBLE, NOT_FOUND, Plan
 from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
 from hyperflex.planning.throw import Throw
 from hyperflex.planning.verification import verified_setup
@@ -64,6 +64,12 @@ class CastPlan(Plan):
     def moves(self) -> Throw | None:
         """The throw."""
         return self.throw
+
+    @property
+    def status(self) -> int:
+        """Why the planner ended, as of :class:`Plan`; a feasible target is not found, also where no time was left."""
+        told = super().status
+        return NOT_FOUND if told == INFEASIBLE and self.feasibility.feasible else told
 
     @property
     def refuted(self) -> bool:

@@ -104,7 +104,7 @@ class CastPlanner:
         score, idle, contact = 0.0, 0, 0
         if self.search.candidates:
             self.verify_new()
-        while not self.search.runs or not (self.late or self.done()):
+        while not (self.late or self.done()):
             late = contact > 0 and self.search.late
             settled = idle >= IDLE_ROUNDS * (2 if late and score < WORTHY * self.tail else 1)
             if (
@@ -338,6 +338,8 @@ class CastPlanner:
         if throw is None and search.candidates:
             throw = search.candidates[0].throw
         message = failure(outcome, finer, interrupted)
+        if outcome is None and not (search.runs or interrupted):
+            message = "the time budget was over before the search began"
         found = (throw, outcome, finer, message, search.runs, self.spent, interrupted)
         return CastPlan(search.cast_setup, search.peg, known, *found)
 
