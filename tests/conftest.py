@@ -5,11 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.browser import NAMES, Browser, found
+if TYPE_CHECKING:
+    from tests.browser import Browser
 
 WANT = "real recordings not found"
 
@@ -62,6 +64,8 @@ def data_dir(pytestconfig: pytest.Config) -> Path:
 @pytest.fixture(scope="session")
 def browser(pytestconfig: pytest.Config) -> Iterator[Browser]:
     """A browser without a window; without one the test skips, or fails under --require-data and in CI."""
+    from tests.browser import NAMES, Browser, found  # the suite's options are tried without the other files
+
     program = found()
     if program is None:
         reason = f"no browser found ({', '.join(NAMES)}): on Debian, apt-get install chromium"

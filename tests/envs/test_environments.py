@@ -30,7 +30,9 @@ SECTIONS = ["Description", "Action Space", "Observation Space", "Rewards", "Star
 @pytest.mark.parametrize("drawn", [{}, DRAWN], ids=["model", "drawn"])
 def test_gymnasium_finds_nothing(name: str, action: str, observation: str, drawn: dict[str, Any]) -> None:
     """Its warnings are errors here."""
-    check_env(gymnasium.make(name, action=action, observation=observation, **drawn).unwrapped)
+    env = gymnasium.make(name, action=action, observation=observation, **drawn).unwrapped
+    check_env(env)
+    assert env.observation_space.contains(env.reset(seed=0)[0])
 
 
 @pytest.mark.parametrize("name", IDS)

@@ -51,9 +51,16 @@ def usual_handler() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
-def soon() -> None:
-    """Send Ctrl-C to the main thread in a moment."""
-    threading.Timer(0.3, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT)).start()
+@contextlib.contextmanager
+def soon(seconds: float) -> Iterator[None]:
+    """Send Ctrl-C to the main thread in so long, s; not any more once what is within has ended."""
+    timer = threading.Timer(seconds, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
 
 
 def swallowed() -> None:
@@ -248,8 +255,8 @@ def test_derivatives_of_a_long_run_are_interrupted(monkeypatch: pytest.MonkeyPat
     kernel, states = forward_sensitivity.forward_sensitivities, []
 
     def interrupted(*given: np.ndarray) -> None:
-        soon()
-        kernel(*given)
+        with soon(0.02):
+            kernel(*given)
         states.append(given[-3][-1])
 
     long = {"q0": [1.0] * 20, "duration": 200.0, "t_eval": [200.0], "wrt": ["qd0", "friction[:]"]}
@@ -276,8 +283,8 @@ def test_steps_are_interrupted_and_go_on(monkeypatch: pytest.MonkeyPatch, kind: 
     stepper = kind(CABLE if kind is hf.Stepper else [CABLE] * 40, arm=hf.Arm(length=0.1))
     begin = stepper.start()
     after = stepper.step(begin, 1.0, 0.1)
-    soon()
-    assert left_by(lambda: stepper.step(begin, 1.0, 1e4)) is None
+    with soon(0.1):
+        assert left_by(lambda: stepper.step(begin, 1.0, 1e4)) is None
     np.testing.assert_array_equal(stepper.step(begin, 1.0, 0.1).q, after.q)
 
 

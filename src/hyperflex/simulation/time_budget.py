@@ -60,7 +60,7 @@ def enforce_budget(
         elif over := worked - judged[0] > JUDGED:
             rate = max((t - span[0]) / worked, (t - judged[1]) / (worked - judged[0]))
             over, judged = rate * worked + span[1] - t > rate * PATIENCE, (worked, t)
-        if over and t < span[1]:  # a run that came to its end is kept
+        if over and (t < span[1] or left is not None):  # a run that came to its end by itself is kept
             raise TimeBudgetExceeded
 
     return heard
