@@ -119,7 +119,6 @@ def test_a_run_that_came_to_its_end_is_kept_however_long_it_took():
     assert (short.status, short.t[-1]) == ("ok", 0.01)
 
 
-
 def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time_budget, "JUDGED", 0.0)
     monkeypatch.setattr(time_budget, "PATIENCE", 0.0)
