@@ -198,9 +198,9 @@ def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 "delay": "the motion",
             }
             said.append(
-                f"{what.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the residuals' "
-                f"sum of squares go away, and ratios move by up to {100.0 * each.moved:.2g} %. Standard deviations hold "
-                "that."
+                f"{what.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
+                f"residuals' sum of squares go away, and ratios move by up to {100.0 * each.moved:.2g} %. Standard "
+                "deviations hold that."
             )
         if not each.believed or each.matters or each.name not in ("gravity_angle", "delay"):
             continue
