@@ -25,6 +25,7 @@ LIKELY = 0.5  # probability
 LEFT_OUT = 0.2  # part of the windows
 REACH = 2.0  # of a link's length, to which its mass may reach: real links have counterweights
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
+MEANT = {"gravity_scale": "times or lengths", "gravity_angle": "the zero of the angles", "delay": "the motion"}
 
 
 class Grade(NamedTuple):
@@ -198,7 +199,7 @@ def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 "delay": "the motion",
             }
             said.append(
-                f"{what.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
+                f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
                 f"residuals' sum of squares go away, and ratios move by up to {100.0 * each.moved:.2g} %. Standard "
                 "deviations hold that."
             )
