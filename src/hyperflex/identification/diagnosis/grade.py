@@ -193,11 +193,6 @@ def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 f"ratios would move by up to {100.0 * each.moved:.2g} %."
             )
         if each.suspected and not each.beside:
-            what = {
-                "gravity_scale": "times or lengths",
-                "gravity_angle": "the zero of the angles",
-                "delay": "the motion",
-            }
             said.append(
                 f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
                 f"residuals' sum of squares go away, and ratios move by up to {100.0 * each.moved:.2g} %. Standard "
