@@ -25,6 +25,7 @@ LIKELY = 0.5  # probability
 LEFT_OUT = 0.2  # part of the windows
 REACH = 2.0  # of a link's length, to which its mass may reach: real links have counterweights
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
+MEANT = {"gravity_scale": "times or lengths", "gravity_angle": "the zero of the angles", "delay": "the motion"}
 
 
 class Grade(NamedTuple):
@@ -185,10 +186,17 @@ def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
     said = []
     for each in tests:
         if each.slight and each.believed:
+            names = " and ".join(repr(name) for name in each.beside)
+            beside = f", if {names} {'is' if len(each.beside) == 1 else 'are'} free as well" if names else ""
             said.append(
-                f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that, if "
-                f"{' and '.join(repr(name) for name in each.beside)} {'is' if len(each.beside) == 1 else 'are'} free "
-                f"as well; ratios would move by up to {100.0 * each.moved:.2g} %."
+                f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}; "
+                f"ratios would move by up to {100.0 * each.moved:.2g} %."
+            )
+        if each.suspected and not each.beside:
+            said.append(
+                f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
+                f"residuals' sum of squares go away, and ratios move by up to {100.0 * each.moved:.2g} %. Standard "
+                "deviations hold that."
             )
         if not each.believed or each.matters or each.name not in ("gravity_angle", "delay"):
             continue

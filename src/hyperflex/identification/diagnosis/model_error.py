@@ -21,7 +21,7 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], length_std: float
 
     Links that are too long, and each resistance that was left out and that the data ask for, would move the parameters
     by their `shift`: that is taken as a standard deviation, in proportion to how far noise does not explain what it
-    gains. Where residuals are white, or most goes away, everything else that was held or declared counts as well; where
+    gains. Where residuals are white, or much goes away, everything else that was held or declared counts as well; where
     they are not, a wrong clock, say, gains by what the model leaves out, and no value is taken as known better than
     FLOOR. All lengths may be off by one factor, of the relative standard deviation `length_std`, as far as the motion
     does not tell it.
@@ -32,7 +32,8 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], length_std: float
         if each.name == LENGTHS:
             continue
         law = each.name.partition(":")[0] in LAWS
-        counts = each.surplus > ASKED and not each.slight and (white or law or each.believed)
+        asked = white or law or each.believed or each.suspected
+        counts = asked and each.surplus > ASKED and not (each.slight and each.beside)
         if counts or each.name == LINKS:  # whose surplus is a probability
             model += each.surplus * np.outer(each.shift, each.shift)
     if not white:

@@ -24,7 +24,7 @@ from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import RESISTANCES
 
 SUSPECT = 0.3  # gain from which a refit is made
-REFITS, ROUNDS, WINDOWS = 3, 8, 12  # refits at most, rounds of each, and windows, spread over the recording
+REFITS, ROUNDS, WINDOWS = 3, 40, 12  # refits at most, rounds of each, and windows, spread over the recording
 FEW = 4  # links, up to which each has its own value in a test
 LAWS = tuple(each.name for each in RESISTANCES)
 SURE = 0.93  # the same of white residuals, from which something does not fit: 14 times what chance gains
@@ -36,7 +36,7 @@ FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a f
 LENGTHS = "length:factor"  # of which no refit is made: gravity_scale acts alike, and stands for a wrong clock as well
 HELD = ("gravity_scale", "com")  # what 1 % of is told, as far as the motion cannot test it
 HIDING = 2  # refits that are tested again, each with one thing more freed
-SLIGHT = 0.01  # of lengths: what seems so much off behind something else may be one more law that was left out
+SLIGHT = 0.01  # of lengths: a ruler errs by so much, and one more law that was left out makes them seem so
 TINY = 1e-8  # part of the largest singular value below which a direction is none
 
 
@@ -66,7 +66,7 @@ class ScoreTest:
     surplus : float
         Part of the gain that noise does not explain, 0 to 1; of links the probability that the rope has finer ones.
     sure : bool
-        Whether residuals were white, so that noise is known.
+        Whether residuals are white, as they are or with it free, so that noise is known.
     sway : float
         Of a gravity scale or centres of mass: relative change of a ratio J/p1 or p/p1 by each 1 % of them, the greatest
         of those that are beyond twice their standard deviation; 0 where none is.
@@ -102,9 +102,15 @@ class ScoreTest:
         return self.moved > MOVES or (self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED)
 
     @property
+    def suspected(self) -> bool:
+        """Whether what was held or declared may be off: a refit takes much away and moves ratios, unbelieved."""
+        law = self.name.partition(":")[0] in LAWS
+        return self.refitted and not law and self.gain > SUSPECT and self.matters and not self.believed
+
+    @property
     def slight(self) -> bool:
-        """Whether lengths seem hardly off, and only if something else is free as well."""
-        if self.name != "gravity_scale" or not (self.beside and self.refitted):
+        """Whether lengths seem hardly off: no more than a ruler errs, or than a law that was left out makes it seem."""
+        if self.name != "gravity_scale" or not self.refitted:
             return False
         return bool(abs(np.log(max(float(self.values[0]), 1e-9))) <= SLIGHT)
 
@@ -166,10 +172,10 @@ def _refitted_tests(basis: Basis) -> list[ScoreTest]:
     for words in _words(basis.plant):
         found += _tested(basis, words)
     found.sort(key=lambda each: -each.gain)
-    white, best = basis.information.whiteness >= CHANCE, [k for k, each in enumerate(found) if each.name != LENGTHS]
+    best = [k for k, each in enumerate(found) if each.name != LENGTHS]
     for k in best[:REFITS]:
         each = found[k]
-        if each.gain > SUSPECT or (white and each.surplus > SURE):
+        if each.gain > SUSPECT or each.surplus > SURE:
             found[k] = _refitted(basis, each)
     return sorted(found, key=lambda each: -each.gain)
 
@@ -327,4 +333,6 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     surplus = max(0.0, 1.0 - (1.0 - test.surplus) * test.gain / gain) if gain > 0.0 else 0.0
     values = plant.parameters.values(x)[basis.fit.x.size :]
     sure = basis.information.whiteness >= CHANCE
+    if not sure and surplus > SURE:  # what is held may be all that colours the residuals
+        sure = estimate_covariance(plant, windows, after).whiteness >= CHANCE
     return replace(test, gain=gain, values=values, moved=moved, surplus=surplus, sure=sure)
