@@ -147,7 +147,7 @@ def test_an_interrupted_fit_says_so(tmp_path, swing):
     assert '<span class="badge">interrupted</span>' in text
     assert "before its first round" in text
     assert 'class="fine"' not in text  # nothing is good news yet
-    assert "Nothing was predicted: the fit was interrupted" in text
+    assert "Nothing was predicted: the fit ended early (interrupted)" in text
 
 
 @pytest.mark.usefixtures("unseen")
