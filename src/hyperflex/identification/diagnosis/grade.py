@@ -118,7 +118,7 @@ def grade(
         scaled = [f"masses, inertias and frictions are in proportion to {scale}; no motion tests that."] * bool(scale)
         places = next((each.sway for each in tests if each.name == "com"), 0.0)
         if scale and places > 0.0:
-            scaled = [f"{scaled[0][:-1]}, and 1 % of a centre of mass moves ratios by up to {100.0 * places:.2g} %."]
+            scaled = [f"{scaled[0][:-1]}, and 1 % of a centre of mass moves ratios by up to {_percent(places)}."]
         return Grade("usable", (*suspicion, *scaled, *doubts))
     common = "without a known force or torque, or a mass that is held, values share what this motion cannot tell."
     return Grade("usable for ratios", (*suspicion, common, *doubts))
@@ -176,7 +176,7 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
     else:
         said = (
             f"what is held does not fit: with {names} free, {part} go away, and ratios move by up to "
-            f"{100.0 * first.moved:.2g} %. Put it into free."
+            f"{_percent(first.moved)}. Put it into free."
         )
     return [said]
 
@@ -190,12 +190,12 @@ def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
             beside = f", if {names} {'is' if len(each.beside) == 1 else 'are'} free as well" if names else ""
             said.append(
                 f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}; "
-                f"ratios would move by up to {100.0 * each.moved:.2g} %."
+                f"ratios would move by up to {_percent(each.moved)}."
             )
         if each.suspected and not each.beside:
             said.append(
                 f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
-                f"residuals' sum of squares go away, and ratios move by up to {100.0 * each.moved:.2g} %. Standard "
+                f"residuals' sum of squares go away, and ratios move by up to {_percent(each.moved)}. Standard "
                 "deviations hold that."
             )
         if not each.believed or each.matters or each.name not in ("gravity_angle", "delay"):
@@ -248,7 +248,7 @@ def _untested(tests: Sequence[ScoreTest]) -> list[str]:
     else:
         words = (
             "times and lengths are taken as exact, but for length_std: this motion shows no error below "
-            f"{200.0 * scale.std:.2g} % of the lengths, and 1 % would move ratios by up to {100.0 * scale.sway:.2g} %."
+            f"{200.0 * scale.std:.2g} % of the lengths, and 1 % would move ratios by up to {_percent(scale.sway)}."
         )
     return [words] if scale.sway > 0.0 else []
 
@@ -260,7 +260,7 @@ def _coarse(tests: Sequence[ScoreTest]) -> list[str]:
         return []
     words = (
         f"use more links: this looks like a rope of finer links (probability {100.0 * each.surplus:.3g} %), and a fit "
-        f"of so few to such a one is off by up to {100.0 * each.sway:.2g} % of a value. Standard deviations hold that."
+        f"of so few to such a one is off by up to {_percent(each.sway)} of a value. Standard deviations hold that."
     )
     return [words]
 
@@ -292,3 +292,8 @@ def _doubts(laws: tuple[float, str], moved: float, left_out: float) -> list[str]
             "be simulated from their states."
         )
     return said
+
+
+def _percent(part: float) -> str:
+    """Return a part in per cent: two digits, and no more than 1000 %, beyond which a number tells nothing."""
+    return "1000 % and more" if part > 10.0 else f"{float(f'{100.0 * part:.2g}'):g} %"
