@@ -180,7 +180,7 @@ def explained(recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit,
         least, words = skewed, _skew(float(np.sqrt(scale)), float(np.degrees(angle)))
     if least > BETTER * (min(declared, skewed) if named else declared) or least > FITS:
         return ""
-    before = f"{100.0 * declared:.2g} % of the motion" if np.isfinite(declared) else "all of the motion"
+    before = f"{100.0 * declared:.2g} % of the motion" if declared < 0.995 else "all of the motion"
     part = f"{100.0 * least:.2g} % of the motion"
     return f"it fits as if {words}: a short fit leaves {part} then, and {before} as declared."
 
