@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +23,9 @@ for library in (
     "OMP",
 ):  # tests run side by side: threads that wait for each other take most of the time
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell starts what it leaves in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The first example compiles kernels, so a deadline would time the compiler; "ci" draws the same examples in each run.
 settings.register_profile("dev", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -57,7 +57,8 @@ def test_strobe_draws_a_rope_without_an_arm(hanging):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"), [({"count": 1}, "count"), ({"start": 9.0}, "span"), ({"end": np.nan}, "not finite")]
+    ("arguments", "message"),
+    [({"count": 1}, "count"), ({"start": 9.0}, "no part of the run"), ({"end": np.nan}, "not finite")],
 )
 def test_strobe_refuses(short_cast, arguments, message):
     with pytest.raises(InvalidInput, match=message):
@@ -157,8 +158,8 @@ def test_a_film_without_an_arm(hanging, tmp_path):
         ("a.mp4", {"frame_rate": 0}, "frame_rate"),
         ("a.gif", {"frame_rate": 30}, "frame_rate"),
         ("a.gif", {"speed": 0.0}, "speed"),
-        ("a.gif", {"start": 1.0, "end": 0.5}, "span"),
-        ("a.gif", {"end": 99.0}, "span"),
+        ("a.gif", {"start": 1.0, "end": 0.5}, "no part of the run"),
+        ("a.gif", {"end": 99.0}, "no part of the run"),
     ],
 )
 def test_a_film_refuses(short_cast, tmp_path, name, arguments, message):

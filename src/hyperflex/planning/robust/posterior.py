@@ -70,7 +70,7 @@ class RopePosterior:
             factors = {name: float(table["values"][name]) for name in names if name.endswith(":factor")}
             undetermined = _undetermined(names, covariance, table.get("std", {}))
         except (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
-            missing = f"the key {error}" if isinstance(error, KeyError) else "a value of the right kind"
+            missing = f"the key {str(error)[:60]}" if isinstance(error, KeyError) else "a value of the right kind"
             raise InvalidInput(
                 f"the identification in {path} is not whole: it lacks {missing}", fix="Write it again with identify"
             ) from None
