@@ -403,7 +403,8 @@ def sentence(kind: str, rows: list[dict[str, Any]], limits: dict[str, tuple[floa
     warned = np.mean([row.get("warned", False) for row in rows])
     rms = 1e3 * float(np.median([row["rms"] for row in rows if "rms" in row]))
     took = 1e3 * float(np.median([row["seconds"] for row in rows if "seconds" in row]))
-    common = f"{arrived:.1%} converged, {took:.0f} ms a fit with its intervals (median); fit error {rms:.1f} mrad."
+    unit = "mm" if kind in ("scale", "roll") else "mrad"  # places of markers, or angles
+    common = f"{arrived:.1%} converged, {took:.0f} ms a fit with its intervals (median); fit error {rms:.1f} {unit}."
     if kind in limits:
         low, high = limits[kind]
         within_band = "Chance, over all parameters of right models together, leaves"
