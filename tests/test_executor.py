@@ -140,8 +140,8 @@ def test_what_is_no_executor_is_refused() -> None:
 
 
 def test_dask_runs_on_when_a_worker_is_killed(tmp_path: Path) -> None:
-    """A cluster of processes on this machine; skips without Dask."""
-    distributed = pytest.importorskip("distributed")
+    """A cluster of processes on this machine."""
+    distributed = pytest.importorskip("distributed", reason="Dask comes with hyperflex[test]")
     motions = [hf.arm_swings(t_rest=0.3 + 0.02 * k) for k in range(8)]
     given: dict[str, Any] = {"arm": hf.Arm(), "duration": 0.2}
     with (

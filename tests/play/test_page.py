@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import pytest
 
 from hyperflex.play import Folder, PlayServer, Session, Settings
 from tests.planning.known import planned
+from tests.screens import compare
 
 WAIT = "new Promise((done) => {{ const look = () => {} ? done(true) : setTimeout(look, 20); look(); }})"
 
@@ -133,3 +136,35 @@ def test_a_page_that_lost_the_server_says_so_and_finds_it_again(page, server):
     count = page.evaluate("play.counts.frames")
     wait(page, f"play.counts.frames > {count} + 3")
     assert page.complaints == []
+
+
+STATES = {  # what is done, simulated seconds until the picture
+    "hang": (lambda runner: runner.session.hang(), 0.0),
+    "swing": (lambda runner: runner.session.swing(), 3.0),
+    "wound": (lambda runner: runner.act("wind"), 2.0),
+}
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("shape", ["desk", "phone"])
+def test_states_look_as_they_did(browser, server, tmp_path, state, shape):
+    begin, seconds = STATES[state]
+
+    def show():
+        runner = server.runner
+        runner.plan = planned() if state == "wound" else None
+        runner.session.change(asdict(Settings().changed({"links": 12, "speed": 1.0})))
+        runner.session.hang()
+        begin(runner)
+        for _ in range(round(60 * seconds)):
+            runner.session.advance(1.0 / 60.0)
+        runner.paused = True
+        runner.changed()
+
+    browser.open("about:blank")  # nobody looks: nothing moves on
+    server.runner.call(show).result()
+    browser.open(server.address, phone=shape == "phone", dark=state == "swing")
+    wait(browser, "window.play && play.counts.painted > 0")
+    browser.evaluate("new Promise((done) => setTimeout(done, 300))")
+    compare(browser, f"play-{state}-{shape}", tmp_path / "seen.png")
+    assert browser.complaints == []

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import http.client
 import json
+import socket
+import threading
 import time
 from contextlib import ExitStack
 
@@ -303,3 +305,13 @@ def test_a_rope_that_cannot_go_on_stops_and_says_why(server, page, monkeypatch):
     monkeypatch.undo()
     page.ask(button="hang")
     page.see(len(page.frames) + 3)
+
+
+def test_a_connection_that_says_nothing_does_not_keep_the_server(folder):
+    running = PlayServer(Folder(folder), Session(Settings().changed(SMALL)))
+    with socket.create_connection(("127.0.0.1", running.port)):
+        get(running)  # by now it was taken
+        ended = threading.Thread(target=running.close, daemon=True)
+        ended.start()
+        ended.join(PATIENCE / 2)  # without an end of its own it waits for the handshake, 120 s
+        assert not ended.is_alive()

@@ -10,7 +10,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.play.arm_program import MOST_MOVES, ArmProgram
-from hyperflex.play.controls import CONTROLS, Settings
+from hyperflex.play.controls import CONTROLS, CROSSING, FIXED, PUMPING, Settings
 from hyperflex.play.session import MOST_RECORDED, NUMBERS, Session
 
 DT = 1.0 / 60.0
@@ -66,6 +66,26 @@ def test_timings_count_from_the_next_half_turn_on_and_the_arm_goes_where_it_is_s
     session.swing()
     run_for(session, 1.1)  # the half turn, and half of the rest
     assert session.setup.motion.angle([session.t])[0] == pytest.approx(-0.5 * math.pi)
+
+
+def test_half_turns_begin_as_a_rule_says():
+    reached = {}
+    for rule in (CROSSING, PUMPING):
+        session = Session(Settings().changed({**FREE, "rule": rule}))
+        session.swing()
+        run_for(session, 9.0)
+        run = session.recorded().run()
+        reached[rule] = np.abs(run.tip[:, 0]).max()
+        if rule == CROSSING:
+            # each half turn has two ramps, and a rest before it
+            starts = np.array(session.setup.motion.breaks)[:-1:3][1:]
+            x = np.interp(starts[starts < session.t], run.t, run.tip[:, 0])
+            assert x.size >= 3
+            np.testing.assert_allclose(x, 0.0, atol=0.08)  # m: it moves at up to 4 m/s, the samples are 10 ms apart
+    assert reached[PUMPING] > 1.2 * reached[CROSSING]
+    session.change({"rule": FIXED, "t_rest": 0.2})
+    run_for(session, 1.0)
+    assert session.settings.rule == FIXED
 
 
 def test_a_peg_is_put_where_it_is_dragged_but_not_into_the_rope():

@@ -53,6 +53,11 @@ class ArmProgram:
         self._ramps.append(ramp)
         self.angle, self.end = angle, self.end + rest + duration
 
+    @property
+    def made(self) -> int:
+        """Half turns made, as far as the next one's side tells: an even number from -pi/2, else an odd one."""
+        return 2 * len(self._durations) + (self.angle > 0.0)
+
     def next_end(self) -> float:
         """Return where the next half turn through the bottom ends, rad; from elsewhere the arm goes to -pi/2 first."""
         return 0.5 * math.pi if abs(self.angle + 0.5 * math.pi) < 1e-9 else -0.5 * math.pi

@@ -13,7 +13,10 @@ RADIUS = 0.0025  # m, of the rope: the paper's cable
 
 
 class Control(NamedTuple):
-    """A number that can be set: the group it stands in, its words, unit, range and step; a step of 0 is a tick."""
+    """A number that can be set: the group it stands in, its words, unit, range and step; a step of 0 is a tick.
+
+    With `choices` it is the number of one of them, from 0 on.
+    """
 
     group: str
     words: str
@@ -21,7 +24,11 @@ class Control(NamedTuple):
     low: float
     high: float
     step: float
+    choices: tuple[str, ...] = ()
 
+
+FIXED, CROSSING, PUMPING = range(3)
+RULES = ("after a fixed rest", "as the tip crosses the middle", "when it drives the swing most")
 
 CONTROLS = {
     "length": Control("Rope", "length", "m", 0.2, 5.0, 0.05),
@@ -31,7 +38,8 @@ CONTROLS = {
     "arm_length": Control("Arm", "length", "m", 0.01, 1.0, 0.005),
     "arm_angle": Control("Arm", "angle to hold", "degrees", -180.0, 180.0, 1.0),
     "t_move": Control("Swing", "time of a half turn", "s", 0.2, 2.0, 0.01),
-    "t_rest": Control("Swing", "rest after it", "s", 0.0, 2.0, 0.01),
+    "rule": Control("Swing", "the next one begins", "", 0, len(RULES) - 1, 1, RULES),
+    "t_rest": Control("Swing", "fixed rest", "s", 0.0, 2.0, 0.01),
     "target_x": Control("Target", "x", "m", -6.0, 6.0, 0.01),
     "target_y": Control("Target", "y", "m", -6.0, 6.0, 0.01),
     "target_radius": Control("Target", "radius", "m", 0.005, 0.3, 0.005),
@@ -55,6 +63,7 @@ class Settings:
     arm_length: float = 0.105
     arm_angle: float = -90.0
     t_move: float = 0.73
+    rule: float = FIXED
     t_rest: float = 0.53
     target_x: float = -0.83
     target_y: float = -1.07

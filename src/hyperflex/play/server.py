@@ -5,6 +5,7 @@ import contextlib
 import json
 import threading
 import traceback
+import weakref
 from collections.abc import Sequence
 from http import HTTPStatus
 from types import TracebackType
@@ -30,6 +31,7 @@ _SECURITY = (
     "frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
 )
 _START, _ANSWER = 30.0, 120.0  # s that it may take to listen, and to make a page
+_FAREWELL = 1.0  # s that connections may take to close
 
 
 class PlayServer:
@@ -111,12 +113,20 @@ class PlayServer:
 
     async def _listen(self) -> None:
         host, port = self._wanted
+        connections = weakref.WeakSet[ServerConnection]()
+
+        class Connection(ServerConnection):
+            def connection_made(self, transport: asyncio.BaseTransport) -> None:
+                super().connection_made(transport)
+                connections.add(self)
+
         try:
             server = await serve(
                 self._talk,
                 host,
                 port,
                 process_request=self._answer,
+                create_connection=Connection,
                 open_timeout=_ANSWER,
                 compression=None,
                 max_size=LARGEST,
@@ -126,8 +136,16 @@ class PlayServer:
             return
         self.port = int(next(iter(server.sockets)).getsockname()[1])
         self._ready.set()
-        async with server:
-            await self._end.wait()
+        await self._end.wait()
+        server.close()
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(server.wait_closed(), _FAREWELL)
+        for connection in connections:  # browsers open some and say nothing
+            connection.transport.abort()
+        left = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in left:
+            task.cancel()
+        await asyncio.gather(*left, return_exceptions=True)
 
     def _tell(self) -> None:
         """Wake all who send; of the runner's thread."""

@@ -10,9 +10,10 @@ import numpy as np
 
 from hyperflex import control
 from hyperflex.errors import InvalidInput
+from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Peg, Rope, Setup
 from hyperflex.play.arm_program import ArmProgram
-from hyperflex.play.controls import Settings
+from hyperflex.play.controls import CROSSING, FIXED, Settings
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import State, Trajectory
 from hyperflex.winding import rope_tension, turns
@@ -61,6 +62,7 @@ class Session:
         self.activity, self.t, self._begun = "hang", 0.0, 0.0
         self._program: ArmProgram | None = None  # None: the motion is that of a whole set-up
         self._goal: float | None = None  # rad, where the arm is to go when it rests
+        self._next: float | None = None  # s, when the next half turn begins, once a rule has said so
         self._state: State | None = None
         self._origin: State | None = None
         self._tensions: deque[float] = deque(maxlen=_MEDIAN)
@@ -86,7 +88,7 @@ class Session:
         if self._program is None:
             self.hang()
         self.activity = "hang" if self.activity == "swing" else "swing"
-        self._goal = None
+        self._goal = self._next = None
         self.version += 1
 
     def play(self, setup: Setup, activity: str, skip: float = 0.0) -> None:
@@ -103,6 +105,7 @@ class Session:
     def change(self, values: Mapping[str, object]) -> None:
         """Set what the page can set. InvalidInput leaves all as it was."""
         before, self.settings = self.settings, self.settings.changed(values)
+        self._next = None
         try:
             if any(name in values for name in _ROPE):
                 given, self._given, swings = self._given, None, self.activity == "swing"
@@ -163,7 +166,7 @@ class Session:
         run = simulate(setup, duration=1e-6, t_eval=[0.0])
         self.setup, self.activity, self._program = setup, activity, program
         self.t, self._begun, self._run = 0.0, 0.0, run
-        self._state = self._origin = self._goal = None
+        self._state = self._origin = self._goal = self._next = None
         self._tensions.clear()
         self.version += 1
 
@@ -174,8 +177,7 @@ class Session:
 
     def _decide(self, program: ArmProgram, until: float) -> None:
         """Decide the next move of the arm, if it begins before a time."""
-        rest = self.settings.t_rest if self.activity == "swing" and program.begun else 0.0
-        start = max(self.t, program.end + rest)
+        start = max(self.t, self._start(program))
         wanted = self.activity == "swing" or (self._goal is not None and self._goal != program.angle)
         if start >= until or not wanted:
             return
@@ -184,10 +186,27 @@ class Session:
             self._record_from_here()
         if self.activity == "swing":
             program.move(program.next_end(), start, self.settings.t_move)
+            self._next = None
         elif self._goal is not None:
             durations, ramps = self.settings.limits.fastest_moves([self._goal - program.angle])
             program.move(self._goal, start, float(durations[0]), float(ramps[0]))
         self.setup = self.setup.replace(motion=program.motion)
+
+    def _start(self, program: ArmProgram) -> float:
+        """Return when the next move begins, s, as the settings say; inf while a rule cannot tell, for the arm moves."""
+        if self.activity != "swing" or not program.begun:
+            return program.end
+        if self.settings.rule == FIXED:
+            return program.end + self.settings.t_rest
+        if self._next is None:
+            if self._state is None or self.t < program.end:
+                return math.inf
+            model = control.SwingModel(self.rope, self.arm, self.settings.t_move)
+            rule: control.Rule = control.CrossingRule(model)
+            if self.settings.rule != CROSSING:
+                rule = control.PumpingRule(model, self.rope.total_length + self.arm.length)
+            self._next = rule.next_start(RopeState(self.t, self._state.q, self._state.qd), program.made)
+        return self._next
 
     def _pegs(self) -> tuple[Peg, ...]:
         return (self.settings.target,) if self.settings.target_solid else ()
