@@ -144,7 +144,7 @@ def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
     assert verdict == events.EVENT
     assert at <= taken + 1e-15
     assert taken - at <= 1.01 * stick.INSTANT + 4e-16 / abs(slope(at))  # and the rounding of the margin itself
-    assert attempts <= 16  # halving alone would take 43
+    assert attempts <= 11  # halving alone would take 43
 
 
 def test_a_dip_before_another_joint_s_event_is_found() -> None:

@@ -1,5 +1,7 @@
 """The outcome of a rollout: energy check, errors with advice, and the Trajectory."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from hyperflex.checks import Array
@@ -41,22 +43,23 @@ def conclude(run: Rollout, setup: Setup, code: int, name: str, *, throw: bool, s
     nobody asked for. With `throw` a failure is raised instead of the part that holds being returned.
     """
     message = "" if name == "ok" else str(failure(code, run)) if code != status.RUNNING else f"at t = {run.time:g} s"
-    good, bad_time = _balanced_rows(run, setup)
+    seen = _observe(run)
+    good, bad_time = _balanced_rows(run, setup, seen)
     failed = code not in (status.OK, status.RUNNING)
     if bad_time is not None and not (failed and good == 0):
         error = _unbalanced(bad_time)
         if throw:
             raise error
-        return _trajectory(run, setup, skip, good, error.status, str(error), _state_at(run, setup, good))
+        return _trajectory(run, setup, seen, skip, good, error.status, str(error), _state_at(run, setup, good))
     if failed and throw:
         raise failure(code, run)
     state = _state_at(run, setup, good) if failed else final_state(run, setup)
-    return _trajectory(run, setup, skip, good, name, message, state)
+    return _trajectory(run, setup, seen, skip, good, name, message, state)
 
 
 def refuse_unbalanced(run: Rollout, setup: Setup) -> None:
     """Raise if the energy balance of a finished run does not hold."""
-    _, bad_time = _balanced_rows(run, setup)
+    _, bad_time = _balanced_rows(run, setup, _observe(run))
     if bad_time is not None:
         raise _unbalanced(bad_time)
 
@@ -67,28 +70,41 @@ def _unbalanced(time: float) -> SimulationError:
     return SimulationError(message, status=name, time=time)
 
 
-def _balanced_rows(run: Rollout, setup: Setup) -> tuple[int, float | None]:
+class _Seen(NamedTuple):
+    """What a run looks like at its outputs and, in the last row, where it ended; see ``dense_output.observe``."""
+
+    y: Array  # (T + 1, 2 n + 2)
+    qdd: Array  # (T + 1, n)
+    base: Array  # (T + 1, 9)
+    scalars: Array  # (T + 1, 5)
+
+
+def _balanced_rows(run: Rollout, setup: Setup, seen: _Seen) -> tuple[int, float | None]:
     """Number of leading output rows whose energy balance holds, and the time of the first state for which it fails."""
+    n, y = run.chain.length.size, seen.y
+    kinetic, potential, work, lost = *seen.scalars[:, :2].T, *y[:, 2 * n :].T
+    if run.seen is not None and run.spin is not None:
+        rates = np.concatenate([split_samples(run.seen[: run.done], n).spin, run.spin[None]])[:, 1]
+        kinetic = kinetic + spin_energy(setup, rates)
+    floor, count = least_scale(setup.rope), y.shape[0]
+    good = int(balanced(floor, kinetic, potential, 0.0, work, lost))
+    if good < count:  # what is held may explain it, see there
+        good = int(balanced(floor, kinetic, potential, stored(run.chain, y[:, :n]), work, lost))
+    return min(good, run.done), None if good == count else float(np.append(run.t[: run.done], run.time)[good])
+
+
+def _observe(run: Rollout) -> _Seen:
+    """Observe a run at its outputs and where it ended; Ctrl-C is looked at now and then."""
     n = run.chain.length.size
     t = np.append(run.t[: run.done], run.time)
     y = np.concatenate([run.y[: run.done], run.progress.y[None]])
-    scalars = np.empty((t.size, 5))
-    _observe(run, t, y, np.empty((t.size, n)), np.empty((t.size, 9)), scalars)
-    held = stored(run.chain, y[:, :n])
-    if run.seen is not None and run.spin is not None:
-        rates = np.concatenate([split_samples(run.seen[: run.done], n).spin, run.spin[None]])[:, 1]
-        scalars[:, 0] += spin_energy(setup, rates)
-    good = int(balanced(least_scale(setup.rope), scalars[:, 0], scalars[:, 1], held, y[:, 2 * n], y[:, 2 * n + 1]))
-    return min(good, run.done), None if good == t.size else float(t[good])
-
-
-def _observe(run: Rollout, t: Array, y: Array, *seen: Array) -> None:
-    """Fill in what is `seen` at given states, see ``dense_output.observe``; Ctrl-C is looked at now and then."""
+    seen = _Seen(y, np.empty((t.size, n)), np.empty((t.size, 9)), np.empty((t.size, 5)))
     at_once = max(1, AT_ONCE // y.shape[1])
     for first in range(0, t.size, at_once):
         rows = slice(first, first + at_once)
         look()
-        output.observe(run.chain, run.drive, t[rows], y[rows], *(each[rows] for each in seen))
+        output.observe(run.chain, run.drive, t[rows], y[rows], *(each[rows] for each in seen[1:]))
+    return seen
 
 
 def _state_at(run: Rollout, setup: Setup, count: int) -> State:
@@ -98,15 +114,15 @@ def _state_at(run: Rollout, setup: Setup, count: int) -> State:
     return state_of(run, setup, run.y[row], starting_clock(float(run.t[row])), spin)
 
 
-def _trajectory(run: Rollout, setup: Setup, skip: int, count: int, name: str, message: str, state: State) -> Trajectory:
+def _trajectory(
+    run: Rollout, setup: Setup, seen: _Seen, skip: int, count: int, name: str, message: str, state: State
+) -> Trajectory:
     """Trajectory of the output rows skip..count - 1."""
     n = run.chain.length.size
     t, y = run.t[skip:count], run.y[skip:count]
-    count = t.size
-    qdd, base, scalars = np.empty((count, n)), np.empty((count, 9)), np.empty((count, 5))
-    _observe(run, t, y, qdd, base, scalars)
+    qdd, base, scalars = (each[skip:count] for each in seen[1:])
     q, qd = y[:, :n], y[:, n : 2 * n]
-    contact = None if run.seen is None else split_samples(run.seen[skip : skip + count], n)
+    contact = None if run.seen is None else split_samples(run.seen[skip:count], n)
     if contact is not None:  # in free flight what (1) gives stands
         touched = ~contact.free
         qdd[touched], scalars[touched, 2:] = contact.qdd[touched], contact.load[touched]

@@ -116,6 +116,14 @@ def is_past(locked, margin, i):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
+def fall(locked, search, i, step):  # type: ignore[no-untyped-def]
+    """How fast margin i falls at the end of an attempt of the length `step`, s: by its slope, else by the secant."""
+    if locked[i] == 0.0:
+        return -search.here[1, i]
+    return (search.low[0, i] - search.here[0, i]) / (step - search.span[LOW])
+
+
+@non_allocating
 def first_past(locked, margin):  # type: ignore[no-untyped-def]
     """Return the first margin that says that its event has happened, -1: none."""
     for i in range(locked.size):
@@ -140,8 +148,8 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
     Notes
     -----
     A step of QUICK or less hides nothing: its course would be rounding. The span shrinks by the cubics' zeros, for
-    stuck joints by the Illinois rule, in the end by halving. A step that ends at an event ends on its far side, within
-    INSTANT.
+    stuck joints by the rule of Anderson and Bjorck (1973), in the end by halving. A step that ends at an event ends on
+    its far side, within INSTANT: attempts aim at the middle of that.
     """
     span = search.span
     span[TRIES] += 1.0
@@ -150,7 +158,7 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
     for i in range(locked.size):
         if is_past(locked, search.here, i):
             over = True
-            near = near and locked[i] == 0.0 and search.here[0, i] >= INSTANT * search.here[1, i]
+            near = near and search.here[0, i] >= -INSTANT * fall(locked, search, i, step)
     clear = not over and span[HIGH] == np.inf
     ends = clear or (over and (near or step - span[LOW] <= INSTANT or span[TRIES] > 2 * MAX_ATTEMPTS))
     at = step
@@ -164,9 +172,11 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
     side = 1.0 if over else -1.0
     kept = search.low if over else search.high
     if side == span[SIDE]:
+        replaced = search.high if over else search.low
         for i in range(locked.size):
             if locked[i] == 1.0:
-                kept[0, i] *= 0.5
+                left = 1.0 - search.here[0, i] / replaced[0, i] if abs(replaced[0, i]) > 0.0 else 0.5
+                kept[0, i] *= left if left > 0.0 else 0.5
     span[SIDE] = side
     if over:
         span[HIGH] = step
@@ -197,4 +207,4 @@ def estimate_event_time(locked, search):  # type: ignore[no-untyped-def]
             at = min(at, x)
     if span[TRIES] > MAX_ATTEMPTS:
         at = 0.5
-    return min(max(span[LOW] + at * length, span[LOW] + 0.9 * INSTANT), span[HIGH] - 0.9 * INSTANT)
+    return min(max(span[LOW] + at * length + 0.45 * INSTANT, span[LOW] + 0.9 * INSTANT), span[HIGH] - 0.9 * INSTANT)
