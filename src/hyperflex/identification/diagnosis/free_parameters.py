@@ -48,8 +48,8 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
             break
         with caught() as stop:
             richer = fit([*trial.free, asked[0].name])
-        if stop.met or (richer.basis.fit.interrupted and not richer.basis.fit.converged):
-            trial.basis.fit.interrupted = True  # what has converged is worth more
+        if stop.met or richer.basis.fit.interrupted:
+            trial.basis.fit.interrupted = True  # what has converged and was tested is worth more
             break
         if not richer.basis.fit.converged:
             break

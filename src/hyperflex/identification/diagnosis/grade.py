@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hyperflex.identification.diagnosis.link_test import LINKS
-from hyperflex.identification.diagnosis.score_tests import MOVES, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EXPLAINS, MOVES, ScoreTest
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.model import Rope
@@ -98,18 +98,14 @@ def grade(
     left_out : float
         Part of the windows that was left out.
     """
-    wrong = [*_impossible(rope), *misdeclared(tests), *(each for each in warnings if each), *_mispredicted(held_out)]
-    suspicion, doubts = (
-        [*_coarse(tests), *_turned(turned), *_slightly(tests), *_untested(tests)],
-        _doubts(laws, moved, left_out),
-    )
+    odd = [*(each for each in warnings if each), *_mispredicted(held_out)]
+    links, coarse = _finer(tests, odd=bool(odd))
+    wrong = [*_impossible(rope), *links, *misdeclared(tests), *odd]
+    suspicion = [*coarse, *_turned(turned), *_slightly(tests), *_untested(tests)]
+    doubts = _doubts(laws, moved, left_out)
     if hardly:
-        verb = "is" if len(hardly) == 1 else "are"
-        more = f" and {len(hardly) - NAMED} more" if len(hardly) > NAMED else ""
-        suspicion.append(
-            f"{', '.join(hardly[:NAMED])}{more} {verb} hardly known: the standard deviation is half of the value or "
-            "more."
-        )
+        rest = "" if wrong else ", all else is" if identifiable else ", all other ratios are"
+        suspicion.append(_not_known(hardly) + f"{rest}.")
     if noise:
         suspicion.insert(0, noise)
     if wrong:
@@ -146,6 +142,12 @@ def _impossible(rope: Rope) -> list[str]:
         )
         return [words]
     return []
+
+
+def _not_known(hardly: Sequence[str]) -> str:
+    names = ", ".join(hardly[:NAMED]) + (f" and {len(hardly) - NAMED} more" if len(hardly) > NAMED else "")
+    verb = "is" if len(hardly) == 1 else "are"
+    return f"{names} {verb} not known (the standard deviation is half of the value or more)"
 
 
 def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
@@ -253,16 +255,16 @@ def _untested(tests: Sequence[ScoreTest]) -> list[str]:
     return [words] if scale.sway > 0.0 else []
 
 
-def _coarse(tests: Sequence[ScoreTest]) -> list[str]:
-    """Return that links are too long for the rope that was recorded."""
-    each = next((each for each in tests if each.name == LINKS), None)
-    if each is None or each.sway == 0.0 or each.surplus < LIKELY:
-        return []
-    words = (
-        f"use more links: this looks like a rope of finer links (probability {100.0 * each.surplus:.3g} %), and a fit "
-        f"of so few to such a one is off by up to {_percent(each.sway)} of a value. Standard deviations hold that."
-    )
-    return [words]
+def _finer(tests: Sequence[ScoreTest], *, odd: bool) -> tuple[list[str], list[str]]:
+    """Return that links are too long: as the cause of an `odd` fit, or as a suspicion."""
+    each = next((each for each in tests if each.name == LINKS and each.surplus >= LIKELY), None)
+    if each is None:
+        return [], []
+    words = f"use more links: this looks like a rope of finer links (probability {100.0 * each.surplus:.3g} %)"
+    if odd and each.gain >= max(EXPLAINS, *(other.gain for other in tests)):
+        return [f"{words}, which takes away {100.0 * each.gain:.3g} % of the residuals' sum of squares."], []
+    off = f"a fit of so few to such a one is off by up to {_percent(each.sway)} of a value"
+    return [], [f"{words}, and {off}. Standard deviations hold that."] * (each.sway > 0.0)
 
 
 def _turned(angle: float) -> list[str]:
