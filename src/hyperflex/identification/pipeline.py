@@ -18,6 +18,7 @@ from hyperflex.identification.diagnosis.grade import misdeclared
 from hyperflex.identification.diagnosis.link_test import link_test
 from hyperflex.identification.diagnosis.model_error import with_model_error
 from hyperflex.identification.diagnosis.score_tests import LENGTHS, ScoreTest, score_tests, with_sway
+from hyperflex.identification.diagnosis.window_tests import Scatter, drift_test, scatter_test, window_scores
 from hyperflex.identification.ending import INTERRUPTED, OUT_OF_TIME
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
@@ -247,25 +248,32 @@ class _Problem:
         check_memory(plant, self.fitted, length)
         found, windows, settings = fit_in_stages(plant, self.fitted, length, usual, self.report, self.loss)
         tests: tuple[ScoreTest, ...] = ()
+        scores = None
         basis = Basis(plant, windows, found, fit_information(plant, windows, found))
         with caught() as stop:  # what was fitted is worth more than its tests
             if found.converged and not found.interrupted:
                 tests = score_tests(basis)
+                scores = window_scores(basis)
+                tests = tuple(sorted((*tests, *drift_test(basis, scores)), key=lambda each: -each.gain))
         found.interrupted = found.interrupted or stop.met
-        return Trial(list(free), basis, tests, settings | delay)
+        return Trial(list(free), basis, tests, settings | delay, scores)
 
     def judged(self, trial: Trial) -> Trial:
         """Return a trial with the test of its links, and with what the model leaves out in its covariance."""
         basis, tests, found = trial.basis, trial.tests, trial.basis.fit
+        scatter: tuple[Scatter, ...] = ()
         if tests:
             basis = with_model_error(trial.basis, tests, self.length_std)  # what stands if the next test is interrupted
         with caught() as stop:
             if found.converged and not found.interrupted:
                 tests = (*tests, *link_test(trial.basis))
                 basis = with_model_error(trial.basis, tests, self.length_std)
+                scatter, covariance = scatter_test(trial.basis, trial.scores)
+                if scatter:
+                    basis = with_model_error(trial.basis, tests, self.length_std, covariance)
             tests = with_sway(basis, tests)
         found.interrupted = found.interrupted or stop.met
-        return trial._replace(basis=basis, tests=tests)
+        return trial._replace(basis=basis, tests=tests, scatter=scatter)
 
     def complete(self, trial: Trial, intervals: How | None, remark: str, began: float) -> Identification:
         """Return a fit as a result, with intervals, predictions of what was held out, and a grade."""
@@ -289,13 +297,13 @@ class _Problem:
         lengths = "" if self.arc_lengths is not None else other_lengths(self.recording, self.guess)
         with caught() as stop:
             with deferred():
-                result = assemble_result(basis, held_out, settings, lengths, ranges, tests, self._early)
+                result = assemble_result(basis, held_out, settings, lengths, ranges, tests, trial.scatter, self._early)
             if not found.interrupted:
                 result = self._doubted(result, trial)
         if stop.met:
             found.interrupted = True
-            result = assemble_result(basis, held_out, settings, lengths, ranges, tests, self._early)
-        return result.with_remark(remark) if remark else result
+            result = assemble_result(basis, held_out, settings, lengths, ranges, tests, trial.scatter, self._early)
+        return result.with_remark(remark)
 
     def _doubted(self, result: Identification, trial: Trial) -> Identification:
         """Return a result with what looks wrong in what was declared of the recording, as far as short fits tell."""

@@ -159,6 +159,13 @@ def uneven_scale(recording: Recording) -> str:
     )
 
 
+def held_words(held: Sequence[str]) -> str:
+    """Return that what was held has no standard deviation, or nothing."""
+    if not held:
+        return ""
+    return f"Held as given, so a standard deviation of 0 is no accuracy: {', '.join(held)}."
+
+
 def failed_predictions(held_out: HeldOut | None) -> str:
     """Return a warning where held-out stretches could not be predicted."""
     if held_out is None or held_out.failed.size == 0:

@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import FEW, LAWS, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, FEW, LAWS, ScoreTest
+from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter, WindowScores
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.interruption import caught
 from hyperflex.model import Rope
@@ -26,12 +27,14 @@ def first_choice(guess: Rope) -> list[str]:
 
 
 class Trial(NamedTuple):
-    """A fit with what was free in it, its score tests, and the settings that it used."""
+    """A fit with what was free in it, its score tests, the settings that it used, and how its windows agree."""
 
     free: list[str]
     basis: Basis
     tests: tuple[ScoreTest, ...]
     settings: dict[str, Any]
+    scores: WindowScores | None = None
+    scatter: tuple[Scatter, ...] = ()
 
 
 def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tuple[Trial, str]:
@@ -43,7 +46,8 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
     trial, why = fit(first_choice(guess)), []
     usual = ", ".join(trial.free)
     for _ in range(MOST):
-        asked = [each for each in trial.tests if _asked(each)]
+        drift = max((each.gain for each in trial.tests if each.name == DRIFT and each.believed), default=0.0)
+        asked = [each for each in trial.tests if _asked(each) and each.gain > drift + EQUAL]
         if not asked or not trial.basis.fit.converged or trial.basis.fit.interrupted:
             break
         with caught() as stop:

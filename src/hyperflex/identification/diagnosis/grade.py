@@ -6,7 +6,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hyperflex.identification.diagnosis.link_test import LINKS
-from hyperflex.identification.diagnosis.score_tests import EXPLAINS, MOVES, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, MOVES, ScoreTest
+from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.model import Rope
@@ -24,6 +25,7 @@ NAMED = 4  # labels of what is hardly known
 LIKELY = 0.5  # probability
 LEFT_OUT = 0.2  # part of the windows
 REACH = 2.0  # of a link's length, to which its mass may reach: real links have counterweights
+MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
 MEANT = {"gravity_scale": "times or lengths", "gravity_angle": "the zero of the angles", "delay": "the motion"}
 
@@ -63,6 +65,7 @@ def grade(
     tests: Sequence[ScoreTest],
     *,
     identifiable: bool,
+    scatter: Sequence[Scatter] = (),
     noise: str = "",
     scale: str = "",
     laws: tuple[float, str] = (0.0, ""),
@@ -83,6 +86,8 @@ def grade(
     tests : sequence of ScoreTest
     identifiable : bool
         Whether all free parameters are known.
+    scatter : sequence of Scatter
+        Ratios of which windows disagree.
     noise : str
         A doubt of the declared noise.
     scale : str
@@ -98,11 +103,12 @@ def grade(
     left_out : float
         Part of the windows that was left out.
     """
-    odd = [*(each for each in warnings if each), *_mispredicted(held_out)]
+    disagree, differ = _disagreeing(scatter)
+    odd = [*(each for each in warnings if each), *_mispredicted(held_out), *disagree]
     links, coarse = _finer(tests, odd=bool(odd))
     wrong = [*_impossible(rope), *links, *misdeclared(tests), *odd]
-    suspicion = [*coarse, *_turned(turned), *_slightly(tests), *_untested(tests)]
-    doubts = _doubts(laws, moved, left_out)
+    suspicion = [*coarse, *_turned(turned), *_slightly(tests), *differ, *_untested(tests)]
+    doubts = [*_doubts(laws, moved, left_out), *_changing(scatter)]
     if hardly:
         rest = "" if wrong else ", all else is" if identifiable else ", all other ratios are"
         suspicion.append(_not_known(hardly) + f"{rest}.")
@@ -155,7 +161,7 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
     believed = [each for each in tests if each.believed and each.matters]
     if not believed:
         return []
-    first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - 0.05]
+    first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - EQUAL]
     part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
     if first.beside:
         part += f" that is left with {' and '.join(repr(name) for name in first.beside)} free"
@@ -172,6 +178,12 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
         said = (
             f"the zero of the angles is off by {np.degrees(value):.3g} degrees: without that, {part} go away. Check "
             "the zero, level the camera, or put 'gravity_angle' into free."
+        )
+    elif first.name == DRIFT:
+        said = (
+            f"the clock drifts, or something changes over the recording: {part} go away if times run "
+            f"{_percent(0.5 * abs(value))} {'slower' if value < 0.0 else 'faster'} at its end than at its beginning. "
+            "Check the time stamps, or fit parts of the recording on their own."
         )
     elif first.name == "delay":
         said = f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free."
@@ -199,6 +211,11 @@ def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
                 f"residuals' sum of squares go away, and ratios move by up to {_percent(each.moved)}. Standard "
                 "deviations hold that."
+            )
+        if each.believed and not each.matters and each.name == DRIFT:
+            said.append(
+                f"the clock seems to drift by {_percent(0.5 * abs(float(each.values[0])))} over the recording; ratios "
+                f"would move by up to {_percent(each.moved)}. Standard deviations hold that."
             )
         if not each.believed or each.matters or each.name not in ("gravity_angle", "delay"):
             continue
@@ -235,6 +252,34 @@ def _mispredicted(held_out: HeldOut | None) -> list[str]:
             "leaves something out, or the recording is not as declared, and intervals are far too small."
         )
     return [words] if words else []
+
+
+def _disagreeing(scatter: Sequence[Scatter]) -> tuple[list[str], list[str]]:
+    """Return that windows disagree: as what makes a result wrong, or, where it is little, as a suspicion.
+
+    Frictions that change are told among the doubts, as a model error.
+    """
+    first = next((each for each in scatter if each.label.startswith(MASSES)), None)
+    if first is None:
+        return [], []
+    words = (
+        f"windows disagree: {first.label} scatters between them {first.times:.2g} times as much as noise makes it, "
+        f"with a standard deviation of {_percent(first.part)}. Something changes over the recording, or was left "
+        "out: fit parts on their own."
+    )
+    return ([words], []) if first.part > MOVES else ([], [f"{words} Standard deviations hold that."])
+
+
+def _changing(scatter: Sequence[Scatter]) -> list[str]:
+    """Return that frictions or other resistances differ between windows."""
+    first = next((each for each in scatter if not each.label.startswith(MASSES)), None)
+    if first is None:
+        return []
+    words = (
+        f"{first.label} scatters between windows {first.times:.2g} times as much as noise makes it, with a standard "
+        f"deviation of {_percent(first.part)}: resistance changes, or is of another kind. Standard deviations hold it."
+    )
+    return [words]
 
 
 def _untested(tests: Sequence[ScoreTest]) -> list[str]:

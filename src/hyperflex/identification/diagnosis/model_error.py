@@ -16,7 +16,9 @@ ASKED = 0.67  # of a gain that noise does not explain: three times what chance g
 FLOOR = 5e-4  # relative: no clock, length or weight of a real rope is known better; 0.06 % was seen of a good pendulum
 
 
-def with_model_error(basis: Basis, tests: Sequence[ScoreTest], length_std: float) -> Basis:
+def with_model_error(
+    basis: Basis, tests: Sequence[ScoreTest], length_std: float, scatter: Array | None = None
+) -> Basis:
     """Return a fit whose information counts what the model leaves out, and errors of lengths, beside noise.
 
     Links that are too long, and each resistance that was left out and that the data ask for, would move the parameters
@@ -24,7 +26,7 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], length_std: float
     gains. Where residuals are white, or much goes away, everything else that was held or declared counts as well; where
     they are not, a wrong clock, say, gains by what the model leaves out, and no value is taken as known better than
     FLOOR. All lengths may be off by one factor, of the relative standard deviation `length_std`, as far as the motion
-    does not tell it.
+    does not tell it. `scatter` (P, P) is what windows that disagree show.
     """
     information, x = basis.information, basis.fit.x
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
@@ -38,6 +40,8 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], length_std: float
             model += each.surplus * np.outer(each.shift, each.shift)
     if not white:
         model += np.diag(_floor(basis.plant.parameters, x) ** 2)
+    if scatter is not None:
+        model += scatter
     lengths = next((each for each in tests if each.name == LENGTHS), None)
     stretch = 0.0 if lengths is None else _stretch(lengths, length_std, white=white)
     by_length = np.zeros(x.size) if lengths is None else stretch * lengths.rate[:, 0]

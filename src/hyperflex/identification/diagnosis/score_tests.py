@@ -30,6 +30,7 @@ LAWS = tuple(each.name for each in RESISTANCES)
 SURE = 0.93  # the same of white residuals, from which something does not fit: 14 times what chance gains
 EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much is believed
 PER_CENT = 0.01
+EQUAL = 0.05  # of a gain: those that differ by less explain the same
 MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
 TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
 FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
@@ -47,8 +48,8 @@ class ScoreTest:
     Attributes
     ----------
     name : str
-        As in ``free``: ``com``, or ``gravity_scale``, which a wrong clock or wrong lengths move; ``links``, which may
-        be too long.
+        As in ``free``: ``com``, or ``gravity_scale``, which a wrong clock or wrong lengths move; ``clock_drift``, by
+        which gravity seems to grow over the recording; ``links``, which may be too long.
     gain : float
         Part of the residuals' sum of squares that freeing it takes away: by a refit, or to first order.
     values : (k,) float64
@@ -214,7 +215,7 @@ def _words(plant: Plant) -> list[list[str]]:
     return [[each for each in [*whole, *delay, *resistances, *masses, *every] if each not in names], *lengths]
 
 
-def _extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:
+def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:
     """Return the model at x (P,) with more free parameters, its x, and these word by word; words that fail are out."""
     rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), []
     for word in words:
@@ -229,7 +230,7 @@ def _extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Arra
 
 
 def _tested(basis: Basis, words: Sequence[str]) -> list[ScoreTest]:
-    plant, x, groups = _extended(basis.plant, basis.fit.x, words)
+    plant, x, groups = extended(basis.plant, basis.fit.x, words)
     size, total = x.size, 0.0
     matrix, score = np.zeros((size, size)), np.zeros(size)
     for window, state, residual in zip(basis.windows, basis.fit.states, basis.fit.residuals, strict=True):
@@ -298,7 +299,7 @@ def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
 
 def _freed(basis: Basis, name: str) -> Basis | None:
     """Return a fit of some windows with `name` free as well, and its covariance; None where none converges."""
-    plant, x, _ = _extended(basis.plant, basis.fit.x, [name])
+    plant, x, _ = extended(basis.plant, basis.fit.x, [name])
     windows, states = _some(basis)
     found = _fit(plant, windows, x, states, basis)
     if found is None:
@@ -321,7 +322,7 @@ def _fit(plant: Plant, windows: list[Window], x: Array, states: list[Array], bas
 
 def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     """Return a test with what a fit of some windows says."""
-    plant, x, _ = _extended(basis.plant, basis.fit.x, [test.name])
+    plant, x, _ = extended(basis.plant, basis.fit.x, [test.name])
     windows, states = _some(basis)
     before, after = _fit(basis.plant, windows, basis.fit.x, states, basis), _fit(plant, windows, x, states, basis)
     if before is None or after is None:
