@@ -26,6 +26,7 @@ LIKELY = 0.5  # probability
 LEFT_OUT = 0.2  # part of the windows
 REACH = 2.0  # of a link's length, to which its mass may reach: real links have counterweights
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
+TOLD = ("gravity_angle", "delay")  # believed, these are told with their value even where they hardly matter
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
 MEANT = {"gravity_scale": "times or lengths", "gravity_angle": "the zero of the angles", "delay": "the motion"}
 
@@ -206,7 +207,7 @@ def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}; "
                 f"ratios would move by up to {_percent(each.moved)}."
             )
-        if each.suspected and not each.beside:
+        if (each.suspected or (each.covered and each.name not in (*TOLD, DRIFT))) and not each.beside:
             said.append(
                 f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
                 f"residuals' sum of squares go away, and ratios move by up to {_percent(each.moved)}. Standard "
@@ -217,7 +218,7 @@ def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 f"the clock seems to drift by {_percent(0.5 * abs(float(each.values[0])))} over the recording; ratios "
                 f"would move by up to {_percent(each.moved)}. Standard deviations hold that."
             )
-        if not each.believed or each.matters or each.name not in ("gravity_angle", "delay"):
+        if not each.believed or each.matters or each.name not in TOLD:
             continue
         value, part = float(each.values[0]), f"{100.0 * each.gain:.3g} % of the residuals' sum of squares"
         what = f"the zero of the angles seems off by {np.degrees(value):.2g} degrees"

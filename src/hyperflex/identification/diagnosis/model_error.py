@@ -30,6 +30,7 @@ def with_model_error(
     """
     information, x = basis.information, basis.fit.x
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
+    clock = False
     for each in tests:
         if each.name == LENGTHS:
             continue
@@ -38,27 +39,29 @@ def with_model_error(
         counts = asked and each.surplus > ASKED and not (each.slight and each.beside)
         if counts or each.name == LINKS:  # whose surplus is a probability
             model += each.surplus * np.outer(each.shift, each.shift)
+            clock = clock or each.name == "gravity_scale"
     if not white:
         model += np.diag(_floor(basis.plant.parameters, x) ** 2)
     if scatter is not None:
         model += scatter
     lengths = next((each for each in tests if each.name == LENGTHS), None)
-    stretch = 0.0 if lengths is None else _stretch(lengths, length_std, white=white)
+    stretch = 0.0 if lengths is None else _stretch(lengths, length_std, told=white and not clock)
     by_length = np.zeros(x.size) if lengths is None else stretch * lengths.rate[:, 0]
     return replace(basis, information=replace(information, model=model, lengths=by_length, stretch=stretch))
 
 
-def _stretch(test: ScoreTest, std: float, *, white: bool) -> float:
+def _stretch(test: ScoreTest, std: float, *, told: bool) -> float:
     """Return the standard deviation of a factor of all lengths, known before to `std`, that the data leave.
 
-    About the lengths as they were declared: what `white` residuals say of them, weighted with `std`, counts as an
-    error. Where they are not white that is not the lengths' alone, as with a clock.
+    About the lengths as they were declared: what the data say of them, weighted with `std`, counts as an error if
+    `told`. Not where residuals are not white, for that is not the lengths' alone, nor where gravity's scale counts,
+    which tells the same.
     """
-    told = float(test.values[0])
-    if not (np.isfinite(test.std) and 0.0 < told < np.inf):
+    factor = float(test.values[0])
+    if not (np.isfinite(test.std) and 0.0 < factor < np.inf):
         return std
     weight = std**2 / max(std**2 + test.std**2, 1e-300)
-    return float(np.hypot(np.sqrt(weight) * test.std, weight * np.log(told) * white))
+    return float(np.hypot(np.sqrt(weight) * test.std, weight * np.log(factor) * told))
 
 
 def _floor(parameters: Parameters, x: Array) -> Array:

@@ -32,6 +32,7 @@ EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much
 PER_CENT = 0.01
 EQUAL = 0.05  # of a gain: those that differ by less explain the same
 MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
+COVERED = 2.0  # standard deviations: the 95 % intervals reach so far, and hold smaller moves
 TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
 FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
 LENGTHS = "length:factor"  # of which no refit is made: gravity_scale acts alike, and stands for a wrong clock as well
@@ -56,6 +57,8 @@ class ScoreTest:
         Its values then, SI units.
     moved : float
         Largest relative change of J/p1 and p/p1 that a refit finds; NaN without one.
+    beyond : float
+        The same in standard deviations that noise gives these ratios, the largest.
     std : float
         Greatest standard deviation that they would have.
     shift : (P,) float64
@@ -79,6 +82,7 @@ class ScoreTest:
     gain: float
     values: Array
     moved: float = np.nan
+    beyond: float = np.inf
     std: float = np.inf
     shift: Array = field(default_factory=lambda: np.zeros(0))
     open: Array = field(default_factory=lambda: np.zeros(0))
@@ -94,13 +98,23 @@ class ScoreTest:
         return self.refitted and (self.gain > EXPLAINS or (self.sure and self.surplus > SURE))
 
     @property
+    def possible(self) -> bool:
+        """Whether a recording may be declared so wrongly: no clock is off so far that gravity seems beyond FARTHEST."""
+        return self.name != "gravity_scale" or abs(np.log(max(float(self.values[0]), 1e-9))) <= np.log(FARTHEST)
+
+    @property
     def matters(self) -> bool:
-        """Whether ratios would move by more than is of no account, or gravity turn."""
-        if self.name == "gravity_scale" and abs(np.log(max(float(self.values[0]), 1e-9))) > np.log(FARTHEST):
-            return False  # no clock is so wrong: something else does not fit
-        if self.slight:
+        """Whether ratios would move by more than is of no account and than noise may move them, or gravity turn."""
+        if not self.possible or self.slight:
             return False
-        return self.moved > MOVES or (self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED)
+        if self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED:
+            return True
+        return self.moved > MOVES and self.beyond > COVERED
+
+    @property
+    def covered(self) -> bool:
+        """Whether something else is believed to fit, and moves ratios, but by no more than noise may."""
+        return self.believed and self.possible and not self.slight and self.moved > MOVES and not self.matters
 
     @property
     def suspected(self) -> bool:
@@ -173,8 +187,9 @@ def _refitted_tests(basis: Basis) -> list[ScoreTest]:
     for words in _words(basis.plant):
         found += _tested(basis, words)
     found.sort(key=lambda each: -each.gain)
-    best = [k for k, each in enumerate(found) if each.name != LENGTHS]
-    for k in best[:REFITS]:
+    others = [k for k, each in enumerate(found) if each.name != LENGTHS]
+    turned = [k for k in others[REFITS:] if found[k].name == "gravity_angle"]  # a slip that is easily mended
+    for k in [*others[:REFITS], *turned]:
         each = found[k]
         if each.gain > SUSPECT or each.surplus > SURE:
             found[k] = _refitted(basis, each)
@@ -329,11 +344,15 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
         return replace(test, gain=0.0, surplus=0.0)
     x = plant.parameters.rounded(after.x)
     then, now = ratios(plant.parameters.rope(x)), ratios(basis.plant.parameters.rope(before.x))
-    moved = float(np.max([np.abs(then[name] / now[name] - 1.0) for name in ("J/p1", "p/p1")]))
+    stds, names = ratio_spread(basis.plant.parameters, basis.information), ("J/p1", "p/p1")
+    moved = float(np.max([np.abs(then[name] / now[name] - 1.0) for name in names]))
+    beyond = float(
+        np.max([np.abs(then[name] - now[name]) / np.maximum(stds[name], TINY * now[name]) for name in names])
+    )
     gain = 1.0 - after.cost / before.cost if before.cost > 0.0 else 0.0
     surplus = max(0.0, 1.0 - (1.0 - test.surplus) * test.gain / gain) if gain > 0.0 else 0.0
     values = plant.parameters.values(x)[basis.fit.x.size :]
     sure = basis.information.whiteness >= CHANCE
     if not sure and surplus > SURE:  # what is held may be all that colours the residuals
         sure = estimate_covariance(plant, windows, after).whiteness >= CHANCE
-    return replace(test, gain=gain, values=values, moved=moved, surplus=surplus, sure=sure)
+    return replace(test, gain=gain, values=values, moved=moved, beyond=beyond, surplus=surplus, sure=sure)
