@@ -100,3 +100,9 @@ def test_what_was_held_says_so() -> None:
     assert "Held as given, so a standard deviation of 0 is no accuracy: friction[0], J/p1" in str(found)
     assert found.summary()["held"] == list(found.held)
     assert identified(t, q, DOUBLE, FREE).held == ()
+
+
+def test_a_grade_says_by_itself_whether_axes_may_be_wrong() -> None:
+    assert grade((), DOUBLE, None, (), identifiable=True, turned=1.5).doubtful
+    assert not grade((), DOUBLE, None, (), identifiable=True, turned=0.1).doubtful
+    assert not grade((), DOUBLE, None, (), identifiable=True, noise="gravity is turned").doubtful

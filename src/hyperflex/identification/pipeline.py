@@ -17,7 +17,8 @@ from hyperflex.identification.diagnosis.free_parameters import Trial, choose_par
 from hyperflex.identification.diagnosis.grade import misdeclared
 from hyperflex.identification.diagnosis.link_test import link_test
 from hyperflex.identification.diagnosis.model_error import with_model_error
-from hyperflex.identification.diagnosis.score_tests import LENGTHS, ScoreTest, score_tests, with_sway
+from hyperflex.identification.diagnosis.score_tests import LENGTHS, ScoreTest, score_tests
+from hyperflex.identification.diagnosis.tolerances import with_sway
 from hyperflex.identification.diagnosis.window_tests import Scatter, drift_test, scatter_test, window_scores
 from hyperflex.identification.ending import INTERRUPTED, OUT_OF_TIME
 from hyperflex.identification.excitation import check_excitation

@@ -9,7 +9,7 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.identification.diagnosis.grade import Grade
+from hyperflex.identification.diagnosis.grade import Grade, GradeName
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.ending import Ended
 from hyperflex.identification.prediction import HeldOut
@@ -160,11 +160,15 @@ class Identification(Ended):
 
     def with_reason(self, reason: str) -> "Identification":
         """Return the same, not to be used for one more `reason`, which comes first; unchanged without any."""
-        return self._changed(grade=Grade("do not use", (reason, *self.grade.reasons))) if reason else self
+        return self._graded("do not use", reason)
 
     def with_suspicion(self, reason: str) -> "Identification":
         """Return the same grade with one more `reason`, which comes first; unchanged without any."""
-        return self._changed(grade=Grade(self.grade.name, (reason, *self.grade.reasons))) if reason else self
+        return self._graded(self.grade.name, reason)
+
+    def _graded(self, name: GradeName, reason: str) -> "Identification":
+        reasons = (reason, *self.grade.reasons)
+        return self._changed(grade=self.grade._replace(name=name, reasons=reasons)) if reason else self
 
     def with_remark(self, remark: str, *, last: bool = False) -> "Identification":
         """Return the same with `remark` as the first, or the `last`, sentence of the verdict; unchanged without any."""

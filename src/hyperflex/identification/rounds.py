@@ -39,7 +39,7 @@ def _bar(watched: Any) -> Iterator[Callable[[dict[str, Any]], None]]:
 def part_done(entry: dict[str, Any]) -> float:
     """Return the part of a fit that is done after a round: stages count alike, rounds of a stage less and less."""
     of_stage: float = 1.0 - 0.7 ** (entry["round"] + 1.0)
-    return (entry["stage"] + of_stage) / entry["stages"]
+    return float((entry["stage"] + of_stage) / entry["stages"])
 
 
 def message(entry: dict[str, Any]) -> str:

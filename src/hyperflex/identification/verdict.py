@@ -17,7 +17,7 @@ from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
 CORRELATED = 10.0  # samples
-FEW = 2.0  # independent values; a variance from fewer has no std
+LEAST_FREEDOM = 2.0  # independent values; a variance from fewer has no std
 COLOURED = (
     "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
     "and intervals allow for the first, and for other laws of the joints and of the air, not for more."
@@ -77,7 +77,7 @@ def noise_not_modelled(agrees: bool, freedom: float) -> str:
             "No stationary noise would leave such residuals: standard deviations and intervals take them as they are, "
             "though the fit has absorbed part of them, and may be far too small."
         )
-    if freedom < FEW:
+    if freedom < LEAST_FREEDOM:
         return (
             f"What the fit has left is worth about {freedom:.2g} independent values: standard deviations and intervals "
             "are hardly more than a guess. Record longer, or free fewer parameters."

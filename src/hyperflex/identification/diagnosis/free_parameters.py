@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import EQUAL, FEW, LAWS, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, FEW_LINKS, LAWS, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter, WindowScores
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.interruption import caught
@@ -20,7 +20,7 @@ def first_choice(guess: Rope) -> list[str]:
 
     A rope of many links that are not alike in the guess keeps its taper: what is free is a factor on all.
     """
-    if guess.n_links <= FEW:
+    if guess.n_links <= FEW_LINKS:
         return ["inertia", "friction"]
     words = ["friction", "stiffness"] if guess.stiffness.any() else ["inertia", "friction"]
     return [f"{word}:{'shared' if np.ptp(getattr(guess, word)) == 0.0 else 'factor'}" for word in words]

@@ -18,7 +18,7 @@ TESTED = 0.005  # the same: lengths that are 1 % off show
 NEAR = 0.03  # of a factor by which frame rates are often wrong
 AXES = 0.2  # rad, the same: more than any camera that was meant to be level
 PERSISTENCE = 0.5  # of the error of a prediction that nothing moves on
-UNSURE = 0.1  # of a friction
+FRICTION_MOVES = 0.1  # of a friction: by more than another law would change it, it is called a model error
 INSIDE = 0.5  # part of the predicted values in the band that should hold 95 %
 FORETOLD = 0.9  # the same: the error is as foretold, and what moves is hardly more than noise
 NAMED = 4  # labels of what is hardly known
@@ -40,15 +40,18 @@ class Grade(NamedTuple):
         ``usable``, ``usable for ratios`` (masses, inertias and frictions share an unknown factor), ``do not use``.
     reasons : tuple of str
         Why it is no better, and what else is doubtful; the weightiest first.
+    turned : bool
+        Whether gravity was found so far from where it was taken to be that axes may have been declared wrongly.
     """
 
     name: GradeName
     reasons: tuple[str, ...]
+    turned: bool = False
 
     @property
     def doubtful(self) -> bool:
         """Whether something may have been declared wrongly."""
-        return self.name == "do not use" or any("gravity is turned" in each for each in self.reasons)
+        return self.name == "do not use" or self.turned
 
     @property
     def more(self) -> tuple[str, ...]:
@@ -104,6 +107,7 @@ def grade(
     left_out : float
         Part of the windows that was left out.
     """
+    axes = bool(abs(turned) > AXES)
     disagree, differ = _disagreeing(scatter)
     odd = [*(each for each in warnings if each), *_mispredicted(held_out), *disagree]
     links, coarse = _finer(tests, odd=bool(odd))
@@ -116,15 +120,15 @@ def grade(
     if noise:
         suspicion.insert(0, noise)
     if wrong:
-        return Grade("do not use", (*wrong, *suspicion, *doubts))
+        return Grade("do not use", (*wrong, *suspicion, *doubts), axes)
     if identifiable:
         scaled = [f"masses, inertias and frictions are in proportion to {scale}; no motion tests that."] * bool(scale)
         places = next((each.sway for each in tests if each.name == "com"), 0.0)
         if scale and places > 0.0:
             scaled = [f"{scaled[0][:-1]}, and 1 % of a centre of mass moves ratios by up to {_percent(places)}."]
-        return Grade("usable", (*suspicion, *scaled, *doubts))
+        return Grade("usable", (*suspicion, *scaled, *doubts), axes)
     common = "without a known force or torque, or a mass that is held, values share what this motion cannot tell."
-    return Grade("usable for ratios", (*suspicion, common, *doubts))
+    return Grade("usable for ratios", (*suspicion, common, *doubts), axes)
 
 
 def _impossible(rope: Rope) -> list[str]:
@@ -153,8 +157,9 @@ def _impossible(rope: Rope) -> list[str]:
 
 def _not_known(hardly: Sequence[str]) -> str:
     names = ", ".join(hardly[:NAMED]) + (f" and {len(hardly) - NAMED} more" if len(hardly) > NAMED else "")
-    verb = "is" if len(hardly) == 1 else "are"
-    return f"{names} {verb} not known (the standard deviation is half of the value or more)"
+    return (
+        f"{names} {'is' if len(hardly) == 1 else 'are'} not known (the standard deviation is half of the value or more)"
+    )
 
 
 def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
@@ -213,7 +218,7 @@ def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 f"residuals' sum of squares go away, and ratios move by up to {_percent(each.moved)}. Standard "
                 "deviations hold that."
             )
-        if each.believed and not each.matters and each.name == DRIFT:
+        if each.name == DRIFT and each.refitted and not (each.believed and each.matters):
             said.append(
                 f"the clock seems to drift by {_percent(0.5 * abs(float(each.values[0])))} over the recording; ratios "
                 f"would move by up to {_percent(each.moved)}. Standard deviations hold that."
@@ -315,19 +320,15 @@ def _finer(tests: Sequence[ScoreTest], *, odd: bool) -> tuple[list[str], list[st
 
 def _turned(angle: float) -> list[str]:
     """Return what a gravity far from where it was taken to be makes one suspect."""
-    if abs(angle) <= AXES:
-        return []
-    words = (
-        f"gravity is turned by {np.degrees(angle):.3g} degrees: were zero, y_axis and the order of the axes declared "
-        "as they are?"
-    )
-    return [words]
+    degrees = f"gravity is turned by {np.degrees(angle):.3g} degrees"
+    words = f"{degrees}: were zero, y_axis and the order of the axes declared as they are?"
+    return [words] if abs(angle) > AXES else []
 
 
 def _doubts(laws: tuple[float, str], moved: float, left_out: float) -> list[str]:
     said = []
     part, name = laws
-    if part > UNSURE:
+    if part > FRICTION_MOVES:
         size = f"up to {100.0 * part:.2g} %" if part < 1.0 else "as much as it is"
         said.append(
             "friction is a model error: it stands for all that brakes, and would change by "

@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.diagnosis.score_tests import FEW, ROUNDS, WINDOWS, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import FEW_LINKS, ROUNDS, WINDOWS, ScoreTest
 from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameter
@@ -35,7 +35,7 @@ def link_test(basis: Basis) -> tuple[ScoreTest, ...]:
     """
     plant, x, found = basis.plant, basis.fit.x, basis.fit
     n, parameters = plant.parameters.guess.n_links, plant.parameters.all
-    few, own = n <= FEW, any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")
+    few, own = n <= FEW_LINKS, any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")
     if n == 1 or plant.motor is not None or (basis.information.whiteness >= CHANCE if few else own):
         return ()
     every = -(-len(basis.windows) // WINDOWS)

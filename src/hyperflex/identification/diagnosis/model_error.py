@@ -8,6 +8,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.diagnosis.link_test import LINKS
 from hyperflex.identification.diagnosis.score_tests import LAWS, LENGTHS, ScoreTest
+from hyperflex.identification.diagnosis.window_tests import DRIFT
 from hyperflex.identification.model.parameters import Parameters, lumped
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.whiteness import CHANCE
@@ -35,7 +36,7 @@ def with_model_error(
         if each.name == LENGTHS:
             continue
         law = each.name.partition(":")[0] in LAWS
-        asked = white or law or each.believed or each.suspected
+        asked = white or law or each.believed or each.suspected or each.name == DRIFT  # which has a std of its own
         counts = asked and each.surplus > ASKED and not (each.slight and each.beside)
         if counts or each.name == LINKS:  # whose surplus is a probability
             model += each.surplus * np.outer(each.shift, each.shift)

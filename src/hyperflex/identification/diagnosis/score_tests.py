@@ -16,7 +16,6 @@ from hyperflex.identification.model.scale import Mask
 from hyperflex.identification.uncertainty.covariance import (
     Basis,
     estimate_covariance,
-    ratio_gradients,
     ratio_spread,
     ratios,
 )
@@ -25,18 +24,16 @@ from hyperflex.model import RESISTANCES
 
 SUSPECT = 0.3  # gain from which a refit is made
 REFITS, ROUNDS, WINDOWS = 3, 40, 12  # refits at most, rounds of each, and windows, spread over the recording
-FEW = 4  # links, up to which each has its own value in a test
+FEW_LINKS = 4  # links, up to which each has its own value in a test
 LAWS = tuple(each.name for each in RESISTANCES)
 SURE = 0.93  # the same of white residuals, from which something does not fit: 14 times what chance gains
 EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much is believed
-PER_CENT = 0.01
 EQUAL = 0.05  # of a gain: those that differ by less explain the same
 MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
 COVERED = 2.0  # standard deviations: the 95 % intervals reach so far, and hold smaller moves
 TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
 FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
 LENGTHS = "length:factor"  # of which no refit is made: gravity_scale acts alike, and stands for a wrong clock as well
-HELD = ("gravity_scale", "com")  # what 1 % of is told, as far as the motion cannot test it
 HIDING = 2  # refits that are tested again, each with one thing more freed
 SLIGHT = 0.01  # of lengths: a ruler errs by so much, and one more law that was left out makes them seem so
 TINY = 1e-8  # part of the largest singular value below which a direction is none
@@ -196,31 +193,10 @@ def _refitted_tests(basis: Basis) -> list[ScoreTest]:
     return sorted(found, key=lambda each: -each.gain)
 
 
-def with_sway(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
-    """Return the tests, those of HELD with what 1 % moves beyond standard deviations that count the model's errors."""
-    return tuple(
-        replace(each, sway=_sway(basis, each)) if each.name in HELD and not each.beside else each for each in tests
-    )
-
-
-def _sway(basis: Basis, test: ScoreTest) -> float:
-    """Return by what part 1 % of what was held moves a ratio that is said to be known better; 0 for none."""
-    parameters, information = basis.plant.parameters, basis.information
-    gradients, known = ratio_gradients(parameters, information.x), ratios(parameters.rope(information.x))
-    stds, worst = ratio_spread(parameters, information), 0.0
-    for name in ("J/p1", "p/p1"):
-        size = 1.0 if test.name == "gravity_scale" else np.abs(test.values)
-        moved = np.max(np.abs(gradients[name] @ (test.rate * size)), axis=1) * PER_CENT
-        std = stds[name]
-        beyond = (moved > 2.0 * std) & (std > 0.0)
-        worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
-    return worst
-
-
 def _words(plant: Plant) -> list[list[str]]:
     """Return words for what is held, those that are tested in one linearisation together."""
     rope, names = plant.parameters.guess, {each.name for each in plant.parameters.all}
-    many = rope.n_links > FEW
+    many = rope.n_links > FEW_LINKS
     whole = ["gravity_angle", "gravity_scale"] if np.any(rope.gravity) else []
     resistances = [each.name + (":shared" if many else "") for each in RESISTANCES if each.name not in names]
     masses = [] if many else [each for each in ("mass", "com", "inertia") if each not in names]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.diagnosis.score_tests import ScoreTest, extended
+from hyperflex.identification.diagnosis.score_tests import EXPLAINS, ScoreTest, extended
 from hyperflex.identification.fit.multiple_shooting import linearise
 from hyperflex.identification.uncertainty.covariance import (
     UNKNOWN,
@@ -45,7 +45,7 @@ class WindowScores:
         """Return the inverse (K, K) of the information of all windows about `which` numbers, 0 elsewhere."""
         part, width = np.ix_(which, which), self.widths[which]
         scale = np.outer(width, width)
-        result = np.zeros_like(self.information[0])
+        result: Array = np.zeros(self.information.shape[1:])
         matrix = self.information.sum(axis=0)[part] * scale
         result[part] = np.linalg.pinv(matrix, rcond=SMALL, hermitian=True) * scale
         return result
@@ -82,7 +82,8 @@ def drift_test(basis: Basis, scores: WindowScores | None) -> tuple[ScoreTest, ..
     The derivative of the residuals by the drift is that by gravity's scale times the window's place in the recording,
     -1/2 to 1/2; what is free and the mean scale are eliminated. Its standard deviation is that of the windows' scores
     about the trend (cluster-robust), and that of the noise at least. `values` is the change of gravity from the first
-    window to the last, `moved` what ratios of inertia move by to either side of the middle; NaN where it may be chance.
+    window to the last, `moved` what ratios of inertia move by to either side of the middle; NaN where it may be
+    chance and explains little.
     """
     if scores is None or scores.gravity is None:
         return ()
@@ -107,7 +108,9 @@ def drift_test(basis: Basis, scores: WindowScores | None) -> tuple[ScoreTest, ..
     sure = abs(drift) > max(least * std, BEYOND * noise)
     by_gravity = scores.inverse(scores.free)[:count] @ scores.information.sum(axis=0)[:, gravity]
     test = ScoreTest(DRIFT, gain, np.array([drift]), std=max(std, noise), shift=-0.5 * drift * by_gravity, sure=sure)
-    return (replace(test, moved=0.5 * abs(drift), surplus=1.0 - (test.std / drift) ** 2) if sure else test,)
+    if not (sure or gain > EXPLAINS):
+        return (test,)
+    return (replace(test, moved=0.5 * abs(drift), surplus=max(0.0, 1.0 - (test.std / drift) ** 2)),)
 
 
 class Scatter(NamedTuple):
