@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hyperflex import files
+from hyperflex import files, progress
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import Identification, identify, lumped, ratios
@@ -23,6 +24,7 @@ from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import scaling
 from hyperflex.identification.prediction import HeldOut, predict
+from hyperflex.identification.rounds import message
 from hyperflex.identification.uncertainty.covariance import Information, estimate_covariance, ratio_spread
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation
 from hyperflex.identification.verdict import (
@@ -617,7 +619,9 @@ def test_a_rope_that_cannot_be_simulated_is_an_error(monkeypatch: pytest.MonkeyP
 # ---- progress and interruption
 
 
-def test_progress_is_told_and_printed(free_swing: Recording, capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_is_told_and_printed(
+    free_swing: Recording, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     told: list[dict[str, float]] = []
     result = identify(free_swing, GUESS, ["friction"], progress=told.append)
     fitted = [e for e in told if "phase" not in e]
@@ -625,10 +629,12 @@ def test_progress_is_told_and_printed(free_swing: Recording, capsys: pytest.Capt
     assert {e["phase"] for e in told[len(fitted) :]} <= {"start", "profile"}  # of a fit that is bad, and of intervals
     assert {"window", "stage", "stages", "round", "cost", "gain", "damping"} == set(told[0])
     assert capsys.readouterr() == ("", "")
+    said: list[str] = []
+    monkeypatch.setattr(progress, "lines", lambda: nullcontext(said.append))
     identify(free_swing, GUESS, ["friction"], progress=True)
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert "round 0: cost" in err
+    assert said[0] == "first states (Ctrl-C keeps the best so far)"
+    assert said[1:] == [message(entry) for entry in told]
+    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("after", [1, 3])

@@ -195,8 +195,9 @@ def instance(name: str, value: object, kind: type[T]) -> T:
     return value
 
 
-def choice(name: str, value: object, options: Sequence[str]) -> str:
-    """Return `value` if it is one of the named options."""
+def choice(name: str, value: object, options: Sequence[str], *, also: str = "") -> str:
+    """Return `value` if it is one of the named options; `also` is allowed beside them, and checked by the caller."""
     if not isinstance(value, str) or value not in options:
-        raise InvalidInput(f"{name} is not known", got=value, allowed=", ".join(map(repr, options)))
+        allowed = [*map(repr, options), *([also] if also else [])]
+        raise InvalidInput(f"{name} is not known", got=value, allowed=", ".join(allowed))
     return value

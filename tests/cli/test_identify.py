@@ -13,8 +13,8 @@ from rich.console import Console
 
 import hyperflex as hf
 from hyperflex import files, identification, progress
-from hyperflex.cli import identify
 from hyperflex.errors import Interrupted
+from hyperflex.identification import rounds
 
 
 @pytest.fixture
@@ -132,6 +132,10 @@ def test_intervals_and_the_fastest_turn_can_be_chosen(hyperflex, hyperflex_json,
     assert result["intervals"] == {}
     code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "--intervals", "profile")
     assert result["intervals"]["friction[0]"]["kind"] == "profile"
+    code, out, err = hyperflex("identify", swing / "swing.csv", *arguments, "--intervals", "all")
+    assert (code, out) == (2, "")
+    assert "intervals is not known: got 'all'" in err
+    assert "Allowed: 'auto', 'covariance', 'profile', None (none on the command line)" in err
     code, out, err = hyperflex("identify", swing / "swing.csv", *arguments, "--max-rate", "1")
     assert (code, out) == (2, "")
     for words in ("--max-rate = 1", "--unit deg", "--wrapped", "--time-unit ms", "a larger --max-rate"):
@@ -310,14 +314,14 @@ def test_the_bar_moves_forward_and_tells_stage_and_round(monkeypatch, capsys):
     entries = [
         {"stage": stage, "stages": 2, "round": k, "window": 0.25, "gain": 0.5} for stage in range(2) for k in range(9)
     ]
-    parts = [identify._part_done(entry) for entry in entries]
+    parts = [rounds.part_done(entry) for entry in entries]
     assert parts == sorted(parts)
     assert 0.0 < parts[0] < 0.5
     assert parts[9] > 0.5
     assert parts[-1] < 1.0
-    assert identify._message(entries[10]) == "stage 2 of 2, windows of 0.25 s: round 2 gained 50 %"
+    assert rounds.message(entries[10]) == "stage 2 of 2, windows of 0.25 s: round 2 gained 50 %"
     monkeypatch.setattr(progress, "terminal", lambda: Console(file=io.StringIO(), force_terminal=True))
-    with identify._bar() as hear:
+    with rounds.rounds_shown(True) as hear:
         for entry in entries:
             hear(entry)
     assert capsys.readouterr().out == ""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmarks.coverage import KINDS, chords
 
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Identification, identify
+from hyperflex.identification.diagnosis.model_error import with_model_error
+from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.model import Rope, divided
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
@@ -66,6 +70,44 @@ def test_a_chain_of_just_these_links_is_not_told() -> None:
     assert test.sway > 0.1  # were it a rope
     assert "more links" not in str(found)
     assert found.values["stiffness:factor"] == pytest.approx(0.5, rel=0.03)
+
+
+def fit_of_four_links(n_links: int, drag: float, free: list[str] | None) -> Identification:
+    """Four markers on a rope of so many links, fitted by four."""
+    rope = Rope.uniform(length=0.8, mass=0.1, n_links=n_links, friction=1.6e-3 / n_links, drag=drag)
+    t = np.arange(400) / 100.0
+    run = simulate(rope, duration=t[-1], t_eval=t, q0=np.full(n_links, 0.8))
+    places = run.joints[:, n_links // 4 :: n_links // 4].reshape(t.size, -1)
+    places = places + 1e-3 * np.random.default_rng(1).standard_normal(places.shape)
+    guess = Rope.uniform(length=0.8, mass=0.1, n_links=4, friction=8e-4)
+    recording = Recording(t, places, kind="markers")
+    return identify(recording, guess, free, arc_lengths=[0.2, 0.4, 0.6, 0.8], origin=[0.0, 0.0], intervals=None)
+
+
+@pytest.mark.parametrize("free", [None, ["inertia:shared", "friction:shared"]], ids=["default", "shared"])
+def test_four_links_of_a_rope_of_40_are_told_before_the_units_are_doubted(free: list[str] | None) -> None:
+    found = fit_of_four_links(40, 0.0, free)
+    assert found.grade.name == "do not use"
+    assert "more links" in found.grade.reasons[0]
+    assert "units" in found.grade.reasons[1 if free is None else 2]  # shared: com is asked for as well, by less
+
+
+@pytest.mark.parametrize("drag", [0.0, 0.05])
+def test_a_chain_of_just_four_links_is_not_told(drag: float) -> None:
+    found = fit_of_four_links(4, drag, ["inertia", "friction"])
+    assert "more links" not in str(found)
+    assert [each.surplus < 0.5 for each in found.score_tests if each.name == "links"] == [True] * (drag > 0.0)
+
+
+def test_links_that_may_be_too_long_count_by_their_probability() -> None:
+    """Also below what other tests need to count, where residuals are not white."""
+    basis = fit_of_four_links(4, 0.0, ["friction:shared"])._basis
+    assert basis is not None
+    odd = replace(basis, information=replace(basis.information, whiteness=0.0))
+    for surplus in (0.1, 0.5):
+        test = ScoreTest("links", 0.3, np.array([16.0]), shift=np.array([0.2]), surplus=surplus)
+        told = with_model_error(odd, [test], 0.0).information.model
+        assert told == pytest.approx(np.array([[surplus * 0.2**2]]))
 
 
 @pytest.mark.parametrize("left_out", [{"drag": 0.02}, {"dry_friction": 4e-4}], ids=["drag", "dry friction"])

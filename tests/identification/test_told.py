@@ -7,7 +7,9 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import hyperflex as hf
+from hyperflex.identification import pipeline
 from hyperflex.identification.diagnosis.grade import grade
+from tests.faults.interrupting import left_by
 
 PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], friction=[3e-4, 1e-4])
 T = np.arange(0.0, 4.0, 0.02)
@@ -75,6 +77,43 @@ def test_a_delay_far_off_is_found(late: float) -> None:
     assert found.success
     assert abs(found.values["delay"] - late) < 4.0 * found.std["delay"] < 4e-3
     assert abs(found.settings["delay_from"] - late) < 0.1  # the grid's step is a sixteenth of a window
+
+
+def stopped(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_lengths_count_only_where_they_were_tested(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert fitted(PAIR, ["friction"], intervals=None).settings["length_std"] == 0.01
+    monkeypatch.setattr(pipeline, "score_tests", stopped)
+    found = left_by(lambda: fitted(PAIR, ["friction"], intervals=None))
+    assert found.message == "interrupted"
+    assert found.settings["length_std"] == 0.0
+
+
+def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    stiff = PAIR.replace(stiffness=[0.0, 4e-3])
+    run = hf.simulate(stiff, duration=4.0, t_eval=T, q0=[0.8, 0.8])
+    recording = hf.Recording(T, run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape))
+    tests = [pipeline.score_tests, stopped]
+    monkeypatch.setattr(pipeline, "score_tests", lambda basis: tests.pop(0)(basis))
+    found = left_by(lambda: hf.identify(recording, PAIR, intervals=None))
+    assert tests == []
+    assert found.message == "interrupted"
+    assert found.settings["free"] == ["inertia", "friction"]
+    assert found.score_tests
+    assert found.settings["length_std"] == 0.01
+
+
+@pytest.mark.parametrize(
+    ("identifiable", "words"),
+    [(True, "Usable: {}, all else is."), (False, "Usable for ratios: {}, all other ratios are.")],
+)
+def test_what_is_not_known_stands_beside_what_is(identifiable: bool, words: str) -> None:
+    told = grade((), PAIR, None, (), identifiable=identifiable, hardly=["friction[1]"])
+    assert str(told) == words.format("friction[1] is not known (the standard deviation is half of the value or more)")
+    poor = grade(("The fit is poor.",), PAIR, None, (), identifiable=identifiable, hardly=["friction[1]"])
+    assert poor.reasons[1] == "friction[1] is not known (the standard deviation is half of the value or more)."
 
 
 def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used() -> None:

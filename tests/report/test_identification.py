@@ -117,6 +117,21 @@ def test_a_page_warns_where_predictions_leave_their_band(tmp_path, swing):
 
 
 @pytest.mark.usefixtures("unseen")
+def test_a_band_as_wide_as_the_motion_is_no_praise(tmp_path, swing):
+    recording, found = swing
+    held = found.held_out
+    wide = dataclasses.replace(held, std=np.full_like(held.std, 0.5 * held.persistence))  # +- 0.98 of it
+    text = page(tmp_path, (recording, changed(found, held_out=wide)))
+    verdict = text[text.index("<h2>Verdict") : text.index("<h2>Parameters")]
+    assert "can be believed" not in verdict
+    said = re.search(r'class="warn">\d+ % of the values .*?, within ± ([\d.]+) (\S+): so wide a band says little', text)
+    unit = readable_unit("rad", float(np.sqrt(np.mean(held.rms**2))))
+    assert float(said[1]) == pytest.approx(0.98 * held.persistence / unit.size, rel=1e-2)
+    assert said[2] == unit.name
+    assert "can be believed" in page(tmp_path, swing)
+
+
+@pytest.mark.usefixtures("unseen")
 def test_model_error_and_predictions_that_hold_are_one_statement(tmp_path, swing):
     recording, found = swing
     told = not_noise(50.0)

@@ -1,13 +1,12 @@
 """``hyperflex identify``: a recording and a first guess in, an identified rope and its report out."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hyperflex import files, progress
+from hyperflex import files
 from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
 
@@ -118,24 +117,23 @@ def identify(
         **known,
     )
     first = Rope.from_toml(guess)
-    with _bar() as report:
-        result = output.partial_of(
-            lambda: run(
-                measured,
-                first,
-                output.words(free) or None,
-                window=window,
-                train=train,
-                arc_lengths=places,
-                origin=seen,
-                length_std=length_std,
-                loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
-                intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
-                time_budget=time_budget,
-                progress=report,
-                **driven,
-            )
+    result = output.partial_of(
+        lambda: run(
+            measured,
+            first,
+            output.words(free) or None,
+            window=window,
+            train=train,
+            arc_lengths=places,
+            origin=seen,
+            length_std=length_std,
+            loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
+            intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
+            time_budget=time_budget,
+            progress=True,
+            **driven,
         )
+    )
     summary = result.ending() | {"output": out, **result.summary()}
     summary["files"] = files = _write(out, measured, result, first, summary, json)
     if result.message == "interrupted":  # the best so far is written, and says what it is
@@ -225,32 +223,3 @@ def _show(found: "Identification", files: dict[str, Path]) -> None:
         output.console().print(sentence, markup=False)
     words = {"rope": "rope and figures", "figures": "numbers", "page": "the whole story on one page"}
     output.print_pairs("Written", [(words[kind], str(path)) for kind, path in files.items()])
-
-
-def _part_done(entry: dict[str, float]) -> float:
-    """Return the part of a fit that is done after a round: stages count alike, rounds of a stage less and less."""
-    of_stage: float = 1.0 - 0.7 ** (entry["round"] + 1.0)
-    return (entry["stage"] + of_stage) / entry["stages"]
-
-
-def _message(entry: dict[str, float]) -> str:
-    """Return what a round did, in words."""
-    stage = f"stage {entry['stage'] + 1:.0f} of {entry['stages']:.0f}, windows of {entry['window']:.3g} s"
-    return f"{stage}: round {entry['round'] + 1:.0f} gained {100.0 * entry['gain']:.2g} %"
-
-
-@contextmanager
-def _bar() -> Iterator[Callable[[dict[str, float]], None]]:
-    """Show a bar on standard error, or lines where nobody watches; yields the progress callable of the fit."""
-    begin = "first states (Ctrl-C keeps the best so far)"
-    if (watched := progress.terminal()) is None:
-        with progress.lines() as say:
-            say(begin)
-            yield lambda entry: say(_message(entry))
-        return
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = (SpinnerColumn(), BarColumn(bar_width=24), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=watched, transient=True) as bar:
-        task = bar.add_task(begin, total=1.0)
-        yield lambda entry: bar.update(task, completed=_part_done(entry), description=_message(entry))

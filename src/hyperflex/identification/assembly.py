@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.diagnosis.grade import Grade, grade
+from hyperflex.identification.diagnosis.grade import MASSES, Grade, grade
 from hyperflex.identification.diagnosis.model_error import law_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut
@@ -20,6 +21,7 @@ from hyperflex.identification.verdict import (
     consistent,
     failed_predictions,
     hardly_known,
+    held_words,
     noise_not_modelled,
     not_converged,
     not_noise,
@@ -32,8 +34,6 @@ from hyperflex.identification.verdict import (
 from hyperflex.model import Rope
 from hyperflex.sensors import Angles
 
-MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
-
 
 def assemble_result(
     basis: Basis,
@@ -42,6 +42,7 @@ def assemble_result(
     remark: str,
     intervals: dict[str, Interval] | None = None,
     tests: tuple[ScoreTest, ...] = (),
+    scatter: tuple[Scatter, ...] = (),
     early: str = INTERRUPTED,
 ) -> Identification:
     """Return the result of a fit, whose message is `early` if it was interrupted.
@@ -87,7 +88,9 @@ def assemble_result(
         model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
         ratio_model_std=moves,
         intervals=intervals or {},
-        grade=_graded(basis, rope, warnings, held_out, tests, settings, said, _moved(known, moves), (known, ratio_std)),
+        grade=_graded(
+            basis, rope, warnings, held_out, tests, scatter, settings, said, _moved(known, moves), (known, ratio_std)
+        ),
         score_tests=tests,
         verdict=tuple(consistent(words)),
         identifiable=information.unknown.shape[1] == 0,
@@ -105,7 +108,7 @@ def assemble_result(
         torque_residuals=torque,
     )
     object.__setattr__(result, "_basis", basis)
-    return result
+    return result.with_remark(held_words(result.held), last=True)
 
 
 def _graded(
@@ -114,6 +117,7 @@ def _graded(
     warnings: Sequence[str],
     held_out: HeldOut | None,
     tests: Sequence[ScoreTest],
+    scatter: Sequence[Scatter],
     settings: dict[str, Any],
     noise: str,
     moved: float,
@@ -125,6 +129,7 @@ def _graded(
         rope,
         held_out,
         tests,
+        scatter=scatter,
         noise=noise,
         scale=_scale(basis.plant),
         identifiable=basis.information.unknown.shape[1] == 0,

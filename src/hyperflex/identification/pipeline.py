@@ -1,6 +1,5 @@
 """identify: from a recording and a first guess to an Identification."""
 
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +17,9 @@ from hyperflex.identification.diagnosis.free_parameters import Trial, choose_par
 from hyperflex.identification.diagnosis.grade import misdeclared
 from hyperflex.identification.diagnosis.link_test import link_test
 from hyperflex.identification.diagnosis.model_error import with_model_error
-from hyperflex.identification.diagnosis.score_tests import LENGTHS, ScoreTest, score_tests, with_sway
+from hyperflex.identification.diagnosis.score_tests import LENGTHS, ScoreTest, score_tests
+from hyperflex.identification.diagnosis.tolerances import with_sway
+from hyperflex.identification.diagnosis.window_tests import Scatter, drift_test, scatter_test, window_scores
 from hyperflex.identification.ending import INTERRUPTED, OUT_OF_TIME
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
@@ -30,6 +31,7 @@ from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
 from hyperflex.identification.problem import build_plant, checked_measurements, refuse_half_a_drive, split
 from hyperflex.identification.result import Identification
+from hyperflex.identification.rounds import rounds_shown
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information
 from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
 from hyperflex.identification.verdict import POOR, other_lengths, uneven_scale
@@ -120,8 +122,8 @@ def identify(
         Of processor time, compiling left out; 1800 by default, inf: no end. The best so far is returned then, with
         ``message == "time budget exceeded"``.
     progress : bool or callable
-        True prints a line a round on standard error; a callable gets a dict with window, stage, stages, round, cost,
-        gain, damping, and of a profile its parameter and ``phase="profile"``.
+        True shows a bar on standard error, or a line every ten seconds where nobody watches; a callable gets a dict
+        with window, stage, stages, round, cost, gain, damping, and of a profile its parameter and ``phase="profile"``.
 
     Raises
     ------
@@ -154,7 +156,7 @@ def identify(
     began = time.monotonic()
     checks.choice("loss", loss, LOSSES)
     if intervals is not None:
-        checks.choice("intervals", intervals, HOWS)
+        checks.choice("intervals", intervals, HOWS, also="None (none on the command line)")
     if time_budget is not None:
         checks.number("time_budget", time_budget, sign="positive", unit="s", infinite=True)
     if window is not None:
@@ -165,27 +167,28 @@ def identify(
     fitted, rest = split(measured, train, lead, ahead)
     check_excitation(fitted.channels, fitted.shape, rope_guess, moved=motion is not None)
     seen = fitted if torque is None else split(with_torque(measured, torque, torque_noise), train, lead, ahead)[0]
-    problem = _Problem(
-        recording=recording,
-        guess=rope_guess,
-        fitted=seen,
-        untorqued=fitted,
-        rest=rest,
-        places=places,
-        arc_lengths=arc_lengths,
-        origin=origin,
-        motion=motion,
-        arm=arm,
-        torque=torque is not None,
-        length_std=length_std,
-        window=window,
-        loss=Loss(loss),
-        lead=lead,
-        ahead=ahead,
-        report=_reporter(progress),
-        limit=time_limit(PATIENCE if time_budget is None else time_budget),
-    )
-    result = problem.solve(free, intervals, began)
+    with rounds_shown(progress) as report:
+        problem = _Problem(
+            recording=recording,
+            guess=rope_guess,
+            fitted=seen,
+            untorqued=fitted,
+            rest=rest,
+            places=places,
+            arc_lengths=arc_lengths,
+            origin=origin,
+            motion=motion,
+            arm=arm,
+            torque=torque is not None,
+            length_std=length_std,
+            window=window,
+            loss=Loss(loss),
+            lead=lead,
+            ahead=ahead,
+            report=report,
+            limit=time_limit(PATIENCE if time_budget is None else time_budget),
+        )
+        result = problem.solve(free, intervals, began)
     if result.message == INTERRUPTED:
         raise Interrupted(result)
     return result
@@ -229,10 +232,10 @@ class _Problem:
                     f"The time budget was over before anything was fitted to {self.fitted.channels.t.size} samples. "
                     "Allow more (time_budget=...), give a part of the recording, or look at its unit and its noise."
                 ) from None
-            return self.complete(trial, intervals, remark, began)
+            return self.complete(self.judged(trial), intervals, remark, began)
 
     def fit(self, free: Sequence[str]) -> Trial:
-        """Return the fit of these parameters, its covariance and score tests."""
+        """Return the fit of these parameters, its covariance (of noise alone) and score tests."""
         shape = self.fitted.shape
         plant = build_plant(
             self.recording, self.guess, free, self.places, self.origin, self.motion, self.arm, torque=self.torque
@@ -246,16 +249,32 @@ class _Problem:
         check_memory(plant, self.fitted, length)
         found, windows, settings = fit_in_stages(plant, self.fitted, length, usual, self.report, self.loss)
         tests: tuple[ScoreTest, ...] = ()
+        scores = None
         basis = Basis(plant, windows, found, fit_information(plant, windows, found))
         with caught() as stop:  # what was fitted is worth more than its tests
             if found.converged and not found.interrupted:
-                plain, tests = basis, score_tests(basis)
-                basis = with_model_error(plain, tests, self.length_std)  # what stands if the next test is interrupted
-                tests = (*tests, *link_test(plain))
-                basis = with_model_error(plain, tests, self.length_std)
-                tests = with_sway(basis, tests)
+                tests = score_tests(basis)
+                scores = window_scores(basis)
+                tests = tuple(sorted((*tests, *drift_test(basis, scores)), key=lambda each: -each.gain))
         found.interrupted = found.interrupted or stop.met
-        return Trial(list(free), basis, tests, settings | delay)
+        return Trial(list(free), basis, tests, settings | delay, scores)
+
+    def judged(self, trial: Trial) -> Trial:
+        """Return a trial with the test of its links, and with what the model leaves out in its covariance."""
+        basis, tests, found = trial.basis, trial.tests, trial.basis.fit
+        scatter: tuple[Scatter, ...] = ()
+        if tests:
+            basis = with_model_error(trial.basis, tests, self.length_std)  # what stands if the next test is interrupted
+        with caught() as stop:
+            if found.converged and not found.interrupted:
+                tests = (*tests, *link_test(trial.basis))
+                basis = with_model_error(trial.basis, tests, self.length_std)
+                scatter, covariance = scatter_test(trial.basis, trial.scores)
+                if scatter:
+                    basis = with_model_error(trial.basis, tests, self.length_std, covariance)
+            tests = with_sway(basis, tests)
+        found.interrupted = found.interrupted or stop.met
+        return trial._replace(basis=basis, tests=tests, scatter=scatter)
 
     def complete(self, trial: Trial, intervals: How | None, remark: str, began: float) -> Identification:
         """Return a fit as a result, with intervals, predictions of what was held out, and a grade."""
@@ -279,13 +298,13 @@ class _Problem:
         lengths = "" if self.arc_lengths is not None else other_lengths(self.recording, self.guess)
         with caught() as stop:
             with deferred():
-                result = assemble_result(basis, held_out, settings, lengths, ranges, tests, self._early)
+                result = assemble_result(basis, held_out, settings, lengths, ranges, tests, trial.scatter, self._early)
             if not found.interrupted:
                 result = self._doubted(result, trial)
         if stop.met:
             found.interrupted = True
-            result = assemble_result(basis, held_out, settings, lengths, ranges, tests, self._early)
-        return result.with_remark(remark) if remark else result
+            result = assemble_result(basis, held_out, settings, lengths, ranges, tests, trial.scatter, self._early)
+        return result.with_remark(remark)
 
     def _doubted(self, result: Identification, trial: Trial) -> Identification:
         """Return a result with what looks wrong in what was declared of the recording, as far as short fits tell."""
@@ -321,18 +340,3 @@ def _fit_settings(plant: Plant, free: Sequence[str], loss: str, origin: npt.Arra
     if origin is not None:
         result["origin"] = np.asarray(origin, dtype=np.float64).tolist()
     return result
-
-
-def _reporter(progress: bool | Report) -> Report:
-    if callable(progress):
-        return progress
-
-    def line(entry: dict[str, float]) -> None:
-        if progress:
-            about = f"profile of {entry['parameter']}, " if "parameter" in entry else ""
-            sys.stderr.write(
-                f"{about}windows of {entry['window']:.3g} s, round {entry['round']:.0f}: cost {entry['cost']:.6g}, "
-                f"down by {100.0 * entry['gain']:.3g} %\n"
-            )
-
-    return line

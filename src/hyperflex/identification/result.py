@@ -9,7 +9,7 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.identification.diagnosis.grade import Grade
+from hyperflex.identification.diagnosis.grade import Grade, GradeName
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.ending import Ended
 from hyperflex.identification.prediction import HeldOut
@@ -114,6 +114,19 @@ class Identification(Ended):
         return self._basis
 
     @property
+    def held(self) -> tuple[str, ...]:
+        """What was held of `values` and `ratios`, by name, or by name and link: its standard deviation is no error."""
+        said: list[str] = []
+        for std in (self.std, self.ratio_std):
+            for name, each in std.items():
+                links = np.flatnonzero(np.atleast_1d(each) == 0.0)
+                links = links[links > 0] if name == "p/p1" else links  # that of link 0 is 1 by definition
+                whole = links.size == each.size - (name == "p/p1")
+                if links.size:
+                    said += [name] if whole else [f"{name}[{k}]" for k in links]
+        return tuple(said)
+
+    @property
     def residual_rms_all(self) -> float:
         """Fit error over all channels and windows together, rad or m."""
         return float(np.sqrt(np.nanmean(self.residuals**2)))
@@ -127,7 +140,7 @@ class Identification(Ended):
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
         alike = ("identifiable", "unit", "values", "std", "model_std", "ratios", "ratio_std", "ratio_model_std")
         result: dict[str, Any] = {"grade": self.grade.name, "reasons": self.grade.reasons} | self.ending()
-        result |= {name: getattr(self, name) for name in (*alike, "parameters", "covariance")}
+        result |= {name: getattr(self, name) for name in (*alike, "held", "parameters", "covariance")}
         result["intervals"] = {
             name: {"low": each.low, "high": each.high, "kind": each.kind} for name, each in self.intervals.items()
         }
@@ -147,15 +160,21 @@ class Identification(Ended):
 
     def with_reason(self, reason: str) -> "Identification":
         """Return the same, not to be used for one more `reason`, which comes first; unchanged without any."""
-        return self._changed(grade=Grade("do not use", (reason, *self.grade.reasons))) if reason else self
+        return self._graded("do not use", reason)
 
     def with_suspicion(self, reason: str) -> "Identification":
         """Return the same grade with one more `reason`, which comes first; unchanged without any."""
-        return self._changed(grade=Grade(self.grade.name, (reason, *self.grade.reasons))) if reason else self
+        return self._graded(self.grade.name, reason)
 
-    def with_remark(self, remark: str) -> "Identification":
-        """Return the same with the sentence `remark` as the first of the verdict."""
-        return self._changed(verdict=(remark, *self.verdict))
+    def _graded(self, name: GradeName, reason: str) -> "Identification":
+        reasons = (reason, *self.grade.reasons)
+        return self._changed(grade=self.grade._replace(name=name, reasons=reasons)) if reason else self
+
+    def with_remark(self, remark: str, *, last: bool = False) -> "Identification":
+        """Return the same with `remark` as the first, or the `last`, sentence of the verdict; unchanged without any."""
+        if not remark:
+            return self
+        return self._changed(verdict=(*self.verdict, remark) if last else (remark, *self.verdict))
 
     def _changed(self, **fields: Any) -> "Identification":
         result: Identification = replace(self, **fields)

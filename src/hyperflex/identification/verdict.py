@@ -17,7 +17,7 @@ from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
 CORRELATED = 10.0  # samples
-FEW = 2.0  # independent values; a variance from fewer has no std
+LEAST_FREEDOM = 2.0  # independent values; a variance from fewer has no std
 COLOURED = (
     "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
     "and intervals allow for the first, and for other laws of the joints and of the air, not for more."
@@ -77,7 +77,7 @@ def noise_not_modelled(agrees: bool, freedom: float) -> str:
             "No stationary noise would leave such residuals: standard deviations and intervals take them as they are, "
             "though the fit has absorbed part of them, and may be far too small."
         )
-    if freedom < FEW:
+    if freedom < LEAST_FREEDOM:
         return (
             f"What the fit has left is worth about {freedom:.2g} independent values: standard deviations and intervals "
             "are hardly more than a guess. Record longer, or free fewer parameters."
@@ -157,6 +157,13 @@ def uneven_scale(recording: Recording) -> str:
         f"{np.exp(2.0 * size):.3g} times those across. Pixels that are not square, x and y scaled differently, or a "
         "camera that looks at the plane from the side make that: calibrate it."
     )
+
+
+def held_words(held: Sequence[str]) -> str:
+    """Return that what was held has no standard deviation, or nothing."""
+    if not held:
+        return ""
+    return f"Held as given, so a standard deviation of 0 is no accuracy: {', '.join(held)}."
 
 
 def failed_predictions(held_out: HeldOut | None) -> str:

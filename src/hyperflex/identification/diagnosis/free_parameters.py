@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import FEW, LAWS, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, FEW_LINKS, LAWS, ScoreTest
+from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter, WindowScores
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.interruption import caught
 from hyperflex.model import Rope
@@ -19,19 +20,21 @@ def first_choice(guess: Rope) -> list[str]:
 
     A rope of many links that are not alike in the guess keeps its taper: what is free is a factor on all.
     """
-    if guess.n_links <= FEW:
+    if guess.n_links <= FEW_LINKS:
         return ["inertia", "friction"]
     words = ["friction", "stiffness"] if guess.stiffness.any() else ["inertia", "friction"]
     return [f"{word}:{'shared' if np.ptp(getattr(guess, word)) == 0.0 else 'factor'}" for word in words]
 
 
 class Trial(NamedTuple):
-    """A fit with what was free in it, its score tests, and the settings that it used."""
+    """A fit with what was free in it, its score tests, the settings that it used, and how its windows agree."""
 
     free: list[str]
     basis: Basis
     tests: tuple[ScoreTest, ...]
     settings: dict[str, Any]
+    scores: WindowScores | None = None
+    scatter: tuple[Scatter, ...] = ()
 
 
 def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tuple[Trial, str]:
@@ -43,13 +46,14 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
     trial, why = fit(first_choice(guess)), []
     usual = ", ".join(trial.free)
     for _ in range(MOST):
-        asked = [each for each in trial.tests if _asked(each)]
+        drift = max((each.gain for each in trial.tests if each.name == DRIFT and each.believed), default=0.0)
+        asked = [each for each in trial.tests if _asked(each) and each.gain > drift + EQUAL]
         if not asked or not trial.basis.fit.converged or trial.basis.fit.interrupted:
             break
         with caught() as stop:
             richer = fit([*trial.free, asked[0].name])
-        if stop.met or (richer.basis.fit.interrupted and not richer.basis.fit.converged):
-            trial.basis.fit.interrupted = True  # what has converged is worth more
+        if stop.met or richer.basis.fit.interrupted:
+            trial.basis.fit.interrupted = True  # what has converged and was tested is worth more
             break
         if not richer.basis.fit.converged:
             break

@@ -6,7 +6,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hyperflex.identification.diagnosis.link_test import LINKS
-from hyperflex.identification.diagnosis.score_tests import MOVES, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, MOVES, ScoreTest
+from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.model import Rope
@@ -17,13 +18,15 @@ TESTED = 0.005  # the same: lengths that are 1 % off show
 NEAR = 0.03  # of a factor by which frame rates are often wrong
 AXES = 0.2  # rad, the same: more than any camera that was meant to be level
 PERSISTENCE = 0.5  # of the error of a prediction that nothing moves on
-UNSURE = 0.1  # of a friction
+FRICTION_MOVES = 0.1  # of a friction: by more than another law would change it, it is called a model error
 INSIDE = 0.5  # part of the predicted values in the band that should hold 95 %
 FORETOLD = 0.9  # the same: the error is as foretold, and what moves is hardly more than noise
 NAMED = 4  # labels of what is hardly known
 LIKELY = 0.5  # probability
 LEFT_OUT = 0.2  # part of the windows
 REACH = 2.0  # of a link's length, to which its mass may reach: real links have counterweights
+MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
+TOLD = ("gravity_angle", "delay")  # believed, these are told with their value even where they hardly matter
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
 MEANT = {"gravity_scale": "times or lengths", "gravity_angle": "the zero of the angles", "delay": "the motion"}
 
@@ -37,15 +40,18 @@ class Grade(NamedTuple):
         ``usable``, ``usable for ratios`` (masses, inertias and frictions share an unknown factor), ``do not use``.
     reasons : tuple of str
         Why it is no better, and what else is doubtful; the weightiest first.
+    turned : bool
+        Whether gravity was found so far from where it was taken to be that axes may have been declared wrongly.
     """
 
     name: GradeName
     reasons: tuple[str, ...]
+    turned: bool = False
 
     @property
     def doubtful(self) -> bool:
         """Whether something may have been declared wrongly."""
-        return self.name == "do not use" or any("gravity is turned" in each for each in self.reasons)
+        return self.name == "do not use" or self.turned
 
     @property
     def more(self) -> tuple[str, ...]:
@@ -63,6 +69,7 @@ def grade(
     tests: Sequence[ScoreTest],
     *,
     identifiable: bool,
+    scatter: Sequence[Scatter] = (),
     noise: str = "",
     scale: str = "",
     laws: tuple[float, str] = (0.0, ""),
@@ -83,6 +90,8 @@ def grade(
     tests : sequence of ScoreTest
     identifiable : bool
         Whether all free parameters are known.
+    scatter : sequence of Scatter
+        Ratios of which windows disagree.
     noise : str
         A doubt of the declared noise.
     scale : str
@@ -98,30 +107,28 @@ def grade(
     left_out : float
         Part of the windows that was left out.
     """
-    wrong = [*_impossible(rope), *misdeclared(tests), *(each for each in warnings if each), *_mispredicted(held_out)]
-    suspicion, doubts = (
-        [*_coarse(tests), *_turned(turned), *_slightly(tests), *_untested(tests)],
-        _doubts(laws, moved, left_out),
-    )
+    axes = bool(abs(turned) > AXES)
+    disagree, differ = _disagreeing(scatter)
+    odd = [*(each for each in warnings if each), *_mispredicted(held_out), *disagree]
+    links, coarse = _finer(tests, odd=bool(odd))
+    wrong = [*_impossible(rope), *links, *misdeclared(tests), *odd]
+    suspicion = [*coarse, *_turned(turned), *_slightly(tests), *differ, *_untested(tests)]
+    doubts = [*_doubts(laws, moved, left_out), *_changing(scatter)]
     if hardly:
-        verb = "is" if len(hardly) == 1 else "are"
-        more = f" and {len(hardly) - NAMED} more" if len(hardly) > NAMED else ""
-        suspicion.append(
-            f"{', '.join(hardly[:NAMED])}{more} {verb} hardly known: the standard deviation is half of the value or "
-            "more."
-        )
+        rest = "" if wrong else ", all else is" if identifiable else ", all other ratios are"
+        suspicion.append(_not_known(hardly) + f"{rest}.")
     if noise:
         suspicion.insert(0, noise)
     if wrong:
-        return Grade("do not use", (*wrong, *suspicion, *doubts))
+        return Grade("do not use", (*wrong, *suspicion, *doubts), axes)
     if identifiable:
         scaled = [f"masses, inertias and frictions are in proportion to {scale}; no motion tests that."] * bool(scale)
         places = next((each.sway for each in tests if each.name == "com"), 0.0)
         if scale and places > 0.0:
             scaled = [f"{scaled[0][:-1]}, and 1 % of a centre of mass moves ratios by up to {_percent(places)}."]
-        return Grade("usable", (*suspicion, *scaled, *doubts))
+        return Grade("usable", (*suspicion, *scaled, *doubts), axes)
     common = "without a known force or torque, or a mass that is held, values share what this motion cannot tell."
-    return Grade("usable for ratios", (*suspicion, common, *doubts))
+    return Grade("usable for ratios", (*suspicion, common, *doubts), axes)
 
 
 def _impossible(rope: Rope) -> list[str]:
@@ -148,12 +155,19 @@ def _impossible(rope: Rope) -> list[str]:
     return []
 
 
+def _not_known(hardly: Sequence[str]) -> str:
+    names = ", ".join(hardly[:NAMED]) + (f" and {len(hardly) - NAMED} more" if len(hardly) > NAMED else "")
+    return (
+        f"{names} {'is' if len(hardly) == 1 else 'are'} not known (the standard deviation is half of the value or more)"
+    )
+
+
 def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
     """Return what was declared or held, does not fit and matters; the one that explains most, with its equals."""
     believed = [each for each in tests if each.believed and each.matters]
     if not believed:
         return []
-    first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - 0.05]
+    first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - EQUAL]
     part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
     if first.beside:
         part += f" that is left with {' and '.join(repr(name) for name in first.beside)} free"
@@ -170,6 +184,12 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
         said = (
             f"the zero of the angles is off by {np.degrees(value):.3g} degrees: without that, {part} go away. Check "
             "the zero, level the camera, or put 'gravity_angle' into free."
+        )
+    elif first.name == DRIFT:
+        said = (
+            f"the clock drifts, or something changes over the recording: {part} go away if times run "
+            f"{_percent(0.5 * abs(value))} {'slower' if value < 0.0 else 'faster'} at its end than at its beginning. "
+            "Check the time stamps, or fit parts of the recording on their own."
         )
     elif first.name == "delay":
         said = f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free."
@@ -192,13 +212,18 @@ def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}; "
                 f"ratios would move by up to {_percent(each.moved)}."
             )
-        if each.suspected and not each.beside:
+        if (each.suspected or (each.covered and each.name not in (*TOLD, DRIFT))) and not each.beside:
             said.append(
                 f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
                 f"residuals' sum of squares go away, and ratios move by up to {_percent(each.moved)}. Standard "
                 "deviations hold that."
             )
-        if not each.believed or each.matters or each.name not in ("gravity_angle", "delay"):
+        if each.name == DRIFT and each.refitted and not (each.believed and each.matters):
+            said.append(
+                f"the clock seems to drift by {_percent(0.5 * abs(float(each.values[0])))} over the recording; ratios "
+                f"would move by up to {_percent(each.moved)}. Standard deviations hold that."
+            )
+        if not each.believed or each.matters or each.name not in TOLD:
             continue
         value, part = float(each.values[0]), f"{100.0 * each.gain:.3g} % of the residuals' sum of squares"
         what = f"the zero of the angles seems off by {np.degrees(value):.2g} degrees"
@@ -235,6 +260,34 @@ def _mispredicted(held_out: HeldOut | None) -> list[str]:
     return [words] if words else []
 
 
+def _disagreeing(scatter: Sequence[Scatter]) -> tuple[list[str], list[str]]:
+    """Return that windows disagree: as what makes a result wrong, or, where it is little, as a suspicion.
+
+    Frictions that change are told among the doubts, as a model error.
+    """
+    first = next((each for each in scatter if each.label.startswith(MASSES)), None)
+    if first is None:
+        return [], []
+    words = (
+        f"windows disagree: {first.label} scatters between them {first.times:.2g} times as much as noise makes it, "
+        f"with a standard deviation of {_percent(first.part)}. Something changes over the recording, or was left "
+        "out: fit parts on their own."
+    )
+    return ([words], []) if first.part > MOVES else ([], [f"{words} Standard deviations hold that."])
+
+
+def _changing(scatter: Sequence[Scatter]) -> list[str]:
+    """Return that frictions or other resistances differ between windows."""
+    first = next((each for each in scatter if not each.label.startswith(MASSES)), None)
+    if first is None:
+        return []
+    words = (
+        f"{first.label} scatters between windows {first.times:.2g} times as much as noise makes it, with a standard "
+        f"deviation of {_percent(first.part)}: resistance changes, or is of another kind. Standard deviations hold it."
+    )
+    return [words]
+
+
 def _untested(tests: Sequence[ScoreTest]) -> list[str]:
     """Return that this motion cannot show a wrong clock or wrong lengths, where it cannot."""
     scale = next((each for each in tests if each.name == "gravity_scale"), None)
@@ -253,33 +306,29 @@ def _untested(tests: Sequence[ScoreTest]) -> list[str]:
     return [words] if scale.sway > 0.0 else []
 
 
-def _coarse(tests: Sequence[ScoreTest]) -> list[str]:
-    """Return that links are too long for the rope that was recorded."""
-    each = next((each for each in tests if each.name == LINKS), None)
-    if each is None or each.sway == 0.0 or each.surplus < LIKELY:
-        return []
-    words = (
-        f"use more links: this looks like a rope of finer links (probability {100.0 * each.surplus:.3g} %), and a fit "
-        f"of so few to such a one is off by up to {_percent(each.sway)} of a value. Standard deviations hold that."
-    )
-    return [words]
+def _finer(tests: Sequence[ScoreTest], *, odd: bool) -> tuple[list[str], list[str]]:
+    """Return that links are too long: as the cause of an `odd` fit, or as a suspicion."""
+    each = next((each for each in tests if each.name == LINKS and each.surplus >= LIKELY), None)
+    if each is None:
+        return [], []
+    words = f"use more links: this looks like a rope of finer links (probability {100.0 * each.surplus:.3g} %)"
+    if odd and each.gain >= max(EXPLAINS, *(other.gain for other in tests)):
+        return [f"{words}, which takes away {100.0 * each.gain:.3g} % of the residuals' sum of squares."], []
+    off = f"a fit of so few to such a one is off by up to {_percent(each.sway)} of a value"
+    return [], [f"{words}, and {off}. Standard deviations hold that."] * (each.sway > 0.0)
 
 
 def _turned(angle: float) -> list[str]:
     """Return what a gravity far from where it was taken to be makes one suspect."""
-    if abs(angle) <= AXES:
-        return []
-    words = (
-        f"gravity is turned by {np.degrees(angle):.3g} degrees: were zero, y_axis and the order of the axes declared "
-        "as they are?"
-    )
-    return [words]
+    degrees = f"gravity is turned by {np.degrees(angle):.3g} degrees"
+    words = f"{degrees}: were zero, y_axis and the order of the axes declared as they are?"
+    return [words] if abs(angle) > AXES else []
 
 
 def _doubts(laws: tuple[float, str], moved: float, left_out: float) -> list[str]:
     said = []
     part, name = laws
-    if part > UNSURE:
+    if part > FRICTION_MOVES:
         size = f"up to {100.0 * part:.2g} %" if part < 1.0 else "as much as it is"
         said.append(
             "friction is a model error: it stands for all that brakes, and would change by "

@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.diagnosis.score_tests import FEW, ROUNDS, WINDOWS, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import FEW_LINKS, ROUNDS, WINDOWS, ScoreTest
 from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameter
@@ -22,7 +22,9 @@ PIECES = 4  # that each link is cut into; what longer links change goes with the
 
 
 def link_test(basis: Basis) -> tuple[ScoreTest, ...]:
-    """Return the test of a rope's links, or nothing for chains of few links and of links that are not alike.
+    """Return the test of a rope's links, or nothing where they cannot be cut, or where few leave no more than noise.
+
+    Links of a rope of many have to be alike; few may each have values of their own, with their mass in their middle.
 
     Notes
     -----
@@ -33,7 +35,8 @@ def link_test(basis: Basis) -> tuple[ScoreTest, ...]:
     """
     plant, x, found = basis.plant, basis.fit.x, basis.fit
     n, parameters = plant.parameters.guess.n_links, plant.parameters.all
-    if n <= FEW or plant.motor is not None or any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link"):
+    few, own = n <= FEW_LINKS, any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")
+    if n == 1 or plant.motor is not None or (basis.information.whiteness >= CHANCE if few else own):
         return ()
     every = -(-len(basis.windows) // WINDOWS)
     windows, states = basis.windows[::every], list(found.states[::every])

@@ -8,6 +8,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.diagnosis.link_test import LINKS
 from hyperflex.identification.diagnosis.score_tests import LAWS, LENGTHS, ScoreTest
+from hyperflex.identification.diagnosis.window_tests import DRIFT
 from hyperflex.identification.model.parameters import Parameters, lumped
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.whiteness import CHANCE
@@ -16,7 +17,9 @@ ASKED = 0.67  # of a gain that noise does not explain: three times what chance g
 FLOOR = 5e-4  # relative: no clock, length or weight of a real rope is known better; 0.06 % was seen of a good pendulum
 
 
-def with_model_error(basis: Basis, tests: Sequence[ScoreTest], length_std: float) -> Basis:
+def with_model_error(
+    basis: Basis, tests: Sequence[ScoreTest], length_std: float, scatter: Array | None = None
+) -> Basis:
     """Return a fit whose information counts what the model leaves out, and errors of lengths, beside noise.
 
     Links that are too long, and each resistance that was left out and that the data ask for, would move the parameters
@@ -24,37 +27,42 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], length_std: float
     gains. Where residuals are white, or much goes away, everything else that was held or declared counts as well; where
     they are not, a wrong clock, say, gains by what the model leaves out, and no value is taken as known better than
     FLOOR. All lengths may be off by one factor, of the relative standard deviation `length_std`, as far as the motion
-    does not tell it.
+    does not tell it. `scatter` (P, P) is what windows that disagree show.
     """
     information, x = basis.information, basis.fit.x
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
+    clock = False
     for each in tests:
         if each.name == LENGTHS:
             continue
         law = each.name.partition(":")[0] in LAWS
-        asked = white or law or each.believed or each.suspected
+        asked = white or law or each.believed or each.suspected or each.name == DRIFT  # which has a std of its own
         counts = asked and each.surplus > ASKED and not (each.slight and each.beside)
         if counts or each.name == LINKS:  # whose surplus is a probability
             model += each.surplus * np.outer(each.shift, each.shift)
+            clock = clock or each.name == "gravity_scale"
     if not white:
         model += np.diag(_floor(basis.plant.parameters, x) ** 2)
+    if scatter is not None:
+        model += scatter
     lengths = next((each for each in tests if each.name == LENGTHS), None)
-    stretch = 0.0 if lengths is None else _stretch(lengths, length_std, white=white)
+    stretch = 0.0 if lengths is None else _stretch(lengths, length_std, told=white and not clock)
     by_length = np.zeros(x.size) if lengths is None else stretch * lengths.rate[:, 0]
     return replace(basis, information=replace(information, model=model, lengths=by_length, stretch=stretch))
 
 
-def _stretch(test: ScoreTest, std: float, *, white: bool) -> float:
+def _stretch(test: ScoreTest, std: float, *, told: bool) -> float:
     """Return the standard deviation of a factor of all lengths, known before to `std`, that the data leave.
 
-    About the lengths as they were declared: what `white` residuals say of them, weighted with `std`, counts as an
-    error. Where they are not white that is not the lengths' alone, as with a clock.
+    About the lengths as they were declared: what the data say of them, weighted with `std`, counts as an error if
+    `told`. Not where residuals are not white, for that is not the lengths' alone, nor where gravity's scale counts,
+    which tells the same.
     """
-    told = float(test.values[0])
-    if not (np.isfinite(test.std) and 0.0 < told < np.inf):
+    factor = float(test.values[0])
+    if not (np.isfinite(test.std) and 0.0 < factor < np.inf):
         return std
     weight = std**2 / max(std**2 + test.std**2, 1e-300)
-    return float(np.hypot(np.sqrt(weight) * test.std, weight * np.log(told) * white))
+    return float(np.hypot(np.sqrt(weight) * test.std, weight * np.log(factor) * told))
 
 
 def _floor(parameters: Parameters, x: Array) -> Array:

@@ -16,7 +16,6 @@ from hyperflex.identification.model.scale import Mask
 from hyperflex.identification.uncertainty.covariance import (
     Basis,
     estimate_covariance,
-    ratio_gradients,
     ratio_spread,
     ratios,
 )
@@ -25,16 +24,16 @@ from hyperflex.model import RESISTANCES
 
 SUSPECT = 0.3  # gain from which a refit is made
 REFITS, ROUNDS, WINDOWS = 3, 40, 12  # refits at most, rounds of each, and windows, spread over the recording
-FEW = 4  # links, up to which each has its own value in a test
+FEW_LINKS = 4  # links, up to which each has its own value in a test
 LAWS = tuple(each.name for each in RESISTANCES)
 SURE = 0.93  # the same of white residuals, from which something does not fit: 14 times what chance gains
 EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much is believed
-PER_CENT = 0.01
+EQUAL = 0.05  # of a gain: those that differ by less explain the same
 MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
+COVERED = 2.0  # standard deviations: the 95 % intervals reach so far, and hold smaller moves
 TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
 FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
 LENGTHS = "length:factor"  # of which no refit is made: gravity_scale acts alike, and stands for a wrong clock as well
-HELD = ("gravity_scale", "com")  # what 1 % of is told, as far as the motion cannot test it
 HIDING = 2  # refits that are tested again, each with one thing more freed
 SLIGHT = 0.01  # of lengths: a ruler errs by so much, and one more law that was left out makes them seem so
 TINY = 1e-8  # part of the largest singular value below which a direction is none
@@ -47,14 +46,16 @@ class ScoreTest:
     Attributes
     ----------
     name : str
-        As in ``free``: ``com``, or ``gravity_scale``, which a wrong clock or wrong lengths move; ``links``, which may
-        be too long.
+        As in ``free``: ``com``, or ``gravity_scale``, which a wrong clock or wrong lengths move; ``clock_drift``, by
+        which gravity seems to grow over the recording; ``links``, which may be too long.
     gain : float
         Part of the residuals' sum of squares that freeing it takes away: by a refit, or to first order.
     values : (k,) float64
         Its values then, SI units.
     moved : float
         Largest relative change of J/p1 and p/p1 that a refit finds; NaN without one.
+    beyond : float
+        The same in standard deviations that noise gives these ratios, the largest.
     std : float
         Greatest standard deviation that they would have.
     shift : (P,) float64
@@ -78,6 +79,7 @@ class ScoreTest:
     gain: float
     values: Array
     moved: float = np.nan
+    beyond: float = np.inf
     std: float = np.inf
     shift: Array = field(default_factory=lambda: np.zeros(0))
     open: Array = field(default_factory=lambda: np.zeros(0))
@@ -93,13 +95,23 @@ class ScoreTest:
         return self.refitted and (self.gain > EXPLAINS or (self.sure and self.surplus > SURE))
 
     @property
+    def possible(self) -> bool:
+        """Whether a recording may be declared so wrongly: no clock is off so far that gravity seems beyond FARTHEST."""
+        return self.name != "gravity_scale" or abs(np.log(max(float(self.values[0]), 1e-9))) <= np.log(FARTHEST)
+
+    @property
     def matters(self) -> bool:
-        """Whether ratios would move by more than is of no account, or gravity turn."""
-        if self.name == "gravity_scale" and abs(np.log(max(float(self.values[0]), 1e-9))) > np.log(FARTHEST):
-            return False  # no clock is so wrong: something else does not fit
-        if self.slight:
+        """Whether ratios would move by more than is of no account and than noise may move them, or gravity turn."""
+        if not self.possible or self.slight:
             return False
-        return self.moved > MOVES or (self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED)
+        if self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED:
+            return True
+        return self.moved > MOVES and self.beyond > COVERED
+
+    @property
+    def covered(self) -> bool:
+        """Whether something else is believed to fit, and moves ratios, but by no more than noise may."""
+        return self.believed and self.possible and not self.slight and self.moved > MOVES and not self.matters
 
     @property
     def suspected(self) -> bool:
@@ -172,39 +184,19 @@ def _refitted_tests(basis: Basis) -> list[ScoreTest]:
     for words in _words(basis.plant):
         found += _tested(basis, words)
     found.sort(key=lambda each: -each.gain)
-    best = [k for k, each in enumerate(found) if each.name != LENGTHS]
-    for k in best[:REFITS]:
+    others = [k for k, each in enumerate(found) if each.name != LENGTHS]
+    turned = [k for k in others[REFITS:] if found[k].name == "gravity_angle"]  # a slip that is easily mended
+    for k in [*others[:REFITS], *turned]:
         each = found[k]
         if each.gain > SUSPECT or each.surplus > SURE:
             found[k] = _refitted(basis, each)
     return sorted(found, key=lambda each: -each.gain)
 
 
-def with_sway(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
-    """Return the tests, those of HELD with what 1 % moves beyond standard deviations that count the model's errors."""
-    return tuple(
-        replace(each, sway=_sway(basis, each)) if each.name in HELD and not each.beside else each for each in tests
-    )
-
-
-def _sway(basis: Basis, test: ScoreTest) -> float:
-    """Return by what part 1 % of what was held moves a ratio that is said to be known better; 0 for none."""
-    parameters, information = basis.plant.parameters, basis.information
-    gradients, known = ratio_gradients(parameters, information.x), ratios(parameters.rope(information.x))
-    stds, worst = ratio_spread(parameters, information), 0.0
-    for name in ("J/p1", "p/p1"):
-        size = 1.0 if test.name == "gravity_scale" else np.abs(test.values)
-        moved = np.max(np.abs(gradients[name] @ (test.rate * size)), axis=1) * PER_CENT
-        std = stds[name]
-        beyond = (moved > 2.0 * std) & (std > 0.0)
-        worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
-    return worst
-
-
 def _words(plant: Plant) -> list[list[str]]:
     """Return words for what is held, those that are tested in one linearisation together."""
     rope, names = plant.parameters.guess, {each.name for each in plant.parameters.all}
-    many = rope.n_links > FEW
+    many = rope.n_links > FEW_LINKS
     whole = ["gravity_angle", "gravity_scale"] if np.any(rope.gravity) else []
     resistances = [each.name + (":shared" if many else "") for each in RESISTANCES if each.name not in names]
     masses = [] if many else [each for each in ("mass", "com", "inertia") if each not in names]
@@ -214,7 +206,7 @@ def _words(plant: Plant) -> list[list[str]]:
     return [[each for each in [*whole, *delay, *resistances, *masses, *every] if each not in names], *lengths]
 
 
-def _extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:
+def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:
     """Return the model at x (P,) with more free parameters, its x, and these word by word; words that fail are out."""
     rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), []
     for word in words:
@@ -229,7 +221,7 @@ def _extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Arra
 
 
 def _tested(basis: Basis, words: Sequence[str]) -> list[ScoreTest]:
-    plant, x, groups = _extended(basis.plant, basis.fit.x, words)
+    plant, x, groups = extended(basis.plant, basis.fit.x, words)
     size, total = x.size, 0.0
     matrix, score = np.zeros((size, size)), np.zeros(size)
     for window, state, residual in zip(basis.windows, basis.fit.states, basis.fit.residuals, strict=True):
@@ -298,7 +290,7 @@ def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
 
 def _freed(basis: Basis, name: str) -> Basis | None:
     """Return a fit of some windows with `name` free as well, and its covariance; None where none converges."""
-    plant, x, _ = _extended(basis.plant, basis.fit.x, [name])
+    plant, x, _ = extended(basis.plant, basis.fit.x, [name])
     windows, states = _some(basis)
     found = _fit(plant, windows, x, states, basis)
     if found is None:
@@ -321,18 +313,22 @@ def _fit(plant: Plant, windows: list[Window], x: Array, states: list[Array], bas
 
 def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     """Return a test with what a fit of some windows says."""
-    plant, x, _ = _extended(basis.plant, basis.fit.x, [test.name])
+    plant, x, _ = extended(basis.plant, basis.fit.x, [test.name])
     windows, states = _some(basis)
     before, after = _fit(basis.plant, windows, basis.fit.x, states, basis), _fit(plant, windows, x, states, basis)
     if before is None or after is None:
         return replace(test, gain=0.0, surplus=0.0)
     x = plant.parameters.rounded(after.x)
     then, now = ratios(plant.parameters.rope(x)), ratios(basis.plant.parameters.rope(before.x))
-    moved = float(np.max([np.abs(then[name] / now[name] - 1.0) for name in ("J/p1", "p/p1")]))
+    stds, names = ratio_spread(basis.plant.parameters, basis.information), ("J/p1", "p/p1")
+    moved = float(np.max([np.abs(then[name] / now[name] - 1.0) for name in names]))
+    beyond = float(
+        np.max([np.abs(then[name] - now[name]) / np.maximum(stds[name], TINY * now[name]) for name in names])
+    )
     gain = 1.0 - after.cost / before.cost if before.cost > 0.0 else 0.0
     surplus = max(0.0, 1.0 - (1.0 - test.surplus) * test.gain / gain) if gain > 0.0 else 0.0
     values = plant.parameters.values(x)[basis.fit.x.size :]
     sure = basis.information.whiteness >= CHANCE
     if not sure and surplus > SURE:  # what is held may be all that colours the residuals
         sure = estimate_covariance(plant, windows, after).whiteness >= CHANCE
-    return replace(test, gain=gain, values=values, moved=moved, surplus=surplus, sure=sure)
+    return replace(test, gain=gain, values=values, moved=moved, beyond=beyond, surplus=surplus, sure=sure)

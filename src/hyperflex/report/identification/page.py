@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperflex.identification import HeldOut, Identification
+from hyperflex.identification import BAND, HeldOut, Identification
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.report.folder import whole_folder
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 LONG = 16  # rows of a table that are shown at once
 _MODEL_ERROR = ("The residuals are no noise", "The residuals are not white")  # how the verdict's warnings begin
+_WIDE = 0.5  # of the error of a prediction that nothing moves on
 _TRUSTED = 0.85  # part of held-out values within their 95 % band, below which the page warns
 _DPI = 110
 PAGE = "report.html"
@@ -102,23 +103,35 @@ def _verdict(found: Identification) -> Section:
         error_words = f"{error / told.size:.3g} {told.name}" if np.isfinite(error) else "failed"
         tiles.append((error_words, f"off when {held.ahead:g} s are predicted that the fit has not seen (rms)"))
         if np.isfinite(held.inside):
-            tiles.append((f"{100.0 * held.inside:.0f} %", "of these predictions lie where 95 % are expected"))
-            marks = _with_trust(marks, held)
+            half = f"within ± {_half_band(held) / told.size:.3g} {told.name}"
+            tiles.append((f"{100.0 * held.inside:.0f} %", f"of these predictions lie where 95 % are expected, {half}"))
+            still = f"{held.persistence / told.size:.3g} {told.name}"
+            marks = _with_trust(marks, held, half, still)
     usable = settled and found.grade.name != "do not use"
     marks = [*((False, sentence) for sentence in found.grade.more), *marks]
     return Section("Verdict", verdict=(usable, str(found.grade)), tiles=tuple(tiles), marks=tuple(marks))
 
 
-def _with_trust(marks: list[tuple[bool, str]], held: HeldOut) -> list[tuple[bool, str]]:
+def _half_band(held: HeldOut) -> float:
+    """Return how far the band that should hold 95 % reaches to either side, rms over all values, rad or m."""
+    return BAND * float(np.sqrt(np.nanmean(held.std**2)))
+
+
+def _with_trust(marks: list[tuple[bool, str]], held: HeldOut, half: str, still: str) -> list[tuple[bool, str]]:
     """Return the marks with what the held-out part says of the fit's own uncertainty.
 
+    In words: `half` of its band, and by what keeping `still` would err.
+
     Where residuals are model error, predictions that hold are no reason to believe the parameters' deviations: both
-    are said in one sentence.
+    are said in one sentence. A band that is nearly as wide as the motion holds anything.
     """
     part = f"{100.0 * held.inside:.0f} % of the values that the fit has not seen lie where it expects 95 %"
     if held.inside < _TRUSTED:
         text = f"Only {part}: the model leaves something out, and real uncertainties are larger than given here."
         return [*marks, (False, text)]
+    part = f"{part}, {half}"
+    if _half_band(held) > _WIDE * held.persistence:
+        return [*marks, (False, f"{part}: so wide a band says little, for keeping still would err by {still}.")]
     told = [k for k, (_, sentence) in enumerate(marks) if sentence.startswith(_MODEL_ERROR)]
     if not told:
         return [*marks, (True, f"{part}: its uncertainties can be believed over {held.ahead:g} s.")]

@@ -1,0 +1,33 @@
+"""What 1 % of what was held moves, as far as a motion cannot test it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.uncertainty.covariance import Basis, ratio_gradients, ratio_spread, ratios
+
+HELD = ("gravity_scale", "com")  # what 1 % of is told, as far as the motion cannot test it
+PER_CENT = 0.01
+
+
+def with_sway(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
+    """Return the tests, those of HELD with what 1 % moves beyond standard deviations that count the model's errors."""
+    return tuple(
+        replace(each, sway=_sway(basis, each)) if each.name in HELD and not each.beside else each for each in tests
+    )
+
+
+def _sway(basis: Basis, test: ScoreTest) -> float:
+    """Return by what part 1 % of what was held moves a ratio that is said to be known better; 0 for none."""
+    parameters, information = basis.plant.parameters, basis.information
+    gradients, known = ratio_gradients(parameters, information.x), ratios(parameters.rope(information.x))
+    stds, worst = ratio_spread(parameters, information), 0.0
+    for name in ("J/p1", "p/p1"):
+        size = 1.0 if test.name == "gravity_scale" else np.abs(test.values)
+        moved = np.max(np.abs(gradients[name] @ (test.rate * size)), axis=1) * PER_CENT
+        std = stds[name]
+        beyond = (moved > 2.0 * std) & (std > 0.0)
+        worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
+    return worst

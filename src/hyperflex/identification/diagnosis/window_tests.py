@@ -1,0 +1,158 @@
+"""Tests of whether all windows of a recording tell the same: a drifting clock, and estimates that scatter."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification.diagnosis.score_tests import EXPLAINS, ScoreTest, extended
+from hyperflex.identification.fit.multiple_shooting import linearise
+from hyperflex.identification.uncertainty.covariance import (
+    UNKNOWN,
+    Basis,
+    ratio_gradients,
+    ratio_spread,
+    ratios,
+)
+from hyperflex.identification.uncertainty.whiteness import CHANCE
+
+DRIFT = "clock_drift"
+LEAST = 4  # windows: of fewer neither a trend nor a scatter has a standard deviation that tells
+RARE = 0.01  # probability, by Student's t of the windows' own scatter, of such a drift where there is none
+BEYOND = 4.0  # standard deviations of the noise that a drift exceeds as well: few windows may scatter little by chance
+SMALL = UNKNOWN**2  # part of the largest eigenvalue of scaled information below which a direction is unknown
+
+
+@dataclass(frozen=True, eq=False)
+class WindowScores:
+    """What each of W windows says of K numbers: the P that were free, and gravity's scale if that was held.
+
+    score (W, K): derivative of half its sum of squares by each, its state eliminated. information (W, K, K). middle
+    (W,): s. gravity: which of the numbers is gravity's scale; None without gravity. widths (K,): comparable changes.
+    free: which are not at a bound. total: sum of squares.
+    """
+
+    score: Array
+    information: Array
+    middle: Array
+    gravity: int | None
+    widths: Array
+    free: list[int]
+    total: float
+
+    def inverse(self, which: list[int]) -> Array:
+        """Return the inverse (K, K) of the information of all windows about `which` numbers, 0 elsewhere."""
+        part, width = np.ix_(which, which), self.widths[which]
+        scale = np.outer(width, width)
+        result: Array = np.zeros(self.information.shape[1:])
+        matrix = self.information.sum(axis=0)[part] * scale
+        result[part] = np.linalg.pinv(matrix, rcond=SMALL, hermitian=True) * scale
+        return result
+
+
+def window_scores(basis: Basis) -> WindowScores | None:
+    """Return the scores of a fit's windows, at the cost of one round of it; None of too few windows."""
+    if len(basis.windows) < LEAST:
+        return None
+    plant, count = basis.plant, basis.fit.x.size
+    heavy = bool(np.any(plant.parameters.guess.gravity))
+    labels = [each.name for each in plant.parameters.all]
+    held = heavy and "gravity_scale" not in labels
+    model, x, _ = extended(plant, basis.fit.x, ["gravity_scale"] if held else [])
+    scores, matrices, total = [], [], 0.0
+    for window, state, residual in zip(basis.windows, basis.fit.states, basis.fit.residuals, strict=True):
+        slopes, left = linearise(model, window, x, state, residual, basis.fit.loss).reduced()
+        scores.append(slopes.T @ left)
+        matrices.append(slopes.T @ slopes)
+        total += float(left @ left)
+    if not (np.isfinite(matrices).all() and total > 0.0):
+        return None
+    middle = np.array([0.5 * (window.t[0] + window.t[-1]) for window in basis.windows])
+    gravity = count if held else labels.index("gravity_scale") if heavy else None
+    free = [k for k in range(count) if x[k] > plant.parameters.lower[k]]
+    return WindowScores(np.array(scores), np.array(matrices), middle, gravity, model.parameters.widths, free, total)
+
+
+def drift_test(basis: Basis, scores: WindowScores | None) -> tuple[ScoreTest, ...]:
+    """Return the score test of a gravity that seems to grow with time, as a clock that drifts makes it; or nothing.
+
+    Notes
+    -----
+    The derivative of the residuals by the drift is that by gravity's scale times the window's place in the recording,
+    -1/2 to 1/2; what is free and the mean scale are eliminated. Its standard deviation is that of the windows' scores
+    about the trend (cluster-robust), and that of the noise at least. `values` is the change of gravity from the first
+    window to the last, `moved` what ratios of inertia move by to either side of the middle; NaN where it may be
+    chance and explains little.
+    """
+    if scores is None or scores.gravity is None:
+        return ()
+    from scipy.special import stdtrit
+
+    gravity, count = scores.gravity, basis.fit.x.size
+    place = (scores.middle - scores.middle.mean()) / np.ptp(scores.middle)
+    nuisance = sorted({*scores.free, gravity})
+    mixed = place[:, None] * scores.information[:, gravity]
+    across = scores.inverse(nuisance) @ mixed.sum(axis=0)
+    own = place**2 * scores.information[:, gravity, gravity] - 2.0 * mixed @ across
+    own += np.einsum("i,wij,j->w", across, scores.information, across)
+    each = place * scores.score[:, gravity] - scores.score @ across
+    information = float(own.sum())
+    if information <= SMALL * float(mixed[:, gravity] @ place):
+        return ()
+    drift = -float(each.sum()) / information
+    gain = min(drift**2 * information / scores.total, 1.0)
+    scatter = float(np.sum((each + own * drift) ** 2)) * place.size / (place.size - 2.0)
+    noise = float(np.sqrt(basis.information.variance * (1.0 - gain) / information))
+    std, least = float(np.sqrt(scatter)) / information, float(stdtrit(place.size - 2.0, 1.0 - 0.5 * RARE))
+    sure = abs(drift) > max(least * std, BEYOND * noise)
+    by_gravity = scores.inverse(scores.free)[:count] @ scores.information.sum(axis=0)[:, gravity]
+    test = ScoreTest(DRIFT, gain, np.array([drift]), std=max(std, noise), shift=-0.5 * drift * by_gravity, sure=sure)
+    if not (sure or gain > EXPLAINS):
+        return (test,)
+    return (replace(test, moved=0.5 * abs(drift), surplus=max(0.0, 1.0 - (test.std / drift) ** 2)),)
+
+
+class Scatter(NamedTuple):
+    """A ratio whose windows disagree: its label, and the standard deviation that they show, over that of noise.
+
+    part: that standard deviation as a part of the ratio.
+    """
+
+    label: str
+    times: float
+    part: float
+
+
+def scatter_test(basis: Basis, scores: WindowScores | None) -> tuple[tuple[Scatter, ...], Array]:
+    """Return the ratios that scatter more between windows than by noise, most first, and x's covariance by that (P, P).
+
+    `basis` is without errors of the model.
+
+    Notes
+    -----
+    Each window moves the estimate by its score through the inverse of all information; the sum of squares of these
+    moves is the cluster-robust covariance (Liang and Zeger 1986, doi:10.1093/biomet/73.1.13). Over the variance by
+    noise it is chi-squared with one degree of freedom less than there are windows, if these differ by noise alone. Told
+    is what is rarer than CHANCE, shared by all ratios.
+    """
+    count = basis.fit.x.size
+    if scores is None:
+        return (), np.zeros((count, count))
+    from scipy.special import gammaincc
+
+    windows = len(scores.score)
+    moves = scores.score @ scores.inverse(scores.free)[:, :count]
+    covariance = moves.T @ moves * windows / (windows - 1.0)
+    parameters, information = basis.plant.parameters, basis.information
+    stated, known = ratio_spread(parameters, information), ratios(parameters.rope(information.x), parameters.names)
+    found, tested = [], sum(int((np.isfinite(each) & (each > 0.0)).sum()) for each in stated.values())
+    for name, slopes in ratio_gradients(parameters, information.x).items():
+        seen = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, covariance, slopes), 0.0))
+        for k, (std, shown, value) in enumerate(zip(stated[name], seen, known[name], strict=True)):
+            if not (np.isfinite(std) and std > 0.0 and value != 0.0):
+                continue
+            times = float(shown / std)
+            if gammaincc(0.5 * (windows - 1.0), 0.5 * (windows - 1.0) * times**2) < CHANCE / tested:
+                found.append(Scatter(f"{name}[{k}]", times, float(shown / abs(value))))
+    return tuple(sorted(found, key=lambda each: -each.times)), covariance

@@ -1,0 +1,108 @@
+"""Windows that do not tell the same: a clock that drifts, and estimates that scatter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benchmarks.wrong_input import DOUBLE, FREE, SINGLE, Array, noisy, swing
+
+import hyperflex as hf
+from hyperflex.identification.diagnosis.grade import grade
+from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter
+
+GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
+
+
+def identified(t: Array, q: Array, guess: hf.Rope = GUESS, free: tuple[str, ...] | None = FREE) -> hf.Identification:
+    return hf.identify(hf.Recording(t, noisy(q)), guess, free, intervals=None)
+
+
+def in_turn(ropes: list[hf.Rope], q0: list[float], duration: float) -> tuple[Array, Array]:
+    """A recording of ropes one after the other, each from where the one before was."""
+    t = np.arange(round(50.0 * duration)) / 50.0
+    cuts = np.linspace(0, t.size - 1, len(ropes) + 1).astype(int)
+    parts, q, rates = [], np.array(q0), np.zeros(len(q0))
+    for rope, begin, end in zip(ropes, cuts[:-1], cuts[1:], strict=True):
+        part = t[begin : end + 1] - t[begin]
+        run = hf.simulate(rope, duration=part[-1], t_eval=part, q0=q, qd0=rates, tol=1e-9)
+        parts.append(run.q[:-1])
+        q, rates = run.q[-1], run.qd[-1]
+    return t, np.vstack([*parts, q])
+
+
+def drift(found: hf.Identification) -> float:
+    return float(next(each.values[0] for each in found.score_tests if each.name == DRIFT))
+
+
+@pytest.mark.parametrize(("duration", "free"), [(6.0, FREE), (20.0, None)], ids=["named", "default"])
+def test_a_clock_that_drifts_is_told(duration: float, free: tuple[str, ...] | None) -> None:
+    t, q = swing(DOUBLE, [0.9, 0.6], duration)
+    found = identified(t + 0.01 * t**2 / t[-1], q, free=free)
+    assert found.grade.name == "do not use"
+    assert "the clock drifts" in found.grade.reasons[0]
+    assert "slower at its end" in found.grade.reasons[0]
+    assert drift(found) == pytest.approx(-0.04 * (1.0 - 1.2 / duration), abs=0.01)  # between the windows' middles
+
+
+def test_a_clock_that_drifts_is_no_stiffness() -> None:
+    t, q = swing(SINGLE, [1.0], 20.0)
+    found = identified(t + 0.0025 * t**2 / t[-1], q, SINGLE.replace(inertia=1e-3, friction=5e-4), None)
+    assert found.settings["free"] == ["inertia", "friction"]
+    assert any("clock seems to drift" in each for each in found.grade.reasons)
+
+
+def test_a_drift_that_hardly_moves_ratios_is_in_their_deviations() -> None:
+    t, q = swing(DOUBLE, [0.9, 0.6], 6.0)
+    found = identified(t + 0.005 * t**2 / t[-1], q)
+    assert found.grade.name == "usable for ratios"
+    assert "the clock seems to drift by 0.7" in found.grade.reasons[0]
+    off = np.abs(found.ratios["J/p1"] - hf.identification.ratios(DOUBLE)["J/p1"])
+    assert (off < 2.0 * found.ratio_std["J/p1"]).all()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_clock_that_does_not_drift_is_not_told(seed: int) -> None:
+    t, q = swing(DOUBLE, [0.9, 0.6], 12.0)
+    found = hf.identify(hf.Recording(t, noisy(q, 2e-3, seed)), GUESS, FREE, intervals=None)
+    assert abs(drift(found)) < 2e-3
+    said = " ".join(found.grade.reasons)
+    assert not [words for words in ("drift", "disagree", "scatters") if words in said]
+
+
+def test_windows_of_which_some_show_another_rope_are_told() -> None:
+    other = DOUBLE.replace(com=[0.14, 0.143])
+    found = identified(*in_turn([DOUBLE, other, DOUBLE], [0.9, 0.6], 12.0))
+    assert found.grade.name == "do not use"
+    assert "windows disagree: p/p1[1] scatters between them" in found.grade.reasons[0]
+    assert found.ratio_std["p/p1"][1] > 0.018 * found.ratios["p/p1"][1]  # as far as its windows scatter
+
+
+def test_friction_that_changes_is_a_model_error() -> None:
+    other = SINGLE.replace(friction=6e-4)
+    found = identified(
+        *in_turn([SINGLE, other, SINGLE], [1.0], 24.0), SINGLE.replace(inertia=1e-3), ("inertia", "friction")
+    )
+    assert found.grade.name == "usable"
+    assert any("c/p1[0] scatters between windows" in each for each in found.grade.reasons)
+
+
+def test_windows_that_disagree_by_little_are_said_and_no_more() -> None:
+    slight = grade((), DOUBLE, None, (), identifiable=True, scatter=[Scatter("J/p1[1]", 3.0, 0.004)])
+    assert slight.name == "usable"
+    assert "J/p1[1] scatters between them 3 times as much as noise makes it" in slight.reasons[0]
+    assert grade((), DOUBLE, None, (), identifiable=True, scatter=[Scatter("J/p1[1]", 3.0, 0.02)]).name == "do not use"
+
+
+def test_what_was_held_says_so() -> None:
+    t, q = swing(DOUBLE, [0.9, 0.6], 4.0)
+    found = identified(t, q, DOUBLE, ("friction[1]",))
+    assert found.held == ("friction[0]", "J/p1", "p/p1", "c/p1[0]")
+    assert "Held as given, so a standard deviation of 0 is no accuracy: friction[0], J/p1" in str(found)
+    assert found.summary()["held"] == list(found.held)
+    assert identified(t, q, DOUBLE, FREE).held == ()
+
+
+def test_a_grade_says_by_itself_whether_axes_may_be_wrong() -> None:
+    assert grade((), DOUBLE, None, (), identifiable=True, turned=1.5).doubtful
+    assert not grade((), DOUBLE, None, (), identifiable=True, turned=0.1).doubtful
+    assert not grade((), DOUBLE, None, (), identifiable=True, noise="gravity is turned").doubtful
