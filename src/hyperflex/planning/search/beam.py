@@ -139,7 +139,7 @@ class BeamSearch:
         qd = np.concatenate([qd[:, None], batch.qd], axis=1)
         seen = strikes.find_strikes(self.cast_setup, self.peg, motions, t, q, qd)
         ended = np.array([int(np.ceil(one.duration / step)) for one in tries])
-        energy = self._energy(motions, q, qd, t, ended)
+        energy = self._energy(tries, q, qd, ended)
         struck: list[Strike] = []
         onward: list[tuple[int, _Swing]] = []
         for k, (swing, rest, _, end, time, _) in enumerate(tries):
@@ -198,10 +198,11 @@ class BeamSearch:
                     tries.append(_Continuation(swing, swing.delay + at * step, at, end, float(time), motion))
         return tries
 
-    def _energy(self, motions: list[Motion], q: Array, qd: Array, t: Array, at: Array) -> Array:
+    def _energy(self, tries: list[_Continuation], q: Array, qd: Array, at: Array) -> Array:
         """Energy (M,), J, at samples `at` (M,), where the arm rests, of point masses at the links' centres of mass."""
-        rope, arm, rows = self.cast_setup.rope, self.cast_setup.arm, np.arange(len(motions))
-        base = np.stack([strikes.arm_tip(arm, motion, t[[k]])[0][0] for motion, k in zip(motions, at, strict=True)])
+        rope, arm, rows = self.cast_setup.rope, self.cast_setup.arm, np.arange(len(tries))
+        angle = np.array([one.angle for one in tries])
+        base = np.stack([np.sin(angle), -np.cos(angle)], axis=1) * arm.length + np.array(arm.pivot)
         places, speeds = strikes.mass_points(rope, q[rows, at], qd[rows, at], base, np.zeros_like(base))
         mass = np.append(rope.mass, rope.tip_mass)
         return np.asarray((mass * (0.5 * (speeds**2).sum(axis=2) - places @ np.array(rope.gravity))).sum(axis=1))

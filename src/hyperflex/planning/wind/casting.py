@@ -19,8 +19,9 @@ from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fallback
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
-from hyperflex.planning.wind.planner import NOMINAL, CastPlanner
+from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.planning.wind.remedies import find_remedies
+from hyperflex.planning.wind.robust_phase import NOMINAL, refine_robustly
 from hyperflex.progress import progress_bar
 from hyperflex.simulation import simulate
 
@@ -182,14 +183,15 @@ def _search(
     **free: Any,
 ) -> CastPlan:
     """Search for a throw, verify it, and estimate its success probability; `free` as of :class:`CastPlanner`."""
-    planner = CastPlanner(search, time_budget if uncertainty is None else NOMINAL * time_budget, **free)
+    nominal = time_budget if uncertainty is None else NOMINAL * time_budget
+    planner = CastPlanner(search, nominal, hurry=uncertainty is None, **free)
     probability = None
     if on_plan is not None:
         planner.hear = lambda: on_plan(planner.plan(known))
     with caught() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
         planner.run(report)
         if uncertainty is not None:
-            planner.refine_robustly(uncertainty, report)
+            refine_robustly(planner, uncertainty, report)
             if (throw := planner.best[0]) is not None and (left := time_budget - planner.spent) > 0.0:
                 given = (search.cast_setup, search.peg, throw, uncertainty)
                 seed, threads = search.seed, search.threads
