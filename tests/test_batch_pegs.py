@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
+from hyperflex.simulation import Deadline
 from hyperflex.winding import turns
 
 ARM = hf.Arm(length=0.105)
@@ -95,3 +98,18 @@ def test_a_member_that_takes_too_long_has_failed() -> None:
         hf.simulate_batch(ropes, motions, time_budget=-1.0, **how)
     with pytest.raises(InvalidInput, match="with pegs"):
         hf.simulate_batch(ropes, motions, time_budget=1.0, arm=ARM, duration=0.1)
+
+
+@pytest.mark.parametrize("pegs", [PEGS, []])
+def test_a_deadline_ends_all_members_those_that_have_not_begun_at_once(pegs: list[list[hf.Peg]]) -> None:
+    """Many members for a long time on one thread, and time for a few of them: by a clock that each look moves on."""
+    ropes, motions = family()
+    looks = iter(range(1000))
+    end = Deadline(math.inf, lambda: 0.02 - 0.01 * next(looks))
+    how = {"pegs": pegs * 100, "time_budget": end, **HOW, "duration": 1e4, "threads": 1}
+    batch = hf.simulate_batch(ropes * 100, motions * 100, **how)  # type: ignore[arg-type]
+    assert set(batch.status) == {"time budget exceeded"}
+    assert (batch.reached[-10:] == 0.0).all()
+    assert "time budget exceeded" in batch.message
+    how = {"pegs": pegs, "time_budget": Deadline(math.inf, lambda: 1e3), **HOW}
+    assert set(hf.simulate_batch(ropes, motions, **how).status) == {"ok"}  # type: ignore[arg-type]

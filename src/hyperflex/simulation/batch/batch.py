@@ -23,11 +23,11 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import output_times
-from hyperflex.simulation.batch.contact import TURNS, run_blocks, run_members
-from hyperflex.simulation.batch.members import members_of, setups_of, starts_of, terms_of
+from hyperflex.simulation.batch.contact import TURNS, run_blocks, run_members, unfinished
+from hyperflex.simulation.batch.members import columns, members_of, setups_of, starts_of, terms_of
 from hyperflex.simulation.batch.pieces import run_pieces
 from hyperflex.simulation.rollouts import balanced, least_scale, stored
-from hyperflex.simulation.time_budget import INTERRUPTED, Deadline
+from hyperflex.simulation.time_budget import Deadline
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -169,9 +169,9 @@ def simulate_batch(
         each as :func:`hyperflex.simulate` runs it and with the same result.
     contact_step, refine
         As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
-    time_budget : float, optional
+    time_budget : float or Deadline, optional
         Processor time, s, after which a member with pegs or with joint limits has failed ("time budget exceeded"); the
-        default is that of :func:`simulate`.
+        default is that of :func:`simulate`. A Deadline ends members in free flight too, once its clock leaves no time.
     threads : int, optional
         By default one a processor, or one in each worker of an executor. Results do not depend on it.
     executor : concurrent.futures.Executor, optional
@@ -217,13 +217,13 @@ def simulate_batch(
     touches = any(setup.touches for setup in setups)
     if touches and step is not None:
         raise InvalidInput("step is not there with pegs or with joint limits", got=step, fix="Give contact_step or tol")
-    if not touches and time_budget is not None:
-        what = "time_budget is for members with pegs or with joint limits, and there are none"
-        raise InvalidInput(what, got=time_budget, fix="Leave it out")
+    if not touches and not (time_budget is None or isinstance(time_budget, Deadline)):
+        what = "processor time is a budget of members with pegs or with joint limits, and there are none"
+        raise InvalidInput(what, got=time_budget, allowed="None or a Deadline", fix="Leave time_budget out")
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
     executor, size = checked_chunks(executor, chunk_size, CONTACT_CHUNK if touches else CHUNK)
-    run = partial(_in_contact, time_budget=time_budget) if touches else partial(_in_flight, step=chosen)
-    run = partial(run, t=t, keep=keep, workers=workers)
+    run = _in_contact if touches else partial(_in_flight, step=chosen)
+    run = partial(run, t=t, keep=keep, workers=workers, time_budget=time_budget)
     if executor is None:
         return run(setups, progress=progress)
     values, names, reached, interrupt = run_pieces(run, setups, executor, size, progress)
@@ -245,12 +245,18 @@ def _in_contact(
 
 
 def _in_flight(
-    setups: list[Setup], t: Array, keep: tuple[str, ...], workers: int, step: float, progress: bool = False
+    setups: list[Setup],
+    t: Array,
+    keep: tuple[str, ...],
+    workers: int,
+    step: float,
+    time_budget: Deadline | None,
+    progress: bool = False,
 ) -> Batch:
     """Run members in free flight in this process, on threads."""
     chains = [setup.chain() for setup in setups]
     members = members_of(chains, [setup.drive() for setup in setups], starts_of(setups))
-    return _Work(members, terms_of(setups[0], chains[0], step), t, keep, setups).run(workers, progress)
+    return _Work(members, terms_of(setups[0], chains[0], step), t, keep, setups).run(workers, progress, time_budget)
 
 
 class _Work:
@@ -287,7 +293,7 @@ class _Work:
                 reach = np.stack([(length * np.sin(q)).sum(axis=2), -(length * np.cos(q)).sum(axis=2)], axis=2)
                 target[rows] = joint + reach
             else:
-                target[rows] = y[:, :, _columns(name, n)]
+                target[rows] = y[:, :, columns(name, n)]
         self.reached[rows] = reached
         self.codes[rows] = codes
 
@@ -313,15 +319,15 @@ class _Work:
                 states[m, good:] = np.nan
         return joint
 
-    def run(self, workers: int, progress: bool) -> Batch:
-        """Run all blocks on threads; Ctrl-C keeps what is finished."""
+    def run(self, workers: int, progress: bool, time_budget: Deadline | None) -> Batch:
+        """Run all blocks on threads; Ctrl-C, or the end of the time, keeps what is finished."""
         count = self.codes.size
         even = -(-count // (workers * BLOCKS * len(MEMBERS))) * len(MEMBERS)
         states = self.t.size * (2 * self.members.links.shape[2] + 2)
         held = int(STATES / states) // len(MEMBERS) * len(MEMBERS)
         size = max(len(MEMBERS), min(even, LARGEST_BLOCK, held))
-        interrupt = run_blocks(self.block, size, count, workers, progress, self.stop)
-        names = tuple(status.NAMES[int(code)] if code >= 0 else INTERRUPTED for code in self.codes)
+        interrupt = run_blocks(self.block, size, count, workers, progress, time_budget, self.stop)
+        names = tuple(status.NAMES[int(code)] if code >= 0 else unfinished(interrupt) for code in self.codes)
         return interrupt.deliver(Batch(self.t, self.values, names, self.reached))
 
 
@@ -342,8 +348,3 @@ def _check_memory(setups: list[Setup], samples: int, keep: tuple[str, ...]) -> N
         f"a batch of {len(setups)} members with {samples} outputs of {', '.join(keep)}",
         "Ask for fewer outputs (t_eval=[...]), keep less of them (keep=[...]), or take fewer members at once",
     )
-
-
-def _columns(name: str, n: int) -> slice | int:
-    columns: dict[str, slice | int] = {"q": slice(0, n), "qd": slice(n, 2 * n), "motor_work": 2 * n}
-    return columns.get(name, 2 * n + 1)

@@ -1,7 +1,7 @@
 """Contact batch: members with pegs or joint limits, one by one on threads."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from hyperflex.model import Setup
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.runs import simulate
-from hyperflex.simulation.time_budget import INTERRUPTED, Deadline
+from hyperflex.simulation.time_budget import INTERRUPTED, OUT_OF_TIME, Deadline
 from hyperflex.trajectory import Trajectory, swept
 
 TURNS = "turns"
@@ -35,7 +35,7 @@ def run_members(
     values : dict of str to (M, T, ...) float64
         What was kept; NaN from where a member failed, and beyond the links that a rope has.
     names : (M,) list of str
-        "ok", the name of the failure, or INTERRUPTED.
+        "ok", the name of the failure, INTERRUPTED or OUT_OF_TIME.
     reached : (M,) float64
         Time that each member reached, s.
     interrupt : Caught
@@ -54,8 +54,8 @@ def run_members(
             target[m][whole] = found
         reached[m], names[m] = run.state.t, run.status
 
-    interrupt = run_blocks(one, 1, len(setups), threads, progress)
-    return values, names, reached, interrupt
+    interrupt = run_blocks(one, 1, len(setups), threads, progress, time_budget)
+    return values, [unfinished(interrupt) if name == INTERRUPTED else name for name in names], reached, interrupt
 
 
 def run_blocks(
@@ -64,13 +64,15 @@ def run_blocks(
     count: int,
     threads: int,
     progress: bool,
+    time_budget: float | Deadline | None,
     stop: npt.NDArray[np.int64] | None = None,
 ) -> Caught:
     """Run a function for the members low..high - 1 of each block of `size`, until all `count` are done.
 
-    After Ctrl-C blocks that have not begun are left out, and `stop` (1,), if given, is set to 1 for those at work.
-    Returns whether that was so.
+    After Ctrl-C, and once a Deadline is over, blocks that have not begun are left out, and `stop` (1,), if given, is
+    set to 1 for those at work. Returns whether Ctrl-C did so.
     """
+    left = time_budget.left if isinstance(time_budget, Deadline) else None
     with (
         caught() as interrupt,
         ThreadPoolExecutor(threads) as pool,
@@ -78,19 +80,40 @@ def run_blocks(
     ):
         spans = [(low, min(low + size, count)) for low in range(0, count, size)]
         futures: list[Future[None]] = []
-        try:
-            futures += (pool.submit(block, *span) for span in spans)
-            for (_, high), future in zip(spans, futures, strict=True):
-                future.result()
-                if report is not None:
-                    report(high)
-        except KeyboardInterrupt:
+
+        def end() -> None:
             if stop is not None:
                 stop[0] = 1
             for future in futures:
                 future.cancel()
+
+        try:
+            futures += (pool.submit(block, *span) for span in spans)
+            for (_, high), future in zip(spans, futures, strict=True):
+                if left is not None and not _in_time(future, left):
+                    end()
+                    left = None
+                if future.cancelled():
+                    continue
+                future.result()
+                if report is not None:
+                    report(high)
+        except KeyboardInterrupt:
+            end()
             raise
     return interrupt
+
+
+def unfinished(interrupt: Caught) -> str:
+    """Return the status of members that were left out or ended before they were done."""
+    return INTERRUPTED if interrupt.met else OUT_OF_TIME
+
+
+def _in_time(future: Future[None], left: Callable[[], float]) -> bool:
+    """Wait for a block until no time is left, s; return whether it is done."""
+    while not future.done() and (seconds := left()) >= 0.0:
+        wait([future], timeout=min(max(seconds, 1e-3), 1.0))
+    return future.done()
 
 
 def _kept(run: Trajectory, name: str) -> Array:

@@ -127,3 +127,9 @@ def terms_of(setup: Setup, chain: Chain, step: float = 0.0) -> Terms:
     """Return what all members have in common: the tolerance of one's set-up, or a chosen `step`, s."""
     table = scheme(next(order for least, order in ORDERS if setup.tol >= least))
     return Terms(0.0, setup.tol, chain.reaction, step, table.best, table.gap, table.rounding)
+
+
+def columns(name: str, n: int) -> slice | int:
+    """Return where a quantity that a batch keeps stands in a state of n links."""
+    columns: dict[str, slice | int] = {"q": slice(0, n), "qd": slice(n, 2 * n), "motor_work": 2 * n}
+    return columns.get(name, 2 * n + 1)
