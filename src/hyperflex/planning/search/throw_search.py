@@ -147,7 +147,9 @@ class ThrowSearch:
 
     def _strikes(self, cast_setup: CastSetup, throws: list[Throw], threads: int | None = None) -> strikes.Strikes:
         motions = [throw.motion(cast_setup.limits) for throw in throws]
-        return strikes.simulate_strikes(cast_setup, self.peg, motions, threads=threads or self.threads)
+        budget = None if self.left is None else Deadline(np.inf, self.left)
+        given: dict[str, Any] = {"time_budget": budget, "threads": threads or self.threads}
+        return strikes.simulate_strikes(cast_setup, self.peg, motions, **given)
 
     def evolve_swings(self) -> float:
         """Simulate one generation of free swings from each side; return the best score so far."""
