@@ -600,20 +600,20 @@ def test_a_rope_that_strikes_nothing_in_the_time_allowed_gets_more_at_once(monke
 
 def test_enough_throws_that_wind_are_verified_before_more_last_moves_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
-    x, tried, turns = search.parametrizations[1].centre(), [], [2.0, 0.0, 0.0]
+    x, tried, turns = search.parametrizations[1].centre(), [], [2.0, 0.0, 0.0, 0.0]
     search.swings = [Swing(1.0, 1, x, 5.0)]
 
     def evaluate(side: int, points: list[np.ndarray]) -> None:
-        tried.append({point[-4] for point in points})
+        tried.append({(point[-4], point[-2]) for point in points})
         found = [cast_planner.Candidate(1.0, turns[len(tried) - 1], side, point, None) for point in points]  # type: ignore[arg-type]
         search.candidates += found
 
     monkeypatch.setattr(search, "evaluate", evaluate)
     search.try_last_moves()
-    assert tried == [{0.5}]  # strokes after the strike: these wind
+    assert tried == [{(0.5, 0.0)}]  # strokes after the strike, and the rest before the last move: these wind
     assert search.untried(np.inf)
     search.try_last_moves()
-    assert tried == [{0.5}, {1.5}, {2.5}]
+    assert tried == [{(0.5, 0.0)}, {(0.5, 0.05)}, {(1.5, 0.0)}, {(2.5, 0.0)}]
     assert not search.untried(np.inf)
 
 

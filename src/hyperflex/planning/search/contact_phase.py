@@ -94,8 +94,9 @@ def _simulate_contact(
     found = WindingScores(found.score - undone, np.minimum(found.turns, MIN_HOPE))
     on = np.flatnonzero(np.abs(np.nan_to_num(turns[:, -1])) >= MIN_HOPE)
     after = float(early[-1])
-    on = [k for k in on if _clear_of_peg(batch, int(k), run.q[k, -1], after, arm)]
-    on = np.array([k for k in on if _clear_of_arm(batch, int(k), run.q[k], early, arm, clearance)], dtype=np.int64)
+    clear = [k for k in on if _clear_of_peg(batch, int(k), run.q[k, -1], after, arm)]
+    clear = [k for k in clear if _clear_of_arm(batch, int(k), run.q[k], early, arm, clearance)]
+    on = np.array(clear, dtype=np.int64)
     if on.size:
         some = batch.select(on.tolist())
         motions = [motion.shifted(-after) for motion in some.motions]

@@ -191,11 +191,10 @@ class ThrowSearch:
         if not self._untried:
             fresh = distinct(self.swings, self._tried, TRIED)
             self._tried += fresh
-            for more in MORE:
-                ends = [(end, rest) for end in ENDS for rest in (RESTS if more < 1.0 else RESTS[:1])]
+            for more, rest in [(a, b) for a in MORE for b in (RESTS if a < 1.0 else RESTS[:1])]:
                 for side in self.parametrizations:
                     some = [one for one in fresh if one.side == side]
-                    points = [np.append(one.x[:-LAST], [more, *end, 1.0]) for one in some for end in ends]
+                    points = [np.append(one.x[:-LAST], [more, end, rest, 1.0]) for one in some for end in ENDS]
                     self._untried += [(side, points)] if points else []
         wound = self._winding
         while self._untried and self._winding < wound + ENOUGH and (self.left is None or self.left() > 0.0):
