@@ -143,6 +143,16 @@ def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypa
     assert found.score[0] <= MIN_HOPE + PASSING * 2.0
 
 
+@pytest.mark.parametrize(("clearance", "stays"), [(-np.inf, True), (0.0, True), (1.0, False)])
+def test_a_rope_that_comes_too_near_its_arm_counts_as_undone(clearance: float, stays: bool) -> None:
+    strike = simulated_strikes(CAST_SETUP, PEG, [WINDS])
+    motion = WINDS.motion(CAST_SETUP.limits).shifted(-strike.t[0])
+    one = RolloutBatch([CABLE], [PEG], [motion], strike.q, strike.qd)
+    found = simulate_contact(one, strike.t, arm=CAST_SETUP.arm, clearance=clearance)
+    assert bool(found.turns[0] >= MIN_TURNS) is stays
+    assert stays or found.score[0] <= MIN_HOPE + PASSING * MAX_TURNS
+
+
 def test_a_run_that_is_too_deep_in_the_peg_to_go_on_counts_little(monkeypatch: pytest.MonkeyPatch) -> None:
     """Coarse runs sink deeper than a run may begin: one throw of a search ended it with an error."""
     strike = simulated_strikes(CAST_SETUP, PEG, [WINDS])

@@ -13,7 +13,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastSetup, MotorLimits, SuccessProbability, Uncertainty
 from hyperflex.planning.search.candidates import Swing
 from hyperflex.planning.search.throw_search import ThrowSearch
-from hyperflex.planning.wind import casting
+from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
 from hyperflex.planning.wind.planner import LONGER
 from tests.faults.interrupting import left_by
@@ -144,10 +144,10 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
         )
         return cast, cast if good else None
 
-    def race(self: cast_planner.RobustRefinement, found: list, seeded: list) -> None:
+    def race(self: robust_phase.RobustRefinement, found: list, seeded: list) -> None:
         seen["seeded"] = [one.throw for one in seeded]
         seen["raced"] = [one.throw for one in found]
-        self.order = [cast_planner.RobustCandidate(landed[k], values=16 * [0.5 * k]) for k in (2, 1)]
+        self.order = [robust_phase.RobustCandidate(landed[k], values=16 * [0.5 * k]) for k in (2, 1)]
 
     def estimate_success_probability(
         cast_setup: object, peg: object, throw: object, *_: object, **__: object
@@ -157,9 +157,9 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
 
     monkeypatch.setattr(cast_planner.CastPlanner, "run", go)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
-    monkeypatch.setattr(cast_planner.RobustRefinement, "halve", race)
-    monkeypatch.setattr(cast_planner.RobustRefinement, "run", lambda self, report=None: None)
-    monkeypatch.setattr(cast_planner.RobustRefinement, "best", lambda self, count: self.order[:count])
+    monkeypatch.setattr(robust_phase.RobustRefinement, "halve", race)
+    monkeypatch.setattr(robust_phase.RobustRefinement, "run", lambda self, report=None: None)
+    monkeypatch.setattr(robust_phase.RobustRefinement, "best", lambda self, count: self.order[:count])
     monkeypatch.setattr(casting, "estimate_success_probability", estimate_success_probability)
     found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty())
     assert seen["seeded"] == ["throw 0"]
@@ -174,14 +174,14 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
     assert (nominal.throw, nominal.success_probability) == ("throw 0", None)
 
 
-class Race(cast_planner.RobustRefinement):
+class Race(robust_phase.RobustRefinement):
     """Throws that win in so many of the common worlds; nothing is simulated."""
 
     wins = (16, 10, 8)
 
     def halve(self, found: list, seeded: object = ()) -> None:
         self.order = [
-            cast_planner.RobustCandidate(found[k], values=[m < self.wins[k] for m in range(16)]) for k in range(3)
+            robust_phase.RobustCandidate(found[k], values=[m < self.wins[k] for m in range(16)]) for k in range(3)
         ]
 
     def evaluate(self, runners: object, scenarios: list) -> None:
@@ -205,14 +205,14 @@ def hardened(
         cast = SimpleNamespace(**(good | told.get(found.throw.name, {})))  # type: ignore[attr-defined]
         return cast, cast if cast.success else None
 
-    monkeypatch.setattr(cast_planner, "RobustRefinement", Race)
+    monkeypatch.setattr(robust_phase, "RobustRefinement", Race)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
     search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
     search.candidates = landings
-    work = cast_planner.CastPlanner(search, cast_planner.NOMINAL * time_budget)
+    work = cast_planner.CastPlanner(search, robust_phase.NOMINAL * time_budget, hurry=False)
     nominal = SimpleNamespace(**(good | told.get("nominal", {})))
     work.best = ("nominal", nominal, nominal)  # type: ignore[assignment]
-    work.refine_robustly(Uncertainty(), None)
+    robust_phase.refine_robustly(work, Uncertainty(), None)
     return work
 
 
@@ -296,14 +296,14 @@ def test_a_second_interrupt_keeps_what_was_verified(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(Race, "run", broken_off)
     best: list[object] = []
-    harden = cast_planner.CastPlanner.refine_robustly
+    harden = robust_phase.refine_robustly
 
     def caught(self: cast_planner.CastPlanner, *more: object) -> None:
         with pytest.raises(KeyboardInterrupt):
             harden(self, *more)  # type: ignore[arg-type]
         best.append(self.best[0])
 
-    monkeypatch.setattr(cast_planner.CastPlanner, "refine_robustly", caught)
+    monkeypatch.setattr(robust_phase, "refine_robustly", caught)
     hardened(monkeypatch, a=FAILS)
     assert best[0].name == "b"  # type: ignore[attr-defined]
 
@@ -319,13 +319,13 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     def verified(self: cast_planner.CastPlanner, found: cast_planner.Candidate) -> object:
         raise KeyboardInterrupt
 
-    def race(self: cast_planner.RobustRefinement, found: list, seeded: list) -> None:
-        self.order = [cast_planner.RobustCandidate(landed, values=16 * [1.0])]
+    def race(self: robust_phase.RobustRefinement, found: list, seeded: list) -> None:
+        self.order = [robust_phase.RobustCandidate(landed, values=16 * [1.0])]
 
     monkeypatch.setattr(cast_planner.CastPlanner, "run", go)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
-    monkeypatch.setattr(cast_planner.RobustRefinement, "halve", race)
-    monkeypatch.setattr(cast_planner.RobustRefinement, "run", lambda self, report=None: None)
+    monkeypatch.setattr(robust_phase.RobustRefinement, "halve", race)
+    monkeypatch.setattr(robust_phase.RobustRefinement, "run", lambda self, report=None: None)
     found = left_by(lambda: hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty()))
     assert found.interrupted
     assert (found.throw, found.success_probability) == ("nominal", None)
@@ -380,7 +380,9 @@ def test_a_full_turn_that_nobody_asked_for_is_sought_for_as_long_again_as_the_fi
     cast = SimpleNamespace(success=True, turns=1.3, slip=1e-3, load_ratio=0.8, folded=False, contact_angle=3.0)
     work.best, work.first = ("a throw", cast, cast), 3.0  # type: ignore[assignment]
     assert work.done() is enough
-    cast.slip = 3e-3  # nothing in hand: sought until the time is over
+    cast.slip = 3e-3  # nothing in hand: sought as long, or until the time is over where there is no hurry
+    assert work.done() is enough
+    work.hurry = False
     assert not work.done()
 
 
@@ -585,6 +587,34 @@ def test_rounds_of_swings_are_stroke_by_stroke_and_in_whole_by_turns(monkeypatch
     work.lengthen()
     work.swing()
     assert made[-1] == "stroke by stroke"
+
+
+def test_a_rope_that_strikes_nothing_in_the_time_allowed_gets_more_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    work, times = cast_planner.CastPlanner(search, 1e3, longer=True), []
+    monkeypatch.setattr(cast_planner.CastPlanner, "swing", lambda self: times.append(search.cast_setup.time) or -1.0)
+    monkeypatch.setattr(cast_planner.CastPlanner, "done", lambda self: len(times) == 2)
+    work.run(None)
+    assert times[1] == LONGER * times[0]
+
+
+def test_enough_throws_that_wind_are_verified_before_more_last_moves_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    x, tried, turns = search.parametrizations[1].centre(), [], [2.0, 0.0, 0.0, 0.0]
+    search.swings = [Swing(1.0, 1, x, 5.0)]
+
+    def evaluate(side: int, points: list[np.ndarray]) -> None:
+        tried.append({(point[-4], point[-2]) for point in points})
+        found = [cast_planner.Candidate(1.0, turns[len(tried) - 1], side, point, None) for point in points]  # type: ignore[arg-type]
+        search.candidates += found
+
+    monkeypatch.setattr(search, "evaluate", evaluate)
+    search.try_last_moves()
+    assert tried == [{(0.5, 0.0)}]  # strokes after the strike, and the rest before the last move: these wind
+    assert search.untried(np.inf)
+    search.try_last_moves()
+    assert tried == [{(0.5, 0.0)}, {(0.5, 0.05)}, {(1.5, 0.0)}, {(2.5, 0.0)}]
+    assert not search.untried(np.inf)
 
 
 @pytest.mark.parametrize(("strike", "tries"), [(0.9, 1), (0.2, 5)])

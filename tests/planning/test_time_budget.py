@@ -15,6 +15,7 @@ from hyperflex.planning import Uncertainty, WhipMap, build_whip_map, estimate_su
 from hyperflex.planning.outcome import require_holding_force
 from hyperflex.planning.robust import scenario_rollouts
 from hyperflex.planning.search import throw_search
+from hyperflex.planning.search.beam import BeamSearch
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.contact_phase import WindingScores, simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -87,6 +88,18 @@ def test_runs_of_a_search_do_not_outlast_it() -> None:
     batch = RolloutBatch([CABLE], [PEG], motions, strike.q, strike.qd)
     cut = simulate_contact(batch, strike.t, arm=cast_setup().arm, time_budget=budget)
     assert cut.turns[0] == 0.0  # with the time that it takes: 2.4
+
+
+def test_free_swings_of_a_search_do_not_outlast_it() -> None:
+    search = ThrowSearch(cast_setup(), PEG)
+    struck = search._strikes(search.cast_setup, [WINDS])
+    assert np.isfinite(struck.t).all()
+    search.left = lambda: -1.0
+    assert np.isnan(search._strikes(search.cast_setup, [WINDS]).t).all()
+    beam = BeamSearch(cast_setup(), PEG, [-1], np.random.default_rng(0))
+    left = iter([1.0])  # to begin with a stroke; then none
+    assert beam.extend(3.0, 8, lambda: next(left, -1.0)) == []
+    assert not beam.ready(3.0, 8)  # no swing that was cut short is gone on with
 
 
 def test_whips_are_not_verified_beyond_the_time() -> None:

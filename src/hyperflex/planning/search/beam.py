@@ -7,7 +7,7 @@ energy are continued in turn, if they are nearly the same with shorter links: a 
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.throw import MIN_STROKE, STROKE
+from hyperflex.simulation import Deadline
 
 WIDTH, EACH = 12, 2  # swings of a side that are continued, and how many of them after the same strokes
 RESTS, MAX_REST = 5, 0.6  # rests that are tried after a stroke, and the longest of them, in periods
@@ -116,12 +117,13 @@ class BeamSearch:
             if sum(one.score >= enough and one.t < time for one in self._strikes[known:]) >= ENOUGH:
                 break
             later = [one for one in self._swings if not one.ready(time, most)]
-            struck, onward = self._continue([one for one in self._swings if one.ready(time, most)])
+            budget = None if left is None else Deadline(np.inf, left)
+            struck, onward = self._continue([one for one in self._swings if one.ready(time, most)], budget)
             self._strikes += struck
             self._swings = later + onward
         return sorted((one for one in self._strikes if one.t < time), key=lambda one: -one.score)
 
-    def _continue(self, swings: list[_Swing]) -> tuple[list[Strike], list[_Swing]]:
+    def _continue(self, swings: list[_Swing], budget: Deadline | None) -> tuple[list[Strike], list[_Swing]]:
         """Add a stroke to each swing; return the strikes, and the swings that are continued."""
         tries = [one for swing in swings for one in self._continuations(swing)]
         if not tries:
@@ -134,12 +136,13 @@ class BeamSearch:
         qd = np.stack([one.swing.qd[one.at] for one in tries])
         motions = [one.motion for one in tries]
         flights = RolloutBatch([rope] * len(tries), [self.peg] * len(tries), motions, q, qd)
-        batch = flights.run(arm, t[1:], tol=strikes.COARSE_TOL, keep=("q", "qd"), threads=self.threads)
+        how: dict[str, Any] = {"tol": strikes.COARSE_TOL, "time_budget": budget, "threads": self.threads}
+        batch = flights.run(arm, t[1:], keep=("q", "qd"), **how)
         q = np.concatenate([q[:, None], batch.q], axis=1)
         qd = np.concatenate([qd[:, None], batch.qd], axis=1)
         seen = strikes.find_strikes(self.cast_setup, self.peg, motions, t, q, qd)
         ended = np.array([int(np.ceil(one.duration / step)) for one in tries])
-        energy = self._energy(motions, q, qd, t, ended)
+        energy = self._energy(tries, q, qd, ended)
         struck: list[Strike] = []
         onward: list[tuple[int, _Swing]] = []
         for k, (swing, rest, _, end, time, _) in enumerate(tries):
@@ -155,12 +158,14 @@ class BeamSearch:
                 new = _Swing(float(energy[k]), swing.side, strokes, rests, end, stop, delay, *map(np.copy, some))
                 onward.append((k, new))
         likely = _best(onward, 2 * WIDTH)
-        confirmed = self._confirmed(flights, [k for k, _ in onward if k in likely], ended, q)
+        confirmed = self._confirmed(flights, [k for k, _ in onward if k in likely], ended, q, how)
         best = _best([each for each in onward if each[0] in confirmed], WIDTH)
         return struck, [one for k, one in onward if k in best]
 
-    def _confirmed(self, flights: RolloutBatch, rows: list[int], ended: Array, q: Array) -> set[int]:
-        """Rows of q (M, T, n) whose tip at sample `ended` (M,) is nearly the same with shorter links."""
+    def _confirmed(
+        self, flights: RolloutBatch, rows: list[int], ended: Array, q: Array, how: dict[str, Any]
+    ) -> set[int]:
+        """Rows of q (M, T, n) whose tip at sample `ended` (M,) is nearly the same with shorter links, run alike."""
         if not rows:
             return set()
         rope = self.cast_setup.rope
@@ -172,7 +177,7 @@ class BeamSearch:
             qd=np.repeat(some.qd, FINER, axis=1),
         )
         t = strikes.SAMPLE_TIME * np.arange(1.0, last.max() + 1.0)
-        batch = some.run(self.cast_setup.arm, t, tol=strikes.COARSE_TOL, keep=("q",), threads=self.threads)
+        batch = some.run(self.cast_setup.arm, t, keep=("q",), **how)
         self.runs += len(rows)
         there = _tip(finer, batch.q[np.arange(len(rows)), last - 1])
         away = np.hypot(*(there - _tip(rope, q[rows, last])).T) / rope.total_length
@@ -198,10 +203,11 @@ class BeamSearch:
                     tries.append(_Continuation(swing, swing.delay + at * step, at, end, float(time), motion))
         return tries
 
-    def _energy(self, motions: list[Motion], q: Array, qd: Array, t: Array, at: Array) -> Array:
+    def _energy(self, tries: list[_Continuation], q: Array, qd: Array, at: Array) -> Array:
         """Energy (M,), J, at samples `at` (M,), where the arm rests, of point masses at the links' centres of mass."""
-        rope, arm, rows = self.cast_setup.rope, self.cast_setup.arm, np.arange(len(motions))
-        base = np.stack([strikes.arm_tip(arm, motion, t[[k]])[0][0] for motion, k in zip(motions, at, strict=True)])
+        rope, arm, rows = self.cast_setup.rope, self.cast_setup.arm, np.arange(len(tries))
+        angle = np.array([one.angle for one in tries])
+        base = np.stack([np.sin(angle), -np.cos(angle)], axis=1) * arm.length + np.array(arm.pivot)
         places, speeds = strikes.mass_points(rope, q[rows, at], qd[rows, at], base, np.zeros_like(base))
         mass = np.append(rope.mass, rope.tip_mass)
         return np.asarray((mass * (0.5 * (speeds**2).sum(axis=2) - places @ np.array(rope.gravity))).sum(axis=1))

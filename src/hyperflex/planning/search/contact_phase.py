@@ -8,6 +8,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Setup
+from hyperflex.planning.clearance import sampled_clearance
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.strikes import arm_tip
@@ -44,18 +45,21 @@ def simulate_contact(
     begin: Array,
     *,
     arm: Arm,
+    clearance: float = -np.inf,
     time_budget: float | Deadline = TIME_BUDGET,
     threads: int | None = None,
 ) -> WindingScores:
     """Simulate ropes (M,) with pegs from shortly before their strikes, under motions that end.
 
-    A strike that begins later, at `begin` (M,), s, lowers the score. `time_budget` is the processor time of each run,
-    s, or a deadline; a run that takes more has failed.
+    A strike that begins later, at `begin` (M,), s, lowers the score. A rope that comes within `clearance`, m, of its
+    arm or shaft counts as one that comes undone. `time_budget` is the processor time of each run, s, or a deadline; a
+    run that takes more has failed.
     """
     stops = np.maximum([float(motion.breaks[-1]) for motion in batch.motions], 0.5)
     score, turns = np.empty(stops.size), np.empty(stops.size)
     for rows in _similar_stops(stops):
-        found = _simulate_contact(batch.select(rows), stops[rows], begin[rows], arm, time_budget, threads)
+        some, budget = batch.select(rows), (time_budget, threads)
+        found = _simulate_contact(some, stops[rows], begin[rows], arm, clearance, *budget)
         score[rows], turns[rows] = found.score, found.turns
     return WindingScores(score, turns)
 
@@ -68,11 +72,18 @@ def _similar_stops(stops: Array) -> list[list[int]]:
 
 
 def _simulate_contact(
-    batch: RolloutBatch, stops: Array, begin: Array, arm: Arm, time_budget: float | Deadline, threads: int | None
+    batch: RolloutBatch,
+    stops: Array,
+    begin: Array,
+    arm: Arm,
+    clearance: float,
+    time_budget: float | Deadline,
+    threads: int | None,
 ) -> WindingScores:
     """As :func:`simulate_contact`, for runs with stops at about the same time.
 
-    Runs with fewer than MIN_HOPE turns CHECK_TIME after the stop end there, and count MIN_HOPE turns at most.
+    Runs with fewer than MIN_HOPE turns CHECK_TIME after the stop end there, and count MIN_HOPE turns at most. So do
+    those that came too near the arm until then.
     """
     early: Array = SAMPLE_TIME * np.arange(1.0, np.ceil((stops.max() + CHECK_TIME) / SAMPLE_TIME) + 1.0)
     late: Array = SAMPLE_TIME * np.arange(1.0, np.ceil((SETTLING_TIME - CHECK_TIME) / SAMPLE_TIME) + 1.0)
@@ -83,7 +94,9 @@ def _simulate_contact(
     found = WindingScores(found.score - undone, np.minimum(found.turns, MIN_HOPE))
     on = np.flatnonzero(np.abs(np.nan_to_num(turns[:, -1])) >= MIN_HOPE)
     after = float(early[-1])
-    on = np.array([k for k in on if _clear_of_peg(batch, int(k), run.q[k, -1], after, arm)], dtype=np.int64)
+    clear = [k for k in on if _clear_of_peg(batch, int(k), run.q[k, -1], after, arm)]
+    clear = [k for k in clear if _clear_of_arm(batch, int(k), run.q[k], early, arm, clearance)]
+    on = np.array(clear, dtype=np.int64)
     if on.size:
         some = batch.select(on.tolist())
         motions = [motion.shifted(-after) for motion in some.motions]
@@ -100,6 +113,13 @@ def _simulate_contact(
 def _clear_of_peg(batch: RolloutBatch, k: int, q: Array, t: float, arm: Arm) -> bool:
     """Whether rope k at angles q keeps clear of its peg at time t, s: a coarse run may leave it too deep."""
     return starts_outside(Setup(batch.ropes[k], batch.motions[k], arm, pegs=(batch.pegs[k],)), t, q)
+
+
+def _clear_of_arm(batch: RolloutBatch, k: int, q: Array, t: Array, arm: Arm, clearance: float) -> bool:
+    """Whether rope k at angles q (T, n) at times t (T,), s, keeps clear of its own arm, as far as samples tell."""
+    if clearance == -np.inf:
+        return True
+    return sampled_clearance(batch.ropes[k], arm, q, arm_tip(arm, batch.motions[k], t)[0]) > clearance
 
 
 def starts_outside(setup: Setup, *start: Any) -> bool:

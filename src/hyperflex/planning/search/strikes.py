@@ -7,6 +7,7 @@ mass over the top.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.simulation import Deadline
 
 SAMPLE_TIME = 0.02  # s
 COARSE_TOL = 1e-4  # m, of swings in a search; with 1e-3, no more than a quarter faster, the best were often errors
@@ -48,12 +50,21 @@ class Strikes:
 
 
 def simulate_strikes(
-    cast_setup: CastSetup, peg: Peg, motions: Sequence[Motion], *, threads: int | None = None
+    cast_setup: CastSetup,
+    peg: Peg,
+    motions: Sequence[Motion],
+    *,
+    time_budget: Deadline | None = None,
+    threads: int | None = None,
 ) -> Strikes:
-    """Simulate free swings from the start at t = 0 under each motion (M,), and find their first strikes on a peg."""
+    """Simulate free swings from the start at t = 0 under each motion (M,), and find their first strikes on a peg.
+
+    Swings that are not done when the time is over do not strike.
+    """
     t: Array = SAMPLE_TIME * np.arange(1.0, round(cast_setup.time / SAMPLE_TIME) + 1.0)
     swings = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(motions), [], motions)
-    batch = swings.run(cast_setup.arm, t, tol=COARSE_TOL, keep=("q", "qd"), threads=threads)
+    how: dict[str, Any] = {"tol": COARSE_TOL, "keep": ("q", "qd"), "time_budget": time_budget, "threads": threads}
+    batch = swings.run(cast_setup.arm, t, **how)
     return find_strikes(cast_setup, peg, motions, t, batch.q, batch.qd)
 
 

@@ -26,6 +26,7 @@ from hyperflex.simulation import Deadline
 MEMBERS, CONTACT_MEMBERS = 32, 16  # of a generation of free swings, and of one in contact
 KEPT = 4  # swings of a generation that may be tried in contact
 TRIED = 2  # swings that are tried in contact at once
+ENOUGH = 4  # throws that wind, after which they are verified before more last moves are tried
 # Tried after a strike: strokes still made; then the last move's end, in half turns, and the rest before it, periods
 MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
 SLOW_RUNS, MIN_BUDGET = 10.0, 0.5  # one run in so many takes very long; processor time of each in any case, s
@@ -75,6 +76,7 @@ class ThrowSearch:
         self.swings.clear()
         self.candidates.clear()
         self._tried: list[Swing] = []
+        self._untried: list[tuple[int, list[Array]]] = []  # sides and points of swings that were tried in part
         self._contact: tuple[int, Any] | None = None
 
     def _cma_es(self, centre: Array, size: float, members: int, side: int) -> Any:
@@ -145,7 +147,9 @@ class ThrowSearch:
 
     def _strikes(self, cast_setup: CastSetup, throws: list[Throw], threads: int | None = None) -> strikes.Strikes:
         motions = [throw.motion(cast_setup.limits) for throw in throws]
-        return strikes.simulate_strikes(cast_setup, self.peg, motions, threads=threads or self.threads)
+        budget = None if self.left is None else Deadline(np.inf, self.left)
+        given: dict[str, Any] = {"time_budget": budget, "threads": threads or self.threads}
+        return strikes.simulate_strikes(cast_setup, self.peg, motions, **given)
 
     def evolve_swings(self) -> float:
         """Simulate one generation of free swings from each side; return the best score so far."""
@@ -176,24 +180,30 @@ class ThrowSearch:
         return not times or float(np.median(times)) > LATE * self.cast_setup.time
 
     def untried(self, score: float) -> bool:
-        """Whether a swing of such a score was not tried in contact yet."""
-        return bool(distinct((one for one in self.swings if one.score >= score), self._tried, 1))
+        """Whether a swing of such a score, or last moves of one, were not tried in contact yet."""
+        return bool(self._untried or distinct((one for one in self.swings if one.score >= score), self._tried, 1))
 
     def try_last_moves(self) -> None:
-        """Simulate the best swings that were not tried yet in contact, with several last moves each."""
-        fresh = distinct(self.swings, self._tried, TRIED)
-        self._tried += fresh
-        for side in self.parametrizations:
-            points = [
-                np.append(one.x[:-LAST], [more, end, rest, 1.0])
-                for one in fresh
-                if one.side == side
-                for more in MORE
-                for end in ENDS
-                for rest in (RESTS if more < 1.0 else RESTS[:1])
-            ]
-            if points:
-                self.evaluate(side, points)
+        """Simulate the best swings that were not tried yet in contact, with several last moves each.
+
+        It ends where ENOUGH throws wind; the next call goes on with the last moves that are left.
+        """
+        if not self._untried:
+            fresh = distinct(self.swings, self._tried, TRIED)
+            self._tried += fresh
+            for more, rest in [(a, b) for a in MORE for b in (RESTS if a < 1.0 else RESTS[:1])]:
+                for side in self.parametrizations:
+                    some = [one for one in fresh if one.side == side]
+                    points = [np.append(one.x[:-LAST], [more, end, rest, 1.0]) for one in some for end in ENDS]
+                    self._untried += [(side, points)] if points else []
+        wound = self._winding
+        while self._untried and self._winding < wound + ENOUGH and (self.left is None or self.left() > 0.0):
+            self.evaluate(*self._untried.pop(0))
+
+    @property
+    def _winding(self) -> int:
+        """Number of candidates that wind."""
+        return sum(one.turns >= MIN_TURNS for one in self.candidates)
 
     def try_throws(self, throws: Sequence[Throw]) -> None:
         """Simulate given throws in contact: their strokes until they strike, and then some more of them."""
@@ -270,7 +280,8 @@ class ThrowSearch:
         motions = [throw.motion(cast_setup.limits).shifted(-t) for throw, t in zip(throws, struck.t, strict=True)]
         count, budget = len(motions), self.run_budget(len(motions))
         batch = RolloutBatch([cast_setup.rope] * count, [self.peg] * count, motions, struck.q, struck.qd)
-        return simulate_contact(batch, struck.t, arm=cast_setup.arm, time_budget=budget, threads=self.threads)
+        given: dict[str, Any] = {"arm": cast_setup.arm, "clearance": cast_setup.clearance}
+        return simulate_contact(batch, struck.t, **given, time_budget=budget, threads=self.threads)
 
     def _first_strikes(self, points: list[Array], throws: list[Throw]) -> strikes.Strikes:
         """Strikes of throws before their last moves; throws that differ in these alone are simulated once."""

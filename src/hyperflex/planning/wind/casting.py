@@ -19,8 +19,9 @@ from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fallback
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
-from hyperflex.planning.wind.planner import NOMINAL, CastPlanner
+from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.planning.wind.remedies import find_remedies
+from hyperflex.planning.wind.robust_phase import NOMINAL, refine_robustly
 from hyperflex.progress import progress_bar
 from hyperflex.simulation import simulate
 
@@ -83,7 +84,8 @@ def plan_cast(
         Time by the clock for search, verifications and success probability, s, without compiling; on a busy machine,
         too. A plan that succeeds with a margin ends the search before: it slips by at most 0.4 of what is allowed, is
         pulled with no more than the capstan equation lets it bear, was not folded flat on the way, and winds alike with
-        shorter links; with an uncertainty one that succeeds in all samples.
+        shorter links; one without ends it at twice the time in which the first plan stood. With an uncertainty one that
+        succeeds in all samples does.
     skip_feasibility : bool
         Search even for a target that the feasibility check calls out of reach.
     fallback : bool
@@ -182,14 +184,15 @@ def _search(
     **free: Any,
 ) -> CastPlan:
     """Search for a throw, verify it, and estimate its success probability; `free` as of :class:`CastPlanner`."""
-    planner = CastPlanner(search, time_budget if uncertainty is None else NOMINAL * time_budget, **free)
+    nominal = time_budget if uncertainty is None else NOMINAL * time_budget
+    planner = CastPlanner(search, nominal, hurry=uncertainty is None, **free)
     probability = None
     if on_plan is not None:
         planner.hear = lambda: on_plan(planner.plan(known))
     with caught() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
         planner.run(report)
         if uncertainty is not None:
-            planner.refine_robustly(uncertainty, report)
+            refine_robustly(planner, uncertainty, report)
             if (throw := planner.best[0]) is not None and (left := time_budget - planner.spent) > 0.0:
                 given = (search.cast_setup, search.peg, throw, uncertainty)
                 seed, threads = search.seed, search.threads

@@ -8,20 +8,17 @@ import numpy as np
 
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS, CastOutcome, require_holding_force, verify_cast
-from hyperflex.planning.robust.refinement import RobustCandidate, RobustRefinement
-from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.search.candidates import Candidate, distinct, same_swing
 from hyperflex.planning.search.contact_phase import SLIP_COST
 from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
 from hyperflex.planning.search.throw_search import ThrowSearch
-from hyperflex.planning.time_budget import Clock, OutOfTime
+from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
 from hyperflex.planning.wind.verified import (
     Verified,
     covers,
     failure,
-    incomplete,
     promise,
     rank,
     succeeds,
@@ -41,27 +38,25 @@ SWINGING = 0.5  # fraction of the time after which the search goes on in contact
 RESTART = 12  # generations in contact from one candidate
 ALIKE = 0.05  # points that differ by less are one
 FINER = (2, 3)  # pieces of each link in the verifications after the first
-NOMINAL = 0.5  # fraction of the time of a robust plan for the search in the nominal scenario
-# Fractions of it after which a robust plan is only verified, and after which its success probability is estimated
-REFINING, VERIFYING = 0.7, 0.88
-NO_MARGIN_COST = 0.3  # value by which a throw without a margin must be better than one with a margin
 SEARCHING = 0.85  # fraction of the time after which only verifications are begun
 LONGEST = 0.25  # fraction of the time that a first verification may take, or half of what is left
 LOOK = 1.0  # s; steps of a run between two looks at the clock may take as long on a busy machine
 TRIES = 3  # verifications at most between two generations
-BETTER = 2.0  # a full turn of contact that nobody asked for is sought until so many times the time of the first plan
+BETTER = (
+    2.0  # a margin, and a full turn of contact that nobody asked for, are sought until so many times the first plan
+)
 FULL_TURN = 2.0 * np.pi  # rad of contact that a search goes on for where the rope is long enough, if none is asked for
 
 STANDS = "a cast stands; one with a margin is sought"
-NONE = (False, False, 0.0)  # value of no throw
 
 
 class CastPlanner:
     """Rounds of a search until a plan succeeds with a margin or the `time_budget` of the nominal search, s, is over.
 
     `longer`: whether a cast may take LONGER times as long if the swings that the search allows promise too little.
-    `full_turn`: whether a margin includes contact of a full turn where the rope is long enough. `clock` tells the time
-    spent, from now on by default.
+    `full_turn`: whether a margin includes contact of a full turn where the rope is long enough. `hurry`: whether a plan
+    without a margin ends the search as well, BETTER times after the first. `clock` tells the time spent, from now on by
+    default.
     """
 
     def __init__(
@@ -71,10 +66,12 @@ class CastPlanner:
         *,
         longer: bool = False,
         full_turn: bool = True,
+        hurry: bool = True,
         clock: Clock | None = None,
     ) -> None:
-        self.search, self.time_budget, self.longer, self.clock = search, time_budget, longer, clock or Clock()
-        search.left = lambda: SEARCHING * time_budget - self.spent
+        self.search, self.time_budget, self.clock = search, time_budget, clock or Clock()
+        self.longer, self.hurry = longer, hurry
+        search.left = lambda: min(SEARCHING * time_budget, self.until) - self.spent
         cast_setup = search.cast_setup
         self.finer = [cast_setup.cut(k) for k in FINER]
         self.rounds, self.verifying = 0, 1.0
@@ -95,9 +92,15 @@ class CastPlanner:
         """Time spent without compiling, s."""
         return self.clock.spent
 
+    @property
+    def until(self) -> float:
+        """Time spent, s, after which a plan that stands is not improved any more."""
+        return BETTER * self.first if self.hurry else np.inf
+
     def left(self) -> float:
         """Return the time that is left for verifications, s, less what lies between two looks at it."""
-        return self.verifying * self.time_budget - min(LOOK, 0.05 * self.time_budget) - self.spent
+        most = self.verifying * self.time_budget - min(LOOK, 0.05 * self.time_budget)
+        return min(most, self.until) - self.spent
 
     def run(self, report: Callable[..., None] | None) -> None:
         """Search until a plan succeeds with a margin or the time is over; `report` gets the time spent and words."""
@@ -111,7 +114,7 @@ class CastPlanner:
                 late
                 and score < PROMISING * self.tail
                 and self.longer
-                and (settled or self.spent > EARLY * self.time_budget)
+                and (settled or score < 0.0 or self.spent > EARLY * self.time_budget)
             ):
                 self.lengthen()
                 score, idle, contact = 0.0, 0, 0
@@ -191,10 +194,12 @@ class CastPlanner:
     def done(self) -> bool:
         """Whether a plan succeeds with a margin, and covers a full turn where the rope is long enough.
 
-        Such a full turn is sought until BETTER times the time in which the first plan stood.
+        Such a full turn is sought until BETTER times the time of the first plan; in a hurry a margin is, too.
         """
-        if self.ended or not with_margin(self.best):
-            return self.ended
+        if self.ended or self.spent > self.until:
+            return True
+        if not with_margin(self.best):
+            return False
         return covers(self.best, self.contact) or self.spent > BETTER * self.first
 
     def verify_new(self) -> None:
@@ -232,39 +237,6 @@ class CastPlanner:
         """Verify the best candidate if none was verified."""
         if self.best[0] is None and self.search.candidates:
             self.check(self.search.candidates[:1])
-
-    def refine_robustly(self, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
-        """Search, in the time that is left, for the throw that succeeds in most scenarios.
-
-        Candidates without a margin in the nominal scenario are dropped.
-        """
-        self.time_budget, self.verifying = self.time_budget / NOMINAL, VERIFYING
-        search, known, some = self.search, dict[RobustCandidate, Verified](), list[RobustCandidate]()
-        refinement = RobustRefinement(search, uncertainty, left=lambda: REFINING * self.time_budget - self.spent)
-        try:
-            refinement.halve(search.candidates, [one for one in self.checked if one.throw is self.best[0]])
-            complete = [found for found in self.verified if not incomplete(found)]
-            known |= {one: found for one in refinement.order for found in complete if found[0] is one.candidate.throw}
-            refinement.evaluate_common([one for one, found in known.items() if succeeds(found)])
-            while True:
-                refinement.drop([one for one, found in known.items() if not with_margin(found)])
-                refinement.run(None if report is None else lambda: report(self.spent))
-                if not refinement.order or refinement.incumbent in known or (some and self.spent > self.time_budget):
-                    break
-                best = max((_value(*each) for each in known.items()), default=NONE)
-                if best >= (True, True, refinement.incumbent.mean):
-                    break
-                some = [one for one in refinement.best(search.workers) if one not in known]
-                for one, found in zip(some, self.outcomes([one.candidate for one in some]), strict=True):
-                    known[one] = found
-        except OutOfTime:
-            some = [one for one in refinement.order[: search.workers] if one not in known]
-            known |= zip(some, self.outcomes([one.candidate for one in some]), strict=True)
-        finally:
-            search.runs += refinement.runs
-            chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
-            if chosen is not None and (succeeds(known[chosen]) or not succeeds(self.best)):
-                self.best = known[chosen]
 
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, and are not like one that was verified nor like each other."""
@@ -342,9 +314,3 @@ class CastPlanner:
             message = "the time budget was over before the search began"
         found = (throw, outcome, finer, message, search.runs, self.spent, interrupted)
         return CastPlan(search.cast_setup, search.peg, known, *found)
-
-
-def _value(one: RobustCandidate, found: Verified) -> tuple[bool, bool, float]:
-    """Value of a robust candidate as a plan."""
-    cost = 0.0 if with_margin(found) else NO_MARGIN_COST
-    return succeeds(found), not incomplete(found), one.common_mean - cost
