@@ -110,3 +110,11 @@ def test_the_files_of_the_documentation_are_read(tmp_path: Path) -> None:
     assert setup.motion == hf.arm_swings(t_move=0.73, t_rest=0.53)
     (tmp_path / "guess.toml").write_text(blocks[1])
     assert hf.Rope.from_toml(tmp_path / "guess.toml").n_links == 2
+
+
+@pytest.mark.parametrize("wrong", [{"total_mass": 125.0}, {"total_length": 2000.0, "radius": 2.5}], ids=["g", "mm"])
+def test_a_rope_in_other_units_is_refused(wrong):
+    right = {"n_links": 20, "total_length": 2.0, "total_mass": 0.125, "radius": 0.0025}
+    assert hf.Rope.from_table(right).total_mass == pytest.approx(0.125)
+    with pytest.raises(InvalidInput, match=r"impossible density: got .* kg/m\^3.*in m and mass in kg"):
+        hf.Rope.from_table(right | wrong)

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from docs.commands import commands, settings
 
+import hyperflex as hf
 from hyperflex.demo import twin
+from hyperflex.identification import identify
 from hyperflex.vision import Board, VideoWriter
 from tests.vision.rendered_boards import SIZE, poses, render
 
@@ -52,7 +54,14 @@ def test_the_commands_find_what_the_page_says(hyperflex_json, filmed):
     assert coarse["values"]["friction"][0] == pytest.approx(538 * MICRO, rel=0.03)
     assert fine["values"]["friction"][0] == pytest.approx(944 * MICRO, rel=0.03)
     intervals = json.loads((filmed / FIGURES[1]).read_text())["intervals"]["friction:shared"]
-    assert (intervals["low"], intervals["high"]) == pytest.approx((881 * MICRO, 1008 * MICRO), rel=0.03)
+    assert (intervals["low"], intervals["high"]) == pytest.approx((903 * MICRO, 986 * MICRO), rel=0.02)
+    exact = twin.exact()
+    arcs = [float(each) for each in twin.ARC_LENGTHS]
+    places = hf.Recording(exact.t, exact.data[:, 2:], kind="markers")
+    guess = hf.Rope.uniform(2.0, 0.125, 20, 0.0025, friction=3e-3)
+    best = identify(places, guess, twin.FREE, arc_lengths=arcs, origin=(0.0, 0.0), intervals=None)
+    assert best.values["friction"][0] == pytest.approx(920 * MICRO, rel=0.01)
+    assert intervals["low"] < best.values["friction"][0] < intervals["high"]
     errors = [max(json.loads((filmed / name).read_text())["held_out"]["rms"]) for name in FIGURES]
     assert errors == pytest.approx([4.2e-3, 1.8e-3], rel=0.1)
     assert cast["success"]

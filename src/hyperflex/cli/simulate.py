@@ -76,6 +76,7 @@ def simulate(
     with output.keeping({"run": out}, "how the rope lies on the pegs", result, as_json=json):
         result["pegs"] = [_wound(trajectory, peg, tug) for peg in trajectory.setup.round_pegs]
     x, y = trajectory.tip[-1]
+    still = wanted.arm is None and not np.ptp(trajectory.tip, axis=0).any()
     output.show(
         result,
         f"Simulated {trajectory.q.shape[1]} links from {trajectory.t[0]:g} to {trajectory.t[-1]:g} s",
@@ -86,6 +87,7 @@ def simulate(
             ("energy error", f"{result['energy_error_J']:.2g} J of {worked:.3g} J moved"),
             *((f"peg at ({peg['x_m']:g}, {peg['y_m']:g}) m", _told_of(peg)) for peg in result["pegs"]),
             *([("trusted", _told(trust))] if trust else []),
+            *([("motion", "none: the rope hangs from a point at rest; give [arm] and [motion]")] if still else []),
             ("written", f"{out} ({trajectory.t.size} samples); hyperflex view plays it, hyperflex plot draws it"),
         ],
         as_json=json,

@@ -95,7 +95,7 @@ def track(
             progress=lambda count: said(f"frame {count}"),
         )
     files.rescued(found.to_netcdf, out)
-    _show(found, estimator, out, json)
+    _show(found, estimator, out, preview, json)
 
 
 @contextmanager
@@ -114,7 +114,7 @@ def _keeping(out: Path, as_json: bool) -> Iterator[None]:
     raise typer.Exit(output.interrupted(message, left, as_json=as_json))
 
 
-def _show(found: "VideoTrack", estimator: "RopeFilter", out: Path, as_json: bool) -> None:
+def _show(found: "VideoTrack", estimator: "RopeFilter", out: Path, preview: Path | None, as_json: bool) -> None:
     """Print what was tracked."""
     result: dict[str, Any] = {
         "output": out,
@@ -139,6 +139,7 @@ def _show(found: "VideoTrack", estimator: "RopeFilter", out: Path, as_json: bool
             *(("change", str(change)) for change in found.changes),
             *(("note", note) for note in result["notes"]),
             ("written", str(out)),
+            *([] if preview is None else [("look at", str(preview))]),
         ],
         as_json=as_json,
     )

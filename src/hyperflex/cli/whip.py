@@ -100,8 +100,7 @@ def whip(
         report = WhipReport(plan, impact)
         files |= report.add_page(out, progress=progress)
     result = plan.summary() | ({} if impact is None else {"impact": asdict(impact)})
-    notes = () if impact is None or impact.success else (f"Impact: {impact.message}.",)
-    planner.finish(report, files, result, notes, as_json=json)
+    planner.finish(report, files, result, [report.warning] if report.warning else (), as_json=json)
 
 
 def _target(

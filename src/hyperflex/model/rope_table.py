@@ -11,6 +11,8 @@ from hyperflex.model.properties import LINK_NAMES, PROPERTIES
 
 MOST_LINKS = 100_000  # far beyond use; a slip of the pen must not fill the memory
 
+DENSITIES = 0.01, 1e5  # kg/m^3: a hundredth of air's, and four times that of the densest metal
+
 TOTALS = ("length", "mass")  # of the whole rope or of each link: a file says which
 
 
@@ -63,4 +65,20 @@ def from_table(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]
         raise InvalidInput(
             "rope n_links differs from its arrays", got=n, allowed=f"{np.size(content['length'])}, as length has"
         )
+    _check_density(content["length"], content["mass"], content.get("radius", 0.0))
     return content
+
+
+def _check_density(length: Any, mass: Any, radius: Any) -> None:
+    """Refuse what no rope is made of: grams for kilograms, or millimetres for metres, most likely."""
+    try:
+        volume, total = np.pi * float(radius) ** 2 * float(np.sum(length)), float(np.sum(mass))
+    except (TypeError, ValueError, OverflowError):
+        return  # refused by its own check
+    if volume > 0.0 and total > 0.0 and not DENSITIES[0] <= total / volume <= DENSITIES[1]:
+        raise InvalidInput(
+            "length, mass and radius of the rope make an impossible density",
+            got=f"{total / volume:.3g} kg/m^3",
+            allowed="0.01 to 100,000 kg/m^3; cords have some 1000, steel has 7900",
+            fix="Give length and radius in m and mass in kg: 2.5 mm are 0.0025, 125 g are 0.125",
+        )

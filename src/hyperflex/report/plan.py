@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 Plan = CastPlan | WhipPlan
 PlanT = TypeVar("PlanT", CastPlan, WhipPlan)
 NOT_KNOWN = "not known"
+STRONG = 30.0  # times the torque of the rope's weight at the arm, which usual casts ask 2 to 10 times
 
 
 class PlanReport(ABC, Generic[PlanT]):
@@ -176,6 +177,29 @@ def clearance_tiles(plan: Plan) -> list[tuple[str, str]]:
     asked = 1e3 * max(plan.cast_setup.clearance, 0.0)
     told = f"clearance: least distance of the rope from arm and shaft; {asked:g} mm are needed"
     return [(f"{1e3 * plan.clearance:.1f} mm", told)]
+
+
+def torque_tiles(plan: Plan, seen: CastOutcome | TipStrike | None) -> list[tuple[str, str]]:
+    """Return what a plan asks of the motor, as a key figure; none if nothing was verified to its end."""
+    if seen is None or math.isnan(seen.torque):
+        return []
+    limit = plan.cast_setup.limits.torque
+    allowed = f"{limit:.3g} N m are allowed" if math.isfinite(limit) else "no limit was given"
+    return [(f"{seen.torque:.3g} N m", f"greatest torque of the motor over 5 ms; {allowed}")]
+
+
+def torque_warning(plan: Plan, seen: CastOutcome | TipStrike | None) -> str:
+    """Return that a plan without a limit of the torque asks for far more of it than the rope's weight does, else ""."""
+    if seen is None or not plan.success or math.isfinite(plan.cast_setup.limits.torque):
+        return ""
+    rope, arm = plan.cast_setup.rope, plan.cast_setup.arm
+    weight = (rope.total_mass + rope.tip_mass) * math.hypot(*rope.gravity) * arm.length
+    if not seen.torque > STRONG * weight:
+        return ""
+    return (
+        f"The motor and the rope must bear a lot: {seen.torque:.3g} N m for 5 ms, {seen.torque_peak:.3g} N m at the "
+        f"peak, where the rope's weight at the arm makes {weight:.2g} N m. Give --torque to plan for a weaker motor."
+    )
 
 
 def counted(count: int, noun: str) -> str:

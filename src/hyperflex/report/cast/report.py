@@ -22,7 +22,15 @@ from hyperflex.planning import (
 from hyperflex.report.cast.figures import course_figure, sense, strike_figure, tug_figure, way
 from hyperflex.report.cast.target_map import target_map, target_map_caption
 from hyperflex.report.page import Picture, Section, TextTable
-from hyperflex.report.plan import NOT_KNOWN, PlanReport, clearance_tiles, counted, searched
+from hyperflex.report.plan import (
+    NOT_KNOWN,
+    PlanReport,
+    clearance_tiles,
+    counted,
+    searched,
+    torque_tiles,
+    torque_warning,
+)
 from hyperflex.report.player import Line, Plot
 from hyperflex.report.style import png
 from hyperflex.report.units import length
@@ -91,7 +99,7 @@ class CastReport(PlanReport[CastPlan]):
                 shown.append(("never", "the rope strikes the target"))
         elif plan.throw is not None:
             shown.append((NOT_KNOWN, "strike, turns and hold: the throw was not verified to its end"))
-        shown += clearance_tiles(plan)
+        shown += clearance_tiles(plan) + torque_tiles(plan, cast)
         if self.held is not None:
             least = "" if self.held.tug.slipped else "at least "
             shown.append(
@@ -326,12 +334,13 @@ def _checks(plan: CastPlan) -> TextTable:
 
 
 def _warning(plan: CastPlan) -> str:
-    """Return a warning of a rope that folds flat on the way, else nothing."""
+    """Return a warning of a rope that folds flat on the way, or of a great torque, else nothing."""
     folded = [cast for cast in (plan.outcome, plan.finer_outcome) if cast is not None and cast.folded]
+    torque = torque_warning(plan, plan.outcome)
     if not folded:
-        return ""
+        return torque
     bend = math.degrees(max(cast.max_bend for cast in folded))
     return (
         f"On the way the simulated rope folds flat, by {bend:.0f} degrees from one link to the next. A real rope makes "
-        "a loop or a kink there, so what comes after is less sure."
+        "a loop or a kink there, so what comes after is less sure." + (f" {torque}" if torque else "")
     )

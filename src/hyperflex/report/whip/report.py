@@ -18,7 +18,7 @@ from hyperflex.planning import (
     WhipPlan,
 )
 from hyperflex.report.page import TextTable
-from hyperflex.report.plan import PlanReport, clearance_tiles, counted
+from hyperflex.report.plan import PlanReport, clearance_tiles, counted, torque_tiles, torque_warning
 from hyperflex.report.units import length
 from hyperflex.report.whip.figures import course_figure, passing_figure, peak_figure
 
@@ -62,6 +62,9 @@ class WhipReport(PlanReport[WhipPlan]):
             self.verdict = (
                 f"The tip passes the target at {seen.speed:.1f} m/s, {length(seen.miss, 2)} off, in simulation."
             )
+            if impact is not None and impact.message:
+                self.verdict += f" A peg there is not struck by the tip: {impact.message}."
+        self.warning = torque_warning(plan, plan.outcome)
         self.target = (
             f"x = {target.x:.3g} m, y = {target.y:.3g} m, {_direction(target)}, at {target.least_speed:.3g} m/s or more"
         )
@@ -83,7 +86,7 @@ class WhipReport(PlanReport[WhipPlan]):
                     (f"{np.degrees(seen.angle_error):.1f} degrees", f"off the direction needed; {allowed} allowed")
                 )
             shown.append((f"{seen.t:.2f} s", "after the start the tip's speed peaks"))
-        shown += clearance_tiles(plan)
+        shown += clearance_tiles(plan) + torque_tiles(plan, seen)
         if impact is not None and impact.success:
             shown.append(
                 (
