@@ -161,7 +161,8 @@ def _misused(error: Any, arguments: Sequence[str]) -> str:
         message = f"{found[1]} takes {kind}: got {_given(found[1], arguments)}"
     two = " Give two numbers: --target X Y." if "--target" in message else ""
     named = arguments[0] if arguments and arguments[0] in _COMMANDS else ""
-    return f"{message}.{two} See {f'hyperflex {named}'.strip()} --help."
+    stop = "" if message.endswith("?") else "."
+    return f"{message}{stop}{two} See {f'hyperflex {named}'.strip()} --help."
 
 
 def _given(option: str, arguments: Sequence[str]) -> str:

@@ -92,6 +92,11 @@ class CastOutcome:
         """Wound and held."""
         return self.wound and self.held and not self.message
 
+    def in_short(self) -> str:
+        """Return what matters most to whoever carries the throw out, in figures with units."""
+        covered = f"{np.degrees(self.contact_angle):.0f} degrees covered"
+        return f"{abs(self.turns):.2f} turns, {covered}, strikes at {self.strike_time:.2f} s, {self.torque:.3g} N m"
+
     @property
     def completed(self) -> bool:
         """Whether the simulation came to its end."""

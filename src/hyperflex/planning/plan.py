@@ -117,6 +117,8 @@ class Plan(ABC):
 
     def __repr__(self) -> str:
         ended = "succeeds" if self.success else f"fails: {self.message}"
+        if self.success and self.outcome is not None:
+            ended += f": {self.outcome.in_short()}"
         place = f"target ({self.target.x:.4g}, {self.target.y:.4g}) m"
         return f"{type(self).__name__}({place}, {self.cast_setup.rope!r}, {self.runs} runs, {ended})"
 

@@ -68,6 +68,10 @@ class TipStrike:
         """Speed of the tip, m/s."""
         return float(np.hypot(*self.velocity))
 
+    def in_short(self) -> str:
+        """Return what matters most to whoever carries the strokes out, in figures with units."""
+        return f"{self.speed:.1f} m/s at {self.t:.2f} s, {1e3 * self.miss:.2g} mm off, {self.torque:.3g} N m"
+
 
 def verify_whip(
     cast_setup: CastSetup,
