@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hyperflex.model import Rope
     from hyperflex.recording import Recording
 
-_ROWS = 24  # of a table in the terminal
+_ROWS, _OF_EACH = 24, 5  # of a table in the terminal, and of one ratio
 
 
 def identify(
@@ -214,11 +214,13 @@ def _show(found: "Identification", files: dict[str, Path]) -> None:
     output.print_pairs("Fit", pairs)
     for table in (parameters_table(found, None), ratios_table(found)):
         if table is not None:
+            first = [row[0] for row in table.rows]
+            kept = [row for k, row in enumerate(table.rows) if first[:k].count(row[0]) < _OF_EACH][:_ROWS]
             shown = [k for k, name in enumerate(table.header) if name != "what it is"]
-            rows = [[row[k] for k in shown] for row in table.rows[:_ROWS]]
-            output.print_table([table.header[k] for k in shown], rows)
-            if len(table.rows) > _ROWS:
-                output.console().print(f"  and {len(table.rows) - _ROWS} more, in {files['rope']}", markup=False)
+            output.print_table([table.header[k] for k in shown], [[row[k] for k in shown] for row in kept])
+            if len(table.rows) > len(kept):
+                left = f"  and {len(table.rows) - len(kept)} more, in {files['page']}"
+                output.console().print(left, markup=False, soft_wrap=True)
     for sentence in found.verdict:
         output.console().print(sentence, markup=False)
     words = {"rope": "rope and figures", "figures": "numbers", "page": "the whole story on one page"}
