@@ -157,7 +157,9 @@ def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, 
         return replace(pegs[0], **named)
     missing = [option for option, value in (("--target", place), ("--radius", radius)) if value is None]
     if missing:
-        raise InvalidInput(f"{' and '.join(missing)} missing", fix="Give them, or a set-up file with a table [pegs]")
+        are, them = ("is", "it") if len(missing) == 1 else ("are", "them")
+        fix = f"Give {them}, or a set-up file with a table [pegs]"
+        raise InvalidInput(f"{' and '.join(missing)} {are} missing", fix=fix)
     return Peg(**named)
 
 
