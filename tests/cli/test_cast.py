@@ -119,7 +119,7 @@ def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, rope_file, read
     ("content", "words"),
     [
         ("", "no rope is given"),
-        ("ROPE", "--target and --radius missing"),
+        ("ROPE", "--target and --radius are missing"),
         ("ROPE\n[limits]\npace = 3.0\n", "[limits] does not know this key: got 'pace'"),
         ("ROPE\n[pegs]\nx = [0.0, 1.0]\ny = [1.0, 1.0]\nradius = [0.1, 0.1]\n", "more than a target"),
     ],

@@ -59,7 +59,7 @@ def test_lengths_within_what_a_ruler_errs_make_no_result_useless() -> None:
 
 def test_what_moves_ratios_within_their_deviations_makes_no_result_useless() -> None:
     def graded(name: str, beyond: float) -> str:
-        test = ScoreTest(name, 0.9, np.array([1.03]), moved=0.03, beyond=beyond, std=1e-3, surplus=0.99, sure=True)
+        test = ScoreTest(name, 0.9, np.array([1.03]), moved=0.03, beyond=beyond, std=1e-3, excess_gain=0.99, sure=True)
         return str(grade([], ROPE, None, [test], identifiable=False))
 
     said = "90 % of the residuals' sum of squares go away, and ratios move by up to 3 %. Standard deviations hold that."
@@ -73,12 +73,12 @@ def test_one_discrepancy_of_times_and_lengths_counts_once() -> None:
     basis = fitted(ROPE, ["inertia", "com", "friction"], 2e-3).basis
     assert basis.information.whiteness > 1e-3
     size = basis.fit.x.size
-    lengths = ScoreTest("length:factor", 0.9, np.array([1.02]), std=1e-3, rate=np.ones((size, 1)), surplus=0.99)
-    clock = ScoreTest("gravity_scale", 0.9, np.array([0.98]), moved=0.02, shift=np.full(size, 0.02), surplus=0.99)
+    lengths = ScoreTest("length:factor", 0.9, np.array([1.02]), std=1e-3, rate=np.ones((size, 1)), excess_gain=0.99)
+    clock = ScoreTest("gravity_scale", 0.9, np.array([0.98]), moved=0.02, shift=np.full(size, 0.02), excess_gain=0.99)
     alone = with_model_error(basis, [lengths], 0.01).information
     both = with_model_error(basis, [clock, lengths], 0.01).information
-    assert alone.stretch == pytest.approx(np.hypot(1e-3, np.log(1.02)), rel=0.02)
-    assert both.stretch == pytest.approx(1e-3, rel=0.02)
+    assert alone.length_error == pytest.approx(np.hypot(1e-3, np.log(1.02)), rel=0.02)
+    assert both.length_error == pytest.approx(1e-3, rel=0.02)
     assert np.diag(both.model) == pytest.approx(0.99 * 0.02**2, rel=1e-6)
 
 

@@ -66,8 +66,8 @@ def test_a_rope_of_more_links_is_told_and_its_stiffness_held() -> None:
 def test_a_chain_of_just_these_links_is_not_told() -> None:
     found = fit_of_15_links(pieces=1)
     (test,) = (each for each in found.score_tests if each.name == "links")
-    assert test.surplus < 1e-6
-    assert test.sway > 0.1  # were it a rope
+    assert test.excess_gain < 1e-6
+    assert test.ratio_sensitivity > 0.1  # were it a rope
     assert "more links" not in str(found)
     assert found.values["stiffness:factor"] == pytest.approx(0.5, rel=0.03)
 
@@ -96,7 +96,7 @@ def test_four_links_of_a_rope_of_40_are_told_before_the_units_are_doubted(free: 
 def test_a_chain_of_just_four_links_is_not_told(drag: float) -> None:
     found = fit_of_four_links(4, drag, ["inertia", "friction"])
     assert "more links" not in str(found)
-    assert [each.surplus < 0.5 for each in found.score_tests if each.name == "links"] == [True] * (drag > 0.0)
+    assert [each.excess_gain < 0.5 for each in found.score_tests if each.name == "links"] == [True] * (drag > 0.0)
 
 
 def test_links_that_may_be_too_long_count_by_their_probability() -> None:
@@ -104,10 +104,10 @@ def test_links_that_may_be_too_long_count_by_their_probability() -> None:
     basis = fit_of_four_links(4, 0.0, ["friction:shared"])._basis
     assert basis is not None
     odd = replace(basis, information=replace(basis.information, whiteness=0.0))
-    for surplus in (0.1, 0.5):
-        test = ScoreTest("links", 0.3, np.array([16.0]), shift=np.array([0.2]), surplus=surplus)
+    for excess_gain in (0.1, 0.5):
+        test = ScoreTest("links", 0.3, np.array([16.0]), shift=np.array([0.2]), excess_gain=excess_gain)
         told = with_model_error(odd, [test], 0.0).information.model
-        assert told == pytest.approx(np.array([[surplus * 0.2**2]]))
+        assert told == pytest.approx(np.array([[excess_gain * 0.2**2]]))
 
 
 @pytest.mark.parametrize("left_out", [{"drag": 0.02}, {"dry_friction": 4e-4}], ids=["drag", "dry friction"])
@@ -118,5 +118,5 @@ def test_a_law_that_was_left_out_is_not_taken_for_links_that_are_too_long(left_o
     angles = run.q + 3e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
     found = identify(Recording(t, angles, noise=3e-3), rope, ["friction:shared"], train=np.inf, intervals=None)
     (test,) = (each for each in found.score_tests if each.name == "links")
-    assert test.surplus < 0.5
+    assert test.excess_gain < 0.5
     assert "more links" not in str(found)

@@ -65,4 +65,4 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
 
 def _asked(test: ScoreTest) -> bool:
     name = test.name.partition(":")[0]
-    return test.believed and name in ALLOWED and not test.beside and (name != "com" or test.matters)
+    return test.believed and name in ALLOWED and not test.freed_with and (name != "com" or test.matters)

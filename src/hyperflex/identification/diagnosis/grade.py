@@ -123,7 +123,7 @@ def grade(
         return Grade("do not use", (*wrong, *suspicion, *doubts), axes)
     if identifiable:
         scaled = [f"masses, inertias and frictions are in proportion to {scale}; no motion tests that."] * bool(scale)
-        places = next((each.sway for each in tests if each.name == "com"), 0.0)
+        places = next((each.ratio_sensitivity for each in tests if each.name == "com"), 0.0)
         if scale and places > 0.0:
             scaled = [f"{scaled[0][:-1]}, and 1 % of a centre of mass moves ratios by up to {_percent(places)}."]
         return Grade("usable", (*suspicion, *scaled, *doubts), axes)
@@ -169,8 +169,8 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
         return []
     first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - EQUAL]
     part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
-    if first.beside:
-        part += f" that is left with {' and '.join(repr(name) for name in first.beside)} free"
+    if first.freed_with:
+        part += f" that is left with {' and '.join(repr(name) for name in first.freed_with)} free"
     value = float(first.values[0])
     names = " or ".join(f"'{name}'" for name in equals if name not in DECLARED)
     if first.name == "gravity_scale":
@@ -206,13 +206,13 @@ def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
     said = []
     for each in tests:
         if each.slight and each.believed:
-            names = " and ".join(repr(name) for name in each.beside)
-            beside = f", if {names} {'is' if len(each.beside) == 1 else 'are'} free as well" if names else ""
+            names = " and ".join(repr(name) for name in each.freed_with)
+            beside = f", if {names} {'is' if len(each.freed_with) == 1 else 'are'} free as well" if names else ""
             said.append(
                 f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}; "
                 f"ratios would move by up to {_percent(each.moved)}."
             )
-        if (each.suspected or (each.covered and each.name not in (*TOLD, DRIFT))) and not each.beside:
+        if (each.suspected or (each.covered and each.name not in (*TOLD, DRIFT))) and not each.freed_with:
             said.append(
                 f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
                 f"residuals' sum of squares go away, and ratios move by up to {_percent(each.moved)}. Standard "
@@ -301,21 +301,22 @@ def _untested(tests: Sequence[ScoreTest]) -> list[str]:
     else:
         words = (
             "times and lengths are taken as exact, but for length_std: this motion shows no error below "
-            f"{200.0 * scale.std:.2g} % of the lengths, and 1 % would move ratios by up to {_percent(scale.sway)}."
+            f"{200.0 * scale.std:.2g} % of the lengths, and 1 % would move ratios by up to "
+            f"{_percent(scale.ratio_sensitivity)}."
         )
-    return [words] if scale.sway > 0.0 else []
+    return [words] if scale.ratio_sensitivity > 0.0 else []
 
 
 def _finer(tests: Sequence[ScoreTest], *, odd: bool) -> tuple[list[str], list[str]]:
     """Return that links are too long: as the cause of an `odd` fit, or as a suspicion."""
-    each = next((each for each in tests if each.name == LINKS and each.surplus >= LIKELY), None)
+    each = next((each for each in tests if each.name == LINKS and each.excess_gain >= LIKELY), None)
     if each is None:
         return [], []
-    words = f"use more links: this looks like a rope of finer links (probability {100.0 * each.surplus:.3g} %)"
+    words = f"use more links: this looks like a rope of finer links (probability {100.0 * each.excess_gain:.3g} %)"
     if odd and each.gain >= max(EXPLAINS, *(other.gain for other in tests)):
         return [f"{words}, which takes away {100.0 * each.gain:.3g} % of the residuals' sum of squares."], []
-    off = f"a fit of so few to such a one is off by up to {_percent(each.sway)} of a value"
-    return [], [f"{words}, and {off}. Standard deviations hold that."] * (each.sway > 0.0)
+    off = f"a fit of so few to such a one is off by up to {_percent(each.ratio_sensitivity)} of a value"
+    return [], [f"{words}, and {off}. Standard deviations hold that."] * (each.ratio_sensitivity > 0.0)
 
 
 def _turned(angle: float) -> list[str]:

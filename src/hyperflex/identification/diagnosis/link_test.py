@@ -53,9 +53,18 @@ def link_test(basis: Basis) -> tuple[ScoreTest, ...]:
     shift = again.x - x
     std = np.sqrt(np.diag(basis.information.covariance))
     parts = [_part(*each) for each in zip(parameters, x, shift, strict=True)]
-    sway = float(np.max(parts, where=np.abs(shift) > 2.0 * std, initial=0.0))
+    ratio_sensitivity = float(np.max(parts, where=np.abs(shift) > 2.0 * std, initial=0.0))
     part = max(gained, 0.0) / before if before > 0.0 else 0.0
-    return (ScoreTest(LINKS, part, np.array([float(n * PIECES)]), shift=shift, surplus=likely, sway=sway),)
+    return (
+        ScoreTest(
+            LINKS,
+            part,
+            np.array([float(n * PIECES)]),
+            shift=shift,
+            excess_gain=likely,
+            ratio_sensitivity=ratio_sensitivity,
+        ),
+    )
 
 
 def _probability(basis: Basis, pairs: list[tuple[Array, Array]]) -> float:

@@ -37,21 +37,21 @@ def with_model_error(
             continue
         law = each.name.partition(":")[0] in LAWS
         asked = white or law or each.believed or each.suspected or each.name == DRIFT  # which has a std of its own
-        counts = asked and each.surplus > ASKED and not (each.slight and each.beside)
-        if counts or each.name == LINKS:  # whose surplus is a probability
-            model += each.surplus * np.outer(each.shift, each.shift)
+        counts = asked and each.excess_gain > ASKED and not (each.slight and each.freed_with)
+        if counts or each.name == LINKS:  # whose excess_gain is a probability
+            model += each.excess_gain * np.outer(each.shift, each.shift)
             clock = clock or each.name == "gravity_scale"
     if not white:
         model += np.diag(_floor(basis.plant.parameters, x) ** 2)
     if scatter is not None:
         model += scatter
     lengths = next((each for each in tests if each.name == LENGTHS), None)
-    stretch = 0.0 if lengths is None else _stretch(lengths, length_std, told=white and not clock)
-    by_length = np.zeros(x.size) if lengths is None else stretch * lengths.rate[:, 0]
-    return replace(basis, information=replace(information, model=model, lengths=by_length, stretch=stretch))
+    length_error = 0.0 if lengths is None else _length_error(lengths, length_std, told=white and not clock)
+    by_length = np.zeros(x.size) if lengths is None else length_error * lengths.rate[:, 0]
+    return replace(basis, information=replace(information, model=model, lengths=by_length, length_error=length_error))
 
 
-def _stretch(test: ScoreTest, std: float, *, told: bool) -> float:
+def _length_error(test: ScoreTest, std: float, *, told: bool) -> float:
     """Return the standard deviation of a factor of all lengths, known before to `std`, that the data leave.
 
     About the lengths as they were declared: what the data say of them, weighted with `std`, counts as an error if
@@ -91,7 +91,7 @@ def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str]:
         return 0.0, ""
     x = basis.fit.x[own]
     parts = [
-        (float(np.max(np.hypot(each.shift, each.open)[own] / x)), each.name)
+        (float(np.max(np.hypot(each.shift, each.std_added)[own] / x)), each.name)
         for each in tests
         if each.name.partition(":")[0] in LAWS and each.shift.size
     ]

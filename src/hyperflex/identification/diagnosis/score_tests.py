@@ -60,18 +60,18 @@ class ScoreTest:
         Greatest standard deviation that they would have.
     shift : (P,) float64
         Change of the fit's x that freeing it makes, to first order.
-    open : (P,) float64
+    std_added : (P,) float64
         Standard deviations of x that freeing it adds.
     rate : (P, k) float64
         Change of the fit's x by each unit of its own x.
-    surplus : float
+    excess_gain : float
         Part of the gain that noise does not explain, 0 to 1; of links the probability that the rope has finer ones.
     sure : bool
         Whether residuals are white, as they are or with it free, so that noise is known.
-    sway : float
+    ratio_sensitivity : float
         Of a gravity scale or centres of mass: relative change of a ratio J/p1 or p/p1 by each 1 % of them, the greatest
         of those that are beyond twice their standard deviation; 0 where none is.
-    beside : tuple of str
+    freed_with : tuple of str
         What had to be free as well before the data asked for this.
     """
 
@@ -82,17 +82,17 @@ class ScoreTest:
     beyond: float = np.inf
     std: float = np.inf
     shift: Array = field(default_factory=lambda: np.zeros(0))
-    open: Array = field(default_factory=lambda: np.zeros(0))
+    std_added: Array = field(default_factory=lambda: np.zeros(0))
     rate: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    surplus: float = 0.0
+    excess_gain: float = 0.0
     sure: bool = False
-    sway: float = 0.0
-    beside: tuple[str, ...] = ()
+    ratio_sensitivity: float = 0.0
+    freed_with: tuple[str, ...] = ()
 
     @property
     def believed(self) -> bool:
         """Whether something else than what was held or declared fits: it takes most away, or more than noise can."""
-        return self.refitted and (self.gain > EXPLAINS or (self.sure and self.surplus > SURE))
+        return self.refitted and (self.gain > EXPLAINS or (self.sure and self.excess_gain > SURE))
 
     @property
     def possible(self) -> bool:
@@ -127,7 +127,7 @@ class ScoreTest:
         return bool(abs(np.log(max(float(self.values[0]), 1e-9))) <= SLIGHT)
 
     @property
-    def hides(self) -> bool:
+    def masks(self) -> bool:
         """Whether a refit explains so much by what changes no conclusion that other causes may stand behind it."""
         law = self.name.partition(":")[0] in LAWS
         if law:
@@ -156,7 +156,7 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
     found, freed = _refitted_tests(basis), list[str]()
     tests, later, now = found, dict[str, ScoreTest](), basis
     for _ in range(HIDING):
-        hiding = next((each.name for each in tests if each.hides), "")
+        hiding = next((each.name for each in tests if each.masks), "")
         richer = _freed(now, hiding) if hiding else None
         if richer is None:
             break
@@ -175,7 +175,9 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
 
 def _within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
     """Return a test of a fit with more parameters, `freed`, as one of a fit with `size`."""
-    return replace(test, shift=test.shift[:size], open=test.open[:size], rate=test.rate[:size], beside=tuple(freed))
+    return replace(
+        test, shift=test.shift[:size], std_added=test.std_added[:size], rate=test.rate[:size], freed_with=tuple(freed)
+    )
 
 
 def _refitted_tests(basis: Basis) -> list[ScoreTest]:
@@ -188,7 +190,7 @@ def _refitted_tests(basis: Basis) -> list[ScoreTest]:
     turned = [k for k in others[REFITS:] if found[k].name == "gravity_angle"]  # a slip that is easily mended
     for k in [*others[:REFITS], *turned]:
         each = found[k]
-        if each.gain > SUSPECT or each.surplus > SURE:
+        if each.gain > SUSPECT or each.excess_gain > SURE:
             found[k] = _refitted(basis, each)
     return sorted(found, key=lambda each: -each.gain)
 
@@ -252,7 +254,7 @@ def _tested(basis: Basis, words: Sequence[str]) -> list[ScoreTest]:
         shift *= min(1.0, float(np.min(above / -shift[falling], initial=1.0)))  # no resistance gets negative
         noise = basis.information.variance * basis.information.correlation
         chance = noise * max(1, int(np.count_nonzero(step)))
-        surplus = max(0.0, 1.0 - chance / (gain * total)) if gain * total > 0.0 else 0.0
+        excess_gain = max(0.0, 1.0 - chance / (gain * total)) if gain * total > 0.0 else 0.0
         opened = np.zeros(basis.fit.x.size)
         inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
         opened[free] = np.sqrt(np.maximum(noise * np.einsum("ki,kl,li->i", across, inverse, across), 0.0)) / scale[free]
@@ -261,7 +263,9 @@ def _tested(basis: Basis, words: Sequence[str]) -> list[ScoreTest]:
             values = [parameter.value(each) for parameter, each in zip(group, moved, strict=True)]
         rate = np.zeros((basis.fit.x.size, len(own)))
         rate[free] = -across.T / scale[free, None] * np.where(np.isfinite(scale[own]), scale[own], 0.0)
-        each = ScoreTest(label, min(gain, 1.0), np.array(values), shift=shift, open=opened, surplus=surplus, rate=rate)
+        each = ScoreTest(
+            label, min(gain, 1.0), np.array(values), shift=shift, std_added=opened, excess_gain=excess_gain, rate=rate
+        )
         tests.append(replace(each, std=_std(information, noise, [p.scale for p in group] / scale[own])))
     return tests
 
@@ -317,7 +321,7 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     windows, states = _some(basis)
     before, after = _fit(basis.plant, windows, basis.fit.x, states, basis), _fit(plant, windows, x, states, basis)
     if before is None or after is None:
-        return replace(test, gain=0.0, surplus=0.0)
+        return replace(test, gain=0.0, excess_gain=0.0)
     x = plant.parameters.rounded(after.x)
     then, now = ratios(plant.parameters.rope(x)), ratios(basis.plant.parameters.rope(before.x))
     stds, names = ratio_spread(basis.plant.parameters, basis.information), ("J/p1", "p/p1")
@@ -326,9 +330,9 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
         np.max([np.abs(then[name] - now[name]) / np.maximum(stds[name], TINY * now[name]) for name in names])
     )
     gain = 1.0 - after.cost / before.cost if before.cost > 0.0 else 0.0
-    surplus = max(0.0, 1.0 - (1.0 - test.surplus) * test.gain / gain) if gain > 0.0 else 0.0
+    excess_gain = max(0.0, 1.0 - (1.0 - test.excess_gain) * test.gain / gain) if gain > 0.0 else 0.0
     values = plant.parameters.values(x)[basis.fit.x.size :]
     sure = basis.information.whiteness >= CHANCE
-    if not sure and surplus > SURE:  # what is held may be all that colours the residuals
+    if not sure and excess_gain > SURE:  # what is held may be all that colours the residuals
         sure = estimate_covariance(plant, windows, after).whiteness >= CHANCE
-    return replace(test, gain=gain, values=values, moved=moved, beyond=beyond, surplus=surplus, sure=sure)
+    return replace(test, gain=gain, values=values, moved=moved, beyond=beyond, excess_gain=excess_gain, sure=sure)

@@ -15,11 +15,14 @@ PER_CENT = 0.01
 def with_sway(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
     """Return the tests, those of HELD with what 1 % moves beyond standard deviations that count the model's errors."""
     return tuple(
-        replace(each, sway=_sway(basis, each)) if each.name in HELD and not each.beside else each for each in tests
+        replace(each, ratio_sensitivity=_ratio_sensitivity(basis, each))
+        if each.name in HELD and not each.freed_with
+        else each
+        for each in tests
     )
 
 
-def _sway(basis: Basis, test: ScoreTest) -> float:
+def _ratio_sensitivity(basis: Basis, test: ScoreTest) -> float:
     """Return by what part 1 % of what was held moves a ratio that is said to be known better; 0 for none."""
     parameters, information = basis.plant.parameters, basis.information
     gradients, known = ratio_gradients(parameters, information.x), ratios(parameters.rope(information.x))

@@ -110,7 +110,7 @@ def drift_test(basis: Basis, scores: WindowScores | None) -> tuple[ScoreTest, ..
     test = ScoreTest(DRIFT, gain, np.array([drift]), std=max(std, noise), shift=-0.5 * drift * by_gravity, sure=sure)
     if not (sure or gain > EXPLAINS):
         return (test,)
-    return (replace(test, moved=0.5 * abs(drift), surplus=max(0.0, 1.0 - (test.std / drift) ** 2)),)
+    return (replace(test, moved=0.5 * abs(drift), excess_gain=max(0.0, 1.0 - (test.std / drift) ** 2)),)
 
 
 class Scatter(NamedTuple):

@@ -40,8 +40,8 @@ class Information:
     if the residuals were white. variance: of what each residual counts. freedom: its degrees of freedom, 1 at least.
     memory (m,): autocorrelations of the noise by lag; agrees: whether they explain the residuals. whiteness: p-value of
     white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters stand in an
-    unknown common factor. lengths (P,): change of x that one standard deviation of the lengths makes; stretch: that
-    standard deviation, of a common factor. estimated: False where an interrupt has left all of it open.
+    unknown common factor. lengths (P,): change of x that one standard deviation of the lengths makes; length_error:
+    that standard deviation, of a common factor. estimated: False where an interrupt has left all of it open.
     """
 
     x: Array
@@ -61,7 +61,7 @@ class Information:
     growing: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
     model: Array = field(default_factory=lambda: np.zeros((0, 0)))
     lengths: Array = field(default_factory=lambda: np.zeros(0))
-    stretch: float = 0.0
+    length_error: float = 0.0
     estimated: bool = True
 
     @property
@@ -72,7 +72,7 @@ class Information:
     def model_spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
         """Return the part of `spread` that errors of the model and of the lengths have."""
         model = self.model if self.model.size else np.zeros_like(self.covariance)
-        moved = self.stretch * by_length + (gradient @ self.lengths if self.lengths.size else 0.0)
+        moved = self.length_error * by_length + (gradient @ self.lengths if self.lengths.size else 0.0)
         return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", gradient, model, gradient) + moved**2))
 
     def spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
