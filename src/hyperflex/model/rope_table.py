@@ -73,9 +73,10 @@ def _check_density(length: Any, mass: Any, radius: Any) -> None:
     """Refuse what no rope is made of: grams for kilograms, or millimetres for metres, most likely."""
     try:
         volume, total = np.pi * float(radius) ** 2 * float(np.sum(length)), float(np.sum(mass))
+        thick = float(radius) > 0.5 * float(np.sum(length))
     except (TypeError, ValueError, OverflowError):
         return  # refused by its own check
-    if volume > 0.0 and total > 0.0 and not DENSITIES[0] <= total / volume <= DENSITIES[1]:
+    if not thick and volume > 0.0 and total > 0.0 and not DENSITIES[0] <= total / volume <= DENSITIES[1]:
         raise InvalidInput(
             "length, mass and radius of the rope make an impossible density",
             got=f"{total / volume:.3g} kg/m^3",
