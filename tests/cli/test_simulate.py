@@ -163,3 +163,10 @@ def test_simulate_tells_how_the_rope_lies_on_the_pegs(hyperflex, hyperflex_json,
     assert f"{over['turns']:.2f} turns, {np.degrees(over['covered_rad']):.0f} degrees covered" in said
     assert "peg at (2, 0) m" in said
     assert "does not touch it at the end" in said
+
+
+def test_a_set_up_in_which_nothing_moves_says_so(hyperflex, setup_file, tmp_path):
+    alone = tmp_path / "rope.toml"
+    hf.Setup.from_toml(setup_file).rope.to_toml(alone)
+    assert "the rope hangs from a point at rest" in hyperflex("simulate", alone, "-o", tmp_path / "still.nc")[1]
+    assert "at rest" not in hyperflex("simulate", setup_file, "-o", tmp_path / "cast.nc")[1]

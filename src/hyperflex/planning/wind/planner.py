@@ -42,9 +42,8 @@ SEARCHING = 0.85  # fraction of the time after which only verifications are begu
 LONGEST = 0.25  # fraction of the time that a first verification may take, or half of what is left
 LOOK = 1.0  # s; steps of a run between two looks at the clock may take as long on a busy machine
 TRIES = 3  # verifications at most between two generations
-BETTER = (
-    2.0  # a margin, and a full turn of contact that nobody asked for, are sought until so many times the first plan
-)
+# A margin, and a full turn of contact that nobody asked for, are sought until so many times the time of the first plan
+BETTER = 2.0
 FULL_TURN = 2.0 * np.pi  # rad of contact that a search goes on for where the rope is long enough, if none is asked for
 
 STANDS = "a cast stands; one with a margin is sought"
