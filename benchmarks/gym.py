@@ -35,8 +35,8 @@ PLANNING = 4.0  # s of planning a cast, twice at most
 TRIED = {"Swing": range(1000, 1050), "Cast": range(1000, 1016)}  # seeds that learning looks at
 TOGETHER = {"Swing": 64, "Cast": 16}  # members that learn
 DT, REPEAT = 0.02, 3  # s of a step, and steps for which a learned policy holds its action
-LEARNING: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 6, "gamma": 0.98}
-LEARNING |= {"learning_rate": 6e-4, "ent_coef": 0.003}
+LEARNING: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 6, "gamma": 0.99}
+LEARNING |= {"learning_rate": 6e-4, "ent_coef": 0.01}
 
 
 class RandomPolicy:
