@@ -127,7 +127,7 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
     environment = f"hyperflex/{name}-v0"
     best = "pumping" if name == "Swing" else "planned"
     scripted = [row["return"] for row in rows if (row.get("name"), row.get("policy")) == (name, best)]
-    aim = PART * float(np.mean(scripted)) * 1.02 if scripted else np.inf  # a little more: other seeds are looked at
+    aim = PART * float(np.mean(scripted)) * 1.1 if scripted else np.inf  # more: the best of few other seeds flatters
     given = {"dt": REPEAT * DT, "max_episode_steps": gymnasium.spec(environment).max_episode_steps // REPEAT}
     envs = gymnasium.make_vec(environment, num_envs=TOGETHER[name], autoreset_mode="SameStep", **given)
     model = PPO("MlpPolicy", stable_baselines_env(envs), seed=seed, device="cpu", **LEARNING)
