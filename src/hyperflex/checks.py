@@ -5,6 +5,8 @@ Each returns the value in the form that the package works with, or raises :class
 
 import difflib
 import math
+import sys
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Literal, TypeVar
@@ -20,6 +22,14 @@ T = TypeVar("T")
 
 MOST_THREADS = 1024
 LARGEST = 1e100  # of any quantity in SI units; squares and products of larger ones overflow
+
+# By unit: what a rope or an arm hardly exceeds, and the unit in which such a value is most likely meant
+_SLIPS = {
+    "m": (100.0, "mm", 1e-3),
+    "rad": (40.0, "degrees", math.pi / 180.0),
+    "s": (100.0, "ms", 1e-3),
+    "kg/m": (50.0, "g/m", 1e-3),  # a steel rope as thick as an arm
+}
 
 _ALLOWED = {"any": "finite", "positive": "finite and > 0", "nonnegative": "finite and >= 0"}
 
@@ -44,6 +54,19 @@ def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infi
     if (sign == "positive" and result <= 0.0) or (sign == "nonnegative" and result < 0.0):
         raise InvalidInput(f"{name} has the wrong sign", got=result, allowed=allowed)
     return result
+
+
+def meant(name: str, value: npt.ArrayLike, unit: str, *, most: float | None = None) -> None:
+    """Warn (UserWarning, at the caller's line) of a value beyond `most`, SI, most likely given in a smaller unit."""
+    limit, smaller, factor = _SLIPS[unit]
+    largest = float(np.max(np.abs(value), initial=0.0))
+    if largest > (most or limit):
+        level, frame = 2, sys._getframe(1)
+        while frame.f_back and frame.f_globals.get("__name__", "").startswith("hyperflex."):
+            level, frame = level + 1, frame.f_back
+        likely = f"{largest:.6g} {smaller} are {factor * largest:.4g}"
+        text = f"{name} is {largest:.6g} {unit}: is it meant in {smaller}? Give it in {unit}; {likely}."
+        warnings.warn(text, UserWarning, stacklevel=level)
 
 
 def count(name: str, value: object, *, least: int = 1, most: int | None = None) -> int:

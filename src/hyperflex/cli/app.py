@@ -6,6 +6,7 @@ import re
 import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Annotated, Any
@@ -176,7 +177,12 @@ def _invoke(arguments: Sequence[str]) -> int:
     """Run one command without the parser's own handling of errors, which swallows Ctrl-C; return its exit code."""
     command = typer.main.get_command(app)
     try:
-        with noticing(signal.SIGTERM), command.make_context("hyperflex", list(arguments)) as context:
+        with (
+            noticing(signal.SIGTERM),
+            warnings.catch_warnings(),
+            command.make_context("hyperflex", list(arguments)) as context,
+        ):
+            warnings.showwarning = output.warn
             command.invoke(context)
     except typer.Exit as stop:
         return int(stop.exit_code)

@@ -63,6 +63,11 @@ def complain(message: str, kind: str, code: int, *, as_json: bool) -> int:
     return code
 
 
+def warn(message: Warning | str, category: type[Warning], *where: object) -> None:
+    """Write a warning as a line on standard error, as ``warnings.showwarning``."""
+    sys.stderr.write(f"hyperflex: {message}\n")
+
+
 def with_options(message: str, options: Mapping[str, str]) -> str:
     """Return a message on arguments as one on options (``--time-unit`` by the argument's name) and tables of a file.
 

@@ -16,6 +16,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model.properties import LINK_PROPERTIES
 from hyperflex.model.rope import Rope
 
+LONGEST = 10.0  # m, of an arm without a warning
+
 
 @dataclass(frozen=True)
 class Arm:
@@ -73,6 +75,7 @@ class Arm:
         for name in ("shaft_radius", "radius"):
             value = checks.number(f"arm {name}", getattr(self, name), sign="nonnegative", unit="m")
             object.__setattr__(self, name, value)
+        checks.meant("arm length", self.length, "m", most=LONGEST)
         x, y = checks.array("arm pivot", self.pivot, (2,), unit="m")
         object.__setattr__(self, "pivot", (float(x), float(y)))
 

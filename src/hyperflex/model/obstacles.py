@@ -62,6 +62,8 @@ class Peg:
 
     def __post_init__(self) -> None:
         _check(self, "peg")
+        for name in ("x", "y", "radius"):
+            checks.meant(f"peg {name}", getattr(self, name), "m")
         if self.bearing > 0.0 and self.inertia is None:
             raise InvalidInput("a fixed peg has no bearing", got=self.bearing, fix="Give its inertia, in kg m^2")
 

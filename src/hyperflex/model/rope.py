@@ -14,7 +14,7 @@ from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model.properties import LINK_NAMES, LINK_PROPERTIES
-from hyperflex.model.rope_table import MOST_LINKS, from_table, to_table
+from hyperflex.model.rope_table import MOST_LINKS, check_density, check_size, from_table, to_table
 
 GRAVITY = (0.0, -9.81)  # m/s^2
 AIR_DENSITY = 1.204  # kg/m^3, at 20 degrees Celsius and 1013 hPa
@@ -109,8 +109,7 @@ class Rope:
         radius: float = 0.0,
         name: str = "",
     ) -> None:
-        arguments = locals()
-        given: dict[str, npt.ArrayLike | None] = {each: arguments[each] for each in LINK_NAMES}
+        given: dict[str, Any] = {each: value for each, value in locals().items() if each in LINK_NAMES}
         n = _number_of_links(given)
         r = checks.number("radius", radius, sign="nonnegative", unit="m")
         for each in LINK_PROPERTIES:
@@ -133,6 +132,7 @@ class Rope:
         if r > 0.5 * self.total_length:
             most = f"up to half its length, {0.5 * self.total_length:g} m: 2.5 mm are 0.0025"
             raise InvalidInput("rope radius makes it thicker than it is long", got=r, allowed=most)
+        check_size(self.length, self.mass)
         empty = self.inertia + self.mass * self.com**2 <= 0.0
         empty[-1] &= self.tip_mass <= 0.0
         if empty.any():
@@ -195,12 +195,12 @@ class Rope:
         link_mass = np.full(n, weight / n)
         _check_names(others)
         r = checks.number("radius", radius, sign="nonnegative", unit="m")
-        coefficient = checks.number("drag_coefficient", drag_coefficient, sign="nonnegative")
-        if coefficient:
+        if coefficient := checks.number("drag_coefficient", drag_coefficient, sign="nonnegative"):
             if "drag" in others or not r:
                 allowed = "with a radius > 0, and without drag"
                 raise InvalidInput("drag_coefficient cannot be used", got=coefficient, allowed=allowed)
             others["drag"] = coefficient * checks.number("air_density", air_density, sign="positive") * r
+        check_density(total, weight, r)
         return cls(np.full(n, total / n), link_mass, radius=radius, inertia=inertia, friction=friction, **others)
 
     @property

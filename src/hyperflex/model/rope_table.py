@@ -65,11 +65,17 @@ def from_table(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]
         raise InvalidInput(
             "rope n_links differs from its arrays", got=n, allowed=f"{np.size(content['length'])}, as length has"
         )
-    _check_density(content["length"], content["mass"], content.get("radius", 0.0))
+    check_density(content["length"], content["mass"], content.get("radius", 0.0))
     return content
 
 
-def _check_density(length: Any, mass: Any, radius: Any) -> None:
+def check_size(length: checks.Array, mass: checks.Array) -> None:
+    """Warn of links (n,), m and kg, that make a rope of a size that is hardly meant."""
+    checks.meant("rope length", length.sum(), "m")
+    checks.meant("rope mass over length", mass.sum() / length.sum(), "kg/m")
+
+
+def check_density(length: Any, mass: Any, radius: Any) -> None:
     """Refuse what no rope is made of: grams for kilograms, or millimetres for metres, most likely."""
     try:
         volume, total = np.pi * float(radius) ** 2 * float(np.sum(length)), float(np.sum(mass))

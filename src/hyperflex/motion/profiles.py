@@ -62,6 +62,7 @@ def hold_arm(angle: float = 0.0) -> Motion:
         Arm angle, rad; 0 hangs down.
     """
     angle = checks.number("angle", angle, unit="rad")
+    checks.meant("angle", angle, "rad")
     return replace(motion_of_pieces([1.0], [[angle]], {"kind": "hold", "angle": angle}), switch=np.zeros(2, np.bool_))
 
 
@@ -82,6 +83,8 @@ def move_arm(start: float, end: float, duration: float, profile: Profile = "bang
     """
     start, end = checks.number("start", start, unit="rad"), checks.number("end", end, unit="rad")
     duration = checks.number("duration", duration, sign="positive", unit="s")
+    checks.meant("arm angle", [start, end], "rad")
+    checks.meant("duration", duration, "s")
     profile = checks.choice("profile", profile, PROFILES)  # type: ignore[assignment]
     ramp = _ramp(ramp)
     spec = {"kind": "move", "start": start, "end": end, "duration": duration, "profile": profile, "ramp": ramp}
@@ -118,13 +121,16 @@ def arm_swings(
     """
     given = checked_half_turn(t_move, profile, path, ramp)
     given["t_rest"] = checks.number("t_rest", t_rest, sign="nonnegative", unit="s")
+    checks.meant("t_rest", given["t_rest"], "s")
     return motion_of_pieces(*swing_pieces(**given), {"kind": "swings", **given}, loop=0)
 
 
 def checked_half_turn(t_move: float, profile: str, path: str, ramp: float) -> dict[str, Any]:
     """Return the checked arguments of a half turn by name."""
+    t_move = checks.number("t_move", t_move, sign="positive", unit="s")
+    checks.meant("t_move", t_move, "s")
     return {
-        "t_move": checks.number("t_move", t_move, sign="positive", unit="s"),
+        "t_move": t_move,
         "profile": checks.choice("profile", profile, PROFILES),
         "path": checks.choice("path", path, PATHS),
         "ramp": _ramp(ramp),
@@ -160,7 +166,9 @@ def sampled_motion(t: npt.ArrayLike, angle: npt.ArrayLike) -> Motion:
     angle : (T,) array_like
         Arm angles, rad.
     """
-    return _spline(t, {ANGLE: ("angle", angle)}, "sampled")
+    motion = _spline(t, {ANGLE: ("angle", angle)}, "sampled")
+    checks.meant("angle", np.asarray(angle, dtype=np.float64), "rad")
+    return motion
 
 
 def moving_pivot(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike) -> Motion:

@@ -57,6 +57,8 @@ def arm_moves(
         raise InvalidInput("there is no move", got=way.tolist(), allowed="at least two angles")
     rest = checks.array("rests", rests, (count,), sign="nonnegative", unit="s")
     time = checks.array("durations", durations, (count,), sign="positive", unit="s")
+    checks.meant("angles", way, "rad")
+    checks.meant("rests and durations", [*rest, *time], "s")
     ramp = checks.array("ramps", ramps, (count,), scalar=True)
     if (ramp <= 0.0).any() or (ramp > 0.5).any():
         raise InvalidInput("ramps leave their range", got=ramp.tolist(), allowed="above 0 and at most 0.5")

@@ -55,6 +55,7 @@ class MotorLimits:
             value = checks.number(f"motor {name}", value, sign="positive", unit=unit, infinite=may)
             object.__setattr__(self, name, value)
         least, greatest = checks.array("motor angles", self.angles, (2,), unit="rad").tolist()
+        checks.meant("motor angles", (least, greatest), "rad")
         if greatest - least < 0.1:
             raise InvalidInput(
                 "motor angles leave no room to move", got=[least, greatest], allowed="(least, greatest), 0.1 rad apart"

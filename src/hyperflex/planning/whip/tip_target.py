@@ -48,6 +48,7 @@ class TipTarget:
     def __post_init__(self) -> None:
         for name, unit in (("x", "m"), ("y", "m"), ("direction", "rad")):
             object.__setattr__(self, name, checks.number(f"target {name}", getattr(self, name), unit=unit))
+            checks.meant(f"target {name}", getattr(self, name), unit)
         for name, unit in (("least_speed", "m/s"), ("angle_tolerance", "rad")):
             value = checks.number(f"target {name}", getattr(self, name), sign="positive", unit=unit)
             object.__setattr__(self, name, value)

@@ -1,0 +1,69 @@
+"""Values that are off by a unit, as millimetres for metres: what names the unit, and what is let pass."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.cli.app import run
+from hyperflex.errors import InvalidInput
+
+ROPE = hf.Rope.uniform(length=0.9, mass=0.05, n_links=10)
+SLIPS: list[tuple[Callable[[], object], str]] = [
+    (lambda: hf.Rope.uniform(length=900, mass=0.05, n_links=10), "rope length is 900 m: is it meant in mm.*are 0.9"),
+    (lambda: hf.Rope(length=[300.0, 300.0], mass=0.02), "rope length is 600 m"),
+    (lambda: hf.Rope.uniform(length=0.9, mass=50, n_links=10), "mass over length is 55.5.*kg/m: is it meant in g/m"),
+    (lambda: hf.Arm(length=150), "arm length is 150 m: is it meant in mm.*are 0.15"),
+    (lambda: hf.Peg(x=-800, y=-0.6, radius=0.03), "peg x is 800 m: is it meant in mm"),
+    (lambda: hf.TipTarget(x=0.3, y=-2050, direction=0.2), "target y is 2050 m: is it meant in mm"),
+    (
+        lambda: hf.TipTarget(x=0.3, y=-2.0, direction=90),
+        "target direction is 90 rad: is it meant in degrees.*are 1.571",
+    ),
+    (lambda: hf.arm_swings(t_move=730), "t_move is 730 s: is it meant in ms.*are 0.73"),
+    (lambda: hf.arm_swings(t_rest=530), "t_rest is 530 s"),
+    (lambda: hf.move_arm(0.0, 90.0, 1.0), "arm angle is 90 rad: is it meant in degrees"),
+    (lambda: hf.move_arm(0.0, 1.0, 730.0), "duration is 730 s"),
+    (lambda: hf.hold_arm(-90), "angle is 90 rad"),
+    (lambda: hf.sampled_motion([0.0, 1.0], [0.0, 90.0]), "angle is 90 rad"),
+    (lambda: hf.arm_moves([0.0, 90.0], [0.0], [1.0]), "angles is 90 rad"),
+    (lambda: hf.arm_moves([0.0, 1.0], [0.0], [730.0]), "rests and durations is 730 s"),
+    (lambda: hf.MotorLimits(angles=(-180, 180)), "motor angles is 180 rad"),
+    (lambda: hf.Setup(ROPE, q0=np.full(10, 90.0)), "q0 is 90 rad"),
+]
+
+
+@pytest.mark.parametrize(("call", "words"), SLIPS, ids=[words.split(":")[0] for _, words in SLIPS])
+def test_a_value_off_by_a_unit_is_named_with_it(call: Callable[[], object], words: str) -> None:
+    with pytest.warns(UserWarning, match=words) as told:
+        call()
+    assert told[0].filename == __file__
+
+
+def test_density_of_a_rope_in_grams_is_refused() -> None:
+    with pytest.raises(InvalidInput, match=r"3.18e.06 kg/m.*125 g are 0.125"):
+        hf.Rope.uniform(length=2.0, mass=125.0, n_links=10, radius=0.0025)
+
+
+def test_real_large_ropes_and_arms_pass() -> None:
+    hf.Rope.uniform(length=30.0, mass=60.0, n_links=30, radius=0.02)
+    hf.Arm(length=3.0)
+    hf.move_arm(-4.0 * np.pi, 4.0 * np.pi, 60.0)
+
+
+def test_the_command_line_says_it_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "long.toml"
+    hf.Setup(ROPE, duration=0.1).to_toml(path)
+    path.write_text(path.read_text().replace("link_length = 0.09", "link_length = 90.0"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        assert run(["simulate", str(path), "--json", "-o", str(tmp_path / "long.nc")]) == 0
+    told = capsys.readouterr()
+    assert "hyperflex: rope length is 900 m: is it meant in mm? Give it in m; 900 mm are 0.9.\n" in told.err
+    assert json.loads(told.out)
