@@ -25,18 +25,18 @@ if TYPE_CHECKING:
     from hyperflex.planning.robust.scenario_rollouts import SuccessProbability, estimate_success_probability
     from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty, scaled_rope
     from hyperflex.planning.throw import Throw
-    from hyperflex.planning.whip.aim import FRICTION_STD, LENGTH_STD, TIMING_STD
+    from hyperflex.planning.tip.aim import FRICTION_STD, LENGTH_STD, TIMING_STD
+    from hyperflex.planning.tip.strokes import Strokes
+    from hyperflex.planning.tip.task import TipCandidate
     from hyperflex.planning.whip.impact import IMPACT_RADIUS, IMPACT_TIME, Impact
     from hyperflex.planning.whip.outcome import TipStrike
     from hyperflex.planning.whip.planner import plan_whip
     from hyperflex.planning.whip.search import (
-        WhipCandidate,
         WhipFeasibility,
         WhipMap,
         build_whip_map,
         check_whip_feasibility,
     )
-    from hyperflex.planning.whip.strokes import Strokes
     from hyperflex.planning.whip.tip_target import Peaks, TipTarget
     from hyperflex.planning.whip.whip_plan import WhipPlan
     from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget

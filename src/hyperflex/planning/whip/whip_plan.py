@@ -9,11 +9,11 @@ import numpy as np
 from hyperflex.model import Setup
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.plan import Plan
+from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.verification import verified_setup
 from hyperflex.planning.whip.impact import IMPACT_RADIUS, Impact, simulate_impact
 from hyperflex.planning.whip.outcome import WINDOW, TipStrike
 from hyperflex.planning.whip.search import WhipFeasibility
-from hyperflex.planning.whip.strokes import Strokes
 from hyperflex.planning.whip.tip_target import TipTarget
 
 
@@ -35,7 +35,7 @@ class WhipPlan(Plan):
     finer_outcome : TipStrike or None
         The same with links of half the length.
     position_std : float
-        Standard deviation of the place of the peak, m, for a rope known as :mod:`hyperflex.planning.whip.aim` assumes;
+        Standard deviation of the place of the peak, m, for a rope known as :mod:`hyperflex.planning.tip.aim` assumes;
         NaN without strokes.
     """
 
