@@ -9,6 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.identification.diagnosis.grade import MASSES, Grade, grade
 from hyperflex.identification.diagnosis.model_error import law_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.diagnosis.tolerances import moves_alike
 from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED
 from hyperflex.identification.model.plant import Plant
@@ -138,6 +139,7 @@ def _graded(
         moved=moved,
         turned=basis.plant.parameters.single("gravity_angle", basis.fit.x),
         left_out=missing / (missing + settings["windows"]),
+        alike=moves_alike(basis.plant),
     )
 
 
