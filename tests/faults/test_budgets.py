@@ -146,6 +146,8 @@ def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, t
             pass
         return 1e-3
 
+    hf.simulate(ROPE, torque=lambda *_: 1e-3, **{**how, "duration": 0.1})  # loads the kernels
+    capsys.readouterr()
     if throw:
         with pytest.raises(SimulationError, match="its processor time was over"):
             hf.simulate(ROPE, torque=torque, time_budget=0.3, **how)
