@@ -69,9 +69,13 @@ def test_each_extra_is_named_as_it_is_called() -> None:
         assert f'"{extra}", "' in text
 
 
-def test_a_package_that_lacks_is_refused_with_its_command() -> None:
+def test_a_package_that_lacks_is_refused_with_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(MissingPackage, match=r"Films need no_such_a, not installed.*pip install 'hyperflex\[vision\]'"):
         extras.require(("numpy", "no_such_a"), "vision", "Films")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingPackage, match=r"need opencv-python-headless \(cv2\), av, not installed"):
+        extras.require(("cv2", "av"), "vision", "Films")
+    monkeypatch.undo()
     extras.require(("numpy",), "vision", "Films")
 
 

@@ -6,6 +6,8 @@ from typing import Any
 
 from hyperflex.errors import MissingPackage
 
+_NAMES = {"cv2": "opencv-python-headless (cv2)"}  # of packages that are installed by another name than imported
+
 
 def require(packages: tuple[str, ...], extra: str, what: str) -> None:
     """Refuse to go on without packages; none is loaded.
@@ -26,8 +28,9 @@ def require(packages: tuple[str, ...], extra: str, what: str) -> None:
     """
     lacking = [name for name in packages if importlib.util.find_spec(name) is None]
     if lacking:
+        named = ", ".join(_NAMES.get(name, name) for name in lacking)
         fix = f"Install them: pip install 'hyperflex[{extra}]'"
-        raise MissingPackage(f"{what} need {', '.join(lacking)}, not installed here. {fix}.")
+        raise MissingPackage(f"{what} need {named}, not installed here. {fix}.")
 
 
 def load(module: str, extra: str, what: str) -> Any:

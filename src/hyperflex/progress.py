@@ -1,5 +1,6 @@
 """Progress of long work on standard error: a bar where somebody watches, else a line every ten seconds."""
 
+import math
 import sys
 import threading
 import time
@@ -23,8 +24,9 @@ def progress_bar(
         yield None
         return
     if (console := terminal()) is None:
+        places = 2 - math.floor(math.log10(end - begin)) if end > begin else 0
         with lines() as say:
-            yield lambda t, words=what: say(f"{words}: {t - begin:.4g} of {end - begin:.4g} {unit}")
+            yield lambda t, words=what: say(f"{words}: {round(t - begin, places):g} of {end - begin:.4g} {unit}")
         return
     from rich.progress import Progress as Bar
 

@@ -66,6 +66,17 @@ def test_plot_refuses(hyperflex, run_file, tmp_path, monkeypatch, arguments, tol
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("command", ["plot", "view"])
+@pytest.mark.parametrize(
+    ("name", "told"), [("a.toml", "hyperflex simulate a.toml -o a.nc"), ("a.csv", "hyperflex identify a.csv")]
+)
+def test_a_set_up_or_recording_is_refused_with_its_command(hyperflex, tmp_path, monkeypatch, command, name, told):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = hyperflex(command, name, "-o", "a.html")
+    assert code == 2
+    assert told in err
+
+
 def test_a_run_is_not_overwritten_by_its_page(hyperflex, run_file, tmp_path):
     twin = tmp_path / "run.html"
     twin.write_bytes(run_file.read_bytes())

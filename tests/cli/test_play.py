@@ -33,11 +33,17 @@ def test_it_opens_the_page_with_a_set_up(hyperflex_json, seen, tmp_path, monkeyp
     assert len(opened) == 1
 
 
+def test_it_says_which_rope_it_shows(hyperflex, seen, tmp_path):
+    _, _, err = hyperflex("play", "--no-open", "--folder", tmp_path)
+    assert "It shows the paper's cable (Rope(50 links, 2 m, 0.125 kg)); hyperflex play SETUP.toml shows another" in err
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
         (("--folder", "missing"), "There is no folder"),
         (("missing.toml",), "missing.toml"),
+        (("run.nc",), "hyperflex view run.nc"),
         (("--host", "203.0.113.1"), "no page can be shown"),
         (("--port", "99999"), "no page can be shown"),
     ],

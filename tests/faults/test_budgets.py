@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import math
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -144,6 +146,8 @@ def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, t
             pass
         return 1e-3
 
+    hf.simulate(ROPE, torque=lambda *_: 1e-3, **{**how, "duration": 0.1})  # loads the kernels
+    capsys.readouterr()
     if throw:
         with pytest.raises(SimulationError, match="its processor time was over"):
             hf.simulate(ROPE, torque=torque, time_budget=0.3, **how)
@@ -151,7 +155,16 @@ def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, t
         part = hf.simulate(ROPE, torque=torque, time_budget=0.3, throw=False, **how)
         assert (part.status, part.setup.torque.torque(0.0)) == (time_budget.OUT_OF_TIME, 1e-3)
         assert 0.05 < part.t[-1] < 1.0
-    assert "simulating: " in capsys.readouterr().err
+    assert re.search("simulating: [01] of 100 s; begun", capsys.readouterr().err)
+
+
+def test_progress_is_told_to_a_hundredth_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(progress, "lines", lambda: contextlib.nullcontext(said.append))
+    for whole, part in ((60.0, 0.9467), (0.005, 0.00123456), (400.0, 17.0)):
+        with progress.progress_bar(0.0, whole, True) as report:
+            report(part)
+    assert said == ["simulating: 0.9 of 60 s", "simulating: 0.00123 of 0.005 s", "simulating: 17 of 400 s"]
 
 
 def test_half_an_hour_is_judged_by_the_speed_of_late_and_in_all(monkeypatch: pytest.MonkeyPatch) -> None:

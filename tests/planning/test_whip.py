@@ -225,6 +225,13 @@ def test_a_map_of_another_rope_is_refused(known: WhipMap) -> None:
             plan_whip(rope, ARM, [0.3, -0.9], [1.0, 0.0], limits, whip_map=known)
 
 
+def test_a_target_without_a_direction_takes_any() -> None:
+    free = TipTarget(0.3, -2.0)
+    assert free.any_direction
+    assert free == TipTarget.at((0.3, -2.0), None, 5.0)
+    assert not TipTarget(0.3, -2.0, 0.0).any_direction
+
+
 def test_any_direction_costs_nothing(known: WhipMap) -> None:
     """Without a direction the cost of the cheapest peak is that of the best of many directions, or less."""
     point, speed = known.peaks.place[np.argmax(known.peaks.speed)] + [0.03, -0.02], 2.0

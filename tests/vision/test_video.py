@@ -121,7 +121,7 @@ def sound(path, video):
         (lambda path, video: path.write_bytes(b""), "empty"),
         (lambda path, video: path.write_bytes(b"not a video " * 500), "cannot be read as a video"),
         (without_index, "cut off"),
-        (sound, "holds no video"),
+        (sound, "holds no video, only audio"),
         (lambda path, video: path.mkdir(), "a folder"),
         (lambda path, video: None, "There is no video"),
     ],
@@ -131,6 +131,13 @@ def test_no_video_is_refused_by_name(video, tmp_path, make, message):
     make(tmp_path / "bad.mp4", video)
     with pytest.raises(FileProblem, match=message):
         VideoReader(tmp_path / "bad.mp4")
+
+
+def test_a_set_up_given_for_a_video_is_named_as_text(tmp_path):
+    path = tmp_path / "rope.toml"
+    path.write_text("[rope]\nn_links = 50\nlength = 0.02\nmass = 0.0025\n" * 20)
+    with pytest.raises(FileProblem, match=r"rope.toml holds no video, but text \(.toml\)"):
+        VideoReader(path)
 
 
 def test_frames_beyond_any_camera_are_refused(video, monkeypatch):

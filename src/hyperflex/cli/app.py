@@ -46,7 +46,7 @@ for _command, _example in (
     (view, "view cast.nc"),
     (plot, "plot cast.nc -o cast.png"),
     (export, "export cast.toml -o cast.xml"),
-    (play, "play --folder casts"),
+    (play, "play cast.toml --folder casts"),
     (identify, "identify swing.csv --guess guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),
@@ -160,10 +160,11 @@ def _misused(error: Any, arguments: Sequence[str]) -> str:
     if found := _NO_NUMBER.search(message):
         kind = "a whole number" if found[2] == "integer" else "numbers"
         message = f"{found[1]} takes {kind}: got {_given(found[1], arguments)}"
-    two = " Give two numbers: --target X Y." if "--target" in message else ""
+    forms = {"--target": " Give two numbers: --target X Y.", "--peg": " Give three numbers: --peg X Y RADIUS."}
+    form = next((words for option, words in forms.items() if option in message), "")
     named = arguments[0] if arguments and arguments[0] in _COMMANDS else ""
     stop = "" if message.endswith("?") else "."
-    return f"{message}{stop}{two} See {f'hyperflex {named}'.strip()} --help."
+    return f"{message}{stop}{form} See {f'hyperflex {named}'.strip()} --help."
 
 
 def _given(option: str, arguments: Sequence[str]) -> str:

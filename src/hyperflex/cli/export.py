@@ -16,11 +16,15 @@ WAYS = {".toml": ".xml", ".xml": ".toml"}  # of what else is read, an .mcap
 def export(
     source: Annotated[
         Path,
-        typer.Argument(help="Set-up (.toml), MJCF of ours (.xml), run (.nc) or recording (.nc, .mat, .csv, .mcap)."),
+        typer.Argument(help="Set-up (.toml), its MJCF (.xml), run (.nc) or recording (.nc, .mat, .csv, .mcap)."),
     ],
     out: Annotated[
         Path,
-        typer.Option("--output", "-o", help="Of a set-up .xml, of an MJCF file .toml, of a run or recording .mcap."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="File to write: .xml of a set-up, .toml of MJCF, .mcap of a run or recording.",
+        ),
     ],
     json: output.Json = False,
 ) -> None:

@@ -16,19 +16,19 @@ Run = Annotated[
 ]
 Start = Annotated[float | None, typer.Option(help="First time to show, s. [default: the run's]")]
 End = Annotated[float | None, typer.Option(help="Last time to show, s. [default: the run's]")]
-Title = Annotated[str | None, typer.Option(help="Written above. [default: the file's name]")]
+Title = Annotated[str | None, typer.Option(help="Title of what is drawn. [default: the file's name]")]
 
 
 def plot(
     run: Run,
     out: Annotated[Path, typer.Option("--output", "-o", help="File to write: .png, .gif, .mp4, .html or .csv.")],
     kind: Annotated[
-        str, typer.Option(help="Of a .png: strobe (many instants in one) or course (over time).")
+        str, typer.Option(help="What a .png shows: strobe (many instants in one) or course (curves over time).")
     ] = "strobe",
     start: Start = None,
     end: End = None,
-    speed: Annotated[float, typer.Option(help="Of a film: simulated seconds a second.")] = 1.0,
-    width: Annotated[int, typer.Option(help="Of a film, pixels.")] = 640,
+    speed: Annotated[float, typer.Option(help="Simulated seconds in a second of a film.")] = 1.0,
+    width: Annotated[int, typer.Option(help="Width of a film, pixels.")] = 640,
     title: Title = None,
     json: output.Json = False,
 ) -> None:
@@ -47,7 +47,7 @@ def plot(
     if suffix == ".csv" and not (start is None and end is None):
         raise InvalidInput("--start and --end do not go with a table", allowed="all samples", fix="Leave them out")
     output.check_destination(out, suffix, [run])
-    shown = read_trajectory(run)
+    shown = read_trajectory(_checked(run, "plot"))
     named = run.name if kind == "course" else f"{run.name}, simulated"  # a course says so itself
     options: dict[str, Any] = {"start": start, "end": end, "title": named if title is None else title}
     if suffix == ".png":
@@ -62,6 +62,18 @@ def plot(
             shown.animate(out, speed=speed, width=width, **options)
     result = {"output": out, "bytes": out.stat().st_size, "run": run, "start_s": shown.t[0], "end_s": shown.t[-1]}
     output.show(result, repr(shown), [("written", f"{out} ({out.stat().st_size / 1e3:.0f} kB)")], as_json=json)
+
+
+def _checked(run: Path, command: str) -> Path:
+    """Return the path of a run; InvalidInput, with the command that makes a run of it, for a set-up or a recording."""
+    makes = {
+        ".toml": f"hyperflex simulate {run} -o {run.stem}.nc makes one of a set-up; then {command} {run.stem}.nc",
+        ".csv": f"A recording is drawn beside its fit: hyperflex identify {run} --guess rope.toml -o {run.stem}",
+    }
+    if fix := makes.get(run.suffix.lower()):
+        allowed = "a NetCDF file of a run, as simulate, cast and whip write"
+        raise InvalidInput(f"{command} shows runs, and this is none", got=str(run), allowed=allowed, fix=fix)
+    return run
 
 
 def view(
@@ -83,7 +95,7 @@ def view(
     from hyperflex.trajectory import read_trajectory
 
     output.check_destination(out, ".html", [run])
-    shown = read_trajectory(run)
+    shown = read_trajectory(_checked(run, "view"))
     page = Path(tempfile.mkdtemp(prefix="hyperflex-")) / f"{run.stem}.html" if out is None else out
     shown.to_html(page, start=start, end=end, title=f"{run.name}, simulated" if title is None else title)
     opened = not no_open and webbrowser.open(page.resolve().as_uri())

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from hyperflex.cli import output
+from hyperflex.errors import InvalidInput
 
 
 def play(
@@ -18,7 +19,7 @@ def play(
     folder: Annotated[
         Path, typer.Option("--folder", "-f", help="What the page may read from and save to, and nothing else.")
     ] = Path(),
-    port: Annotated[int, typer.Option(help="0: any that is free.")] = 0,
+    port: Annotated[int, typer.Option(help="Port of the page; 0: any that is free.")] = 0,
     host: Annotated[str, typer.Option(help="Address to listen at; by default this machine alone.")] = "127.0.0.1",
     allow: Annotated[
         list[str] | None,
@@ -35,11 +36,16 @@ def play(
     from hyperflex.model import Setup
     from hyperflex.play import Folder, PlayServer, Session
 
+    if setup is not None and setup.suffix.lower() == ".nc":
+        fix = f"See a run with hyperflex view {setup}; in the page, Open takes one from the folder"
+        raise InvalidInput("play begins with a set-up", got=str(setup), allowed="a TOML file", fix=fix)
     session = Session()
     if setup is not None:
         session.play(Setup.from_toml(setup), "file")
     with PlayServer(Folder(folder), session, port=port, host=host, allow=allow or ()) as server:
-        sys.stderr.write(f"hyperflex: at {server.address}; Ctrl-C ends it\n")
+        cable = f"the paper's cable ({session.rope!r}); hyperflex play SETUP.toml shows another"
+        shown = setup or cable
+        sys.stderr.write(f"hyperflex: at {server.address}; Ctrl-C ends it. It shows {shown}\n")
         if json:
             output.print_json({"address": server.address, "port": server.port, "folder": folder}, one_line=True)
         if not no_open:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -157,8 +158,9 @@ class VideoReader:
             ) from None
         kinds = sorted({stream.type for stream in container.streams})
         if "video" not in kinds:
-            held = f"only {' and '.join(kinds)}" if kinds else "nothing at all: it was cut off"
-            raise FileProblem(f"{self.path} holds no video, {held}. Get it again, or give another file.")
+            raise FileProblem(
+                f"{self.path} holds no video, {_held(self.path, kinds)}. Get it again, or give another file."
+            )
         stream = container.streams.video[0]
         context: Any = stream.codec_context
         if context is None:
@@ -306,6 +308,13 @@ class VideoWriter:
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
         frame.pts, frame.time_base = ticks, _TICK
         self._container.mux(self._stream.encode(frame))
+
+
+def _held(path: Path, kinds: list[str]) -> str:
+    """Return what a file without a picture holds; FFmpeg takes it as streams of these `kinds`."""
+    if path.suffix.lower() in (".toml", ".csv", ".txt"):
+        return f"but text ({path.suffix.lower()})"
+    return f"only {' and '.join(kinds)}" if kinds else "nothing at all: it was cut off"
 
 
 def _turned(image: Image, rotation: int) -> Image:

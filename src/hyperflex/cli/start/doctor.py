@@ -36,7 +36,8 @@ class Finding:
 
 def doctor(
     camera: Annotated[
-        int | None, typer.Option(help="Open this camera, too, and take a picture. [default: none is opened]")
+        int | None,
+        typer.Option(help="Camera to take a picture with, by number from 0. [default: none]"),
     ] = None,
     no_speed: Annotated[bool, typer.Option("--no-speed", help="Do not time a run.")] = False,
     json: output.Json = False,

@@ -149,4 +149,4 @@ def _check(text: str, out: Path) -> None:
 
 def _next(out: Path) -> str:
     run = out.with_suffix(".nc")
-    return f"hyperflex simulate {out} -o {run}, and hyperflex view {run}"
+    return f"hyperflex simulate {out} -o {run} and hyperflex view {run}, or live: hyperflex play {out}"

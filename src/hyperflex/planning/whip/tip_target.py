@@ -26,8 +26,9 @@ class TipTarget:
     ----------
     x, y : float
         m.
-    direction : float
-        Direction of the tip's velocity there, rad, counterclockwise from the x axis.
+    direction : float, optional
+        Direction of the tip's velocity there, rad, counterclockwise from the x axis; by default any, and then
+        `angle_tolerance` is pi.
     least_speed : float
         Of the tip there, m/s, > 0.
     angle_tolerance : float
@@ -41,11 +42,14 @@ class TipTarget:
 
     x: float
     y: float
-    direction: float
+    direction: float = None  # type: ignore[assignment]  # a number once it is made
     least_speed: float = 5.0
     angle_tolerance: float = float(np.radians(20.0))
 
     def __post_init__(self) -> None:
+        if self.direction is None:
+            object.__setattr__(self, "direction", 0.0)
+            object.__setattr__(self, "angle_tolerance", float(np.pi))
         for name, unit in (("x", "m"), ("y", "m"), ("direction", "rad")):
             object.__setattr__(self, name, checks.number(f"target {name}", getattr(self, name), unit=unit))
             checks.meant(f"target {name}", getattr(self, name), unit)
@@ -53,7 +57,7 @@ class TipTarget:
             value = checks.number(f"target {name}", getattr(self, name), sign="positive", unit=unit)
             object.__setattr__(self, name, value)
         if self.angle_tolerance > np.pi:
-            raise InvalidInput("target angle_tolerance is too large", got=self.angle_tolerance, allowed="at most pi")
+            raise InvalidInput("target angle_tolerance is too large", got=self.angle_tolerance, allowed="<= pi, in rad")
 
     @classmethod
     def at(
@@ -65,7 +69,7 @@ class TipTarget:
         """
         x, y = checks.array("point", point, (2,), unit="m")
         if direction is None:
-            direction, angle_tolerance = (1.0, 0.0), float(np.pi)
+            return cls(float(x), float(y), least_speed=least_speed)
         vector = checks.array("direction", direction, (2,))
         if not np.hypot(*vector) > 0.0:
             raise InvalidInput("direction is zero", got=vector.tolist(), allowed="a vector with a length")

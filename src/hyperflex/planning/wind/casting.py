@@ -117,7 +117,16 @@ def plan_cast(
 
     Examples
     --------
+    The first throw that succeeds, in a second or two; without `on_plan` better ones are looked for:
+
     >>> import hyperflex as hf
+    >>> cord = hf.Rope.uniform(length=1.2, mass=0.05, n_links=15, radius=0.002, friction=2e-4)
+    >>> plan = hf.plan_cast(cord, hf.Arm(length=0.15), hf.Peg(-0.5, -0.7, 0.03), on_plan=lambda plan: True)
+    >>> plan.success, plan.outcome.wound, plan.outcome.held
+    (True, True, True)
+
+    A target out of reach:
+
     >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
     >>> far = hf.plan_cast(cable, hf.Arm(length=0.105), hf.Peg(2.5, 0.0, 0.03))
     >>> far.success, far.message

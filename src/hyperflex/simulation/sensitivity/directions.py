@@ -136,7 +136,8 @@ def parameter_directions(setup: Setup, wrt: Wrt) -> ParameterDirections:
         names += found
         parts += found.values()
     if not names:
-        raise InvalidInput("wrt is empty", allowed=_allowed(setup))
+        fix = "Say what to differentiate by, as wrt='friction' or wrt=['q0', 'tip_mass']"
+        raise InvalidInput("wrt is empty", allowed=_allowed(setup), fix=fix)
     if len(set(names)) != len(names):
         raise InvalidInput("wrt names something twice", got=names, allowed="each name once")
     if setup.torque_driven:

@@ -115,7 +115,7 @@ def sensitivities(
     qd0: npt.ArrayLike | None = None,
     t_eval: npt.ArrayLike | None = None,
     tol: float | None = None,
-    wrt: Wrt,
+    wrt: Wrt = (),
 ) -> Sensitivities:
     """Simulate a rope, and differentiate angles, rates and the tip's position.
 
@@ -131,7 +131,7 @@ def sensitivities(
     t_eval : (T,) array_like, optional
         Increasing times of the output, s, within the run; by default every 10 ms and the end.
     wrt : str, mapping, or sequence of them
-        What to differentiate by.
+        What to differentiate by; at least one.
 
         ``"q0"``, ``"qd0"``: the start of every link; ``"q0[3]"`` of one.
         ``"friction"``, and likewise dry_friction, length, mass, com, inertia, stiffness, rest_angle, drag: one number
