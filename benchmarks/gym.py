@@ -13,6 +13,7 @@ programs do not matter. All simulated.
 from __future__ import annotations
 
 import argparse
+import copy
 import functools
 import statistics
 import time
@@ -118,7 +119,7 @@ def scores_of(rows: list[lines.Row]) -> Scores:
 
 
 def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Callable[[lines.Row], None]) -> None:
-    """Train by PPO until it returns PART of what the best scripted policy does or the time is over; then score it."""
+    """Train by PPO until it returns PART of what the best scripted policy does or the time is over; score the best."""
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -136,18 +137,21 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
     class Looking(BaseCallback):  # type: ignore[misc]
         """Ends learning."""
 
-        reached = -np.inf
+        reached, kept = -np.inf, model.policy.state_dict()
 
         def _on_step(self) -> bool:
             return self.reached < aim and time.process_time() - begin < LIMIT
 
         def _on_rollout_end(self) -> None:
             if time.process_time() - begin > looks[-1] + EVERY:
-                self.reached = play(model, environment, TRIED[name]).mean
+                found = play(model, environment, TRIED[name]).mean
                 looks.append(time.process_time() - begin)
-                print(f"{name} {seed}: {self.num_timesteps} steps, {looks[-1]:.0f} s, {self.reached:.1f}", flush=True)
+                print(f"{name} {seed}: {self.num_timesteps} steps, {looks[-1]:.0f} s, {found:.1f}", flush=True)
+                if found > self.reached:
+                    self.reached, self.kept = found, copy.deepcopy(model.policy.state_dict())
 
     model.learn(1_000_000_000, callback=(looking := Looking()))
+    model.policy.load_state_dict(looking.kept)
     spent = {"seconds": time.process_time() - begin, "clock": time.perf_counter() - clock}
     policy = f"PPO, seed {seed}"
     keep({"name": name, "learned": policy, "steps": looking.num_timesteps, **spent})
