@@ -63,7 +63,7 @@ _TRACKED = (
     "friction, is enough to track it. swing.mp4, camera.toml and guess.toml are what hyperflex track was given."
 )
 _CAPTIONS = {
-    "seen": "Two frames as tracked, in part: crosses are markers seen, circles where they were expected, blue the rope.",
+    "seen": "Two frames as tracked, in part: crosses are markers seen, circles where each was expected, blue the rope.",
     "film": "The identified rope, cast from rest by the paper's motion; simulated.",
     "strobe": "One stroke of the arm late in the cast, early instants dark, late ones bright.",
     "casts": "Tip to the side: the identified chain beside the rope that made the recording.",
