@@ -42,6 +42,8 @@ def test_the_folder_is_complete(demo_report):
     page = demo_report.files["page"]
     assert page.stat().st_size < 4e6  # bytes; two thirds of them pictures
     assert page.read_text("utf-8").count("<iframe sandbox=") == 2  # both casts play
+    titles = re.findall(r"<h2>([^<]*)</h2>", page.read_text("utf-8"))
+    assert titles[:2] == ["The cast", "In short"]  # what the reader came for comes first
     folder = page.parent
     assert {path.name for path in folder.iterdir()} == names
     assert all(path.stat().st_size > (100 if path.suffix == ".toml" else 1000) for path in demo_report.files.values())

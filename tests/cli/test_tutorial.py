@@ -5,16 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 from docs.commands import commands, settings
 
 import hyperflex as hf
 from hyperflex.demo import twin
 from hyperflex.identification import identify
-from hyperflex.vision import Board, VideoWriter
-from tests.vision.rendered_boards import SIZE, poses, render
+from hyperflex.vision import Board, film_board
 
 PAGE = Path(__file__).parents[2] / "docs" / "tutorials" / "video.md"
 LIVE = PAGE.with_name("live.md")
@@ -25,12 +22,7 @@ FIGURES = ("identified/identification.json", "finer/identification.json")
 @pytest.fixture
 def filmed(tmp_path, monkeypatch):
     """A folder with what the reader has filmed and written down, in which the commands run."""
-    board = Board((8, 6), 0.03, 0.022)
-    with VideoWriter(tmp_path / "board.mp4", SIZE) as video:
-        for k, pose in enumerate(poses(board, 15)):
-            video.write(render(board, *pose, seed=k), 0.5 * k)
-    level = np.array([-0.12, -0.09, 0.6])
-    cv2.imwrite(str(tmp_path / "plane.png"), render(board, np.zeros(3), level))
+    film_board(Board((8, 6), 0.03, 0.022), tmp_path / "board.mp4", tmp_path / "plane.png")
     (tmp_path / "swing.mp4").write_bytes(twin.BUNDLED.read_bytes())
     for name, content in zip(("rope.toml", "finer.toml"), settings(PAGE), strict=True):
         (tmp_path / name).write_text(content)

@@ -8,8 +8,8 @@ import pytest
 
 from hyperflex import InvalidInput
 from hyperflex.vision import Board, VideoWriter, calibrate_camera, read_camera
+from hyperflex.vision.renderer.boards import DISTORTION, MATRIX, SIZE, board_poses, render_board
 from tests.cli.conftest import hyperflex, hyperflex_json  # noqa: F401 fixtures
-from tests.vision.rendered_boards import DISTORTION, MATRIX, SIZE, poses, render
 
 CHARUCO = Board((8, 6), 0.03, 0.0225)  # even rows: new and legacy patterns differ
 CHESSBOARD = Board((9, 7), 0.025)
@@ -18,17 +18,17 @@ PLANE = np.array([0.1, -0.2, 0.05]), np.array([-0.12, -0.08, 0.55])
 
 @pytest.fixture(scope="module")
 def pictures():
-    return [render(CHARUCO, *pose, seed=k) for k, pose in enumerate(poses(CHARUCO, 10))]
+    return [render_board(CHARUCO, *pose, seed=k) for k, pose in enumerate(board_poses(CHARUCO, 10))]
 
 
 @pytest.fixture(scope="module")
 def legacy_pictures():
-    return [render(CHARUCO, *pose, legacy=True, seed=k) for k, pose in enumerate(poses(CHARUCO, 10))]
+    return [render_board(CHARUCO, *pose, legacy=True, seed=k) for k, pose in enumerate(board_poses(CHARUCO, 10))]
 
 
 @pytest.fixture(scope="module")
 def chessboard_pictures():
-    return [render(CHESSBOARD, *pose, seed=k) for k, pose in enumerate(poses(CHESSBOARD, 10))]
+    return [render_board(CHESSBOARD, *pose, seed=k) for k, pose in enumerate(board_poses(CHESSBOARD, 10))]
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_camera_and_scale_are_found(request, name, board, legacy):
     assert found.legacy == legacy
     assert abs(found.camera.matrix[0, 0] - MATRIX[0, 0]) < 4.0 * found.focal_std
     assert 0.0 < found.focal_std < 0.002 * MATRIX[0, 0]
-    camera = found.place_plane(render(board, *PLANE, legacy=legacy, seed=99))
+    camera = found.place_plane(render_board(board, *PLANE, legacy=legacy, seed=99))
     extent = board.square * np.array(board.squares)
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * extent
     pixels = cv2.projectPoints(np.column_stack([corners, np.zeros(4)]), *PLANE, MATRIX, DISTORTION)[0][:, 0]
@@ -88,8 +88,8 @@ def test_too_few_views_are_refused(pictures):
 def test_parallel_views_are_refused(lean):
     """Boards that all lean the same way tell no focal length, whether they face the camera or not."""
     views = []
-    for k, (_, place) in enumerate(poses(CHARUCO, 6, tilt=0.0)):
-        views.append(render(CHARUCO, np.array([lean, 0.0, 0.0]), place - [0.03, 0.02, 0.0], seed=k))
+    for k, (_, place) in enumerate(board_poses(CHARUCO, 6, tilt=0.0)):
+        views.append(render_board(CHARUCO, np.array([lean, 0.0, 0.0]), place - [0.03, 0.02, 0.0], seed=k))
     refused(views, CHARUCO, "degenerate.*parallel")
 
 
@@ -117,7 +117,7 @@ def test_command_on_a_video(hyperflex, hyperflex_json, pictures, tmp_path):  # n
     with VideoWriter(tmp_path / "board.mp4", SIZE) as video:
         for k, picture in enumerate(pictures):
             video.write(picture, 0.25 * k)
-    cv2.imwrite(str(tmp_path / "plane.png"), render(CHARUCO, *PLANE, seed=99))
+    cv2.imwrite(str(tmp_path / "plane.png"), render_board(CHARUCO, *PLANE, seed=99))
     arguments = ("calibrate", tmp_path / "board.mp4", "--squares", 8, 6, "--square", 0.03, "--marker", 0.0225)
     arguments += ("-o", tmp_path / "camera.toml", "--exposure", 0.01)
     code, result = hyperflex_json(*arguments, "--plane", tmp_path / "plane.png", "--origin", 384, 216)

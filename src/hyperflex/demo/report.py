@@ -46,9 +46,9 @@ if TYPE_CHECKING:
 
 _WINDOW = 2.0  # s, of the table of reaches
 _LEAD = (
-    "From a video to an identified rope to its cast. The video was made by simulating a rope of {fine} links and "
-    "filming it with a synthetic camera; its markers are tracked, a chain of {coarse} links is identified from them, "
-    "with uncertainties, and cast; in the end it is wound round a target. Nothing here was measured on a real rope."
+    "From a video to an identified rope to a cast that winds it round a target. The video was made by simulating a "
+    "rope of {fine} links and filming it with a synthetic camera; its markers are tracked, and a chain of {coarse} "
+    "links is identified from them, with uncertainties. Nothing here was measured on a real rope."
 )
 _HELD_OUT = (
     "Shaded: held out. There the state is fitted on half a second, and the next second is predicted without data."
@@ -58,16 +58,16 @@ _MODEL = (
     "simulated with the same model, and again with shorter links."
 )
 _TRACKED = (
-    "Ten markers in 301 frames of an H.264 video, among things of their colour on the wall and in light that drifts; "
+    "Ten markers in {frames} frames of an H.264 video, with things of their colour on the wall and light that drifts; "
     "{seen:.1f} % of them were seen, the others were covered. The first guess of the rope, with three times its "
     "friction, is enough to track it. swing.mp4, camera.toml and guess.toml are what hyperflex track was given."
 )
 _CAPTIONS = {
-    "seen": "Four frames as tracked: crosses are markers seen, circles where they were expected, blue the rope.",
+    "seen": "Two frames as tracked, in part: crosses are markers seen, circles where each was expected, blue the rope.",
     "film": "The identified rope, cast from rest by the paper's motion; simulated.",
     "strobe": "One stroke of the arm late in the cast, early instants dark, late ones bright.",
     "casts": "Tip to the side: the identified chain beside the rope that made the recording.",
-    "parameters": "Identified parameters over their mapped truth.",
+    "parameters": "Identified parameters over their true values for so few links.",
     "prediction": "Angles of a link in the middle and of the last one.",
 }
 
@@ -78,7 +78,7 @@ class DemoReport:
 
     files: dict[str, Path]  # by what they are: "page", "cast", "rope", ...
     demo: Demo
-    parameters: TextTable  # identified values, intervals and mapped truth
+    parameters: TextTable  # identified values, intervals and true values
     reaches: TextTable  # greatest reach of the tip in each 2 s
     verdicts: tuple[tuple[bool, str], ...]  # on the planned cast, and on the same throw of the rope that was recorded
 
@@ -130,16 +130,17 @@ def _write(folder: Path, report: DemoReport, winding: CastReport, progress: Prog
     found.to_json(folder / names["identification"])
     wound = winding.write_plan(folder)
     drawn = winding.draw(folder, progress)
-    section = Section(
-        "The identified rope, wound round a target",
+    pictures = winding.pictures(drawn)
+    first = Section("The cast", report.verdicts[0], marks=report.verdicts[1:], pictures=(pictures.pop("film"),))
+    details = Section(
+        "The cast, step by step",
         text=(*winding.story, _MODEL.format(coarse=demo.recording.n_links)),
         tiles=winding.tiles,
-        marks=report.verdicts,
-        pictures=tuple(winding.pictures(drawn).values()),
+        pictures=tuple(pictures.values()),
         table=winding.checks,
         notes=(search_summary(demo.plan),),
     )
-    sections = _sections(report, shown, section)
+    sections = [first, *_sections(report, shown), details, _paper_section(report, shown)]
     files.write_text(folder / names["summary"], sections_markdown("Demo (simulated)", sections))
     lead = _LEAD.format(fine=demo.reference.q.shape[1], coarse=demo.recording.n_links)
     write_page(folder / names["page"], "A rope, identified and cast", lead, "simulated", sections)
@@ -160,22 +161,23 @@ def _figures(demo: Demo) -> dict[str, bytes]:
 
 
 def _frames(video: Path) -> bytes:
-    """Return four frames of a video as a PNG, two by two."""
+    """Return the rope in two frames of a video, side by side, as a PNG."""
     from io import BytesIO
 
     from PIL import Image
 
     with VideoReader(video) as reader:
         images = [frame.image for frame in reader]
-    a, b, c, d = (images[round(part * (len(images) - 1))] for part in (0.0, 0.03, 0.06, 0.25))
-    sheet = np.vstack([np.hstack([a, b]), np.hstack([c, d])])[..., ::-1]  # blue, green, red to red, green, blue
+    left = images[0].shape[1] * 2 // 5  # the rope is to the right of it in both
+    shown = [images[round(part * (len(images) - 1))][:, left:] for part in (0.03, 0.25)]
+    sheet = np.hstack(shown)[..., ::-1]  # blue, green, red to red, green, blue
     stream = BytesIO()
     Image.fromarray(np.ascontiguousarray(sheet)).save(stream, "png", optimize=True)
     return stream.getvalue()
 
 
 def _parameters_figure(parameters: tuple[Parameter, ...]) -> "Figure":
-    """Draw each parameter over its mapped truth: guess, plain cut, and the identified value with its 95 % interval."""
+    """Draw each parameter over its true value: guess, plain cut, and the identified value with its 95 % interval."""
     with new_figure(10.0, 1.3 + 0.75 * len(parameters)) as figure:
         axis: Any = figure.subplots()
         for row, each in enumerate(parameters):
@@ -183,14 +185,14 @@ def _parameters_figure(parameters: tuple[Parameter, ...]) -> "Figure":
             axis.plot([low / each.mapped, high / each.mapped], [row, row], color=BLUE, lw=5.0, alpha=0.45)
             for value, marker, colour, label in (
                 (each.value, "o", BLUE, "identified, 95 % interval"),
-                (each.mapped, "|", GREEN, "mapped truth (noise-free fit)"),
+                (each.mapped, "|", GREEN, "true value (fit without noise)"),
                 (each.cut, "D", GREY, "the rope simply cut into as many links"),
                 (each.guess, "x", RED, "first guess"),
             ):
                 style = {"color": colour, "ms": 22.0 if marker == "|" else 7.0, "mew": 1.8, "ls": "none"}
                 axis.plot([value / each.mapped], [row], marker, label=None if row else label, **style)
         axis.set_yticks(range(len(parameters)), [each.name for each in parameters])
-        axis.set(ylim=(len(parameters) - 0.5, -0.5), xlabel="value over mapped truth", xscale="log")
+        axis.set(ylim=(len(parameters) - 0.5, -0.5), xlabel="value over true value", xscale="log")
         ticks = [0.5, 0.7, 1.0, 1.5, 2.0, 3.0]
         axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axis.minorticks_off()
@@ -230,7 +232,7 @@ def held_out_rms(demo: Demo) -> float:
 
 
 def _parameters_table(demo: Demo) -> TextTable:
-    header = ("parameter", "guess", "identified", "95 % interval", "mapped truth", "inside", "plain cut")
+    header = ("parameter", "guess", "identified", "95 % interval", "true value", "inside", "plain cut")
     rows = []
     for each in demo.parameters:
         guess, value, mapped, cut, low, high = (
@@ -255,7 +257,7 @@ def _reaches_table(demo: Demo) -> TextTable:
 def _notes(demo: Demo) -> tuple[str, ...]:
     links = demo.recording.n_links
     mapped = (
-        f"Mapped truth: what the same fit finds in the same swing without a camera, the best that {links} links "
+        f"True value: what the same fit finds in the same swing without a camera, the best that {links} links "
         f"can do for a rope of {demo.reference.q.shape[1]}. To move like it, coarse links need other inertia and "
         "friction than the rope simply cut into as many pieces (plain cut); that bias is no error of the camera."
     )
@@ -270,7 +272,7 @@ def _in_short(demo: Demo) -> Section:
     rope, recording = demo.identification.rope, demo.recording
     error, noise = 1e3 * held_out_rms(demo), 1e3 * float(demo.angle_noise.mean())
     tiles = (
-        (f"{covered} of {len(demo.parameters)}", "95 % intervals hold the mapped truth"),
+        (f"{covered} of {len(demo.parameters)}", "95 % intervals hold the true value"),
         (f"{error:.1f} mrad", "prediction error 1 s ahead, on data that the fit has not seen"),
         (f"{noise:.1f} mrad", "noise of a measured angle, for comparison"),
         (f"{1e2 * abs(reach - own):.1f} cm", f"between the greatest reaches of the two casts ({reach:.2f} m)"),
@@ -284,19 +286,26 @@ def _in_short(demo: Demo) -> Section:
     return Section("In short", tiles=tiles, text=(setup,))
 
 
-def _sections(report: DemoReport, contents: Mapping[str, bytes], winding: Section) -> list[Section]:
+def _sections(report: DemoReport, contents: Mapping[str, bytes]) -> list[Section]:
+    """Return how the rope was identified, in sections."""
     demo = report.demo
-
-    def shown(*kinds: str) -> tuple[Picture, ...]:
-        return tuple(Picture(contents[kind], _CAPTIONS[kind]) for kind in kinds)
-
-    film = Film(player_html(demo.cast, title="identified rope, simulated"), _CAPTIONS["film"])
-    reaches = ("The table gives the greatest |x| of the tip in each 2 s, m.",)
+    tracked = _TRACKED.format(frames=demo.recording.t.size, seen=100.0 * demo.seen)
+    parameters, prediction = _shown(contents, "parameters"), _shown(contents, "prediction")
     return [
         _in_short(demo),
-        Section("The video", text=(_TRACKED.format(seen=100.0 * demo.seen),), pictures=shown("seen")),
-        winding,
-        Section("The paper's cast", pictures=(film, *shown("strobe", "casts")), table=report.reaches, notes=reaches),
-        Section("The identified rope", pictures=shown("parameters"), table=report.parameters, notes=_notes(demo)),
-        Section("Measured, fitted, predicted", text=(_HELD_OUT,), pictures=shown("prediction")),
+        Section("The video", text=(tracked,), pictures=_shown(contents, "seen")),
+        Section("The identified rope", pictures=parameters, table=report.parameters, notes=_notes(demo)),
+        Section("Measured, fitted, predicted", text=(_HELD_OUT,), pictures=prediction),
     ]
+
+
+def _paper_section(report: DemoReport, contents: Mapping[str, bytes]) -> Section:
+    """Return the section on the identified rope, cast as in the paper."""
+    film = Film(player_html(report.demo.cast, title="identified rope, simulated"), _CAPTIONS["film"])
+    reaches = ("The table gives the greatest |x| of the tip in each 2 s, m.",)
+    pictures = (film, *_shown(contents, "strobe", "casts"))
+    return Section("The paper's cast", pictures=pictures, table=report.reaches, notes=reaches)
+
+
+def _shown(contents: Mapping[str, bytes], *kinds: str) -> tuple[Picture, ...]:
+    return tuple(Picture(contents[kind], _CAPTIONS[kind]) for kind in kinds)

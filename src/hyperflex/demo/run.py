@@ -43,7 +43,7 @@ class Parameter:
 
     @property
     def covered(self) -> bool:
-        """Whether the interval holds the mapped truth."""
+        """Whether the interval holds the true value."""
         low, high = self.interval
         return low <= self.mapped <= high
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from hyperflex.vision.ordering import Ordering, check_increasing, order_markers
     from hyperflex.vision.pictures import read_image, read_pictures
     from hyperflex.vision.plane import AS_CALIBRATED, PlaneAdjustment, PlaneView, Projection
+    from hyperflex.vision.renderer.boards import film_board
     from hyperflex.vision.renderer.motion import RopeMotion, sway
     from hyperflex.vision.renderer.renderer import Renderer, frame_times
     from hyperflex.vision.renderer.scene import Bar, Occluder, Scene, random_occlusion
