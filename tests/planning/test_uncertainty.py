@@ -162,3 +162,12 @@ def test_a_spread_that_is_none_is_refused(name: str) -> None:
     for wrong in (-0.1, np.nan, np.inf, "much"):
         with pytest.raises(InvalidInput, match=name):
             Uncertainty(**{name: wrong})
+
+
+def test_a_target_that_is_not_quite_in_its_place() -> None:
+    draws = replace(NONE, place=0.01).sample(400, CAST_SETUP, PEG)
+    off = np.array([[d.peg.x - PEG.x, d.peg.y - PEG.y] for d in draws])
+    np.testing.assert_allclose(off.std(axis=0), 0.01, rtol=0.1)  # 400 draws tell it within 3.5 %
+    assert abs(np.corrcoef(off.T)[0, 1]) < 0.15
+    assert NONE.sample(1, CAST_SETUP, PEG)[0].peg == PEG
+    assert "place 10 mm" in replace(NONE, place=0.01).describe()

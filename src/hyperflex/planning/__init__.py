@@ -1,4 +1,4 @@
-"""Planning: casts that wind a rope round a target and hold, and whips whose tip passes a point fast."""
+"""Planning: casts that wind a rope round a target and hold, whips whose tip passes a point fast, insertions."""
 
 from typing import TYPE_CHECKING
 
@@ -8,6 +8,12 @@ if TYPE_CHECKING:
     from hyperflex.planning.cast_setup import CastSetup, MotorLimits
     from hyperflex.planning.feedback.closed_loop import Decision, FollowResult, follow_plan
     from hyperflex.planning.feedback.simulated_ropes import MotorStateSource, ScenarioStateSource
+    from hyperflex.planning.insert.chance import estimate_insert_probability
+    from hyperflex.planning.insert.insert_plan import InsertPlan
+    from hyperflex.planning.insert.outcome import InsertOutcome
+    from hyperflex.planning.insert.planner import plan_insert
+    from hyperflex.planning.insert.search import InsertFeasibility
+    from hyperflex.planning.insert.slot import Slot
     from hyperflex.planning.outcome import (
         BOUNCE_TIME,
         MAX_SLIP,

@@ -1,4 +1,4 @@
-"""Gauss-Newton on strokes and rests, with exact derivatives, until the tip does what a task asks."""
+"""Levenberg-Marquardt on strokes and rests, with exact derivatives, until the tip does what a task asks."""
 
 import math
 
@@ -16,9 +16,10 @@ from hyperflex.simulation import Sensitivities, sensitivities
 
 AIM_TOL = 1e-6  # m
 WINDOW, GRID = 0.12, 2e-3  # s: how far an instant may move from its last time; step of samples about it
-ROUNDS, HALVINGS = 12, 4
+ROUNDS = 24
+DAMPING_START, MIN_DAMPING, MAX_DAMPING = 2e-3, 1e-4, 3.0  # of Levenberg and Marquardt, of the greatest singular value
+LESS, MORE = 4.0, 5.0  # factors of the damping after a step that is taken, and one that is not
 IDLE, MAX_IDLE = 0.8, 3  # a round that leaves more than this fraction of the residual is idle; so many idle ones end it
-CLOSE = 2e-4  # m, residuals that are small enough
 MAX_STEP = 0.6  # in standard deviations of random swings
 FRICTION_STD, LENGTH_STD, TIMING_STD = 0.05, 0.002, 2e-3  # relative, relative, s of each rest
 
@@ -61,21 +62,24 @@ def aim_strokes(task: TipTask[AimedT], found: TipCandidate, left: Left = lambda:
         return None
     scale = np.repeat([np.pi * SPREAD_ENDS, period * SPREAD_RESTS], best.strokes.ends.size)
     residuals, jacobian = task.residuals(best)
-    idle = 0
+    damping, idle = DAMPING_START, 0
     for _ in range(ROUNDS):
-        if idle == MAX_IDLE or np.linalg.norm(residuals) < CLOSE:
+        if idle == MAX_IDLE or np.linalg.norm(residuals) < task.close or damping > MAX_DAMPING or left() < 0.0:
             break
-        step = -scale * np.linalg.lstsq(jacobian * scale, residuals, rcond=1e-3)[0]
+        step = scale * _damped_step(jacobian * scale, residuals, damping)
         step = step / max(1.0, float(np.abs(step / scale).max()) / MAX_STEP)
-        for _ in range(HALVINGS if left() > 0.0 else 0):
-            tried = task.find(best.strokes.varied(step), best.t + float(best.dt @ step))
-            if tried is not None:
-                new, new_jacobian = task.residuals(tried)
-                if np.linalg.norm(new) < np.linalg.norm(residuals):
-                    break
-            step = 0.4 * step
-        else:
-            break
+        tried = task.find(best.strokes.varied(step), best.t + float(best.dt @ step))
+        new, new_jacobian = (residuals, jacobian) if tried is None else task.residuals(tried)
+        if tried is None or np.linalg.norm(new) >= np.linalg.norm(residuals):
+            damping *= MORE
+            continue
         idle += np.linalg.norm(new) > IDLE * np.linalg.norm(residuals)
-        best, residuals, jacobian = tried, new, new_jacobian
+        best, residuals, jacobian, damping = tried, new, new_jacobian, max(damping / LESS, MIN_DAMPING)
     return best
+
+
+def _damped_step(jacobian: Array, residuals: Array, damping: float) -> Array:
+    """Return the step of Levenberg and Marquardt (P,); `damping` is relative to the greatest singular value."""
+    left, size, right = np.linalg.svd(jacobian, full_matrices=False)
+    kept = np.maximum(size**2 + (damping * size[0]) ** 2, 1e-300)
+    return np.asarray(-right.T @ (size / kept * (left.T @ residuals)))

@@ -10,6 +10,8 @@ from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.simulation import Deadline
 
+NEVER = 10.0  # m, cost of a swing after which the tip does nothing of what is asked
+
 
 class TipCandidate(NamedTuple):
     """Strokes with their cost, m, and the time at which the tip does nearly what is asked, s."""
@@ -46,9 +48,10 @@ class Verified(NamedTuple):
 
 
 class TipTask(ABC, Generic[AimedT]):
-    """What the tip is to do, and how near some strokes come to it."""
+    """What the tip is to do, and how near some strokes come to it; residuals below `close`, m, are small enough."""
 
     cast_setup: CastSetup
+    close: float
 
     @abstractmethod
     def candidates(self) -> list[TipCandidate]:

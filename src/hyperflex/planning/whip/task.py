@@ -8,11 +8,11 @@ from hyperflex.checks import Array
 from hyperflex.model import divided
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.tip.strokes import Strokes
-from hyperflex.planning.tip.task import TipCandidate, TipTask, Verified
+from hyperflex.planning.tip.task import NEVER, TipCandidate, TipTask, Verified
 from hyperflex.planning.whip.aim import AimedPeak, aim_residuals, find_peak
 from hyperflex.planning.whip.outcome import TipStrike, verify_whip
 from hyperflex.planning.whip.search import WhipMap, simulate_peaks
-from hyperflex.planning.whip.tip_target import NEVER, TipTarget, cheapest_peaks, peak_costs
+from hyperflex.planning.whip.tip_target import TipTarget, cheapest_peaks, peak_costs
 from hyperflex.simulation import Deadline
 
 MAX_MISS = 1e-3  # m
@@ -24,6 +24,8 @@ FINER = 2  # pieces of each link in the second verification
 
 class WhipTask(TipTask[AimedPeak]):
     """Whip a target, from the swings of a map."""
+
+    close = 2e-4
 
     def __init__(self, whip_map: WhipMap, target: TipTarget) -> None:
         self.whip_map, self.target, self.cast_setup = whip_map, target, whip_map.cast_setup
