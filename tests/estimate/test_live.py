@@ -282,12 +282,16 @@ def test_the_page_is_for_this_machine_alone(pictures: list[Frame]) -> None:
         assert page.address.startswith("http://127.0.0.1:")
         with urllib.request.urlopen(page.address, timeout=5.0) as answer:
             assert b"stream" in answer.read()
-        for host, path in (("evil.example", "/"), (f"127.0.0.1:{page.port}", "/etc/passwd")):
+        for path, headers, code in (
+            ("/", {"Host": "evil.example"}, 403),
+            ("/", {"Origin": "http://evil.example"}, 403),
+            ("/etc/passwd", {}, 404),
+        ):
             with pytest.raises(urllib.error.HTTPError) as refused:
                 urllib.request.urlopen(
-                    urllib.request.Request(page.address.rstrip("/") + path, headers={"Host": host}), timeout=5.0
+                    urllib.request.Request(page.address.rstrip("/") + path, headers=headers), timeout=5.0
                 )
-            assert refused.value.code == (403 if host == "evil.example" else 404)
+            assert refused.value.code == code
             refused.value.close()
         assert not page.watched
         with urllib.request.urlopen(page.address + "stream", timeout=5.0) as stream:

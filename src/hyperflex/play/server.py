@@ -19,12 +19,12 @@ from websockets.http11 import Request, Response
 
 from hyperflex import checks
 from hyperflex.errors import HyperflexError, InvalidInput
+from hyperflex.local_page import HOST, address, cannot_listen, may_ask, own_names
 from hyperflex.play.folder import Folder
 from hyperflex.play.page import page
 from hyperflex.play.runner import Runner
 from hyperflex.play.session import Session
 
-HOST = "127.0.0.1"  # this machine alone
 LARGEST = 1 << 16  # bytes of a message
 _SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'; "
@@ -79,11 +79,9 @@ class PlayServer:
         self._ready.wait(_START)
         if self._problem:
             self.close()
-            raise InvalidInput(
-                "no page can be shown at this port", got=port, allowed="a free one, or 0 for any", fix=self._problem
-            )
-        self._allow |= {f"{name}:{self.port}" for name in (HOST, "localhost")}
-        self.address = f"http://{HOST if host == '0.0.0.0' else host}:{self.port}/"
+            raise cannot_listen(port, self._problem)
+        self._allow |= own_names(self.port)
+        self.address = address(self.port, host)
 
     def __enter__(self) -> Self:
         return self
@@ -158,8 +156,7 @@ class PlayServer:
 
     async def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer a request for a page; None lets a websocket be opened."""
-        host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
-        if host not in self._allow or (origin is not None and urlsplit(origin).netloc not in self._allow):
+        if not may_ask(request.headers.get("Host"), request.headers.get("Origin"), self._allow):
             return _response(HTTPStatus.FORBIDDEN, "Pages of this address, or from there, are not answered.", "plain")
         asked = urlsplit(request.path)
         if asked.path == "/socket":

@@ -5,10 +5,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import TracebackType
 from typing import Any, Self
 
-from hyperflex.errors import InvalidInput
+from hyperflex.local_page import HOST, address, cannot_listen, may_ask, own_names
 from hyperflex.vision import Image
 
-HOST = "127.0.0.1"  # this machine alone
 QUALITY = 80  # of JPEG
 _WAIT = 1.0  # s, between two looks at whether the page is closed
 _PAGE = (
@@ -58,12 +57,10 @@ class PicturePage:
         try:
             self._server = ThreadingHTTPServer((HOST, port), Handler)
         except (OSError, OverflowError) as error:
-            raise InvalidInput(
-                "no page can be shown at this port", got=port, allowed="a free one, or 0 for any", fix=str(error)
-            ) from None
+            raise cannot_listen(port, str(error)) from None
         self._server.daemon_threads = True
         self.port = int(self._server.server_address[1])
-        self.address = f"http://{HOST}:{self.port}/"
+        self.address = address(self.port)
         self._thread = threading.Thread(target=self._server.serve_forever, name="page", daemon=True)
         self._thread.start()
 
@@ -96,7 +93,7 @@ class PicturePage:
             self._condition.notify_all()
 
     def _answer(self, request: BaseHTTPRequestHandler) -> None:
-        if request.headers.get("Host") not in (f"{HOST}:{self.port}", f"localhost:{self.port}"):
+        if not may_ask(request.headers.get("Host"), request.headers.get("Origin"), own_names(self.port)):
             request.send_error(403)
         elif request.path == "/":
             request.send_response(200)
