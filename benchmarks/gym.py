@@ -13,6 +13,7 @@ programs do not matter. All simulated.
 from __future__ import annotations
 
 import argparse
+import copy
 import functools
 import statistics
 import time
@@ -35,8 +36,8 @@ PLANNING = 4.0  # s of planning a cast, twice at most
 TRIED = {"Swing": range(1000, 1050), "Cast": range(1000, 1016)}  # seeds that learning looks at
 TOGETHER = {"Swing": 64, "Cast": 16}  # members that learn
 DT, REPEAT = 0.02, 3  # s of a step, and steps for which a learned policy holds its action
-LEARNING: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 6, "gamma": 0.98}
-LEARNING |= {"learning_rate": 6e-4, "ent_coef": 0.003}
+LEARNING: dict[str, Any] = {"n_steps": 128, "batch_size": 2048, "n_epochs": 6, "gamma": 0.99}
+LEARNING |= {"learning_rate": 6e-4, "ent_coef": 0.01}
 
 
 class RandomPolicy:
@@ -118,7 +119,7 @@ def scores_of(rows: list[lines.Row]) -> Scores:
 
 
 def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Callable[[lines.Row], None]) -> None:
-    """Train by PPO until it returns PART of what the best scripted policy does or the time is over; then score it."""
+    """Train by PPO until it returns PART of what the best scripted policy does or the time is over; score the best."""
     import torch
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -127,7 +128,7 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
     environment = f"hyperflex/{name}-v0"
     best = "pumping" if name == "Swing" else "planned"
     scripted = [row["return"] for row in rows if (row.get("name"), row.get("policy")) == (name, best)]
-    aim = PART * float(np.mean(scripted)) * 1.02 if scripted else np.inf  # a little more: other seeds are looked at
+    aim = PART * float(np.mean(scripted)) * 1.1 if scripted else np.inf  # more: the best of few other seeds flatters
     given = {"dt": REPEAT * DT, "max_episode_steps": gymnasium.spec(environment).max_episode_steps // REPEAT}
     envs = gymnasium.make_vec(environment, num_envs=TOGETHER[name], autoreset_mode="SameStep", **given)
     model = PPO("MlpPolicy", stable_baselines_env(envs), seed=seed, device="cpu", **LEARNING)
@@ -136,18 +137,21 @@ def learn(name: str, seed: int, seeds: range, rows: list[lines.Row], keep: Calla
     class Looking(BaseCallback):  # type: ignore[misc]
         """Ends learning."""
 
-        reached = -np.inf
+        reached, kept = -np.inf, model.policy.state_dict()
 
         def _on_step(self) -> bool:
             return self.reached < aim and time.process_time() - begin < LIMIT
 
         def _on_rollout_end(self) -> None:
             if time.process_time() - begin > looks[-1] + EVERY:
-                self.reached = play(model, environment, TRIED[name]).mean
+                found = play(model, environment, TRIED[name]).mean
                 looks.append(time.process_time() - begin)
-                print(f"{name} {seed}: {self.num_timesteps} steps, {looks[-1]:.0f} s, {self.reached:.1f}", flush=True)
+                print(f"{name} {seed}: {self.num_timesteps} steps, {looks[-1]:.0f} s, {found:.1f}", flush=True)
+                if found > self.reached:
+                    self.reached, self.kept = found, copy.deepcopy(model.policy.state_dict())
 
     model.learn(1_000_000_000, callback=(looking := Looking()))
+    model.policy.load_state_dict(looking.kept)
     spent = {"seconds": time.process_time() - begin, "clock": time.perf_counter() - clock}
     policy = f"PPO, seed {seed}"
     keep({"name": name, "learned": policy, "steps": looking.num_timesteps, **spent})

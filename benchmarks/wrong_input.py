@@ -3,8 +3,9 @@
 python -m benchmarks.wrong_input --data FOLDER     all cases; the table goes to docs/wrong-input.md
 python -m benchmarks.wrong_input --out -           simulated cases alone; nothing is written
 
-Each case must end in one of four ways: it is refused; it is graded "do not use"; its ratios hold the truth; or its
-first line names what is wrong with it. The exit code is 1 where one is called usable and is wrong.
+Each case must end in one of five ways: it is refused; it is graded "do not use"; its ratios hold the truth; its first
+line names what is wrong with it, and the right recording gets another one; or the recording is exactly that of another
+rope, and the reasons say by how much each per cent counts. The exit code is 1 where one is called usable and is wrong.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,10 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import HyperflexError
 from hyperflex.identification import ratios
+from hyperflex.identification.diagnosis.misdeclared import UNTOLD_CLOCK, UNTOLD_SCALE
 
 Array = np.ndarray
-TIMES_OR_LENGTHS = ("times and lengths are taken as declared", "times or lengths may be off", "lengths seem")
+TIMES_OR_LENGTHS = ("times or lengths may be off", "lengths seem")
 NAMES = {  # what is wrong, as in a case's name: what a first line must say if its ratios are wrong
     "drifts": ("the clock seems to drift",),
     "clock x": TIMES_OR_LENGTHS,
@@ -38,6 +40,7 @@ NAMES = {  # what is wrong, as in a case's name: what a first line must say if i
     "masses held": ("'mass' may be off", "'com' may be off"),
     "inertia held": ("'inertia' may be off",),
 }
+BOTH = "clock x 1.1 and lengths x 1.21: a longer rope that moves alike"
 DOUBLE = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
 SINGLE = hf.Rope(length=[0.3], mass=[0.1], com=[0.14], inertia=[7.5e-4], friction=[2e-4])
 FREE = ("inertia", "com", "friction")
@@ -56,6 +59,8 @@ class Case:
     free: tuple[str, ...] | None = FREE
     options: dict[str, Any] = field(default_factory=dict)
     error: float = 0.0  # relative, of the truth
+    untold: bool = False  # another rope makes exactly this recording
+    right: Case | None = None  # the same, declared as it is
 
 
 def swing(rope: hf.Rope, q0: Any, duration: float = 6.0, rate: float = 50.0, **drive: Any) -> tuple[Array, Array]:
@@ -93,11 +98,7 @@ def slips(name: str, t: Array, q: Array, guess: hf.Rope, truth: dict[str, Array]
     yield case("lengths x 1.1", q, t, longer(guess, 1.1))
     yield case("first length x 1.1", q, t, longer(guess, np.where(np.arange(n) == 0, 1.1, 1.0)))
     yield case("a clock that drifts, 2 % too slow at the end", q, t + 0.01 * (t - t[0]) ** 2 / np.ptp(t))
-    both, alike = (
-        "clock x 1.1 and lengths x 1.21: a longer rope that moves alike",
-        truth | {"J/p1": 1.21 * truth["J/p1"]},
-    )
-    yield Case(f"{name}: {both}", lambda: hf.Recording(1.1 * t, q), longer(guess, 1.21), alike, **more)
+    yield replace(case(BOTH, q, 1.1 * t, longer(guess, 1.21)), untold=True)
 
 
 def longer(rope: hf.Rope, factor: Any) -> hf.Rope:
@@ -106,16 +107,21 @@ def longer(rope: hf.Rope, factor: Any) -> hf.Rope:
 
 
 def simulated() -> Iterator[Case]:
+    """Yield twins, each with the case that is declared as it is."""
     guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
     t, q = swing(DOUBLE, [0.9, 0.6])
     q = noisy(q)
     truth = ratios(DOUBLE)
-    yield from slips("double", t, q, guess, truth)
-    yield from poor(t, q, guess, truth)
-    yield from held(t, q, truth)
-    yield from of_single()
-    yield from of_markers(guess, truth)
-    yield from of_ropes()
+    double = [*slips("double", t, q, guess, truth), *poor(t, q, guess, truth), *held(t, q, truth)]
+    for cases in (double, of_single(), of_markers(guess, truth), of_ropes()):
+        yield from beside_right(cases)
+
+
+def beside_right(cases: Iterable[Case]) -> Iterator[Case]:
+    """Yield cases of one motion, of which the first is declared as it is, each with that one."""
+    right, *others = cases
+    yield right
+    yield from (replace(case, right=right) for case in others)
 
 
 def poor(t: Array, q: Array, guess: hf.Rope, truth: dict[str, Array]) -> Iterator[Case]:
@@ -161,7 +167,7 @@ def of_single() -> Iterator[Case]:
         return Case(f"single: {what}", lambda: hf.Recording(times, data), rope, truth, ("inertia", "friction"))
 
     yield case("as it is", q)
-    yield case("clock x 1.1", q, 1.1 * t)
+    yield replace(case("clock x 1.1: a pendulum of more inertia", q, 1.1 * t), untold=True)
     yield case("half the frame rate", q, 2.0 * t)
     yield case("length x 1.1", q, t, longer(guess, 1.1))
     yield case("0 is up", q + np.pi)
@@ -198,15 +204,16 @@ def turned(places: Array, angle: float) -> Array:
 def of_ropes() -> Iterator[Case]:
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=8, friction=4e-4)
     t, q = swing(rope, np.full(8, 0.8), 4.0)
-    q = noisy(q, 5e-3)
+    q, truth = noisy(q, 5e-3), ratios(rope)
     guess = rope.replace(friction=1e-3)
 
-    def case(what: str, data: Array, times: Array = t, free: tuple[str, ...] | None = None) -> Case:
-        return Case(f"rope of 8 links: {what}", lambda: hf.Recording(times, data), guess, ratios(rope), free)
+    def case(what: str, data: Array, times: Array = t, rope: hf.Rope = guess) -> Case:
+        return Case(f"rope of 8 links: {what}", lambda: hf.Recording(times, data), rope, truth, None)
 
     yield case("default", q)
     yield case("relative angles read as absolute", np.diff(q, axis=1, prepend=0.0))
     yield case("clock x 1.1", q, 1.1 * t)
+    yield replace(case(BOTH, q, 1.1 * t, rope=longer(guess, 1.21)), untold=True)
     yield case("links in reverse order", q[:, ::-1])
 
 
@@ -217,18 +224,18 @@ def real(folder: Path) -> Iterator[Case]:
     path = folder / "multiarm_triple" / "TriplePendulumDataForParameterEstimation.mat"
     if path.exists():
         part = hf.read_recording(path).window(0.0, 8.0).decimate(5)
-        yield from slips("real triple", part.t, part.data, triple, truth, error=REAL_ERROR)
+        yield from beside_right(slips("real triple", part.t, part.data, triple, truth, error=REAL_ERROR))
     path = folder / "ibm_double_pendulum" / "run16_500Hz.csv"
     if path.exists():
         markers = hf.read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 16.0)
         guess = hf.Rope(length=markers.link_lengths(), mass=0.1, friction=1e-5)
         own = {"J/p1": np.array([0.0906, 0.00691]), "p/p1": np.array([1.0, 0.1022])}
         part = markers.angles()
-        yield from slips("real double", part.t, part.data, guess, own, error=REAL_ERROR)
+        yield from beside_right(slips("real double", part.t, part.data, guess, own, error=REAL_ERROR))
 
 
 def outcome(case: Case) -> tuple[str, str]:
-    """How a case ends (refused, do not use, suspicion, right, WRONG), and its first line."""
+    """How a case ends (refused, do not use, right, suspicion, cannot be told, WRONG), and its first line."""
     try:
         found = hf.identify(case.recording(), case.guess, case.free, **case.options)
     except HyperflexError as error:
@@ -243,8 +250,12 @@ def outcome(case: Case) -> tuple[str, str]:
     ]
     if not np.any(off):
         return "right", line
+    said = next((each for each in found.grade.reasons for words in (UNTOLD_CLOCK, UNTOLD_SCALE) if words in each), "")
+    if case.untold and said:
+        return "cannot be told", line if said in line else f"{line} {said[0].upper()}{said[1:]}"
     named = [words for what, every in NAMES.items() if what in case.name for words in every]
-    return "suspicion" if any(words in line for words in named) else "WRONG", line
+    own = any(words in line for words in named) and case.right is not None and line != outcome(case.right)[1]
+    return "suspicion" if own else "WRONG", line
 
 
 def table(rows: list[tuple[str, str, str]]) -> str:
@@ -272,7 +283,10 @@ PAGE = """# Wrong and poor inputs
 
 What `identify` says of {count} inputs that are not what they should be, or are. Simulated, but for those called
 real. Each is refused, or graded "do not use", or its ratios hold the truth ("right"), or its first line names
-what is wrong ("suspicion"). A test holds this; `python -m benchmarks.wrong_input --data FOLDER` writes this page.
+what is wrong, which the right recording's does not ("suspicion"). The rest "cannot be told": exactly such a
+recording comes of another rope, with a right clock and right lengths, so that nothing in it can show the slip;
+the reasons say by how much each per cent counts. A test holds this, and that these motions are exactly alike;
+`python -m benchmarks.wrong_input --data FOLDER` writes this page.
 
 {table}"""
 

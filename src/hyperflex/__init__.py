@@ -54,7 +54,9 @@ if TYPE_CHECKING:
         CastPlan,
         CastSetup,
         FollowResult,
+        InsertPlan,
         MotorLimits,
+        Slot,
         TipTarget,
         Uncertainty,
         WhipMap,
@@ -63,6 +65,7 @@ if TYPE_CHECKING:
         follow_plan,
         plan_cast,
         plan_casts,
+        plan_insert,
         plan_whip,
         read_plan,
     )

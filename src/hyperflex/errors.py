@@ -32,7 +32,7 @@ class InvalidInput(HyperflexError, ValueError):
             parts.append(f"Allowed: {allowed}")
         if fix:
             parts.append(fix)
-        super().__init__(". ".join(part.rstrip(".") for part in parts) + ".")
+        super().__init__(" ".join(part if part.endswith("?") else f"{part.rstrip('.')}." for part in parts))
 
 
 @contextmanager

@@ -282,6 +282,14 @@ CALLS: dict[str, tuple[Callable[..., Any], Callable[[], dict[str, Any]]]] = {
             | {"skip_feasibility": False, "whip_map": None, "progress": False}
         ),
     ),
+    "plan_insert": (
+        hf.plan_insert,
+        lambda: (
+            {"rope": CABLE, "arm": ARM, "slot": hf.Slot(5.0, 0.0, 0.0), "limits": hf.MotorLimits()}
+            | {"uncertainty": hf.Uncertainty(), "clearance": 0.0, "time_limit": 2.0, "time_budget": 0.1}
+            | {"skip_feasibility": False, "samples": 2, "seed": 0, "threads": 1, "progress": False}
+        ),
+    ),
     "measure_winding": (hf.measure_winding, lambda: {"run": run(), "peg": PEG}),
     "rope_slip": (hf.rope_slip, lambda: {"run": run(), "peg": PEG, "since": 0.05}),
     "rope_tension": (hf.rope_tension, lambda: {"run": run()}),

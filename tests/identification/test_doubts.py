@@ -69,6 +69,13 @@ def test_what_moves_ratios_within_their_deviations_makes_no_result_useless() -> 
     assert graded("gravity_scale", 5.0).startswith("Do not use: times or lengths are not as declared")
 
 
+@pytest.mark.parametrize(("free", "said"), [(["inertia", "com", "friction"], True), (["inertia", "com"], False)])
+def test_a_longer_and_slower_rope_is_named_where_it_moves_alike(free: list[str], said: bool) -> None:
+    """A friction that is held has a scale of its own, and would show a wrong clock."""
+    found = fitted(ROPE.replace(friction=1e-4), free, 2e-3)
+    assert any("with a clock 1 % off and all lengths 2 % off" in each for each in found.grade.reasons) == said
+
+
 def test_one_discrepancy_of_times_and_lengths_counts_once() -> None:
     basis = fitted(ROPE, ["inertia", "com", "friction"], 2e-3).basis
     assert basis.information.whiteness > 1e-3

@@ -122,6 +122,21 @@ def test_a_linear_problem_has_the_interval_of_its_covariance() -> None:
         assert label == found.name
 
 
+@pytest.mark.parametrize("rounds", [100, 0])  # 0: too dear, and all is left to the covariance
+def test_profiles_are_of_noise_alone_and_intervals_of_all(rounds: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_profile, "MOST_ROUNDS", rounds)
+    plain = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
+    information, std = plain.information, np.sqrt(np.diag(plain.information.covariance))
+    errors = {"model": np.diag(std**2), "lengths": 2.0 * std, "length_error": 0.01}
+    basis = replace(plain, information=replace(information, **errors))
+    by_std = all_intervals(basis, "covariance")
+    for k, (label, one) in enumerate(all_intervals(basis, "profile").items()):
+        alone, same = profiled(basis, k, 0.95), profiled(plain, k, 0.95)
+        assert (alone.low, alone.high) == (same.low, same.high)
+        assert one.high - one.low == pytest.approx(np.sqrt(6.0) * (alone.high - alone.low), rel=0.01)  # 1 + 1 + 2^2
+        assert one.high - one.low == pytest.approx(by_std[label].high - by_std[label].low, rel=0.01)
+
+
 @pytest.mark.parametrize("at", [True, False])
 def test_an_estimate_at_its_bound_or_near_it_has_it_as_its_end(at: bool) -> None:
     plant = waves(60, truth=np.array([0.0, 10.0]))

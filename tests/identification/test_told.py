@@ -7,8 +7,10 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import hyperflex as hf
+from hyperflex.errors import InvalidInput
 from hyperflex.identification import pipeline
 from hyperflex.identification.diagnosis.grade import grade
+from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from tests.faults.interrupting import left_by
 
 PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], friction=[3e-4, 1e-4])
@@ -36,6 +38,7 @@ def test_what_all_links_share_is_printed_once() -> None:
 
 def test_what_was_held_is_left_out() -> None:
     found = fitted(PAIR, ["friction[1]"], intervals=None)
+    assert str(found).count("p1 is the first moment of link 0") == 1
     line = next(line for line in str(found).splitlines() if "value friction" in line)
     assert "[1]" in line
     assert line.count("±") == 1
@@ -124,3 +127,14 @@ def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used() -> None:
     told = grade((), odd, None, (), identifiable=True)
     assert told.name == "do not use"
     assert "link 0 would have its mass" in told.reasons[0]
+    last = grade((), rope.replace(inertia=[rope.inertia[0], 0.05]), None, (), identifiable=True)
+    assert "link 1 would have its mass" in last.reasons[0]
+    clock = ScoreTest("gravity_scale", 0.9, np.array([0.25]), moved=3.0, std=1e-3)
+    named = grade((), odd, None, (clock,), identifiable=True).reasons
+    assert "times or lengths are not as declared" in named[0]  # says more, and comes before
+    assert "link 0 would have its mass" in named[1]
+
+
+def test_questions_end_with_their_own_mark() -> None:
+    assert str(InvalidInput("nothing moves", fix="Is it on?")) == "nothing moves. Is it on?"
+    assert str(InvalidInput("nothing moves", got=0.0, fix="Shake it")) == "nothing moves: got 0.0. Shake it."

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.wrong_input import Case, outcome, real, simulated
+from benchmarks.wrong_input import DOUBLE, SINGLE, Case, longer, outcome, real, simulated, swing
 
 import hyperflex as hf
 from hyperflex.identification.diagnosis.declarations import ShortFit
@@ -32,6 +33,7 @@ NAMED = {  # what the first line must name
     "double: com held wrong": "'com'",
     "double: inertia held wrong": "'inertia'",
     "single: 0 is up": "zero='up'",
+    "single: half the frame rate": "Check times, frame rate",
     "markers: y points down": "y points the other way",
     "markers: camera turned by 8 degrees": "off by 8.0",
     "rope of 8 links: links in reverse order": "counted from the free end",
@@ -52,7 +54,7 @@ def test_no_wrong_answer_is_called_usable(case: Case) -> None:
     assert end != "WRONG", line
     assert NAMED.get(case.name, "") in line
     if case.name.endswith(FIT):
-        assert end in ("right", "suspicion"), line
+        assert end in ("right", "suspicion", "cannot be told"), line
 
 
 @pytest.mark.parametrize("which", [0, 1, 11, 14, 17, 19, 20, 30, 33])
@@ -61,7 +63,33 @@ def test_real_recordings_declared_wrongly(data_dir: Path, which: int) -> None:
     end, line = outcome(case)
     assert end != "WRONG", line
     if case.name.endswith(FIT):
-        assert end in ("right", "suspicion"), line
+        assert end in ("right", "suspicion", "cannot be told"), line
+
+
+UNTOLD = [case for case in SIMULATED if case.untold]
+
+
+@pytest.mark.parametrize("case", UNTOLD, ids=[case.name for case in UNTOLD])
+def test_what_cannot_be_told_is_no_suspicion(case: Case) -> None:
+    """The right recording gets the same first line: that names nothing."""
+    assert outcome(case)[0] == "cannot be told"
+    assert outcome(replace(case, untold=False))[0] == "WRONG"
+
+
+@pytest.mark.parametrize(
+    ("rope", "other"),
+    [
+        (SINGLE, SINGLE.replace(inertia=1.21 * 7.5e-4 + 0.21 * 0.1 * 0.14**2, friction=1.1 * 2e-4)),
+        (DOUBLE, longer(DOUBLE, 1.21).replace(friction=1.1**3 * DOUBLE.friction)),
+        (hf.Rope.uniform(1.0, 0.05, 8, friction=4e-4), hf.Rope.uniform(1.21, 0.05, 8, friction=1.1**3 * 4e-4)),
+    ],
+    ids=["single: more inertia", "double: longer", "rope of 8 links: longer"],
+)
+def test_another_rope_makes_exactly_the_recording_of_a_wrong_clock(rope: hf.Rope, other: hf.Rope) -> None:
+    q0 = np.linspace(0.9, 0.6, rope.n_links)
+    t, q = swing(rope, q0, 3.0)
+    slower = hf.simulate(other, duration=1.1 * float(t[-1]), t_eval=1.1 * t, q0=q0, tol=1e-9).q
+    assert np.abs(slower - q).max() < 1e-6  # ten times what the tolerance leaves
 
 
 def test_the_page_lists_these_cases() -> None:

@@ -21,7 +21,7 @@ from hyperflex.planning import (
     plan_whip,
 )
 from hyperflex.planning.whip.outcome import verify_whip
-from hyperflex.planning.whip.planner import FINER, failure
+from hyperflex.planning.whip.task import FINER, failure
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=8, radius=0.0025, friction=5e-4, name="short rope")
 STROKES = Strokes(-1, np.array([1.4, 0.2, -0.9]), np.array([0.05, 0.3, 0.25]))

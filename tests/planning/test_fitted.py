@@ -55,6 +55,19 @@ def test_masses_stay_above_0_and_friction_does_not_fall_below() -> None:
     assert min(rope.tip_mass for rope in drawn) == 0.0
 
 
+def test_what_is_known_of_several_stays_known_where_one_meets_its_bound() -> None:
+    """A link's own inertia hardly known, its moment of inertia about the joint well: half of the draws are cut off."""
+    rod = hf.Rope(length=[0.3], mass=[0.1], com=[0.15], inertia=[1e-5])
+    root = np.array([[4e-5, 0.0], [-4e-5 / 0.03, 1e-6 / 0.03]])  # J = I + m a^2, dJ = dI + 0.03 kg m da
+    one = RopePosterior(rod, ("inertia[0]", "com[0]"), root @ root.T, {})
+    drawn = ropes(one, 400)
+    assert 0.3 < np.mean([rope.inertia[0] < 1e-15 for rope in drawn]) < 0.5  # below -0.25 standard deviations: 40 %
+    moments = np.array([rope.inertia[0] + rope.mass[0] * rope.com[0] ** 2 for rope in drawn]) - 2.26e-3
+    # second order adds m da^2, 2e-7 on average; each drawn number cut for itself leaves 2e-5
+    assert np.std(moments) == pytest.approx(1e-6, rel=0.15)
+    assert abs(np.mean(moments)) < 4e-7
+
+
 def test_a_drawn_length_leaves_a_rope_that_can_be_cut() -> None:
     (one,) = ropes(fitted([[1e-4]], "length:factor", length=1.0), 1)
     assert divided(one, 2).n_links == 8
@@ -77,7 +90,9 @@ def test_a_drawn_length_leaves_a_rope_that_can_be_cut() -> None:
 def test_what_a_fit_could_not_tell_is_known(std: dict[str, Any], row: float, unknown: tuple[str, ...]) -> None:
     """An infinite deviation, the word for it in a file, or a row of 0: all that is said of a direction left out."""
     names = ("friction[1]", "friction[2]")
-    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=np.diag([1e-8, row]), values={}, std=std)
+    fit = SimpleNamespace(
+        rope=ROPE, parameters=names, covariance=np.diag([1e-8, row]), values={}, std=std, length_covariance=np.zeros(3)
+    )
     found = RopePosterior.from_identification(fit)  # type: ignore[arg-type]
     assert found.undetermined == unknown
     assert found.undetermined_properties == (("friction",) if unknown else ())
@@ -97,10 +112,14 @@ def test_a_file_says_what_the_fit_said(tmp_path: Path) -> None:
     covariance = np.array([[0.04, 1e-5], [1e-5, 1e-6]])
     std = {"friction:factor": np.array(0.2), "mass": np.array([0.0, 0.0, 1e-3, 0.0])}
     names = ("friction:factor", "mass[2]")
-    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=covariance, values=values, std=std)
+    lengths = np.array([1e-3, 1e-6, 1e-4])
+    fit = SimpleNamespace(
+        rope=ROPE, parameters=names, covariance=covariance, values=values, std=std, length_covariance=lengths
+    )
     told = {
         "parameters": list(fit.parameters),
         "covariance": covariance.tolist(),
+        "length_covariance": lengths.tolist(),
         "values": {"friction:factor": 2.0, "mass": ROPE.mass.tolist()},
     }
     path = tmp_path / "rope.toml"
@@ -108,6 +127,9 @@ def test_a_file_says_what_the_fit_said(tmp_path: Path) -> None:
     read = RopePosterior.from_toml(path)
     assert read is not None
     assert ropes(read, 5) == ropes(RopePosterior.from_identification(fit), 5)  # type: ignore[arg-type]
+    assert read.fitted_properties == ("friction", "mass", "length")
+    lengths = np.log([rope.total_length for rope in ropes(read, 400)])
+    assert np.std(lengths) == pytest.approx(0.01, rel=0.15)  # 400 draws tell it to 3.5 %
     ROPE.to_toml(path)
     assert RopePosterior.from_toml(path) is None
     for wrong in ({"values": {}}, {"covariance": [[1.0]]}, {"covariance": [["a", 1.0], [1.0, 1.0]]}):

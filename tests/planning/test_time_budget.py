@@ -21,9 +21,10 @@ from hyperflex.planning.search.contact_phase import WindingScores, simulate_cont
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import OutOfTime
+from hyperflex.planning.tip.planner import TipPlanner
 from hyperflex.planning.whip.outcome import verify_whip
-from hyperflex.planning.whip.planner import WhipPlanner
 from hyperflex.planning.whip.search import TOGETHER
+from hyperflex.planning.whip.task import WhipTask
 from hyperflex.planning.wind import casting
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.simulation import OUT_OF_TIME, Deadline
@@ -108,7 +109,7 @@ def test_whips_are_not_verified_beyond_the_time() -> None:
     with pytest.raises(OutOfTime):
         verify_whip(plan.cast_setup, plan.target, motion, plan.outcome.t, time_budget=OVER)
     whip_map = WhipMap(plan.cast_setup, (), None)  # type: ignore[arg-type]
-    work = WhipPlanner(whip_map, plan.target, 0.0, 0, 1)
+    work = TipPlanner(WhipTask(whip_map, plan.target), 0.0, 0, 1)
     found = {"place": plan.outcome.place, "velocity": plan.outcome.velocity, "speed": plan.outcome.speed}
     work.aims = [SimpleNamespace(strokes=plan.strokes, t=plan.outcome.t, position_std=0.0, **found)]  # type: ignore[list-item]
     work.verify()

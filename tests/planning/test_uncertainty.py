@@ -96,7 +96,8 @@ def test_a_lag_makes_the_arm_late() -> None:
 
 def test_ropes_are_drawn_from_a_fit_and_the_rest_as_usual() -> None:
     told = {"std": {"friction": np.full(6, 2e-4)}, "values": {}}
-    fit = SimpleNamespace(rope=ROPE, parameters=("friction:shared",), covariance=np.array([[4e-8]]), **told)
+    told |= {"covariance": np.array([[4e-8]]), "length_covariance": np.zeros(2)}
+    fit = SimpleNamespace(rope=ROPE, parameters=("friction:shared",), **told)
     known = Uncertainty.from_identification(fit)  # type: ignore[arg-type]
     assert (known.length, known.mass, known.friction, known.mu) == (0.0, 0.0, 0.0, Uncertainty().mu)
     draws = known.sample(1500, CAST_SETUP, PEG)
@@ -138,7 +139,8 @@ def test_what_a_fit_could_not_tell_is_as_uncertain_as_usual(tmp_path: Path) -> N
     covariance, values = np.diag([0.0, 4e-8]), {"length:factor": np.array(1.0)}
     std = {"length:factor": np.array(np.inf), "friction": np.full(6, 2e-4)}
     names = ("length:factor", "friction:shared")
-    fit = SimpleNamespace(rope=ROPE, parameters=names, covariance=covariance, values=values, std=std)
+    spread = {"std": std, "covariance": covariance, "length_covariance": np.zeros(len(names) + 1)}
+    fit = SimpleNamespace(rope=ROPE, parameters=names, values=values, **spread)
     again = Uncertainty.from_identification(fit)  # type: ignore[arg-type]
     assert (again.length, again.mass, again.friction) == (0.01, 0.0, 0.0)
     assert Uncertainty.from_identification(fit, length=0.0).length == 0.0  # type: ignore[arg-type]
@@ -160,3 +162,12 @@ def test_a_spread_that_is_none_is_refused(name: str) -> None:
     for wrong in (-0.1, np.nan, np.inf, "much"):
         with pytest.raises(InvalidInput, match=name):
             Uncertainty(**{name: wrong})
+
+
+def test_a_target_that_is_not_quite_in_its_place() -> None:
+    draws = replace(NONE, place=0.01).sample(400, CAST_SETUP, PEG)
+    off = np.array([[d.peg.x - PEG.x, d.peg.y - PEG.y] for d in draws])
+    np.testing.assert_allclose(off.std(axis=0), 0.01, rtol=0.1)  # 400 draws tell it within 3.5 %
+    assert abs(np.corrcoef(off.T)[0, 1]) < 0.15
+    assert NONE.sample(1, CAST_SETUP, PEG)[0].peg == PEG
+    assert "place 10 mm" in replace(NONE, place=0.01).describe()

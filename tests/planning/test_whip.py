@@ -284,8 +284,8 @@ def test_one_bar_stands_over_the_whole_of_a_plan(known: WhipMap, monkeypatch: py
     monkeypatch.setattr(planner, "progress_bar", bar)
     monkeypatch.setattr(planner, "build_whip_map", build)
     monkeypatch.setattr(planner, "Clock", Clock)
-    monkeypatch.setattr(planner.WhipPlanner, "verify", verify)
-    monkeypatch.setattr(planner.WhipPlanner, "run", lambda _, report: report())
+    monkeypatch.setattr(planner.TipPlanner, "verify", verify)
+    monkeypatch.setattr(planner.TipPlanner, "run", lambda _, report: report())
     plan_whip(ROPE, ARM, known.peaks.place[0], least_speed=0.1, time_budget=100.0, skip_feasibility=True, progress=True)
     assert seen == ["begins", "map", "late", "verify", "ends"]
 

@@ -15,8 +15,11 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import divided
 from hyperflex.planning import CastSetup, MotorLimits, TipTarget, WhipMap, build_whip_map, plan_whip, time_budget
 from hyperflex.planning.search import rollouts
+from hyperflex.planning.tip import planner as tip_planner
+from hyperflex.planning.tip.planner import PLANS, TipPlanner
+from hyperflex.planning.tip.task import Verified
 from hyperflex.planning.whip import planner
-from hyperflex.planning.whip.planner import PLANS, Verified, WhipPlanner, failure
+from hyperflex.planning.whip.task import WhipTask, failure
 from tests.faults.interrupting import left_by
 from tests.planning.known_whip import ROPE, planned_whip
 
@@ -37,8 +40,8 @@ def seen_as(*found: tuple[float, float]) -> list[Any]:
     ]
 
 
-def course(known: WhipMap, patience: float = 1.0) -> WhipPlanner:
-    return WhipPlanner(known, TipTarget(0.0, 0.0, 0.0), patience, 0, 1)
+def course(known: WhipMap, patience: float = 1.0) -> TipPlanner:
+    return TipPlanner(WhipTask(known, TipTarget(0.0, 0.0, 0.0)), patience, 0, 1)
 
 
 def test_compiling_uses_up_no_patience(known: WhipMap, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,7 +57,7 @@ def test_compiling_uses_up_no_patience(known: WhipMap, monkeypatch: pytest.Monke
         now[0] += 10.0
         monkeypatch.setattr(jit._TIMER, "spent", jit._TIMER.spent + 10.0)
 
-    monkeypatch.setattr(planner, "aim_peak", slow)
+    monkeypatch.setattr(tip_planner, "aim_strokes", slow)
     work = course(known)
     work.run(None)
     assert len(tried) == 6
@@ -127,12 +130,12 @@ def test_whips_are_verified_until_one_stands(
     work, looked = course(known), []
     work.aims = seen_as(*[(0.0 if k < meet else 0.1, 0.001 * k) for k in range(PLANS + 1)])
 
-    def verify_both(_: object, finer: CastSetup, __: object, aim: Any, end: object) -> Verified:
-        assert finer.rope == divided(ROPE, 2)
+    def verify(task: WhipTask, aim: Any, _: object) -> Verified:
+        assert task.finer.rope == divided(ROPE, 2)
         looked.append(aim)
         return Verified(aim, None, None, "" if stands[len(looked) - 1] else f"fault {len(looked)}")
 
-    monkeypatch.setattr(planner, "verify_both", verify_both)
+    monkeypatch.setattr(WhipTask, "verify", verify)
     work.verify()
     best = work.best
     assert best is not None
@@ -148,13 +151,13 @@ def test_ctrl_c_while_whips_are_verified_keeps_the_best(
     work, looked = course(known), []
     work.aims = seen_as((0.0, 0.001), (0.0, 0.002))
 
-    def verify_both(*args: Any) -> Verified:
+    def verify(_: WhipTask, aim: Any, __: object) -> Verified:
         if len(looked) == after:
             raise KeyboardInterrupt
-        looked.append(args)
-        return Verified(args[3], None, None, "it misses")
+        looked.append(aim)
+        return Verified(aim, None, None, "it misses")
 
-    monkeypatch.setattr(planner, "verify_both", verify_both)
+    monkeypatch.setattr(WhipTask, "verify", verify)
     with pytest.raises(KeyboardInterrupt):
         work.verify()
     best = work.best

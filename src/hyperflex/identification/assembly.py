@@ -9,6 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.identification.diagnosis.grade import MASSES, Grade, grade
 from hyperflex.identification.diagnosis.model_error import law_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.diagnosis.tolerances import moves_alike
 from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED
 from hyperflex.identification.model.plant import Plant
@@ -53,11 +54,10 @@ def assemble_result(
     parameters = plant.parameters
     x = parameters.rounded(found.x)
     rope, slopes = parameters.rope(x), parameters.derivatives(x)
-    residuals, torque = _residuals(basis), None
-    if plant.motor is not None:
-        residuals, torque = residuals[:, :-1], residuals[:, -1]
+    residuals, torque = _residuals(basis)
     known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     moves = ratio_spread(parameters, information, model=True)
+    covariance, by_length = information.covariances(slopes)
     message = early if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
     unit, declared = "rad" if isinstance(plant.sensor, Angles) else "m", settings["noise"] == "declared"
     warnings = (
@@ -99,7 +99,8 @@ def assemble_result(
         residuals=residuals,
         held_out=held_out,
         parameters=parameters.labels,
-        covariance=information.total * np.outer(slopes, slopes),
+        covariance=covariance,
+        length_covariance=by_length,
         singular_values=information.singular,
         settings=settings,
         message=message,
@@ -138,6 +139,7 @@ def _graded(
         moved=moved,
         turned=basis.plant.parameters.single("gravity_angle", basis.fit.x),
         left_out=missing / (missing + settings["windows"]),
+        alike=moves_alike(basis.plant),
     )
 
 
@@ -164,13 +166,14 @@ def _scale(plant: Plant) -> str:
     return "masses and centres of mass as they were held" if not names & {"mass", "com", "tip_mass"} else ""
 
 
-def _residuals(basis: Basis) -> Array:
-    """Return measured less fitted values (m, C) of all windows, rad, m or N m; NaN in gaps."""
+def _residuals(basis: Basis) -> tuple[Array, Array | None]:
+    """Return measured less fitted values (m, C) of all windows, rad or m, and torques (m,), N m; NaN in gaps."""
     weights = np.concatenate([w.weight for w in basis.windows])
     each = zip(basis.fit.residuals, basis.windows, strict=True)
     flat = np.concatenate([residual.reshape(w.y.shape) for residual, w in each])
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(weights > 0.0, -flat / weights, np.nan)
+        every = np.where(weights > 0.0, -flat / weights, np.nan)
+    return (every, None) if basis.plant.motor is None else (every[:, :-1], every[:, -1])
 
 
 def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array]:

@@ -14,8 +14,8 @@ from hyperflex.errors import IdentificationError, Interrupted
 from hyperflex.identification.assembly import assemble_result
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, scaled_angles, suspicious
 from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
-from hyperflex.identification.diagnosis.grade import misdeclared
 from hyperflex.identification.diagnosis.link_test import link_test
+from hyperflex.identification.diagnosis.misdeclared import misdeclared
 from hyperflex.identification.diagnosis.model_error import with_model_error
 from hyperflex.identification.diagnosis.score_tests import LENGTHS, ScoreTest, score_tests
 from hyperflex.identification.diagnosis.tolerances import with_sway

@@ -55,8 +55,11 @@ class Identification(Ended):
     held_out : HeldOut or None
         Prediction of the part that was not fitted.
     parameters, covariance : tuple of str, (P, P)
-        Names of the P single free numbers, e.g. ``friction[1]``; their covariance, SI units, 0 along unknown
-        directions, for the lengths as declared (`std` holds errors of these as well).
+        Names of the P single free numbers, e.g. ``friction[1]``; their covariance, SI units, of all that `std` counts
+        (its diagonal is the square of `std`, where that is finite), 0 along unknown directions.
+    length_covariance : (P + 1,)
+        Covariance of `parameters` with the error of a factor on all lengths, and that error's variance: `covariance`
+        holds what the lengths' error does to the parameters, so who draws ropes draws their lengths with them.
     singular_values : (P,)
         Of the scaled information, largest first.
     settings : dict
@@ -96,6 +99,7 @@ class Identification(Ended):
     held_out: HeldOut | None
     parameters: tuple[str, ...]
     covariance: Array
+    length_covariance: Array
     singular_values: Array
     settings: dict[str, Any]
     message: str
@@ -140,7 +144,9 @@ class Identification(Ended):
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
         alike = ("identifiable", "unit", "values", "std", "model_std", "ratios", "ratio_std", "ratio_model_std")
         result: dict[str, Any] = {"grade": self.grade.name, "reasons": self.grade.reasons} | self.ending()
-        result |= {name: getattr(self, name) for name in (*alike, "held", "parameters", "covariance")}
+        result |= {
+            name: getattr(self, name) for name in (*alike, "held", "parameters", "covariance", "length_covariance")
+        }
         result["intervals"] = {
             name: {"low": each.low, "high": each.high, "kind": each.kind} for name, each in self.intervals.items()
         }

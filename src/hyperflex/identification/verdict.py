@@ -37,7 +37,7 @@ def verdict(parameters: Parameters, information: Information, spreads: dict[str,
     """Return in words what is identifiable; `spreads` (n,) are standard deviations of the ratios."""
     if not information.estimated:
         return ["It ended before deviations and intervals were worked out: there are none."]
-    return _unknown(parameters, information, spreads) + _values(parameters, information)
+    return [*_unknown(parameters, information, spreads), *_values(parameters, information), _first_moment(spreads)]
 
 
 def not_converged(message: str) -> str:
@@ -157,6 +157,13 @@ def uneven_scale(recording: Recording) -> str:
         f"{np.exp(2.0 * size):.3g} times those across. Pixels that are not square, x and y scaled differently, or a "
         "camera that looks at the plane from the side make that: calibrate it."
     )
+
+
+def _first_moment(spreads: dict[str, Array]) -> str:
+    """Return what p1 is, or nothing where no ratio was fitted; `spreads` (n,) are standard deviations of the ratios."""
+    if not any(np.any(each > 0.0) for each in spreads.values()):
+        return ""
+    return "In ratios p1 is the first moment of link 0 about its joint, kg m, with all mass beyond it at its far end."
 
 
 def held_words(held: Sequence[str]) -> str:

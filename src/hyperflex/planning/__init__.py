@@ -1,4 +1,4 @@
-"""Planning: casts that wind a rope round a target and hold, and whips whose tip passes a point fast."""
+"""Planning: casts that wind a rope round a target and hold, whips whose tip passes a point fast, insertions."""
 
 from typing import TYPE_CHECKING
 
@@ -8,6 +8,12 @@ if TYPE_CHECKING:
     from hyperflex.planning.cast_setup import CastSetup, MotorLimits
     from hyperflex.planning.feedback.closed_loop import Decision, FollowResult, follow_plan
     from hyperflex.planning.feedback.simulated_ropes import MotorStateSource, ScenarioStateSource
+    from hyperflex.planning.insert.chance import estimate_insert_probability
+    from hyperflex.planning.insert.insert_plan import InsertPlan
+    from hyperflex.planning.insert.outcome import InsertOutcome
+    from hyperflex.planning.insert.planner import plan_insert
+    from hyperflex.planning.insert.search import InsertFeasibility
+    from hyperflex.planning.insert.slot import Slot
     from hyperflex.planning.outcome import (
         BOUNCE_TIME,
         MAX_SLIP,
@@ -25,18 +31,18 @@ if TYPE_CHECKING:
     from hyperflex.planning.robust.scenario_rollouts import SuccessProbability, estimate_success_probability
     from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty, scaled_rope
     from hyperflex.planning.throw import Throw
-    from hyperflex.planning.whip.aim import FRICTION_STD, LENGTH_STD, TIMING_STD
+    from hyperflex.planning.tip.aim import FRICTION_STD, LENGTH_STD, TIMING_STD
+    from hyperflex.planning.tip.strokes import Strokes
+    from hyperflex.planning.tip.task import TipCandidate
     from hyperflex.planning.whip.impact import IMPACT_RADIUS, IMPACT_TIME, Impact
     from hyperflex.planning.whip.outcome import TipStrike
     from hyperflex.planning.whip.planner import plan_whip
     from hyperflex.planning.whip.search import (
-        WhipCandidate,
         WhipFeasibility,
         WhipMap,
         build_whip_map,
         check_whip_feasibility,
     )
-    from hyperflex.planning.whip.strokes import Strokes
     from hyperflex.planning.whip.tip_target import Peaks, TipTarget
     from hyperflex.planning.whip.whip_plan import WhipPlan
     from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget

@@ -1,12 +1,13 @@
-"""Clearance of a rope from the arm that throws it: from the motor's shaft, and from the arm between shaft and tip."""
+"""Clearance of a rope from the arm that throws it (the motor's shaft, and the arm from there to its tip), and walls."""
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.model import Arm, Rope
+from hyperflex.model import Arm, Rope, Wall
 from hyperflex.trajectory import Trajectory, interpolated
 
 FINE = 4e-4  # m, that a link moves at most between two looks
@@ -17,11 +18,11 @@ RADII, LENGTHS = 8.0, 0.3
 
 
 class Clearance(NamedTuple):
-    """Least distance of a rope from its own arm: `value`, m, below 0 where it goes through; when, s; and from what."""
+    """Least distance of a rope from its own arm or walls: `value`, m, < 0 where it goes through; when, s; from what."""
 
     value: float
     t: float
-    what: str  # "shaft" or "arm"
+    what: str  # "shaft", "arm" or "wall"
 
 
 def rope_clearance(run: Trajectory) -> Clearance:
@@ -40,22 +41,53 @@ def rope_clearance(run: Trajectory) -> Clearance:
     arm, rope = run.setup.arm, run.setup.rope
     if arm is None:
         return Clearance(np.inf, float(run.t[0]), "arm")
-    gap = _gaps(rope, arm, run.q, run.base, np.arange(rope.n_links))
-    speed = FASTER * _speeds(run, arm)
-    way = np.diff(run.t)[:, None] * np.maximum(speed[1:], speed[:-1])
+    speed = _speeds(run, run.arm_rate, np.array(arm.pivot))
+    value, t, what = least_gap(run, lambda q, base, links: _gaps(rope, arm, q, base, links), speed)
+    return Clearance(value, t, ("shaft", "arm")[what])
+
+
+def wall_clearance(run: Trajectory, walls: Sequence[Wall], until: float) -> Clearance:
+    """Find how near a rope comes to thin walls in a run until a time, s; see :func:`rope_clearance`."""
+    rope = run.setup.rope
+    ends = np.array([[(wall.x, wall.y), (wall.x2, wall.y2)] for wall in walls])
+
+    def gaps(q: Array, base: Array, links: npt.NDArray[np.int64]) -> Array:
+        begin, end = (each[:, None] for each in _links(rope, q, base, links))
+        return _segment_distance(begin, end, ends[:, None, 0], ends[:, None, 1])
+
+    value, t, _ = least_gap(run, gaps, _speeds(run, np.zeros(run.t.size), np.zeros(2)), until)
+    return Clearance(value, t, "wall")
+
+
+def least_gap(
+    run: Trajectory,
+    gaps: Callable[[Array, Array, npt.NDArray[np.int64]], Array],
+    speed: Array,
+    until: float = np.inf,
+) -> tuple[float, float, int]:
+    """Return the least distance, m, of a rope's surface from what `gaps` measures, when, s, and from which of it.
+
+    `gaps` takes angles q (T, m), rad, of the first m links, the first joint (T, 2), m, and the numbers of k links, and
+    returns distances (T, w, k), m, of their axes from w things. `speed` (T, n), m/s, is how fast these may change. The
+    first sample at or after `until`, s, is the last that counts.
+    """
+    rows = min(int(np.searchsorted(run.t, until)) + 1, run.t.size)
+    gap = gaps(run.q[:rows], run.base[:rows], np.arange(run.q.shape[1]))
+    best = _least(run.t, gap)
+    speed = FASTER * speed[:rows]
+    way = np.diff(run.t[:rows])[:, None] * np.maximum(speed[1:], speed[:-1])
     least = 0.5 * (gap[1:] + gap[:-1] - way[:, None]).min(axis=1)  # of each link in each interval, at least
     bound = least.min(axis=1)
-    best = _least(run.t, gap)
     for row in np.argsort(bound):
-        if bound[row] >= best.value:
+        if bound[row] >= best[0]:
             break
-        near = np.flatnonzero(least[row] < best.value)
+        near = np.flatnonzero(least[row] < best[0])
         times = np.linspace(run.t[row], run.t[row + 1], int(np.ceil(way[row, near].max() / FINE)) + 1)
         sides, links = slice(row, row + 2), slice(near[-1] + 1)
         q = interpolated(run.t[sides], run.q[sides, links], run.qd[sides, links], times)
         base = interpolated(run.t[sides], run.base[sides], run.base_velocity[sides], times)
-        best = min(best, _least(times, _gaps(rope, arm, q, base, near)))
-    return best._replace(value=best.value - rope.radius - 0.5 * FINE)
+        best = min(best, _least(times, gaps(q, base, near)))
+    return best[0] - run.setup.rope.radius - 0.5 * FINE, *best[1:]
 
 
 def sampled_clearance(rope: Rope, arm: Arm, q: Array, base: Array) -> float:
@@ -66,17 +98,17 @@ def sampled_clearance(rope: Rope, arm: Arm, q: Array, base: Array) -> float:
     return float(_gaps(rope, arm, q, base, np.arange(rope.n_links)).min()) - rope.radius
 
 
-def _least(t: Array, gap: Array) -> Clearance:
+def _least(t: Array, gap: Array) -> tuple[float, float, int]:
     k, what, _ = np.unravel_index(int(gap.argmin()), gap.shape)
-    return Clearance(float(gap.min()), float(t[k]), ("shaft", "arm")[what])
+    return float(gap.min()), float(t[k]), int(what)
 
 
-def _speeds(run: Trajectory, arm: Arm) -> Array:
-    """Greatest speed of each link (T, n), m/s, as the turning arm sees it."""
-    spin, out = run.setup.rope.length * run.qd, run.joints - np.array(arm.pivot)
+def _speeds(run: Trajectory, rate: Array, pivot: Array) -> Array:
+    """Greatest speed of each link (T, n), m/s, as seen by what turns about a `pivot` at a `rate` (T,), rad/s."""
+    spin, out = run.setup.rope.length * run.qd, run.joints - pivot
     x = np.cumsum(np.column_stack([run.base_velocity[:, :1], spin * np.cos(run.q)]), axis=1)
     y = np.cumsum(np.column_stack([run.base_velocity[:, 1:], spin * np.sin(run.q)]), axis=1)
-    rate = run.arm_rate[:, None]
+    rate = rate[:, None]
     speed = np.hypot(x + rate * out[..., 1], y - rate * out[..., 0])
     return np.asarray(np.maximum(speed[:, 1:], speed[:, :-1]))
 
@@ -86,20 +118,31 @@ def _gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: npt.NDArray[np.int6
 
     Angles q (T, m), rad, are those of the first m links, `tip` (T, 2), m, the arm's.
     """
-    length = rope.length[: q.shape[1]]
-    ways = np.stack([length * np.sin(q), -length * np.cos(q)], axis=-1)
-    end = (tip[:, None] + np.cumsum(ways, axis=1))[:, links]
-    begin, tip = end - ways[:, links], tip[:, None]
+    (begin, end), tip = _links(rope, q, tip, links), tip[:, None]
     pivot = np.broadcast_to(np.array(arm.pivot), tip.shape)
     shaft = _distance(pivot, begin, end)
-    bar = np.minimum(shaft, _distance(tip, begin, end))
-    bar = np.minimum(bar, np.minimum(_distance(begin, pivot, tip), _distance(end, pivot, tip)))
-    apart = _side(pivot, begin, end) * _side(tip, begin, end) >= 0.0
-    apart |= _side(begin, pivot, tip) * _side(end, pivot, tip) >= 0.0
+    bar = _segment_distance(begin, end, pivot, tip)
     near = max(LENGTHS * arm.length, RADII * (rope.radius + arm.radius))
     hangs = (np.cumsum(rope.length) - rope.length)[links] <= near
-    bar = np.where(hangs, np.inf, np.where(apart, bar, 0.0))
+    bar = np.where(hangs, np.inf, bar)
     return np.stack([shaft - arm.shaft_radius, bar - arm.radius], axis=1)
+
+
+def _links(rope: Rope, q: Array, base: Array, links: npt.NDArray[np.int64]) -> tuple[Array, Array]:
+    """Begin and end (T, k, 2), m, of k `links` of a rope whose first joint is at `base` (T, 2), m."""
+    length = rope.length[: q.shape[1]]
+    ways = np.stack([length * np.sin(q), -length * np.cos(q)], axis=-1)
+    end = (base[:, None] + np.cumsum(ways, axis=1))[:, links]
+    return end - ways[:, links], end
+
+
+def _segment_distance(begin: Array, end: Array, first: Array, last: Array) -> Array:
+    """Distance (...), m, of segments from `begin` to `end` (..., 2) from others from `first` to `last`."""
+    near = np.minimum(_distance(first, begin, end), _distance(last, begin, end))
+    near = np.minimum(near, np.minimum(_distance(begin, first, last), _distance(end, first, last)))
+    apart = _side(first, begin, end) * _side(last, begin, end) >= 0.0
+    apart |= _side(begin, first, last) * _side(end, first, last) >= 0.0
+    return np.asarray(np.where(apart, near, 0.0))
 
 
 def _distance(point: Array, begin: Array, end: Array) -> Array:

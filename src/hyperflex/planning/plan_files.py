@@ -3,16 +3,18 @@
 from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN
+from hyperflex.planning.insert.insert_plan import InsertPlan
 from hyperflex.planning.plan import from_table
 from hyperflex.planning.whip.whip_plan import WhipPlan
 from hyperflex.planning.wind.cast_plan import CastPlan
 
 _AGAIN = "Write it again with to_toml, or plan again"
-KINDS: dict[str, type[CastPlan] | type[WhipPlan]] = {kind.kind: kind for kind in (CastPlan, WhipPlan)}
+AnyPlan = CastPlan | WhipPlan | InsertPlan
+KINDS: dict[str, type[AnyPlan]] = {kind.kind: kind for kind in (CastPlan, WhipPlan, InsertPlan)}
 
 
-def read_plan(path: files.PathLike) -> CastPlan | WhipPlan:
-    """Read a plan from a file of :meth:`CastPlan.to_toml` or :meth:`WhipPlan.to_toml`.
+def read_plan(path: files.PathLike) -> AnyPlan:
+    """Read a plan from a file of its method ``to_toml``.
 
     Parameters
     ----------
@@ -21,7 +23,7 @@ def read_plan(path: files.PathLike) -> CastPlan | WhipPlan:
 
     Returns
     -------
-    CastPlan or WhipPlan
+    CastPlan, WhipPlan or InsertPlan
         Equal to the plan that was written, but without its runs.
 
     Raises

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, refine_rope
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, Wall, refine_rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import Clearance
@@ -33,7 +33,7 @@ def verified_setup(
     cast_setup: CastSetup,
     motion: Motion,
     duration: float,
-    pegs: tuple[Peg, ...] = (),
+    pegs: tuple[Peg | Wall, ...] = (),
     *,
     tol: float = DEFAULT_TOL,
     contact_step: float = DEFAULT_CONTACT_STEP,

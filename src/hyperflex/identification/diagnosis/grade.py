@@ -6,16 +6,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hyperflex.identification.diagnosis.link_test import LINKS
-from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, MOVES, ScoreTest
-from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter
+from hyperflex.identification.diagnosis.misdeclared import misdeclared, percent, slightly, untested, untold
+from hyperflex.identification.diagnosis.score_tests import EXPLAINS, MOVES, ScoreTest
+from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.model import Rope
 
 GradeName = Literal["usable", "usable for ratios", "do not use"]
-UNTESTED = 0.05  # standard deviation of gravity's factor, if it were free
-TESTED = 0.005  # the same: lengths that are 1 % off show
-NEAR = 0.03  # of a factor by which frame rates are often wrong
 AXES = 0.2  # rad, the same: more than any camera that was meant to be level
 PERSISTENCE = 0.5  # of the error of a prediction that nothing moves on
 FRICTION_MOVES = 0.1  # of a friction: by more than another law would change it, it is called a model error
@@ -26,9 +24,6 @@ LIKELY = 0.5  # probability
 LEFT_OUT = 0.2  # part of the windows
 REACH = 2.0  # of a link's length, to which its mass may reach: real links have counterweights
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
-TOLD = ("gravity_angle", "delay")  # believed, these are told with their value even where they hardly matter
-DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
-MEANT = {"gravity_scale": "times or lengths", "gravity_angle": "the zero of the angles", "delay": "the motion"}
 
 
 class Grade(NamedTuple):
@@ -77,6 +72,7 @@ def grade(
     moved: float = 0.0,
     turned: float = 0.0,
     left_out: float = 0.0,
+    alike: bool = False,
 ) -> Grade:
     """Return what a result may be used for.
 
@@ -106,14 +102,16 @@ def grade(
         By which gravity was found to be turned, rad.
     left_out : float
         Part of the windows that was left out.
+    alike : bool
+        Whether a longer and slower rope moves exactly alike.
     """
     axes = bool(abs(turned) > AXES)
     disagree, differ = _disagreeing(scatter)
     odd = [*(each for each in warnings if each), *_mispredicted(held_out), *disagree]
     links, coarse = _finer(tests, odd=bool(odd))
-    wrong = [*_impossible(rope), *links, *misdeclared(tests), *odd]
-    suspicion = [*coarse, *_turned(turned), *_slightly(tests), *differ, *_untested(tests)]
-    doubts = [*_doubts(laws, moved, left_out), *_changing(scatter)]
+    wrong = [*_impossible(rope), *links, *misdeclared(tests), *_far(rope), *odd]
+    suspicion = [*coarse, *_turned(turned), *slightly(tests), *differ, *untested(tests)]
+    doubts = [*untold(tests, alike=alike), *_doubts(laws, moved, left_out), *_changing(scatter)]
     if hardly:
         rest = "" if wrong else ", all else is" if identifiable else ", all other ratios are"
         suspicion.append(_not_known(hardly) + f"{rest}.")
@@ -125,34 +123,39 @@ def grade(
         scaled = [f"masses, inertias and frictions are in proportion to {scale}; no motion tests that."] * bool(scale)
         places = next((each.ratio_sensitivity for each in tests if each.name == "com"), 0.0)
         if scale and places > 0.0:
-            scaled = [f"{scaled[0][:-1]}, and 1 % of a centre of mass moves ratios by up to {_percent(places)}."]
+            scaled = [f"{scaled[0][:-1]}, and 1 % of a centre of mass moves ratios by up to {percent(places)}."]
         return Grade("usable", (*suspicion, *scaled, *doubts), axes)
     common = "without a known force or torque, or a mass that is held, values share what this motion cannot tell."
     return Grade("usable for ratios", (*suspicion, common, *doubts), axes)
 
 
 def _impossible(rope: Rope) -> list[str]:
-    """Return what no rope can be.
+    """Return that no rope hangs upwards."""
+    if not np.any(rope.gravity) or lumped(rope)[0][0] > 0.0:
+        return []
+    words = (
+        "gravity would hold the rope up (its first moment p1 is negative). Check where the angles' zero is "
+        "(zero='hanging' or 'up'), or where y points (y_axis='up' or 'down')."
+    )
+    return [words]
+
+
+def _far(rope: Rope) -> list[str]:
+    """Return that a link's mass lies far beyond the link.
 
     All mass of a link, and beyond, is between its joints or at the far one, so J <= l p (Cauchy-Schwarz); a real link
-    may reach beyond its joint, and where the last one ends no angle tells.
+    may reach beyond its joint.
     """
     p, inertia = lumped(rope)
-    if np.any(rope.gravity) and p[0] <= 0.0:
-        words = (
-            "gravity would hold the rope up (its first moment p1 is negative). Check where the angles' zero is "
-            "(zero='hanging' or 'up'), or where y points (y_axis='up' or 'down')."
-        )
-        return [words]
-    reach = inertia[:-1] / np.where(p[:-1] > 0.0, p[:-1], np.inf) / rope.length[:-1]
-    if np.any(reach > REACH):
-        k = int(np.argmax(reach))
-        words = (
-            f"link {k} would have its mass {reach[k]:.3g} times as far from its joint as it is long (inertia over "
-            "first moment). Check times, frame rate, scale, lengths and the order of the links."
-        )
-        return [words]
-    return []
+    reach = inertia / np.where(p > 0.0, p, np.inf) / rope.length
+    k = int(np.argmax(reach))
+    if reach[k] <= REACH:
+        return []
+    words = (
+        f"link {k} would have its mass {reach[k]:.3g} times as far from its joint as it is long (inertia over "
+        "first moment). Check times, frame rate, scale, lengths and the order of the links."
+    )
+    return [words]
 
 
 def _not_known(hardly: Sequence[str]) -> str:
@@ -160,85 +163,6 @@ def _not_known(hardly: Sequence[str]) -> str:
     return (
         f"{names} {'is' if len(hardly) == 1 else 'are'} not known (the standard deviation is half of the value or more)"
     )
-
-
-def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
-    """Return what was declared or held, does not fit and matters; the one that explains most, with its equals."""
-    believed = [each for each in tests if each.believed and each.matters]
-    if not believed:
-        return []
-    first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - EQUAL]
-    part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
-    if first.freed_with:
-        part += f" that is left with {' and '.join(repr(name) for name in first.freed_with)} free"
-    value = float(first.values[0])
-    names = " or ".join(f"'{name}'" for name in equals if name not in DECLARED)
-    if first.name == "gravity_scale":
-        clock = float(np.sqrt(value))
-        said = (
-            f"times or lengths are not as declared: {part} go away if times are multiplied by {clock:.3g}"
-            f"{_frames(clock)}, or lengths divided by {value:.3g}. Check the clock or frame rate, the scale, and the "
-            "lengths of the guess."
-        )
-    elif first.name == "gravity_angle":
-        said = (
-            f"the zero of the angles is off by {np.degrees(value):.3g} degrees: without that, {part} go away. Check "
-            "the zero, level the camera, or put 'gravity_angle' into free."
-        )
-    elif first.name == DRIFT:
-        said = (
-            f"the clock drifts, or something changes over the recording: {part} go away if times run "
-            f"{_percent(0.5 * abs(value))} {'slower' if value < 0.0 else 'faster'} at its end than at its beginning. "
-            "Check the time stamps, or fit parts of the recording on their own."
-        )
-    elif first.name == "delay":
-        said = f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free."
-    else:
-        said = (
-            f"what is held does not fit: with {names} free, {part} go away, and ratios move by up to "
-            f"{_percent(first.moved)}. Put it into free."
-        )
-    return [said]
-
-
-def _slightly(tests: Sequence[ScoreTest]) -> list[str]:
-    """Return what seems declared wrongly, but so little that ratios hardly move or something else may explain it."""
-    said = []
-    for each in tests:
-        if each.slight and each.believed:
-            names = " and ".join(repr(name) for name in each.freed_with)
-            beside = f", if {names} {'is' if len(each.freed_with) == 1 else 'are'} free as well" if names else ""
-            said.append(
-                f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}; "
-                f"ratios would move by up to {_percent(each.moved)}."
-            )
-        if (each.suspected or (each.covered and each.name not in (*TOLD, DRIFT))) and not each.freed_with:
-            said.append(
-                f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
-                f"residuals' sum of squares go away, and ratios move by up to {_percent(each.moved)}. Standard "
-                "deviations hold that."
-            )
-        if each.name == DRIFT and each.refitted and not (each.believed and each.matters):
-            said.append(
-                f"the clock seems to drift by {_percent(0.5 * abs(float(each.values[0])))} over the recording; ratios "
-                f"would move by up to {_percent(each.moved)}. Standard deviations hold that."
-            )
-        if not each.believed or each.matters or each.name not in TOLD:
-            continue
-        value, part = float(each.values[0]), f"{100.0 * each.gain:.3g} % of the residuals' sum of squares"
-        what = f"the zero of the angles seems off by {np.degrees(value):.2g} degrees"
-        if each.name == "delay":
-            what = f"the motion seems {value:.2g} s off"
-        said.append(f"{what}: without that, {part} go away. Put '{each.name}' into free.")
-    return said
-
-
-def _frames(factor: float) -> str:
-    """Return what a factor of the times may come from."""
-    for usual, words in ((2.0, "half"), (0.5, "twice")):
-        if abs(factor / usual - 1.0) < NEAR:
-            return f" (as if the frame rate were {words} of what was declared)"
-    return ""
 
 
 def _mispredicted(held_out: HeldOut | None) -> list[str]:
@@ -270,7 +194,7 @@ def _disagreeing(scatter: Sequence[Scatter]) -> tuple[list[str], list[str]]:
         return [], []
     words = (
         f"windows disagree: {first.label} scatters between them {first.times:.2g} times as much as noise makes it, "
-        f"with a standard deviation of {_percent(first.part)}. Something changes over the recording, or was left "
+        f"with a standard deviation of {percent(first.part)}. Something changes over the recording, or was left "
         "out: fit parts on their own."
     )
     return ([words], []) if first.part > MOVES else ([], [f"{words} Standard deviations hold that."])
@@ -283,28 +207,9 @@ def _changing(scatter: Sequence[Scatter]) -> list[str]:
         return []
     words = (
         f"{first.label} scatters between windows {first.times:.2g} times as much as noise makes it, with a standard "
-        f"deviation of {_percent(first.part)}: resistance changes, or is of another kind. Standard deviations hold it."
+        f"deviation of {percent(first.part)}: resistance changes, or is of another kind. Standard deviations hold it."
     )
     return [words]
-
-
-def _untested(tests: Sequence[ScoreTest]) -> list[str]:
-    """Return that this motion cannot show a wrong clock or wrong lengths, where it cannot."""
-    scale = next((each for each in tests if each.name == "gravity_scale"), None)
-    if scale is None or scale.std <= TESTED:
-        return []
-    if scale.std > UNTESTED:
-        words = (
-            "times and lengths are taken as declared: this motion cannot test them. If they are wrong, moments and "
-            "inertias are as well (a clock 1 % off makes J/p1 2 % off)."
-        )
-    else:
-        words = (
-            "times and lengths are taken as exact, but for length_std: this motion shows no error below "
-            f"{200.0 * scale.std:.2g} % of the lengths, and 1 % would move ratios by up to "
-            f"{_percent(scale.ratio_sensitivity)}."
-        )
-    return [words] if scale.ratio_sensitivity > 0.0 else []
 
 
 def _finer(tests: Sequence[ScoreTest], *, odd: bool) -> tuple[list[str], list[str]]:
@@ -315,7 +220,7 @@ def _finer(tests: Sequence[ScoreTest], *, odd: bool) -> tuple[list[str], list[st
     words = f"use more links: this looks like a rope of finer links (probability {100.0 * each.excess_gain:.3g} %)"
     if odd and each.gain >= max(EXPLAINS, *(other.gain for other in tests)):
         return [f"{words}, which takes away {100.0 * each.gain:.3g} % of the residuals' sum of squares."], []
-    off = f"a fit of so few to such a one is off by up to {_percent(each.ratio_sensitivity)} of a value"
+    off = f"a fit of so few to such a one is off by up to {percent(each.ratio_sensitivity)} of a value"
     return [], [f"{words}, and {off}. Standard deviations hold that."] * (each.ratio_sensitivity > 0.0)
 
 
@@ -342,8 +247,3 @@ def _doubts(laws: tuple[float, str], moved: float, left_out: float) -> list[str]
             "be simulated from their states."
         )
     return said
-
-
-def _percent(part: float) -> str:
-    """Return a part in per cent: two digits, and no more than 1000 %, beyond which a number tells nothing."""
-    return "1000 % and more" if part > 10.0 else f"{float(f'{100.0 * part:.2g}'):g} %"

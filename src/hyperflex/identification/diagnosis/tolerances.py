@@ -1,4 +1,4 @@
-"""What 1 % of what was held moves, as far as a motion cannot test it."""
+"""What 1 % of what was held or declared moves, as far as a motion cannot test it."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,10 +6,24 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.uncertainty.covariance import Basis, ratio_gradients, ratio_spread, ratios
+from hyperflex.model import RESISTANCES
 
 HELD = ("gravity_scale", "com")  # what 1 % of is told, as far as the motion cannot test it
 PER_CENT = 0.01
+
+
+def moves_alike(plant: Plant) -> bool:
+    """Tell whether a longer and slower rope moves exactly alike: nothing but gravity and the lengths has a scale.
+
+    With times x a and lengths x a^2 gravity stays. A drive, a torque or a resistance that is held does not go along.
+    """
+    if plant.motion is not None or plant.motor is not None or not plant.parameters.guess.gravity.any():
+        return False
+    names = {each.name for each in plant.parameters.all}
+    held = [each.name for each in RESISTANCES if each.name not in names]
+    return not any(getattr(plant.parameters.guess, name).any() for name in held)
 
 
 def with_sway(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:

@@ -1,12 +1,13 @@
 """Restarts: other states of windows that fit badly, and other starts of a fit that ends badly."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state, with_entries
+from hyperflex.identification.fit.state_search import restart_states, search_state
 from hyperflex.identification.fit.windows import Window, part_left
 from hyperflex.identification.model.plant import Plant
 
@@ -28,7 +29,8 @@ def refit_poor_windows(
     for _ in range(AGAIN):
         states, gained = list(found.states), False
         for k in poor_windows(windows, found, known_noise=known_noise):
-            better = _better_state(plant, windows, found, states, k)
+            wide = bool(windows[k].others)
+            better = search_state(plant, windows, found.x, states, k, found.loss, enough=BETTER, thorough=wide)
             if better is not None:
                 states[k], gained = better, True
         if not gained:
@@ -46,34 +48,6 @@ def poor_windows(windows: Sequence[Window], found: Fit, *, known_noise: bool) ->
     costs = np.array([found.loss.cost(r) / w.values for w, r in zip(windows, found.residuals, strict=True)])
     limit = float(np.median(costs))
     return [int(k) for k in np.flatnonzero(costs > WORSE * (min(limit, 1.0) if known_noise else limit))]
-
-
-def _better_state(plant: Plant, windows: Sequence[Window], found: Fit, states: list[Array], k: int) -> Array | None:
-    """Return a state of window k that costs less than the present one, from the best of several starts; else None."""
-    window = windows[k]
-    tried = fit_state(plant, found.x, window, *_restart_states(plant, windows, found.x, states, k), loss=found.loss)
-    now = found.window_cost(window, found.states[k], found.residuals[k])
-    return None if tried is None or found.window_cost(window, *tried) >= BETTER * now else tried[0]
-
-
-def _restart_states(
-    plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array], k: int
-) -> Iterator[Array]:
-    """Yield states to start window k from: the end of the window before, that of the data, and both angles at rest."""
-    window, n = windows[k], states[k].size // 2
-    if k > 0:
-        yield from arrived(plant, x, windows[k - 1], states[k - 1], window)
-    yield from (window.guess, *window.others)
-    yield np.append(window.guess[:n], np.zeros(n))
-    yield np.append(states[k][:n], np.zeros(n))
-
-
-def arrived(plant: Plant, x: Array, before: Window, state: Array, window: Window) -> list[Array]:
-    """Return the state (2n,) in which a window begins if the one before began in `state`, or nothing."""
-    end, n = plant.propagate(x, float(before.t[0]), state, float(window.t[0])), state.size // 2
-    if end is None:
-        return []
-    return [np.append(end[:n] + 2.0 * np.pi * np.round((window.guess[:n] - end[:n]) / (2.0 * np.pi)), end[n:])]
 
 
 def fit_from_starts(
@@ -119,7 +93,7 @@ def _states_at(plant: Plant, windows: Sequence[Window], found: Fit, x: Array) ->
     """Return each window's state of least cost at x, from several starts, or None where a window has none."""
     states = list(found.states)
     for k, window in enumerate(windows):
-        best = fit_state(plant, x, window, *_restart_states(plant, windows, x, states, k), loss=found.loss)
+        best = fit_state(plant, x, window, *restart_states(plant, windows, x, states, k), loss=found.loss)
         if best is None:
             return None
         states[k] = best[0]

@@ -10,7 +10,9 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state, with_entries
-from hyperflex.identification.fit.restarts import arrived, fit_from_starts, refit_poor_windows
+from hyperflex.identification.fit.restarts import fit_from_starts, refit_poor_windows
+from hyperflex.identification.fit.settling import settle
+from hyperflex.identification.fit.state_search import arrived
 from hyperflex.identification.fit.windows import FEWEST, Window, cut_windows, decimation_step
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
@@ -78,7 +80,9 @@ def fit_in_stages(
     spacing = float(np.median(np.diff(measured.channels.t)))
     x, history, tried, agree = plant.parameters.start, [], 1, 1
     done: list[Done] = []
-    lengths = stage_lengths(length, usual, spacing)
+    seen = measured.windows(length, decimation_step(measured.channels, length))[0] if measured.sides else []
+    ambiguous = any(window.others for window in seen)
+    lengths = stage_lengths(length, usual, spacing, short=not ambiguous)
     for number, part in enumerate(lengths):
         step = decimation_step(measured.channels, part)
         windows, dropped = measured.windows(part, step)
@@ -91,8 +95,11 @@ def fit_in_stages(
         found: Fit | None = None
         with caught() as stop:
             known = {} if not done else {w.t[0]: s for w, s in zip(done[-1][1], done[-1][0].states, strict=True)}
-            usable, states = _starts(plant, windows, x, known, loss, refine=bool(done))
+            usable, states = _starts(plant, windows, x, known, loss, refine=bool(done) or ambiguous)
             heard = with_entries(report, stage)
+            if ambiguous:
+                settled = settle(plant, usable, x, states, loss or Loss(), heard)
+                x, states = settled.x, settled.states
             enough = None if part == length else HARDLY
             found = fit(plant, usable, x, states, loss=loss, enough=enough, report=heard)
             if part == length:
@@ -122,12 +129,15 @@ def fit_in_stages(
     return done[-1]
 
 
-def stage_lengths(length: float, usual: float, spacing: float) -> list[float]:
-    """Return window lengths, s: short ones, then the usual one, doubled until the wanted length is reached."""
+def stage_lengths(length: float, usual: float, spacing: float, *, short: bool = True) -> list[float]:
+    """Return window lengths, s: `short` ones, then the usual one, doubled until the wanted length is reached.
+
+    Without short ones where states have several guesses: too few samples tell these apart.
+    """
     lengths = [length]
     while lengths[0] > 2.0 * usual:
         lengths.insert(0, 0.5 * lengths[0])
-    if lengths[0] / FIRST >= FEWEST * spacing:
+    if short and lengths[0] / FIRST >= FEWEST * spacing:
         lengths.insert(0, lengths[0] / FIRST)
     return lengths
 

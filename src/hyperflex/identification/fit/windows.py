@@ -154,6 +154,12 @@ def first_state(t: Array, angles: Array) -> Array:
     return state
 
 
+def nearest_turn(state: Array, guess: Array) -> Array:
+    """Return a state (2n,) with whole turns added to its angles, so that they come near to those of a guess (2n,)."""
+    n = state.size // 2
+    return np.append(state[:n] + 2.0 * np.pi * np.round((guess[:n] - state[:n]) / (2.0 * np.pi)), state[n:])
+
+
 def _value_and_slope(tau: Array, y: Array) -> tuple[float, float]:
     """Return value and slope at 0 of the cubic nearest to y (m,), by least absolute errors: no outlier tilts it."""
     powers = np.vander(tau, min(3, tau.size - 2) + 1, increasing=True)

@@ -141,22 +141,45 @@ def scales(guess: Rope, name: str) -> Array:
     return np.maximum(np.abs(value), typical[FREE_PROPERTIES[name].unit])
 
 
-def perturbed(rope: Rope, off: Mapping[str, float]) -> Rope:
-    """Return the rope with fitted parameters changed, kept within their bounds.
+def perturbed(rope: Rope, moves: Mapping[str, Array], drawn: Array) -> Rope:
+    """Return the rope with fitted parameters changed by what was drawn, kept within their bounds.
 
     Parameters
     ----------
     rope : Rope
         As fitted.
-    off : mapping of str to float
-        Changes by labels such as ``friction[1]``, SI units; of a factor relative. What is none of the rope's is left
-        out.
+    moves : mapping of str to (k,) array
+        Changes by labels such as ``friction[1]`` for each number drawn, SI units; of a factor relative. What is none of
+        the rope's is left out.
+    drawn : (k,) array
+        Standard normal numbers. Where a parameter would cross its bound the nearest to them count that keep it: the
+        others follow, and what is known of all together stays known.
     """
-    owners = {label: FREE_PROPERTIES[parts.name].owner for label in off if (parts := parse_label(label))}
-    own = {label: off[label] for label, owner in owners.items() if owner in ("link", "rope")}
+    owners = {label: FREE_PROPERTIES[parts.name].owner for label in moves if (parts := parse_label(label))}
+    own = [label for label, owner in owners.items() if owner in ("link", "rope")]
     if not own:
         return rope
-    parameters = Parameters(rope, parse(rope, list(own)))
+    parameters = Parameters(rope, parse(rope, own))
     x = parameters.start
-    moved = np.maximum(x + np.array(list(own.values())) / parameters.derivatives(x), parameters.lower)
+    root = np.array([moves[label] for label in own]) / parameters.derivatives(x)[:, None]
+    moved = np.maximum(x + root @ _nearest(drawn, root, parameters.lower - x), parameters.lower)
     return parameters.rope(parameters.rounded(moved))
+
+
+def _nearest(z: Array, root: Array, least: Array) -> Array:
+    """Return the point nearest to z (k,) with root (P, k) @ point >= least (P,), each at most 0.
+
+    Least distance programming by non-negative least squares (Lawson, Hanson, Solving Least Squares Problems, ch. 23).
+    """
+    size = np.linalg.norm(root, axis=1)
+    bounded = np.isfinite(least) & (size > 0.0)
+    sides = root[bounded] / size[bounded, None]
+    lacking = least[bounded] / size[bounded] - sides @ z
+    if (lacking <= 0.0).all():
+        return z
+    from scipy.optimize import nnls
+
+    both = np.vstack([sides.T, lacking])
+    end = np.append(np.zeros(z.size), 1.0)
+    left = both @ nnls(both, end)[0] - end
+    return np.asarray(z - left[:-1] / left[-1])

@@ -60,7 +60,10 @@ class Bootstrap:
         return not self.interrupted and len(self.samples) > 0
 
     def interval(self, name: str, level: float = LEVEL) -> Interval:
-        """Return the percentile interval of parameter or ratio `name` at a `level`; beside bounds see `profile`."""
+        """Return the percentile interval of parameter or ratio `name` at a `level`; beside bounds see `profile`.
+
+        It is of noise alone: ``Identification.intervals`` add errors of the model and of the lengths.
+        """
         values = self._of(name)
         side = 0.5 * (1.0 - checked_level(level))
         if values.size == 0:
@@ -121,7 +124,8 @@ def bootstrap(
     -----
     The fitted windows are simulated from the fitted states and parameters, at the same times, with the same gaps.
     Squares: normal noise of the residuals' variance and autoregression is added. Robust losses: residuals are drawn
-    with replacement and taken as white. Each fit starts from the optimum, so other minima are not found. Cost: `count`
+    with replacement and taken as white. Errors of the model and of the lengths (``Identification.model_std``) are in no
+    draw. Each fit starts from the optimum, so other minima are not found. Cost: `count`
     fits of a few rounds.
     """
     basis = found.basis

@@ -1,7 +1,7 @@
 """Covariance of the parameters (sandwich estimate for robust losses and coloured noise), and intervals from it."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -87,6 +87,15 @@ class Information:
         beyond = np.sqrt(((scaled @ self.unknown) ** 2).sum(axis=1)) > TOUCHED * length
         return np.where(beyond & (length > 0.0), np.inf, np.sqrt(np.maximum(variance, 0.0)))
 
+    def covariances(self, slopes: Array) -> tuple[Array, Array]:
+        """Return the covariance (P, P) of the values, and that of a length factor with these and itself (P + 1,).
+
+        `slopes` (P,) are d value / d x.
+        """
+        lengths = slopes * (self.lengths if self.lengths.size else 0.0)
+        by_length = self.length_error * np.append(lengths, self.length_error)
+        return self.total * np.outer(slopes, slopes) + np.outer(lengths, lengths), by_length
+
     def deviations(self, slopes: Array) -> Array:
         """Return standard deviations (P,) of the values, `slopes` (P,) d value / d x; inf where unknown."""
         own = self.spread(np.diag(slopes))
@@ -101,6 +110,12 @@ class Basis:
     windows: list[Window]
     fit: Fit
     information: Information
+
+    @property
+    def of_noise(self) -> "Basis":
+        """The same, without errors of the model and of the lengths."""
+        information = replace(self.information, model=np.zeros((0, 0)), lengths=np.zeros(0), length_error=0.0)
+        return replace(self, information=information)
 
 
 def not_estimated(plant: Plant, fit: Fit) -> Information:

@@ -38,8 +38,10 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Repor
         for number, k in enumerate(chosen):
             at = {"phase": "profile", "parameter": labels[k], "window": length, "stage": number, "stages": len(chosen)}
             found = profiled(basis, k, level, report=None if report is None else with_entries(report, at))
-            interval = Interval(found.low, found.high, found.kind, found.ends, level, _remark(found))
-            result[labels[k]] = _with_model_error(basis, k, interval) if found.kind == "profile" else interval
+            if found.kind == "profile":
+                interval = Interval(found.low, found.high, found.kind, found.ends, level)
+                result[labels[k]] = _with_model_error(basis, k, interval)
+            result[labels[k]] = replace(result[labels[k]], remark=_remark(found))
     return stop.deliver(result)
 
 

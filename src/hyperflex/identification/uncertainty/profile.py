@@ -35,7 +35,8 @@ class Profile:
     name : str
         Of the parameter, as in ``Identification.parameters``.
     low, high, level : float
-        The interval, SI units, inf where the data set no limit; its confidence level.
+        The interval, SI units, inf where the data set no limit; its confidence level. Of noise alone:
+        ``Identification.intervals`` add errors of the model and of the lengths.
     ends : tuple of str
         Of either end: ``crossed`` where the curve crosses the limit, ``bound`` where the parameter's own bound comes
         first, ``open`` where neither was found (no limit in the data, or the rope cannot be simulated there).
@@ -135,7 +136,7 @@ def profiled(basis: Basis, which: int, level: float, points: int = 0, report: Re
         high = parameter.value(above) if np.isfinite(above) else np.inf
         ends = first, second
     except _BudgetExceeded:
-        kind, interval = "covariance", from_covariance(basis, which, level)
+        kind, interval = "covariance", from_covariance(basis.of_noise, which, level)
         low, high, ends = interval.low, interval.high, interval.ends
     if points:
         walk.fill(points)

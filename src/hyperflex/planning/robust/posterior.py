@@ -25,7 +25,8 @@ class RopePosterior:
     ----------
     rope : Rope
     parameters : tuple of str
-        Names of the P fitted parameters, as in :class:`hyperflex.identification.Identification`.
+        Names of the P fitted parameters, as in :class:`hyperflex.identification.Identification`; after these
+        ``length:factor`` where the lengths, as declared, have an error that others depend on.
     covariance : (P, P) float64
         Of the parameters, SI units; 0 for a parameter that could not be determined.
     factors : dict of str to float
@@ -52,7 +53,7 @@ class RopePosterior:
     def from_identification(cls, fit: "Identification") -> "RopePosterior":
         """Return the posterior of a fit."""
         factors = {name: float(fit.values[name]) for name in fit.parameters if name.endswith(":factor")}
-        covariance, labels = np.asarray(fit.covariance), tuple(fit.parameters)
+        labels, covariance = _with_lengths(tuple(fit.parameters), fit.covariance, fit.length_covariance)
         return cls(fit.rope, labels, covariance, factors, _undetermined(labels, covariance, fit.std))
 
     @classmethod
@@ -66,8 +67,9 @@ class RopePosterior:
             return None
         try:
             names = tuple(str(name) for name in table["parameters"])
-            covariance = np.array(table["covariance"], dtype=np.float64)
+            lengths = table.get("length_covariance", np.zeros(len(names) + 1))
             factors = {name: float(table["values"][name]) for name in names if name.endswith(":factor")}
+            names, covariance = _with_lengths(names, table["covariance"], lengths)
             undetermined = _undetermined(names, covariance, table.get("std", {}))
         except (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
             missing = f"the key {str(error)[:60]}" if isinstance(error, KeyError) else "a value of the right kind"
@@ -87,11 +89,21 @@ class RopePosterior:
         return _properties(self.undetermined)
 
     def sample(self, rng: np.random.Generator) -> Rope:
-        """Sample a rope; parameters that cannot be negative are clipped at 0."""
-        sizes, directions = np.linalg.eigh(self.covariance)
-        off = directions @ (np.sqrt(np.maximum(sizes, 0.0)) * rng.standard_normal(sizes.size))
-        off /= [self.factors.get(label, 1.0) for label in self.parameters]
-        return perturbed(self.rope, dict(zip(self.parameters, off.tolist(), strict=True)))
+        """Sample a rope; where parameters would be negative that cannot be, the nearest draw that leaves them at 0."""
+        std = np.sqrt(np.diag(self.covariance))
+        scale = np.where(std > 0.0, std, 1.0)
+        sizes, directions = np.linalg.eigh(self.covariance / np.outer(scale, scale))
+        root = scale[:, None] * directions * np.sqrt(np.maximum(sizes, 0.0))
+        root /= np.array([self.factors.get(label, 1.0) for label in self.parameters])[:, None]
+        return perturbed(self.rope, dict(zip(self.parameters, root, strict=True)), rng.standard_normal(std.size))
+
+
+def _with_lengths(labels: tuple[str, ...], covariance: Any, lengths: Any) -> tuple[tuple[str, ...], Array]:
+    """Return labels and covariance (P, P), with those of a factor on all lengths, (P + 1,), if it has an error."""
+    own, border = np.atleast_2d(np.array(covariance, dtype=np.float64)), np.array(lengths, dtype=np.float64)
+    if own.shape != (len(labels),) * 2 or border.shape != (len(labels) + 1,) or not border[-1] > 0.0:
+        return labels, own
+    return (*labels, "length:factor"), np.block([[own, border[:-1, None]], [border[None, :]]])
 
 
 def _properties(labels: Sequence[str]) -> tuple[str, ...]:

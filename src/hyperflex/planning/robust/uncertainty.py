@@ -89,6 +89,8 @@ class Uncertainty:
         of that normal distribution.
     timing : float
         Standard deviation of each move's start, s; normal, independent; no move starts before the last one has ended.
+    place : float
+        Standard deviation of each coordinate of the target's place, m; normal, independent.
     posterior : RopePosterior, optional
         Identified rope: ropes are sampled from its covariance, and then multiplied by the factors above.
 
@@ -109,6 +111,7 @@ class Uncertainty:
     mu: float = 0.10
     lag: float = 0.010
     timing: float = 0.002
+    place: float = 0.0
     posterior: RopePosterior | None = None
 
     def __post_init__(self) -> None:
@@ -150,6 +153,7 @@ class Uncertainty:
         """Return in words what is uncertain, and where that comes from."""
         usual = [f"{name} {100 * getattr(self, name):.2g} %" for name in RELATIVE if getattr(self, name)]
         usual += [f"{name} {1e3 * getattr(self, name):.2g} ms" for name in TIMES if getattr(self, name)]
+        usual += [f"place {1e3 * self.place:.2g} mm"] if self.place else []
         assumed = f"as a usual identification leaves it: {', '.join(usual)}" if usual else ""
         if self.posterior is None:
             return assumed or "nothing"
@@ -178,7 +182,8 @@ class Uncertainty:
         if rope.n_links != cast_setup.rope.n_links:
             links = f"{cast_setup.rope.n_links} links, as thrown"
             raise InvalidInput("posterior is of another rope", got=rope.n_links, allowed=links)
-        target = replace(peg, mu=peg.mu * float(factors[3]))
+        x, y = np.array([peg.x, peg.y]) + self.place * rng.standard_normal(2)
+        target = replace(peg, x=float(x), y=float(y), mu=peg.mu * float(factors[3]))
         return Scenario(scaled_rope(rope, *factors[:3]), target, lag, delays)
 
 

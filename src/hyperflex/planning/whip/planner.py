@@ -1,171 +1,33 @@
 """Plan a whip: swings of a map are aimed at the target one after the other, and the best ones are verified."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import caught, interruptible
-from hyperflex.model import Arm, Rope, divided
+from hyperflex.model import Arm, Rope
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
-from hyperflex.planning.time_budget import Clock, OutOfTime
-from hyperflex.planning.whip.aim import AimedPeak, aim_peak
-from hyperflex.planning.whip.outcome import TipStrike, verify_whip
+from hyperflex.planning.time_budget import Clock
+from hyperflex.planning.tip.planner import TipPlanner
 from hyperflex.planning.whip.search import (
     WhipFeasibility,
     WhipMap,
-    WhipSearch,
     build_whip_map,
     check_whip_feasibility,
     pivot_distance,
 )
+from hyperflex.planning.whip.task import WhipTask
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.planning.whip.whip_plan import WhipPlan
 from hyperflex.progress import progress_bar
-from hyperflex.simulation import Deadline
 
-MAPPING, SEARCHING = 0.4, 0.8  # fractions of the time for the map, and after which whips are only verified
+MAPPING = 0.4  # fraction of the time for the map
 TIME_BUDGET, PERIODS = 30.0, 3.0  # s; swing periods within which the tip strikes by default
-DIRECT = 8  # peaks of the map that are aimed as they are
-READY, GENERATIONS = 0.06, 16  # m, cost below which a swing is aimed; generations of a search before
-PLANS = 3  # whips that meet the target, of which the least uncertain one that succeeds is taken
-MAX_MISS = 1e-3  # m
-# m. A rope with finer links is another model of the same rope, and no plan can meet both within MAX_MISS. Its miss
-# counts if it is more than a few times that, and more than the standard deviation of the place.
-MAX_FINER_MISS = 3.0 * MAX_MISS
-FINER = 2  # pieces of each link in the second verification
-
-
-class Verified(NamedTuple):
-    """A whip with its outcomes, with the links as planned and half as long; the message tells why it fails."""
-
-    aim: AimedPeak
-    outcome: TipStrike | None
-    finer_outcome: TipStrike | None
-    message: str
-
-
-class WhipPlanner:
-    """Aims swings of a map until enough of them meet the target or the `time_budget`, s without compiling, is over."""
-
-    def __init__(
-        self, whip_map: WhipMap, target: TipTarget, time_budget: float, seed: int, threads: int | None
-    ) -> None:
-        self.whip_map, self.target, self.time_budget = whip_map, target, time_budget
-        self.seed, self.threads = seed, threads
-        self.cast_setup = whip_map.cast_setup
-        self.finer = replace(self.cast_setup, rope=divided(self.cast_setup.rope, FINER))
-        self.clock, self.runs = Clock(), 0
-        self.end = Deadline(math.inf, lambda: self.time_budget - self.clock.spent)
-        self.aims: list[AimedPeak] = []
-        self._best: Verified | None = None
-        self._unverified = "interrupted before it was verified"
-
-    def left(self) -> float:
-        """Return the time that is left for the search, s."""
-        return SEARCHING * self.time_budget - self.clock.spent
-
-    def run(self, report: Callable[[], None] | None) -> None:
-        """Aim until there are enough whips, or no time is left; `report` is called after each."""
-        candidates = self.whip_map.candidates(self.target)
-        for found in candidates[:DIRECT]:
-            if self.add(aim_peak(self.cast_setup, self.target, found, self.left), report):
-                return
-        for number, found in enumerate(candidates):
-            search = WhipSearch(self.cast_setup, self.target, found, self.seed + number, self.threads)
-            for _ in range(GENERATIONS):
-                if search.best.cost < READY or self.left() < 0.0:
-                    break
-                search.step()
-            self.runs += search.runs
-            if self.add(aim_peak(self.cast_setup, self.target, search.best, self.left), report):
-                return
-
-    def add(self, aim: AimedPeak | None, report: Callable[[], None] | None) -> bool:
-        """Keep a whip; return whether there are enough, or no time is left."""
-        if aim is not None:
-            self.aims.append(aim)
-            self.aims.sort(key=self.rank)
-        if report is not None:
-            report()
-        return self.left() < 0.0 or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
-
-    def rank(self, aim: AimedPeak) -> tuple[float, float]:
-        """By how much a whip fails, then how uncertain it is; less is better."""
-        miss = float(np.hypot(*(aim.place - self.target.point)))
-        beyond = max(0.0, abs(float(self.target.angle_error(aim.velocity))) - self.target.angle_tolerance)
-        slow = max(0.0, 1.0 - aim.speed / self.target.least_speed)
-        return max(0.0, miss - MAX_MISS) + beyond + slow, aim.position_std
-
-    def verify(self) -> None:
-        """Verify the best whip, and while none succeeds those after it that meet the target by the search.
-
-        The best is then the first that succeeds, else the first.
-        """
-        for number, aim in enumerate(self.aims[:PLANS]):
-            if number and self.rank(aim)[0] > 0.0:
-                break
-            try:
-                seen = verify_both(self.cast_setup, self.finer, self.target, aim, self.end)
-            except OutOfTime:
-                self._unverified = "the time budget ended before it was verified"
-                break
-            if number == 0 or not seen.message:
-                self._best = seen
-            if not seen.message:
-                break
-
-    @property
-    def best(self) -> Verified | None:
-        """The best whip, verified or not yet; None if no whip was found."""
-        if self._best is None and self.aims:
-            return Verified(self.aims[0], None, None, self._unverified)
-        return self._best
-
-
-def verify_both(
-    cast_setup: CastSetup, finer: CastSetup, target: TipTarget, aim: AimedPeak, end: Deadline | None = None
-) -> Verified:
-    """Simulate a whip at a tight tolerance, with the links as planned and with those of a finer set-up.
-
-    Raises OutOfTime at the `end`.
-    """
-    motion = aim.strokes.motion(cast_setup.limits)
-    outcome, again = (verify_whip(each, target, motion, aim.t, time_budget=end) for each in (cast_setup, finer))
-    return Verified(aim, outcome, again, failure(cast_setup, outcome, again, aim.position_std))
-
-
-def failure(cast_setup: CastSetup, outcome: TipStrike | None, finer: TipStrike | None, position_std: float) -> str:
-    """Return why a whip fails, empty if it succeeds; `position_std` is the standard deviation of its place, m."""
-    if outcome is None:
-        return "in the verified run the tip's speed has no peak there"
-    if outcome.message:
-        return outcome.message
-    if outcome.miss > MAX_MISS:
-        return f"the tip misses the target by {1e3 * outcome.miss:.1f} mm"
-    if asked := _too_much(cast_setup, outcome):
-        return asked
-    if finer is None:
-        return "with links of half the length the tip's speed has no peak there"
-    if refused := finer.refused or _too_much(cast_setup, finer):
-        return f"with links of half the length {refused}"
-    allowed = max(MAX_FINER_MISS, position_std)
-    if finer.miss > allowed:
-        return f"with links of half the length it misses by {1e3 * finer.miss:.1f} mm, {1e3 * allowed:.1f} allowed"
-    return ""
-
-
-def _too_much(cast_setup: CastSetup, outcome: TipStrike) -> str:
-    """Return that a whip asks more of the motor than it gives; empty if it does not."""
-    if outcome.torque <= cast_setup.limits.torque:
-        return ""
-    return f"it asks {outcome.torque:.3g} N m of a motor that gives {cast_setup.limits.torque:.3g}"
 
 
 @interruptible(WhipPlan)
@@ -239,7 +101,8 @@ def plan_whip(
         known = check_whip_feasibility(whip_map, target)
         if math.isfinite(known.cost) and (known.feasible or skip_feasibility):
             left = max(0.0, time_budget - clock.spent)
-            planner = WhipPlanner(replace(whip_map, cast_setup=cast_setup), target, left, seed, threads)
+            task = WhipTask(replace(whip_map, cast_setup=cast_setup), target)
+            planner = TipPlanner(task, left, seed, threads)
             planner.run(None if report is None else lambda: report(min(clock.spent, time_budget)))
             planner.verify()
     found: dict[str, Any] = {"seconds": clock.elapsed, "interrupted": stop.met}

@@ -1,48 +1,25 @@
-"""The search for a whip: a map of the peaks of random swings, the feasibility check by it, and CMA-ES from a peak."""
+"""The map of a whip: peaks of the tip's speed in random swings, and the feasibility check by it."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from hyperflex.checks import Array
-from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.search.evolution import cma_es
-from hyperflex.planning.search.rollouts import RolloutBatch
-from hyperflex.planning.whip.strokes import Strokes
-from hyperflex.planning.whip.tip_target import (
-    NEVER,
-    Peaks,
-    TipTarget,
-    cheapest_peaks,
-    find_peaks,
-    peak_costs,
-    tip_velocity,
-)
+from hyperflex.planning.tip.strokes import Strokes
+from hyperflex.planning.tip.swings import random_swings, simulate_swings
+from hyperflex.planning.tip.task import TipCandidate
+from hyperflex.planning.whip.tip_target import Peaks, TipTarget, cheapest_peaks, find_peaks, peak_costs, tip_velocity
 
-SAMPLE_TIME, COARSE_TOL = 0.02, 1e-3  # s, m: of swings in a search
-SWINGS, SEED = 512, 1  # of a map
+SAMPLE_TIME = 0.02  # s: of swings in a search
+SWINGS = 512  # of a map
 TOGETHER = 64  # swings of a map between two looks at the time
-STROKES, STEPS = (0.3, 1.1), (0.35, 0.65)  # half turns; periods from stroke to stroke: means of a map's swings
-SPREAD_ENDS, SPREAD_RESTS = 0.15, 0.06  # half turns, periods: standard deviations in a swing of the map
-MEMBERS = 16  # of a generation
 MIN_TIME = 2.0 * SAMPLE_TIME  # s; a peak needs three samples
-NARROW = 0.3  # step size of CMA-ES about a peak, relative to the map's standard deviations
 MAX_COST = 0.12  # m, cost of the cheapest peak of the map up to which a target is feasible
 AROUND = 0.25  # m, within which the highest speed is reported
-
-
-class WhipCandidate(NamedTuple):
-    """Strokes with their cost, m, and the time of their peak, s."""
-
-    cost: float
-    t: float
-    strokes: Strokes
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +38,11 @@ class WhipMap:
     strokes: tuple[Strokes, ...]
     peaks: Peaks
 
-    def candidates(self, target: TipTarget) -> list[WhipCandidate]:
+    def candidates(self, target: TipTarget) -> list[TipCandidate]:
         """Return the cheapest peak of each swing for a `target`, the cheapest first."""
         cost, t = peak_costs(target, self.peaks), self.peaks.t
         best = cheapest_peaks(cost, self.peaks.row, len(self.strokes))
-        found = [WhipCandidate(float(cost[k]), float(t[k]), self.strokes[self.peaks.row[k]]) for k in best if k >= 0]
+        found = [TipCandidate(float(cost[k]), float(t[k]), self.strokes[self.peaks.row[k]]) for k in best if k >= 0]
         return sorted(found, key=lambda one: one.cost)
 
 
@@ -114,11 +91,7 @@ def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibil
 
 def simulate_peaks(cast_setup: CastSetup, strokes: list[Strokes], threads: int | None = None) -> Peaks:
     """Simulate free swings from rest and find the peaks of the tip's speed."""
-    t = np.asarray(SAMPLE_TIME * np.arange(round(cast_setup.time / SAMPLE_TIME) + 1.0))
-    motions = [each.motion(cast_setup.limits) for each in strokes]
-    swings = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(motions), [], motions)
-    batch = swings.run(cast_setup.arm, t, tol=COARSE_TOL, keep=("tip", "q", "qd"), threads=threads)
-    angle, rate = (np.stack(each) for each in zip(*((m.angle(t), m.rate(t)) for m in motions), strict=True))
+    t, batch, angle, rate = simulate_swings(cast_setup, strokes, SAMPLE_TIME, threads)
     return find_peaks(t, batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate))
 
 
@@ -152,17 +125,7 @@ def build_whip_map(
             got=cast_setup.time,
             allowed=f"at least {MIN_TIME:g} s; three periods of the rope's swing are usual",
         )
-    rng, limits, period = np.random.default_rng(SEED), cast_setup.limits, swing_period(cast_setup.rope)
-    strokes = []
-    for number in range(swings):
-        side = 1 if number % 2 else -1
-        stroke, step = np.pi * rng.uniform(*STROKES), period * rng.uniform(*STEPS)
-        rest = max(0.0, step - float(limits.fastest_moves([stroke])[0][0]))
-        count = max(1, int(np.ceil(cast_setup.time / step)))
-        ends = 0.5 * side * np.pi - side * stroke * (np.arange(count) % 2 == 0)
-        ends = ends + np.pi * SPREAD_ENDS * rng.standard_normal(count)
-        rests = np.abs(rest + period * SPREAD_RESTS * rng.standard_normal(count))
-        strokes.append(Strokes(side, ends, rests))
+    strokes = random_swings(cast_setup, swings)
     found: list[Peaks] = []
     for low in range(0, swings, TOGETHER):
         if found and left() < 0.0:
@@ -171,37 +134,3 @@ def build_whip_map(
         some = simulate_peaks(cast_setup, strokes[low : low + TOGETHER], threads)
         found.append(some._replace(row=some.row + low))
     return WhipMap(cast_setup, tuple(strokes), Peaks(*map(np.concatenate, zip(*found, strict=True))))
-
-
-class WhipSearch:
-    """CMA-ES over strokes, about a swing that nearly meets a target; keeps the best and counts the runs."""
-
-    def __init__(
-        self, cast_setup: CastSetup, target: TipTarget, begin: WhipCandidate, seed: int = 0, threads: int | None = None
-    ) -> None:
-        self.cast_setup, self.target, self.threads = cast_setup, target, threads
-        self.best, self.runs = begin, 0
-        k = begin.strokes.ends.size
-        self._scale = np.repeat([np.pi, swing_period(cast_setup.rope)], k)
-        spread = np.repeat([SPREAD_ENDS, SPREAD_RESTS], k)
-        random = np.random.default_rng([SEED, seed])
-        self._optimizer = cma_es(begin.strokes.parameters / self._scale, NARROW, spread, MEMBERS, random)
-
-    def step(self) -> float:
-        """Simulate one generation; return the least cost so far, m."""
-        points = self._optimizer.ask()
-        strokes = [self._strokes(x) for x in points]
-        peaks = simulate_peaks(self.cast_setup, strokes, self.threads)
-        each = peak_costs(self.target, peaks)
-        best = cheapest_peaks(each, peaks.row, len(points))
-        cost = np.where(best >= 0, each[best], NEVER)
-        self._optimizer.tell(points, list(cost))
-        self.runs += len(points)
-        k = int(cost.argmin())
-        if cost[k] < self.best.cost:
-            self.best = WhipCandidate(float(cost[k]), float(peaks.t[best[k]]), strokes[k])
-        return self.best.cost
-
-    def _strokes(self, x: Array) -> Strokes:
-        ends, rests = np.split(np.asarray(x, dtype=np.float64) * self._scale, 2)
-        return Strokes(self.best.strokes.side, ends, np.abs(rests))

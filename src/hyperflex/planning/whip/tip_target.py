@@ -15,7 +15,6 @@ ANGLE_MARGIN, SPEED_MARGIN = 0.6, 1.05  # of the allowed angle and the asked spe
 ANGLE_COST, SPEED_COST = 0.3, 1.0  # m/rad; m per missing fraction of the speed
 EARLIER_COST = 0.5  # m per fraction by which a peak is lower than an earlier one
 TIME_COST = 0.004  # m/s: of equal whips the sooner one is less uncertain
-NEVER = 10.0  # m, cost of a swing without a peak
 
 
 @dataclass(frozen=True)

@@ -2,23 +2,23 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from hyperflex.model import Setup
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.plan import Plan
+from hyperflex.planning.tip.stroke_plan import StrokePlan
+from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.verification import verified_setup
 from hyperflex.planning.whip.impact import IMPACT_RADIUS, Impact, simulate_impact
 from hyperflex.planning.whip.outcome import WINDOW, TipStrike
 from hyperflex.planning.whip.search import WhipFeasibility
-from hyperflex.planning.whip.strokes import Strokes
 from hyperflex.planning.whip.tip_target import TipTarget
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class WhipPlan(Plan):
+class WhipPlan(StrokePlan):
     """A planned whip, or why there is none.
 
     Attributes
@@ -35,7 +35,7 @@ class WhipPlan(Plan):
     finer_outcome : TipStrike or None
         The same with links of half the length.
     position_std : float
-        Standard deviation of the place of the peak, m, for a rope known as :mod:`hyperflex.planning.whip.aim` assumes;
+        Standard deviation of the place of the peak, m, for a rope known as :mod:`hyperflex.planning.tip.aim` assumes;
         NaN without strokes.
     """
 
@@ -51,16 +51,6 @@ class WhipPlan(Plan):
     runs: int = 0
     seconds: float = 0.0
     interrupted: bool = False
-
-    @property
-    def moves(self) -> Strokes | None:
-        """The strokes."""
-        return self.strokes
-
-    @property
-    def refuted(self) -> bool:
-        """Whether a simulated run shows that the plan fails."""
-        return self.outcome is not None and not self.success
 
     def setup(self) -> Setup:
         """Return the set-up of a run until after the peak, or until the arm stops if nothing was verified."""
@@ -78,10 +68,3 @@ class WhipPlan(Plan):
             target = replace(target, direction=float(np.arctan2(*outcome.velocity[::-1])))
         motion = self.required(self.motion, "motion")
         return simulate_impact(self.cast_setup, target, motion, outcome.t, radius=radius, mu=mu)
-
-    def summary(self) -> dict[str, Any]:
-        """Return the plan in figures, for JSON: its fields, and each stroke's start, s, and the arm's angles, rad."""
-        if self.strokes is None:
-            return super().summary()
-        limits = self.cast_setup.limits
-        return super().summary() | {"starts": self.strokes.starts(limits), "angles": self.strokes.angles(limits)}

@@ -1,0 +1,133 @@
+"""What was declared or held, and does not fit or cannot be tested, in sentences."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hyperflex.identification.diagnosis.score_tests import EQUAL, ScoreTest
+from hyperflex.identification.diagnosis.window_tests import DRIFT
+
+UNTESTED = 0.05  # standard deviation of gravity's factor, if it were free
+TESTED = 0.005  # the same: lengths that are 1 % off show
+NEAR = 0.03  # of a factor by which frame rates are often wrong
+TOLD = ("gravity_angle", "delay")  # believed, these are told with their value even where they hardly matter
+DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
+UNTOLD_CLOCK = (
+    "If they are wrong, moments and inertias are as well (a clock 1 % off makes J/p1 2 % off): check the frame rate."
+)
+UNTOLD_SCALE = (
+    "times and lengths are tested against each other alone: with a clock 1 % off and all lengths 2 % off a rope moves "
+    "exactly alike, and J/p1 is 2 % off. Check the frame rate, or one length."
+)
+MEANT = {"gravity_scale": "times or lengths", "gravity_angle": "the zero of the angles", "delay": "the motion"}
+
+
+def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
+    """Return what was declared or held, does not fit and matters; the one that explains most, with its equals."""
+    believed = [each for each in tests if each.believed and each.matters]
+    if not believed:
+        return []
+    first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - EQUAL]
+    part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
+    if first.freed_with:
+        part += f" that is left with {' and '.join(repr(name) for name in first.freed_with)} free"
+    value = float(first.values[0])
+    names = " or ".join(f"'{name}'" for name in equals if name not in DECLARED)
+    if first.name == "gravity_scale":
+        clock = float(np.sqrt(value))
+        said = (
+            f"times or lengths are not as declared: {part} go away if times are multiplied by {clock:.3g}"
+            f"{_frames(clock)}, or lengths divided by {value:.3g}. Check the clock or frame rate, the scale, and the "
+            "lengths of the guess."
+        )
+    elif first.name == "gravity_angle":
+        said = (
+            f"the zero of the angles is off by {np.degrees(value):.3g} degrees: without that, {part} go away. Check "
+            "the zero, level the camera, or put 'gravity_angle' into free."
+        )
+    elif first.name == DRIFT:
+        said = (
+            f"the clock drifts, or something changes over the recording: {part} go away if times run "
+            f"{percent(0.5 * abs(value))} {'slower' if value < 0.0 else 'faster'} at its end than at its beginning. "
+            "Check the time stamps, or fit parts of the recording on their own."
+        )
+    elif first.name == "delay":
+        said = f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free."
+    else:
+        said = (
+            f"what is held does not fit: with {names} free, {part} go away, and ratios move by up to "
+            f"{percent(first.moved)}. Put it into free."
+        )
+    return [said]
+
+
+def slightly(tests: Sequence[ScoreTest]) -> list[str]:
+    """Return what seems declared wrongly, but so little that ratios hardly move or something else may explain it."""
+    said = []
+    for each in tests:
+        if each.slight and each.believed:
+            names = " and ".join(repr(name) for name in each.freed_with)
+            beside = f", if {names} {'is' if len(each.freed_with) == 1 else 'are'} free as well" if names else ""
+            said.append(
+                f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}; "
+                f"ratios would move by up to {percent(each.moved)}."
+            )
+        if (each.suspected or (each.covered and each.name not in (*TOLD, DRIFT))) and not each.freed_with:
+            said.append(
+                f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
+                f"residuals' sum of squares go away, and ratios move by up to {percent(each.moved)}. Standard "
+                "deviations hold that."
+            )
+        if each.name == DRIFT and each.refitted and not (each.believed and each.matters):
+            said.append(
+                f"the clock seems to drift by {percent(0.5 * abs(float(each.values[0])))} over the recording; ratios "
+                f"would move by up to {percent(each.moved)}. Standard deviations hold that."
+            )
+        if not each.believed or each.matters or each.name not in TOLD:
+            continue
+        value, part = float(each.values[0]), f"{100.0 * each.gain:.3g} % of the residuals' sum of squares"
+        what = f"the zero of the angles seems off by {np.degrees(value):.2g} degrees"
+        if each.name == "delay":
+            what = f"the motion seems {value:.2g} s off"
+        said.append(f"{what}: without that, {part} go away. Put '{each.name}' into free.")
+    return said
+
+
+def _frames(factor: float) -> str:
+    """Return what a factor of the times may come from."""
+    for usual, words in ((2.0, "half"), (0.5, "twice")):
+        if abs(factor / usual - 1.0) < NEAR:
+            return f" (as if the frame rate were {words} of what was declared)"
+    return ""
+
+
+def untested(tests: Sequence[ScoreTest]) -> list[str]:
+    """Return that this motion cannot show a wrong clock or wrong lengths, where it cannot."""
+    scale = next((each for each in tests if each.name == "gravity_scale"), None)
+    if scale is None or scale.std <= TESTED:
+        return []
+    if scale.std > UNTESTED:
+        return [f"times and lengths are taken as declared: this motion cannot test them. {UNTOLD_CLOCK}"]
+    if scale.ratio_sensitivity == 0.0:
+        return []
+    words = (
+        "times and lengths are taken as exact, but for length_std: this motion shows no error below "
+        f"{200.0 * scale.std:.2g} % of the lengths, and 1 % would move ratios by up to "
+        f"{percent(scale.ratio_sensitivity)}."
+    )
+    return [words]
+
+
+def untold(tests: Sequence[ScoreTest], *, alike: bool) -> list[str]:
+    """Return by how much each per cent counts that a clock and lengths may be off without any motion showing it.
+
+    `alike`: whether a longer and slower rope moves exactly alike. Where the motion tests neither, :func:`untested`
+    says so.
+    """
+    tested = any(each.name == "gravity_scale" and each.std <= UNTESTED for each in tests)
+    return [UNTOLD_SCALE] if alike and tested else []
+
+
+def percent(part: float) -> str:
+    """Return a part in per cent: two digits, and no more than 1000 %, beyond which a number tells nothing."""
+    return "1000 % and more" if part > 10.0 else f"{float(f'{100.0 * part:.2g}'):g} %"

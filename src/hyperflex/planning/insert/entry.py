@@ -1,0 +1,186 @@
+"""How the tip enters a slot after strokes, with exact derivatives by them, and what lacks to an entry in its middle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import sampled_clearance
+from hyperflex.planning.insert.slot import Slot, find_crossings, frame, passages
+from hyperflex.planning.tip.aim import GRID, WINDOW, position_std, swing_derivatives
+from hyperflex.planning.tip.strokes import Strokes
+from hyperflex.planning.tip.task import Aimed
+from hyperflex.simulation import Sensitivities
+
+LEVELS = (0.0, 0.5, 1.0)  # of the depth asked, at which the rope shall be in the middle of the gap
+DEEPER = 1.1  # times the depth asked, that the tip shall reach
+MARGIN = 0.5  # of the gap beside the rope
+SAMPLE_TIME, CLOSELY = 0.01, 0.4  # s: between samples but for the last; those lie GRID apart
+SPARSE = 4  # samples of which one is looked at for the arm's clearance
+BESIDE = 0.01  # m, from walls that other parts of the rope shall keep
+
+
+@dataclass(frozen=True, eq=False)
+class Entry(Aimed):
+    """A way of the tip through a slot until it is as deep as asked, or deepest, at time `t`.
+
+    `offset` (3,), m, is where the rope crosses the line of the walls with the tip at LEVELS of the depth asked,
+    `depth`, m, the greatest that the tip reaches, and `gap`, m, the least distance from the walls of all the rope but
+    what follows the tip through. `doffset` (3, P), `ddepth` and `dgap` (P,) are their derivatives. `clearance`, m, is
+    the least distance of the rope from its own arm.
+    """
+
+    offset: Array
+    depth: float
+    gap: float
+    doffset: Array
+    ddepth: Array
+    dgap: Array
+    clearance: float
+
+
+class _Run:
+    """A run with derivatives in the frame of a slot."""
+
+    def __init__(self, cast_setup: CastSetup, slot: Slot, run: Sensitivities) -> None:
+        self.slot, self.run, self.rope = slot, run, cast_setup.rope
+        self.ways = self.rope.length[:, None] * np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
+        back = np.cumsum(self.ways[:, ::-1], axis=1)[:, ::-1]
+        self.joints = np.concatenate([run.tip[:, None] - back, run.tip[:, None]], axis=1)
+        self.depth, self.offset = frame(slot, self.joints)
+        self.crossings = find_crossings(slot, self.rope.radius, self.depth, self.offset)
+
+    def changes(self, row: int) -> tuple[Array, Array]:
+        """Return derivatives of depth and offset of all joints (n + 1, P + 2) at a row."""
+        way, dq = self.ways[row], self.run.dq[row]
+        moved = np.stack([-way[:, 1], way[:, 0]], axis=-1)[:, :, None] * dq[:, None]
+        moved[..., -2] += way  # by a factor of the length
+        after = np.cumsum(moved[::-1], axis=0)[::-1]
+        dtip = self.run.dtip[row]
+        both = np.einsum("ax,jxp->ajp", self.slot.axes, np.concatenate([dtip - after, dtip[None]]))
+        return both[0], both[1]
+
+    def at(self, k: int) -> tuple[float, Array]:
+        """Return the offset of a crossing and its derivatives (P + 2,)."""
+        row, link = int(self.crossings.row[k]), int(self.crossings.link[k])
+        (d, u), (dd, du) = (self.depth[row], self.offset[row]), self.changes(row)
+        sides = slice(link, link + 2)
+        return _at_level(0.0, d[sides], u[sides], dd[sides], du[sides])[2:]
+
+    def mouth(self, row: int) -> tuple[float, Array] | None:
+        """Return the offset of the crossing that follows the tip through, and its derivatives; None without one."""
+        found = np.flatnonzero(self.crossings.tip & (self.crossings.row == row))
+        return self.at(int(found[0])) if found.size else None
+
+
+def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float) -> Entry | None:
+    """Find the way of the tip through a slot that ends next to time `near`, s; None if there is none."""
+    closely = max(GRID, near - CLOSELY)
+    t = np.append(np.arange(SAMPLE_TIME, closely - GRID, SAMPLE_TIME), np.arange(closely, near + WINDOW, GRID))
+    derivatives = swing_derivatives(cast_setup, strokes, t)
+    if derivatives is None:
+        return None
+    run = _Run(cast_setup, slot, derivatives)
+    depth = run.depth[:, -1]
+    found = list(zip(passages(depth, slot.depth), passages(depth, DEEPER * slot.depth), strict=True))
+    if not found:
+        return None
+    (begin, end), (_, deepest) = min(found, key=lambda way: abs(t[way[0][1]] - near))
+    told = [at for level in LEVELS if (at := _at_depth(run, level * slot.depth, begin, end)) is not None]
+    if len(told) < len(LEVELS):
+        return None
+    late, dlate, _, _ = told[-1]
+    doffset = np.array([each[3] for each in told])
+    gap, dgap = _least_gap(run, begin, end)
+    return Entry(
+        strokes,
+        float(t[end] + (late - 1.0) * (t[end] - t[end - 1])),
+        dlate[:-2] * (t[end] - t[end - 1]),
+        position_std(doffset / np.sqrt(len(LEVELS))),
+        offset=np.array([each[2] for each in told]),
+        depth=float(depth[deepest]),
+        gap=gap,
+        doffset=doffset[:, :-2],
+        ddepth=run.changes(deepest)[0][-1, :-2],
+        dgap=dgap[:-2],
+        clearance=sampled_clearance(
+            cast_setup.rope, cast_setup.arm, *(each[::SPARSE] for each in (derivatives.q, run.joints[:, 0]))
+        ),
+    )
+
+
+def _at_depth(run: _Run, level: float, begin: int, end: int) -> tuple[float, Array, float, Array] | None:
+    """Return when the tip is at a depth, in samples after the one before, and the rope's offset, with derivatives.
+
+    Where the depth is not reached, or in the first sample beyond the walls, they are those at that sample.
+    """
+    depth = run.depth[:, -1]
+    reached = np.flatnonzero(depth[begin : end + 1] >= level)
+    row = begin + int(reached[0]) if reached.size else end
+    if level > 0.0 and (row == begin or not reached.size):
+        found = run.mouth(row)
+        return None if found is None else (1.0, np.zeros(found[1].size), *found)
+    (deep0, across0), (deep1, across1) = run.changes(row - 1), run.changes(row)
+    first: tuple[float, Array] | None = (float(run.offset[row - 1, -1]), across0[-1])
+    last: tuple[float, Array] | None = (float(run.offset[row, -1]), across1[-1])
+    if level > 0.0:
+        first, last = run.mouth(row - 1), run.mouth(row)
+    if first is None or last is None:
+        return None
+    offset, doffset = (np.array(each) for each in zip(first, last, strict=True))
+    return _at_level(level, depth[row - 1 : row + 1], offset, np.array([deep0[-1], deep1[-1]]), doffset)
+
+
+def _least_gap(run: _Run, begin: int, end: int) -> tuple[float, Array]:
+    """Return the least gap until the row `end`, and its derivatives; what follows the tip from `begin` on is left out.
+
+    It is infinite without any.
+    """
+    found = run.crossings
+    other = np.flatnonzero((found.row <= end) & ~(found.tip & (found.row >= begin)))
+    if not other.size:
+        return np.inf, np.zeros(run.run.dq.shape[2])
+    k = int(other[found.gap[other].argmin()])
+    offset, doffset = run.at(k)
+    outwards = np.sign(offset) * (1.0 if abs(offset) > 0.5 * (run.slot.width + run.slot.wall) else -1.0)
+    return float(found.gap[k]), outwards * doffset
+
+
+def _at_level(level: float, a: Array, b: Array, da: Array, db: Array) -> tuple[float, Array, float, Array]:
+    """Interpolate b (2,) to where a (2,) is at a level, along the line between both.
+
+    Returns the part of the way from the first to the second, its derivatives, the value of b, and its derivatives, from
+    those of a and b (2, P).
+    """
+    part = float((level - a[0]) / (a[1] - a[0]))
+    dpart = -((1.0 - part) * da[0] + part * da[1]) / (a[1] - a[0])
+    value = float(b[0] + part * (b[1] - b[0]))
+    return part, dpart, value, (1.0 - part) * db[0] + part * db[1] + (b[1] - b[0]) * dpart
+
+
+def entry_residuals(slot: Slot, entry: Entry) -> tuple[Array, Array]:
+    """Return the residuals (m,), m, and their Jacobian (m, P): the offsets, and depth and other gaps if they fail."""
+    residuals, jacobian = [*entry.offset], [*entry.doffset]
+    for value, wanted, change in (
+        (entry.depth, DEEPER * slot.depth, entry.ddepth),
+        (entry.gap, BESIDE, entry.dgap),
+    ):
+        if value < wanted:
+            residuals.append(value - wanted)
+            jacobian.append(change)
+    return np.array(residuals), np.array(jacobian)
+
+
+def entry_shortfall(cast_setup: CastSetup, slot: Slot, entry: Entry) -> float:
+    """Return by how much an entry fails, m: in the gap beside the rope, its depth, other gaps and the arm's clearance.
+
+    At least MARGIN of the gap beside a rope in its middle shall be left.
+    """
+    room = 0.5 * slot.width - cast_setup.rope.radius
+    return float(
+        max(0.0, np.abs(entry.offset).max() - (1.0 - MARGIN) * room)
+        + max(0.0, slot.depth - entry.depth)
+        + max(0.0, -entry.gap)
+        + max(0.0, cast_setup.clearance - entry.clearance)
+    )

@@ -1,0 +1,107 @@
+"""Plan an insertion: random swings that nearly enter the slot are aimed one by one, and the best are verified."""
+
+from typing import Any
+
+from hyperflex import checks
+from hyperflex.control import swing_period
+from hyperflex.interruption import caught, interruptible
+from hyperflex.model import Arm, Rope
+from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.insert.chance import SAMPLES, estimate_insert_probability
+from hyperflex.planning.insert.insert_plan import InsertPlan
+from hyperflex.planning.insert.search import check_insert_feasibility, insert_candidates, missing_length
+from hyperflex.planning.insert.slot import Slot
+from hyperflex.planning.insert.task import InsertTask
+from hyperflex.planning.robust.uncertainty import Uncertainty
+from hyperflex.planning.time_budget import Clock
+from hyperflex.planning.tip.planner import TipPlanner
+from hyperflex.planning.tip.task import TipCandidate
+from hyperflex.progress import progress_bar
+
+SWINGING = 0.5  # fraction of the time for random swings
+TIME_BUDGET, PERIODS = 30.0, 2.0  # s; swing periods within which the tip enters by default
+
+
+@interruptible(InsertPlan)
+def plan_insert(
+    rope: Rope,
+    arm: Arm,
+    slot: Slot,
+    limits: MotorLimits | None = None,
+    *,
+    uncertainty: Uncertainty | None = None,
+    clearance: float = 0.0,
+    time_limit: float | None = None,
+    time_budget: float = TIME_BUDGET,
+    skip_feasibility: bool = False,
+    samples: int = SAMPLES,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: bool = False,
+) -> InsertPlan:
+    """Plan how an arm swings its rope so that the tip goes through a slot, to a depth, and the rope touches no wall.
+
+    Parameters
+    ----------
+    rope, arm, limits, clearance, skip_feasibility, seed, threads, progress
+        As of :func:`hyperflex.plan_cast`.
+    slot : Slot
+        Its gap must be three diameters of the rope wide or more.
+    uncertainty : Uncertainty, optional
+        Of the scenarios that tell the success probability: by default the slot is 2 mm off in each coordinate, and each
+        stroke starts 2 ms early or late (standard deviations).
+    time_limit : float, optional
+        Time within which the tip must be inside, s; by default two periods of the rope's swing.
+    time_budget : float
+        Time by the clock for search and verifications, s, without compiling.
+    samples : int
+        Scenarios of the success probability.
+
+    Returns
+    -------
+    InsertPlan
+
+    Raises
+    ------
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the best plan until then; what was not verified before is not verified any more.
+    InvalidInput
+        If an argument is out of range or of another class, or the gap too narrow for the rope.
+    """
+    clock = Clock()
+    checks.instance("rope", rope, Rope)
+    checks.instance("slot", slot, Slot).check_width(rope)
+    if uncertainty is not None:
+        checks.instance("uncertainty", uncertainty, Uncertainty)
+    time_budget = checks.number("time_budget", time_budget, sign="positive", unit="s")
+    seed, samples = checks.count("seed", seed, least=0), checks.count("samples", samples)
+    if time_limit is None:
+        time_limit = PERIODS * swing_period(rope)
+    time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
+    cast_setup = CastSetup(rope, arm, limits or MotorLimits(), time_limit, clearance)
+
+    known = check_insert_feasibility(cast_setup, slot, None)
+    swings: list[TipCandidate] = []
+    planner, found = None, dict[str, Any]()
+    with caught() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
+        if missing_length(cast_setup, slot) <= 0.0:
+            swings = insert_candidates(cast_setup, slot, lambda: SWINGING * time_budget - clock.spent, threads)
+            known = check_insert_feasibility(cast_setup, slot, swings)
+        if swings and (known.feasible or skip_feasibility):
+            task = InsertTask(cast_setup, slot, swings)
+            planner = TipPlanner(task, max(0.0, time_budget - clock.spent), seed, threads)
+            planner.run(None if report is None else lambda: report(min(clock.spent, time_budget)))
+            planner.verify()
+            if planner.best is not None and not planner.best.message and clock.spent < time_budget:
+                aim = planner.best.aim
+                found["success_probability"] = estimate_insert_probability(
+                    cast_setup, slot, aim.strokes, aim.t, uncertainty, samples=samples, seed=seed, threads=threads
+                )
+    found |= {"seconds": clock.elapsed, "interrupted": stop.met}
+    if planner is None:
+        return stop.deliver(InsertPlan(cast_setup, slot, known, message=known.message, **found))
+    message = "interrupted before any entry was found" if stop.met else "no swing brings the tip through it"
+    if (best := planner.best) is not None:
+        aim, outcome, finer, message = best
+        found |= {"strokes": aim.strokes, "position_std": aim.position_std, "outcome": outcome, "finer_outcome": finer}
+    return stop.deliver(InsertPlan(cast_setup, slot, known, message=message, runs=planner.runs, **found))

@@ -1,0 +1,114 @@
+"""The search for an insertion: random swings whose tip nearly enters a slot, and the feasibility check by them."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.insert.slot import Slot, find_crossings, frame, passages
+from hyperflex.planning.tip.strokes import Strokes
+from hyperflex.planning.tip.swings import random_swings, simulate_swings
+from hyperflex.planning.tip.task import NEVER, Left, TipCandidate
+
+SAMPLE_TIME = 0.01  # s: of swings in a search
+SWINGS, TOGETHER = 512, 64  # random swings; those between two looks at the time
+MAX_COST = 0.12  # m, cost of the cheapest swing up to which a slot is feasible
+TIME_COST = 0.004  # m/s: of equal entries the sooner one is less uncertain
+
+
+@dataclass(frozen=True)
+class InsertFeasibility:
+    """Result of the feasibility check of a slot.
+
+    `distance` is that of the place asked for the tip from the arm's pivot, m. `cost`, m, is that of the cheapest swing:
+    how far the rope is from the middle of the gap (root mean square, from the tip's entry to the depth asked), what
+    lacks to that depth, and how deep other parts of the rope lie in the walls. `message` tells why the slot is not
+    feasible.
+    """
+
+    distance: float
+    cost: float
+    message: str
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the slot is feasible."""
+        return not self.message
+
+
+def missing_length(cast_setup: CastSetup, slot: Slot) -> float:
+    """Return by how much arm and rope are too short for the depth asked, m; <= 0 if they are not."""
+    return _distance(cast_setup, slot) - cast_setup.rope.total_length - cast_setup.arm.length
+
+
+def check_insert_feasibility(
+    cast_setup: CastSetup, slot: Slot, candidates: list[TipCandidate] | None
+) -> InsertFeasibility:
+    """Check whether a slot is within the rope's length and close enough to what a swing does; None: none is known."""
+    distance, short = _distance(cast_setup, slot), missing_length(cast_setup, slot)
+    cost = candidates[0].cost if candidates else math.inf
+    message = ""
+    if short > 0.0:
+        message = f"out of reach: the rope ends {short:.2f} m short of that depth"
+    elif candidates is None:
+        message = "interrupted before the swings were made"
+    elif cost > MAX_COST:
+        message = "out of reach: in no swing does the tip go through near to it, in that direction"
+    return InsertFeasibility(distance, cost, message)
+
+
+def _distance(cast_setup: CastSetup, slot: Slot) -> float:
+    """Distance of the place asked for the tip from the arm's pivot, m."""
+    return math.hypot(*(slot.point + slot.depth * slot.axes[0] - cast_setup.arm.pivot))
+
+
+def score_entries(
+    cast_setup: CastSetup, slot: Slot, strokes: list[Strokes], threads: int | None = None
+) -> tuple[Array, Array]:
+    """Simulate free swings (M) from rest; return cost (M,), m, and time, s, of the cheapest entry of each."""
+    t, batch, angle, _ = simulate_swings(cast_setup, strokes, SAMPLE_TIME, threads)
+    scored = [
+        _cheapest_entry(slot, cast_setup.rope.radius, t, cast_setup.rope.joints(q, first))
+        for q, first in zip(batch.q, cast_setup.arm.tip(angle), strict=True)
+    ]
+    cost, at = np.array(scored).T
+    return np.where(np.isfinite(batch.q).all(axis=(1, 2)), cost, NEVER), at
+
+
+def _cheapest_entry(slot: Slot, radius: float, t: Array, joints: Array) -> tuple[float, float]:
+    """Return cost, m, and time, s, of the cheapest entry of a run by its joints (T, n + 1, 2), m."""
+    depth, offset = frame(slot, joints)
+    ways = passages(depth[:, -1], slot.depth)
+    if not ways:
+        return NEVER, math.nan
+    found = find_crossings(slot, radius, depth, offset)
+    mouth = np.full(t.size, np.nan)
+    mouth[found.row[found.tip]] = found.offset[found.tip]
+    best = (NEVER, math.nan)
+    for begin, end in ways:
+        part = depth[begin - 1, -1] / (depth[begin - 1, -1] - depth[begin, -1])
+        enters = offset[begin - 1, -1] + part * (offset[begin, -1] - offset[begin - 1, -1])
+        off = float(np.sqrt(np.mean(np.append(mouth[begin : end + 1], enters) ** 2)))
+        lacks = max(0.0, slot.depth - float(depth[end, -1]))
+        others = (found.row <= end) & ~(found.tip & (found.row >= begin))
+        struck = float(np.max(-found.gap, where=others, initial=0.0))
+        cost = off + lacks + struck + TIME_COST * float(t[end])
+        best = min(best, (cost, float(t[end])))
+    return best
+
+
+def insert_candidates(cast_setup: CastSetup, slot: Slot, left: Left, threads: int | None = None) -> list[TipCandidate]:
+    """Return random swings whose tip enters a slot, the cheapest first; of those that there is time for.
+
+    The first TOGETHER are simulated in any case. `left` returns the time that is left, s.
+    """
+    strokes, found = random_swings(cast_setup, SWINGS), []
+    for low in range(0, SWINGS, TOGETHER):
+        if low and left() < 0.0:
+            break
+        some = strokes[low : low + TOGETHER]
+        cost, t = score_entries(cast_setup, slot, some, threads)
+        found += [TipCandidate(float(cost[k]), float(t[k]), some[k]) for k in np.flatnonzero(cost < NEVER)]
+    return sorted(found, key=lambda one: one.cost)

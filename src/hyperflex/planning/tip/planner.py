@@ -1,0 +1,86 @@
+"""The planner of tasks of the tip: swings are aimed one after the other, and the best ones are verified."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from hyperflex.planning.time_budget import Clock, OutOfTime
+from hyperflex.planning.tip.aim import aim_strokes
+from hyperflex.planning.tip.swings import StrokeSearch
+from hyperflex.planning.tip.task import Aimed, TipTask, Verified
+from hyperflex.simulation import Deadline
+
+SEARCHING = 0.8  # fraction of the time after which plans are only verified
+DIRECT = 8  # swings that are aimed as they are
+READY, GENERATIONS = 0.06, 16  # m, cost below which a swing is aimed; generations of a search before
+PLANS = 3  # plans that do what is asked, of which the least uncertain one that succeeds is taken
+
+
+class TipPlanner:
+    """Aims swings until enough of them do what is asked or the `time_budget`, s without compiling, is over."""
+
+    def __init__(self, task: TipTask[Any], time_budget: float, seed: int, threads: int | None) -> None:
+        self.task, self.time_budget, self.seed, self.threads = task, time_budget, seed, threads
+        self.clock, self.runs = Clock(), 0
+        self.end = Deadline(math.inf, lambda: self.time_budget - self.clock.spent)
+        self.aims: list[Aimed] = []
+        self._best: Verified | None = None
+        self._unverified = "interrupted before it was verified"
+
+    def left(self) -> float:
+        """Return the time that is left for the search, s."""
+        return SEARCHING * self.time_budget - self.clock.spent
+
+    def run(self, report: Callable[[], None] | None) -> None:
+        """Aim until there are enough plans, or no time is left; `report` is called after each."""
+        candidates = self.task.candidates()
+        for found in candidates[:DIRECT]:
+            if self.add(aim_strokes(self.task, found, self.left), report):
+                return
+        for number, found in enumerate(candidates):
+            search = StrokeSearch(self.task, found, self.seed + number, self.threads)
+            for _ in range(GENERATIONS):
+                if search.best.cost < READY or self.left() < 0.0:
+                    break
+                search.step()
+            self.runs += search.runs
+            if self.add(aim_strokes(self.task, search.best, self.left), report):
+                return
+
+    def add(self, aim: Aimed | None, report: Callable[[], None] | None) -> bool:
+        """Keep a plan; return whether there are enough, or no time is left."""
+        if aim is not None:
+            self.aims.append(aim)
+            self.aims.sort(key=self.rank)
+        if report is not None:
+            report()
+        return self.left() < 0.0 or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
+
+    def rank(self, aim: Aimed) -> tuple[float, float]:
+        """By how much a plan fails, then how uncertain it is; less is better."""
+        return self.task.shortfall(aim), aim.position_std
+
+    def verify(self) -> None:
+        """Verify the best plan, and while none succeeds those after it that do what is asked by the search.
+
+        The best is then the first that succeeds, else the first.
+        """
+        for number, aim in enumerate(self.aims[:PLANS]):
+            if number and self.rank(aim)[0] > 0.0:
+                break
+            try:
+                seen = self.task.verify(aim, self.end)
+            except OutOfTime:
+                self._unverified = "the time budget ended before it was verified"
+                break
+            if number == 0 or not seen.message:
+                self._best = seen
+            if not seen.message:
+                break
+
+    @property
+    def best(self) -> Verified | None:
+        """The best plan, verified or not yet; None if none was found."""
+        if self._best is None and self.aims:
+            return Verified(self.aims[0], None, None, self._unverified)
+        return self._best

@@ -1,0 +1,81 @@
+"""Random swings to begin with, and CMA-ES over strokes, about a swing that comes near what a task asks."""
+
+from typing import Any
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.control import swing_period
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.search.evolution import cma_es
+from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.tip.strokes import Strokes
+from hyperflex.planning.tip.task import TipCandidate, TipTask
+from hyperflex.simulation import Batch
+
+COARSE_TOL = 1e-3  # m: of swings in a search
+SEED = 1
+STROKES, STEPS = (0.3, 1.1), (0.35, 0.65)  # half turns; periods from stroke to stroke: means of random swings
+SPREAD_ENDS, SPREAD_RESTS = 0.15, 0.06  # half turns, periods: standard deviations in a random swing
+MEMBERS = 16  # of a generation
+NARROW = 0.3  # step size of CMA-ES about a swing, relative to the standard deviations of random swings
+
+
+def random_swings(cast_setup: CastSetup, count: int) -> list[Strokes]:
+    """Return strokes that pump a swing up more or less well, the same ones each time."""
+    rng, limits, period = np.random.default_rng(SEED), cast_setup.limits, swing_period(cast_setup.rope)
+    strokes = []
+    for number in range(count):
+        side = 1 if number % 2 else -1
+        stroke, step = np.pi * rng.uniform(*STROKES), period * rng.uniform(*STEPS)
+        rest = max(0.0, step - float(limits.fastest_moves([stroke])[0][0]))
+        size = max(1, int(np.ceil(cast_setup.time / step)))
+        ends = 0.5 * side * np.pi - side * stroke * (np.arange(size) % 2 == 0)
+        ends = ends + np.pi * SPREAD_ENDS * rng.standard_normal(size)
+        rests = np.abs(rest + period * SPREAD_RESTS * rng.standard_normal(size))
+        strokes.append(Strokes(side, ends, rests))
+    return strokes
+
+
+def simulate_swings(
+    cast_setup: CastSetup, strokes: list[Strokes], step: float, threads: int | None = None
+) -> tuple[Array, Batch, Array, Array]:
+    """Simulate free swings (M) from rest; return times (T,), s, every `step`, s, the runs, and arm angles and rates.
+
+    The last two are (M, T), rad and rad/s.
+    """
+    t = np.asarray(step * np.arange(round(cast_setup.time / step) + 1.0))
+    motions = [each.motion(cast_setup.limits) for each in strokes]
+    swings = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(motions), [], motions)
+    batch = swings.run(cast_setup.arm, t, tol=COARSE_TOL, keep=("tip", "q", "qd"), threads=threads)
+    angle, rate = (np.stack(each) for each in zip(*((m.angle(t), m.rate(t)) for m in motions), strict=True))
+    return t, batch, angle, rate
+
+
+class StrokeSearch:
+    """CMA-ES over strokes, about a swing that nearly does what a task asks; keeps the best and counts the runs."""
+
+    def __init__(self, task: TipTask[Any], begin: TipCandidate, seed: int = 0, threads: int | None = None) -> None:
+        self.task, self.threads = task, threads
+        self.best, self.runs = begin, 0
+        k = begin.strokes.ends.size
+        self._scale = np.repeat([np.pi, swing_period(task.cast_setup.rope)], k)
+        spread = np.repeat([SPREAD_ENDS, SPREAD_RESTS], k)
+        random = np.random.default_rng([SEED, seed])
+        self._optimizer = cma_es(begin.strokes.parameters / self._scale, NARROW, spread, MEMBERS, random)
+
+    def step(self) -> float:
+        """Simulate one generation; return the least cost so far, m."""
+        points = self._optimizer.ask()
+        strokes = [self._strokes(x) for x in points]
+        cost, t = self.task.score(strokes, self.threads)
+        self._optimizer.tell(points, list(cost))
+        self.runs += len(points)
+        k = int(cost.argmin())
+        if cost[k] < self.best.cost:
+            self.best = TipCandidate(float(cost[k]), float(t[k]), strokes[k])
+        return self.best.cost
+
+    def _strokes(self, x: Array) -> Strokes:
+        ends, rests = np.split(np.asarray(x, dtype=np.float64) * self._scale, 2)
+        return Strokes(self.best.strokes.side, ends, np.abs(rests))

@@ -1,0 +1,81 @@
+"""A task of the tip: what its planner asks of it, and what it answers."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from hyperflex.checks import Array
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.tip.strokes import Strokes
+from hyperflex.simulation import Deadline
+
+NEVER = 10.0  # m, cost of a swing after which the tip does nothing of what is asked
+
+
+class TipCandidate(NamedTuple):
+    """Strokes with their cost, m, and the time at which the tip does nearly what is asked, s."""
+
+    cost: float
+    t: float
+    strokes: Strokes
+
+
+@dataclass(frozen=True, eq=False)
+class Aimed:
+    """Strokes and what the tip does after them.
+
+    `t` is the instant that counts, s, and `dt` (P,) its derivative by the P parameters of the strokes. `position_std`
+    is a standard deviation of the tip's place then, m.
+    """
+
+    strokes: Strokes
+    t: float
+    dt: Array
+    position_std: float
+
+
+AimedT = TypeVar("AimedT", bound=Aimed)
+
+
+class Verified(NamedTuple):
+    """Strokes with their outcomes, with the links as planned and finer ones; the message tells why they fail."""
+
+    aim: Any
+    outcome: Any
+    finer_outcome: Any
+    message: str
+
+
+class TipTask(ABC, Generic[AimedT]):
+    """What the tip is to do, and how near some strokes come to it; residuals below `close`, m, are small enough."""
+
+    cast_setup: CastSetup
+    close: float
+
+    @abstractmethod
+    def candidates(self) -> list[TipCandidate]:
+        """Return swings to begin with, the cheapest first."""
+
+    @abstractmethod
+    def score(self, strokes: list[Strokes], threads: int | None) -> tuple[Array, Array]:
+        """Simulate free swings (M) coarsely; return the cost (M,), m, and the time, s, of each."""
+
+    @abstractmethod
+    def find(self, strokes: Strokes, near: float) -> AimedT | None:
+        """Return what the tip does about time `near`, s, with derivatives; None if it does not do it at all."""
+
+    @abstractmethod
+    def residuals(self, aim: AimedT) -> tuple[Array, Array]:
+        """Return what is to become 0 (m,), m, and its Jacobian (m, P)."""
+
+    @abstractmethod
+    def shortfall(self, aim: AimedT) -> float:
+        """Return by how much strokes fail, 0 if they do not."""
+
+    @abstractmethod
+    def verify(self, aim: AimedT, end: Deadline | None) -> Verified:
+        """Simulate strokes at a tight tolerance, with links as planned and finer; raises OutOfTime at the `end`."""
+
+
+Left = Callable[[], float]  # time that is left, s
