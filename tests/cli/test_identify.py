@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import re
 import signal
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from rich.console import Console
 
 import hyperflex as hf
-from hyperflex import files, identification, progress
+from hyperflex import files, identification, progress, report
 from hyperflex.errors import Interrupted
 from hyperflex.identification import rounds
 
@@ -29,6 +30,20 @@ def swing(tmp_path):
 
 
 DECLARED = ("--time-unit", "ms", "--unit", "deg")
+
+
+def test_a_long_table_of_ratios_is_cut_and_says_where_the_rest_is(hyperflex, swing, monkeypatch):
+    """Five rows of each ratio, and 24 in all."""
+    rows = [(f"r{k}/p1", str(link), "1", "0", "0 to 2", "") for k in range(6) for link in range(8)]
+    table = report.TextTable(("ratio", "link", "value", "std", "95 % interval", "what it is"), tuple(rows))
+    monkeypatch.setattr(report, "ratios_table", lambda _: table)
+    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "found")
+    code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments, *DECLARED)
+    assert code == 0
+    shown = re.findall(r"^ (r\d)/p1 +(\d)", out, re.M)
+    assert [link for name, link in shown if name == "r0"] == list("01234")
+    assert len(shown) == 24
+    assert f"and 24 more, in {swing / 'found' / 'report.html'}" in out
 
 
 def test_identify_writes_the_rope_and_its_figures(hyperflex, swing):

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from contextlib import contextmanager
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import hyperflex as hf
@@ -31,6 +34,25 @@ def test_a_video_becomes_angles(hyperflex, tmp_path):
     assert min(said["seen"]) > 0.9
     with VideoReader(seen) as video:
         assert len(list(video)) == said["frames"]
+
+
+def test_the_preview_is_what_to_look_at(hyperflex, tmp_path, monkeypatch):
+    found = SimpleNamespace(
+        recording=hf.Recording([0.0, 0.1], [[0.1, 0.2], [0.1, 0.2]]),
+        frames=2,
+        seen=np.ones(2),
+        notes=(),
+        to_netcdf=lambda path: path.write_bytes(b"angles"),
+    )
+    monkeypatch.setattr("hyperflex.vision.track_bars", lambda *_, **__: found)
+    monkeypatch.setattr("hyperflex.cli.track._clicked", lambda *_: None)
+    clicks = ("--bar", "213,140", "--bar", "252,180", "--pivot", "158", "150")
+    words = ("track", "pendulum.mp4", *clicks, "-o", "angles.nc")
+    monkeypatch.chdir(tmp_path)
+    code, out, err = hyperflex(*words)
+    assert (code, err) == (0, "")
+    assert "look at" not in out
+    assert re.search(r"written +angles\.nc\n +look at +seen\.mp4\n", hyperflex(*words, "--preview", "seen.mp4")[1])
 
 
 def test_ctrl_c_keeps_what_was_tracked_under_a_name_that_says_so(hyperflex, tmp_path, monkeypatch):

@@ -179,6 +179,7 @@ def _track_bars(
             *((f"link {k}", f"seen in {100.0 * part:.1f} % of the frames") for k, part in enumerate(found.seen)),
             *(("note", note) for note in found.notes),
             ("written", str(out)),
+            *([] if preview is None else [("look at", str(preview))]),
         ],
         as_json=json,
     )

@@ -29,7 +29,7 @@ def stable_baselines_env(envs: VectorEnv[Any, Any, Any]) -> Any:
     try:
         from stable_baselines3.common.vec_env import VecEnv
     except ImportError as missing:
-        raise MissingPackage("Stable-Baselines3 is missing: pip install stable-baselines3") from missing
+        raise MissingPackage("Stable-Baselines3 is missing. Install it: pip install stable-baselines3.") from missing
     if envs.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
         fix = 'Make it with autoreset_mode="SameStep"'
         raise InvalidInput("members begin anew in another way", got=envs.metadata.get("autoreset_mode"), fix=fix)

@@ -156,7 +156,7 @@ class RopeFilter:
                 x, columns = self.process.carry(self.x, np.eye(self.x.size), begin, end)
                 transition, rows = columns.T, np.concatenate(carried) @ columns
         if not (np.abs(rows).max() < BEYOND and np.abs(x).max() < BEYOND):
-            raise SimulationError("the state is beyond all numbers", status="not finite", time=end)
+            raise SimulationError("The state is beyond all numbers.", status="not finite", time=end)
         factor, *by_noise = np.split(rows, np.cumsum([len(each) for each in carried])[:-1])
         noise = self.process.noise(end - begin, self.process_noise.value)
         self.factor = sr.compressed(np.concatenate([factor, noise]), self._least)

@@ -118,7 +118,7 @@ def _check_folder(folder: Path) -> None:
             pass
     except OSError as error:
         raise FileProblem(
-            f"compiled kernels cannot be kept in {folder}: {error.strerror}. HYPERFLEX_CACHE_DIR names another folder."
+            f"Compiled kernels cannot be kept in {folder}: {error.strerror}. HYPERFLEX_CACHE_DIR names another folder."
         ) from error
 
 

@@ -200,7 +200,7 @@ class Interval:
         self.frames = [*self.frames[:1], *frames]
         found = self._run(start, None, states)
         if found is None:
-            raise SimulationError("no rope moves along these states", status="not finite", time=frames[0].seen.t)
+            raise SimulationError("No rope moves along these states.", status="not finite", time=frames[0].seen.t)
         self.path = found
         self._smoothe()
 
@@ -306,7 +306,7 @@ class Interval:
         possible = np.concatenate([x[:first], self.process.parameters.possible(x[first:])])
         found = self.process.predict(possible, self.frames[k - 1].seen.t, frame.seen.t)
         if not (np.abs(found.x).max() < BEYOND and np.abs(found.transition).max() < BEYOND**2):
-            raise SimulationError("the state is beyond all numbers", status="not finite", time=frame.seen.t)
+            raise SimulationError("The state is beyond all numbers.", status="not finite", time=frame.seen.t)
         return found._replace(x=np.concatenate([found.x[:first], x[first:]]))
 
     def _measurement(self, frame: InputFrame, x: Array, qdd: Array) -> Measurement:
