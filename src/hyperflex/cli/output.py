@@ -63,7 +63,7 @@ def complain(message: str, kind: str, code: int, *, as_json: bool) -> int:
     return code
 
 
-def warn(message: Warning | str, category: type[Warning], *where: object) -> None:
+def warn(message: Warning | str, *where: Any, **more: Any) -> None:
     """Write a warning as a line on standard error, as ``warnings.showwarning``."""
     sys.stderr.write(f"hyperflex: {message}\n")
 
