@@ -183,7 +183,7 @@ def _invoke(arguments: Sequence[str]) -> int:
             warnings.catch_warnings(),
             command.make_context("hyperflex", list(arguments)) as context,
         ):
-            warnings.showwarning = output.warn
+            warnings.showwarning = output.warner()
             command.invoke(context)
     except typer.Exit as stop:
         return int(stop.exit_code)
