@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.cli import output
 from hyperflex.cli.app import run
 from hyperflex.errors import InvalidInput
 
@@ -20,8 +21,8 @@ SLIPS: list[tuple[Callable[[], object], str]] = [
     (lambda: hf.Rope(length=[300.0, 300.0], mass=0.02), "rope length is 600 m"),
     (lambda: hf.Rope.uniform(length=0.9, mass=50, n_links=10), "mass over length is 55.5.*kg/m: is it meant in g/m"),
     (lambda: hf.Arm(length=150), "arm length is 150 m: is it meant in mm.*are 0.15"),
-    (lambda: hf.Peg(x=-800, y=-0.6, radius=0.03), "peg x is 800 m: is it meant in mm"),
-    (lambda: hf.TipTarget(x=0.3, y=-2050, direction=0.2), "target y is 2050 m: is it meant in mm"),
+    (lambda: hf.Peg(x=-800, y=-0.6, radius=0.03), "peg x is -800 m: is it meant in mm.*are -0.8"),
+    (lambda: hf.TipTarget(x=0.3, y=-2050, direction=0.2), "target y is -2050 m: is it meant in mm"),
     (
         lambda: hf.TipTarget(x=0.3, y=-2.0, direction=90),
         "target direction is 90 rad: is it meant in degrees.*are 1.571",
@@ -30,11 +31,11 @@ SLIPS: list[tuple[Callable[[], object], str]] = [
     (lambda: hf.arm_swings(t_rest=530), "t_rest is 530 s"),
     (lambda: hf.move_arm(0.0, 90.0, 1.0), "arm angle is 90 rad: is it meant in degrees"),
     (lambda: hf.move_arm(0.0, 1.0, 730.0), "duration is 730 s"),
-    (lambda: hf.hold_arm(-90), "angle is 90 rad"),
+    (lambda: hf.hold_arm(-90), "angle is -90 rad"),
     (lambda: hf.sampled_motion([0.0, 1.0], [0.0, 90.0]), "angle is 90 rad"),
     (lambda: hf.arm_moves([0.0, 90.0], [0.0], [1.0]), "angles is 90 rad"),
     (lambda: hf.arm_moves([0.0, 1.0], [0.0], [730.0]), "rests and durations is 730 s"),
-    (lambda: hf.MotorLimits(angles=(-180, 180)), "motor angles is 180 rad"),
+    (lambda: hf.MotorLimits(angles=(-180, 180)), "motor angles is -180 rad"),
     (lambda: hf.Setup(ROPE, q0=np.full(10, 90.0)), "q0 is 90 rad"),
 ]
 
@@ -67,3 +68,10 @@ def test_the_command_line_says_it_in_a_line(tmp_path: Path, capsys: pytest.Captu
     told = capsys.readouterr()
     assert "hyperflex: rope length is 900 m: is it meant in mm? Give it in m; 900 mm are 0.9.\n" in told.err
     assert json.loads(told.out)
+
+
+def test_the_command_line_says_it_once(capsys: pytest.CaptureFixture[str]) -> None:
+    show = output.warner()
+    for text in ("a", "b", "a"):
+        show(UserWarning(text), UserWarning, __file__, 1)
+    assert capsys.readouterr().err == "hyperflex: a\nhyperflex: b\n"

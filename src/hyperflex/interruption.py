@@ -45,10 +45,10 @@ def _notice(number: int, frame: FrameType | None) -> None:
 
 
 def _ending(frame: FrameType | None) -> bool:
-    """Return whether a frame belongs to a finaliser, the callback of a weak reference, or the end of a `noticing`."""
+    """Return whether a frame belongs to a finaliser, a weak reference's callback, or the end of `handle_signals`."""
     while frame is not None:
-        code = frame.f_code
-        if code.co_name == "__del__" or code.co_filename == weakref.__file__ or code is noticing.__exit__.__code__:
+        code, ends = frame.f_code, handle_signals.__exit__.__code__
+        if code is ends or code.co_name == "__del__" or code.co_filename == weakref.__file__:
             return True
         frame = frame.f_back
     return False
@@ -98,7 +98,7 @@ class time_limit:
         self._end += seconds
 
 
-class noticing:
+class handle_signals:
     """Context in which signals are noticed: Ctrl-C, and further `numbers`.
 
     A signal that came in the block is raised at its end, if it is still pending, also in place of another error: a
@@ -135,7 +135,7 @@ class noticing:
 @contextmanager
 def deferred() -> Iterator[None]:
     """Let a short block come to its end before it is interrupted: one that puts files in place, say."""
-    with noticing():
+    with handle_signals():
         own = threading.current_thread() is threading.main_thread()
         _State.deferred += own
         try:
@@ -225,7 +225,7 @@ def interruptible(kind: type | None = None) -> Callable[[Callable[_P, _R]], Call
         def call(*args: _P.args, **named: _P.kwargs) -> _R:
             done: list[_R] = []
             try:
-                with noticing():
+                with handle_signals():
                     done.append(function(*args, **named))
             except KeyboardInterrupt as stop:
                 raise Interrupted(done[0] if done else functools.partial(_own, stop, kind)) from None

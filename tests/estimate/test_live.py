@@ -178,7 +178,7 @@ def test_a_live_source_is_opened_again(video: tuple[Path, MarkerColour], picture
             raise each
         return each
 
-    with FrameThread(open_source, live=True, patience=1.0) as frames:
+    with FrameThread(open_source, live=True, reconnect_timeout=1.0) as frames:
         found = []
         while frames.ended is None:
             found.append(frames.take(0.05))
@@ -206,7 +206,7 @@ def test_time_goes_on_where_a_source_begins_its_stamps_anew(
 
     for retime in (None, StampClock()):
         opened, begin, found = 0, time.monotonic(), []
-        with FrameThread(open_source, live=True, patience=1.0) as frames:
+        with FrameThread(open_source, live=True, reconnect_timeout=1.0) as frames:
             for each in Watch(frames, tracker(video), retime=retime):
                 found.append(each)
                 if (len(reopenings()) == 2 and each.frame is None) or opened == 20:

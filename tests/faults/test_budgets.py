@@ -123,7 +123,7 @@ def test_a_run_that_came_to_its_end_is_kept_however_long_it_took():
 
 def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(time_budget, "JUDGED", 0.0)
-    monkeypatch.setattr(time_budget, "PATIENCE", 0.0)
+    monkeypatch.setattr(time_budget, "LONGEST", 0.0)
     times = np.linspace(0.0, 1e4, 10_001)
     with pytest.raises(SimulationError, match=r"minutes in all\. Check units and gravity.*time_budget=inf"):
         hf.simulate(ROPE, duration=1e4, t_eval=times, q0=[1.0] * 4)
@@ -188,7 +188,7 @@ def test_half_an_hour_is_judged_by_the_speed_of_late_and_in_all(monkeypatch: pyt
     assert ends_after(lambda work: work / 2e4) == pytest.approx(11.0, abs=1.0)
     assert ends_after(lambda work: 0.006 * work / 10.0 if work < 10.0 else 0.006 + (work - 10.0) / 600.0) is None
     stalled = ends_after(lambda work: min(work / 20.0, 0.99))
-    assert stalled == pytest.approx(time_budget.PATIENCE, rel=0.05)
+    assert stalled == pytest.approx(time_budget.LONGEST, rel=0.05)
 
 
 def test_a_fit_ends_when_its_time_budget_is_over() -> None:

@@ -28,7 +28,7 @@ from hyperflex.demo import write_demo
 from hyperflex.estimate import track_video
 from hyperflex.files import atomic_path
 from hyperflex.identification.uncertainty import covariance
-from hyperflex.interruption import caught, deferred, interruptible, look, noticing
+from hyperflex.interruption import caught, deferred, handle_signals, interruptible, look
 from hyperflex.paper import reproduce
 from hyperflex.simulation.contact import runs
 from hyperflex.vision import calibrate_camera, track_bars
@@ -82,7 +82,7 @@ def work(result: list[int]) -> list[int]:
 
 def test_a_signal_at_the_very_end_of_a_call_leaves_the_next_one_alone() -> None:
     def trace(frame: FrameType, *_: object) -> None:
-        if frame.f_code is noticing.__exit__.__code__:
+        if frame.f_code is handle_signals.__exit__.__code__:
             sys.settrace(before)
             signal.raise_signal(signal.SIGINT)
 
@@ -132,7 +132,7 @@ def test_what_a_library_swallows_is_raised_by_the_next_look_in_any_thread() -> N
             heard.append(True)
 
     def work() -> None:
-        with noticing():
+        with handle_signals():
             swallowed()
             thread = threading.Thread(target=listen)
             thread.start()
@@ -145,17 +145,17 @@ def test_what_a_library_swallows_is_raised_by_the_next_look_in_any_thread() -> N
 
 def test_what_a_library_makes_another_error_of_is_an_interrupt() -> None:
     def convert(interrupt: bool) -> None:
-        with noticing():
+        with handle_signals():
             if interrupt:
                 swallowed()
             raise ValueError("cannot convert")
 
-    with noticing(), caught() as stop:
+    with handle_signals(), caught() as stop:
         convert(interrupt=True)
     assert stop.met
     with pytest.raises(KeyboardInterrupt):
         convert(interrupt=True)
-    with pytest.raises(ValueError, match="cannot"), noticing(), caught():
+    with pytest.raises(ValueError, match="cannot"), handle_signals(), caught():
         convert(interrupt=False)
 
 
@@ -181,7 +181,7 @@ def test_a_partial_result_may_be_made_when_it_is_asked_for() -> None:
 
 
 def test_what_follows_a_caught_interrupt_may_take_long_until_the_second_one() -> None:
-    with noticing():
+    with handle_signals():
         with caught() as stop:
             signal.raise_signal(signal.SIGINT)
         look()
@@ -209,7 +209,7 @@ def test_a_handler_of_somebody_else_stays() -> None:
     heard = []
     signal.signal(signal.SIGINT, lambda *_: heard.append(1))
     try:
-        with noticing():
+        with handle_signals():
             signal.raise_signal(signal.SIGINT)
             look()
     finally:

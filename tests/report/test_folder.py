@@ -136,7 +136,7 @@ def test_a_folder_that_cannot_be_made_is_refused_before_any_work(tmp_path):
 def kept_by_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder to be, which another process keeps locked."""
     fcntl = pytest.importorskip("fcntl")
-    monkeypatch.setattr(folder, "PATIENCE", 0.05)
+    monkeypatch.setattr(folder, "LOCK_TIMEOUT", 0.05)
     lock = os.open(tmp_path, os.O_RDONLY)
     fcntl.flock(lock, fcntl.LOCK_EX)
     yield tmp_path / "x"

@@ -31,7 +31,7 @@ from hyperflex.cli.track import track
 from hyperflex.cli.watch import watch
 from hyperflex.cli.whip import whip
 from hyperflex.errors import HyperflexError, InvalidInput
-from hyperflex.interruption import noticing
+from hyperflex.interruption import handle_signals
 
 # the common base of what the parser raises: BadParameter <- UsageError <- ClickException
 _PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
@@ -179,11 +179,11 @@ def _invoke(arguments: Sequence[str]) -> int:
     command = typer.main.get_command(app)
     try:
         with (
-            noticing(signal.SIGTERM),
+            handle_signals(signal.SIGTERM),
             warnings.catch_warnings(),
             command.make_context("hyperflex", list(arguments)) as context,
         ):
-            warnings.showwarning = output.warn
+            warnings.showwarning = output.warner()
             command.invoke(context)
     except typer.Exit as stop:
         return int(stop.exit_code)

@@ -63,9 +63,16 @@ def complain(message: str, kind: str, code: int, *, as_json: bool) -> int:
     return code
 
 
-def warn(message: Warning | str, category: type[Warning], *where: object) -> None:
-    """Write a warning as a line on standard error, as ``warnings.showwarning``."""
-    sys.stderr.write(f"hyperflex: {message}\n")
+def warner() -> Callable[..., None]:
+    """Return a ``warnings.showwarning`` that writes each warning once, as a line on standard error."""
+    told: set[str] = set()
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        if str(message) not in told:
+            told.add(str(message))
+            sys.stderr.write(f"hyperflex: {message}\n")
+
+    return show
 
 
 def with_options(message: str, options: Mapping[str, str]) -> str:

@@ -46,7 +46,7 @@ def watch(
     changes: output.Changes = "",
     false_alarm_interval: output.FalseAlarmInterval = 600.0,
     duration: Annotated[float | None, typer.Option(help="Stop after so long, s.")] = None,
-    patience: Annotated[float, typer.Option(help="How long a source that broke off is tried again, s.")] = 10.0,
+    reconnect_timeout: Annotated[float, typer.Option(help="How long a lost source is tried again, s.")] = 10.0,
     json: Annotated[
         bool, typer.Option("--json", help="Print a JSON object a line: one for each estimate, and a summary.")
     ] = False,
@@ -73,11 +73,11 @@ def watch(
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))
         pictures = None if page is None else stack.enter_context(PicturePage(page))
-        frames = stack.enter_context(open_frames(camera, paced=page is not None, patience=patience))
+        frames = stack.enter_context(open_frames(camera, paced=page is not None, reconnect_timeout=reconnect_timeout))
         if not frames.live and frames.image_size != lens.image_size:
             got, allowed = ("x".join(map(str, size)) for size in (frames.image_size, lens.image_size))
             raise InvalidInput("the video has another size than the camera's", got=got, allowed=allowed)
-        colour = output.marker_colour(_images(frames, patience), click)
+        colour = output.marker_colour(_images(frames, reconnect_timeout), click)
         task = TrackingTask(
             camera,
             line,
@@ -236,9 +236,9 @@ class _Pictures:
             self._writer.write(image, estimate.frame.time - self._begin)
 
 
-def _images(frames: FrameThread, patience: float) -> Iterator[Image]:
+def _images(frames: FrameThread, reconnect_timeout: float) -> Iterator[Image]:
     """Yield pictures for so long, s; the last one that was asked for is left to be taken."""
-    until, count = time.monotonic() + patience, 0
+    until, count = time.monotonic() + reconnect_timeout, 0
     while (frame := frames.peek(max(0.0, until - time.monotonic()))) is not None:
         count += 1
         yield frame.image

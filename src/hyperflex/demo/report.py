@@ -303,7 +303,7 @@ def _paper_section(report: DemoReport, contents: Mapping[str, bytes]) -> Section
     """Return the section on the identified rope, cast as in the paper."""
     film = Film(player_html(report.demo.cast, title="identified rope, simulated"), _CAPTIONS["film"])
     reaches = ("The table gives the greatest |x| of the tip in each 2 s, m.",)
-    pictures = (film, *_shown(contents, "strobe", "casts"))
+    pictures: tuple[Picture | Film, ...] = (film, *_shown(contents, "strobe", "casts"))
     return Section("The paper's cast", pictures=pictures, table=report.reaches, notes=reaches)
 
 

@@ -42,7 +42,7 @@ class Rope:
     friction : (n,) array_like
         Viscous friction of the joints (eta), N m s/rad.
     dry_friction : (n,) array_like
-        Coulomb friction of the joints, N m: a joint that turns feels it in full, one that stands bears up to it.
+        Coulomb friction of the joints, N m: a joint that turns feels it in full, one at rest takes up to it.
     stiffness, rest_angle : (n,) array_like
         Joint stiffness, N m/rad, and the relative angle at which it is at rest, rad.
     drag : (n,) array_like

@@ -16,7 +16,7 @@ from hyperflex.model import Arm, Peg, Rope
 from hyperflex.planning import CastPlan, MotorLimits, WhipPlan, plan_cast, plan_whip
 
 NICENESS = 10
-_PATIENCE = 0.5  # s until a process that does not end is killed
+_END_TIMEOUT = 0.5  # s until a process that does not end is killed
 _COMMAND = "import sys; from hyperflex.play.planning_process import work; work(int(sys.argv[1]))"
 
 
@@ -81,7 +81,7 @@ class PlanningProcess:
         """End the process."""
         self._process.terminate()
         try:
-            self._process.wait(_PATIENCE)
+            self._process.wait(_END_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -12,7 +12,7 @@ from hyperflex import files
 from hyperflex.errors import FileProblem
 from hyperflex.interruption import deferred
 
-PATIENCE = 5.0  # s for which another process may fill the folder; it takes thousandths
+LOCK_TIMEOUT = 5.0  # s for which another process may fill the folder; it takes thousandths
 LEAST_SPACE = 8.0 * 2**20  # bytes that a report with a film takes, or more
 Progress = Callable[[str], None]  # called with a message on what is being done
 
@@ -101,7 +101,7 @@ def _alone(target: Path) -> Iterator[None]:
             import fcntl
 
             descriptor = os.open(next(path for path in target.parents if path.exists()), os.O_RDONLY)
-            end = time.monotonic() + PATIENCE
+            end = time.monotonic() + LOCK_TIMEOUT
             while time.monotonic() < end:
                 with suppress(BlockingIOError):
                     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -11,7 +11,7 @@ from hyperflex.errors import SimulationError
 OUT_OF_TIME = "time budget exceeded"  # status of a run that took too long
 INTERRUPTED = "interrupted"  # and of one that Ctrl-C ended
 # s of processor time: of a run without a time budget, and after which it is judged whether it will keep to that
-PATIENCE, JUDGED = 1800.0, 10.0
+LONGEST, JUDGED = 1800.0, 10.0
 
 
 class TimeBudgetExceeded(Exception):
@@ -34,7 +34,7 @@ def enforce_budget(
     """Return what a run over a `span`, s, reports to: `report`, and TimeBudgetExceeded once its time is over.
 
     That is so once its thread has worked for `seconds`. If these are None it is judged every JUDGED s of work, and over
-    if the whole would take more than PATIENCE s, going on as on the whole or, if that was faster, as since the judgment
+    if the whole would take more than LONGEST s, going on as on the whole or, if that was faster, as since the judgment
     before. A Deadline ends the run as well once no time is left by the clock.
 
     What passes between two reports does not count if kernels were compiled meanwhile: that is no fault of the run.
@@ -59,7 +59,7 @@ def enforce_budget(
             over = worked > most or (left is not None and left() < 0.0)
         elif over := worked - judged[0] > JUDGED:
             rate = max((t - span[0]) / worked, (t - judged[1]) / (worked - judged[0]))
-            over, judged = rate * worked + span[1] - t > rate * PATIENCE, (worked, t)
+            over, judged = rate * worked + span[1] - t > rate * LONGEST, (worked, t)
         if over and (t < span[1] or left is not None):  # a run that came to its end by itself is kept
             raise TimeBudgetExceeded
 
@@ -78,7 +78,7 @@ def budget_error(t: float, seconds: float | Deadline | None) -> SimulationError:
 def endless(t: float, otherwise: str = "") -> SimulationError:
     """Return the error of a run that had come to `t`, s, when it was judged to take too long."""
     advice = f"Check units and gravity, loosen tol, or make it shorter{otherwise}"
-    return _error(t, f"it would take more than {PATIENCE / 60.0:g} minutes in all. {advice}")
+    return _error(t, f"it would take more than {LONGEST / 60.0:g} minutes in all. {advice}")
 
 
 def _error(t: float, why: str) -> SimulationError:

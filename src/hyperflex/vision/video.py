@@ -1,7 +1,7 @@
 """Video files: frames with the times that the container gives them, and writing of MP4."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from fractions import Fraction
@@ -310,7 +310,7 @@ class VideoWriter:
         self._container.mux(self._stream.encode(frame))
 
 
-def _held(path: Path, kinds: list[str]) -> str:
+def _held(path: Path, kinds: Sequence[str]) -> str:
     """Return what a file without a picture holds; FFmpeg takes it as streams of these `kinds`."""
     if path.suffix.lower() in (".toml", ".csv", ".txt"):
         return f"but text ({path.suffix.lower()})"

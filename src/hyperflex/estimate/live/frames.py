@@ -12,7 +12,7 @@ from hyperflex import checks
 from hyperflex.errors import HyperflexError
 from hyperflex.vision import Frame, LiveCamera, VideoReader
 
-PATIENCE = 10.0  # s, in which a camera or stream that broke off is opened again
+RECONNECT_TIMEOUT = 10.0  # s, in which a camera or stream that broke off is opened again
 _PAUSE = 0.5  # s, between two tries
 _CLOSEST = 1e-3  # s, between the last frame of a source and the first one after it was opened again
 _AHEAD = 2  # frames of a file that are read ahead
@@ -83,7 +83,7 @@ class FrameThread:
         Keep only the newest frame, and open the source again where it breaks off; else give out all, and end.
     paced : bool
         Give the frames out at the distances of their time stamps, from when the first one is taken.
-    patience : float
+    reconnect_timeout : float
         How long a source that broke off is tried again, s.
 
     Attributes
@@ -95,10 +95,15 @@ class FrameThread:
     """
 
     def __init__(
-        self, open_source: Callable[[], Source], *, live: bool, paced: bool = False, patience: float = PATIENCE
+        self,
+        open_source: Callable[[], Source],
+        *,
+        live: bool,
+        paced: bool = False,
+        reconnect_timeout: float = RECONNECT_TIMEOUT,
     ) -> None:
         self._open, self.live, self._paced = open_source, live, paced
-        self.patience = checks.number("patience", patience, sign="nonnegative", unit="s")
+        self.reconnect_timeout = checks.number("reconnect_timeout", reconnect_timeout, sign="nonnegative", unit="s")
         source = open_source()
         self.image_size = source.image_size
         self.ended: str | None = None
@@ -171,13 +176,13 @@ class FrameThread:
             self._say("no more frames come; the source is opened again")
             found = self._again()
             if found is None:
-                return f"the source broke off, and could not be opened again within {self.patience:g} s"
+                return f"the source broke off, and could not be opened again within {self.reconnect_timeout:g} s"
             source = found
             self._opening += 1
 
     def _again(self) -> Source | None:
         """Open the source anew; None where that fails for too long."""
-        until = time.monotonic() + self.patience
+        until = time.monotonic() + self.reconnect_timeout
         while not self._closed:
             try:
                 return self._open()
@@ -233,7 +238,7 @@ class FrameThread:
             self._condition.wait_for(lambda: self._closed, max(0.0, moment - time.monotonic()))
 
 
-def open_frames(source: int | str, *, paced: bool = False, patience: float = PATIENCE) -> FrameThread:
+def open_frames(source: int | str, *, paced: bool = False, reconnect_timeout: float = RECONNECT_TIMEOUT) -> FrameThread:
     """Open a camera by its number, a stream by its address (``rtsp://...``), or a file in place of one.
 
     Parameters
@@ -242,7 +247,7 @@ def open_frames(source: int | str, *, paced: bool = False, patience: float = PAT
         A number in digits is a camera's.
     paced : bool
         Play a file at its own speed; else as fast as its frames are taken.
-    patience : float
+    reconnect_timeout : float
         How long a camera or stream that broke off is tried again, s.
 
     Raises
@@ -253,5 +258,5 @@ def open_frames(source: int | str, *, paced: bool = False, patience: float = PAT
     words = str(source)
     if words.isdecimal() or "://" in words:
         address = int(words) if words.isdecimal() else words
-        return FrameThread(lambda: LiveCamera(address), live=True, patience=patience)
-    return FrameThread(lambda: VideoReader(Path(words)), live=False, paced=paced, patience=patience)
+        return FrameThread(lambda: LiveCamera(address), live=True, reconnect_timeout=reconnect_timeout)
+    return FrameThread(lambda: VideoReader(Path(words)), live=False, paced=paced, reconnect_timeout=reconnect_timeout)

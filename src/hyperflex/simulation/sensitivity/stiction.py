@@ -15,7 +15,7 @@ def stiction_projection(
     """Derivatives of the state just after the start, where stuck joints turn with their parents.
 
     A joint within its limit that is given a little rate stops after a time in proportion to it. To first order that is
-    a blow on both links, whichever the sense: momenta are kept but for it.
+    an impulse on both links, whichever the sense: momenta are kept but for it.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def stiction_projection(
     mass = np.zeros((n, n))
     mass_matrix(chain, q, mass)
     reaction_factor = len(chain.reaction) - 1.0
-    blow = np.linalg.solve(mass, (np.eye(n) - reaction_factor * np.eye(n, k=-1))[stuck].T)
+    impulse = np.linalg.solve(mass, (np.eye(n) - reaction_factor * np.eye(n, k=-1))[stuck].T)
     result = start.copy()
-    result[n:] -= blow @ np.linalg.solve(turn[stuck] @ blow, slip)
+    result[n:] -= impulse @ np.linalg.solve(turn[stuck] @ impulse, slip)
     return result
