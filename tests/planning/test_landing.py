@@ -14,6 +14,7 @@ from hyperflex.planning import CastSetup, MotorLimits, Throw, estimate_success_p
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import contact_phase, rollouts
 from hyperflex.planning.search.contact_phase import (
+    ARM_COST,
     LAST,
     LATE_COST,
     MAX_TURNS,
@@ -150,7 +151,18 @@ def test_a_rope_that_comes_too_near_its_arm_counts_as_undone(clearance: float, s
     one = RolloutBatch([CABLE], [PEG], [motion], strike.q, strike.qd)
     found = simulate_contact(one, strike.t, arm=CAST_SETUP.arm, clearance=clearance)
     assert bool(found.turns[0] >= MIN_TURNS) is stays
-    assert stays or found.score[0] <= MIN_HOPE + PASSING * MAX_TURNS
+    assert stays or found.score[0] <= MIN_TURNS - ARM_COST + PASSING * MAX_TURNS
+
+
+def test_the_longer_a_rope_is_too_near_its_arm_the_less_it_is_worth() -> None:
+    """Also where it winds: what a search is to get away from must not look alike everywhere."""
+    strike = simulated_strikes(CAST_SETUP, PEG, [WINDS])
+    motion = WINDS.motion(CAST_SETUP.limits).shifted(-strike.t[0])
+    one = RolloutBatch([CABLE], [PEG], [motion], strike.q, strike.qd)
+    for_short, long = (
+        simulate_contact(one, strike.t, arm=CAST_SETUP.arm, clearance=clearance).score[0] for clearance in (0.037, 1.0)
+    )
+    assert long + 0.1 < for_short < MIN_TURNS + PASSING * MAX_TURNS - ARM_COST
 
 
 def test_a_run_that_is_too_deep_in_the_peg_to_go_on_counts_little(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,12 +58,12 @@ def rope_clearance(run: Trajectory) -> Clearance:
     return best._replace(value=best.value - rope.radius - 0.5 * FINE)
 
 
-def sampled_clearance(rope: Rope, arm: Arm, q: Array, base: Array) -> float:
-    """Least distance, m, of a rope from its arm and shaft at samples alone, as of :func:`rope_clearance`.
+def sampled_clearance(rope: Rope, arm: Arm, q: Array, base: Array) -> Array:
+    """Distance (T,), m, of a rope from its arm and shaft at samples alone, as of :func:`rope_clearance`.
 
     Link angles q (T, n), rad; `base` (T, 2), m, is the arm's tip.
     """
-    return float(_gaps(rope, arm, q, base, np.arange(rope.n_links)).min()) - rope.radius
+    return np.asarray(_gaps(rope, arm, q, base, np.arange(rope.n_links)).min(axis=(1, 2))) - rope.radius
 
 
 def _least(t: Array, gap: Array) -> Clearance:

@@ -12,7 +12,7 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.search.evolution import cma_es
+from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.whip.strokes import Strokes
 from hyperflex.planning.whip.tip_target import (
@@ -185,7 +185,7 @@ class WhipSearch:
         self._scale = np.repeat([np.pi, swing_period(cast_setup.rope)], k)
         spread = np.repeat([SPREAD_ENDS, SPREAD_RESTS], k)
         random = np.random.default_rng([SEED, seed])
-        self._optimizer = cma_es(begin.strokes.parameters / self._scale, NARROW, spread, MEMBERS, random)
+        self._optimizer = CmaEs(begin.strokes.parameters / self._scale, NARROW, spread, MEMBERS, random)
 
     def step(self) -> float:
         """Simulate one generation; return the least cost so far, m."""
