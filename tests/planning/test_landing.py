@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,7 +11,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastSetup, MotorLimits, Throw, estimate_success_probability, verify_cast
+from hyperflex.planning import CastSetup, MotorLimits, Throw, estimate_success_probability, outcome, verify_cast
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import contact_phase, rollouts
 from hyperflex.planning.search.contact_phase import (
@@ -26,7 +27,7 @@ from hyperflex.planning.search.contact_phase import (
     simulate_contact,
 )
 from hyperflex.planning.search.rollouts import RolloutBatch
-from tests.planning.known import contact_scores, simulated_strikes
+from tests.planning.known import contact_scores, planned, simulated_strikes
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 CAST_SETUP = CastSetup(CABLE, hf.Arm(length=0.105), MotorLimits())
@@ -89,6 +90,16 @@ def test_a_motor_that_is_too_weak_is_told() -> None:
     assert whole.held
     assert not whole.success
     assert "N m of a motor that gives 0.05" in whole.message
+
+
+def test_the_turns_that_are_missing_are_those_that_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not those at the end alone, which are told beside them."""
+    plan = planned()
+    monkeypatch.setattr(outcome, "MIN_TURNS", 9.0)
+    seen = outcome.evaluate_cast(plan.cast_setup, plan.target, plan.run, float(plan.motion.breaks[-1]))
+    most, stay = (float(word) for word in re.findall(r"\d\.\d\d", seen.message))
+    assert seen.message.endswith(f"turns {stay:.2f} stay while it is watched, and 9 are asked")
+    assert stay <= abs(seen.turns) + 0.005 <= most + 0.01
 
 
 def test_a_rope_that_misses_is_told() -> None:
