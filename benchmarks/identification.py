@@ -8,6 +8,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 import numpy as np
+import recorded
 from clock import NOTE, alternately
 
 import hyperflex as hf
@@ -38,7 +39,7 @@ def measure(quick: bool, repeats: int, _peers: dict[str, ModuleType]) -> list[di
     if not quick:
         rows.append(paper_method(recording))
     rows.append(cable_problem(3 if quick else repeats))
-    return rows
+    return [*rows, *recorded.measure(quick)]
 
 
 def paper_recording() -> hf.Recording:
@@ -132,6 +133,8 @@ def cable_problem(repeats: int) -> dict[str, Any]:
 
 def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
     """Return the Markdown page."""
+    demanding = [r for r in rows if "accuracy" in r]
+    rows = [r for r in rows if r not in demanding]
     ours, cable = rows[0], rows[-1]
     drawn = [r for r in rows if r["method"].startswith("start")]
     same = [r for r in drawn if abs(r["error"] / ours["error"] - 1.0) < SAME]
@@ -147,7 +150,7 @@ def text(rows: list[dict[str, Any]], _peers: dict[str, ModuleType]) -> str:
         f"{PAPER.friction[0]:.4g}; of the cable eta {CABLE.friction[0]:.3g}, found with a standard deviation of "
         f"{cable['std']:.1g} (J held). From {len(drawn)} starts drawn over {DECADES:g} decades in J and eta and "
         f"{SHIFT:g} rad in the angles, {len(same)} reach the same optimum (cost within {SAME:g}); the slowest took "
-        f"{slowest:.2g} s. {NOTE}"
+        f"{slowest:.2g} s. {NOTE}\n\n{recorded.text(demanding)}"
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.windows import summary, text
 from benchmarks.wrong_input import DOUBLE, FREE, SINGLE, Array, noisy, swing
 
 import hyperflex as hf
@@ -106,3 +107,25 @@ def test_a_grade_says_by_itself_whether_axes_may_be_wrong() -> None:
     assert grade((), DOUBLE, None, (), identifiable=True, turned=1.5).doubtful
     assert not grade((), DOUBLE, None, (), identifiable=True, turned=0.1).doubtful
     assert not grade((), DOUBLE, None, (), identifiable=True, noise="gravity is turned").doubtful
+
+
+def test_the_benchmark_of_parts_counts_scatter_and_overlap_of_those_that_may_be_used() -> None:
+    rows = [
+        {"recording": "one", "begin": float(k), "seconds": 1.0, "grade": grade, "reason": "", "friction": friction}
+        | {"ratios": {"J/p1[0]": [value, 0.5, value - 1.0, value + 1.0], "c/p1[0]": [10.0 * value, 0.5, 0.0, 1.0]}}
+        for k, (value, grade, friction) in enumerate(
+            [
+                (0.0, "usable", ""),
+                (1.0, "usable", "up to 50 %"),
+                (3.0, "usable for ratios", ""),
+                (99.0, "do not use", ""),
+            ]
+        )
+    ]
+    ratio, friction = summary(rows)
+    # about the mean 4/3: (16 + 1 + 25) / 9 / 0.25 over two degrees of freedom; 0 and 3 do not overlap
+    assert ratio["chi_squared"] == pytest.approx(42.0 / 9.0 / 0.25 / 2.0)
+    assert (ratio["parts"], ratio["overlap"]) == (3, pytest.approx(2.0 / 3.0))
+    assert ratio["holds"] is False
+    assert (friction["holds"], friction["model_error"]) == (None, "up to 50 %")
+    assert "**no**" in text(rows)
