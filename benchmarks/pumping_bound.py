@@ -27,7 +27,7 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.paper import T_MOVE, cable, casting_arm
-from hyperflex.planning.search.evolution import cma_es
+from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.simulation import simulate_batch
 
 RESULTS = Path(__file__).parent / "results" / "pumping-bound.jsonl"
@@ -89,7 +89,7 @@ def climb(
     task: Task, begin: Array, spread: float, rng: np.random.Generator, members: int, manner: Manner
 ) -> tuple[float, Array]:
     """CMA-ES until it is old enough or idle."""
-    search, best, idle = cma_es(begin, spread, np.ones(begin.size), members, rng), (-1.0, begin), 0
+    search, best, idle = CmaEs(begin, spread, np.ones(begin.size), members, rng), (-1.0, begin), 0
     for _ in range(manner.most):
         points = np.array(search.ask())
         tried = manner.inside(points)

@@ -147,6 +147,42 @@ def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
     assert attempts <= 11  # halving alone would take 43
 
 
+@pytest.mark.parametrize("locked", [0.0, 1.0])
+@pytest.mark.parametrize("case", [0, 1, 2])
+def test_a_step_may_end_as_much_later_as_is_allowed(case: int, locked: float) -> None:
+    """The middle of the first attempt tells where, well enough for the next or the one after it."""
+    value, slope, step, at = COURSES[case]
+    search = events.new_search(1)
+    search.late[:] = 1e-2
+    search.low[:, 0] = value(0.0), slope(0.0)
+    events.begin_search(search)
+    search.middle[:, 0] = value(0.5 * step), slope(0.5 * step)
+    attempts, verdict = 0, events.AGAIN
+    while verdict == events.AGAIN:
+        search.here[:, 0] = value(step), slope(step)
+        taken = step
+        verdict, step = events.assess_step(np.array([locked]), search, step)
+        attempts += 1
+    assert verdict == events.EVENT
+    assert -1e-2 <= value(taken) <= 0.0
+    assert taken >= at
+    assert attempts <= (4 if locked else 3)
+
+
+def test_cubics_that_stay_positive_hide_nothing() -> None:
+    """Where all Bernstein coefficients are positive no sixteenth of the course is below zero, for random courses."""
+    rng, kept = np.random.default_rng(0), 0
+    for _ in range(300):
+        search = events.new_search(1)
+        search.low[:, 0], search.middle[:, 0], search.here[:, 0] = rng.normal(0.5, 1.0, (3, 2))
+        if events.stays_positive(search, 0, 1.0):
+            kept += 1
+            looks = np.linspace(0.01, 1.0, 100)
+            for low, high in ((search.low, search.middle), (search.middle, search.here)):
+                assert min(events.margin_polynomial(low, high, 0, 0.5, x) for x in looks) >= 0.0
+    assert kept > 20
+
+
 def test_a_dip_before_another_joint_s_event_is_found() -> None:
     """The second margin dips below zero in the middle, which its ends do not show; the first one's event is later."""
     courses: list[tuple[Course, Course]] = [

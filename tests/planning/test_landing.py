@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,10 +11,11 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastSetup, MotorLimits, Throw, estimate_success_probability, verify_cast
+from hyperflex.planning import CastSetup, MotorLimits, Throw, estimate_success_probability, outcome, verify_cast
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import contact_phase, rollouts
 from hyperflex.planning.search.contact_phase import (
+    ARM_COST,
     LAST,
     LATE_COST,
     MAX_TURNS,
@@ -25,7 +27,7 @@ from hyperflex.planning.search.contact_phase import (
     simulate_contact,
 )
 from hyperflex.planning.search.rollouts import RolloutBatch
-from tests.planning.known import contact_scores, simulated_strikes
+from tests.planning.known import contact_scores, planned, simulated_strikes
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 CAST_SETUP = CastSetup(CABLE, hf.Arm(length=0.105), MotorLimits())
@@ -90,6 +92,16 @@ def test_a_motor_that_is_too_weak_is_told() -> None:
     assert "N m of a motor that gives 0.05" in whole.message
 
 
+def test_the_turns_that_are_missing_are_those_that_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not those at the end alone, which are told beside them."""
+    plan = planned()
+    monkeypatch.setattr(outcome, "MIN_TURNS", 9.0)
+    seen = outcome.evaluate_cast(plan.cast_setup, plan.target, plan.run, float(plan.motion.breaks[-1]))
+    most, stay = (float(word) for word in re.findall(r"\d\.\d\d", seen.message))
+    assert seen.message.endswith(f"turns {stay:.2f} stay while it is watched, and 9 are asked")
+    assert stay <= abs(seen.turns) + 0.005 <= most + 0.01
+
+
 def test_a_rope_that_misses_is_told() -> None:
     whole = verify_cast(CAST_SETUP, hf.Peg(1.5, 1.2, 0.03), hf.arm_moves([-1.5, -1.4], [0.0], [0.2]), watch_time=0.2)
     assert whole.message == "the rope does not touch the peg"
@@ -150,7 +162,18 @@ def test_a_rope_that_comes_too_near_its_arm_counts_as_undone(clearance: float, s
     one = RolloutBatch([CABLE], [PEG], [motion], strike.q, strike.qd)
     found = simulate_contact(one, strike.t, arm=CAST_SETUP.arm, clearance=clearance)
     assert bool(found.turns[0] >= MIN_TURNS) is stays
-    assert stays or found.score[0] <= MIN_HOPE + PASSING * MAX_TURNS
+    assert stays or found.score[0] <= MIN_TURNS - ARM_COST + PASSING * MAX_TURNS
+
+
+def test_the_longer_a_rope_is_too_near_its_arm_the_less_it_is_worth() -> None:
+    """Also where it winds: what a search is to get away from must not look alike everywhere."""
+    strike = simulated_strikes(CAST_SETUP, PEG, [WINDS])
+    motion = WINDS.motion(CAST_SETUP.limits).shifted(-strike.t[0])
+    one = RolloutBatch([CABLE], [PEG], [motion], strike.q, strike.qd)
+    for_short, long = (
+        simulate_contact(one, strike.t, arm=CAST_SETUP.arm, clearance=clearance).score[0] for clearance in (0.037, 1.0)
+    )
+    assert long + 0.1 < for_short < MIN_TURNS + PASSING * MAX_TURNS - ARM_COST
 
 
 def test_a_run_that_is_too_deep_in_the_peg_to_go_on_counts_little(monkeypatch: pytest.MonkeyPatch) -> None:

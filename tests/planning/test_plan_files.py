@@ -100,6 +100,9 @@ def test_a_plan_reads_back_as_it_was_written(tmp_path, made):
     assert files.dumps_toml(to_table(back)) == files.dumps_toml(to_table(plan))
     back.to_toml(tmp_path / "again.toml")
     assert (tmp_path / "again.toml").read_text() == (tmp_path / "plan.toml").read_text()
+    head = (tmp_path / "plan.toml").read_text().split("\n\n")[0].splitlines()
+    assert head[0].startswith("# A planned cast. SI units: m, kg, s")
+    assert all(line.startswith("# ") for line in head)
     assert back.run is None
     with pytest.raises(InvalidInput, match="read from a file has no runs"):
         back.to_netcdf(tmp_path / "run.nc")

@@ -14,7 +14,6 @@ from hyperflex.errors import SimulationError
 from hyperflex.planning import Uncertainty, WhipMap, build_whip_map, estimate_success_probability
 from hyperflex.planning.outcome import require_holding_force
 from hyperflex.planning.robust import scenario_rollouts
-from hyperflex.planning.search import throw_search
 from hyperflex.planning.search.beam import BeamSearch
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.contact_phase import WindingScores, simulate_contact
@@ -61,11 +60,10 @@ def test_verifications_do_not_outlast_the_time() -> None:
 
 
 def test_the_time_counts_from_the_call_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before a search begins, kernels are loaded; what a search imports only where it needs it takes seconds, too."""
+    """Before a search begins, kernels are loaded."""
     begun: list[CastPlanner] = []
     monkeypatch.setattr(casting, "Clock", lambda: SimpleNamespace(spent=59.9))
     monkeypatch.setattr(CastPlanner, "run", lambda self, report: begun.append(self))
-    monkeypatch.setattr(throw_search, "cma_es", None)
     plan = hf.plan_cast(CABLE, cast_setup().arm, PEG, time_budget=60.0)
     assert (plan.seconds, begun[0].late) == (59.9, True)
     assert begun[0].left() < 0.0

@@ -40,7 +40,6 @@ def assemble_result(
     basis: Basis,
     held_out: HeldOut | None,
     settings: dict[str, Any],
-    remark: str,
     intervals: dict[str, Interval] | None = None,
     tests: tuple[ScoreTest, ...] = (),
     scatter: tuple[Scatter, ...] = (),
@@ -48,7 +47,7 @@ def assemble_result(
 ) -> Identification:
     """Return the result of a fit, whose message is `early` if it was interrupted.
 
-    `remark` joins the verdict, intervals of the ratios those of the parameters.
+    Intervals of the ratios join those of the parameters.
     """
     plant, information, found, windows = basis.plant, basis.information, basis.fit, basis.windows
     parameters = plant.parameters
@@ -72,7 +71,6 @@ def assemble_result(
         not_noise(information.correlation, information.whiteness),
         noise_not_modelled(information.agrees, information.freedom),
         failed_predictions(held_out),
-        remark,
         too_large(information.variance, information.freedom) if declared else "",
         *(each.remark for each in (intervals or {}).values()),
     ]

@@ -15,7 +15,7 @@ from hyperflex.identification.assembly import assemble_result
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, scaled_angles, suspicious
 from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
 from hyperflex.identification.diagnosis.link_test import link_test
-from hyperflex.identification.diagnosis.misdeclared import misdeclared
+from hyperflex.identification.diagnosis.misdeclared import DECLARED, first_misdeclared
 from hyperflex.identification.diagnosis.model_error import with_model_error
 from hyperflex.identification.diagnosis.score_tests import LENGTHS, ScoreTest, score_tests
 from hyperflex.identification.diagnosis.tolerances import with_sway
@@ -295,15 +295,14 @@ class _Problem:
         tested = any(each.name == LENGTHS for each in tests)
         settings["length_std"] = self.length_std if tested else 0.0  # else nothing counts the lengths
         settings["noise"] = "not declared" if self.recording.noise is None else "declared"
-        lengths = "" if self.arc_lengths is not None else other_lengths(self.recording, self.guess)
         with caught() as stop:
             with deferred():
-                result = assemble_result(basis, held_out, settings, lengths, ranges, tests, trial.scatter, self._early)
+                result = assemble_result(basis, held_out, settings, ranges, tests, trial.scatter, self._early)
             if not found.interrupted:
                 result = self._doubted(result, trial)
         if stop.met:
             found.interrupted = True
-            result = assemble_result(basis, held_out, settings, lengths, ranges, tests, trial.scatter, self._early)
+            result = assemble_result(basis, held_out, settings, ranges, tests, trial.scatter, self._early)
         return result.with_remark(remark)
 
     def _doubted(self, result: Identification, trial: Trial) -> Identification:
@@ -311,10 +310,15 @@ class _Problem:
         short = ShortFit(self.guess, trial.free, self.arc_lengths, self.origin, self.motion, self.arm, self.loss)
         if result.grade.name != "do not use":
             result = result.with_suspicion(scaled_angles(self.recording, short))
-        if result.grade.doubtful or suspicious(self.fitted.shape):
-            named = bool(misdeclared(trial.tests))
-            result = result.with_reason(explained(self.recording, self.origin, short, named=named))
-        return result.with_reason(uneven_scale(self.recording)) if self.arc_lengths is None else result
+        first = first_misdeclared(trial.tests)
+        wrong = result.grade.doubtful or suspicious(self.fitted.shape)
+        if wrong or any(each.suspected and each.name in DECLARED for each in trial.tests):
+            said = explained(self.recording, self.origin, short, named="" if first is None else first.name)
+            result = result.with_reason(said) if wrong else result.with_suspicion(said)
+        if self.arc_lengths is not None:
+            return result
+        result = result.with_suspicion(other_lengths(self.recording, self.guess))
+        return result.with_reason(uneven_scale(self.recording))
 
     @property
     def _early(self) -> str:
@@ -327,7 +331,7 @@ class _Problem:
             return None
         if not basis.fit.converged or basis.fit.interrupted:
             how = "covariance"
-        if how == "auto" and (misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > POOR):
+        if how == "auto" and (first_misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > POOR):
             how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
         return all_intervals(basis, how, report=self.report)
 

@@ -37,7 +37,7 @@ def verdict(parameters: Parameters, information: Information, spreads: dict[str,
     """Return in words what is identifiable; `spreads` (n,) are standard deviations of the ratios."""
     if not information.estimated:
         return ["It ended before deviations and intervals were worked out: there are none."]
-    return [*_unknown(parameters, information, spreads), *_values(parameters, information), _first_moment(spreads)]
+    return [*_unknown(parameters, information, spreads), *_values(parameters, information), *_first_moment(spreads)]
 
 
 def not_converged(message: str) -> str:
@@ -117,7 +117,7 @@ def other_lengths(recording: Recording, rope: Rope) -> str:
     if (np.abs(measured / rope.length - 1.0) <= LENGTHS_AGREE).all():
         return ""
     lengths = ", ".join(f"{seen:.4g} for {given:.4g}" for seen, given in zip(measured, rope.length, strict=True))
-    return f"The markers lie {lengths} m apart: check their scale, or the link lengths. The angles do not show it."
+    return f"the markers lie {lengths} m apart: check their scale, or the link lengths. The angles do not show it."
 
 
 def uneven_scale(recording: Recording) -> str:
@@ -159,11 +159,11 @@ def uneven_scale(recording: Recording) -> str:
     )
 
 
-def _first_moment(spreads: dict[str, Array]) -> str:
+def _first_moment(spreads: dict[str, Array]) -> list[str]:
     """Return what p1 is, or nothing where no ratio was fitted; `spreads` (n,) are standard deviations of the ratios."""
     if not any(np.any(each > 0.0) for each in spreads.values()):
-        return ""
-    return "In ratios p1 is the first moment of link 0 about its joint, kg m, with all mass beyond it at its far end."
+        return []
+    return ["In ratios p1 is the first moment of link 0 about its joint, kg m, with all mass beyond it at its far end."]
 
 
 def held_words(held: Sequence[str]) -> str:

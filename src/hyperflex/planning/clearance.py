@@ -90,12 +90,12 @@ def least_gap(
     return best[0] - run.setup.rope.radius - 0.5 * FINE, *best[1:]
 
 
-def sampled_clearance(rope: Rope, arm: Arm, q: Array, base: Array) -> float:
-    """Least distance, m, of a rope from its arm and shaft at samples alone, as of :func:`rope_clearance`.
+def sampled_clearance(rope: Rope, arm: Arm, q: Array, base: Array) -> Array:
+    """Distance (T,), m, of a rope from its arm and shaft at samples alone, as of :func:`rope_clearance`.
 
     Link angles q (T, n), rad; `base` (T, 2), m, is the arm's tip.
     """
-    return float(_gaps(rope, arm, q, base, np.arange(rope.n_links)).min()) - rope.radius
+    return np.asarray(_gaps(rope, arm, q, base, np.arange(rope.n_links)).min(axis=(1, 2))) - rope.radius
 
 
 def _least(t: Array, gap: Array) -> tuple[float, float, int]:

@@ -163,7 +163,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         message = "the rope does not touch the peg"
     elif not enough:
         least, most = max(0.0, float((sense * turns).min())), float(np.abs(wound.turns).max())
-        message = f"it winds {least:.2f} turns ({most:.2f} at most), and {MIN_TURNS:g} are asked"
+        message = f"of {most:.2f} turns {least:.2f} stay while it is watched, and {MIN_TURNS:g} are asked"
     elif not held:
         message = (
             "the rope leaves the peg" if not on else f"it slips by {1e3 * slip:.1f} mm, {1e3 * MAX_SLIP:g} allowed"

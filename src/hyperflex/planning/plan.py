@@ -23,6 +23,13 @@ T = TypeVar("T")
 
 RATE = 200.0  # Hz
 MAX_ROWS = 10_000_000
+# At the beginning of a plan's TOML file
+HEAD = """# A planned {kind}. SI units: m, kg, s, N, N m, J; angles in rad, an arm or link at 0 hangs down.
+# First the set-up of the verified run, its links cut where they may touch: hyperflex simulate runs it. From [plan] on,
+# what was planned for whom: the rope as given and the motor's limits (plan.cast_setup), the moves, and what became of
+# them in simulation (plan.outcome; with shorter links, plan.finer_outcome). A plan that succeeds has no message.
+
+"""
 SUCCEEDED, INFEASIBLE, NOT_FOUND, FAILED, NOT_VERIFIED, INTERRUPTED = range(6)  # status of a plan
 
 
@@ -180,7 +187,8 @@ class Plan(ABC):
         :meth:`hyperflex.Setup.from_toml` the set-up of the verified run.
         """
         table = {"kind": self.kind, "source": "simulated", **to_table(self)}
-        files.write_text(path, self.setup().dumps() + "\n" + files.dumps_toml({PLAN: table}))
+        text = self.setup().dumps() + "\n" + files.dumps_toml({PLAN: table})
+        files.write_text(path, HEAD.format(kind=self.kind) + text)
 
 
 def to_table(value: Any) -> Any:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import joint_law, status
-from hyperflex.core.chain.articulated_body import Chain, accelerations, can_stick
+from hyperflex.core.chain.articulated_body import Chain, accelerations, can_stick, sticks_often
 from hyperflex.core.chain.drive import TORQUE, Drive, base_state, segment
 from hyperflex.core.chain.motor_torque import senses
 from hyperflex.core.integrate import rollout
@@ -28,7 +28,8 @@ from hyperflex.simulation.stability import first_moment, runge_kutta_limit
 # Orders that a run chooses from, step by step: seven fills four lanes without a gap, lower ones save no time, and eight
 # is worth its rounds at tight tolerances. Higher ones would outrun the polynomial between steps, and rounding.
 LEAST_ORDER, MOST_ORDER = 7, 8
-TABLES = tuple(scheme(order) for order in range(LEAST_ORDER - 1, MOST_ORDER + 1))
+DRY_ORDER = 3  # the least where many joints may stick, whose events cut steps short
+TABLES = tuple(scheme(order) for order in range(DRY_ORDER - 1, MOST_ORDER + 1))
 # A run is refused when its energy balance is off by more than this part of the energy that went through it.
 ENERGY_ALLOWANCE = 0.02
 BUDGET, SHORT = 2000, 100  # steps between two looks at progress and Ctrl-C, of a rope of so many links or fewer
@@ -131,9 +132,8 @@ def rollout_limits(setup: Setup, chain: Chain, stop: float, budget: int = BUDGET
     budget = max(1, budget * SHORT // max(SHORT, chain.length.size))
     weight, reach = float(chain.mass.sum() + chain.tip_mass) * math.hypot(chain.gx, chain.gy), float(chain.length.sum())
     scale = weight * reach + float(chain.dry.sum())  # dry friction takes its torque times a radian
-    bounds = Limits(
-        stop, setup.tol, lever(chain), reach, scale, setup.step or 0.0, LEAST_ORDER, MOST_ORDER, budget, until
-    )
+    least = DRY_ORDER if sticks_often(chain) else LEAST_ORDER
+    bounds = Limits(stop, setup.tol, lever(chain), reach, scale, setup.step or 0.0, least, MOST_ORDER, budget, until)
     if setup.step is None:
         return bounds
     longest = runge_kutta_limit(chain)

@@ -23,8 +23,8 @@ from hyperflex.core.batch.members import (
     chain_of,
 )
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, sincos
-from hyperflex.core.integrate.event_search import AGAIN, EVENT, TRIES, Search, assess_step, begin_search
+from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, sincos, sticks_often
+from hyperflex.core.integrate.event_search import AGAIN, EVENT, TRIES, Search, allow_lateness, assess_step, begin_search
 from hyperflex.core.jit import inlined, kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import (
     QUICK,
@@ -49,6 +49,7 @@ class LaneStiction(NamedTuple):
     high: Array
     here: Array
     middle: Array
+    late: Array  # (k, n + 1)
     alpha: Array  # (k, n) accelerations at the beginning of the step
     power: Array  # (k, 3) of stuck joints
     slip: Array  # (k, n)
@@ -72,6 +73,7 @@ def new_lane_stiction(n):  # type: ignore[no-untyped-def]
         still[1],
         still[2],
         still[3],
+        np.zeros((k, n + 1)),
         np.zeros((k, n)),
         np.zeros((k, 3)),
         np.ones((k, n)),
@@ -130,7 +132,9 @@ def assess_lane(members, terms, m, lanes, path, j, lane, friction):  # type: ign
     chain, tools = chain_without_gravity(members, terms, m), friction.workspace
     start, out, slip = friction.start[j], friction.out[j], friction.slip[j]
     before, after = friction.before[j], friction.after
-    search = Search(friction.span[j], friction.low[j], friction.high[j], friction.here[j], friction.middle[j])
+    search = Search(
+        friction.span[j], friction.low[j], friction.high[j], friction.here[j], friction.middle[j], friction.late[j]
+    )
     since, step, widen = lane[TIME] - lane[ORIGIN], lane[NEXT_STEP], tolerance_factor(lane[CHATTER], n)
     until = (lane[TIME] + step) - lane[ORIGIN]  # as the next step will reckon it
     if lane[RETRY] == 0.0:
@@ -142,6 +146,9 @@ def assess_lane(members, terms, m, lanes, path, j, lane, friction):  # type: ign
         assign(friction.alpha[j], tools.alpha)
         friction.power[j, 0] = stuck_power(chain, start[n : 2 * n], slip, tools.load)
         begin_search(search)
+        friction.late[j] = 0.0
+        if sticks_often(chain):
+            allow_lateness(search, friction.locked[j], chain, terms.tol, step)
     for i in range(n):
         row = lanes[(i + 1) * ln.ROW * k : (i + 2) * ln.ROW * k]
         out[i] = row[ln.Q_START * k + j] + row[ln.Q_SUM * k + j]

@@ -44,6 +44,7 @@ class Chain(NamedTuple):
 
 # The compiler knows the length of a tuple, so each friction model gets kernels of its own.
 MUTUAL = (0, 0)  # the link and its parent
+MANY = 16  # joints with dry friction
 ONE_SIDED = (0,)  # the link alone, as printed in the paper's (4)
 
 _ONE_OVER_PI = 1.0 / math.pi
@@ -252,6 +253,15 @@ def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ign
 def can_stick(chain):  # type: ignore[no-untyped-def]
     """Whether dry friction may hold a joint."""
     return chain.dry.any()
+
+
+@non_allocating
+def sticks_often(chain):  # type: ignore[no-untyped-def]
+    """Whether dry friction may hold so MANY joints that their events, and not the error, set the length of steps."""
+    dry = 0
+    for i in range(chain.dry.size):
+        dry += chain.dry[i] > 0.0
+    return dry >= MANY
 
 
 @non_allocating

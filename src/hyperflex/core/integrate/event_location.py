@@ -4,14 +4,25 @@ import numpy as np
 
 from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import ONE_SIDED, can_stick
+from hyperflex.core.chain.articulated_body import ONE_SIDED, can_stick, sticks_often
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.integrate.end_conditions import NOTHING, PEAK, event_value, limits, on_right_side, watched_sense
-from hyperflex.core.integrate.event_search import AGAIN, EVENT, TRIES, assess_step, begin_search, first_past, is_past
+from hyperflex.core.integrate.event_search import (
+    AGAIN,
+    EVENT,
+    TRIES,
+    allow_lateness,
+    assess_step,
+    begin_search,
+    first_past,
+    is_past,
+)
 from hyperflex.core.integrate.progress import CHATTER, PENDING, REJECTED, TAKEN, T, advance
 from hyperflex.core.jit import non_allocating
 from hyperflex.core.stiction.constraint_torques import (
+    constraint_torques,
     margins,
+    margins_of,
     midpoint_state,
     project_stuck,
     stop_joints,
@@ -26,8 +37,8 @@ def update_modes(chain, drive, part, progress, workspace):  # type: ignore[no-un
     """Decide the modes of the joints where a run stands; False where no modes obey the law, or joints chatter."""
     y, slip, clock = progress.y, progress.slip, progress.clock
     n = slip.size
-    torque = base_state(drive, part, clock[T], workspace.after)
-    now, before = workspace.after[:7], workspace.out[:n]
+    torque = base_state(drive, part, clock[T], workspace.before)
+    now, before = workspace.before[:7], workspace.out[:n]
     tools = workspace.stiction
     good, chatter = decide_modes(chain, y[:n], y[n : 2 * n], now, torque, clock[CHATTER], slip, before, tools)
     clock[CHATTER] = chatter
@@ -46,8 +57,31 @@ def end_margins(chain, until, sense, q, w, alpha, base, last, out):  # type: ign
 
 
 @non_allocating
-def find_event(chain, drive, part, table, terms, progress, step, workspace):  # type: ignore[no-untyped-def]
+def begin_event(chain, drive, part, terms, progress, step, workspace, decided, widen):  # type: ignore[no-untyped-def]
+    """Begin the search within a step with the margins at its start; arguments as for :func:`find_event`.
+
+    `widen`: factor on the tolerance of the dry friction.
+    """
+    y, slip, search, tools = progress.y, progress.slip, workspace.search, workspace.stiction
+    n, t = slip.size, progress.clock[T]
+    for i in range(n):
+        workspace.locked[i] = 1.0 - slip[i] * slip[i]
+    if not decided:
+        torque = base_state(drive, part, t, workspace.before)
+        constraint_torques(chain, y[:n], y[n : 2 * n], slip, workspace.before[:7], torque, tools)
+    margins_of(chain, y[n : 2 * n], slip, workspace.before, widen, tools, search.low)
+    assign(workspace.alpha, tools.alpha)
+    workspace.power[0] = stuck_power(chain, y[n : 2 * n], slip, tools.load)
+    begin_search(search)
+    if sticks_often(chain) and terms.fixed == 0.0 and progress.log.shape[0] == 0:  # derivatives ask for the very event
+        allow_lateness(search, workspace.locked, chain, terms.tol, step)
+
+
+@non_allocating
+def find_event(chain, drive, part, table, terms, progress, step, workspace, decided):  # type: ignore[no-untyped-def]
     """Shorten the step to ``workspace.out`` until it holds no event, or ends at its first one; `terms` are the Limits.
+
+    `decided`: modes were decided where it begins, and the constraint torques there are known.
 
     Returns
     -------
@@ -60,13 +94,7 @@ def find_event(chain, drive, part, table, terms, progress, step, workspace):  # 
     n, last = slip.size, workspace.locked.size - 1
     limited = last > n
     t, widen, stuck, sticks = clock[T], tolerance_factor(clock[CHATTER], n), not slip.all(), can_stick(chain)
-    for i in range(n):
-        workspace.locked[i] = 1.0 - slip[i] * slip[i]
-    torque = base_state(drive, part, t, workspace.before)
-    margins(chain, y[:n], y[n : 2 * n], slip, workspace.before[:7], torque, widen, tools, search.low)
-    assign(workspace.alpha, tools.alpha)
-    workspace.power[0] = stuck_power(chain, y[n : 2 * n], slip, tools.load)
-    begin_search(search)
+    begin_event(chain, drive, part, terms, progress, step, workspace, decided, widen)
     sense = 0.0
     workspace.locked[last] = 1.0 if until.kind == PEAK else 0.0
     if until.kind != NOTHING:

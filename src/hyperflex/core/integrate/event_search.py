@@ -5,12 +5,14 @@ Every event is a margin that falls from above zero to zero: of each joint that m
 the last column of what is to end the run. A margin comes with its slope where that is known.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from hyperflex.core.assign import assign_rows
 from hyperflex.core.chain.articulated_body import Array
+from hyperflex.core.integrate.step_size import allowed, lasting
 from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import INSTANT, QUICK, STILL
 
@@ -19,6 +21,8 @@ LOW, HIGH, TRIES, SIDE = range(4)  # of Search.span: s, s, attempts so far, end 
 LOOKS = 16  # at a margin's course within a step
 GLANCES = 3  # attempts that are searched for hidden events; later ones only if they end at an event
 SOON = 0.125  # part of a span: where a margin grows at first, a cubic's zero before this is but a joint that came loose
+STOPPED = 1e-3  # of the velocity that a step may err by is what a joint may turn at, the other way, when it is stopped
+LATE, LATEST = 2e3, 0.01  # part of dry friction by which a joint's load exceeds it, where it is let go, for tol / reach
 MAX_ATTEMPTS = 40  # attempts after which the span is halved, whatever the margins say; twice that ends the search
 
 
@@ -30,13 +34,14 @@ class Search(NamedTuple):
     high: Array  # at HIGH, where there is one, if HIGH is finite
     here: Array  # of the present attempt
     middle: Array  # in the middle of the present attempt, inf where not known
+    late: Array  # (m,) by how much a margin may be passed where a step ends
 
 
 @kernel
 def new_search(m):  # type: ignore[no-untyped-def]
     """A search over m margins."""
     four = np.full((4, 2, m), np.inf)
-    return Search(np.array([0.0, np.inf, 0.0, 0.0]), four[0], four[1], four[2], four[3])
+    return Search(np.array([0.0, np.inf, 0.0, 0.0]), four[0], four[1], four[2], four[3], np.zeros(m))
 
 
 @non_allocating
@@ -48,6 +53,18 @@ def begin_search(search):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
+def allow_lateness(search, locked, chain, tol, step):  # type: ignore[no-untyped-def]
+    """Say how much later than at its event a step of the length `step`, s, may end, by its error `tol`, m."""
+    longest = reach = 0.0
+    for i in range(chain.length.size):
+        longest, reach = max(longest, chain.length[i]), reach + chain.length[i]
+    rate = STOPPED * allowed(tol, step, 0.0) / (lasting(step) * longest)
+    part = min(LATEST, LATE * tol / reach)
+    for i in range(chain.length.size):
+        search.late[i] = rate if locked[i] == 0.0 else part
+
+
+@non_allocating
 def margin_polynomial(low, high, i, length, x):  # type: ignore[no-untyped-def]
     """Margin i at the part x in (0, 1] of an interval, s, divided by x: the cubic through both ends' (value, slope)."""
     v0, s0, v1, s1 = low[0, i], low[1, i] * length, high[0, i], high[1, i] * length
@@ -55,16 +72,17 @@ def margin_polynomial(low, high, i, length, x):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def first_zero(low, high, i, length):  # type: ignore[no-untyped-def]
-    """First part of an interval at which the course of margin i is at or below zero, its beginning aside; 1.0: none."""
-    before, at = 0.0, 0.0
+def first_zero(low, high, i, length, most):  # type: ignore[no-untyped-def]
+    """First part of an interval, but for its beginning, at which margin i is zero or less; `most` if that is before."""
+    before, at = 0.0, most
     for k in range(1, LOOKS + 1):
-        if margin_polynomial(low, high, i, length, k / LOOKS) <= 0.0:
-            at = k / LOOKS
+        x = min(k / LOOKS, most)
+        if margin_polynomial(low, high, i, length, x) <= 0.0:
+            at = x
             break
-        before = k / LOOKS
-    if at == 0.0:
-        return 1.0
+        before = x
+        if x == most:
+            return most
     for _ in range(52):
         x = 0.5 * (before + at)
         if margin_polynomial(low, high, i, length, x) > 0.0:
@@ -72,6 +90,14 @@ def first_zero(low, high, i, length):  # type: ignore[no-untyped-def]
         else:
             at = x
     return at
+
+
+@non_allocating
+def stays_positive(search, i, length):  # type: ignore[no-untyped-def]
+    """Whether the cubics through margin i, with a middle, stay positive: no Bernstein coefficient of theirs is not."""
+    v0, s0, v1, s1 = search.low[0, i], search.low[1, i], search.here[0, i], search.here[1, i]
+    vm, sm, third = search.middle[0, i], search.middle[1, i], length / 6.0
+    return min(v0, v0 + third * s0, vm - third * sm, vm, vm + third * sm, v1 - third * s1) >= 0.0
 
 
 @non_allocating
@@ -86,7 +112,7 @@ def hidden_event(locked, search, length):  # type: ignore[no-untyped-def]
         v0, v1, vm = search.low[0, i], search.here[0, i], search.middle[0, i]
         if v0 == np.inf or v1 == np.inf or is_past(locked, search.here, i):
             continue
-        if locked[i] == 0.0:
+        if locked[i] == 0.0 and not (vm < np.inf and stays_positive(search, i, length)):
             for k in range(1, LOOKS):
                 x = k / LOOKS
                 if vm == np.inf:
@@ -97,9 +123,9 @@ def hidden_event(locked, search, length):  # type: ignore[no-untyped-def]
                     value = margin_polynomial(search.middle, search.here, i, 0.5 * length, 2.0 * x - 1.0)
                 if value < 0.0:
                     part = min(part, x)
-        elif vm < 0.0:
+        elif locked[i] == 1.0 and vm < 0.0:
             part = min(part, 0.5)
-        elif vm < np.inf:
+        elif locked[i] == 1.0 and vm < np.inf:
             bend, slope = 2.0 * (v0 - 2.0 * vm + v1), 4.0 * vm - 3.0 * v0 - v1
             x = -0.5 * slope / bend if bend > 0.0 else 0.0
             if 0.03 < x < 0.97 and v0 + x * (slope + x * bend) < 0.0:
@@ -158,7 +184,8 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
     for i in range(locked.size):
         if is_past(locked, search.here, i):
             over = True
-            near = near and search.here[0, i] >= -INSTANT * fall(locked, search, i, step)
+            past = max(INSTANT * fall(locked, search, i, step), search.late[i])
+            near = near and search.here[0, i] >= -past
     clear = not over and span[HIGH] == np.inf
     ends = clear or (over and (near or step - span[LOW] <= INSTANT or span[TRIES] > 2 * MAX_ATTEMPTS))
     at = step
@@ -166,7 +193,8 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
         at = span[LOW] + hidden_event(locked, search, step - span[LOW]) * (step - span[LOW])
     if ends and at >= step:
         return EVENT if over else DONE, step
-    search.middle[:] = np.inf  # it tells of this attempt's
+    if clear or not over or span[LOW] > 0.0:
+        search.middle[:] = np.inf  # it tells of a whole attempt
     if clear:
         return AGAIN, at
     side = 1.0 if over else -1.0
@@ -184,7 +212,36 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
     else:
         span[LOW] = step
         assign_rows(search.low, search.here)
-    return AGAIN, at if at < step else estimate_event_time(locked, search)
+    if at >= step:
+        at = estimate_event_time(locked, search)
+    search.middle[:] = np.inf
+    return AGAIN, at
+
+
+@non_allocating
+def first_part(locked, search, i, length, most):  # type: ignore[no-untyped-def]
+    """Part of the span, of the given length, s, at which margin i should be passed by half of what is allowed.
+
+    At most `most`. Where the middle is known, by the cubics on both sides of it, for stuck joints by the parabola.
+    """
+    aim = 0.5 * search.late[i]
+    low, middle, high = search.low, search.middle, search.high
+    if locked[i] == 1.0:
+        v0, vm, v1 = max(low[0, i], 0.0) + aim, middle[0, i] + aim, high[0, i] + aim
+        if not (vm < np.inf):
+            return min(most, v0 / (v0 - v1)) if v1 < 0.0 else most
+        bend, slope = 2.0 * (v0 - 2.0 * vm + v1), 4.0 * vm - 3.0 * v0 - v1
+        root = math.sqrt(max(slope * slope - 4.0 * bend * v0, 0.0))
+        return min(most, 2.0 * v0 / (root - slope)) if root > slope else most
+    if not (middle[0, i] < np.inf):
+        x = first_zero(low, high, i, length, most)
+    else:
+        x = 0.5 * first_zero(low, middle, i, 0.5 * length, min(2.0 * most, 1.0))
+        if x == 0.5 and most > 0.5:
+            x += 0.5 * first_zero(middle, high, i, 0.5 * length, 2.0 * most - 1.0)
+    if low[1, i] > 0.0:
+        x = max(x, SOON)
+    return min(most, x + aim / (-high[1, i] * length)) if high[1, i] < 0.0 else x
 
 
 @non_allocating
@@ -197,14 +254,7 @@ def estimate_event_time(locked, search):  # type: ignore[no-untyped-def]
     at = 1.0
     for i in range(locked.size):
         if is_past(locked, search.high, i):
-            low, high = max(search.low[0, i], 0.0), search.high[0, i]
-            if locked[i] == 1.0:
-                x = low / (low - high)
-            else:
-                x = first_zero(search.low, search.high, i, length)
-            if locked[i] == 0.0 and search.low[1, i] > 0.0:
-                x = max(x, SOON)
-            at = min(at, x)
+            at = first_part(locked, search, i, length, at)
     if span[TRIES] > MAX_ATTEMPTS:
         at = 0.5
     return min(max(span[LOW] + at * length + 0.45 * INSTANT, span[LOW] + 0.9 * INSTANT), span[HIGH] - 0.9 * INSTANT)

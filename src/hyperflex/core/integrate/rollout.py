@@ -7,7 +7,7 @@ import numpy as np
 from hyperflex.core import status
 from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import can_stick, sines
+from hyperflex.core.chain.articulated_body import can_stick, sines, sticks_often
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.integrate.air import air_size
 from hyperflex.core.integrate.dense_output import interpolate
@@ -45,6 +45,7 @@ from hyperflex.core.integrate.step_size import (
     lasting,
     longer,
     shorter,
+    until_next_event,
 )
 from hyperflex.core.integrate.steps import rates
 from hyperflex.core.jit import kernel, non_allocating
@@ -108,17 +109,17 @@ def error_sizes(chain, limits, table, step, cut, workspace):  # type: ignore[no-
 
 
 @non_allocating
-def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, wanted, table):  # type: ignore[no-untyped-def]
+def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, wanted, table, longest):  # type: ignore[no-untyped-def]
     """Choose order and length of the step after one of the length `step`, s, which was wanted to be `wanted` long.
 
-    `size` is its error in units of what is allowed, `lower_size` that of an order less.
+    `size` is its error in units of what is allowed, `lower_size` that of an order less; `longest`, s, is for events.
     """
     order = table.order
     faint = sticks and is_rounding(size, limits.tol, step, table.rounding)
     grown = MOST * step if faint else longer(step, size, clock[LAST], clock[SIZE], order)
     if not faint:
-        clock[ORDER], grown = cheapest(tables, limits.least, limits.most, order, step, lower_size, grown)
-    clock[STEP] = max(grown, clock[STEP]) if step < wanted else grown
+        clock[ORDER], grown = cheapest(tables, limits.least, limits.most, order, step, lower_size, grown, longest)
+    clock[STEP] = min(max(grown, clock[STEP]) if step < wanted else grown, longest)
     clock[LAST], clock[SIZE] = step if clock[ORDER] == order and not faint else 0.0, size
     if clock[RESTARTED] == 1.0:
         clock[AFTER] = clock[STEP]
@@ -213,7 +214,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
     y, slip, clock = progress.y, progress.slip, progress.clock
     workspace = new_workspace(chain)
     fixed = limits.fixed
-    sticks = can_stick(chain)
+    sticks, often = can_stick(chain), sticks_often(chain)
     airy = fixed == 0.0 and chain.drag.any()
     watching = sticks or limits.until.kind != NOTHING or chain.max_bend.min() < np.inf
     if sticks:
@@ -226,7 +227,8 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             break
         if t >= part.end:
             part = segment(drive, t)
-        if sticks and clock[UNDECIDED] == 1.0 and not update_modes(chain, drive, part, progress, workspace):
+        decided = sticks and clock[UNDECIDED] == 1.0
+        if decided and not update_modes(chain, drive, part, progress, workspace):
             return status.FRICTION
         clock[UNDECIDED] = 0.0
         end, wanted, step = next_step(limits, part, clock)
@@ -250,7 +252,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             continue
         taken, event, joint = step, 0, -1
         if watching:
-            taken, event, joint = find_event(chain, drive, part, table, limits, progress, step, workspace)
+            taken, event, joint = find_event(chain, drive, part, table, limits, progress, step, workspace, decided)
             if taken == 0.0:
                 return status.REACHED
         t_new = end if cut and taken == step else t + taken
@@ -261,11 +263,10 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
         clock[T] = t_new
         write_until(clock, t_out, t_new, y, y_out)
         if fixed == 0.0:
-            choose_next_step(clock, tables, limits, sticks, step, size, lower_size, wanted, table)
-        if event == 2:
-            return status.REACHED
-        if event == 3:
-            return status.LIMIT
+            longest = until_next_event(step, taken) if often and event == 1 and joint >= 0 else np.inf
+            choose_next_step(clock, tables, limits, sticks, step, size, lower_size, wanted, table, longest)
+        if event >= 2:
+            return status.REACHED if event == 2 else status.LIMIT
         if event == 1 or t_new >= part.end:
             restart(clock)
     return status.RUNNING if clock[T] < limits.stop else status.OK

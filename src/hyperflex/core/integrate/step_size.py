@@ -12,6 +12,7 @@ SMALLEST_STEP: Final = 1e-10  # s
 SHARE: Final = 0.02  # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
 CHEAPER: Final = 0.9  # another order is taken where it is to cost less than this part of the work
 SAFETY: Final = 0.8  # 0.9 saves no time: it trades steps for rejected ones
+OFTEN: Final = 2.2  # as many times as long as what an event left of the last step the next is tried
 MOST: Final = 3.0  # a step is at most so many times as long as the last one
 LEAST: Final = 0.2
 TINY: Final = 1e-12
@@ -54,7 +55,7 @@ def longer(step, size, last, last_size, order):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def cheapest(tables, least, most, order, step, lower_size, grown):  # type: ignore[no-untyped-def]
+def cheapest(tables, least, most, order, step, lower_size, grown, longest):  # type: ignore[no-untyped-def]
     """Order of the next step, and its length, s: the order whose rounds for each second are fewest.
 
     Parameters
@@ -78,7 +79,7 @@ def cheapest(tables, least, most, order, step, lower_size, grown):  # type: igno
     rounds = tables[here].column.shape[0]
     rounds_below = tables[here - 1].column.shape[0]
     lower = longer(step, lower_size, 0.0, 0.0, order - 1)
-    work, work_below = rounds / grown, rounds_below / lower
+    work, work_below = rounds / min(grown, longest), rounds_below / min(lower, longest)
     if order > least and work_below < CHEAPER * work:
         return order - 1, lower
     if order < most and work < CHEAPER * work_below:
@@ -90,6 +91,12 @@ def cheapest(tables, least, most, order, step, lower_size, grown):  # type: igno
 def shorter(step, size, order):  # type: ignore[no-untyped-def]
     """Length of the next attempt after a step whose error was too large (`size` > 1, or not finite)."""
     return step * (max(LEAST, SAFETY * size ** (-1.0 / order)) if size < float("inf") else LEAST)
+
+
+@non_allocating
+def until_next_event(step, taken):  # type: ignore[no-untyped-def]
+    """Longest step, s, to try after one of the length `step` that an event ended after `taken`, s."""
+    return step * max(0.5, math.sqrt(OFTEN * taken / step))
 
 
 @non_allocating

@@ -114,16 +114,22 @@ def at_rest(rate, up):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def margins(chain, q, w, slip, base, torque, widen, workspace, out):  # type: ignore[no-untyped-def]
-    """Margin of each joint to a change of its mode, and its slope.
+    """Constraint torques, and with them what :func:`margins_of` tells."""
+    constraint_torques(chain, q, w, slip, base, torque, workspace)
+    margins_of(chain, w, slip, base, widen, workspace, out)
+
+
+@non_allocating
+def margins_of(chain, w, slip, base, widen, workspace, out):  # type: ignore[no-untyped-def]
+    """Margin of each joint to a change of its mode, and its slope, where the constraint torques are known.
 
     ``out`` (2, n): of a slipping joint the relative rate in its sense, rad/s, and how fast that grows, rad/s^2; of a
-    stuck one its dry friction less its load, N m, and 0.0; inf without dry friction.
+    stuck one how far its load is below its dry friction, as a part of that, and 0.0; inf without dry friction.
     """
-    constraint_torques(chain, q, w, slip, base, torque, workspace)
-    for i in range(q.size):
+    for i in range(w.size):
         out[0, i], out[1, i] = np.inf, 0.0
         if chain.dry[i] > 0.0 and slip[i] == 0.0:
-            out[0, i] = chain.dry[i] + widen * workspace.slack[i] - abs(workspace.load[i])
+            out[0, i] = 1.0 + (widen * workspace.slack[i] - abs(workspace.load[i])) / chain.dry[i]
         elif chain.dry[i] > 0.0:
             out[0, i] = slip[i] * (w[i] - (w[i - 1] if i > 0 else base[3]))
             out[1, i] = slip[i] * (workspace.alpha[i] - (workspace.alpha[i - 1] if i > 0 else base[2]))

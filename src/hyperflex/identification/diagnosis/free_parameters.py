@@ -11,7 +11,7 @@ from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.interruption import caught
 from hyperflex.model import Rope
 
-MOST = 3  # that are added
+MOST = 3  # parameters that are added at most: each costs a fit
 ALLOWED = ("com", "gravity_angle", "delay", *LAWS)  # of what was held: what a user is likely not to know
 
 

@@ -14,15 +14,15 @@ from hyperflex.identification.prediction import HeldOut
 from hyperflex.model import Rope
 
 GradeName = Literal["usable", "usable for ratios", "do not use"]
-AXES = 0.2  # rad, the same: more than any camera that was meant to be level
-PERSISTENCE = 0.5  # of the error of a prediction that nothing moves on
-FRICTION_MOVES = 0.1  # of a friction: by more than another law would change it, it is called a model error
-INSIDE = 0.5  # part of the predicted values in the band that should hold 95 %
-FORETOLD = 0.9  # the same: the error is as foretold, and what moves is hardly more than noise
-NAMED = 4  # labels of what is hardly known
-LIKELY = 0.5  # probability
-LEFT_OUT = 0.2  # part of the windows
-REACH = 2.0  # of a link's length, to which its mass may reach: real links have counterweights
+AXES = 0.2  # rad, of gravity's angle: 11 degrees, more than any camera that was meant to be level
+PERSISTENCE = 0.5  # part of the error that keeping still would make: half of that predicts nothing of use
+FRICTION_MOVES = 0.1  # part of a friction: by more than another law would change it, it is called a model error
+INSIDE = 0.5  # part of predicted values within the band of 95 %: at 0.5 deviations are 2.9 times too small (normal law)
+FORETOLD = 0.9  # the same: nearly 0.95, so that the error is as foretold, and what moves is hardly more than noise
+NAMED = 4  # labels of what is hardly known that are named, for a line
+LIKELY = 0.5  # probability: more likely than not
+LEFT_OUT = 0.2  # part of the windows: one in five
+REACH = 2.0  # lengths of a link, to which its mass may reach; 1 is the most without counterweights (Cauchy-Schwarz)
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
 
 

@@ -17,8 +17,8 @@ from hyperflex.model import Rope
 from hyperflex.sensors import Angles
 
 LINKS = "links"
-UNSURE, ELSE = 0.25, 2.0  # of the pattern's amplitude, where something else may have been left out as well
-PIECES = 4  # that each link is cut into; what longer links change goes with their length squared: little is left
+UNSURE, ELSE = 0.25, 2.0  # of the pattern's amplitude (1: finer links): its least deviation, and that of other causes
+PIECES = 4  # that each link is cut into: errors go with a link's length squared, so that a 16th of them is left
 
 
 def link_test(basis: Basis) -> tuple[ScoreTest, ...]:

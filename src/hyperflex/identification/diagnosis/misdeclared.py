@@ -7,9 +7,9 @@ import numpy as np
 from hyperflex.identification.diagnosis.score_tests import EQUAL, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 
-UNTESTED = 0.05  # standard deviation of gravity's factor, if it were free
-TESTED = 0.005  # the same: lengths that are 1 % off show
-NEAR = 0.03  # of a factor by which frame rates are often wrong
+UNTESTED = 0.05  # standard deviation of gravity's factor: any ruler measures lengths better
+TESTED = 0.005  # the same: lengths that are 1 % off show at two deviations
+NEAR = 0.03  # relative, of a factor of the clock: rates twice or half of the declared ones were found within 0.01
 TOLD = ("gravity_angle", "delay")  # believed, these are told with their value even where they hardly matter
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
 UNTOLD_CLOCK = (
@@ -22,12 +22,17 @@ UNTOLD_SCALE = (
 MEANT = {"gravity_scale": "times or lengths", "gravity_angle": "the zero of the angles", "delay": "the motion"}
 
 
+def first_misdeclared(tests: Sequence[ScoreTest]) -> ScoreTest | None:
+    """Return what was declared or held, does not fit and matters, and explains most; None where all fits."""
+    return next((each for each in tests if each.believed and each.matters), None)
+
+
 def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
-    """Return what was declared or held, does not fit and matters; the one that explains most, with its equals."""
-    believed = [each for each in tests if each.believed and each.matters]
-    if not believed:
+    """Return what was declared or held, does not fit and matters, in words; what explains most, with its equals."""
+    first = first_misdeclared(tests)
+    if first is None:
         return []
-    first, equals = believed[0], [each.name for each in believed if each.gain > believed[0].gain - EQUAL]
+    equals = [each.name for each in tests if each.believed and each.matters and each.gain > first.gain - EQUAL]
     part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
     if first.freed_with:
         part += f" that is left with {' and '.join(repr(name) for name in first.freed_with)} free"

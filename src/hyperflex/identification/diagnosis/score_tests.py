@@ -22,21 +22,21 @@ from hyperflex.identification.uncertainty.covariance import (
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import RESISTANCES
 
-SUSPECT = 0.3  # gain from which a refit is made
-REFITS, ROUNDS, WINDOWS = 3, 40, 12  # refits at most, rounds of each, and windows, spread over the recording
-FEW_LINKS = 4  # links, up to which each has its own value in a test
+SUSPECT = 0.3  # part of the sum of squares, to first order, from which a refit is made: less than what is believed
+REFITS, ROUNDS, WINDOWS = 3, 40, 12  # refits at most, rounds of each, and windows, spread over the recording: for time
+FEW_LINKS = 4  # links, up to which each has its own value in a test: of more, values of neighbours act alike
 LAWS = tuple(each.name for each in RESISTANCES)
-SURE = 0.93  # the same of white residuals, from which something does not fit: 14 times what chance gains
-EXPLAINS = 0.5  # part of the residuals' sum of squares; what takes away so much is believed
-EQUAL = 0.05  # of a gain: those that differ by less explain the same
-MOVES = 0.01  # relative, of ratios: more would make a result wrong by more than real ropes are described at all
+SURE = 0.93  # part of a gain, 1 - 1 / chi^2: chi^2 = 14, one in 6000 right fits
+EXPLAINS = 0.5  # part of the sum of squares: what takes away most of it is believed whatever the noise
+EQUAL = 0.05  # part of the sum of squares: gains that differ by less explain the same
+MOVES = 0.01  # relative, of ratios: independent fits of real pendulums differ by so much
 COVERED = 2.0  # standard deviations: the 95 % intervals reach so far, and hold smaller moves
-TURNED = 0.03  # rad, of gravity: more than a camera that was levelled by eye
-FARTHEST = 6.0  # gravity may seem stronger or weaker so many times: that of a frame rate off by two is four
+TURNED = 0.03  # rad, of gravity: 1.7 degrees, more than a camera is off that was levelled by eye
+FARTHEST = 6.0  # factor of gravity: a frame rate off by two makes it four; beyond, something else is wrong
 LENGTHS = "length:factor"  # of which no refit is made: gravity_scale acts alike, and stands for a wrong clock as well
-HIDING = 2  # refits that are tested again, each with one thing more freed
-SLIGHT = 0.01  # of lengths: a ruler errs by so much, and one more law that was left out makes them seem so
-TINY = 1e-8  # part of the largest singular value below which a direction is none
+HIDING = 2  # refits that are tested again, each with one thing more freed: the triple pendulum needs two, drag and dry
+SLIGHT = 0.01  # relative, of lengths: a ruler errs by so much; the triple pendulum seems 0.0067 off with drag free
+TINY = 1e-8  # part of the largest eigenvalue of scaled information: about the root of rounding
 
 
 @dataclass(frozen=True, eq=False)

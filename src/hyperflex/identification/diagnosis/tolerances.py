@@ -11,7 +11,7 @@ from hyperflex.identification.uncertainty.covariance import Basis, ratio_gradien
 from hyperflex.model import RESISTANCES
 
 HELD = ("gravity_scale", "com")  # what 1 % of is told, as far as the motion cannot test it
-PER_CENT = 0.01
+PER_CENT = 0.01  # relative: the change that people think in
 
 
 def moves_alike(plant: Plant) -> bool:

@@ -1,6 +1,6 @@
 """Tests of whether all windows of a recording tell the same: a drifting clock, and estimates that scatter."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from hyperflex.identification.uncertainty.covariance import (
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 
 DRIFT = "clock_drift"
-LEAST = 4  # windows: of fewer neither a trend nor a scatter has a standard deviation that tells
+LEAST = 4  # windows: a trend takes two degrees of freedom, and its scatter needs two more
 RARE = 0.01  # probability, by Student's t of the windows' own scatter, of such a drift where there is none
 BEYOND = 4.0  # standard deviations of the noise that a drift exceeds as well: few windows may scatter little by chance
 SMALL = UNKNOWN**2  # part of the largest eigenvalue of scaled information below which a direction is unknown
@@ -107,10 +107,12 @@ def drift_test(basis: Basis, scores: WindowScores | None) -> tuple[ScoreTest, ..
     std, least = float(np.sqrt(scatter)) / information, float(stdtrit(place.size - 2.0, 1.0 - 0.5 * RARE))
     sure = abs(drift) > max(least * std, BEYOND * noise)
     by_gravity = scores.inverse(scores.free)[:count] @ scores.information.sum(axis=0)[:, gravity]
-    test = ScoreTest(DRIFT, gain, np.array([drift]), std=max(std, noise), shift=-0.5 * drift * by_gravity, sure=sure)
-    if not (sure or gain > EXPLAINS):
-        return (test,)
-    return (replace(test, moved=0.5 * abs(drift), excess_gain=max(0.0, 1.0 - (test.std / drift) ** 2)),)
+    std = max(std, noise)
+    excess_gain = max(0.0, 1.0 - (std / drift) ** 2) if drift else 0.0
+    moved = 0.5 * abs(drift) if sure or gain > EXPLAINS else np.nan
+    shift = -0.5 * drift * by_gravity
+    values = np.array([drift])
+    return (ScoreTest(DRIFT, gain, values, moved, std=std, shift=shift, excess_gain=excess_gain, sure=sure),)
 
 
 class Scatter(NamedTuple):

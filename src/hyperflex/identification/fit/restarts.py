@@ -6,8 +6,8 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state, with_entries
-from hyperflex.identification.fit.state_search import restart_states, search_state
+from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, with_entries
+from hyperflex.identification.fit.state_search import search_state, states_at
 from hyperflex.identification.fit.windows import Window, part_left
 from hyperflex.identification.model.plant import Plant
 
@@ -68,7 +68,7 @@ def fit_from_starts(
         return found, 1, 1
     costs, best = [found.cost], found
     for number, x in enumerate(starts):
-        states = _states_at(plant, windows, found, x)
+        states = states_at(plant, windows, x, found.states, found.loss)
         if states is None:
             continue
         try:
@@ -87,14 +87,3 @@ def _is_bad(windows: Sequence[Window], found: Fit, known_noise: bool) -> bool:
     if known_noise:
         return found.cost - found.prior_cost > WORSE * sum(window.values for window in windows)
     return not found.converged or part_left(windows, found.residuals) > BAD
-
-
-def _states_at(plant: Plant, windows: Sequence[Window], found: Fit, x: Array) -> list[Array] | None:
-    """Return each window's state of least cost at x, from several starts, or None where a window has none."""
-    states = list(found.states)
-    for k, window in enumerate(windows):
-        best = fit_state(plant, x, window, *restart_states(plant, windows, x, states, k), loss=found.loss)
-        if best is None:
-            return None
-        states[k] = best[0]
-    return states

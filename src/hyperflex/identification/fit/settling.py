@@ -8,13 +8,14 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit
-from hyperflex.identification.fit.state_search import search_state
+from hyperflex.identification.fit.state_search import search_state, states_at
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.plant import Plant
 from hyperflex.interruption import caught
 
 TURNS = 6  # times at most that parameters and states take turns; four were needed for a rope that is seen at its tip
 AMISS = 10.0  # times what a value of the better windows, or of noise, costs: a shape taken for its mirror costs 100s
+SCATTERED, SPREAD = 3, 0.7  # other starts, and by which factor, its logarithm, at most
 BETTER_PART = 0.25  # quantile of the windows' costs that stands for those that fit
 HARDLY, ROUNDS = 0.05, 15  # gain of a round, as a part of the cost, and rounds, that end a fit of the parameters
 
@@ -22,9 +23,34 @@ HARDLY, ROUNDS = 0.05, 15  # gain of a round, as a part of the cost, and rounds,
 def settle(plant: Plant, windows: Sequence[Window], x: Array, states: list[Array], loss: Loss, report: Report) -> Fit:
     """Return x (P,) and states of windows, of known noise, from which all can be fitted together.
 
+    If even the better windows do not fit then, it is tried from some other x about the first one, until they do. Raises
+    Interrupted by Ctrl-C, with what there is.
+    """
+    best, rng = _settled(plant, windows, x, states, loss, report), np.random.default_rng(0)
+    with caught() as stop:
+        for _ in range(SCATTERED):
+            if _typical(windows, best) <= AMISS:
+                break
+            other = plant.parameters.scaled(x, np.exp(rng.uniform(-SPREAD, SPREAD, x.size)))
+            begun = states_at(plant, windows, other, states, loss)
+            if begun is not None:
+                tried = _settled(plant, windows, other, begun, loss, report)
+                best = min(best, tried, key=lambda each: _typical(windows, each))
+    return stop.deliver(best)
+
+
+def _typical(windows: Sequence[Window], found: Fit) -> float:
+    """Return what a value of the better windows costs."""
+    costs = [float(r @ r) / window.values for r, window in zip(found.residuals, windows, strict=True)]
+    return float(np.quantile(costs, BETTER_PART))
+
+
+def _settled(plant: Plant, windows: Sequence[Window], x: Array, states: list[Array], loss: Loss, report: Report) -> Fit:
+    """Return x (P,) and states of windows, of known noise, from which all can be fitted together.
+
     A window whose shape was taken for its mirror image would spoil x in a fit of all windows, and with a wrong x the
     mirror image may fit better. So x is fitted to the windows that fit, states of the others are searched with that,
-    and so on. Raises Interrupted by Ctrl-C, with what there is.
+    and so on.
     """
     begun = x, states
     with caught() as stop:
@@ -49,12 +75,12 @@ def _fit_of_the_better(
 ) -> tuple[Array, list[Array]] | None:
     """Return x and the states fitted to the windows that fit; None where these are too few."""
     costs = _costs(plant, windows, x, states)
-    good = np.flatnonzero(costs <= AMISS * np.quantile(costs, BETTER_PART))
+    good = np.flatnonzero(costs <= AMISS * np.quantile(costs, BETTER_PART)).tolist()
     if sum(windows[k].values - windows[k].unknowns for k in good) <= x.size:
         return None
     chosen, begun = [windows[k] for k in good], [states[k] for k in good]
     found = fit(plant, chosen, x, begun, loss=loss, enough=HARDLY, rounds=ROUNDS, report=report)
-    fitted = dict(zip(good.tolist(), found.states, strict=True))
+    fitted = dict(zip(good, found.states, strict=True))
     return found.x, [fitted.get(k, state) for k, state in enumerate(states)]
 
 
@@ -62,7 +88,8 @@ def _other_states(
     plant: Plant, windows: Sequence[Window], x: Array, states: list[Array], loss: Loss
 ) -> dict[int, Array]:
     """Return states that cost less than the present ones, of windows that fit badly, by their numbers."""
-    costs, changed = _costs(plant, windows, x, states), {}
+    costs = _costs(plant, windows, x, states)
+    changed: dict[int, Array] = {}
     least = float(np.quantile(costs, BETTER_PART))
     for k in np.flatnonzero(costs > AMISS * min(1.0, least)).tolist():
         known = [changed.get(j, state) for j, state in enumerate(states)]

@@ -71,6 +71,19 @@ def _from_behind(plant: Plant, x: Array, window: Window, after: Window, state: A
     return [state]
 
 
+def states_at(
+    plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array], loss: Loss
+) -> list[Array] | None:
+    """Return each window's state of least cost at x, from several starts, or None where a window has none."""
+    found = list(states)
+    for k, window in enumerate(windows):
+        best = fit_state(plant, x, window, *restart_states(plant, windows, x, found, k), loss=loss)
+        if best is None:
+            return None
+        found[k] = best[0]
+    return found
+
+
 def restart_states(
     plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array], k: int
 ) -> Iterator[Array]:

@@ -176,7 +176,8 @@ class Plant:
 
     def _channels(self, at: _Evaluation, t: Array, y: Array) -> Array:
         """Return the channels (m, C) of states y (m, 2n or more)."""
-        pivot = pivot_places(at.motion, self.arm, t) if self.sensor.placed else np.zeros((t.size, 2))
+        moved = self.sensor.placed and (self.motion is not None or self.arm is not None)
+        pivot = pivot_places(at.motion, self.arm, t) if moved else np.zeros((t.size, 2))
         seen = at.sensor.predict(at.rope, y[:, : at.rope.n_links], pivot)
         if at.motor is None:
             return seen

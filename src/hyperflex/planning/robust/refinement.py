@@ -13,7 +13,7 @@ from hyperflex.planning.robust.scenario_rollouts import nominal_strike_times, sc
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
 from hyperflex.planning.search.candidates import Candidate, near, same_swing
 from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores
-from hyperflex.planning.search.evolution import cma_es
+from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.simulation import Deadline
@@ -135,7 +135,7 @@ class RobustRefinement:
         if self._optimizer is None:
             random = np.random.default_rng([CMA_STREAM, self.search.seed, self.generations])
             spreads = self.search.parametrizations[side].spreads()
-            self._optimizer = cma_es(incumbent.candidate.x, NARROW, spreads, MEMBERS, random)
+            self._optimizer = CmaEs(incumbent.candidate.x, NARROW, spreads, MEMBERS, random)
         points = self._optimizer.ask()
         fresh = self._scenarios(SCENARIOS, GENERATION_STREAM, self.generations)
         runners = [RobustCandidate(one) for one in self.candidates(side, [np.asarray(x) for x in points])]

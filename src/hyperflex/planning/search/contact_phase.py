@@ -20,12 +20,14 @@ SAMPLE_TIME = 0.02  # s
 SETTLING_TIME = 2.5  # s simulated after the arm's stop
 CHECK_TIME, MIN_HOPE = 0.9, 0.75  # s after the stop at which a run is looked at; with fewer turns it ends there
 TOGETHER = 0.5  # s, greatest difference of the stops of one batch
-SLIP, SLIP_COST = 0.02, 1.0  # m of slip in the last seconds that cost so many turns; less slip costs less
+SLIP, SLIP_COST = 0.02, 1.0  # m of slip from CHECK_TIME on that cost half of so many turns; more costs more
 TIME_BUDGET = 6.0  # s of processor time for a run; most take a hundredth of it
 LAST, LAST_CHECK = 0.8, 0.3  # s at the end of a run for which the turns must stay; the same at CHECK_TIME
 MAX_TURNS = 3.0  # turns above which more do not count
 PASSING = 0.25  # weight of a turn that is undone again
 LATE_COST = 0.02  # turns that a second of delay costs
+# Turns that a rope costs that comes too near its arm, and up to as many more the longer it is there; half of these in s
+ARM_COST, ARM_TIME = 0.5, 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +54,8 @@ def simulate_contact(
     """Simulate ropes (M,) with pegs from shortly before their strikes, under motions that end.
 
     A strike that begins later, at `begin` (M,), s, lowers the score. A rope that comes within `clearance`, m, of its
-    arm or shaft counts as one that comes undone. `time_budget` is the processor time of each run, s, or a deadline; a
-    run that takes more has failed.
+    arm or shaft counts as one that comes undone, whose score is lower the longer it is there. `time_budget` is the
+    processor time of each run, s, or a deadline; a run that takes more has failed.
     """
     stops = np.maximum([float(motion.breaks[-1]) for motion in batch.motions], 0.5)
     score, turns = np.empty(stops.size), np.empty(stops.size)
@@ -83,20 +85,25 @@ def _simulate_contact(
     """As :func:`simulate_contact`, for runs with stops at about the same time.
 
     Runs with fewer than MIN_HOPE turns CHECK_TIME after the stop end there, and count MIN_HOPE turns at most. So do
-    those that came too near the arm until then.
+    those that came too near the arm until then, but their score is that of MIN_TURNS at most, less what the arm costs.
     """
     early: Array = SAMPLE_TIME * np.arange(1.0, np.ceil((stops.max() + CHECK_TIME) / SAMPLE_TIME) + 1.0)
     late: Array = SAMPLE_TIME * np.arange(1.0, np.ceil((SETTLING_TIME - CHECK_TIME) / SAMPLE_TIME) + 1.0)
     run = _run(batch, early, arm, time_budget, threads)
     turns = run.values["turns"][..., 0]
     found = score_winding(early, turns, stops + CHECK_TIME, begin, last=LAST_CHECK)
-    undone = np.maximum(np.minimum(found.turns, MAX_TURNS) - MIN_HOPE, 0.0)
-    found = WindingScores(found.score - undone, np.minimum(found.turns, MIN_HOPE))
+    hopeful, barely = (
+        found.score - np.maximum(np.minimum(found.turns, MAX_TURNS) - k, 0.0) for k in (MIN_TURNS, MIN_HOPE)
+    )
+    found = WindingScores(barely, np.minimum(found.turns, MIN_HOPE))
     on = np.flatnonzero(np.abs(np.nan_to_num(turns[:, -1])) >= MIN_HOPE)
     after = float(early[-1])
     clear = [k for k in on if _clear_of_peg(batch, int(k), run.q[k, -1], after, arm)]
-    clear = [k for k in clear if _clear_of_arm(batch, int(k), run.q[k], early, arm, clearance)]
-    on = np.array(clear, dtype=np.int64)
+    near = np.array([_time_near_arm(batch, int(k), run.q[k], early, arm, clearance) for k in clear])
+    for k, time in zip(clear, near, strict=True):
+        if time > 0.0:
+            found.score[k] = hopeful[k] - ARM_COST * (1.0 + time / (time + ARM_TIME))
+    on = np.array(clear, dtype=np.int64)[near == 0.0]
     if on.size:
         some = batch.select(on.tolist())
         motions = [motion.shifted(-after) for motion in some.motions]
@@ -115,11 +122,12 @@ def _clear_of_peg(batch: RolloutBatch, k: int, q: Array, t: float, arm: Arm) -> 
     return starts_outside(Setup(batch.ropes[k], batch.motions[k], arm, pegs=(batch.pegs[k],)), t, q)
 
 
-def _clear_of_arm(batch: RolloutBatch, k: int, q: Array, t: Array, arm: Arm, clearance: float) -> bool:
-    """Whether rope k at angles q (T, n) at times t (T,), s, keeps clear of its own arm, as far as samples tell."""
+def _time_near_arm(batch: RolloutBatch, k: int, q: Array, t: Array, arm: Arm, clearance: float) -> float:
+    """Time, s, that rope k at angles q (T, n) at times t (T,), s, is too near its own arm, as far as samples tell."""
     if clearance == -np.inf:
-        return True
-    return sampled_clearance(batch.ropes[k], arm, q, arm_tip(arm, batch.motions[k], t)[0]) > clearance
+        return 0.0
+    gap = sampled_clearance(batch.ropes[k], arm, q, arm_tip(arm, batch.motions[k], t)[0])
+    return SAMPLE_TIME * int((gap <= clearance).sum())
 
 
 def starts_outside(setup: Setup, *start: Any) -> bool:
@@ -147,14 +155,13 @@ def _run(batch: RolloutBatch, t: Array, arm: Arm, time_budget: float | Deadline,
 
 
 def _slip(batch: RolloutBatch, k: int, q: Array, t: Array, arm: Arm) -> float:
-    """Slip of rope k over the last LAST seconds of samples q (T, n) at times t (T,), over SLIP; at most 1."""
-    last = t > t[-1] - LAST
-    q, rope = q[last], batch.ropes[k]
+    """Slip of rope k in samples q (T, n) at times t (T,), s: 1/2 for SLIP metres, and 1 for a rope that comes off."""
+    rope = batch.ropes[k]
     links = rope.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
-    base = arm_tip(arm, batch.motions[k], t[last])[0][:, None]
+    base = arm_tip(arm, batch.motions[k], t)[0][:, None]
     joints = np.concatenate([base, base + np.cumsum(links, axis=1)], axis=1)
     way = float(np.abs(slid(rope, batch.pegs[k], q, joints)).max())
-    return min(way / SLIP, 1.0) if np.isfinite(way) else 1.0
+    return way / (way + SLIP) if np.isfinite(way) else 1.0
 
 
 def score_winding(t: Array, turns: Array, span: Array, begin: Array, *, last: float = LAST) -> WindingScores:

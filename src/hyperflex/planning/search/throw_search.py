@@ -18,7 +18,7 @@ from hyperflex.planning.search import strikes
 from hyperflex.planning.search.beam import FINER, BeamSearch, Strike
 from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, unconfirmed
 from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, simulate_contact, starts_outside
-from hyperflex.planning.search.evolution import cma_es
+from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.throw import LAST, Throw, ThrowParametrization
 from hyperflex.simulation import Deadline
@@ -33,6 +33,9 @@ SLOW_RUNS, MIN_BUDGET = 10.0, 0.5  # one run in so many takes very long; process
 UNTIL = 2.0 * strikes.SAMPLE_TIME  # s after a strike, until which the arm rests that rested before it
 LATE = 0.5  # fraction of the time allowed
 CONFIRMED = 32  # swings at once that are simulated with shorter links too, and then kept
+# Once no throw tried winds: pieces of each link in contact, for coarse links miss some about a small peg, or where the
+# rope is slack; and rest before the last move, periods, in which a short tail comes to rest before it must hold
+PIECES, SETTLING = 2, 2.0
 NARROW = 0.25  # step size of CMA-ES in contact, relative to that of free swings
 
 
@@ -78,9 +81,10 @@ class ThrowSearch:
         self._tried: list[Swing] = []
         self._untried: list[tuple[int, list[Array]]] = []  # sides and points of swings that were tried in part
         self._contact: tuple[int, Any] | None = None
+        self._in_contact = self.cast_setup  # its links are those of runs in contact
 
     def _cma_es(self, centre: Array, size: float, members: int, side: int) -> Any:
-        return cma_es(centre, size, self.parametrizations[side].spreads(), members, self._random)
+        return CmaEs(centre, size, self.parametrizations[side].spreads(), members, self._random)
 
     @property
     def _finer(self) -> CastSetup:
@@ -186,12 +190,19 @@ class ThrowSearch:
     def try_last_moves(self) -> None:
         """Simulate the best swings that were not tried yet in contact, with several last moves each.
 
-        It ends where ENOUGH throws wind; the next call goes on with the last moves that are left.
+        It ends where ENOUGH throws wind; the next call goes on with the last moves that are left. Where none of those
+        before winds, swings are tried again, with shorter links and a long rest as well, as all are from now on.
         """
+        if self._in_contact is self.cast_setup and self.candidates and not self._winding:
+            self._in_contact = self.cast_setup.cut(PIECES)
+            self._tried.clear()
         if not self._untried:
             fresh = distinct(self.swings, self._tried, TRIED)
             self._tried += fresh
-            for more, rest in [(a, b) for a in MORE for b in (RESTS if a < 1.0 else RESTS[:1])]:
+            moves = [(a, b) for a in MORE for b in (RESTS if a < 1.0 else RESTS[:1])]
+            if self._in_contact is not self.cast_setup:
+                moves.insert(0, (MORE[0], SETTLING))
+            for more, rest in moves:
                 for side in self.parametrizations:
                     some = [one for one in fresh if one.side == side]
                     points = [np.append(one.x[:-LAST], [more, end, rest, 1.0]) for one in some for end in ENDS]
@@ -267,7 +278,7 @@ class ThrowSearch:
         self.runs += len(points)
         if struck.size:
             cut = [throws[k].cut(float(found.t[k]), self.cast_setup.limits) for k in struck]
-            ended = self._wind(self.cast_setup, cut, found.select(struck.tolist()))
+            ended = self._wind(self._in_contact, cut, found.select(struck.tolist()))
             score[struck] = ended.score
             for k, throw, value, turns in zip(struck, cut, ended.score, ended.turns, strict=True):
                 self.candidates.append(Candidate(float(value), float(turns), side, np.asarray(points[k]), throw))
@@ -289,4 +300,4 @@ class ThrowSearch:
         order = list(dict.fromkeys(keys))
         self.runs += len(order)
         some = [throws[keys.index(key)].cut(self.cast_setup.time, self.cast_setup.limits) for key in order]
-        return self._strikes(self.cast_setup, some).select([order.index(key) for key in keys])
+        return self._strikes(self._in_contact, some).select([order.index(key) for key in keys])

@@ -7,7 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.search.evolution import cma_es
+from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.task import TipCandidate, TipTask
@@ -62,7 +62,7 @@ class StrokeSearch:
         self._scale = np.repeat([np.pi, swing_period(task.cast_setup.rope)], k)
         spread = np.repeat([SPREAD_ENDS, SPREAD_RESTS], k)
         random = np.random.default_rng([SEED, seed])
-        self._optimizer = cma_es(begin.strokes.parameters / self._scale, NARROW, spread, MEMBERS, random)
+        self._optimizer = CmaEs(begin.strokes.parameters / self._scale, NARROW, spread, MEMBERS, random)
 
     def step(self) -> float:
         """Simulate one generation; return the least cost so far, m."""

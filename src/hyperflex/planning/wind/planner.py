@@ -36,6 +36,7 @@ EARLY, LONGER = 0.1, 1.5  # fraction of the time after which swings that promise
 FREE = 0.2  # fraction of the time in which late swings are not tried in contact before they are worth it
 SWINGING = 0.5  # fraction of the time after which the search goes on in contact in any case
 RESTART = 12  # generations in contact from one candidate
+LEAST = 1.0  # score of throws that wind and are worth a verification: less have those that slip by more than 2 cm
 ALIKE = 0.05  # points that differ by less are one
 FINER = (2, 3)  # pieces of each link in the verifications after the first
 SEARCHING = 0.85  # fraction of the time after which only verifications are begun
@@ -43,7 +44,7 @@ LONGEST = 0.25  # fraction of the time that a first verification may take, or ha
 LOOK = 1.0  # s; steps of a run between two looks at the clock may take as long on a busy machine
 TRIES = 3  # verifications at most between two generations
 # A margin, and a full turn of contact that nobody asked for, are sought until so many times the time of the first plan
-BETTER = 2.0
+BETTER = 1.5
 FULL_TURN = 2.0 * np.pi  # rad of contact that a search goes on for where the rope is long enough, if none is asked for
 
 STANDS = "a cast stands; one with a margin is sought"
@@ -240,7 +241,7 @@ class CastPlanner:
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, and are not like one that was verified nor like each other."""
         least = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN)
-        winding = (one for one in self.search.candidates if one.confirmed and one.turns >= least)
+        winding = (one for one in self.search.candidates if one.confirmed and one.turns >= least and one.score >= LEAST)
         return distinct(winding, self.checked, self.search.workers, ALIKE)
 
     def keep(self, one: Candidate, found: Verified) -> bool:

@@ -1,0 +1,161 @@
+"""Do parts of a real recording tell the same? Each is fitted for itself, and the estimates are compared.
+
+python -m benchmarks.windows --data FOLDER            eight parts of each recording; to benchmarks/results/
+python -m benchmarks.windows --data FOLDER --out -    nothing is written
+
+If stated deviations hold, estimates of parts scatter about their weighted mean by as much: chi-squared over its degrees
+of freedom is about 1, and 95 % intervals of two parts overlap. The exit code is 1 if for a ratio that is called usable
+chi-squared per degree exceeds 1.5, or fewer than 90 % of the pairs overlap. Frictions are counted where no part calls
+them a model error; else by how much is told.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+import time
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmarks import machine
+
+import hyperflex as hf
+from hyperflex import files
+
+RESULTS = Path(__file__).parent / "results"
+MOST, LEAST = 1.5, 0.9  # chi-squared per degree of freedom, and part of the pairs that overlap
+FREE = ["inertia", "com", "friction"]
+MARKERS = {"time_unit": "s", "unit": "m", "y_axis": "up"}
+RECORDINGS: dict[str, tuple[str, dict[str, str], list[str]]] = {
+    "triple": ("multiarm_triple/TriplePendulumDataForParameterEstimation.mat", {}, FREE),
+    "single": ("multiarm_single/SinglePendulumDataForParameterEstimation.mat", {}, FREE),
+    "IBM 06": ("ibm_double_pendulum/run06_500Hz.csv", MARKERS, [*FREE, "gravity_angle"]),
+    "IBM 16": ("ibm_double_pendulum/run16_500Hz.csv", MARKERS, [*FREE, "gravity_angle"]),
+}
+FRICTION = re.compile(r"riction is a model error: .* would change by (.*?) if ")
+
+
+def guess_of(recording: hf.Recording) -> hf.Rope:
+    """Return a first guess: known lengths, uniform links of 0.1 kg."""
+    lengths = {1: [0.3], 3: [0.1727, 0.2286, 0.2413]}
+    markers = recording.kind == "markers"
+    length = recording.link_lengths() if markers else lengths[recording.n_links]
+    return hf.Rope(length=length, mass=0.1, friction=1e-4)
+
+
+def measure(folder: Path, name: str, count: int) -> list[dict[str, Any]]:
+    """Return a row for each part of a recording: ratios with deviations and intervals, grade, word of friction."""
+    path, units, free = RECORDINGS[name]
+    whole = hf.read_recording(folder / path, **units)  # type: ignore[arg-type]
+    guess, rows = guess_of(whole), []
+    for begin in whole.t[0] + whole.duration / count * np.arange(count):
+        part = whole.window(float(begin), float(begin + whole.duration / count))
+        began = time.process_time()
+        found = hf.identify(part, guess, free, train=np.inf)
+        row = {"recording": name, "begin": float(begin), "seconds": time.process_time() - began}
+        row |= {"grade": found.grade.name, "reason": found.grade.reasons[0] if found.grade.reasons else ""}
+        said = FRICTION.search(str(found))
+        row["friction"] = said.group(1) if said else ""
+        row["ratios"] = {
+            f"{kind}[{k}]": numbers
+            for kind, values in found.ratios.items()
+            for k, value in enumerate(values)
+            if (numbers := numbers_of(found, f"{kind}[{k}]", float(value), float(found.ratio_std[kind][k])))
+        }
+        print(json.dumps(row), flush=True)
+        rows.append(row)
+    return rows
+
+
+def numbers_of(found: hf.Identification, label: str, value: float, std: float) -> list[float]:
+    """Return value, standard deviation and interval of a ratio; nothing where it is not known, or 1 by definition."""
+    if label not in found.intervals or not np.isfinite(std):
+        return []
+    interval = found.intervals[label]
+    return [value, std, interval.low, interval.high]
+
+
+def compared(rows: list[dict[str, Any]], label: str) -> dict[str, float]:
+    """Return how the parts that may be used agree on a ratio."""
+    known = [row["ratios"][label] for row in rows if row["grade"] != "do not use" and label in row["ratios"]]
+    if len(known) < 2:
+        return {"parts": len(known)}
+    value, std, low, high = np.array(known).T
+    mean = float((value / std**2).sum() / (1.0 / std**2).sum())
+    pairs = [low[i] <= high[j] and low[j] <= high[i] for i, j in combinations(range(len(known)), 2)]
+    chi = float((((value - mean) / std) ** 2).sum() / (len(known) - 1))
+    spread = {"mean": mean, "scatter": float(value.std(ddof=1)), "std": float(np.median(std))}
+    return {"parts": len(known), **spread, "chi_squared": chi, "overlap": float(np.mean(pairs))}
+
+
+def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return a line for each ratio of each recording, with whether it counts and holds."""
+    lines = []
+    for name in dict.fromkeys(row["recording"] for row in rows):
+        own = [row for row in rows if row["recording"] == name]
+        for label in dict.fromkeys(label for row in own for label in row["ratios"]):
+            line = {"recording": name, "ratio": label, **compared(own, label)}
+            told = [row["friction"] for row in own if row["friction"]] if label[0] not in "Jp" else []
+            line |= {"model_error": ", ".join(dict.fromkeys(told)), "told": len(told)}
+            holds = line.get("chi_squared", 0.0) <= MOST and line.get("overlap", 1.0) >= LEAST
+            line["holds"] = holds if not told else None
+            lines.append(line)
+    return lines
+
+
+def text(rows: list[dict[str, Any]]) -> str:
+    """Return the page."""
+    lines = ["# Parts of real recordings, each fitted for itself", ""]
+    lines += ["| recording | ratio | parts used | mean | scatter | stated std | chi^2 per degree | overlap | holds |"]
+    lines += ["|---|---|---|---|---|---|---|---|---|"]
+    for each in summary(rows):
+        if "mean" in each:
+            cells = [f"{each[k]:.4g}" for k in ("mean", "scatter", "std")] + [f"{each['chi_squared']:.2f}"]
+            cells += [f"{each['overlap']:.0%}"]
+        else:
+            cells = ["-"] * 5
+        word = {True: "yes", False: "**no**", None: f"model error, told in {each['told']}: {each['model_error']}"}
+        lines.append(
+            f"| {each['recording']} | {each['ratio']} | {each['parts']} | {' | '.join(cells)} | {word[each['holds']]} |"
+        )
+    lines += [
+        "",
+        f"Asked: chi-squared per degree of freedom at most {MOST:g}, {LEAST:.0%} of the pairs of 95 % intervals",
+    ]
+    lines += [
+        'overlapping, among parts that are not graded "do not use". Frictions called a model error are not counted.'
+    ]
+    for name in dict.fromkeys(row["recording"] for row in rows):
+        own = [row for row in rows if row["recording"] == name]
+        refused = [f"{row['begin']:.1f} s: {row['reason']}" for row in own if row["grade"] == "do not use"]
+        took = f"{np.median([row['seconds'] for row in own]):.1f} s of processor time a fit (median)"
+        lines += ["", f"{name}: {len(own)} parts, {took}; not to be used: {len(refused)}. {' '.join(refused)}".rstrip()]
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Fit, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="folder of the real recordings")
+    parser.add_argument("--count", type=int, default=8, help="parts of each recording (8)")
+    parser.add_argument("--only", nargs="+", choices=RECORDINGS, default=list(RECORDINGS), help="which recordings")
+    parser.add_argument("--out", default=str(RESULTS), help=f"folder for the page (benchmarks/{RESULTS.name}); -: none")
+    options = parser.parse_args()
+    about = machine.describe()
+    rows = [row for name in options.only for row in measure(options.data, name, options.count)]
+    about["load after"] = machine.load()
+    page = f"{text(rows)}\n\n{machine.sentence(about)}\n"
+    print(page)
+    if options.out != "-":
+        folder = Path(options.out)
+        files.write_text(folder / "windows.json", json.dumps({"machine": about, "rows": rows}, indent=1) + "\n")
+        files.write_text(folder / "windows.md", page)
+    return 0 if all(line["holds"] is not False for line in summary(rows)) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
