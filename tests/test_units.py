@@ -34,7 +34,7 @@ SLIPS: list[tuple[Callable[[], object], str]] = [
     (lambda: hf.hold_arm(-90), "angle is -90 rad"),
     (lambda: hf.sampled_motion([0.0, 1.0], [0.0, 90.0]), "angle is 90 rad"),
     (lambda: hf.arm_moves([0.0, 90.0], [0.0], [1.0]), "angles is 90 rad"),
-    (lambda: hf.arm_moves([0.0, 1.0], [0.0], [730.0]), "rests and durations is 730 s"),
+    (lambda: hf.arm_moves([0.0, 1.0], [0.0], [730.0]), "durations is 730 s"),
     (lambda: hf.MotorLimits(angles=(-180, 180)), "motor angles is -180 rad"),
     (lambda: hf.Setup(ROPE, q0=np.full(10, 90.0)), "q0 is 90 rad"),
 ]

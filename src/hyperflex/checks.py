@@ -59,7 +59,8 @@ def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infi
 def meant(name: str, value: npt.ArrayLike, unit: str, *, most: float | None = None) -> None:
     """Warn (UserWarning, at the caller's line) of a value beyond `most`, SI, most likely given in a smaller unit."""
     limit, smaller, factor = _SLIPS[unit]
-    largest = max(np.ravel(value).tolist(), key=abs, default=0.0)
+    flat = np.ravel(value)
+    largest = float(flat[np.abs(flat).argmax()]) if flat.size else 0.0
     if abs(largest) > (most or limit):
         level, frame = 2, sys._getframe(1)
         while frame.f_back and frame.f_globals.get("__name__", "").startswith("hyperflex."):

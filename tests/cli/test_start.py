@@ -58,7 +58,8 @@ def test_init_leaves_a_file_alone(hyperflex, tmp_path):
 @pytest.mark.parametrize(
     ("option", "named"),
     [
-        (("--length", -1.0), "--length has the wrong sign"),
+        (("--length", -1.0), "--length has the wrong sign: got -1.0. Allowed: a number, finite and > 0, in m."),
+        (("--mass", -1.0), "in kg."),
         (("--motion", "dance"), "--motion"),
         (("--radius", 3.0), "thicker than it is long"),
     ],

@@ -121,7 +121,8 @@ def _answer(name: str, given: Any, quiet: bool) -> Any:
         return checks.choice(option, value, tuple(MOTIONS))
     if name == "links":
         return checks.count(option, value, most=1000)
-    return checks.number(option, value, sign="nonnegative" if name == "radius" else "positive")
+    unit = {"mass": "kg", "duration": "s"}.get(name, "m")
+    return checks.number(option, value, sign="nonnegative" if name == "radius" else "positive", unit=unit)
 
 
 def _text(out: Path, answers: dict[str, Any], peg: tuple[float, float, float] | None) -> str:
