@@ -104,8 +104,10 @@ def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float)
         doffset=doffset[:, :-2],
         ddepth=run.changes(deepest)[0][-1, :-2],
         dgap=dgap[:-2],
-        clearance=sampled_clearance(
-            cast_setup.rope, cast_setup.arm, *(each[::SPARSE] for each in (derivatives.q, run.joints[:, 0]))
+        clearance=float(
+            sampled_clearance(
+                cast_setup.rope, cast_setup.arm, *(each[::SPARSE] for each in (derivatives.q, run.joints[:, 0]))
+            ).min()
         ),
     )
 
