@@ -23,6 +23,7 @@ NAMED = {  # what the first line must name
     "double: 0 is up": "zero='up'",
     "double: 0 is level": "turned by 90 degrees",
     "double: zero off by 5 degrees": "off by 5.",
+    "double: links in reverse order": "counted from the free end",
     "double: first link to the other side": "link 0 grows to the other side",
     "double: clock x 1.1": "multiplied by 0.909",
     "double: clock x 0.8 (400 for 500 Hz)": "multiplied by 1.25",

@@ -27,7 +27,7 @@ SHORTER, WINDOWS, ROUNDS = 4.0, 6, 12  # of a short fit: its first windows, how 
 SMALL, LARGE = 0.06, 2.0  # rad: half a turn read as degrees, and degrees read as radians that are hardly a swing
 TURNS = 0.7  # rad: six turns read as degrees, the farthest that a free double pendulum was seen to wind up (IBM 16)
 GAIN, LEAST_GAIN = 0.3, 0.005  # logarithms of factors of angles: tried, and told
-AS_GOOD = 1.1  # times the residual of a fit with stiffness that angles with a factor may leave
+AS_GOOD = 1.1  # times the residual of another explanation: one that leaves no more explains as well
 RIGHT_ANGLE = 10.0  # degrees by which a gravity may miss one that was turned by 90
 ZERO = 0.09  # rad, 5 degrees: between what is no slip and the 10 degrees that were tried
 STRAIGHT, LEAST_SCALE = 0.95, 0.02  # quantile of distances that is a straight rope's; part by which scales may be off
@@ -173,8 +173,9 @@ def explained(recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit,
     """Return in words the slip that explains a fit that is not good, or nothing.
 
     A slip is named if it leaves half of what the recording as declared leaves at most, and that is little. A wrong
-    clock or scale and a camera that is not level come before a slip that explains no more, and the zero of one link
-    where nothing else explains. What score tests have `named` already has to leave twice as much when it is free.
+    clock or scale and a camera that is not level come before a slip that explains less, and beside one that explains as
+    much; the zero of one link comes where nothing else explains. What score tests have `named` already has to leave
+    twice as much when it is free.
     """
     declared, _ = left(recording)
     skewed, (scale, angle) = left(recording, SKEWED)
@@ -186,7 +187,9 @@ def explained(recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit,
     if named in SKEWED:
         most = min(most, skewed)
     elif least > BETTER * min(most, skewed):
-        least, words = skewed, _skew(float(np.sqrt(scale)), float(np.degrees(angle)))
+        skew = _skew(float(np.sqrt(scale)), float(np.degrees(angle)))
+        words = f"{words}, or {skew}" if least <= AS_GOOD * skewed < np.inf else skew
+        least = min(least, skewed)
     if least > min(BETTER * most, FITS):
         most = min(most, skewed)
         least, words = min(_zeros(recording, left, declared), default=(np.inf, ""))
