@@ -17,10 +17,10 @@ SIGTERM give `"error": "interrupted"` ([Interrupt it](how-to/faults.md#interrupt
 
 Exit codes: 0 done, 1 a bug in hyperflex (with a traceback on standard error), 2 refused or failed with a message, 3 the
 fit of `identify` did not converge (the rope is written and marked so), 4 `cast` found no throw that winds and holds, or
-`whip` no strokes that meet the target (the best is written, with the reason), 5 a fit that is not to be used, 130
-and 143 interrupted by Ctrl-C and by SIGTERM (what was done is kept, and marked so). Files, and the folders of
-`identify`, `cast`, `whip`, `reproduce` and `demo`, are written whole or not at all; an output that is one of the inputs
-is refused.
+`whip` or `insert` no strokes that do what is asked (the best is written, with the reason), 5 a fit that is not to be
+used, 130 and 143 interrupted by Ctrl-C and by SIGTERM (what was done is kept, and marked so). Files, and the folders of
+`identify`, `cast`, `whip`, `insert`, `reproduce` and `demo`, are written whole or not at all; an output that is one of
+the inputs is refused.
 
 This page is what `--help` prints (`python docs/generate_cli.py` writes it).
 """

@@ -16,6 +16,7 @@ WORK = (
     "identification.identify",
     "planning.plan_cast",
     "planning.plan_whip",
+    "planning.plan_insert",
     "estimate.track_video",
     "vision.track_bars",
     "paper.reproduce",
@@ -28,6 +29,9 @@ COMMANDS = {  # each with all its inputs, and the output last
     "identify": ("identify", "swing.csv", "--guess", "rope.toml", "--setup", "setup.toml", "-o", "out"),
     "cast": ("cast", "setup.toml", "--rope", "rope.toml", "--target", "0.5", "-1", "--radius", "0.04", "-o", "out"),
     "whip": ("whip", "setup.toml", "--rope", "rope.toml", "--target", "0.5", "-1", "-o", "out"),
+    "insert": (
+        *("insert", "setup.toml", "--rope", "rope.toml", "--slot", "0.5", "-1", "--direction", "-1", "-o", "out"),
+    ),
     "track": (*TRACK, "-o", "out.nc"),
     "preview": (*TRACK, "-o", "out.nc", "--preview", "out.mp4"),
     "bars": ("track", "swing.mp4", "--bar", "9,9", "--pivot", "1", "1", "-o", "out.nc"),

@@ -18,7 +18,7 @@ from hyperflex.cli import output
 from hyperflex.cli.app import app
 
 COMMANDS = ("simulate", "view", "plot", "identify", "cast", "whip", "calibrate", "track", "watch", "reproduce")
-COMMANDS += ("demo", "warm", "init", "doctor", "export", "play")
+COMMANDS += ("insert", "demo", "warm", "init", "doctor", "export", "play")
 
 
 def test_these_are_all_commands():

@@ -205,6 +205,7 @@ def calls() -> dict[str, Callable[[], Any]]:
         "cast": lambda: hf.plan_cast(cable, arm, near, time_budget=20.0),
         "cast robust": lambda: hf.plan_cast(cable, arm, near, time_budget=20.0, uncertainty=hf.Uncertainty()),
         "whip": lambda: hf.plan_whip(few, arm, (0.3, -2.05), time_budget=10.0),
+        "insert": lambda: hf.plan_insert(few, arm, hf.Slot(0.56, -1.9, -0.78), time_budget=10.0),
         "pumping": lambda: optimize_pumping(model, 0.9),
         "track": lambda: twin.track(),
     }
@@ -304,6 +305,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "identify with a page": ["identify", f"{folder}/swing.nc", "--guess", f"{folder}/guess.toml", "-o", "found"],
         "cast": ["cast", *task, "--target", "-0.8", "-1.0", "--radius", "0.04", "-o", "."],
         "whip": ["whip", *task, "--target", "0.3", "-2.05", "-o", "."],
+        "insert": ["insert", *task, "--slot", "0.56", "-1.9", "--direction", "-0.78", "-o", "."],
         "track": ["track", str(twin.BUNDLED), *seen, "--camera", f"{folder}/camera.toml", "-o", "markers.nc"],
         "watch": ["watch", "--camera", str(twin.BUNDLED), *seen, "--calibration", f"{folder}/camera.toml"],
         "reproduce": ["reproduce", "fig10", "fig12", "-o", "."],
@@ -320,7 +322,7 @@ SECONDS = 5.0  # of the processors, from a signal to the end; the kernels look m
 LONGEST = 8.0  # s of a call in which it is interrupted
 # Take minutes: what they end with undisturbed is not looked at
 ENDLESS = {"simulate long", "simulate links", "compare models", "warm"}
-SEARCHES = {"cast", "cast robust", "whip", "pumping"}  # end by the clock: no two runs are alike
+SEARCHES = {"cast", "cast robust", "whip", "insert", "pumping"}  # end by the clock: no two runs are alike
 NO_PLAN = 4  # exit code of a search that finds nothing in its time
 
 

@@ -32,6 +32,7 @@ SOUND: dict[str, tuple[str, ...]] = {  # refused after all options have been rea
     "identify": ("swing.csv", "--guess", "rope.toml", "-o", "out"),
     "cast": ("--rope", "rope.toml", "--target", "9", "-1", "--radius", "0.04", "-o", "out", "--time-budget", "0.1"),
     "whip": ("--rope", "rope.toml", "--target", "9", "-1", "-o", "out", "--time-budget", "0.1"),
+    "insert": ("--rope", "rope.toml", "--slot", "9", "-1", "--direction", "-1", "-o", "out", "--time-budget", "0.1"),
     "calibrate": ("plane.png", "--squares", "8", "6", "--square", "0.03", "-o", "out.toml"),
     "track": ("plane.png", "--rope", "rope.toml", "--camera", "camera.toml", *ARCS, "-o", "out.nc"),
     "watch": ("--camera", "plane.png", "--rope", "rope.toml", "--calibration", "camera.toml", *ARCS, "-o", "out.nc"),

@@ -88,6 +88,7 @@ COMMANDS = {
     "identify": ("identify", "swing.csv", "--guess", "rope.toml"),
     "cast": CAST,
     "whip": ("whip", "--rope", "rope.toml", "--target", "0.5", "-1"),
+    "insert": ("insert", "--rope", "rope.toml", "--slot", "0.5", "-1", "--direction", "-1"),
     "calibrate": ("calibrate", "swing.mp4", "--squares", "8", "6", "--square", "0.03"),
     "track": ("track", "swing.mp4", "--rope", "rope.toml", "--camera", "camera.toml"),
     "watch": ("watch", "--camera", "swing.mp4", "--rope", "rope.toml", "--calibration", "camera.toml"),

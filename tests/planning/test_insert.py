@@ -17,14 +17,11 @@ from hyperflex.planning.clearance import wall_clearance
 from hyperflex.planning.insert.chance import insert_scenarios, usual_uncertainty
 from hyperflex.planning.insert.entry import LEVELS
 from hyperflex.planning.insert.outcome import verify_insert
-from hyperflex.planning.insert.search import insert_candidates
 from hyperflex.planning.insert.slot import find_crossings, frame, passages
 from hyperflex.planning.insert.task import InsertTask
 from hyperflex.planning.plan import to_table
+from tests.planning.known_insert import ARM, NEAR, ROPE, SLOT, STROKES
 
-ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=16, radius=0.0025, friction=5e-4)
-ARM = hf.Arm(length=0.1)
-SLOT = Slot(-0.35, -0.85, -2.4, width=0.025, depth=0.04)
 DOWN = Slot(0.1, -0.5, -0.5 * np.pi, width=0.02, depth=0.05, wall=0.1)  # its left is +x
 
 
@@ -89,13 +86,12 @@ def test_ways_of_a_tip_beyond_the_walls() -> None:
     assert passages(np.array([0.1, 0.2, -0.1]), 0.1) == []  # it begins there
 
 
-def test_derivatives_of_an_entry() -> None:
-    """Against central differences, with the rope beside a wall on its way as well."""
-    cast_setup = CastSetup(ROPE, ARM, MotorLimits(), 3.0)
-    found = insert_candidates(cast_setup, SLOT, lambda: -1.0, threads=1)[0]
-    task = InsertTask(cast_setup, SLOT, [found])
-    strokes = found.strokes.cut(found.t, cast_setup.limits)
-    entry = task.find(strokes, found.t)
+@pytest.mark.parametrize(("depth", "names"), [(0.04, ("offset", "t")), (0.06, ("depth",))])
+def test_derivatives_of_an_entry(depth: float, names: tuple[str, ...]) -> None:
+    """Against central differences: of an entry to the depth asked, and of how deep one comes that does not reach it."""
+    task = InsertTask(CastSetup(ROPE, ARM, MotorLimits(), 3.0), replace(SLOT, depth=depth), [])
+    strokes = replace(STROKES, rests=STROKES.rests + 0.02)
+    entry = task.find(strokes, NEAR)
     assert entry is not None
     for k in range(strokes.parameters.size):
         change = np.zeros(strokes.parameters.size)
@@ -103,7 +99,7 @@ def test_derivatives_of_an_entry() -> None:
         plus, minus = (task.find(strokes.varied(sign * change), entry.t) for sign in (1.0, -1.0))
         assert plus is not None
         assert minus is not None
-        for name in ("offset", "depth", "t"):
+        for name in names:
             by = (getattr(plus, name) - getattr(minus, name)) / 2e-4
             told = entry.dt[k] if name == "t" else getattr(entry, f"d{name}")[..., k]
             whole = entry.dt if name == "t" else getattr(entry, f"d{name}")

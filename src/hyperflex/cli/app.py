@@ -16,10 +16,12 @@ import typer
 from hyperflex import __version__
 from hyperflex.cli import output
 from hyperflex.cli.calibrate import calibrate
-from hyperflex.cli.cast import cast
 from hyperflex.cli.export import export
 from hyperflex.cli.identify import identify
 from hyperflex.cli.look import plot, view
+from hyperflex.cli.plan.cast import cast
+from hyperflex.cli.plan.insert import insert
+from hyperflex.cli.plan.whip import whip
 from hyperflex.cli.play import play
 from hyperflex.cli.reproduce import reproduce
 from hyperflex.cli.simulate import simulate
@@ -29,7 +31,6 @@ from hyperflex.cli.start.init import init
 from hyperflex.cli.start.warm import warm
 from hyperflex.cli.track import track
 from hyperflex.cli.watch import watch
-from hyperflex.cli.whip import whip
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.interruption import handle_signals
 
@@ -50,6 +51,7 @@ for _command, _example in (
     (identify, "identify swing.csv --guess guess.toml --free inertia,friction -o identified"),
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),
+    (insert, "insert --rope rope.toml --slot 0.56 -1.9 --direction -0.78 --width 0.02 -o inserted"),
     (calibrate, "calibrate board.mp4 --squares 8 6 --square 0.03 --marker 0.022 --plane plane.png -o camera.toml"),
     (track, "track swing.mp4 --rope rope.toml --camera camera.toml --arc-lengths 0.2,0.4,0.6 -o markers.nc"),
     (watch, "watch --camera 0 --rope rope.toml --calibration camera.toml --arc-lengths 0.2,0.4,0.6 --page 8080"),
@@ -78,8 +80,8 @@ def hyperflex(
     """Robots that use a rope as an arm: simulate it, identify it, cast it.
 
     Exit codes: 0 done, 1 a bug in hyperflex, 2 refused or failed with a message, 3 the fit did not converge, 4 no
-    cast that winds and holds, or whip that meets its target, was found, 5 the fit is not to be used, 130 ended by
-    Ctrl-C, 143 by SIGTERM.
+    cast that winds and holds, whip that meets its target, or way through a slot was found, 5 the fit is not to be
+    used, 130 ended by Ctrl-C, 143 by SIGTERM.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())

@@ -22,7 +22,7 @@ from hyperflex.motion import Motion, from_spec, hold_arm, to_spec
 
 METHODS = ("extrapolation", "rk4")
 PLAN = "plan"  # table in which a planner keeps what a run does not need
-PLANNING = (PLAN, "target", "limits")  # tables of a planner, which a run leaves alone
+PLANNING = (PLAN, "target", "slot", "limits")  # tables of a planner, which a run leaves alone
 DEFAULT_TOL = 1e-5  # m
 DEFAULT_CONTACT_STEP = 2e-4  # s
 
@@ -230,7 +230,7 @@ class Setup:
     def loads(cls, text: str, name: str = "the set-up", folder: Path | None = None) -> "Setup":
         """Build a set-up from TOML text; `name` stands for it in messages, files named in it lie in `folder`.
 
-        The tables of a planner, ``[target]``, ``[limits]`` and ``[plan]``, are left out.
+        The tables of a planner, ``[target]``, ``[slot]``, ``[limits]`` and ``[plan]``, are left out.
         """
         content = {key: value for key, value in files.loads_toml(text, name).items() if key not in PLANNING}
         check_tables(name, content, [f.name for f in fields(cls)])

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from hyperflex.report.identification.fitted import fitted_channels
     from hyperflex.report.identification.page import identification_page, write_found, write_identification
     from hyperflex.report.identification.parameters import parameters_table, ratios_table
+    from hyperflex.report.insert.report import InsertReport
     from hyperflex.report.notebook import identification_html, plan_html, rope_html, run_html
     from hyperflex.report.page import Film, Picture, Section, TextTable, render, sections_markdown, write_page
     from hyperflex.report.plan import PlanReport, search_summary

@@ -1,6 +1,7 @@
 """What a notebook shows of a result: a few sentences, a table, and a run as a player."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from hyperflex.model import LINK_PROPERTIES, PROPERTIES, Rope
 from hyperflex.planning import CastPlan, WhipPlan
 from hyperflex.report.cast import CastReport
 from hyperflex.report.identification.parameters import parameters_table, present
+from hyperflex.report.insert import InsertReport
 from hyperflex.report.page import TextTable, render
 from hyperflex.report.plan import Plan, PlanReport
 from hyperflex.report.player import FRAME_RATE, player_html
@@ -43,8 +45,11 @@ def identification_html(found: Identification) -> str:
 
 def plan_html(plan: Plan) -> str:
     """Return a plan's verdict, its key figures and its verified run."""
-    report: PlanReport[CastPlan] | PlanReport[WhipPlan]
-    report = CastReport(plan, None) if isinstance(plan, CastPlan) else WhipReport(plan, None)
+    report: PlanReport[Any]
+    if isinstance(plan, CastPlan):
+        report = CastReport(plan, None)
+    else:
+        report = WhipReport(plan, None) if isinstance(plan, WhipPlan) else InsertReport(plan)
     figures = TextTable(("", ""), report.tiles)
     document = "" if plan.run is None else _player(plan.run, **report.film())
     return _shown(report.title, (report.verdict, *report.advice), figures, document)

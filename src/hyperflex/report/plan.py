@@ -1,4 +1,4 @@
-"""The report of a plan, cast or whip: a folder with page, figures, the motor's motion and the verified run."""
+"""The report of a plan: a folder with page, figures, the motor's motion and the verified run."""
 
 import math
 from abc import ABC, abstractmethod
@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from hyperflex.motion import Motion
-from hyperflex.planning import RATE, CastOutcome, CastPlan, CastSetup, MotorLimits, TipStrike, WhipPlan
+from hyperflex.planning import (
+    RATE,
+    CastOutcome,
+    CastPlan,
+    CastSetup,
+    InsertOutcome,
+    InsertPlan,
+    MotorLimits,
+    TipStrike,
+    WhipPlan,
+)
 from hyperflex.report.folder import Progress, silent, whole_folder
 from hyperflex.report.page import Film, Picture, Section, TextTable, write_page
 from hyperflex.report.player import player_html
@@ -18,8 +28,9 @@ from hyperflex.report.style import save_png
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Plan = CastPlan | WhipPlan
-PlanT = TypeVar("PlanT", CastPlan, WhipPlan)
+Plan = CastPlan | WhipPlan | InsertPlan
+Outcome = CastOutcome | TipStrike | InsertOutcome
+PlanT = TypeVar("PlanT", CastPlan, WhipPlan, InsertPlan)
 NOT_KNOWN = "not known"
 STRONG = 30.0  # times the torque of the rope's weight at the arm, which usual casts ask 2 to 10 times
 
@@ -143,7 +154,7 @@ class PlanReport(ABC, Generic[PlanT]):
         return [*sections, Section("Set-up", text=(f"{_rope_and_arm(plan.cast_setup)} Target: {self.target}.",))]
 
 
-def _motor_table(limits: MotorLimits, motion: Motion, seen: CastOutcome | TipStrike | None) -> TextTable:
+def _motor_table(limits: MotorLimits, motion: Motion, seen: Outcome | None) -> TextTable:
     """Return what a motion needs of the motor, beside the motor's limits."""
     t = np.linspace(0.0, float(motion.breaks[-1]), 4001)
     mean, peak = (math.nan, math.nan) if seen is None else (seen.torque, seen.torque_peak)
@@ -179,7 +190,7 @@ def clearance_tiles(plan: Plan) -> list[tuple[str, str]]:
     return [(f"{1e3 * plan.clearance:.1f} mm", told)]
 
 
-def torque_tiles(plan: Plan, seen: CastOutcome | TipStrike | None) -> list[tuple[str, str]]:
+def torque_tiles(plan: Plan, seen: Outcome | None) -> list[tuple[str, str]]:
     """Return what a plan asks of the motor, as a key figure; none if nothing was verified to its end."""
     if seen is None or math.isnan(seen.torque):
         return []
@@ -188,7 +199,7 @@ def torque_tiles(plan: Plan, seen: CastOutcome | TipStrike | None) -> list[tuple
     return [(f"{seen.torque:.3g} N m", f"greatest torque of the motor over 5 ms; {allowed}")]
 
 
-def torque_warning(plan: Plan, seen: CastOutcome | TipStrike | None) -> str:
+def torque_warning(plan: Plan, seen: Outcome | None) -> str:
     """Return that a plan without a limit of the torque asks for far more of it than the rope's weight does, else ""."""
     if seen is None or not plan.success or math.isfinite(plan.cast_setup.limits.torque):
         return ""

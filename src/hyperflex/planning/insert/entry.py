@@ -15,7 +15,7 @@ from hyperflex.simulation import Sensitivities
 
 LEVELS = (0.0, 0.5, 1.0)  # of the depth asked, at which the rope shall be in the middle of the gap
 DEEPER = 1.1  # times the depth asked, that the tip shall reach
-MARGIN = 0.5  # of the gap beside the rope
+MARGIN = 0.35  # of the gap beside the rope
 SAMPLE_TIME, CLOSELY = 0.01, 0.4  # s: between samples but for the last; those lie GRID apart
 SPARSE = 4  # samples of which one is looked at for the arm's clearance
 BESIDE = 0.01  # m, from walls that other parts of the rope shall keep

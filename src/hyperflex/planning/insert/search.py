@@ -15,6 +15,7 @@ from hyperflex.planning.tip.task import NEVER, Left, TipCandidate
 SAMPLE_TIME = 0.01  # s: of swings in a search
 SWINGS, TOGETHER = 512, 64  # random swings; those between two looks at the time
 MAX_COST = 0.12  # m, cost of the cheapest swing up to which a slot is feasible
+HARD_COST = 2.5  # m per m: of what strokes move less easily than all of an entry to one side
 TIME_COST = 0.004  # m/s: of equal entries the sooner one is less uncertain
 
 
@@ -23,9 +24,9 @@ class InsertFeasibility:
     """Result of the feasibility check of a slot.
 
     `distance` is that of the place asked for the tip from the arm's pivot, m. `cost`, m, is that of the cheapest swing:
-    how far the rope is from the middle of the gap (root mean square, from the tip's entry to the depth asked), what
-    lacks to that depth, and how deep other parts of the rope lie in the walls. `message` tells why the slot is not
-    feasible.
+    how far from the middle of the gap the rope goes through, and HARD_COST times how much that changes from the tip's
+    entry to the depth asked, what lacks to that depth, and how deep other parts of the rope lie in the walls. `message`
+    tells why the slot is not feasible.
     """
 
     distance: float
@@ -70,14 +71,14 @@ def score_entries(
     """Simulate free swings (M) from rest; return cost (M,), m, and time, s, of the cheapest entry of each."""
     t, batch, angle, _ = simulate_swings(cast_setup, strokes, SAMPLE_TIME, threads)
     scored = [
-        _cheapest_entry(slot, cast_setup.rope.radius, t, cast_setup.rope.joints(q, first))
+        cheapest_entry(slot, cast_setup.rope.radius, t, cast_setup.rope.joints(q, first))
         for q, first in zip(batch.q, cast_setup.arm.tip(angle), strict=True)
     ]
     cost, at = np.array(scored).T
     return np.where(np.isfinite(batch.q).all(axis=(1, 2)), cost, NEVER), at
 
 
-def _cheapest_entry(slot: Slot, radius: float, t: Array, joints: Array) -> tuple[float, float]:
+def cheapest_entry(slot: Slot, radius: float, t: Array, joints: Array) -> tuple[float, float]:
     """Return cost, m, and time, s, of the cheapest entry of a run by its joints (T, n + 1, 2), m."""
     depth, offset = frame(slot, joints)
     ways = passages(depth[:, -1], slot.depth)
@@ -90,11 +91,14 @@ def _cheapest_entry(slot: Slot, radius: float, t: Array, joints: Array) -> tuple
     for begin, end in ways:
         part = depth[begin - 1, -1] / (depth[begin - 1, -1] - depth[begin, -1])
         enters = offset[begin - 1, -1] + part * (offset[begin, -1] - offset[begin - 1, -1])
-        off = float(np.sqrt(np.mean(np.append(mouth[begin : end + 1], enters) ** 2)))
+        least, most = np.min(off := np.append(mouth[begin : end + 1], enters)), np.max(off)
+        if not math.isfinite(most):  # the rope hangs on the far side, and the tip comes back to it
+            continue
         lacks = max(0.0, slot.depth - float(depth[end, -1]))
         others = (found.row <= end) & ~(found.tip & (found.row >= begin))
         struck = float(np.max(-found.gap, where=others, initial=0.0))
-        cost = off + lacks + struck + TIME_COST * float(t[end])
+        hard = float(most - least) + lacks + struck
+        cost = 0.5 * abs(float(least + most)) + HARD_COST * hard + TIME_COST * float(t[end])
         best = min(best, (cost, float(t[end])))
     return best
 

@@ -1,10 +1,14 @@
 """The insertion as a task of the tip: the rope in the middle of a slot from the tip's entry to the depth asked."""
 
+import math
 from dataclasses import replace
+
+import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, recut
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.insert.chance import PLACE
 from hyperflex.planning.insert.entry import Entry, entry_residuals, entry_shortfall, find_entry
 from hyperflex.planning.insert.outcome import InsertOutcome, verify_insert
 from hyperflex.planning.insert.search import score_entries
@@ -19,7 +23,7 @@ FINER, TIGHTER = 2.5, 5.0  # times the links in the second verification; by how 
 class InsertTask(TipTask[Entry]):
     """Bring the tip through a slot, from swings that nearly do."""
 
-    close = 2e-3
+    close, direct = 2e-3, 32
 
     def __init__(self, cast_setup: CastSetup, slot: Slot, swings: list[TipCandidate]) -> None:
         self.cast_setup, self.slot, self.swings = cast_setup, slot, swings
@@ -44,6 +48,11 @@ class InsertTask(TipTask[Entry]):
     def shortfall(self, aim: Entry) -> float:
         """Return by how much offsets, depth and gaps fail, m, 0 if they do not."""
         return entry_shortfall(self.cast_setup, self.slot, aim)
+
+    def doubt(self, aim: Entry) -> float:
+        """Return how uncertain the rope's way through the gap is, in parts of the room that it leaves on one side."""
+        room = 0.5 * self.slot.width - self.cast_setup.rope.radius - float(np.abs(aim.offset).max())
+        return math.hypot(aim.position_std, PLACE) / max(room, 1e-9)
 
     def verify(self, aim: Entry, end: Deadline | None) -> Verified:
         """Simulate an insertion beside the walls, with the links as planned, and with more at a tighter tolerance."""

@@ -11,7 +11,6 @@ from hyperflex.planning.tip.task import Aimed, TipTask, Verified
 from hyperflex.simulation import Deadline
 
 SEARCHING = 0.8  # fraction of the time after which plans are only verified
-DIRECT = 8  # swings that are aimed as they are
 READY, GENERATIONS = 0.06, 16  # m, cost below which a swing is aimed; generations of a search before
 PLANS = 3  # plans that do what is asked, of which the least uncertain one that succeeds is taken
 
@@ -34,7 +33,7 @@ class TipPlanner:
     def run(self, report: Callable[[], None] | None) -> None:
         """Aim until there are enough plans, or no time is left; `report` is called after each."""
         candidates = self.task.candidates()
-        for found in candidates[:DIRECT]:
+        for found in candidates[: self.task.direct]:
             if self.add(aim_strokes(self.task, found, self.left), report):
                 return
         for number, found in enumerate(candidates):
@@ -58,7 +57,7 @@ class TipPlanner:
 
     def rank(self, aim: Aimed) -> tuple[float, float]:
         """By how much a plan fails, then how uncertain it is; less is better."""
-        return self.task.shortfall(aim), aim.position_std
+        return self.task.shortfall(aim), self.task.doubt(aim)
 
     def verify(self) -> None:
         """Verify the best plan, and while none succeeds those after it that do what is asked by the search.

@@ -48,10 +48,14 @@ class Verified(NamedTuple):
 
 
 class TipTask(ABC, Generic[AimedT]):
-    """What the tip is to do, and how near some strokes come to it; residuals below `close`, m, are small enough."""
+    """What the tip is to do, and how near some strokes come to it.
+
+    Residuals below `close`, m, are small enough. The `direct` first candidates are aimed as they are.
+    """
 
     cast_setup: CastSetup
     close: float
+    direct: int
 
     @abstractmethod
     def candidates(self) -> list[TipCandidate]:
@@ -72,6 +76,10 @@ class TipTask(ABC, Generic[AimedT]):
     @abstractmethod
     def shortfall(self, aim: AimedT) -> float:
         """Return by how much strokes fail, 0 if they do not."""
+
+    def doubt(self, aim: AimedT) -> float:
+        """Return how uncertain strokes are that do not fail; of several the least uncertain ones are taken."""
+        return aim.position_std
 
     @abstractmethod
     def verify(self, aim: AimedT, end: Deadline | None) -> Verified:

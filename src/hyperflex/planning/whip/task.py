@@ -25,7 +25,7 @@ FINER = 2  # pieces of each link in the second verification
 class WhipTask(TipTask[AimedPeak]):
     """Whip a target, from the swings of a map."""
 
-    close = 2e-4
+    close, direct = 2e-4, 8
 
     def __init__(self, whip_map: WhipMap, target: TipTarget) -> None:
         self.whip_map, self.target, self.cast_setup = whip_map, target, whip_map.cast_setup

@@ -9,7 +9,8 @@ from hyperflex.planning import WhipPlan
 from hyperflex.report.shapes import shapes
 from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure, note
-from hyperflex.report.time_course import ArmMoves, event_note, room_above, time_course
+from hyperflex.report.time_course import event_note, room_above, time_course
+from hyperflex.report.tip import draw_arrow, draw_path, stroke_moves
 from hyperflex.report.units import length
 
 if TYPE_CHECKING:
@@ -42,13 +43,13 @@ def passing_figure(plan: WhipPlan) -> "Figure":
     speed = np.interp(times, run.t, np.hypot(*run.tip_velocity.T))
     with new_figure(8.6, 5.6) as figure:
         axis: Any = figure.subplots()
-        _draw_way(figure, axis, way, speed)
+        draw_path(figure, axis, way, speed)
         size = 0.55e3 * half
         if not target.any_direction:
-            _arrow(axis, np.zeros(2), size * _along(target.direction), RED)
+            draw_arrow(axis, np.zeros(2), size * _along(target.direction), RED)
             axis.plot([], [], color=RED, lw=2.0, label="direction asked")
         place = 1e3 * (seen.place - target.point)
-        _arrow(axis, place, size * seen.velocity / max(seen.speed, 1e-9), INK)
+        draw_arrow(axis, place, size * seen.velocity / max(seen.speed, 1e-9), INK)
         axis.plot([], [], color=INK, lw=2.0, label=f"velocity at the peak, {seen.speed:.1f} m/s")
         axis.plot(0.0, 0.0, "o", ms=13.0, mfc="none", mec=RED, mew=1.8, label="target")
         axis.plot(*place, "o", ms=4.5, color=INK, label=f"tip at its peak, {length(seen.miss, 2)} off")
@@ -75,35 +76,7 @@ def course_figure(plan: WhipPlan) -> "Figure":
         away.set(ylabel="distance, m", title="Distance of the tip from the target")
         away.set_ylim(bottom=0.0)
 
-    return time_course(run, "the whip", _moves(plan), seen.t, draw)
-
-
-def _moves(plan: WhipPlan) -> ArmMoves | None:
-    """Return the strokes that begin within the run."""
-    if plan.strokes is None:
-        return None
-    limits = plan.cast_setup.limits
-    starts, angles = plan.strokes.starts(limits), plan.strokes.angles(limits)
-    ends = np.minimum(
-        starts + limits.fastest_moves(np.diff(angles))[0], plan.required(plan.motion, "motion").breaks[-1]
-    )
-    count = int((starts < plan.required(plan.run, "run").t[-1]).sum())
-    return ArmMoves(starts[:count], ends[:count], angles[: count + 1], tuple(str(k + 1) for k in range(count)))
-
-
-def _draw_way(figure: "Figure", axis: Any, way: Array, speed: Array) -> None:
-    from matplotlib.collections import LineCollection
-
-    steps = list(np.stack([way[:-1], way[1:]], axis=1))
-    lines = LineCollection(steps, array=speed[:-1], cmap="viridis_r", linewidths=2.6)
-    axis.add_collection(lines)
-    figure.colorbar(lines, ax=axis, label="speed of the tip, m/s", shrink=0.8)
-
-
-def _arrow(axis: Any, start: Array, way: Array, colour: str) -> None:
-    axis.annotate(
-        "", start + way, start, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
-    )
+    return time_course(run, "the whip", stroke_moves(plan), seen.t, draw)
 
 
 def _along(direction: float) -> Array:

@@ -18,7 +18,8 @@ from hyperflex.planning import (
     WhipPlan,
 )
 from hyperflex.report.page import TextTable
-from hyperflex.report.plan import PlanReport, clearance_tiles, counted, torque_tiles, torque_warning
+from hyperflex.report.plan import PlanReport, clearance_tiles, torque_tiles, torque_warning
+from hyperflex.report.tip import stroke_count, stroke_note, stroke_story
 from hyperflex.report.units import length
 from hyperflex.report.whip.figures import course_figure, passing_figure, peak_figure
 
@@ -74,7 +75,7 @@ class WhipReport(PlanReport[WhipPlan]):
         plan, target, seen, impact = self.plan, self.plan.target, self.plan.outcome, self.impact
         shown = [(f"{target.x:.3g}, {target.y:.3g} m", "target: x and y (up) from the motor's shaft")]
         if plan.strokes is not None:
-            shown.append((_strokes(plan), "of the arm to and fro"))
+            shown.append((stroke_count(plan), "of the arm to and fro"))
         if seen is not None:
             shown.append(
                 (f"{seen.speed:.1f} m/s", f"speed of the tip at its peak; {target.least_speed:.3g} are needed")
@@ -100,15 +101,7 @@ class WhipReport(PlanReport[WhipPlan]):
         plan, impact, lines = self.plan, self.impact, [f"Target: {self.target}."]
         if plan.strokes is None:
             return tuple(lines)
-        limits = plan.cast_setup.limits
-        starts, angles = plan.strokes.starts(limits), np.degrees(plan.strokes.angles(limits))
-        to = ", ".join(
-            f"{end:.0f} degrees from {start:.2f} s on" for start, end in zip(starts, angles[1:], strict=True)
-        )
-        lines.append(
-            f"The rope hangs at rest from the arm at {angles[0]:.0f} degrees (0 hangs down). The arm makes "
-            f"{_strokes(plan)}: to {to}."
-        )
+        lines.append(stroke_story(plan))
         if plan.outcome is not None:
             lines.append(_peak(plan.outcome))
         if impact is not None:
@@ -135,16 +128,13 @@ class WhipReport(PlanReport[WhipPlan]):
     def film_note(self) -> Callable[[float], str]:
         """Return what the film says at a time, s: target, arm, and from the peak on speed and miss."""
         seen, target = self.plan.required(self.plan.outcome, "outcome"), self.plan.target
-        starts = None if self.plan.strokes is None else self.plan.strokes.starts(self.plan.cast_setup.limits)
 
         def note(t: float) -> str:
-            begun = 0 if starts is None else int((starts <= t).sum())
-            arm = f"stroke {begun} of {_strokes(self.plan)}" if begun else f"{_strokes(self.plan)} to come"
             end = f"met at {seen.t:.2f} s: {seen.speed:.1f} m/s, {length(seen.miss, 2)} off"
             if not self.plan.success:
                 end = f"FAILS: {self.plan.message}"
             place = f"target: x = {target.x:.3g} m, y = {target.y:.3g} m, {target.least_speed:.3g} m/s or more"
-            return "\n".join((place, f"arm: {arm}", end if t >= seen.t else ""))
+            return "\n".join((place, stroke_note(self.plan, t), end if t >= seen.t else ""))
 
         return note
 
@@ -155,11 +145,6 @@ def _direction(target: TipTarget) -> str:
         return "in any direction"
     asked = np.degrees(target.direction)
     return f"within {np.degrees(target.angle_tolerance):.3g} degrees of the direction {asked:.3g} (0 is +x, 90 up)"
-
-
-def _strokes(plan: WhipPlan) -> str:
-    """Return how many strokes the arm makes."""
-    return counted(0 if plan.strokes is None else plan.strokes.ends.size, "stroke")
 
 
 def _peak(seen: TipStrike) -> str:

@@ -1,7 +1,8 @@
-"""What `cast` and `whip` share: options, the set-up file, and how they end."""
+"""What `cast`, `whip` and `insert` share: options, the set-up file, and how they end."""
 
 from __future__ import annotations
 
+import math
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -83,13 +84,14 @@ _WRITTEN = {
 
 
 class Task(NamedTuple):
-    """What is planned with: rope, arm, limits of the motor, obstacles, and the table [target] of a set-up file."""
+    """What is planned with: rope, arm, limits of the motor, obstacles, and [target] and [slot] of a set-up file."""
 
     rope: Rope
     arm: Arm
     limits: MotorLimits
     obstacles: tuple[Obstacle, ...]
     target: Mapping[str, Any]
+    slot: Mapping[str, Any]
 
 
 def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, limits: Mapping[str, Any]) -> Task:
@@ -103,7 +105,7 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
     content = {} if setup is None else files.read_toml(setup)
     if setup is not None and PLAN in content:
         content = _of_plan(setup)
-    for name in ("limits", "target"):
+    for name in ("limits", "target", "slot"):
         if not isinstance(content.get(name, {}), Mapping):
             raise InvalidInput(f"{name} of {setup} is not a table", got=content[name], allowed=f"[{name}]")
     given = content.get("limits", {}) | {name: value for name, value in limits.items() if value is not None}
@@ -120,7 +122,7 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
         sys.stderr.write(f"hyperflex: no arm is given, so the paper's is taken, {arm.length:g} m long; {words}\n")
     if arm_length is not None:
         arm = replace(arm, length=arm_length)
-    return Task(read.rope, arm, MotorLimits(**given), read.pegs, content.get("target", {}))
+    return Task(read.rope, arm, MotorLimits(**given), read.pegs, content.get("target", {}), content.get("slot", {}))
 
 
 def _of_plan(path: Path) -> dict[str, Any]:
@@ -129,7 +131,7 @@ def _of_plan(path: Path) -> dict[str, Any]:
     What the file says beside it is the verified run, whose rope is cut for the target of then.
     """
     from hyperflex.model import Setup
-    from hyperflex.planning import CastPlan, read_plan
+    from hyperflex.planning import CastPlan, InsertPlan, read_plan
 
     plan = read_plan(path)
     known = plan.cast_setup
@@ -137,7 +139,35 @@ def _of_plan(path: Path) -> dict[str, Any]:
     setup = Setup(known.rope, None, known.arm, pegs=pegs)
     tables: dict[str, Any] = tomllib.loads(setup.dumps())
     tables["limits"] = {field.name: getattr(known.limits, field.name) for field in fields(known.limits)}
-    return tables if pegs else tables | {"target": {f.name: getattr(plan.target, f.name) for f in fields(plan.target)}}
+    name = "slot" if isinstance(plan, InsertPlan) else "target"
+    return tables if pegs else tables | {name: {f.name: getattr(plan.target, f.name) for f in fields(plan.target)}}
+
+
+def asked(
+    name: str,
+    table: Mapping[str, Any],
+    known: Mapping[str, tuple[checks.Sign, str]],
+    place: tuple[float, float] | None,
+    options: Mapping[str, float | None],
+) -> dict[str, float]:
+    """Return a target of the set-up file with what the options say, in SI units; its place is an option of its `name`.
+
+    `known` has sign and unit of all that there may be.
+    """
+    checks.keys(f"the table [{name}]", table, known)
+    given = {key: (f"{name} {key}", value) for key, value in table.items()}
+    given |= {key: (f"--{name}", value) for key, value in zip("xy", place or (), strict=False)}
+    given |= {key: (f"--{key.replace('_', '-')}", each) for key, each in options.items() if each is not None}
+    found = {}
+    for key, (words, value) in given.items():
+        sign, unit = known[key]
+        found[key] = checks.number(words, value, sign=sign, unit=unit)
+        if unit == "rad" and abs(found[key]) > math.tau:
+            fix = f"If these are degrees, give {math.radians(found[key]):.4g}"
+            raise InvalidInput(f"{words} is more than a turn", got=found[key], allowed="up to 2 pi, in rad", fix=fix)
+    if not {"x", "y"} <= set(found):
+        raise InvalidInput(f"--{name} is missing", fix=f"Give it, or a set-up file with a table [{name}]")
+    return found
 
 
 def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, mu: float | None) -> Peg:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hyperflex.cli import output, planner
+from hyperflex.cli import output
+from hyperflex.cli.plan import planner
 
 if TYPE_CHECKING:
     from hyperflex.planning import CastPlan, HoldingForce, Uncertainty

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from hyperflex.checks import Sign, keys, number
-from hyperflex.cli import output, planner
+from hyperflex.checks import Sign
+from hyperflex.cli import output
+from hyperflex.cli.plan import planner
 from hyperflex.errors import InvalidInput
 
 _TARGET: dict[str, tuple[Sign, str]] = {  # of the set-up file, as of TipTarget: sign and unit
@@ -75,7 +76,7 @@ def whip(
             "whips are planned without obstacles", got=f"{len(task.obstacles)} obstacles", fix="Leave them out"
         )
     options = {"direction": direction, "angle_tolerance": angle_tolerance, "least_speed": least_speed}
-    asked = _target(task, target, options)
+    asked = planner.asked("target", task.target, _TARGET, target, options)
     angle = asked.get("direction")
     plan = output.partial_of(
         lambda: plan_whip(
@@ -101,23 +102,3 @@ def whip(
         files |= report.add_page(out, progress=progress)
     result = plan.summary() | ({} if impact is None else {"impact": asdict(impact)})
     planner.finish(report, files, result, [report.warning] if report.warning else (), as_json=json)
-
-
-def _target(
-    task: planner.Task, place: tuple[float, float] | None, options: dict[str, float | None]
-) -> dict[str, float]:
-    """Return the target of the set-up file with what the options say, in SI units."""
-    keys("the table [target]", task.target, _TARGET)
-    given = {name: (f"target {name}", value) for name, value in task.target.items()}
-    given |= {name: ("--target", value) for name, value in zip("xy", place or (), strict=False)}
-    given |= {name: (f"--{name.replace('_', '-')}", each) for name, each in options.items() if each is not None}
-    asked = {}
-    for name, (words, value) in given.items():
-        sign, unit = _TARGET[name]
-        asked[name] = number(words, value, sign=sign, unit=unit)
-        if unit == "rad" and abs(asked[name]) > math.tau:
-            fix = f"If these are degrees, give {math.radians(asked[name]):.4g}"
-            raise InvalidInput(f"{words} is more than a turn", got=asked[name], allowed="up to 2 pi, in rad", fix=fix)
-    if not {"x", "y"} <= set(asked):
-        raise InvalidInput("--target is missing", fix="Give it, or a set-up file with a table [target]")
-    return asked

@@ -1,0 +1,43 @@
+"""Report of a planned insertion: what a reader must find, on the page, in the film and in a notebook."""
+
+from __future__ import annotations
+
+from hyperflex.report import InsertReport, plan_html
+from tests.planning.known_insert import far_insert, planned_insert
+from tests.report.test_whip import words_of
+
+
+def test_the_page_names_slot_strokes_and_clearance(tmp_path):
+    plan = planned_insert()
+    files = InsertReport(plan).write(tmp_path / "out")
+    page = words_of(files["page"])
+    for told in (
+        "a slot at x = -0.35 m, y = -0.85 m, 25 mm wide",
+        "40 mm beyond the walls at 2.00 s",
+        f"{1e3 * plan.outcome.wall_clearance:.1f} mm",
+        "2 strokes: to 141 degrees from 0.33 s on",
+        "Success probability: 90 %",
+        "2.5 times the links 40",
+        "standard deviation of 4 mm",
+    ):
+        assert told in page, told
+    assert set(files) == {"motion", "plan", "run", "page", "entry", "gap", "course"}
+
+
+def test_a_plan_without_strokes_is_a_page_with_the_reason(tmp_path):
+    files = InsertReport(far_insert()).write(tmp_path / "out")
+    assert list(files) == ["page"]
+    assert "out of reach: the rope ends" in words_of(files["page"])
+
+
+def test_the_film_tells_the_course():
+    note = InsertReport(planned_insert()).film_note()
+    assert "2 strokes to come" in note(0.0)
+    assert "stroke 1 of 2" in note(0.5)
+    assert "inside" not in note(1.5)
+    assert "inside at 2.00 s" in note(2.05)
+    assert "FAILS: the rope touches" in InsertReport(planned_insert(enters=False)).film_note()(2.2)
+
+
+def test_a_notebook_shows_it():
+    assert "A planned insertion" in plan_html(planned_insert())
