@@ -29,7 +29,7 @@ from hyperflex.simulation import Deadline
 
 GENERATIONS = 5  # of free swings in a round
 MIN_GROWTH, IDLE_ROUNDS = 1.03, 2  # a round that gains less than this factor is idle; after so many contact is next
-PROMISING, WORTHY = 0.5, 0.8  # energy ratio of swings that need no more time, and of swings that are worth a try
+PROMISING, WORTHY = 0.5, 0.5  # energy ratio of swings that need no more time, and of swings that are worth a try
 MIN_TAIL = 0.5  # turns of tail, at least, that a swing is taken to have for that
 NEARLY = 0.9  # score of a throw in contact that is worth being refined though all swings strike late
 EARLY, LONGER = 0.1, 1.5  # fraction of the time after which swings that promise less may take longer; how much longer
@@ -44,7 +44,7 @@ LONGEST = 0.25  # fraction of the time that a first verification may take, or ha
 LOOK = 1.0  # s; steps of a run between two looks at the clock may take as long on a busy machine
 TRIES = 3  # verifications at most between two generations
 # A margin, and a full turn of contact that nobody asked for, are sought until so many times the time of the first plan
-BETTER = 1.5
+BETTER = 2.0
 FULL_TURN = 2.0 * np.pi  # rad of contact that a search goes on for where the rope is long enough, if none is asked for
 
 STANDS = "a cast stands; one with a margin is sought"
