@@ -155,3 +155,14 @@ def test_settling_goes_on_from_other_starts_until_one_fits(monkeypatch: pytest.M
         factor = plant.parameters.values(other) / plant.parameters.values(x)
         assert (np.abs(np.log(factor)) < 0.7).all()
         assert np.ptp(np.log(factor)) > 0.1
+
+
+def test_windows_whose_rollouts_fail_are_left_to_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All but one fail: that one is fitted, the others keep their states until a search finds better ones."""
+    plant, windows, x, states = seen_at_its_tip(200)
+    whole = Plant.residual
+    monkeypatch.setattr(Plant, "residual", lambda *a: whole(*a) if a[2] is windows[0] else None)
+    found = settling._fit_of_the_better(plant, windows, x, states, Loss(), lambda _: None)
+    assert found is not None
+    assert found[0] is not x
+    assert all(one is other for one, other in zip(found[1][1:], states[1:], strict=True))

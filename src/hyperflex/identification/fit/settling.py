@@ -16,6 +16,9 @@ from hyperflex.interruption import caught
 TURNS = 6  # times at most that parameters and states take turns; four were needed for a rope that is seen at its tip
 AMISS = 10.0  # times what a value of the better windows, or of noise, costs: a shape taken for its mirror costs 100s
 SCATTERED, SPREAD = 3, 0.7  # other starts, and by which factor, its logarithm, at most
+FAILED = (
+    1e100  # cost of a window whose rollout fails: beyond all others, and no infinity, of which no quantile is known
+)
 BETTER_PART = 0.25  # quantile of the windows' costs that stands for those that fit
 HARDLY, ROUNDS = 0.05, 15  # gain of a round, as a part of the cost, and rounds, that end a fit of the parameters
 
@@ -75,7 +78,7 @@ def _fit_of_the_better(
 ) -> tuple[Array, list[Array]] | None:
     """Return x and the states fitted to the windows that fit; None where these are too few."""
     costs = _costs(plant, windows, x, states)
-    good = np.flatnonzero(costs <= AMISS * np.quantile(costs, BETTER_PART)).tolist()
+    good = np.flatnonzero((costs < FAILED) & (costs <= AMISS * np.quantile(costs, BETTER_PART))).tolist()
     if sum(windows[k].values - windows[k].unknowns for k in good) <= x.size:
         return None
     chosen, begun = [windows[k] for k in good], [states[k] for k in good]
@@ -100,7 +103,7 @@ def _other_states(
 
 
 def _costs(plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array]) -> Array:
-    """Return what a value of each window costs (W,), in units of the noise's variance; inf where a rollout fails."""
+    """Return what a value of each window costs (W,), in units of the noise's variance; FAILED where a rollout fails."""
     residuals = [plant.residual(x, window, state) for window, state in zip(windows, states, strict=True)]
     pairs = zip(residuals, windows, strict=True)
-    return np.array([np.inf if r is None else float(r @ r) / window.values for r, window in pairs])
+    return np.array([FAILED if r is None else float(r @ r) / window.values for r, window in pairs])
