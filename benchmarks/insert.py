@@ -2,6 +2,7 @@
 
 python -m benchmarks.insert               results in benchmarks/results/insert.json and .md; interrupted, it goes on
                                           where it was (insert.jsonl)
+python -m benchmarks.insert --count 12    the first ones alone
 python -m benchmarks.insert --only 7      one of them again
 python -m benchmarks.insert --slots       draws the slots anew
 
@@ -156,13 +157,14 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", type=int, metavar="INDEX", help="this slot alone; nothing is written")
+    parser.add_argument("--count", type=int, default=COUNT, metavar="N", help="the first slots alone")
     parser.add_argument("--slots", action="store_true", help="draw the slots anew")
     parser.add_argument("--out", default=str(RESULTS / "insert.json"), metavar="FILE")
     options = parser.parse_args()
     if options.slots:
         files.write_text(SLOTS, json.dumps(draw(), indent=1) + "\n")
         return
-    marks, about = slots(), machine.describe()
+    marks, about = slots()[: options.count], machine.describe()
     if options.only is not None:
         print(json.dumps(measure(options.only, marks[options.only]), indent=1))
         return
