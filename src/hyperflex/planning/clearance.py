@@ -49,14 +49,23 @@ def rope_clearance(run: Trajectory) -> Clearance:
 def wall_clearance(run: Trajectory, walls: Sequence[Wall], until: float) -> Clearance:
     """Find how near a rope comes to thin walls in a run until a time, s; see :func:`rope_clearance`."""
     rope = run.setup.rope
-    ends = np.array([[(wall.x, wall.y), (wall.x2, wall.y2)] for wall in walls])
 
     def gaps(q: Array, base: Array, links: npt.NDArray[np.int64]) -> Array:
-        begin, end = (each[:, None] for each in _links(rope, q, base, links))
-        return _segment_distance(begin, end, ends[:, None, 0], ends[:, None, 1])
+        return _wall_gaps(walls, *_links(rope, q, base, links))
 
     value, t, _ = least_gap(run, gaps, _speeds(run, np.zeros(run.t.size), np.zeros(2)), until)
     return Clearance(value, t, "wall")
+
+
+def sampled_wall_gap(walls: Sequence[Wall], joints: Array) -> float:
+    """Least distance, m, of a rope's axis from thin walls at samples alone, by its joints (T, n + 1, 2), m."""
+    return float(_wall_gaps(walls, joints[:, :-1], joints[:, 1:]).min())
+
+
+def _wall_gaps(walls: Sequence[Wall], begin: Array, end: Array) -> Array:
+    """Distances (T, w, k), m, of links from `begin` to `end` (T, k, 2) from w walls."""
+    ends = np.array([[(wall.x, wall.y), (wall.x2, wall.y2)] for wall in walls])
+    return _segment_distance(begin[:, None], end[:, None], ends[:, None, 0], ends[:, None, 1])
 
 
 def least_gap(

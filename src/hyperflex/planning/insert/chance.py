@@ -8,9 +8,10 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_TOL, Peg, Rope
+from hyperflex.model import DEFAULT_TOL, Peg, Rope, recut
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import FINE, sampled_wall_gap
 from hyperflex.planning.insert.outcome import SAMPLE_TIME, WINDOW
 from hyperflex.planning.insert.slot import Slot, find_crossings, frame, nearest_passage
 from hyperflex.planning.robust.scenario_rollouts import STREAM, SuccessProbability
@@ -18,7 +19,9 @@ from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.tip.strokes import Strokes
 
+FINER = 2.5  # times the links, in scenarios and in the second verification
 PLACE, TIMING = 2e-3, 2e-3  # m, s: usual standard deviations of the slot's place and of each stroke's start
+CLOSELY = 50  # samples before the entry at which the walls' ends are looked at, too
 SAMPLES, TOGETHER = 100, 25  # of an estimate; those simulated at once
 
 
@@ -35,10 +38,21 @@ def insert_scenarios(
     samples: int,
     seed: int | Sequence[int],
 ) -> list[tuple[Rope, Slot, Motion]]:
-    """Return rope, slot and motion of the arm in sampled scenarios. A peg in its gap stands for the slot there."""
+    """Return rope, with FINER times the links, slot and motion of the arm in sampled scenarios.
+
+    A peg in its gap stands for the slot there.
+    """
     peg, motion = Peg(slot.x, slot.y, 0.5 * slot.width), strokes.motion(cast_setup.limits)
     scenarios = uncertainty.sample(samples, cast_setup, peg, seed=seed)
-    return [(each.rope, replace(slot, x=each.peg.x, y=each.peg.y), each.executed_motion(motion)) for each in scenarios]
+    return [
+        (finer_rope(each.rope), replace(slot, x=each.peg.x, y=each.peg.y), each.executed_motion(motion))
+        for each in scenarios
+    ]
+
+
+def finer_rope(rope: Rope) -> Rope:
+    """Return a rope cut into FINER times as many links."""
+    return recut(rope, round(FINER * rope.n_links))
 
 
 @interruptible()
@@ -84,7 +98,7 @@ def _joints(
     """Yield the joints (T, n + 1, 2), m, of free swings at times t (T,), s."""
     arm = cast_setup.arm
     ropes, _, motions = zip(*drawn, strict=True)
-    run = RolloutBatch.from_start(cast_setup, ropes, [], motions).run(
+    run = RolloutBatch.from_start(replace(cast_setup, rope=ropes[0]), ropes, [], motions).run(
         arm, t, tol=DEFAULT_TOL, keep=("q",), threads=threads
     )
     for rope, motion, q in zip(ropes, motions, run.q, strict=True):
@@ -98,4 +112,7 @@ def _enters(slot: Slot, radius: float, near: float, t: Array, joints: Array) -> 
     if way is None:
         return False
     end, found = way[1], find_crossings(slot, radius, depth, offset)
-    return bool(depth[end, -1] >= slot.depth and (found.gap[found.row <= end] > 0.0).all())
+    if depth[end, -1] < slot.depth or (found.gap[found.row <= end] <= 0.0).any():
+        return False
+    # what verified runs take off their clearance counts here as well
+    return sampled_wall_gap(slot.walls, joints[max(0, way[0] - CLOSELY) : end + 1]) > radius + 0.5 * FINE

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, recut
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.insert.chance import PLACE
+from hyperflex.planning.insert.chance import FINER, PLACE, finer_rope
 from hyperflex.planning.insert.entry import Entry, entry_residuals, entry_shortfall, find_entry
 from hyperflex.planning.insert.outcome import InsertOutcome, verify_insert
 from hyperflex.planning.insert.search import score_entries
@@ -17,7 +17,7 @@ from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.task import TipCandidate, TipTask, Verified
 from hyperflex.simulation import Deadline
 
-FINER, TIGHTER = 2.5, 5.0  # times the links in the second verification; by how much tolerance and step are less
+TIGHTER = 5.0  # times, by which the tolerance of the second verification is less
 
 
 class InsertTask(TipTask[Entry]):
@@ -27,7 +27,7 @@ class InsertTask(TipTask[Entry]):
 
     def __init__(self, cast_setup: CastSetup, slot: Slot, swings: list[TipCandidate]) -> None:
         self.cast_setup, self.slot, self.swings = cast_setup, slot, swings
-        self.finer = replace(cast_setup, rope=recut(cast_setup.rope, round(FINER * cast_setup.rope.n_links)))
+        self.finer = replace(cast_setup, rope=finer_rope(cast_setup.rope))
 
     def candidates(self) -> list[TipCandidate]:
         """Return the swings, the cheapest first."""
