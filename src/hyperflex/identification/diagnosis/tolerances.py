@@ -17,13 +17,14 @@ PER_CENT = 0.01  # relative: the change that people think in
 def moves_alike(plant: Plant) -> bool:
     """Tell whether a longer and slower rope moves exactly alike: nothing but gravity and the lengths has a scale.
 
-    With times x a and lengths x a^2 gravity stays. A drive, a torque or a resistance that is held does not go along.
+    With times x a and lengths x a^2 gravity stays. A drive, a torque, and inertias or resistances that are held do not
+    go along.
     """
     if plant.motion is not None or plant.motor is not None or not plant.parameters.guess.gravity.any():
         return False
     names = {each.name for each in plant.parameters.all}
     held = [each.name for each in RESISTANCES if each.name not in names]
-    return not any(getattr(plant.parameters.guess, name).any() for name in held)
+    return "inertia" in names and not any(getattr(plant.parameters.guess, name).any() for name in held)
 
 
 def with_sway(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 LONG = 16  # rows of a table that are shown at once
 _MODEL_ERROR = ("The residuals are no noise", "The residuals are not white")  # how the verdict's warnings begin
+_ALWAYS = ("Times and lengths are tested against", "In ratios p1 is")  # how sentences begin that warn of nothing
 _WIDE = 0.5  # of the error of a prediction that nothing moves on
 _TRUSTED = 0.85  # part of held-out values within their 95 % band, below which the page warns
 _DPI = 110
@@ -109,7 +110,9 @@ def _verdict(found: Identification) -> Section:
             marks = _with_trust(marks, held, half, still)
     usable = settled and found.grade.name != "do not use"
     marks = [*((False, sentence) for sentence in found.grade.more), *marks]
-    return Section("Verdict", verdict=(usable, str(found.grade)), tiles=tuple(tiles), marks=tuple(marks))
+    text = tuple(sentence for _, sentence in marks if sentence.startswith(_ALWAYS))
+    marks = [mark for mark in marks if mark[1] not in text]
+    return Section("Verdict", verdict=(usable, str(found.grade)), tiles=tuple(tiles), text=text, marks=tuple(marks))
 
 
 def _half_band(held: HeldOut) -> float:
