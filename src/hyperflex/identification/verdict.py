@@ -27,6 +27,9 @@ ALL_ACT = (
     "Each free parameter acts in this motion in a way of its own, given those that were held; how far the values can "
     "be trusted, the other sentences say."
 )
+FIRST_MOMENT = (
+    "In ratios p1 is the first moment of link 0 about its joint, kg m, with all mass beyond it at its far end."
+)
 OUTLYING = 6.0  # times the median deviation: a distance that a lost marker makes
 UNEVEN = 0.03  # relative difference of two scales; as the distances of markers
 BEYOND, MANY = 5.0, 20  # standard errors, and distances at least
@@ -54,9 +57,11 @@ def not_converged(message: str) -> str:
 
 
 def consistent(words: list[str]) -> list[str]:
-    """Return the sentences that are not empty, without saying that all can be known beside a warning."""
+    """Return the sentences that are not empty; beside a warning none says that all can be known."""
     words = [text for text in words if text]
-    return words if len(words) == 1 else [ALL_ACT if text == ALL_KNOWN else text for text in words]
+    if len([text for text in words if text != FIRST_MOMENT]) == 1:
+        return words
+    return [ALL_ACT if text == ALL_KNOWN else text for text in words]
 
 
 def not_noise(correlation: float, whiteness: float = 1.0) -> str:
@@ -163,7 +168,7 @@ def _first_moment(spreads: dict[str, Array]) -> list[str]:
     """Return what p1 is, or nothing where no ratio was fitted; `spreads` (n,) are standard deviations of the ratios."""
     if not any(np.any(each > 0.0) for each in spreads.values()):
         return []
-    return ["In ratios p1 is the first moment of link 0 about its joint, kg m, with all mass beyond it at its far end."]
+    return [FIRST_MOMENT]
 
 
 def held_words(held: Sequence[str]) -> str:

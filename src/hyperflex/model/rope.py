@@ -14,7 +14,7 @@ from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model.properties import LINK_NAMES, LINK_PROPERTIES
-from hyperflex.model.rope_table import MOST_LINKS, check_density, check_size, from_table, to_table
+from hyperflex.model.rope_table import MOST_LINKS, check_density, from_table, to_table
 
 GRAVITY = (0.0, -9.81)  # m/s^2
 AIR_DENSITY = 1.204  # kg/m^3, at 20 degrees Celsius and 1013 hPa
@@ -132,7 +132,7 @@ class Rope:
         if r > 0.5 * self.total_length:
             most = f"up to half its length, {0.5 * self.total_length:g} m: 2.5 mm are 0.0025"
             raise InvalidInput("rope radius makes it thicker than it is long", got=r, allowed=most)
-        check_size(self.length, self.mass)
+        checks.meant("rope length", self.length.sum(), "m")
         empty = self.inertia + self.mass * self.com**2 <= 0.0
         empty[-1] &= self.tip_mass <= 0.0
         if empty.any():
@@ -201,6 +201,7 @@ class Rope:
                 raise InvalidInput("drag_coefficient cannot be used", got=coefficient, allowed=allowed)
             others["drag"] = coefficient * checks.number("air_density", air_density, sign="positive") * r
         check_density(total, weight, r)
+        checks.meant("rope mass over length", weight / total, "kg/m")
         return cls(np.full(n, total / n), link_mass, radius=radius, inertia=inertia, friction=friction, **others)
 
     @property

@@ -69,12 +69,6 @@ def from_table(table: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]
     return content
 
 
-def check_size(length: checks.Array, mass: checks.Array) -> None:
-    """Warn of links (n,), m and kg, that make a rope of a size that is hardly meant."""
-    checks.meant("rope length", length.sum(), "m")
-    checks.meant("rope mass over length", mass.sum() / length.sum(), "kg/m")
-
-
 def check_density(length: Any, mass: Any, radius: Any) -> None:
     """Refuse what no rope is made of: grams for kilograms, or millimetres for metres, most likely."""
     try:
