@@ -53,9 +53,15 @@ def test_density_of_a_rope_in_grams_is_refused() -> None:
 
 
 def test_real_large_ropes_and_arms_pass() -> None:
-    hf.Rope.uniform(length=30.0, mass=60.0, n_links=30, radius=0.02)
-    hf.Arm(length=3.0)
-    hf.move_arm(-4.0 * np.pi, 4.0 * np.pi, 60.0)
+    """Warnings are errors in these tests."""
+    assert hf.Rope.uniform(length=30.0, mass=60.0, n_links=30, radius=0.02).total_length == pytest.approx(30.0)
+    assert hf.Arm(length=3.0).length == 3.0
+    assert hf.move_arm(-4.0 * np.pi, 4.0 * np.pi, 60.0).breaks[-1] == 60.0
+
+
+def test_ropes_whose_scale_no_motion_tells_pass() -> None:
+    """Identification from angles alone leaves masses in proportion, as heavy as may be."""
+    assert hf.Rope(length=[0.3], mass=[60.0]).mass[0] == 60.0
 
 
 def test_the_command_line_says_it_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

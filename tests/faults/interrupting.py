@@ -336,7 +336,8 @@ def call_faults(name: str, ended: Ended, whole: Ended) -> list[str]:
         wrong.append(f"leaves a {told['kind']}")
     if told["how"] == "finished":
         return wrong if name in SEARCHES or told == whole.told else [*wrong, f"{told}, and undisturbed {whole.told}"]
-    if told["kind"] != "NoneType" and not {"interrupted", "True"} & set(told["marks"]):
+    complete = told["print"] == whole.told["print"]  # the signal came after the last of the work
+    if told["kind"] != "NoneType" and not complete and not {"interrupted", "True"} & set(told["marks"]):
         wrong.append(f"is marked nowhere: {told}")
     return wrong
 
