@@ -24,7 +24,7 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import HyperflexError
 from hyperflex.identification import ratios
-from hyperflex.identification.diagnosis.misdeclared import UNTOLD_CLOCK, UNTOLD_SCALE
+from hyperflex.identification.diagnosis.misdeclared import UNDETECTABLE_CLOCK, UNDETECTABLE_SCALE
 
 Array = np.ndarray
 TIMES_OR_LENGTHS = ("times or lengths may be off", "lengths seem")
@@ -59,7 +59,7 @@ class Case:
     free: tuple[str, ...] | None = FREE
     options: dict[str, Any] = field(default_factory=dict)
     error: float = 0.0  # relative, of the truth
-    untold: bool = False  # another rope makes exactly this recording
+    undetectable: bool = False  # another rope makes exactly this recording
     right: Case | None = None  # the same, declared as it is
 
 
@@ -98,7 +98,7 @@ def slips(name: str, t: Array, q: Array, guess: hf.Rope, truth: dict[str, Array]
     yield case("lengths x 1.1", q, t, longer(guess, 1.1))
     yield case("first length x 1.1", q, t, longer(guess, np.where(np.arange(n) == 0, 1.1, 1.0)))
     yield case("a clock that drifts, 2 % too slow at the end", q, t + 0.01 * (t - t[0]) ** 2 / np.ptp(t))
-    yield replace(case(BOTH, q, 1.1 * t, longer(guess, 1.21)), untold=True)
+    yield replace(case(BOTH, q, 1.1 * t, longer(guess, 1.21)), undetectable=True)
 
 
 def longer(rope: hf.Rope, factor: Any) -> hf.Rope:
@@ -167,7 +167,7 @@ def of_single() -> Iterator[Case]:
         return Case(f"single: {what}", lambda: hf.Recording(times, data), rope, truth, ("inertia", "friction"))
 
     yield case("as it is", q)
-    yield replace(case("clock x 1.1: a pendulum of more inertia", q, 1.1 * t), untold=True)
+    yield replace(case("clock x 1.1: a pendulum of more inertia", q, 1.1 * t), undetectable=True)
     yield case("half the frame rate", q, 2.0 * t)
     yield case("length x 1.1", q, t, longer(guess, 1.1))
     yield case("0 is up", q + np.pi)
@@ -213,7 +213,7 @@ def of_ropes() -> Iterator[Case]:
     yield case("default", q)
     yield case("relative angles read as absolute", np.diff(q, axis=1, prepend=0.0))
     yield case("clock x 1.1", q, 1.1 * t)
-    yield replace(case(BOTH, q, 1.1 * t, rope=longer(guess, 1.21)), untold=True)
+    yield replace(case(BOTH, q, 1.1 * t, rope=longer(guess, 1.21)), undetectable=True)
     yield case("links in reverse order", q[:, ::-1])
 
 
@@ -250,8 +250,11 @@ def outcome(case: Case) -> tuple[str, str]:
     ]
     if not np.any(off):
         return "right", line
-    said = next((each for each in found.grade.reasons for words in (UNTOLD_CLOCK, UNTOLD_SCALE) if words in each), "")
-    if case.untold and said:
+    said = next(
+        (each for each in found.grade.reasons for words in (UNDETECTABLE_CLOCK, UNDETECTABLE_SCALE) if words in each),
+        "",
+    )
+    if case.undetectable and said:
         return "cannot be told", line if said in line else f"{line} {said[0].upper()}{said[1:]}"
     named = [words for what, every in NAMES.items() if what in case.name for words in every]
     own = any(words in line for words in named) and case.right is not None and line != outcome(case.right)[1]

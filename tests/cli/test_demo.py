@@ -23,7 +23,7 @@ def test_demo_prints_intervals_and_what_to_look_at(hyperflex, ready, tmp_path):
     code, out, _ = hyperflex("demo", "-o", tmp_path)
     assert code == 0
     assert "simulated" in out
-    assert "true value" in out
+    assert "without noise" in out
     assert "report.html" in out
     assert "prediction error" in out
     assert "degrees of it, and holds, in simulation" in " ".join(out.split())
@@ -38,7 +38,7 @@ def test_demo_as_json(hyperflex_json, ready, tmp_path):
     assert result["hold_force_N"] == ready.demo.held.force
     for name, parameter in result["parameters"].items():
         low, high = parameter["interval_95"]
-        assert parameter["covered"] == (low <= parameter["true_value"] <= high), name
+        assert parameter["covered"] == (low <= parameter["without_noise"] <= high), name
 
 
 def test_ctrl_c_in_the_demo(hyperflex, hyperflex_json, monkeypatch, tmp_path):

@@ -9,11 +9,11 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.identification.fit import settling
+from hyperflex.identification.fit import alternating
+from hyperflex.identification.fit.alternating import fit_alternating
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.restarts import poor_windows, refit_poor_windows
-from hyperflex.identification.fit.settling import settle
 from hyperflex.identification.fit.state_search import _from_behind
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.plant import Plant
@@ -107,7 +107,7 @@ def test_a_state_that_is_caught_is_started_elsewhere() -> None:
     assert found.cost == pytest.approx(good.cost, rel=1e-3)  # the same optimum, as far as a fit goes
 
 
-# ---- settling: parameters and states take turns where several shapes look alike
+# ---- alternating fits: parameters and states take turns where several shapes look alike
 
 
 def seen_at_its_tip(frames: int) -> tuple[Plant, list[Window], Array, list[Array]]:
@@ -136,7 +136,7 @@ def test_the_state_of_a_window_is_found_from_the_one_after_it() -> None:
 def test_a_window_that_was_taken_for_its_mirror_image_is_turned() -> None:
     plant, windows, x, states = seen_at_its_tip(80)
     wrong = np.append(states[0][:2] + np.array([0.5, -1.5]), -states[0][2:])
-    found = settle(plant, windows, x, [wrong, *states[1:]], Loss(), lambda _: None)
+    found = fit_alternating(plant, windows, x, [wrong, *states[1:]], Loss(), lambda _: None)
     np.testing.assert_allclose(found.states[0][:2], states[0][:2], atol=0.02)
     assert found.cost - found.prior_cost < 2.0 * sum(window.values for window in windows)
 
@@ -147,8 +147,8 @@ def test_settling_goes_on_from_other_starts_until_one_fits(monkeypatch: pytest.M
     bad = replace(good, residuals=[10.0 * r for r in good.residuals])
     tried = iter([bad, bad, good, bad])
     starts: list[Array] = []
-    monkeypatch.setattr(settling, "_settled", lambda _, __, x, *___: starts.append(x) or next(tried))
-    assert settle(plant, windows, x, states, Loss(), lambda _: None) is good
+    monkeypatch.setattr(alternating, "_alternated", lambda _, __, x, *___: starts.append(x) or next(tried))
+    assert fit_alternating(plant, windows, x, states, Loss(), lambda _: None) is good
     assert len(starts) == 3
     np.testing.assert_array_equal(starts[0], x)
     for other in starts[1:]:
@@ -162,7 +162,7 @@ def test_windows_whose_rollouts_fail_are_left_to_the_search(monkeypatch: pytest.
     plant, windows, x, states = seen_at_its_tip(200)
     whole = Plant.residual
     monkeypatch.setattr(Plant, "residual", lambda *a: whole(*a) if a[2] is windows[0] else None)
-    found = settling._fit_of_the_better(plant, windows, x, states, Loss(), lambda _: None)
+    found = alternating._fit_of_the_better(plant, windows, x, states, Loss(), lambda _: None)
     assert found is not None
     assert found[0] is not x
     assert all(one is other for one, other in zip(found[1][1:], states[1:], strict=True))

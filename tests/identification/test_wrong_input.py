@@ -75,14 +75,14 @@ def test_real_recordings_declared_wrongly(data_dir: Path, which: int) -> None:
         assert end in ("right", "suspicion", "cannot be told"), line
 
 
-UNTOLD = [case for case in SIMULATED if case.untold]
+UNDETECTABLE = [case for case in SIMULATED if case.undetectable]
 
 
-@pytest.mark.parametrize("case", UNTOLD, ids=[case.name for case in UNTOLD])
+@pytest.mark.parametrize("case", UNDETECTABLE, ids=[case.name for case in UNDETECTABLE])
 def test_what_cannot_be_told_is_no_suspicion(case: Case) -> None:
     """The right recording gets the same first line: that names nothing."""
     assert outcome(case)[0] == "cannot be told"
-    assert outcome(replace(case, untold=False))[0] == "WRONG"
+    assert outcome(replace(case, undetectable=False))[0] == "WRONG"
 
 
 @pytest.mark.parametrize(

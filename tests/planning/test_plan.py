@@ -14,7 +14,7 @@ from hyperflex.planning import CastSetup, MotorLimits, SuccessProbability, Uncer
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.candidates import Swing
 from hyperflex.planning.search.contact_phase import WindingScores
-from hyperflex.planning.search.throw_search import BARREN, TRIED, ThrowSearch
+from hyperflex.planning.search.throw_search import MAX_FAILED, TRIED, ThrowSearch
 from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
 from hyperflex.planning.wind.planner import LONGER
@@ -635,7 +635,7 @@ def test_where_no_throw_winds_a_long_rest_is_tried_and_then_shorter_links() -> N
 
     found = strikes.Strikes(*np.zeros((3, 99)), np.full(99, 5.0), *np.zeros((2, 99, 1)))
     search._wind, search._strikes = wind, lambda cast_setup, throws: found  # type: ignore[method-assign,assignment]
-    for _ in range(BARREN + 2):
+    for _ in range(MAX_FAILED + 2):
         tried.append((0, 0.0, 0))
         search.try_last_moves()
     links, rests, portions = zip(*tried, strict=True)

@@ -12,7 +12,8 @@ from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import WhipPlan
 from hyperflex.planning.plan import to_table
-from hyperflex.planning.whip.outcome import WINDOW, verify_whip
+from hyperflex.planning.tip.outcome import WINDOW
+from hyperflex.planning.whip.outcome import verify_whip
 from tests.planning.known_whip import far_whip, planned_whip
 
 

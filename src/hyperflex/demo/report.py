@@ -67,7 +67,7 @@ _CAPTIONS = {
     "film": "The identified rope, cast from rest by the paper's motion; simulated.",
     "strobe": "One stroke of the arm late in the cast, early instants dark, late ones bright.",
     "casts": "Tip to the side: the identified chain beside the rope that made the recording.",
-    "parameters": "Identified parameters over their true values for so few links.",
+    "parameters": "Identified parameters over those of the fit without noise.",
     "prediction": "Angles of a link in the middle and of the last one.",
 }
 
@@ -78,7 +78,7 @@ class DemoReport:
 
     files: dict[str, Path]  # by what they are: "page", "cast", "rope", ...
     demo: Demo
-    parameters: TextTable  # identified values, intervals and true values
+    parameters: TextTable  # identified values, intervals, and the fit without noise
     reaches: TextTable  # greatest reach of the tip in each 2 s
     verdicts: tuple[tuple[bool, str], ...]  # on the planned cast, and on the same throw of the rope that was recorded
 
@@ -177,7 +177,7 @@ def _frames(video: Path) -> bytes:
 
 
 def _parameters_figure(parameters: tuple[Parameter, ...]) -> "Figure":
-    """Draw each parameter over its true value: guess, plain cut, and the identified value with its 95 % interval."""
+    """Draw each parameter over that of the fit without noise: guess, plain cut, identified value and interval."""
     with new_figure(10.0, 1.3 + 0.75 * len(parameters)) as figure:
         axis: Any = figure.subplots()
         for row, each in enumerate(parameters):
@@ -185,14 +185,14 @@ def _parameters_figure(parameters: tuple[Parameter, ...]) -> "Figure":
             axis.plot([low / each.mapped, high / each.mapped], [row, row], color=BLUE, lw=5.0, alpha=0.45)
             for value, marker, colour, label in (
                 (each.value, "o", BLUE, "identified, 95 % interval"),
-                (each.mapped, "|", GREEN, "true value (fit without noise)"),
+                (each.mapped, "|", GREEN, "fit without noise"),
                 (each.cut, "D", GREY, "the rope simply cut into as many links"),
                 (each.guess, "x", RED, "first guess"),
             ):
                 style = {"color": colour, "ms": 22.0 if marker == "|" else 7.0, "mew": 1.8, "ls": "none"}
                 axis.plot([value / each.mapped], [row], marker, label=None if row else label, **style)
         axis.set_yticks(range(len(parameters)), [each.name for each in parameters])
-        axis.set(ylim=(len(parameters) - 0.5, -0.5), xlabel="value over true value", xscale="log")
+        axis.set(ylim=(len(parameters) - 0.5, -0.5), xlabel="value over that of the fit without noise", xscale="log")
         ticks = [0.5, 0.7, 1.0, 1.5, 2.0, 3.0]
         axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axis.minorticks_off()
@@ -232,7 +232,7 @@ def held_out_rms(demo: Demo) -> float:
 
 
 def _parameters_table(demo: Demo) -> TextTable:
-    header = ("parameter", "guess", "identified", "95 % interval", "true value", "inside", "plain cut")
+    header = ("parameter", "guess", "identified", "95 % interval", "without noise", "inside", "plain cut")
     rows = []
     for each in demo.parameters:
         guess, value, mapped, cut, low, high = (
@@ -257,7 +257,7 @@ def _reaches_table(demo: Demo) -> TextTable:
 def _notes(demo: Demo) -> tuple[str, ...]:
     links = demo.recording.n_links
     mapped = (
-        f"True value: what the same fit finds in the same swing without a camera, the best that {links} links "
+        f"Without noise: what the same fit finds in the same swing without a camera, the best that {links} links "
         f"can do for a rope of {demo.reference.q.shape[1]}. To move like it, coarse links need other inertia and "
         "friction than the rope simply cut into as many pieces (plain cut); that bias is no error of the camera."
     )
@@ -272,7 +272,7 @@ def _in_short(demo: Demo) -> Section:
     rope, recording = demo.identification.rope, demo.recording
     error, noise = 1e3 * held_out_rms(demo), 1e3 * float(demo.angle_noise.mean())
     tiles = (
-        (f"{covered} of {len(demo.parameters)}", "95 % intervals hold the true value"),
+        (f"{covered} of {len(demo.parameters)}", "95 % intervals hold what the fit finds without noise"),
         (f"{error:.1f} mrad", "prediction error 1 s ahead, on data that the fit has not seen"),
         (f"{noise:.1f} mrad", "noise of a measured angle, for comparison"),
         (f"{1e2 * abs(reach - own):.1f} cm", f"between the greatest reaches of the two casts ({reach:.2f} m)"),

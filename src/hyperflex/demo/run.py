@@ -43,7 +43,7 @@ class Parameter:
 
     @property
     def covered(self) -> bool:
-        """Whether the interval holds the true value."""
+        """Whether the interval holds the value that the fit finds without noise."""
         low, high = self.interval
         return low <= self.mapped <= high
 

@@ -130,9 +130,9 @@ def fit(recording: Recording) -> Identification:
 
 
 def write_bundled(video: Path = BUNDLED, mapped_path: Path = MAPPED) -> None:
-    """Make the files that come with the package: the video and its true values.
+    """Make the files that come with the package: the video, and what the fit finds without noise.
 
-    A true value is what the same fit finds in the same swing without a camera: the best that 10 links can do for a
+    That is in the same swing without a camera: the best that 10 links can do for a
     rope of 40. It differs from the rope simply cut into 10 links, because coarse links need more inertia and friction
     to move alike.
     """
@@ -143,5 +143,5 @@ def write_bundled(video: Path = BUNDLED, mapped_path: Path = MAPPED) -> None:
 
 
 def mapped_truth() -> dict[str, float]:
-    """Read the true values that come with the package: one value of friction and inertia for all links, SI."""
+    """Read what the fit finds without noise: one value of friction and inertia for all links, SI."""
     return {name: float(value) for name, value in files.read_toml(MAPPED)["mapped"].items()}

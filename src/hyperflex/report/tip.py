@@ -58,10 +58,3 @@ def draw_path(figure: "Figure", axis: Any, path: Array, speed: Array) -> None:
     lines = LineCollection(steps, array=speed[:-1], cmap="viridis_r", linewidths=2.6)
     axis.add_collection(lines)
     figure.colorbar(lines, ax=axis, label="speed of the tip, m/s", shrink=0.8)
-
-
-def draw_arrow(axis: Any, start: Array, way: Array, colour: str) -> None:
-    """Draw an arrow from a point (2,) along a vector (2,)."""
-    axis.annotate(
-        "", start + way, start, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
-    )

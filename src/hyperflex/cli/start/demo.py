@@ -10,7 +10,7 @@ from hyperflex.cli import output
 if TYPE_CHECKING:
     from hyperflex.demo import DemoReport
 
-_SHOWN = ("parameter", "identified", "95 % interval", "true value", "inside")
+_SHOWN = ("parameter", "identified", "95 % interval", "without noise", "inside")
 
 
 def demo(
@@ -43,7 +43,7 @@ def _figures(report: "DemoReport") -> dict[str, Any]:
             "value": each.value,
             "std": each.std,
             "interval_95": each.interval,
-            "true_value": each.mapped,
+            "without_noise": each.mapped,
             "covered": each.covered,
             "plain_cut": each.cut,
         }

@@ -44,8 +44,9 @@ class Chain(NamedTuple):
 
 # The compiler knows the length of a tuple, so each friction model gets kernels of its own.
 MUTUAL = (0, 0)  # the link and its parent
-MANY = 16  # joints with dry friction
 ONE_SIDED = (0,)  # the link alone, as printed in the paper's (4)
+
+MANY_DRY = 16  # joints with dry friction from which their events set the length of steps
 
 _ONE_OVER_PI = 1.0 / math.pi
 _ROUND = 6755399441055744.0  # 1.5 * 2**52: adding and taking it away rounds to the nearest integer
@@ -257,11 +258,11 @@ def can_stick(chain):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def sticks_often(chain):  # type: ignore[no-untyped-def]
-    """Whether dry friction may hold so MANY joints that their events, and not the error, set the length of steps."""
+    """Whether MANY_DRY joints or more may stick, so that their events, not the error, set the length of steps."""
     dry = 0
     for i in range(chain.dry.size):
         dry += chain.dry[i] > 0.0
-    return dry >= MANY
+    return dry >= MANY_DRY
 
 
 @non_allocating

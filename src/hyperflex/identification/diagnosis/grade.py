@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hyperflex.identification.diagnosis.link_test import LINKS
-from hyperflex.identification.diagnosis.misdeclared import misdeclared, percent, slightly, untested, untold
+from hyperflex.identification.diagnosis.misdeclared import misdeclared, percent, slightly, undetectable, untested
 from hyperflex.identification.diagnosis.score_tests import EXPLAINS, MOVES, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.model.parameters import lumped
@@ -111,7 +111,7 @@ def grade(
     links, coarse = _finer(tests, odd=bool(odd))
     wrong = [*_impossible(rope), *links, *misdeclared(tests), *_far(rope), *odd]
     suspicion = [*coarse, *_turned(turned), *slightly(tests), *differ, *untested(tests)]
-    doubts = [*untold(tests, alike=alike), *_doubts(laws, moved, left_out), *_changing(scatter)]
+    doubts = [*undetectable(tests, alike=alike), *_doubts(laws, moved, left_out), *_changing(scatter)]
     if hardly:
         rest = "" if wrong else ", all else is" if identifiable else ", all other ratios are"
         suspicion.append(_not_known(hardly) + f"{rest}.")

@@ -12,10 +12,10 @@ TESTED = 0.005  # the same: lengths that are 1 % off show at two deviations
 NEAR = 0.03  # relative, of a factor of the clock: rates twice or half of the declared ones were found within 0.01
 TOLD = ("gravity_angle", "delay")  # believed, these are told with their value even where they hardly matter
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
-UNTOLD_CLOCK = (
+UNDETECTABLE_CLOCK = (
     "If they are wrong, moments and inertias are as well (a clock 1 % off makes J/p1 2 % off): check the frame rate."
 )
-UNTOLD_SCALE = (
+UNDETECTABLE_SCALE = (
     "times and lengths are tested against each other alone: with a clock 1 % off and all lengths 2 % off a rope moves "
     "exactly alike, and J/p1 is 2 % off. Check the frame rate, or one length."
 )
@@ -112,7 +112,7 @@ def untested(tests: Sequence[ScoreTest]) -> list[str]:
     if scale is None or scale.std <= TESTED:
         return []
     if scale.std > UNTESTED:
-        return [f"times and lengths are taken as declared: this motion cannot test them. {UNTOLD_CLOCK}"]
+        return [f"times and lengths are taken as declared: this motion cannot test them. {UNDETECTABLE_CLOCK}"]
     if scale.ratio_sensitivity == 0.0:
         return []
     words = (
@@ -123,14 +123,14 @@ def untested(tests: Sequence[ScoreTest]) -> list[str]:
     return [words]
 
 
-def untold(tests: Sequence[ScoreTest], *, alike: bool) -> list[str]:
+def undetectable(tests: Sequence[ScoreTest], *, alike: bool) -> list[str]:
     """Return by how much each per cent counts that a clock and lengths may be off without any motion showing it.
 
     `alike`: whether a longer and slower rope moves exactly alike. Where the motion tests neither, :func:`untested`
     says so.
     """
     tested = any(each.name == "gravity_scale" and each.std <= UNTESTED for each in tests)
-    return [UNTOLD_SCALE] if alike and tested else []
+    return [UNDETECTABLE_SCALE] if alike and tested else []
 
 
 def percent(part: float) -> str:

@@ -8,10 +8,10 @@ import numpy as np
 from hyperflex import memory
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
+from hyperflex.identification.fit.alternating import fit_alternating
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state, with_entries
 from hyperflex.identification.fit.restarts import fit_from_starts, refit_poor_windows
-from hyperflex.identification.fit.settling import settle
 from hyperflex.identification.fit.state_search import arrived
 from hyperflex.identification.fit.windows import FEWEST, Window, cut_windows, decimation_step
 from hyperflex.identification.model.parameters import Parameters
@@ -98,8 +98,8 @@ def fit_in_stages(
             usable, states = _starts(plant, windows, x, known, loss, refine=bool(done) or ambiguous)
             heard = with_entries(report, stage)
             if ambiguous:
-                settled = settle(plant, usable, x, states, loss or Loss(), heard)
-                x, states = settled.x, settled.states
+                begun = fit_alternating(plant, usable, x, states, loss or Loss(), heard)
+                x, states = begun.x, begun.states
             enough = None if part == length else HARDLY
             found = fit(plant, usable, x, states, loss=loss, enough=enough, report=heard)
             if part == length:

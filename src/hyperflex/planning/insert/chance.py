@@ -3,8 +3,6 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.interruption import interruptible
@@ -12,11 +10,11 @@ from hyperflex.model import DEFAULT_TOL, Peg, Rope, recut
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import FINE, sampled_wall_gap
-from hyperflex.planning.insert.outcome import SAMPLE_TIME, WINDOW
 from hyperflex.planning.insert.slot import Slot, find_crossings, frame, nearest_passage
 from hyperflex.planning.robust.scenario_rollouts import STREAM, SuccessProbability
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.tip.outcome import sample_times
 from hyperflex.planning.tip.strokes import Strokes
 
 FINER = 2.5  # times the links, in scenarios and in the second verification
@@ -81,7 +79,7 @@ def estimate_insert_probability(
     known = uncertainty or usual_uncertainty()
     stream = [STREAM, checks.count("seed", seed, least=0)]
     drawn = insert_scenarios(cast_setup, slot, strokes, known, samples, stream)
-    t = SAMPLE_TIME * np.arange(np.ceil((near + WINDOW) / SAMPLE_TIME) + 1.0)
+    t = sample_times(near)
     won = 0
     for low in range(0, samples, TOGETHER):
         some = drawn[low : low + TOGETHER]

@@ -4,15 +4,14 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from hyperflex.model import Setup
+from hyperflex.model import Wall
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.insert.outcome import WINDOW, InsertOutcome
+from hyperflex.planning.insert.outcome import InsertOutcome
 from hyperflex.planning.insert.search import InsertFeasibility
 from hyperflex.planning.insert.slot import Slot
 from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
 from hyperflex.planning.tip.stroke_plan import StrokePlan
 from hyperflex.planning.tip.strokes import Strokes
-from hyperflex.planning.verification import verified_setup
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,11 +52,7 @@ class InsertPlan(StrokePlan):
     seconds: float = 0.0
     interrupted: bool = False
 
-    def setup(self) -> Setup:
-        """Return the set-up of a run with the walls until after the tip is inside.
-
-        Until the arm stops if nothing was verified.
-        """
-        motion = self.required(self.motion, "motion")
-        end = float(motion.breaks[-1]) if self.outcome is None else self.outcome.t + WINDOW
-        return verified_setup(self.cast_setup, motion, end, self.target.walls)
+    @property
+    def walls(self) -> tuple[Wall, ...]:
+        """The walls of the slot."""
+        return self.target.walls

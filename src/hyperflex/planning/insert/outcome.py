@@ -6,70 +6,38 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.errors import SimulationError
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import rope_clearance, wall_clearance
+from hyperflex.planning.clearance import wall_clearance
 from hyperflex.planning.insert.slot import Slot, frame, nearest_passage
 from hyperflex.planning.search.contact_phase import starts_outside
-from hyperflex.planning.time_budget import OutOfTime
-from hyperflex.planning.verification import folded_flat, greatest_bend, motor_torques, refusal, verified_setup
-from hyperflex.simulation import OUT_OF_TIME, Deadline, simulate
+from hyperflex.planning.tip.outcome import TipOutcome, excess_torque, run_figures, sample_times, simulate_in_time
+from hyperflex.planning.verification import verified_setup
+from hyperflex.simulation import Deadline
 from hyperflex.trajectory import Trajectory
 
-SAMPLE_TIME, WINDOW = 2e-3, 0.15  # s: of the run; from the expected time to the end of the run
 
-
-@dataclass(frozen=True, eq=False)
-class InsertOutcome:
-    """How the tip goes through a slot in a simulated run beside its walls.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class InsertOutcome(TipOutcome):
+    """How the tip goes through a slot in a simulated run beside its walls; the rest as of :class:`TipOutcome`.
 
     Attributes
     ----------
     t_enter, t : float
         When the tip comes between the walls, and when it is as deep as asked, or else deepest, s.
-    place, velocity : (2,) float64
-        Of the tip at `t`, m, m/s.
     depth : float
         Greatest depth of the tip beyond the walls before it leaves them or the run ends, m.
     time_inside : float
         From `t_enter` until the tip leaves, the rope touches a wall, or the run ends, s.
     wall_clearance : float
         Least distance of the rope from the walls until `t`, m; 0 or less: it touches them.
-    max_bend, folded, clearance, torque, torque_peak
-        As of :class:`CastOutcome`.
-    refused : str
-        Why the run is refused whatever its goal: the rope goes through itself, arm or shaft; empty if it does not.
-    message : str
-        What fails; empty if nothing does.
-    n_links : int
-        Links of the simulated rope.
-    run : Trajectory or None
-        The run; None if the outcome was read from a file.
     """
 
     t_enter: float
-    t: float
-    place: Array
-    velocity: Array
     depth: float
     time_inside: float
     wall_clearance: float
-    max_bend: float
-    folded: bool
-    clearance: float
-    torque: float
-    torque_peak: float
-    refused: str
-    message: str
-    n_links: int
-    run: Trajectory | None = None
-
-    @property
-    def speed(self) -> float:
-        """Speed of the tip at `t`, m/s."""
-        return float(np.hypot(*self.velocity))
 
     def in_short(self) -> str:
         """Return what matters most to whoever carries the strokes out, in figures with units."""
@@ -95,15 +63,10 @@ def verify_insert(
     OutOfTime if it does not end within a `time_budget`. `tol`, m, and `contact_step`, s, are as of
     :func:`hyperflex.simulate`.
     """
-    t = SAMPLE_TIME * np.arange(np.ceil((near + WINDOW) / SAMPLE_TIME) + 1.0)
+    t = sample_times(near)
     setup = verified_setup(cast_setup, motion, float(t[-1]), slot.walls, tol=tol, contact_step=contact_step)
-    if not starts_outside(setup):
-        return None
-    try:
-        run = simulate(setup, t_eval=t, time_budget=time_budget)
-    except SimulationError as failed:
-        if failed.status == OUT_OF_TIME:
-            raise OutOfTime from None
+    run = simulate_in_time(setup, t, time_budget) if starts_outside(setup) else None
+    if run is None:
         return None
     depth, _ = frame(slot, run.tip)
     way = nearest_passage(depth, slot.depth, run.t, near)
@@ -124,15 +87,12 @@ def evaluate_insert(
     deepest = float(depth[begin : last + 1].max())
     walls = wall_clearance(run, slot.walls, t)
     gap = min(walls.value, 0.0) if (touched <= end).any() else walls.value
-    max_bend, clearance = greatest_bend(run), rope_clearance(run)
-    torque, torque_peak = motor_torques(run)
-    message = refused = refusal(cast_setup, max_bend, clearance)
+    figures = run_figures(cast_setup, run)
+    message = figures["refused"]
     if not message and gap <= 0.0:
         message = f"the rope touches a wall at {min(walls.t, run.t[touched[0]] if touched.size else math.inf):.2f} s"
     elif not message and deepest < slot.depth:
         message = f"the tip comes {1e3 * deepest:.1f} mm deep, and {1e3 * slot.depth:g} mm are asked"
-    elif not message and torque > cast_setup.limits.torque:
-        message = f"it asks {torque:.3g} N m of a motor that gives {cast_setup.limits.torque:.3g}"
     return InsertOutcome(
         t_enter=t_enter,
         t=t,
@@ -141,15 +101,8 @@ def evaluate_insert(
         depth=deepest,
         time_inside=float(run.t[last]) - t_enter,
         wall_clearance=gap,
-        max_bend=max_bend,
-        folded=folded_flat(run),
-        clearance=clearance.value,
-        torque=torque,
-        torque_peak=torque_peak,
-        refused=refused,
-        message=message,
-        n_links=run.q.shape[1],
-        run=run,
+        message=message or excess_torque(cast_setup, figures["torque"]),
+        **figures,
     )
 
 

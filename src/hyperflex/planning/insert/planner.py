@@ -100,8 +100,5 @@ def plan_insert(
     found |= {"seconds": clock.elapsed, "interrupted": stop.met}
     if planner is None:
         return stop.deliver(InsertPlan(cast_setup, slot, known, message=known.message, **found))
-    message = "interrupted before any entry was found" if stop.met else "no swing brings the tip through it"
-    if (best := planner.best) is not None:
-        aim, outcome, finer, message = best
-        found |= {"strokes": aim.strokes, "position_std": aim.position_std, "outcome": outcome, "finer_outcome": finer}
-    return stop.deliver(InsertPlan(cast_setup, slot, known, message=message, runs=planner.runs, **found))
+    nothing = "interrupted before any entry was found" if stop.met else "no swing brings the tip through it"
+    return stop.deliver(InsertPlan(cast_setup, slot, known, **planner.fields(nothing), **found))

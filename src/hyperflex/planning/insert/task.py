@@ -49,7 +49,7 @@ class InsertTask(TipTask[Entry]):
         """Return by how much offsets, depth and gaps fail, m, 0 if they do not."""
         return entry_shortfall(self.cast_setup, self.slot, aim)
 
-    def doubt(self, aim: Entry) -> float:
+    def uncertainty(self, aim: Entry) -> float:
         """Return how uncertain the rope's way through the gap is, in parts of the room that it leaves on one side."""
         room = 0.5 * self.slot.width - self.cast_setup.rope.radius - float(np.abs(aim.offset).max())
         return math.hypot(aim.position_std, PLACE) / max(room, 1e-9)

@@ -35,7 +35,7 @@ LATE = 0.5  # fraction of the time allowed
 CONFIRMED = 32  # swings at once that are simulated with shorter links too, and then kept
 # Where no throw tried winds: rest before the last move, periods, in which a short tail comes to rest before it must
 # hold; and after so many tries, pieces of each link in contact: coarse links miss some about a small peg, or when slack
-SETTLING, BARREN, PIECES = 2.0, 3, 2
+LONG_REST, MAX_FAILED, PIECES = 2.0, 3, 2
 NARROW = 0.25  # step size of CMA-ES in contact, relative to that of free swings
 
 
@@ -81,7 +81,7 @@ class ThrowSearch:
         self._tried: list[Swing] = []
         self._untried: list[tuple[int, list[Array]]] = []  # sides and points of swings that were tried in part
         self._contact: tuple[int, Any] | None = None
-        self._barren = 0  # tries of last moves while no throw winds
+        self._failed_tries = 0  # tries of last moves while no throw winds
         self._in_contact = self.cast_setup  # its links are those of runs in contact
 
     def _cma_es(self, centre: Array, size: float, members: int, side: int) -> Any:
@@ -192,18 +192,18 @@ class ThrowSearch:
         """Simulate the best swings that were not tried yet in contact, with several last moves each.
 
         It ends where ENOUGH throws wind; the next call goes on with the last moves that are left. Where none of those
-        before winds, a long rest is tried as well; after BARREN such tries swings are tried again with shorter links.
+        before winds, a long rest is tried as well, and after MAX_FAILED such tries shorter links for the same swings.
         """
         if not self._untried:
-            self._barren += bool(self.candidates) and not self._winding
-            if self._barren == BARREN and self._in_contact is self.cast_setup:
+            self._failed_tries += bool(self.candidates) and not self._winding
+            if self._failed_tries == MAX_FAILED and self._in_contact is self.cast_setup:
                 self._in_contact = self.cast_setup.cut(PIECES)
                 self._tried.clear()
             fresh = distinct(self.swings, self._tried, TRIED)
             self._tried += fresh
             moves = [(a, b) for a in MORE for b in (RESTS if a < 1.0 else RESTS[:1])]
-            if self._barren:
-                moves.insert(0, (MORE[0], SETTLING))
+            if self._failed_tries:
+                moves.insert(0, (MORE[0], LONG_REST))
             for more, rest in moves:
                 for side in self.parametrizations:
                     some = [one for one in fresh if one.side == side]

@@ -57,7 +57,7 @@ class TipPlanner:
 
     def rank(self, aim: Aimed) -> tuple[float, float]:
         """By how much a plan fails, then how uncertain it is; less is better."""
-        return self.task.shortfall(aim), self.task.doubt(aim)
+        return self.task.shortfall(aim), self.task.uncertainty(aim)
 
     def verify(self) -> None:
         """Verify the best plan, and while none succeeds those after it that do what is asked by the search.
@@ -76,6 +76,14 @@ class TipPlanner:
                 self._best = seen
             if not seen.message:
                 break
+
+    def fields(self, nothing: str) -> dict[str, Any]:
+        """Return the fields of a plan of the best strokes; its message is `nothing` where none were found."""
+        if (best := self.best) is None:
+            return {"message": nothing, "runs": self.runs}
+        aim, outcome, finer, message = best
+        found = {"strokes": aim.strokes, "position_std": aim.position_std, "outcome": outcome, "finer_outcome": finer}
+        return found | {"message": message, "runs": self.runs}
 
     @property
     def best(self) -> Verified | None:

@@ -77,7 +77,7 @@ class TipTask(ABC, Generic[AimedT]):
     def shortfall(self, aim: AimedT) -> float:
         """Return by how much strokes fail, 0 if they do not."""
 
-    def doubt(self, aim: AimedT) -> float:
+    def uncertainty(self, aim: AimedT) -> float:
         """Return how uncertain strokes are that do not fail; of several the least uncertain ones are taken."""
         return aim.position_std
 

@@ -108,11 +108,8 @@ def plan_whip(
     found: dict[str, Any] = {"seconds": clock.elapsed, "interrupted": stop.met}
     if planner is None:
         return stop.deliver(WhipPlan(cast_setup, target, known, message=known.message, **found))
-    message = "interrupted before any whip was found" if stop.met else "no peak of the tip's speed comes near it"
-    if (best := planner.best) is not None:
-        aim, outcome, finer, message = best
-        found |= {"strokes": aim.strokes, "position_std": aim.position_std, "outcome": outcome, "finer_outcome": finer}
-    return stop.deliver(WhipPlan(cast_setup, target, known, message=message, runs=planner.runs, **found))
+    nothing = "interrupted before any whip was found" if stop.met else "no peak of the tip's speed comes near it"
+    return stop.deliver(WhipPlan(cast_setup, target, known, **planner.fields(nothing), **found))
 
 
 def _cast_setup(

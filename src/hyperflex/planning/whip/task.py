@@ -7,6 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.model import divided
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.tip.outcome import excess_torque
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.task import NEVER, TipCandidate, TipTask, Verified
 from hyperflex.planning.whip.aim import AimedPeak, aim_residuals, find_peak
@@ -72,20 +73,13 @@ def failure(cast_setup: CastSetup, outcome: TipStrike | None, finer: TipStrike |
         return outcome.message
     if outcome.miss > MAX_MISS:
         return f"the tip misses the target by {1e3 * outcome.miss:.1f} mm"
-    if asked := _too_much(cast_setup, outcome):
+    if asked := excess_torque(cast_setup, outcome.torque):
         return asked
     if finer is None:
         return "with links of half the length the tip's speed has no peak there"
-    if refused := finer.refused or _too_much(cast_setup, finer):
+    if refused := finer.refused or excess_torque(cast_setup, finer.torque):
         return f"with links of half the length {refused}"
     allowed = max(MAX_FINER_MISS, position_std)
     if finer.miss > allowed:
         return f"with links of half the length it misses by {1e3 * finer.miss:.1f} mm, {1e3 * allowed:.1f} allowed"
     return ""
-
-
-def _too_much(cast_setup: CastSetup, outcome: TipStrike) -> str:
-    """Return that a whip asks more of the motor than it gives; empty if it does not."""
-    if outcome.torque <= cast_setup.limits.torque:
-        return ""
-    return f"it asks {outcome.torque:.3g} N m of a motor that gives {cast_setup.limits.torque:.3g}"

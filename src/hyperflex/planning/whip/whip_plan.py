@@ -6,13 +6,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from hyperflex.model import Setup
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.tip.stroke_plan import StrokePlan
 from hyperflex.planning.tip.strokes import Strokes
-from hyperflex.planning.verification import verified_setup
 from hyperflex.planning.whip.impact import IMPACT_RADIUS, Impact, simulate_impact
-from hyperflex.planning.whip.outcome import WINDOW, TipStrike
+from hyperflex.planning.whip.outcome import TipStrike
 from hyperflex.planning.whip.search import WhipFeasibility
 from hyperflex.planning.whip.tip_target import TipTarget
 
@@ -51,12 +49,6 @@ class WhipPlan(StrokePlan):
     runs: int = 0
     seconds: float = 0.0
     interrupted: bool = False
-
-    def setup(self) -> Setup:
-        """Return the set-up of a run until after the peak, or until the arm stops if nothing was verified."""
-        motion = self.required(self.motion, "motion")
-        end = float(motion.breaks[-1]) if self.outcome is None else self.outcome.t + WINDOW
-        return verified_setup(self.cast_setup, motion, end)
 
     def impact(self, *, radius: float = IMPACT_RADIUS, mu: float = 0.3) -> Impact:
         """Simulate the impact on a small fixed peg whose surface is at the target; see :class:`Impact`.

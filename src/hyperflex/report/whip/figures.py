@@ -10,7 +10,7 @@ from hyperflex.report.shapes import shapes
 from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure, note
 from hyperflex.report.time_course import event_note, room_above, time_course
-from hyperflex.report.tip import draw_arrow, draw_path, stroke_moves
+from hyperflex.report.tip import draw_path, stroke_moves
 from hyperflex.report.units import length
 
 if TYPE_CHECKING:
@@ -46,10 +46,10 @@ def passing_figure(plan: WhipPlan) -> "Figure":
         draw_path(figure, axis, way, speed)
         size = 0.55e3 * half
         if not target.any_direction:
-            draw_arrow(axis, np.zeros(2), size * _along(target.direction), RED)
+            _draw_arrow(axis, np.zeros(2), size * _along(target.direction), RED)
             axis.plot([], [], color=RED, lw=2.0, label="direction asked")
         place = 1e3 * (seen.place - target.point)
-        draw_arrow(axis, place, size * seen.velocity / max(seen.speed, 1e-9), INK)
+        _draw_arrow(axis, place, size * seen.velocity / max(seen.speed, 1e-9), INK)
         axis.plot([], [], color=INK, lw=2.0, label=f"velocity at the peak, {seen.speed:.1f} m/s")
         axis.plot(0.0, 0.0, "o", ms=13.0, mfc="none", mec=RED, mew=1.8, label="target")
         axis.plot(*place, "o", ms=4.5, color=INK, label=f"tip at its peak, {length(seen.miss, 2)} off")
@@ -81,3 +81,10 @@ def course_figure(plan: WhipPlan) -> "Figure":
 
 def _along(direction: float) -> Array:
     return np.array([np.cos(direction), np.sin(direction)])
+
+
+def _draw_arrow(axis: Any, start: Array, way: Array, colour: str) -> None:
+    """Draw an arrow from a point (2,) along a vector (2,)."""
+    axis.annotate(
+        "", start + way, start, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
+    )

@@ -1,4 +1,4 @@
-"""Settling: parameters from the windows that fit, then states of those that do not, in turn, before all are fitted."""
+"""Alternating fits: parameters by the windows that fit, then states of the others, in turn, before all are fitted."""
 
 from collections.abc import Sequence
 
@@ -16,20 +16,20 @@ from hyperflex.interruption import caught
 TURNS = 6  # times at most that parameters and states take turns; four were needed for a rope that is seen at its tip
 AMISS = 10.0  # times what a value of the better windows, or of noise, costs: a shape taken for its mirror costs 100s
 SCATTERED, SPREAD = 3, 0.7  # other starts, and by which factor, its logarithm, at most
-FAILED = (
-    1e100  # cost of a window whose rollout fails: beyond all others, and no infinity, of which no quantile is known
-)
+FAILED = 1e100  # cost of a window whose rollout fails: no infinity, of which no quantile is known
 BETTER_PART = 0.25  # quantile of the windows' costs that stands for those that fit
 HARDLY, ROUNDS = 0.05, 15  # gain of a round, as a part of the cost, and rounds, that end a fit of the parameters
 
 
-def settle(plant: Plant, windows: Sequence[Window], x: Array, states: list[Array], loss: Loss, report: Report) -> Fit:
+def fit_alternating(
+    plant: Plant, windows: Sequence[Window], x: Array, states: list[Array], loss: Loss, report: Report
+) -> Fit:
     """Return x (P,) and states of windows, of known noise, from which all can be fitted together.
 
     If even the better windows do not fit then, it is tried from some other x about the first one, until they do. Raises
     Interrupted by Ctrl-C, with what there is.
     """
-    best, rng = _settled(plant, windows, x, states, loss, report), np.random.default_rng(0)
+    best, rng = _alternated(plant, windows, x, states, loss, report), np.random.default_rng(0)
     with caught() as stop:
         for _ in range(SCATTERED):
             if _typical(windows, best) <= AMISS:
@@ -37,7 +37,7 @@ def settle(plant: Plant, windows: Sequence[Window], x: Array, states: list[Array
             other = plant.parameters.scaled(x, np.exp(rng.uniform(-SPREAD, SPREAD, x.size)))
             begun = states_at(plant, windows, other, states, loss)
             if begun is not None:
-                tried = _settled(plant, windows, other, begun, loss, report)
+                tried = _alternated(plant, windows, other, begun, loss, report)
                 best = min(best, tried, key=lambda each: _typical(windows, each))
     return stop.deliver(best)
 
@@ -48,7 +48,9 @@ def _typical(windows: Sequence[Window], found: Fit) -> float:
     return float(np.quantile(costs, BETTER_PART))
 
 
-def _settled(plant: Plant, windows: Sequence[Window], x: Array, states: list[Array], loss: Loss, report: Report) -> Fit:
+def _alternated(
+    plant: Plant, windows: Sequence[Window], x: Array, states: list[Array], loss: Loss, report: Report
+) -> Fit:
     """Return x (P,) and states of windows, of known noise, from which all can be fitted together.
 
     A window whose shape was taken for its mirror image would spoil x in a fit of all windows, and with a wrong x the

@@ -1,0 +1,95 @@
+"""The outcome of strokes in a simulated run: what whips and insertions are told of alike."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import SimulationError
+from hyperflex.model import Setup
+from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import rope_clearance
+from hyperflex.planning.time_budget import OutOfTime
+from hyperflex.planning.verification import folded_flat, greatest_bend, motor_torques, refusal
+from hyperflex.simulation import OUT_OF_TIME, Deadline, simulate
+from hyperflex.trajectory import Trajectory
+
+SAMPLE_TIME, WINDOW = 2e-3, 0.15  # s: of the run; from the expected time to the end of the run
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TipOutcome:
+    """What becomes of strokes in a simulated run.
+
+    Attributes
+    ----------
+    t : float
+        The instant that counts, s.
+    place, velocity : (2,) float64
+        Of the tip then, m, m/s.
+    max_bend, folded, clearance, torque, torque_peak
+        As of :class:`CastOutcome`, until the run ends.
+    refused : str
+        Why the run is refused whatever its goal: the rope goes through itself, arm or shaft; empty if it does not.
+    message : str
+        What fails; empty if nothing does.
+    n_links : int
+        Links of the simulated rope.
+    run : Trajectory or None
+        The run; None if the outcome was read from a file.
+    """
+
+    t: float
+    place: Array
+    velocity: Array
+    max_bend: float
+    folded: bool
+    clearance: float
+    torque: float
+    torque_peak: float
+    refused: str
+    message: str
+    n_links: int
+    run: Trajectory | None = None
+
+    @property
+    def speed(self) -> float:
+        """Speed of the tip at `t`, m/s."""
+        return float(np.hypot(*self.velocity))
+
+
+def sample_times(near: float) -> Array:
+    """Return the times of a run's samples (T,), s, until WINDOW after the expected time `near`, s."""
+    return SAMPLE_TIME * np.arange(np.ceil((near + WINDOW) / SAMPLE_TIME) + 1.0)
+
+
+def simulate_in_time(setup: Setup, t: Array, time_budget: Deadline | None) -> Trajectory | None:
+    """Simulate a set-up; None if the run fails, and OutOfTime if it does not end within a `time_budget`."""
+    try:
+        return simulate(setup, t_eval=t, time_budget=time_budget)
+    except SimulationError as failed:
+        if failed.status == OUT_OF_TIME:
+            raise OutOfTime from None
+        return None
+
+
+def run_figures(cast_setup: CastSetup, run: Trajectory) -> dict[str, Any]:
+    """Return what a :class:`TipOutcome` tells of its whole run."""
+    max_bend, clearance, (torque, torque_peak) = greatest_bend(run), rope_clearance(run), motor_torques(run)
+    return {
+        "max_bend": max_bend,
+        "folded": folded_flat(run),
+        "clearance": clearance.value,
+        "torque": torque,
+        "torque_peak": torque_peak,
+        "refused": refusal(cast_setup, max_bend, clearance),
+        "n_links": run.q.shape[1],
+        "run": run,
+    }
+
+
+def excess_torque(cast_setup: CastSetup, torque: float) -> str:
+    """Return that a run asks more `torque`, N m, of the motor than it gives; empty if it does not."""
+    given = cast_setup.limits.torque
+    return "" if torque <= given else f"it asks {torque:.3g} N m of a motor that gives {given:.3g}"
