@@ -109,6 +109,7 @@ def test_derivatives_of_an_entry(depth: float, names: tuple[str, ...]) -> None:
 
 def test_a_plan_goes_through_by_its_own_samples() -> None:
     plan = planned()
+    assert plan.runs > 0
     for seen in (plan.outcome, plan.finer_outcome):
         assert seen is not None
         assert seen.run is not None

@@ -43,7 +43,7 @@ class Plan(ABC):
     message : str
         Why the plan fails; empty if it succeeds.
     runs : int
-        Simulated runs of the search.
+        Simulated runs of the search; of whips and insertions without the random swings at its beginning.
     seconds : float
         Time that the search took, s.
     interrupted : bool

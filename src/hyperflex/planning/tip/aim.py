@@ -58,6 +58,7 @@ def aim_strokes(task: TipTask[AimedT], found: TipCandidate, left: Left = lambda:
     """
     limits, period = task.cast_setup.limits, swing_period(task.cast_setup.rope)
     best = task.find(found.strokes.cut(found.t + WINDOW, limits), found.t)
+    task.runs += 1
     if best is None:
         return None
     scale = np.repeat([np.pi * SPREAD_ENDS, period * SPREAD_RESTS], best.strokes.ends.size)
@@ -69,6 +70,7 @@ def aim_strokes(task: TipTask[AimedT], found: TipCandidate, left: Left = lambda:
         step = scale * _damped_step(jacobian * scale, residuals, damping)
         step = step / max(1.0, float(np.abs(step / scale).max()) / MAX_STEP)
         tried = task.find(best.strokes.varied(step), best.t + float(best.dt @ step))
+        task.runs += 1
         new, new_jacobian = (residuals, jacobian) if tried is None else task.residuals(tried)
         if tried is None or np.linalg.norm(new) >= np.linalg.norm(residuals):
             damping *= MORE

@@ -20,7 +20,7 @@ class TipPlanner:
 
     def __init__(self, task: TipTask[Any], time_budget: float, seed: int, threads: int | None) -> None:
         self.task, self.time_budget, self.seed, self.threads = task, time_budget, seed, threads
-        self.clock, self.runs = Clock(), 0
+        self.clock = Clock()
         self.end = Deadline(math.inf, lambda: self.time_budget - self.clock.spent)
         self.aims: list[Aimed] = []
         self._best: Verified | None = None
@@ -42,7 +42,6 @@ class TipPlanner:
                 if search.best.cost < READY or self.left() < 0.0:
                     break
                 search.step()
-            self.runs += search.runs
             if self.add(aim_strokes(self.task, search.best, self.left), report):
                 return
 
@@ -80,10 +79,10 @@ class TipPlanner:
     def fields(self, nothing: str) -> dict[str, Any]:
         """Return the fields of a plan of the best strokes; its message is `nothing` where none were found."""
         if (best := self.best) is None:
-            return {"message": nothing, "runs": self.runs}
+            return {"message": nothing, "runs": self.task.runs}
         aim, outcome, finer, message = best
         found = {"strokes": aim.strokes, "position_std": aim.position_std, "outcome": outcome, "finer_outcome": finer}
-        return found | {"message": message, "runs": self.runs}
+        return found | {"message": message, "runs": self.task.runs}
 
     @property
     def best(self) -> Verified | None:

@@ -53,11 +53,11 @@ def simulate_swings(
 
 
 class StrokeSearch:
-    """CMA-ES over strokes, about a swing that nearly does what a task asks; keeps the best and counts the runs."""
+    """CMA-ES over strokes, about a swing that nearly does what a task asks; keeps the best."""
 
     def __init__(self, task: TipTask[Any], begin: TipCandidate, seed: int = 0, threads: int | None = None) -> None:
         self.task, self.threads = task, threads
-        self.best, self.runs = begin, 0
+        self.best = begin
         k = begin.strokes.ends.size
         self._scale = np.repeat([np.pi, swing_period(task.cast_setup.rope)], k)
         spread = np.repeat([SPREAD_ENDS, SPREAD_RESTS], k)
@@ -70,7 +70,7 @@ class StrokeSearch:
         strokes = [self._strokes(x) for x in points]
         cost, t = self.task.score(strokes, self.threads)
         self._optimizer.tell(points, list(cost))
-        self.runs += len(points)
+        self.task.runs += len(points)
         k = int(cost.argmin())
         if cost[k] < self.best.cost:
             self.best = TipCandidate(float(cost[k]), float(t[k]), strokes[k])

@@ -50,12 +50,14 @@ class Verified(NamedTuple):
 class TipTask(ABC, Generic[AimedT]):
     """What the tip is to do, and how near some strokes come to it.
 
-    Residuals below `close`, m, are small enough. The `direct` first candidates are aimed as they are.
+    Residuals below `close`, m, are small enough. The `direct` first candidates are aimed as they are. `runs` counts the
+    runs that were simulated since.
     """
 
     cast_setup: CastSetup
     close: float
     direct: int
+    runs = 0
 
     @abstractmethod
     def candidates(self) -> list[TipCandidate]:
