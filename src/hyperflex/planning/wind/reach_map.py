@@ -94,7 +94,7 @@ class ReachMap:
         return reach_figure(self)
 
     def to_netcdf(self, path: str | Path) -> None:
-        """Write the map to a NetCDF-4 file that :func:`read_reach_map` reads.
+        """Write the map to a NetCDF-4 file, `path`, that :func:`read_reach_map` reads.
 
         Raises FileProblem if it cannot be written.
         """
@@ -200,7 +200,7 @@ def build_reach_map(
 
 
 def read_reach_map(path: str | Path) -> ReachMap:
-    """Read a map that :meth:`ReachMap.to_netcdf` wrote.
+    """Read a map that :meth:`ReachMap.to_netcdf` wrote to `path`.
 
     Raises FileProblem if there is no such file, or it is damaged; InvalidInput if it is another kind of file.
     """
