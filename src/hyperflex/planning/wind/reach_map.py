@@ -94,9 +94,16 @@ class ReachMap:
         return reach_figure(self)
 
     def to_netcdf(self, path: str | Path) -> None:
-        """Write the map to a NetCDF-4 file, `path`, that :func:`read_reach_map` reads.
+        """Write the map to a NetCDF-4 file; :func:`read_reach_map` reads it.
 
-        Raises FileProblem if it cannot be written.
+        Parameters
+        ----------
+        path : str or Path
+
+        Raises
+        ------
+        FileProblem
+            It cannot be written.
         """
         grid = {
             name: Variable((name,), getattr(self, name), _attributes("m", f"targets' {name}")) for name in ("x", "y")
@@ -200,9 +207,19 @@ def build_reach_map(
 
 
 def read_reach_map(path: str | Path) -> ReachMap:
-    """Read a map that :meth:`ReachMap.to_netcdf` wrote to `path`.
+    """Read a map that :meth:`ReachMap.to_netcdf` wrote.
 
-    Raises FileProblem if there is no such file, or it is damaged; InvalidInput if it is another kind of file.
+    Parameters
+    ----------
+    path : str or Path
+        The NetCDF file.
+
+    Raises
+    ------
+    FileProblem
+        There is no such file, or it is cut off or damaged.
+    InvalidInput
+        It is another kind of file.
     """
     content = files.read_netcdf(path)
     about, held = content.attributes, content.variables
