@@ -98,6 +98,7 @@ def test_a_reach_map_tells_what_is_wound_and_reads_back_equal(tmp_path: Path) ->
         CORD,
         ARM,
         x=[-0.45],
+        obstacles=[hf.Ground(0.0, -3.0)],
         y=[-1.6, -0.5],
         radius=PEG.radius,
         mu=PEG.mu,

@@ -11,7 +11,6 @@ import typer
 from hyperflex import files
 from hyperflex.cli import output
 from hyperflex.cli.plan import planner
-from hyperflex.errors import InvalidInput
 
 DATA, PICTURE = "reach-map.nc", "reach-map.png"
 
@@ -52,8 +51,6 @@ def reach_map(
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
-    if task.obstacles:
-        raise InvalidInput("the set-up holds obstacles", got=f"{len(task.obstacles)}", fix="Leave them out of the file")
     with _processes(workers) as executor:
         found = output.partial_of(
             lambda: build_reach_map(
@@ -66,6 +63,7 @@ def reach_map(
                 time_budget=time_budget,
                 holding_force=holding_force,
                 clearance=clearance,
+                obstacles=task.obstacles,
                 seed=seed,
                 threads=1,
                 executor=executor,

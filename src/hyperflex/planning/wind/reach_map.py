@@ -114,7 +114,11 @@ class ReachMap:
         known = self.cast_setup
         limits = {f"motor_{each.name}": getattr(known.limits, each.name) for each in fields(MotorLimits)}
         own = {"time": known.time, "clearance": known.clearance, "contact": known.contact, "side": known.side}
-        about = {"format": FORMAT, "source": "simulated", "setup": Setup(known.rope, arm=known.arm).dumps()}
+        about = {
+            "format": FORMAT,
+            "source": "simulated",
+            "setup": Setup(known.rope, arm=known.arm, pegs=known.obstacles).dumps(),
+        }
         files.write_netcdf(path, NetCDF(grid | held, about | {"radius": self.radius, "mu": self.mu} | limits | own))
 
 
@@ -153,7 +157,7 @@ def build_reach_map(
     executor, chunk_size, progress
         As of :func:`plan_casts`.
     **options
-        Others of :func:`plan_cast`, the same for all targets, such as `holding_force`, `contact` and `seed`.
+        Others of :func:`plan_cast`, the same for all targets, such as `holding_force`, `obstacles` and `seed`.
 
     Returns
     -------
@@ -182,7 +186,7 @@ def build_reach_map(
     >>> hf.build_reach_map(cable, hf.Arm(length=0.105), x=[2.2, 2.4], y=[0.0])
     ReachMap(2 targets, 0 feasible, 0 wound)
     """
-    known = {name: options[name] for name in ("clearance", "side") if options.get(name) is not None}
+    known = {name: options[name] for name in ("clearance", "side", "obstacles") if options.get(name) is not None}
     known |= {"time": options.get("time_limit") or 0.0, "contact": options.get("contact") or 0.0}
     cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, **known)
     middle, far = cast_setup.arm.pivot, cast_setup.arm.length + cast_setup.rope.total_length
@@ -241,7 +245,9 @@ def read_reach_map(path: str | Path) -> ReachMap:
     setup = Setup.loads(str(about["setup"]), f"the set-up in {path}")
     motor = MotorLimits(**{name: _plain(about[key]) for name, key in limits.items()})
     rest: Mapping[str, Any] = {name: _plain(about[name]) for name in ("time", "clearance", "contact", "side")}
-    known = CastSetup(setup.rope, setup.arm or Arm(), motor, **{**rest, "side": int(rest["side"])})
+    known = CastSetup(
+        setup.rope, setup.arm or Arm(), motor, **{**rest, "side": int(rest["side"]), "obstacles": setup.pegs}
+    )
     return ReachMap(known, radius=float(about["radius"]), mu=float(about["mu"]), **numbers)
 
 

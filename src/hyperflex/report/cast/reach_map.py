@@ -6,6 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.planning import ReachMap
+from hyperflex.report.strobe import draw_obstacle
 from hyperflex.report.style import BLUE, GREY, INK, RED, legend, new_figure
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ def reach_figure(reach: ReachMap) -> "Figure":
         for radius, colour, words in ((far, GREY, "the rope's end comes no farther"), (arm.length, BLUE, "arm's tip")):
             circle = [middle + radius * turn(angle) for middle, turn in zip(arm.pivot, (np.cos, np.sin), strict=True)]
             axis.plot(*circle, color=colour, ls="--", lw=1.1, label=words)
+        for obstacle in reach.cast_setup.obstacles:
+            draw_obstacle(axis, obstacle, 4.0 * far)
         axis.plot(*arm.pivot, "o", color=INK, ms=5.0, label="motor's shaft")
         axis.set(xlabel="x, m", ylabel="y, m (up)", aspect="equal", title=_title(reach))
         axis.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]])
