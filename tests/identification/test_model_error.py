@@ -27,7 +27,7 @@ def held(found: Identification, truth: dict[str, float]) -> list[str]:
 
 def test_lengths_that_are_one_per_cent_off_are_in_the_intervals() -> None:
     case = KINDS["length"][0](np.random.default_rng([1, 5, 1]))
-    whole = {"window": np.inf, "train": np.inf}
+    whole = {"window": np.inf, "train": np.inf, "clock_std": 0.0}
     found = identify(case.recording, case.guess, case.free, **whole)
     assert held(found, case.truth) == list(case.truth)
     exact = identify(case.recording, case.guess, case.free, length_std=0.0, **whole)
@@ -119,7 +119,7 @@ def test_links_that_may_be_too_long_count_by_their_probability() -> None:
     odd = replace(basis, information=replace(basis.information, whiteness=0.0))
     for excess_gain in (0.1, 0.5):
         test = ScoreTest("links", 0.3, np.array([16.0]), shift=np.array([0.2]), excess_gain=excess_gain)
-        told = with_model_error(odd, [test], 0.0).information.model
+        told = with_model_error(odd, [test], 0.0, 0.0).information.model
         assert told == pytest.approx(np.array([[excess_gain * 0.2**2]]))
 
 

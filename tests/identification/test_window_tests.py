@@ -83,7 +83,7 @@ def test_friction_that_changes_is_a_model_error() -> None:
     found = identified(
         *in_turn([SINGLE, other, SINGLE], [1.0], 24.0), SINGLE.replace(inertia=1e-3), ("inertia", "friction")
     )
-    assert found.grade.name == "usable"
+    assert found.grade.name == "usable for ratios"
     assert any("c/p1[0] scatters between windows" in each for each in found.grade.reasons)
 
 
