@@ -215,7 +215,9 @@ def driven(guess: hf.Rope, truth: dict[str, Array]) -> Iterator[Case]:
     values = {name: getattr(DOUBLE, name) for name in ("mass", "inertia", "friction")}
 
     def case(what: str, times: Array = t, free: tuple[str, ...] = FREE, **more: Any) -> Case:
-        return Case(f"driven: {what}", lambda: hf.Recording(times, q), guess, truth | values, free, drive | more)
+        return Case(
+            f"driven: {what}", lambda: hf.Recording(times, q, noise=2e-3), guess, truth | values, free, drive | more
+        )
 
     yield case("as it is")
     yield replace(case("torque measured", free=tuple(values), **torque), guess=guess.replace(mass=0.1, com=DOUBLE.com))

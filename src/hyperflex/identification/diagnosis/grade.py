@@ -9,6 +9,7 @@ from hyperflex.identification.diagnosis.link_test import LINKS
 from hyperflex.identification.diagnosis.misdeclared import misdeclared, percent, slightly, undetectable, untested
 from hyperflex.identification.diagnosis.score_tests import EXPLAINS, MOVES, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import Scatter
+from hyperflex.identification.excitation import unlike_lengths
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.model import Rope
@@ -22,7 +23,6 @@ FORETOLD = 0.9  # the same: nearly 0.95, so that the error is as foretold, and w
 NAMED = 4  # labels of what is hardly known that are named, for a line
 LIKELY = 0.5  # probability: more likely than not
 LEFT_OUT = 0.2  # part of the windows: one in five
-LENGTHS_APART = 30.0  # of the longest link over the shortest: cm for m make it 100, but for what links differ by
 REACH = 2.0  # lengths of a link, to which its mass may reach; 1 is the most without counterweights (Cauchy-Schwarz)
 HELD = (
     "masses, inertias and frictions are in proportion to masses and centres of mass as they were held, which no motion "
@@ -120,7 +120,7 @@ def grade(
     odd = [*(each for each in warnings if each), *_mispredicted(held_out), *disagree]
     links, coarse = _finer(tests, odd=bool(odd))
     wrong = [*_impossible(rope), *links, *misdeclared(tests), *_far(rope), *odd]
-    wrong = [*_units(rope), *wrong] if wrong else []
+    wrong = [*filter(None, [unlike_lengths(rope)]), *wrong] if wrong else []
     suspicion = [*coarse, *_turned(turned), *slightly(tests), *differ, *untested(tests)]
     doubts = [*undetectable(tests, alike=alike), *_doubts(laws, moved, left_out), *_changing(scatter)]
     if hardly:
@@ -147,14 +147,6 @@ def _impossible(rope: Rope) -> list[str]:
         "(zero='hanging' or 'up'), or where y points (y_axis='up' or 'down')."
     )
     return [words]
-
-
-def _units(rope: Rope) -> list[str]:
-    """Return that the length of one link may be in another unit."""
-    longest, shortest = int(np.argmax(rope.length)), int(np.argmin(rope.length))
-    times = rope.length[longest] / rope.length[shortest]
-    words = f"link {longest} is {times:.3g} times as long as link {shortest}: are all lengths in m?"
-    return [words] if times > LENGTHS_APART else []
 
 
 def _far(rope: Rope) -> list[str]:
