@@ -24,11 +24,11 @@ def with_model_error(
     """Return a fit whose information counts what the model leaves out, and errors of lengths and times, beside noise.
 
     Links that are too long, and each resistance that was left out and that the data ask for, would move the parameters
-    by their `shift`: that is taken as a standard deviation, in proportion to how far noise does not explain what it
-    gains. Where residuals are white, or much goes away, everything else that was held or declared counts as well; where
-    they are not, resistances count the size of :func:`law_error`, and no value is taken as known better than FLOOR. All
-    lengths may be off by one factor, and all times by another, see :func:`_scale_error`. `scatter` (P, P) is what
-    windows that disagree show.
+    by their `shift`, and leave them less known: that is taken as a standard deviation, in proportion to how far noise
+    does not explain what it gains. Where residuals are white, or much goes away, everything else that was held or
+    declared counts as well; where they are not, resistances count the size of :func:`law_error` at least, and no value
+    is taken as known better than FLOOR. All lengths may be off by one factor, and all times by another, see
+    :func:`_scale_error`. `scatter` (P, P) is what windows that disagree show.
     """
     information, x = basis.information, basis.fit.x
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
@@ -40,10 +40,11 @@ def with_model_error(
         asked = white or law or each.believed or each.suspected or each.name == DRIFT  # which has a std of its own
         counts = asked and each.excess_gain > ASKED and not (each.slight and each.freed_with)
         if counts or each.name == LINKS:  # whose excess_gain is a probability
-            model += each.excess_gain * np.outer(each.shift, each.shift)
+            model += each.excess_gain * (np.outer(each.shift, each.shift) + (each.added if law else 0.0))
             clock = clock or each.name == "gravity_scale"
     if not white:
-        model += np.diag(_floor(basis.plant.parameters, x) ** 2 + _law_errors(basis, tests)[0] ** 2)
+        model += np.diag(np.maximum(_law_errors(basis, tests)[0] ** 2 - np.diag(model), 0.0))
+        model += np.diag(_floor(basis.plant.parameters, x) ** 2)
     if scatter is not None:
         model += scatter
     gravity = next((float(each.values[0]) for each in tests if each.name == "gravity_scale"), 1.0)
@@ -118,7 +119,7 @@ def _law_errors(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[Array, list[s
     sizes, names = np.zeros(x.size), [""] * x.size
     for each in tests:
         if each.name.partition(":")[0] in LAWS and each.shift.size:
-            size = np.hypot(each.shift, each.std_added) * own
+            size = np.sqrt(each.shift**2 + np.maximum(np.diag(each.added), 0.0)) * own
             names = [each.name if more else name for more, name in zip(size > sizes, names, strict=True)]
             sizes = np.maximum(sizes, size)
     return sizes, names

@@ -61,8 +61,8 @@ class ScoreTest:
         Greatest standard deviation that they would have.
     shift : (P,) float64
         Change of the fit's x that freeing it makes, to first order.
-    std_added : (P,) float64
-        Standard deviations of x that freeing it adds.
+    added : (P, P) float64
+        Covariance of x that freeing it adds.
     rate : (P, k) float64
         Change of the fit's x by each unit of its own x.
     excess_gain : float
@@ -85,7 +85,7 @@ class ScoreTest:
     beyond: float = np.inf
     std: float = np.inf
     shift: Array = field(default_factory=lambda: np.zeros(0))
-    std_added: Array = field(default_factory=lambda: np.zeros(0))
+    added: Array = field(default_factory=lambda: np.zeros((0, 0)))
     rate: Array = field(default_factory=lambda: np.zeros((0, 0)))
     excess_gain: float = 0.0
     sure: bool = False
@@ -179,9 +179,8 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
 
 def _within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
     """Return a test of a fit with more parameters, `freed`, as one of a fit with `size`."""
-    return replace(
-        test, shift=test.shift[:size], std_added=test.std_added[:size], rate=test.rate[:size], freed_with=tuple(freed)
-    )
+    test = replace(test, shift=test.shift[:size], added=test.added[:size, :size], rate=test.rate[:size])
+    return replace(test, freed_with=tuple(freed))
 
 
 def _refitted_tests(basis: Basis) -> list[ScoreTest]:
@@ -267,9 +266,9 @@ def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[Scor
         noise = basis.information.variance * basis.information.correlation
         chance = noise * max(1, int(np.count_nonzero(step)))
         excess_gain = max(0.0, 1.0 - chance / (gain * total)) if gain * total > 0.0 else 0.0
-        opened = np.zeros(basis.fit.x.size)
+        added = np.zeros((basis.fit.x.size,) * 2)
         inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
-        opened[free] = np.sqrt(np.maximum(noise * np.einsum("ki,kl,li->i", across, inverse, across), 0.0)) / scale[free]
+        added[np.ix_(free, free)] = noise * across.T @ inverse @ across / np.outer(scale[free], scale[free])
         label = group[0].label if group[0].law != "own" or len(group[0].links) > 1 else word
         with np.errstate(over="ignore"):
             values = [parameter.value(each) for parameter, each in zip(group, moved, strict=True)]
@@ -281,7 +280,7 @@ def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[Scor
             min(gain, 1.0),
             np.array(values),
             shift=shift,
-            std_added=opened,
+            added=added,
             excess_gain=excess_gain,
             rate=rate,
             information=information * np.outer(acting, acting) / max(noise, 1e-300),
