@@ -16,8 +16,10 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import hyperflex as hf
 import hyperflex.envs
 from hyperflex.checks import Array
+from hyperflex.envs.drawing import default_rope
 from hyperflex.envs.policies import members_of
 from hyperflex.errors import InvalidInput
+from hyperflex.planning import check_feasibility
 
 IDS = ("hyperflex/Swing-v0", "hyperflex/Cast-v0")
 DRAWN = {"randomization": {"length": 0.02, "friction": 0.3}, "mismatch": {"mass": 1.1}}
@@ -130,6 +132,21 @@ def test_what_is_drawn() -> None:
         gymnasium.make(IDS[0], randomization={"frction": 0.1})
     with pytest.raises(InvalidInput, match="mismatch mass"):
         gymnasium.make(IDS[0], mismatch={"mass": -1.0})
+
+
+def test_targets_are_in_reach_of_the_rope_that_is_given() -> None:
+    cord, arm, limits = hf.Rope.uniform(length=1.2, mass=0.05, n_links=15), hf.Arm(length=0.15), hf.MotorLimits()
+    for rope in (default_rope(40), cord):
+        env = gymnasium.make(IDS[1], rope=rope, arm=arm)
+        cast_setup = hf.CastSetup(rope, arm, limits, side=-1)
+        for seed in range(50):
+            env.reset(seed=seed)
+            peg = members_of(env).pegs[0]
+            assert check_feasibility(cast_setup, peg).feasible
+            assert 0.3 <= abs(peg.x) / rope.total_length <= 0.55
+            assert 0.3 <= -peg.y / rope.total_length <= 0.55
+    with pytest.raises(InvalidInput, match=r"of 100 none is in reach.*Give target="):
+        gymnasium.make(IDS[1], rope=hf.Rope.uniform(length=0.3, mass=0.02, n_links=10)).reset(seed=0)
 
 
 def wound(turns: float, peg: hf.Peg, count: int) -> Array:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib.util
 import sys
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
@@ -14,8 +16,10 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.envs import CrossingPolicy, PlannedCast, PumpingPolicy, Scores, score_policy, stable_baselines_env
+from hyperflex.envs.drawing import default_rope
 from hyperflex.envs.policies import members_of
 from hyperflex.errors import InvalidInput, MissingPackage
+from hyperflex.planning import Throw, check_feasibility
 
 SWING, CAST = "hyperflex/Swing-v0", "hyperflex/Cast-v0"
 
@@ -47,6 +51,40 @@ def test_a_plan_is_carried_out() -> None:
         PlannedCast(gymnasium.make(CAST, action="timing"))
     with pytest.raises(InvalidInput, match="no environment of hyperflex"):
         PlannedCast(gymnasium.make("CartPole-v1"))
+
+
+def test_a_plan_is_for_the_start_of_the_episode_and_the_first_that_winds_in_a_rehearsal_is_carried_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    target, cast_setup = (
+        hf.Peg(0.78453362, -0.91275162, 0.05),
+        hf.CastSetup(default_rope(40), hf.Arm(), hf.MotorLimits()),
+    )
+    rests = np.array([0.0, 0.50848401, 0.40848401, 0.52848401, 0.50848401, 0.70848401, 0.30848401])
+    winds = Throw(-1, np.full(7, 2.98451302), rests, 0.5 * np.pi, 0.36848401, 1.0, 7)
+    reach = check_feasibility(cast_setup, target)
+    plans = [hf.CastPlan(cast_setup, target, reach, each) for each in (None, winds)]
+    misses = replace(plans[1], throw=replace(winds, rests=np.full(7, 0.2)))
+    seen: list[tuple[int, bool]] = []
+
+    def plan_cast(*_: Any, seed: int, on_plan: Callable[[hf.CastPlan], bool], **given: Any) -> hf.CastPlan:
+        np.testing.assert_array_equal(given["state0"].q, world.q[0])
+        assert given["side"] == -1
+        found = (plans[0], misses, plans[1])[seed]
+        seen.append((seed, found.throw is not None and on_plan(found)))
+        return found
+
+    monkeypatch.setattr("hyperflex.envs.policies.plan_cast", plan_cast)
+    env = gymnasium.make(CAST, target=target)
+    env.reset(seed=6)
+    world = members_of(env).world
+    policy, ended, info = PlannedCast(env, tries=5), False, {"is_success": False}
+    assert seen == [(0, False), (1, False), (2, True)]
+    assert members_of(env).steps[0] == 0
+    while not ended:
+        _, _, terminated, truncated, info = env.step(policy(None))
+        ended = terminated or truncated
+    assert info["is_success"]
 
 
 def test_scores_have_an_interval() -> None:

@@ -83,7 +83,8 @@ class CastEnv(RopeEnv):
     ## Starting State
 
     As of :class:`SwingEnv`. The peg is drawn: to the left or to the right, 0.6 to 1.1 m to the side and as far below
-    the shaft (uniform); its friction coefficient is 0.3.
+    the shaft (uniform; 0.3 to 0.55 of the rope's length, if you give another rope), again and again until
+    :func:`hyperflex.planning.check_feasibility` says that it is in reach. Its friction coefficient is 0.3.
 
     ## Episode End
 

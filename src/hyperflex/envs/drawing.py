@@ -7,12 +7,15 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Peg, Rope
-from hyperflex.planning import CastSetup, MotorLimits, Uncertainty, scaled_rope
+from hyperflex.planning import CastSetup, MotorLimits, Uncertainty, check_feasibility, scaled_rope
 
 ROPE = ("length", "mass", "friction")  # factors that a mismatch and a randomization name
 SWAY = 0.1  # rad, by which a rope may hang to either side at the start
-NEAR, FAR, BELOW = (0.6, 1.1), (-1.1, -0.6), 0.05  # m: |x| and y of targets, their radius
+ASIDE, UP = (0.3, 0.55), (-0.55, -0.3)  # lengths of the rope, by which targets lie beside and above the shaft
+RADIUS = 0.05  # m, of targets
+DRAWS = 100  # targets at most, until one is in reach
 
 
 def default_rope(n_links: int) -> Rope:
@@ -50,7 +53,7 @@ class Drawing:
         checks.keys("mismatch", checks.mapping("mismatch", mismatch), ROPE)
         checks.keys("randomization", checks.mapping("randomization", randomization), (*ROPE, "mu"))
         factors = [checks.number(f"mismatch {name}", mismatch.get(name, 1.0), sign="positive") for name in ROPE]
-        self.arm, self.true = arm, scaled_rope(rope, *factors)
+        self.model, self.arm, self.limits, self.true = rope, arm, limits, scaled_rope(rope, *factors)
         self._cast = CastSetup(self.true, arm, limits) if randomization else None
         spreads: dict[str, Any] = {**dict.fromkeys((*ROPE, "mu", "lag", "timing"), 0.0), **randomization}
         self._uncertainty = Uncertainty(**spreads)
@@ -60,9 +63,28 @@ class Drawing:
         return np.full(self.true.n_links, self.true.hanging_angle + rng.uniform(-SWAY, SWAY))
 
     def target(self, rng: np.random.Generator) -> Peg:
-        """Return a peg to either side of the arm."""
-        side = 1.0 if rng.random() < 0.5 else -1.0
-        return Peg(self.arm.pivot[0] + side * rng.uniform(*NEAR), self.arm.pivot[1] + rng.uniform(*FAR), BELOW)
+        """Return a peg to either side of the arm, in reach of the model's rope as the planner's feasibility check says.
+
+        Raises
+        ------
+        InvalidInput
+            If none of DRAWS is in reach.
+        """
+        cast_setup = CastSetup(self.model, self.arm, self.limits, side=-1)
+        length, (x, y) = self.model.total_length, self.arm.pivot
+        for _ in range(DRAWS):
+            side = 1.0 if rng.random() < 0.5 else -1.0
+            aside, up = (length * rng.uniform(*between) for between in (ASIDE, UP))
+            peg = Peg(x + side * aside, y + up, RADIUS)
+            found = check_feasibility(cast_setup, peg)
+            if found.feasible:
+                return peg
+        raise InvalidInput(
+            f"no target can be drawn for this rope, arm and motor: of {DRAWS} none is in reach",
+            got=found.message,
+            allowed="a target in reach",
+            fix="Give target=hyperflex.Peg(x, y, radius), or another rope, arm or limits",
+        )
 
     def scenario(self, rng: np.random.Generator, peg: Peg) -> tuple[Rope, Peg]:
         """Return the true rope of an episode, and the peg with its true friction."""

@@ -15,10 +15,11 @@ from hyperflex.envs.vector import RopeEnv
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
-from hyperflex.planning import plan_cast
+from hyperflex.planning import CastPlan, plan_cast
 
-TRIES, TIME, BUDGET = 3, 9.0, 6.0  # plans for a target, time until the strike, s, and time for a plan, s
+TRIES, TIME, BUDGET = 2, 9.0, 15.0  # plans for a target, time until the strike, s, and time for a plan, s
 GAIN = 5.0  # 1/s^2, of the arm's lag behind a planned motion
+AFTER = 5.0  # s of a rehearsal after the motion's end
 
 
 class RulePolicy:
@@ -80,15 +81,17 @@ class PumpingPolicy(RulePolicy):
 class PlannedCast:
     """A cast that :func:`hyperflex.plan_cast` plans for the target of an episode, carried out in open loop.
 
+    A plan is rehearsed, with the model's rope in an environment of its own: intervals of the arm and links at the peg
+    are not the planner's. The search ends with the first plan that succeeds there, too.
+
     Parameters
     ----------
     env : gymnasium.Env
         A :class:`CastEnv`, possibly wrapped, with actions that are accelerations, whose episode has begun.
     tries : int
-        Plans at most, with other seeds, until one begins with the arm where it is and succeeds; else the last one that
-        begins there is carried out, or none.
+        Searches at most, with other seeds; if no rehearsal succeeds, the last plan is carried out all the same.
     time_limit, time_budget : float
-        As of :func:`hyperflex.plan_cast`, s.
+        As of :func:`hyperflex.plan_cast`, s; the time budget is that of a search.
     threads : int, optional
         As of :func:`hyperflex.plan_cast`.
     """
@@ -102,29 +105,43 @@ class PlannedCast:
         time_budget: float = BUDGET,
         threads: int | None = None,
     ) -> None:
-        self._members = members_of(env)
+        self._members, self._succeeds = members_of(env), False
+        self._motion: Motion | None = None
         if isinstance(self._members.actuator, TimingActuator):
             raise InvalidInput("a planned cast needs accelerations", got="timing", allowed='action="acceleration"')
-        self._motion: Motion | None = None
         given: dict[str, Any] = {"time_limit": time_limit, "time_budget": time_budget, "threads": threads}
-        model, arm, limits = self._members.model, self._members.arm, self._members.limits
+        model, arm, limits, world = (getattr(self._members, name) for name in ("model", "arm", "limits", "world"))
+        begin = RopeState(0.0, world.q[0].copy(), world.qd[0].copy())
+        given |= {"state0": begin, "side": -1, "clearance": -np.inf, "contact": 0.0}
         for seed in range(tries):
-            plan = plan_cast(model, arm, self._members.pegs[0], limits, seed=seed, clearance=-np.inf, **given)
-            if plan.throw is None:
+            plan = plan_cast(model, arm, self._members.pegs[0], limits, seed=seed, on_plan=self._rehearse, **given)
+            self._motion = plan.motion or self._motion
+            if self._succeeds:
                 break
-            if plan.throw.side < 0:
-                self._motion = plan.throw.motion(limits)
-                if plan.success:
-                    break
 
     def __call__(self, seen: Array) -> Any:
         """Return the action for what is `seen`."""
-        members, world = self._members, self._members.world
-        t, given = members.dt * float(members.steps[0]), 0.0
-        if self._motion is not None:
-            angle, rate = self._motion.angle(t), self._motion.rate(t + members.dt)
+        return self._action(self._members, self._motion)
+
+    def _action(self, members: Any, motion: Motion | None) -> Any:
+        t, given, world = members.dt * float(members.steps[0]), 0.0, members.world
+        if motion is not None:
+            angle, rate = motion.angle(t), motion.rate(t + members.dt)
             given = (float(rate) - world.arm_rate[0]) / members.dt + GAIN * (float(angle) - world.arm_angle[0])
         return np.clip([given / members.limits.acceleration], -1.0, 1.0).astype(np.float32)
+
+    def _rehearse(self, plan: CastPlan) -> bool:
+        """Return whether a plan succeeds in an environment whose true rope is the model's."""
+        members, motion = self._members, plan.required(plan.motion, "motion")
+        given = {name: getattr(members, name) for name in ("arm", "limits", "dt")}
+        twin = type(members)(rope=members.model, target=members.pegs[0], tol=members.world.tol, **given)
+        twin.reset(seed=0)
+        twin.world.begin(np.array([0]), [members.model], members.pegs, members.world.q, members.world.arm_angle[0])
+        ended = False
+        while not ended and members.dt * twin.steps[0] < float(motion.breaks[-1]) + AFTER:
+            _, _, terminated, _, info = twin.step(self._action(twin, motion)[None])
+            ended, self._succeeds = bool(terminated[0]), bool(info["is_success"][0])
+        return self._succeeds
 
 
 def members_of(env: Any) -> Any:

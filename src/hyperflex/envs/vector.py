@@ -39,8 +39,6 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         last observation in ``info["final_obs"]``; or by ``reset(options={"reset_mask": mask})`` alone.
     max_episode_steps : int, optional
         Steps after which an episode is cut; by default it is not.
-    others
-        See :class:`RopeEnv`.
 
     Raises
     ------
@@ -211,8 +209,8 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
 class RopeEnv(gymnasium.Env[Array, Any], ABC):
     """A rope on an arm: member 0 of a :class:`RopeVectorEnv` of one, and to the bit what it is among many.
 
-    Parameters
-    ----------
+    Other Parameters
+    ----------------
     rope, arm : Rope, Arm, optional
         The model; by default the paper's cable on an arm of 105 mm.
     limits : MotorLimits, optional
