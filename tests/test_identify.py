@@ -200,7 +200,7 @@ def test_a_value_at_its_bound_does_not_hide_what_is_known() -> None:
 
 def test_known_masses_and_centres_give_the_values(free_swing: Recording) -> None:
     guess = DOUBLE.replace(inertia=5e-4, friction=1e-3)
-    result = identify(free_swing, guess, ["inertia", "friction[1]", "friction[0]"], length_std=0.0)
+    result = identify(free_swing, guess, ["inertia", "friction[1]", "friction[0]"], length_std=0.0, clock_std=0.0)
     assert result.identifiable
     within(result.values, result.std, {"inertia": DOUBLE.inertia, "friction": DOUBLE.friction})
     assert result.parameters == ("inertia[0]", "inertia[1]", "friction[1]", "friction[0]")

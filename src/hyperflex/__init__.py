@@ -56,11 +56,13 @@ if TYPE_CHECKING:
         FollowResult,
         InsertPlan,
         MotorLimits,
+        ReachMap,
         Slot,
         TipTarget,
         Uncertainty,
         WhipMap,
         WhipPlan,
+        build_reach_map,
         build_whip_map,
         follow_plan,
         plan_cast,
@@ -68,6 +70,7 @@ if TYPE_CHECKING:
         plan_insert,
         plan_whip,
         read_plan,
+        read_reach_map,
     )
     from hyperflex.recording import Recording, read_recording
     from hyperflex.simulation import (

@@ -18,11 +18,11 @@ from hyperflex.cli import output
 from hyperflex.cli.app import app
 
 COMMANDS = ("simulate", "view", "plot", "identify", "cast", "whip", "calibrate", "track", "watch", "reproduce")
-COMMANDS += ("insert", "demo", "warm", "init", "doctor", "export", "play")
+COMMANDS += ("reach-map", "insert", "demo", "warm", "init", "doctor", "export", "play")
 
 
 def test_these_are_all_commands():
-    assert {command.callback.__name__ for command in app.registered_commands} == set(COMMANDS)
+    assert {command.callback.__name__.replace("_", "-") for command in app.registered_commands} == set(COMMANDS)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

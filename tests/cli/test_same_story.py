@@ -15,8 +15,8 @@ from hyperflex.report.units import readable_unit, rounded
 
 PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
 CASES = {  # exit code, grade, what is free, a factor of the times, and what the first line says
-    "usable": (0, "usable", "friction[0],friction[1]", 1.0, "in proportion to masses"),
-    "ratios": (0, "usable for ratios", "inertia,com,friction", 1.0, "values share what this motion cannot tell"),
+    "held": (0, "usable for ratios", "friction[0],friction[1]", 1.0, "in proportion to masses"),
+    "ratios": (0, "usable for ratios", "inertia,com,friction", 1.0, "share a factor that no free swing tells"),
     "wrong": (5, "do not use", "inertia,com,friction", 1.1, "times are multiplied by 0.909"),
 }
 

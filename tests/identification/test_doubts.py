@@ -12,7 +12,7 @@ import hyperflex as hf
 from hyperflex.identification import Identification, ratios
 from hyperflex.identification.diagnosis.grade import grade
 from hyperflex.identification.diagnosis.model_error import with_model_error
-from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.diagnosis.score_tests import SCALES, ScoreTest
 
 ROPE = hf.Rope(length=[0.4, 0.2], mass=[0.15, 0.05], com=[0.21, 0.09], inertia=[2.2e-3, 2e-4], friction=[4e-4, 5e-5])
 GUESS = ROPE.replace(inertia=[1.5e-3, 3e-4], com=[0.2, 0.1], friction=1e-4)
@@ -50,9 +50,9 @@ def test_lengths_within_what_a_ruler_errs_make_no_result_useless() -> None:
         test = ScoreTest("gravity_scale", 0.9, np.array([scale]), moved=0.03, std=1e-3)
         return str(grade([], ROPE, None, [test], identifiable=False))
 
-    assert (
-        graded(0.994)
-        == "Usable for ratios: lengths seem 0.6 % off, or times half of that; ratios would move by up to 3 %."
+    assert graded(0.994) == (
+        "Usable for ratios: lengths seem 0.6 % off, or times half of that: measure a length, or the frame rate, again; "
+        "ratios would move by up to 3 %."
     )
     assert graded(0.98).startswith("Do not use: times or lengths are not as declared")
 
@@ -62,9 +62,10 @@ def test_what_moves_ratios_within_their_deviations_makes_no_result_useless() -> 
         test = ScoreTest(name, 0.9, np.array([1.03]), moved=0.03, beyond=beyond, std=1e-3, excess_gain=0.99, sure=True)
         return str(grade([], ROPE, None, [test], identifiable=False))
 
-    said = "90 % of the residuals' sum of squares go away, and ratios move by up to 3 %. Standard deviations hold that."
-    assert graded("com", 1.0) == f"Usable for ratios: 'com' may be off: if so, {said}"
-    assert graded("gravity_scale", 1.0) == f"Usable for ratios: times or lengths may be off: if so, {said}"
+    said = "90 % of the residuals' sum of squares go away, and ratios move by up to 3 %. Standard deviations hold that"
+    assert graded("com", 1.0) == f"Usable for ratios: 'com' may be off: if so, {said}; measure it, or put it into free."
+    check = f"{said}; check the frame rate, and one length."
+    assert graded("gravity_scale", 1.0) == f"Usable for ratios: times or lengths may be off: if so, {check}"
     assert graded("com", 5.0).startswith("Do not use: what is held does not fit: with 'com' free")
     assert graded("gravity_scale", 5.0).startswith("Do not use: times or lengths are not as declared")
 
@@ -80,12 +81,13 @@ def test_one_discrepancy_of_times_and_lengths_counts_once() -> None:
     basis = fitted(ROPE, ["inertia", "com", "friction"], 2e-3).basis
     assert basis.information.whiteness > 1e-3
     size = basis.fit.x.size
-    lengths = ScoreTest("length:factor", 0.9, np.array([1.02]), std=1e-3, rate=np.ones((size, 1)), excess_gain=0.99)
+    ruled, lengths_only = np.diag([1e6, 0.0]), np.ones((size, 2)) * [1.0, 0.0]
+    lengths = ScoreTest(SCALES, 0.9, np.array([1.02, 1.0]), rate=lengths_only, excess_gain=0.99, information=ruled)
     clock = ScoreTest("gravity_scale", 0.9, np.array([0.98]), moved=0.02, shift=np.full(size, 0.02), excess_gain=0.99)
-    alone = with_model_error(basis, [lengths], 0.01).information
-    both = with_model_error(basis, [clock, lengths], 0.01).information
-    assert alone.length_error == pytest.approx(np.hypot(1e-3, np.log(1.02)), rel=0.02)
-    assert both.length_error == pytest.approx(1e-3, rel=0.02)
+    alone = with_model_error(basis, [lengths], 0.01, 0.0).information
+    both = with_model_error(basis, [clock, lengths], 0.01, 0.0).information
+    assert np.sqrt(alone.scale_error[0, 0]) == pytest.approx(np.hypot(1e-3, np.log(1.02)), rel=0.02)
+    assert np.sqrt(both.scale_error[0, 0]) == pytest.approx(1e-3, rel=0.02)
     assert np.diag(both.model) == pytest.approx(0.99 * 0.02**2, rel=1e-6)
 
 

@@ -27,7 +27,7 @@ def held(found: Identification, truth: dict[str, float]) -> list[str]:
 
 def test_lengths_that_are_one_per_cent_off_are_in_the_intervals() -> None:
     case = KINDS["length"][0](np.random.default_rng([1, 5, 1]))
-    whole = {"window": np.inf, "train": np.inf}
+    whole = {"window": np.inf, "train": np.inf, "clock_std": 0.0}
     found = identify(case.recording, case.guess, case.free, **whole)
     assert held(found, case.truth) == list(case.truth)
     exact = identify(case.recording, case.guess, case.free, length_std=0.0, **whole)
@@ -48,6 +48,36 @@ def test_lengths_that_are_one_per_cent_off_are_in_the_intervals() -> None:
     assert found.settings["length_std"] == 0.01
     with pytest.raises(InvalidInput, match="length_std has the wrong sign"):
         identify(case.recording, case.guess, case.free, length_std=-0.01)
+
+
+def test_clock_and_lengths_that_are_off_together_are_in_the_deviations() -> None:
+    """A longer and slower pendulum moves exactly alike; 1 % of lengths and 0.5 % of times are a deviation each."""
+    case = KINDS["double"][0](np.random.default_rng(3))
+
+    def found(factor: float, **stds: float) -> tuple[float, float]:
+        recording = replace(case.recording, t=np.sqrt(factor) * case.recording.t)
+        guess = case.guess.replace(length=factor * case.guess.length, com=factor * case.guess.com)
+        one = identify(recording, guess, case.free, train=np.inf, window=np.inf, intervals=None, **stds)
+        return float(one.ratios["J/p1"][0]), float(one.ratio_std["J/p1"][0])
+
+    (right, _), (wrong, std), (same, noise) = found(1.0), found(1.01), found(1.01, length_std=0.0, clock_std=0.0)
+    assert wrong == same == pytest.approx(1.01 * right, rel=1e-4)
+    added = np.sqrt(std**2 - noise**2) / wrong
+    assert 0.01 / np.sqrt(2.0) < added < 0.01 * np.sqrt(1.5)  # what the data do not tell, and all
+    for exact in ({"length_std": 0.0}, {"clock_std": 0.0}):  # what is left is of the other one
+        assert np.sqrt(found(1.01, **exact)[1] ** 2 - noise**2) / wrong < added
+
+
+def test_a_clock_is_in_the_deviation_of_a_single_pendulum() -> None:
+    """Its inertia goes with the square of the times, its friction with them."""
+    case = KINDS["single"][0](np.random.default_rng(4))
+    own, more = (
+        identify(case.recording, case.guess, case.free, intervals=None, length_std=0.0, clock_std=std)
+        for std in (0.0, 0.01)
+    )
+    for name, power in (("J/p1", 2.0), ("c/p1", 1.0)):
+        added = np.sqrt(more.ratio_std[name] ** 2 - own.ratio_std[name] ** 2) / more.ratios[name]
+        assert added[0] == pytest.approx(power * 0.01, rel=0.02), name
 
 
 def test_ratios_of_what_was_held_have_no_error() -> None:
@@ -119,7 +149,7 @@ def test_links_that_may_be_too_long_count_by_their_probability() -> None:
     odd = replace(basis, information=replace(basis.information, whiteness=0.0))
     for excess_gain in (0.1, 0.5):
         test = ScoreTest("links", 0.3, np.array([16.0]), shift=np.array([0.2]), excess_gain=excess_gain)
-        told = with_model_error(odd, [test], 0.0).information.model
+        told = with_model_error(odd, [test], 0.0, 0.0).information.model
         assert told == pytest.approx(np.array([[excess_gain * 0.2**2]]))
 
 

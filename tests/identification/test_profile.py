@@ -127,7 +127,11 @@ def test_profiles_are_of_noise_alone_and_intervals_of_all(rounds: int, monkeypat
     monkeypatch.setattr(_profile, "MOST_ROUNDS", rounds)
     plain = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     information, std = plain.information, np.sqrt(np.diag(plain.information.covariance))
-    errors = {"model": np.diag(std**2), "lengths": 2.0 * std, "length_error": 0.01}
+    errors = {
+        "model": np.diag(std**2),
+        "scales": np.outer(std, [2.0, 0.0]),
+        "scale_error": np.eye(2),
+    }
     basis = replace(plain, information=replace(information, **errors))
     by_std = all_intervals(basis, "covariance")
     for k, (label, one) in enumerate(all_intervals(basis, "profile").items()):

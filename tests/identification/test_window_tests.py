@@ -83,7 +83,7 @@ def test_friction_that_changes_is_a_model_error() -> None:
     found = identified(
         *in_turn([SINGLE, other, SINGLE], [1.0], 24.0), SINGLE.replace(inertia=1e-3), ("inertia", "friction")
     )
-    assert found.grade.name == "usable"
+    assert found.grade.name == "usable for ratios"
     assert any("c/p1[0] scatters between windows" in each for each in found.grade.reasons)
 
 
@@ -109,23 +109,28 @@ def test_a_grade_says_by_itself_whether_axes_may_be_wrong() -> None:
     assert not grade((), DOUBLE, None, (), identifiable=True, noise="gravity is turned").doubtful
 
 
-def test_the_benchmark_of_parts_counts_scatter_and_overlap_of_those_that_may_be_used() -> None:
+@pytest.mark.parametrize(("words", "holds"), [("up to 50 %", None), ("", False)])
+def test_the_benchmark_of_parts_counts_scatter_and_overlap_of_those_that_may_be_used(
+    words: str, holds: bool | None
+) -> None:
+    """Scatter without the errors that all parts have in common, which would hide it."""
     rows = [
         {"recording": "one", "begin": float(k), "seconds": 1.0, "grade": grade, "reason": "", "friction": friction}
-        | {"ratios": {"J/p1[0]": [value, 0.5, value - 1.0, value + 1.0], "c/p1[0]": [10.0 * value, 0.5, 0.0, 1.0]}}
+        | {"ratios": {"J/p1[0]": [value, 5.0, 0.5], "c/p1[0]": [10.0 * value, 0.5, 0.5]}}
         for k, (value, grade, friction) in enumerate(
             [
-                (0.0, "usable", ""),
+                (0.0, "usable", "up to 50 %"),
                 (1.0, "usable", "up to 50 %"),
-                (3.0, "usable for ratios", ""),
-                (99.0, "do not use", ""),
+                (3.0, "usable for ratios", "up to 50 %"),
+                (99.0, "do not use", words),
             ]
         )
     ]
     ratio, friction = summary(rows)
-    # about the mean 4/3: (16 + 1 + 25) / 9 / 0.25 over two degrees of freedom; 0 and 3 do not overlap
+    # about the mean 4/3: (16 + 1 + 25) / 9 / 0.25 over two degrees of freedom; 3 overlaps with neither
     assert ratio["chi_squared"] == pytest.approx(42.0 / 9.0 / 0.25 / 2.0)
-    assert (ratio["parts"], ratio["overlap"]) == (3, pytest.approx(2.0 / 3.0))
+    assert (ratio["parts"], ratio["overlap"]) == (3, pytest.approx(1.0 / 3.0))
     assert ratio["holds"] is False
-    assert (friction["holds"], friction["model_error"]) == (None, "up to 50 %")
+    assert ratio["stated"] == pytest.approx(42.0 / 9.0 / 25.0 / 2.0)
+    assert (friction["holds"], friction["model_error"]) == (holds, "up to 50 %")
     assert "**no**" in text(rows)

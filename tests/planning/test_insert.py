@@ -13,7 +13,7 @@ from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import recut
 from hyperflex.planning import CastSetup, InsertPlan, MotorLimits, Slot, estimate_insert_probability, plan_insert
-from hyperflex.planning.clearance import wall_clearance
+from hyperflex.planning.clearance import obstacle_clearance
 from hyperflex.planning.insert.chance import insert_scenarios, usual_uncertainty
 from hyperflex.planning.insert.entry import LEVELS
 from hyperflex.planning.insert.outcome import verify_insert
@@ -175,7 +175,7 @@ def test_a_slot_where_it_is_planned_is_sure() -> None:
 def test_clearance_of_a_hanging_rope_from_a_wall() -> None:
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=5, radius=0.003)
     run = hf.simulate(rope, duration=0.1, pegs=[hf.Wall(0.04, -0.5, 0.3, -0.4)], t_eval=[0.0, 0.1])
-    found = wall_clearance(run, [hf.Wall(0.04, -0.5, 0.3, -0.4)], 0.1)
+    found = obstacle_clearance(run, [hf.Wall(0.04, -0.5, 0.3, -0.4)], 0.1)
     assert found.value == pytest.approx(0.04 - 0.003, abs=4e-4)  # told is up to that too small
     assert found.value <= 0.037
 

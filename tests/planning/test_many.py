@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,7 +44,9 @@ def test_a_search_that_starts_from_a_plan_near_by_need_not_swing() -> None:
     assert plan.throw.strokes[:4] == pytest.approx(WINDS.strokes, abs=1e-4)
 
 
-def test_targets_are_planned_from_one_to_the_next_and_told_as_they_were_given(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_targets_near_others_are_planned_from_these_and_told_as_they_were_given(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     asked: list[tuple[float, list[float]]] = []
 
     def plan_cast(
@@ -49,25 +54,73 @@ def test_targets_are_planned_from_one_to_the_next_and_told_as_they_were_given(mo
     ) -> CastPlan:
         assert seed == 3
         asked.append((target.x, [one.target.x for one in start_from]))
-        return planned(target, "fails" if target.x == -0.2 else "")
+        return planned(target, "fails" if target.x == -0.3 else "")
 
     monkeypatch.setattr(many, "plan_cast", plan_cast)
-    places = [0.0, 0.9, -0.2, 0.1, 0.15, -0.3, 0.05]
+    places = [0.0, 0.9, 0.2, 0.3, -0.3, -0.2, 0.1]
     plans = hf.plan_casts(CORD, ARM, [replace(PEG, x=x) for x in places], seed=3)
     assert [plan.target.x for plan in plans] == places
-    assert [x for x, _ in asked] == [0.0, 0.05, 0.1, 0.15, -0.2, -0.3, 0.9]
-    assert [near for _, near in asked] == [
-        [],
-        [0.0],
-        [0.05, 0.0],
-        [0.1, 0.05, 0.0],  # three at most
-        [0.0],  # those at most a fifth of the rope away
-        [],  # the one near by fails
-        [],
-    ]
+    assert [x for x, _ in asked] == [0.0, 0.9, 0.3, -0.3, 0.2, -0.2, 0.1]  # those apart by 0.24 m, then the others
+    assert [near for _, near in asked] == [[], [], [], [], [0.3, 0.0], [0.0], [0.0, 0.3]]  # -0.3 fails
     assert hf.plan_casts(CORD, ARM, []) == []
     with pytest.raises(InvalidInput, match="targets"):
         hf.plan_casts(CORD, ARM, PEG)  # type: ignore[arg-type]
+
+
+def stands(plan: CastPlan) -> bool:
+    return plan.success
+
+
+def test_an_executor_changes_no_plan() -> None:
+    targets = [replace(PEG, x=x) for x in (-0.45, -3.0, -0.44)]
+    given = {
+        "side": -1,
+        "contact": 0.0,
+        "time_budget": 300.0,
+        "on_plan": stands,
+        "threads": 1,
+        "start_from": [planned(PEG)],
+    }
+    here = hf.plan_casts(CORD, ARM, targets, **given)
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        there = hf.plan_casts(CORD, ARM, targets, executor=pool, chunk_size=2, **given)
+    assert [plan.success for plan in here] == [True, False, True]
+    assert [plan.message for plan in there] == [plan.message for plan in here]
+    for one, other in zip(here[::2], there[::2], strict=True):
+        assert one.throw is not None
+        assert other.throw is not None
+        assert other.throw.strokes.tobytes() == one.throw.strokes.tobytes()
+        assert other.runs == one.runs
+
+
+def test_a_reach_map_tells_what_is_wound_and_reads_back_equal(tmp_path: Path) -> None:
+    reach = hf.build_reach_map(
+        CORD,
+        ARM,
+        x=[-0.45],
+        obstacles=[hf.Ground(0.0, -3.0)],
+        y=[-1.6, -0.5],
+        radius=PEG.radius,
+        mu=PEG.mu,
+        side=-1,
+        contact=0.0,
+        start_from=[planned(PEG)],
+    )
+    assert reach.status.tolist() == [[1], [0]]
+    assert reach.wound.tolist() == [[False], [True]]
+    assert np.isnan(reach.turns[0, 0])
+    assert reach.turns[1, 0] > 1.25
+    reach.to_netcdf(tmp_path / "reach.nc")
+    again = hf.read_reach_map(tmp_path / "reach.nc")
+    assert again.cast_setup == reach.cast_setup
+    for name in ("x", "y", "radius", "mu", "status", "turns", "contact_angle", "seconds"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(reach, name))
+    assert reach.plot().axes[0].get_title("left").endswith("1 of 1 feasible ones wound (simulated)")
+    hf.simulate(CORD, duration=0.1).to_netcdf(tmp_path / "run.nc")
+    with pytest.raises(InvalidInput, match="not a reach map"):
+        hf.read_reach_map(tmp_path / "run.nc")
+    with pytest.raises(InvalidInput, match="increasing"):
+        hf.build_reach_map(CORD, ARM, x=[0.2, 0.1])
 
 
 @pytest.mark.parametrize("partial", [None, "plan"])
@@ -84,3 +137,10 @@ def test_an_interrupt_leaves_the_plans_until_then(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(Interrupted) as stop:
         hf.plan_casts(CORD, ARM, [PEG, replace(PEG, x=-0.4), replace(PEG, x=-0.3)])
     assert [one.message for one in stop.value.partial] == ["", *(["interrupted"] if partial else [])]
+    done.clear()
+    with pytest.raises(Interrupted) as stop:
+        hf.build_reach_map(CORD, ARM, x=[-0.45], y=[-0.5, -0.45, -0.4])
+    reach = stop.value.partial
+    assert reach.status.ravel().tolist() == [0, 4 if partial else -1, -1]
+    assert not reach.complete
+    assert "interrupted" in repr(reach)

@@ -633,7 +633,7 @@ def test_where_no_throw_winds_a_long_rest_is_tried_and_then_shorter_links() -> N
         ]
         return WindingScores(np.zeros(len(throws)), np.full(len(throws), 0.3))
 
-    found = strikes.Strikes(*np.zeros((3, 99)), np.full(99, 5.0), *np.zeros((2, 99, 1)))
+    found = strikes.Strikes(*np.zeros((3, 99)), np.full(99, 5.0), *np.zeros((2, 99, 1)), np.full(99, 9))
     search._wind, search._strikes = wind, lambda cast_setup, throws: found  # type: ignore[method-assign,assignment]
     for _ in range(MAX_FAILED + 2):
         tried.append((0, 0.0, 0))

@@ -67,10 +67,16 @@ def standing(arm_angle: float, aside: float = 0.0, **arm: float) -> hf.Trajector
 @pytest.mark.parametrize(
     ("arm_angle", "aside", "arm", "clear", "what"),
     [
-        (np.pi, 0.0, {}, 0.0, "arm"),  # the arm stands up, and the rope hangs along it, over the shaft
-        (np.pi, np.arctan(0.5), {}, 0.1 * np.sin(np.arctan(0.5)), "arm"),  # the second link's begin, 0.1 m from the tip
-        (0.5 * np.pi, -1.2, {"radius": 0.01}, 0.2 * np.cos(1.2) - 0.01, "arm"),  # the third link's
-        (0.5 * np.pi, 0.0, {"shaft_radius": 0.15}, 0.05, "shaft"),
+        (np.pi, 0.0, {}, 0.0, "the arm"),  # the arm stands up, and the rope hangs along it, over the shaft
+        (
+            np.pi,
+            np.arctan(0.5),
+            {},
+            0.1 * np.sin(np.arctan(0.5)),
+            "the arm",
+        ),  # the second link's begin, 0.1 m from the tip
+        (0.5 * np.pi, -1.2, {"radius": 0.01}, 0.2 * np.cos(1.2) - 0.01, "the arm"),  # the third link's
+        (0.5 * np.pi, 0.0, {"shaft_radius": 0.15}, 0.05, "the motor's shaft"),
     ],
 )
 def test_clearance_is_that_of_the_geometry(

@@ -21,6 +21,7 @@ from hyperflex.cli.identify import identify
 from hyperflex.cli.look import plot, view
 from hyperflex.cli.plan.cast import cast
 from hyperflex.cli.plan.insert import insert
+from hyperflex.cli.plan.reach import reach_map
 from hyperflex.cli.plan.whip import whip
 from hyperflex.cli.play import play
 from hyperflex.cli.reproduce import reproduce
@@ -52,6 +53,7 @@ for _command, _example in (
     (cast, "cast --rope rope.toml --target -0.8 -1.0 --radius 0.04 -o planned"),
     (whip, "whip --rope rope.toml --target 0.3 -2.05 --direction 0.2 -o whipped"),
     (insert, "insert --rope rope.toml --slot 0.56 -1.9 --direction -0.78 --width 0.02 -o inserted"),
+    (reach_map, "reach-map --rope rope.toml --radius 0.04 --workers 2 -o reach"),
     (calibrate, "calibrate board.mp4 --squares 8 6 --square 0.03 --marker 0.022 --plane plane.png -o camera.toml"),
     (track, "track swing.mp4 --rope rope.toml --camera camera.toml --arc-lengths 0.2,0.4,0.6 -o markers.nc"),
     (watch, "watch --camera 0 --rope rope.toml --calibration camera.toml --arc-lengths 0.2,0.4,0.6 --page 8080"),
@@ -61,7 +63,7 @@ for _command, _example in (
     (doctor, "doctor --camera 0"),
 ):
     app.command(epilog=f"\b\nExample:\n  hyperflex {_example}")(_command)
-_COMMANDS = {each.callback.__name__ for each in app.registered_commands if each.callback is not None}
+_COMMANDS = {each.callback.__name__.replace("_", "-") for each in app.registered_commands if each.callback is not None}
 
 
 def _show_version(wanted: bool) -> None:

@@ -42,6 +42,9 @@ def identify(
     length_std: Annotated[
         float, typer.Option(help="Relative standard deviation of the lengths, which intervals hold; 0: exact.")
     ] = 0.01,
+    clock_std: Annotated[
+        float, typer.Option(help="Relative standard deviation of the times, which intervals hold; 0: exact.")
+    ] = 0.005,
     loss: Annotated[str, typer.Option(help="squares; huber or cauchy where there are outliers.")] = "squares",
     setup: Annotated[
         Path | None, typer.Option(help="TOML file of a set-up (as for simulate) whose motion and arm drive the rope.")
@@ -127,6 +130,7 @@ def identify(
             arc_lengths=places,
             origin=seen,
             length_std=length_std,
+            clock_std=clock_std,
             loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
             intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
             time_budget=time_budget,

@@ -56,6 +56,7 @@ def assemble_result(
     residuals, torque = _residuals(basis)
     known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     moves = ratio_spread(parameters, information, model=True)
+    laws = ratio_spread(parameters, basis.as_declared.information, model=True)
     covariance, by_length = information.covariances(slopes)
     message = early if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
     unit, declared = "rad" if isinstance(plant.sensor, Angles) else "m", settings["noise"] == "declared"
@@ -87,7 +88,7 @@ def assemble_result(
         ratio_model_std=moves,
         intervals=intervals or {},
         grade=_graded(
-            basis, rope, warnings, held_out, tests, scatter, settings, said, _moved(known, moves), (known, ratio_std)
+            basis, rope, warnings, held_out, tests, scatter, settings, said, _moved(known, laws), (known, ratio_std)
         ),
         score_tests=tests,
         verdict=tuple(consistent(words)),
@@ -130,7 +131,7 @@ def _graded(
         tests,
         scatter=scatter,
         noise=noise,
-        scale=_scale(basis.plant),
+        held=basis.plant.motor is None,
         identifiable=basis.information.unknown.shape[1] == 0,
         laws=law_error(basis, tests),
         hardly=_hardly(basis, ratio_spreads),
@@ -154,14 +155,6 @@ def _hardly(basis: Basis, ratios: tuple[dict[str, Array], dict[str, Array]]) -> 
         pairs = zip(ratios[0].get(name, []), ratios[1].get(name, []), strict=True)
         said += [f"{name}[{k}]" for k, (x, std) in enumerate(pairs) if np.isfinite(std) and std > HALF * abs(x)]
     return said
-
-
-def _scale(plant: Plant) -> str:
-    """Return in words what fixes the scale of masses, inertias and frictions."""
-    if plant.motor is not None:
-        return "the torque as it was given"
-    names = {name.partition("[")[0].partition(":")[0] for name in plant.parameters.names}
-    return "masses and centres of mass as they were held" if not names & {"mass", "com", "tip_mass"} else ""
 
 
 def _residuals(basis: Basis) -> tuple[Array, Array | None]:

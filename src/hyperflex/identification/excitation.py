@@ -15,6 +15,7 @@ BEYOND = 5.0  # standard deviations of the declared noise: an rms that large is 
 LARGE = 0.1  # rad, the same of link angles where no noise is declared: no camera errs so much
 SHORTEST, SPARSEST = 0.1, 1.0  # of the rope's period: what a recording lasts at least, its samples lie apart at most
 WILDEST = 8.0  # times the rate of a small swing: ten somersaults in the time of one
+APART = 30.0  # of the longest link over the shortest: one in cm makes 100, but for what links differ by
 ROUGHEST = 8.0 / 3.0  # of the ratio of variances below: samples that jump up and down in turn
 SPREAD = 17.0 / 9.0  # variance of that ratio for white noise, times the number of values
 
@@ -57,6 +58,15 @@ def check_times(recording: Recording, rope: Rope) -> None:
         )
 
 
+def unlike_lengths(rope: Rope) -> str:
+    """Return a question where the length of one link may be in another unit than that of another."""
+    longest, shortest = int(np.argmax(rope.length)), int(np.argmin(rope.length))
+    times = rope.length[longest] / rope.length[shortest]
+    if times <= APART:
+        return ""
+    return f"Link {longest} is {times:.3g} times as long as link {shortest}: are all lengths in m?"
+
+
 def check_speed(shape: Recording, rope: Rope) -> None:
     """Refuse link angles `shape` of a free swing that turn faster than gravity can make them."""
     gravity = float(np.hypot(*rope.gravity))
@@ -69,7 +79,8 @@ def check_speed(shape: Recording, rope: Rope) -> None:
             "all links turn far faster than a swing of this rope",
             got=f"{slowest:.3g} rad/s (rms) at least",
             allowed=f"at most {WILDEST * natural:.3g} rad/s; a small swing has {natural:.3g} rad/s",
-            fix="Are the angles in degrees (unit='deg'), the times in another unit, or the lengths? Does an arm move "
+            fix=unlike_lengths(rope)
+            or "Are the angles in degrees (unit='deg'), the times in another unit, or the lengths? Does an arm move "
             "the rope (motion=...)?",
         )
 

@@ -17,7 +17,7 @@ from hyperflex.identification.diagnosis.free_parameters import Trial, choose_par
 from hyperflex.identification.diagnosis.link_test import link_test
 from hyperflex.identification.diagnosis.misdeclared import DECLARED, first_misdeclared
 from hyperflex.identification.diagnosis.model_error import with_model_error
-from hyperflex.identification.diagnosis.score_tests import LENGTHS, ScoreTest, score_tests
+from hyperflex.identification.diagnosis.score_tests import SCALES, ScoreTest, score_tests
 from hyperflex.identification.diagnosis.tolerances import with_sway
 from hyperflex.identification.diagnosis.window_tests import Scatter, drift_test, scatter_test, window_scores
 from hyperflex.identification.ending import INTERRUPTED, OUT_OF_TIME
@@ -34,7 +34,7 @@ from hyperflex.identification.result import Identification
 from hyperflex.identification.rounds import rounds_shown
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information
 from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
-from hyperflex.identification.verdict import POOR, other_lengths, uneven_scale
+from hyperflex.identification.verdict import POOR, other_lengths, swapped, uneven_scale
 from hyperflex.interruption import caught, deferred, interruptible, time_limit
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
@@ -42,6 +42,7 @@ from hyperflex.recording import Recording
 from hyperflex.sensors import Markers
 
 LENGTH_STD = 0.01  # relative: what rulers and pictures measure lengths to
+CLOCK_STD = 0.005  # relative, of times: parts of IBM 06 and 16 fit to a gravity of 1.00 +- 0.01, twice that
 PATIENCE = 1800.0  # s of processor time, where no time budget is given
 
 
@@ -61,6 +62,7 @@ def identify(
     torque: npt.ArrayLike | None = None,
     torque_noise: npt.ArrayLike | None = None,
     length_std: float = LENGTH_STD,
+    clock_std: float = CLOCK_STD,
     loss: LossName = "squares",
     lead: float = 0.5,
     ahead: float = 1.0,
@@ -111,6 +113,9 @@ def identify(
         Relative standard deviation of the lengths that were declared, of one factor of all, as a ruler or the scale of
         a picture has. Standard deviations and intervals hold what it would change, as far as the motion does not tell
         the lengths themselves; 0: lengths are exact.
+    clock_std : float
+        The same of the times, of one factor of all: a clock or frame rate. What lengths and times that are off
+        together would change, no motion tells, and standard deviations hold it; 0: times are exact.
     loss : {"squares", "huber", "cauchy"}
         ``huber`` and ``cauchy`` are robust; ``cauchy`` also against gross outliers.
     lead, ahead : float, s
@@ -162,6 +167,7 @@ def identify(
     if window is not None:
         checks.number("window", window, sign="positive", infinite=True)
     checks.number("length_std", length_std, sign="nonnegative")
+    checks.number("clock_std", clock_std, sign="nonnegative")
     refuse_half_a_drive(motion, arm, torque)
     measured, places = checked_measurements(recording, rope_guess, arc_lengths, origin, motion, arm)
     fitted, rest = split(measured, train, lead, ahead)
@@ -181,6 +187,7 @@ def identify(
             arm=arm,
             torque=torque is not None,
             length_std=length_std,
+            clock_std=clock_std,
             window=window,
             loss=Loss(loss),
             lead=lead,
@@ -213,6 +220,7 @@ class _Problem:
     arm: Arm | None
     torque: bool
     length_std: float
+    clock_std: float
     window: float | None
     loss: Loss
     lead: float
@@ -264,17 +272,20 @@ class _Problem:
         basis, tests, found = trial.basis, trial.tests, trial.basis.fit
         scatter: tuple[Scatter, ...] = ()
         if tests:
-            basis = with_model_error(trial.basis, tests, self.length_std)  # what stands if the next test is interrupted
+            basis = self._with_model_error(trial, tests)  # what stands if the next test is interrupted
         with caught() as stop:
             if found.converged and not found.interrupted:
                 tests = (*tests, *link_test(trial.basis))
-                basis = with_model_error(trial.basis, tests, self.length_std)
+                basis = self._with_model_error(trial, tests)
                 scatter, covariance = scatter_test(trial.basis, trial.scores)
                 if scatter:
-                    basis = with_model_error(trial.basis, tests, self.length_std, covariance)
+                    basis = self._with_model_error(trial, tests, covariance)
             tests = with_sway(basis, tests)
         found.interrupted = found.interrupted or stop.met
         return trial._replace(basis=basis, tests=tests, scatter=scatter)
+
+    def _with_model_error(self, trial: Trial, tests: Sequence[ScoreTest], scatter: Array | None = None) -> Basis:
+        return with_model_error(trial.basis, tests, self.length_std, self.clock_std, scatter)
 
     def complete(self, trial: Trial, intervals: How | None, remark: str, began: float) -> Identification:
         """Return a fit as a result, with intervals, predictions of what was held out, and a grade."""
@@ -292,8 +303,9 @@ class _Problem:
         settings = trial.settings | {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
         settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
         settings |= _fit_settings(basis.plant, trial.free, self.loss.name, self.origin)
-        tested = any(each.name == LENGTHS for each in tests)
+        tested = any(each.name == SCALES for each in tests)
         settings["length_std"] = self.length_std if tested else 0.0  # else nothing counts the lengths
+        settings["clock_std"] = self.clock_std if tested else 0.0
         settings["noise"] = "not declared" if self.recording.noise is None else "declared"
         with caught() as stop:
             with deferred():
@@ -309,16 +321,17 @@ class _Problem:
         """Return a result with what looks wrong in what was declared of the recording, as far as short fits tell."""
         short = ShortFit(self.guess, trial.free, self.arc_lengths, self.origin, self.motion, self.arm, self.loss)
         if result.grade.name != "do not use":
-            result = result.with_suspicion(scaled_angles(self.recording, short))
+            result = result.with_reason(scaled_angles(self.recording, short))
         first = first_misdeclared(trial.tests)
         wrong = result.grade.doubtful or suspicious(self.fitted.shape)
         if wrong or any(each.suspected and each.name in DECLARED for each in trial.tests):
-            said = explained(self.recording, self.origin, short, named="" if first is None else first.name)
-            result = result.with_reason(said) if wrong else result.with_suspicion(said)
+            named = "" if first is None else first.name
+            result = result.with_reason(explained(self.recording, self.origin, short, named=named))
         if self.arc_lengths is not None:
             return result
         result = result.with_suspicion(other_lengths(self.recording, self.guess))
-        return result.with_reason(uneven_scale(self.recording))
+        result = result.with_reason(uneven_scale(self.recording))
+        return result.with_reason(swapped(self.recording, self.guess))
 
     @property
     def _early(self) -> str:

@@ -169,11 +169,11 @@ class Identification(Ended):
         return self._graded("do not use", reason)
 
     def with_suspicion(self, reason: str) -> "Identification":
-        """Return the same grade with one more `reason`, which comes first; unchanged without any."""
-        return self._graded(self.grade.name, reason)
+        """Return the same grade with one more `reason`: the first, or last of "do not use"; unchanged without any."""
+        return self._graded(self.grade.name, reason, last=self.grade.name == "do not use")
 
-    def _graded(self, name: GradeName, reason: str) -> "Identification":
-        reasons = (reason, *self.grade.reasons)
+    def _graded(self, name: GradeName, reason: str, *, last: bool = False) -> "Identification":
+        reasons = (*self.grade.reasons, reason) if last else (reason, *self.grade.reasons)
         return self._changed(grade=self.grade._replace(name=name, reasons=reasons)) if reason else self
 
     def with_remark(self, remark: str, *, last: bool = False) -> "Identification":

@@ -32,6 +32,7 @@ FIRST_MOMENT = (
 )
 OUTLYING = 6.0  # times the median deviation: a distance that a lost marker makes
 UNEVEN = 0.03  # relative difference of two scales; as the distances of markers
+SWAPPED = 0.2  # logarithm of a distance over a length: far beyond UNEVEN, and less than swaps of links of a rope make
 BEYOND, MANY = 5.0, 20  # standard errors, and distances at least
 LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a link
 
@@ -123,6 +124,28 @@ def other_lengths(recording: Recording, rope: Rope) -> str:
         return ""
     lengths = ", ".join(f"{seen:.4g} for {given:.4g}" for seen, given in zip(measured, rope.length, strict=True))
     return f"the markers lie {lengths} m apart: check their scale, or the link lengths. The angles do not show it."
+
+
+def swapped(recording: Recording, rope: Rope) -> str:
+    """Return that neighbouring markers are swapped in a part of the frames: there the lengths fit the other order."""
+    if recording.kind != "markers" or rope.n_links < 2:
+        return ""
+    places = recording.data.reshape(recording.t.size, -1, 2)
+
+    def off(order: Array) -> Array:
+        apart = np.hypot(*np.diff(places[:, order], axis=1).T).T
+        return np.asarray(np.abs(np.log(np.maximum(apart, 1e-12) / rope.length)).max(axis=1))
+
+    usual = np.arange(rope.n_links + 1)
+    fits = off(usual)
+    for k in range(rope.n_links):
+        order = usual.copy()
+        order[[k, k + 1]] = order[[k + 1, k]]
+        there = (fits > SWAPPED) & (off(order) < UNEVEN)
+        if there.sum() >= MANY:
+            begin, end = recording.t[there][[0, -1]]
+            return f"markers {k} and {k + 1} are swapped from t = {begin:.4g} to {end:.4g} s: swap them back there."
+    return ""
 
 
 def uneven_scale(recording: Recording) -> str:

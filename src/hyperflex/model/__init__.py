@@ -6,7 +6,16 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.model.arm import Arm
-    from hyperflex.model.obstacles import Ground, Obstacle, Peg, Wall, checked_obstacles, round_places
+    from hyperflex.model.obstacles import (
+        Ground,
+        Obstacle,
+        Peg,
+        Wall,
+        checked_obstacles,
+        obstacle_tables,
+        obstacles_of,
+        round_places,
+    )
     from hyperflex.model.properties import (
         DAMPING,
         FREE_PROPERTIES,

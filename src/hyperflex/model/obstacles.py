@@ -152,13 +152,13 @@ Obstacle = Peg | Wall | Ground
 KINDS: dict[str, type[Obstacle]] = {"pegs": Peg, "walls": Wall, "grounds": Ground}  # by table of a TOML file
 
 
-def checked_obstacles(pegs: object) -> tuple[Obstacle, ...]:
-    """Return the obstacles of a sequence as a tuple; InvalidInput if they are something else."""
+def checked_obstacles(pegs: object, name: str = "pegs") -> tuple[Obstacle, ...]:
+    """Return the obstacles of a sequence as a tuple; InvalidInput, with its `name`, if they are something else."""
     given = tuple(pegs) if isinstance(pegs, Iterable) else (None,)
     for peg in given:
         if not isinstance(peg, Obstacle):
             got = pegs if peg is None else peg
-            raise InvalidInput("pegs holds something else", got=got, allowed="a sequence of Peg, Wall, Ground")
+            raise InvalidInput(f"{name} holds something else", got=got, allowed="a sequence of Peg, Wall, Ground")
     return given
 
 
@@ -201,7 +201,7 @@ def round_places(obstacles: Sequence[Obstacle]) -> list[int]:
     return [sum(sizes[:k]) for k, each in enumerate(obstacles) if isinstance(each, Peg)]
 
 
-def tables(obstacles: Sequence[Obstacle]) -> dict[str, Any]:
+def obstacle_tables(obstacles: Sequence[Obstacle]) -> dict[str, Any]:
     """Return the tables of a TOML file: arrays with one entry an obstacle; a fixed peg's inertia is inf."""
     named = {}
     for name, kind in KINDS.items():

@@ -16,7 +16,7 @@ from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model.arm import Arm
 from hyperflex.model.keys import check_tables
-from hyperflex.model.obstacles import KINDS, Obstacle, Peg, checked_obstacles, obstacles_of, packed, tables
+from hyperflex.model.obstacles import KINDS, Obstacle, Peg, checked_obstacles, obstacle_tables, obstacles_of, packed
 from hyperflex.model.rope import Rope
 from hyperflex.motion import Motion, from_spec, hold_arm, to_spec
 
@@ -222,7 +222,7 @@ class Setup:
             content["arm"] = self.arm.table()
         if self.touches:
             content |= {"contact_step": self.contact_step, "tip_force": list(self.tip_force)}
-            content |= tables(self.pegs)
+            content |= obstacle_tables(self.pegs)
         for name, motion in (("motion", self.motion), ("torque", self.torque)):
             if motion is not None:
                 content[name] = to_spec(motion)

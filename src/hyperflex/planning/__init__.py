@@ -49,5 +49,6 @@ if TYPE_CHECKING:
     from hyperflex.planning.wind.casting import plan_cast
     from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
     from hyperflex.planning.wind.many import plan_casts
+    from hyperflex.planning.wind.reach_map import NOT_PLANNED, ReachMap, build_reach_map, read_reach_map
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -10,7 +10,8 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Rope, divided
+from hyperflex.model import Arm, Obstacle, Rope, checked_obstacles, divided
+from hyperflex.planning.clearance import named, obstacle_gaps
 
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
 MIN_LINKS, MIN_TIME = 4, 0.1  # links, s
@@ -99,6 +100,8 @@ class CastSetup:
         Least angle of a peg that a wound rope covers, rad, >= 0.
     side : {-1, 0, 1}
         Side on which the arm stands at first, left or right; 0 lets the planner choose.
+    obstacles : sequence of Peg, Wall, Ground
+        That the rope must not touch: it keeps `clearance` from them in verified runs. The arm must not reach them.
     q0, qd0 : (n,) tuples of float
         Link angles, rad, and rates, rad/s, of a rope that swings at first; then `side` is -1 or 1. Empty: it hangs.
 
@@ -106,7 +109,7 @@ class CastSetup:
     ------
     InvalidInput
         If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, the time is too short or
-        too long, clearance or contact is below 0, or side or start are not as above.
+        too long, clearance or contact is below 0, the arm reaches an obstacle, or side or start are not as above.
     """
 
     rope: Rope
@@ -116,6 +119,7 @@ class CastSetup:
     clearance: float = 0.0
     contact: float = 0.0
     side: int = 0
+    obstacles: tuple[Obstacle, ...] = ()
     q0: tuple[float, ...] = ()
     qd0: tuple[float, ...] = ()
 
@@ -143,7 +147,18 @@ class CastSetup:
             object.__setattr__(self, "clearance", clearance)
         contact = checks.number("contact", self.contact, sign="nonnegative", unit="rad")
         object.__setattr__(self, "contact", contact)
+        object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles, "obstacles"))
+        self._check_obstacles()
         self._check_start()
+
+    def _check_obstacles(self) -> None:
+        """Refuse what the turning arm would hit."""
+        pivot: Array = np.array([self.arm.pivot])
+        for each in self.obstacles:
+            room = float(obstacle_gaps((each,), pivot, pivot)[0, 0]) - self.arm.length - self.arm.radius
+            if room <= 0.0:
+                what = f"the turning arm hits {named(each)}"
+                raise InvalidInput(what, got=f"{-room:.3g} m too near the shaft", fix="Move it, or give a shorter arm")
 
     def _check_start(self) -> None:
         if self.side not in (-1, 0, 1) or (self.q0 and not self.side):

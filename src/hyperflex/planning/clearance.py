@@ -1,4 +1,4 @@
-"""Clearance of a rope from the arm that throws it (the motor's shaft, and the arm from there to its tip), and walls."""
+"""Clearance of a rope from the arm that throws it (the motor's shaft, and the arm up to its tip), and obstacles."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.model import Arm, Rope, Wall
+from hyperflex.model import Arm, Obstacle, Peg, Rope, Wall
 from hyperflex.trajectory import Trajectory, interpolated
 
 FINE = 4e-4  # m, that a link moves at most between two looks
@@ -18,11 +18,11 @@ RADII, LENGTHS = 8.0, 0.3
 
 
 class Clearance(NamedTuple):
-    """Least distance of a rope from its own arm or walls: `value`, m, < 0 where it goes through; when, s; from what."""
+    """Least distance of a rope from arm or obstacles: `value`, m, < 0 where it goes through; when, s; from what."""
 
     value: float
     t: float
-    what: str  # "shaft", "arm" or "wall"
+    what: str  # "the motor's shaft", "the arm", or an obstacle as :func:`named` names it
 
 
 def rope_clearance(run: Trajectory) -> Clearance:
@@ -40,32 +40,47 @@ def rope_clearance(run: Trajectory) -> Clearance:
     """
     arm, rope = run.setup.arm, run.setup.rope
     if arm is None:
-        return Clearance(np.inf, float(run.t[0]), "arm")
+        return Clearance(np.inf, float(run.t[0]), "the arm")
     speed = _speeds(run, run.arm_rate, np.array(arm.pivot))
     value, t, what = least_gap(run, lambda q, base, links: _gaps(rope, arm, q, base, links), speed)
-    return Clearance(value, t, ("shaft", "arm")[what])
+    return Clearance(value, t, ("the motor's shaft", "the arm")[what])
 
 
-def wall_clearance(run: Trajectory, walls: Sequence[Wall], until: float) -> Clearance:
-    """Find how near a rope comes to thin walls in a run until a time, s; see :func:`rope_clearance`."""
+def obstacle_clearance(run: Trajectory, obstacles: Sequence[Obstacle], until: float = np.inf) -> Clearance:
+    """Find how near a rope comes to obstacles in a run until a time, s; see :func:`rope_clearance`."""
     rope = run.setup.rope
 
     def gaps(q: Array, base: Array, links: npt.NDArray[np.int64]) -> Array:
-        return _wall_gaps(walls, *_links(rope, q, base, links))
+        return obstacle_gaps(obstacles, *_links(rope, q, base, links))
 
-    value, t, _ = least_gap(run, gaps, _speeds(run, np.zeros(run.t.size), np.zeros(2)), until)
-    return Clearance(value, t, "wall")
-
-
-def sampled_wall_gap(walls: Sequence[Wall], joints: Array) -> float:
-    """Least distance, m, of a rope's axis from thin walls at samples alone, by its joints (T, n + 1, 2), m."""
-    return float(_wall_gaps(walls, joints[:, :-1], joints[:, 1:]).min())
+    value, t, which = least_gap(run, gaps, _speeds(run, np.zeros(run.t.size), np.zeros(2)), until)
+    return Clearance(value, t, named(obstacles[which]))
 
 
-def _wall_gaps(walls: Sequence[Wall], begin: Array, end: Array) -> Array:
-    """Distances (T, w, k), m, of links from `begin` to `end` (T, k, 2) from w walls."""
-    ends = np.array([[(wall.x, wall.y), (wall.x2, wall.y2)] for wall in walls])
-    return _segment_distance(begin[:, None], end[:, None], ends[:, None, 0], ends[:, None, 1])
+def sampled_obstacle_gaps(rope: Rope, obstacles: Sequence[Obstacle], q: Array, base: Array) -> Array:
+    """Distance (...), m, of a rope from obstacles at samples alone; link angles q (..., n), rad, `base` (..., 2), m."""
+    begin, end = _links(rope, q, base, np.arange(rope.n_links))
+    return np.asarray(obstacle_gaps(obstacles, begin, end).min(axis=(-2, -1))) - rope.radius
+
+
+def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Array:
+    """Distances (..., w, k), m, of the axes of links from `begin` to `end` (..., k, 2) from w obstacles."""
+    return np.stack([_obstacle_gap(each, begin, end) for each in obstacles], axis=-2)
+
+
+def _obstacle_gap(each: Obstacle, begin: Array, end: Array) -> Array:
+    place: Array = np.array([each.x, each.y])
+    if isinstance(each, Peg):
+        return _distance(place, begin, end) - each.radius
+    if isinstance(each, Wall):
+        return _segment_distance(begin, end, place, np.array([each.x2, each.y2]))
+    out: Array = np.array([each.nx, each.ny]) / np.hypot(each.nx, each.ny)
+    return np.asarray(np.minimum((begin - place) @ out, (end - place) @ out))
+
+
+def named(obstacle: Obstacle) -> str:
+    """Return an obstacle in words, by its kind and place."""
+    return f"the {type(obstacle).__name__.lower()} at ({obstacle.x:.4g}, {obstacle.y:.4g}) m"
 
 
 def least_gap(
@@ -138,11 +153,11 @@ def _gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: npt.NDArray[np.int6
 
 
 def _links(rope: Rope, q: Array, base: Array, links: npt.NDArray[np.int64]) -> tuple[Array, Array]:
-    """Begin and end (T, k, 2), m, of k `links` of a rope whose first joint is at `base` (T, 2), m."""
-    length = rope.length[: q.shape[1]]
+    """Begin and end (..., k, 2), m, of k `links` of a rope whose first joint is at `base` (..., 2), m."""
+    length = rope.length[: q.shape[-1]]
     ways = np.stack([length * np.sin(q), -length * np.cos(q)], axis=-1)
-    end = (base[:, None] + np.cumsum(ways, axis=1))[:, links]
-    return end - ways[:, links], end
+    end = (base[..., None, :] + np.cumsum(ways, axis=-2))[..., links, :]
+    return end - ways[..., links, :], end
 
 
 def _segment_distance(begin: Array, end: Array, first: Array, last: Array) -> Array:

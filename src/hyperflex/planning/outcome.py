@@ -12,8 +12,14 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import rope_clearance
-from hyperflex.planning.verification import folded_flat, greatest_bend, motor_torques, refusal, verified_setup
+from hyperflex.planning.verification import (
+    clearances,
+    folded_flat,
+    greatest_bend,
+    motor_torques,
+    refusal,
+    verified_setup,
+)
 from hyperflex.simulation import Deadline, simulate
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
@@ -57,8 +63,8 @@ class CastOutcome:
     folded : bool
         Whether a joint reached its limit: the rope was folded flat, and what it does then is left to chance.
     clearance : float
-        Least distance between the rope and its own arm or the motor's shaft, m; below 0 the rope goes through, and
-        fails. See :func:`hyperflex.planning.clearance.rope_clearance`.
+        Least distance between the rope and its own arm, the motor's shaft or an obstacle, m; below 0 the rope goes
+        through, and fails. See :func:`hyperflex.planning.clearance.rope_clearance`.
     torque, torque_peak : float
         Greatest motor torque as a mean over 5 ms, which the motor's limit is for, and its greatest peak, as a mean over
         0.5 ms: when the rope strikes the peg, say. N m.
@@ -156,7 +162,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
     held = on and slip < MAX_SLIP
     touched = np.isfinite(wound.before)
     torque, torque_peak = motor_torques(run)
-    max_bend, clearance = greatest_bend(run), rope_clearance(run)
+    max_bend, near = greatest_bend(run), clearances(cast_setup, run)
     covered = float(wound.contact[watched].min())
     message = ""
     if not touched.any():
@@ -168,7 +174,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         message = (
             "the rope leaves the peg" if not on else f"it slips by {1e3 * slip:.1f} mm, {1e3 * MAX_SLIP:g} allowed"
         )
-    elif refused := refusal(cast_setup, max_bend, clearance):
+    elif refused := refusal(cast_setup, max_bend, near):
         message = refused
     elif covered < cast_setup.contact:
         asked = f"{np.degrees(cast_setup.contact):.0f} are asked"
@@ -186,7 +192,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         contact_angle=covered,
         max_bend=max_bend,
         folded=folded_flat(run),
-        clearance=clearance.value,
+        clearance=min(each.value for each in near),
         torque=torque,
         torque_peak=torque_peak,
         message=message,

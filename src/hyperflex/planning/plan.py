@@ -13,7 +13,7 @@ import numpy as np
 
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
-from hyperflex.model import PLAN, Rope, Setup
+from hyperflex.model import PLAN, Rope, Setup, obstacle_tables, obstacles_of
 from hyperflex.motion import MOVES, Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.throw import Moves
@@ -77,7 +77,7 @@ class Plan(ABC):
 
     @property
     def clearance(self) -> float:
-        """Least distance between the rope and its own arm or the motor's shaft in the verified runs, m; NaN without."""
+        """Least distance between rope and own arm, shaft or obstacles in the verified runs, m; NaN without."""
         found = [each.clearance for each in (self.outcome, self.finer_outcome) if each is not None]
         return float(min((value for value in found if not math.isnan(value)), default=math.nan))
 
@@ -198,6 +198,8 @@ def to_table(value: Any) -> Any:
     if not is_dataclass(value):
         return value
     parts = {field.name: getattr(value, field.name) for field in fields(value)}
+    if "obstacles" in parts:
+        parts["obstacles"] = obstacle_tables(parts["obstacles"])
     return {name: to_table(part) for name, part in parts.items() if not (part is None or isinstance(part, Trajectory))}
 
 
@@ -206,6 +208,8 @@ def from_table(kind: type[T], table: Mapping[str, Any]) -> T:
     if kind is Rope:
         return Rope.from_table(table)  # type: ignore[return-value]
     hints = get_type_hints(kind)
+    if "obstacles" in hints:
+        table = {**table, "obstacles": obstacles_of(table.get("obstacles", {}))}
     return kind(**{name: _from_value(hints.get(name), value) for name, value in table.items()})
 
 

@@ -1,5 +1,6 @@
 """The set-up of a verified run: links refined near pegs, joints bent no further than the rope's thickness lets them."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, Wall, refine_rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import Clearance
+from hyperflex.planning.clearance import Clearance, obstacle_clearance, rope_clearance
 from hyperflex.trajectory import Trajectory
 
 FOLD = 1e-3  # rad past half a turn, above which a rope has folded through itself: a limit may be passed by less
@@ -38,10 +39,15 @@ def verified_setup(
     tol: float = DEFAULT_TOL,
     contact_step: float = DEFAULT_CONTACT_STEP,
 ) -> Setup:
-    """Return what is simulated to verify a motion of `duration`, s, from rest; `tol` in m and `contact_step` in s."""
+    """Return what is simulated to verify a motion of `duration`, s, from rest; `tol` in m and `contact_step` in s.
+
+    Links are refined near `pegs`. The set-up's obstacles, which are not to be touched, are there as well.
+    """
     rope = limit_bend(refine_rope(cast_setup.rope, pegs, arm=cast_setup.arm))
     arm = cast_setup.arm
-    setup = Setup(rope, motion, arm, duration=duration, tol=tol, pegs=pegs, contact_step=contact_step)
+    setup = Setup(
+        rope, motion, arm, duration=duration, tol=tol, pegs=(*pegs, *cast_setup.obstacles), contact_step=contact_step
+    )
     if not cast_setup.q0:
         return setup
     q0, qd0 = cast_setup.start_on(rope)
@@ -82,14 +88,24 @@ def motor_torques(run: Trajectory) -> tuple[float, float]:
     return mean, max(float(peak), mean)
 
 
-def refusal(cast_setup: CastSetup, max_bend: float, clearance: Clearance) -> str:
-    """Return why a run is refused whatever its goal: the rope goes through itself, or too near its own arm; or ""."""
+def clearances(cast_setup: CastSetup, run: Trajectory) -> tuple[Clearance, ...]:
+    """Return how near the rope of a run comes to its own arm, and to the obstacles where there are some."""
+    some = cast_setup.obstacles
+    return (rope_clearance(run), *((obstacle_clearance(run, some),) if some else ()))
+
+
+def refusal(cast_setup: CastSetup, max_bend: float, near: Sequence[Clearance]) -> str:
+    """Return why a run is refused whatever its goal; "" if it is not.
+
+    The rope goes through itself, or too near its own arm or an obstacle, as :func:`clearances` tells.
+    """
     if max_bend > np.pi + FOLD:
         return f"the rope folds through itself, by {np.degrees(max_bend):.0f} degrees at a joint"
-    name, when = {"shaft": "the motor's shaft", "arm": "the arm"}[clearance.what], f"at {clearance.t:.2f} s"
-    if clearance.value > cast_setup.clearance:
-        return ""
-    if clearance.value <= 0.0:
-        return f"the rope goes through {name} {when}"
-    near, asked = 1e3 * clearance.value, 1e3 * cast_setup.clearance
-    return f"the rope comes within {near:.1f} mm of {name} {when}, and {asked:g} mm are asked"
+    limits = ((cast_setup.clearance, "goes through"), (max(cast_setup.clearance, 0.0), "touches"))
+    for each, (asked, words) in zip(near, limits, strict=False):
+        where = f"{each.what} at {each.t:.2f} s"
+        if each.value <= min(asked, 0.0):
+            return f"the rope {words} {where}"
+        if each.value <= asked:
+            return f"the rope comes within {1e3 * each.value:.1f} mm of {where}, and {1e3 * asked:g} mm are asked"
+    return ""

@@ -190,7 +190,8 @@ def clearance_tiles(plan: Plan) -> list[tuple[str, str]]:
     if math.isnan(plan.clearance):
         return []
     asked = 1e3 * max(plan.cast_setup.clearance, 0.0)
-    told = f"clearance: least distance of the rope from arm and shaft; {asked:g} mm are needed"
+    beside = ", obstacles" if plan.cast_setup.obstacles else ""
+    told = f"clearance: least distance of the rope from arm{beside} and shaft; {asked:g} mm are needed"
     return [(f"{1e3 * plan.clearance:.1f} mm", told)]
 
 

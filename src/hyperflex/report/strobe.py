@@ -59,7 +59,7 @@ def strobe_figure(
         axis.set_axis_off()
         _draw_ropes(axis, drawn.joints, trail)
         for obstacle in run.setup.pegs:
-            _draw_obstacle(axis, obstacle, 10.0 * float(np.ptp([low, high], axis=0).max()))
+            draw_obstacle(axis, obstacle, 10.0 * float(np.ptp([low, high], axis=0).max()))
         axis.plot(*targets.T, "o", ms=15.0, mfc="none", mec=PEG, mew=1.8, zorder=7)
         _draw_arm(axis, drawn, run.setup.arm is not None)
         _draw_scale(axis, low, high)
@@ -103,7 +103,8 @@ def _draw_arm(axis: Any, drawn: Shapes, with_arm: bool) -> None:
     axis.plot(*pivots[-1], "o", color="white", ms=5.5, mec=NIGHT, mew=1.2, zorder=6)
 
 
-def _draw_obstacle(axis: Any, obstacle: Peg | Wall | Ground, far: float) -> None:
+def draw_obstacle(axis: Any, obstacle: Peg | Wall | Ground, far: float) -> None:
+    """Draw an obstacle; of a ground the part within `far`, m, of its point."""
     from matplotlib.patches import Circle, Polygon
 
     if isinstance(obstacle, Peg):

@@ -63,7 +63,8 @@ def cast(
 ) -> None:
     """Plan how the arm casts its rope round a peg, winds it and holds.
 
-    The target is given by options, or as the only [pegs] of the set-up file.
+    The target is given by options, or as the first of [pegs] in the set-up file. All other pegs, [walls] and [grounds]
+    there are obstacles, which the rope must not touch.
 
     A rope is wound with 1.25 turns or more, counted from the arm's tip to its end, and holds if it slips by less than
     5 mm in 2 s. How much of the target it covers is told beside the turns; where the rope is long enough, the search
@@ -90,16 +91,18 @@ def cast(
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
     uncertainty = Uncertainty.from_rope_file(rope or setup or Path()) if robust else None
+    peg, first = planner.peg_of(task, target, radius, mu), planner.first_peg(task)
     plan = output.partial_of(
         lambda: plan_cast(
             task.rope,
             task.arm,
-            planner.peg_of(task, target, radius, mu),
+            peg,
             task.limits,
             time_limit=time_limit,
             holding_force=holding_force,
             contact=contact,
             clearance=clearance,
+            obstacles=[each for each in task.obstacles if each is not first],
             uncertainty=uncertainty,
             time_budget=time_budget,
             skip_feasibility=skip_feasibility,

@@ -61,7 +61,8 @@ Acceleration = Annotated[
 ]
 Torque = Annotated[float | None, typer.Option(help="Greatest torque, N m. [default: not limited]")]
 Clearance = Annotated[
-    float, typer.Option(help="Least distance of the rope from its own arm and the motor's shaft, m; -inf: none.")
+    float,
+    typer.Option(help="Least distance of the rope from arm, shaft and obstacles, m; -inf: none from arm and shaft."),
 ]
 SkipFeasibility = Annotated[
     bool, typer.Option("--skip-feasibility", help="Search even for a target that is called out of reach.")
@@ -135,7 +136,7 @@ def _of_plan(path: Path) -> dict[str, Any]:
 
     plan = read_plan(path)
     known = plan.cast_setup
-    pegs = (plan.target,) if isinstance(plan, CastPlan) else ()
+    pegs = (plan.target, *known.obstacles) if isinstance(plan, CastPlan) else ()
     setup = Setup(known.rope, None, known.arm, pegs=pegs)
     tables: dict[str, Any] = tomllib.loads(setup.dumps())
     tables["limits"] = {field.name: getattr(known.limits, field.name) for field in fields(known.limits)}
@@ -170,21 +171,22 @@ def asked(
     return found
 
 
-def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, mu: float | None) -> Peg:
-    """Return the target of a cast: the set-up's only obstacle, or a peg as the options say."""
+def first_peg(task: Task) -> Peg | None:
+    """Return the first peg of a set-up, the target of its casts; None without."""
     from hyperflex.model import Peg
 
-    pegs = [each for each in task.obstacles if isinstance(each, Peg)]
-    if len(pegs) > 1 or len(pegs) < len(task.obstacles):
-        raise InvalidInput(
-            "the set-up holds more than a target",
-            got=f"{len(pegs)} pegs, {len(task.obstacles) - len(pegs)} other obstacles",
-            allowed="one peg: casts know no other obstacle",
-        )
+    return next((each for each in task.obstacles if isinstance(each, Peg)), None)
+
+
+def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, mu: float | None) -> Peg:
+    """Return the target of a cast: the set-up's first peg, or a peg as the options say."""
+    from hyperflex.model import Peg
+
+    first = first_peg(task)
     given = {"radius": radius, "mu": mu} | dict(zip("xy", place or (None, None), strict=True))
     named = {name: value for name, value in given.items() if value is not None}
-    if pegs:
-        return replace(pegs[0], **named)
+    if first is not None:
+        return replace(first, **named)
     missing = [option for option, value in (("--target", place), ("--radius", radius)) if value is None]
     if missing:
         are, them = ("is", "it") if len(missing) == 1 else ("are", "them")

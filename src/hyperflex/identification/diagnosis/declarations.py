@@ -1,6 +1,6 @@
 """Usual slips in what was declared of a recording, each tried by a short fit."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.stages import HARDLY, Measurements
+from hyperflex.identification.fit.stages import HARDLY, Measurements, search_delay, with_delay
 from hyperflex.identification.fit.windows import decimation_step, part_left, usual_length, with_enough_frames
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.model.plant import Plant
@@ -26,7 +26,7 @@ FITS = 0.05  # part of the motion: right slips leave 0.0015 to 0.008
 SHORTER, WINDOWS, ROUNDS = 4.0, 6, 12  # of a short fit: its first windows, how many, and rounds at most, for some 0.1 s
 SMALL, LARGE = 0.06, 2.0  # rad: half a turn read as degrees, and degrees read as radians that are hardly a swing
 TURNS = 0.7  # rad: six turns read as degrees, the farthest that a free double pendulum was seen to wind up (IBM 16)
-GAIN, LEAST_GAIN = 0.3, 0.005  # logarithms of factors of angles: tried, and told
+GAIN, LEAST_GAIN = 0.3, 0.005  # logarithms of factors of angles, or of the arm's length: tried, and told
 AS_GOOD = 1.1  # times the residual of another explanation: one that leaves no more explains as well
 RIGHT_ANGLE = 10.0  # degrees by which a gravity may miss one that was turned by 90
 ZERO = 0.09  # rad, 5 degrees: between what is no slip and the 10 degrees that were tried
@@ -127,6 +127,8 @@ class ShortFit:
 
     def _left(self, plant: Plant, measured: Measurements) -> tuple[float, Array]:
         usual = with_enough_frames(usual_length(measured.shape, self.rope), measured.shape)
+        if "delay" in plant.parameters.names:
+            plant = with_delay(plant, search_delay(plant, measured, usual, self.loss))
         x, fitted = plant.parameters.start, None
         for length in (usual / SHORTER, usual):
             windows, _ = measured.windows(length, decimation_step(measured.channels, length))
@@ -150,23 +152,30 @@ def scaled_angles(recording: Recording, left: ShortFit) -> str:
     words = [word for word in left.free if word.partition("[")[0].partition(":")[0] != "stiffness"]
     if recording.kind != "angles" or len(words) == len(left.free) or left.rope.stiffness.any():
         return ""
-    from scipy.optimize import minimize_scalar
-
     plain = replace(left, free=words)
 
-    def part(log: float) -> float:
-        factor = float(np.exp(log))
+    def part(factor: float) -> float:
         noise = None if recording.noise is None else recording.noise * factor
         return plain(replace(recording, data=recording.data * factor, noise=noise, rates=None))[0]
 
-    found = minimize_scalar(part, bounds=(-GAIN, GAIN), method="bounded", options={"xatol": 2e-3, "maxiter": 12})
-    factor, least = float(np.exp(found.x)), float(found.fun)
-    if abs(found.x) < LEAST_GAIN or least > AS_GOOD * left(recording)[0]:
+    least, factor = _best_factor(part)
+    if abs(np.log(factor)) < LEAST_GAIN or least > AS_GOOD * left(recording)[0]:
         return ""
     return (
         f"stiffness was freed, but angles multiplied by {factor:.3g} explain the recording as well without any: check "
         "what an angle of the sensor is in radians, or name what is free."
     )
+
+
+def _best_factor(part: Callable[[float], float]) -> tuple[float, float]:
+    """Return the least part of the motion that a factor leaves, and that factor."""
+    from scipy.optimize import minimize_scalar
+
+    def by_log(log: float) -> float:
+        return part(float(np.exp(log)))
+
+    found = minimize_scalar(by_log, bounds=(-GAIN, GAIN), method="bounded", options={"xatol": 2e-3, "maxiter": 12})
+    return float(found.fun), float(np.exp(found.x))
 
 
 def explained(recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit, *, named: str) -> str:
@@ -183,6 +192,7 @@ def explained(recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit,
     if named.partition(":")[0] in FREE_PROPERTIES and named not in SKEWED:
         most = min(most, left(recording, (named,))[0])
     tried = [(left(other)[0], words) for words, other in (*slips(recording, pivot), *_rescaled(recording, left))]
+    tried += _driven(recording, left)
     least, words = min(tried, default=(np.inf, ""))
     if named in SKEWED:
         most = min(most, skewed)
@@ -218,6 +228,20 @@ def _zeros(recording: Recording, left: ShortFit, declared: float) -> Iterator[tu
         if 0.0 < bend < np.inf:
             zero = 0.5 * ZERO * (below - above) / bend
             yield moved(k, zero), f"the zero of link {k} is off by {np.degrees(zero):.3g} degrees"
+
+
+def _driven(recording: Recording, left: ShortFit) -> Iterator[tuple[float, str]]:
+    """Yield what a short fit leaves with another length of the arm, and with stamps that come late, in words."""
+    if left.motion is None or left.arm is None:
+        return
+    arm = left.arm
+    part, factor = _best_factor(
+        lambda factor: replace(left, arm=replace(arm, length=factor * arm.length))(recording)[0]
+    )
+    yield part, f"the arm were {factor * arm.length:.3g} m long"
+    if "delay" not in left.free:
+        part, (delay,) = left(recording, ("delay",))
+        yield part, f"the motion were {delay:.3g} s late in the recording's time (put 'delay' into free)"
 
 
 def _rescaled(recording: Recording, left: ShortFit) -> Iterator[Slip]:

@@ -9,6 +9,7 @@ from hyperflex.identification.diagnosis.link_test import LINKS
 from hyperflex.identification.diagnosis.misdeclared import misdeclared, percent, slightly, undetectable, untested
 from hyperflex.identification.diagnosis.score_tests import EXPLAINS, MOVES, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import Scatter
+from hyperflex.identification.excitation import unlike_lengths
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.model import Rope
@@ -23,6 +24,14 @@ NAMED = 4  # labels of what is hardly known that are named, for a line
 LIKELY = 0.5  # probability: more likely than not
 LEFT_OUT = 0.2  # part of the windows: one in five
 REACH = 2.0  # lengths of a link, to which its mass may reach; 1 is the most without counterweights (Cauchy-Schwarz)
+HELD = (
+    "masses, inertias and frictions are in proportion to masses and centres of mass as they were held, which no motion "
+    "tests{}: use ratios alone, or weigh the links and find where each balances."
+)
+COMMON = (
+    "masses, inertias and frictions share a factor that no free swing tells: use ratios alone, or weigh the links and "
+    "leave 'mass' and 'com' out of free."
+)
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
 
 
@@ -32,7 +41,8 @@ class Grade(NamedTuple):
     Attributes
     ----------
     name : str
-        ``usable``, ``usable for ratios`` (masses, inertias and frictions share an unknown factor), ``do not use``.
+        ``usable``, ``usable for ratios`` (masses, inertias and frictions share a factor that is unknown, or only held),
+        ``do not use``.
     reasons : tuple of str
         Why it is no better, and what else is doubtful; the weightiest first.
     turned : bool
@@ -66,7 +76,7 @@ def grade(
     identifiable: bool,
     scatter: Sequence[Scatter] = (),
     noise: str = "",
-    scale: str = "",
+    held: bool = False,
     laws: tuple[float, str] = (0.0, ""),
     hardly: Sequence[str] = (),
     moved: float = 0.0,
@@ -90,8 +100,8 @@ def grade(
         Ratios of which windows disagree.
     noise : str
         A doubt of the declared noise.
-    scale : str
-        What fixes the scale of the values, if they are known.
+    held : bool
+        Whether the scale of the values is that of masses and centres of mass as they were held, and no torque's.
     laws : (float, str)
         By what part of its value friction may change if another law is free too, and which.
     hardly : sequence of str
@@ -110,6 +120,7 @@ def grade(
     odd = [*(each for each in warnings if each), *_mispredicted(held_out), *disagree]
     links, coarse = _finer(tests, odd=bool(odd))
     wrong = [*_impossible(rope), *links, *misdeclared(tests), *_far(rope), *odd]
+    wrong = [*filter(None, [unlike_lengths(rope)]), *wrong] if wrong else []
     suspicion = [*coarse, *_turned(turned), *slightly(tests), *differ, *untested(tests)]
     doubts = [*undetectable(tests, alike=alike), *_doubts(laws, moved, left_out), *_changing(scatter)]
     if hardly:
@@ -119,13 +130,11 @@ def grade(
         suspicion.insert(0, noise)
     if wrong:
         return Grade("do not use", (*wrong, *suspicion, *doubts), axes)
-    if identifiable:
-        scaled = [f"masses, inertias and frictions are in proportion to {scale}; no motion tests that."] * bool(scale)
-        places = next((each.ratio_sensitivity for each in tests if each.name == "com"), 0.0)
-        if scale and places > 0.0:
-            scaled = [f"{scaled[0][:-1]}, and 1 % of a centre of mass moves ratios by up to {percent(places)}."]
-        return Grade("usable", (*suspicion, *scaled, *doubts), axes)
-    common = "without a known force or torque, or a mass that is held, values share what this motion cannot tell."
+    if identifiable and not held:
+        return Grade("usable", (*suspicion, *doubts), axes)
+    places = next((each.ratio_sensitivity for each in tests if each.name == "com"), 0.0)
+    moves = f" (1 % of a centre of mass moves ratios by up to {percent(places)})" if places > 0.0 else ""
+    common = HELD.format(moves) if identifiable else COMMON
     return Grade("usable for ratios", (*suspicion, common, *doubts), axes)
 
 

@@ -8,17 +8,23 @@ from hyperflex.identification.diagnosis.score_tests import EQUAL, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 
 UNTESTED = 0.05  # standard deviation of gravity's factor: any ruler measures lengths better
-TESTED = 0.005  # the same: lengths that are 1 % off show at two deviations
 NEAR = 0.03  # relative, of a factor of the clock: rates twice or half of the declared ones were found within 0.01
 TOLD = ("gravity_angle", "delay")  # believed, these are told with their value even where they hardly matter
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
 UNDETECTABLE_CLOCK = (
-    "If they are wrong, moments and inertias are as well (a clock 1 % off makes J/p1 2 % off): check the frame rate."
+    "If they are wrong by more than clock_std, moments and inertias are as well (a clock 1 % off makes J/p1 2 % off): "
+    "check the frame rate."
 )
 UNDETECTABLE_SCALE = (
     "times and lengths are tested against each other alone: with a clock 1 % off and all lengths 2 % off a rope moves "
-    "exactly alike, and J/p1 is 2 % off. Check the frame rate, or one length."
+    "exactly alike, and J/p1 is 2 % off. Standard deviations hold length_std and clock_std: check the frame rate, or "
+    "one length."
 )
+CHECK = {
+    "gravity_scale": "check the frame rate, and one length",
+    "gravity_angle": "level the camera, or put it into free",
+    "delay": "put it into free",
+}
 MEANT = {"gravity_scale": "times or lengths", "gravity_angle": "the zero of the angles", "delay": "the motion"}
 
 
@@ -74,19 +80,19 @@ def slightly(tests: Sequence[ScoreTest]) -> list[str]:
             names = " and ".join(repr(name) for name in each.freed_with)
             beside = f", if {names} {'is' if len(each.freed_with) == 1 else 'are'} free as well" if names else ""
             said.append(
-                f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}; "
-                f"ratios would move by up to {percent(each.moved)}."
+                f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}: "
+                f"measure a length, or the frame rate, again; ratios would move by up to {percent(each.moved)}."
             )
         if (each.suspected or (each.covered and each.name not in (*TOLD, DRIFT))) and not each.freed_with:
             said.append(
                 f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
                 f"residuals' sum of squares go away, and ratios move by up to {percent(each.moved)}. Standard "
-                "deviations hold that."
+                f"deviations hold that; {CHECK.get(each.name, 'measure it, or put it into free')}."
             )
         if each.name == DRIFT and each.refitted and not (each.believed and each.matters):
             said.append(
-                f"the clock seems to drift by {percent(0.5 * abs(float(each.values[0])))} over the recording; ratios "
-                f"would move by up to {percent(each.moved)}. Standard deviations hold that."
+                f"the clock seems to drift by {percent(0.5 * abs(float(each.values[0])))} over the recording: check "
+                f"the time stamps; ratios would move by up to {percent(each.moved)}. Standard deviations hold that."
             )
         if not each.believed or each.matters or each.name not in TOLD:
             continue
@@ -109,18 +115,9 @@ def _frames(factor: float) -> str:
 def untested(tests: Sequence[ScoreTest]) -> list[str]:
     """Return that this motion cannot show a wrong clock or wrong lengths, where it cannot."""
     scale = next((each for each in tests if each.name == "gravity_scale"), None)
-    if scale is None or scale.std <= TESTED:
+    if scale is None or scale.std <= UNTESTED:
         return []
-    if scale.std > UNTESTED:
-        return [f"times and lengths are taken as declared: this motion cannot test them. {UNDETECTABLE_CLOCK}"]
-    if scale.ratio_sensitivity == 0.0:
-        return []
-    words = (
-        "times and lengths are taken as exact, but for length_std: this motion shows no error below "
-        f"{200.0 * scale.std:.2g} % of the lengths, and 1 % would move ratios by up to "
-        f"{percent(scale.ratio_sensitivity)}."
-    )
-    return [words]
+    return [f"times and lengths are taken as declared: this motion cannot test them. {UNDETECTABLE_CLOCK}"]
 
 
 def undetectable(tests: Sequence[ScoreTest], *, alike: bool) -> list[str]:

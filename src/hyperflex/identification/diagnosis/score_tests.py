@@ -33,7 +33,8 @@ MOVES = 0.01  # relative, of ratios: independent fits of real pendulums differ b
 COVERED = 2.0  # standard deviations: the 95 % intervals reach so far, and hold smaller moves
 TURNED = 0.03  # rad, of gravity: 1.7 degrees, more than a camera is off that was levelled by eye
 FARTHEST = 6.0  # factor of gravity: a frame rate off by two makes it four; beyond, something else is wrong
-LENGTHS = "length:factor"  # of which no refit is made: gravity_scale acts alike, and stands for a wrong clock as well
+LENGTHS = "length:factor"
+SCALES = "length:factor,gravity_scale"  # a factor on all lengths and one on gravity, which a clock makes, together
 HIDING = 2  # refits that are tested again, each with one thing more freed: the triple pendulum needs two, drag and dry
 SLIGHT = 0.01  # relative, of lengths: a ruler errs by so much; the triple pendulum seems 0.0067 off with drag free
 TINY = 1e-8  # part of the largest eigenvalue of scaled information: about the root of rounding
@@ -60,8 +61,8 @@ class ScoreTest:
         Greatest standard deviation that they would have.
     shift : (P,) float64
         Change of the fit's x that freeing it makes, to first order.
-    std_added : (P,) float64
-        Standard deviations of x that freeing it adds.
+    added : (P, P) float64
+        Covariance of x that freeing it adds.
     rate : (P, k) float64
         Change of the fit's x by each unit of its own x.
     excess_gain : float
@@ -69,10 +70,12 @@ class ScoreTest:
     sure : bool
         Whether residuals are white, as they are or with it free, so that noise is known.
     ratio_sensitivity : float
-        Of a gravity scale or centres of mass: relative change of a ratio J/p1 or p/p1 by each 1 % of them, the greatest
-        of those that are beyond twice their standard deviation; 0 where none is.
+        Of centres of mass: relative change of a ratio J/p1 or p/p1 by each 1 % of them, the greatest of those that are
+        beyond twice their standard deviation; 0 where none is.
     freed_with : tuple of str
         What had to be free as well before the data asked for this.
+    information : (k, k) float64
+        Of its own x, in units of the noise's variance.
     """
 
     name: str
@@ -82,12 +85,13 @@ class ScoreTest:
     beyond: float = np.inf
     std: float = np.inf
     shift: Array = field(default_factory=lambda: np.zeros(0))
-    std_added: Array = field(default_factory=lambda: np.zeros(0))
+    added: Array = field(default_factory=lambda: np.zeros((0, 0)))
     rate: Array = field(default_factory=lambda: np.zeros((0, 0)))
     excess_gain: float = 0.0
     sure: bool = False
     ratio_sensitivity: float = 0.0
     freed_with: tuple[str, ...] = ()
+    information: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def believed(self) -> bool:
@@ -175,9 +179,8 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
 
 def _within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
     """Return a test of a fit with more parameters, `freed`, as one of a fit with `size`."""
-    return replace(
-        test, shift=test.shift[:size], std_added=test.std_added[:size], rate=test.rate[:size], freed_with=tuple(freed)
-    )
+    test = replace(test, shift=test.shift[:size], added=test.added[:size, :size], rate=test.rate[:size])
+    return replace(test, freed_with=tuple(freed))
 
 
 def _refitted_tests(basis: Basis) -> list[ScoreTest]:
@@ -185,8 +188,9 @@ def _refitted_tests(basis: Basis) -> list[ScoreTest]:
     found: list[ScoreTest] = []
     for words in _words(basis.plant):
         found += _tested(basis, words)
+    found += _tested(basis, scale_words(basis.plant), SCALES)
     found.sort(key=lambda each: -each.gain)
-    others = [k for k, each in enumerate(found) if each.name != LENGTHS]
+    others = [k for k, each in enumerate(found) if each.name != SCALES]
     turned = [k for k in others[REFITS:] if found[k].name == "gravity_angle"]  # a slip that is easily mended
     for k in [*others[:REFITS], *turned]:
         each = found[k]
@@ -204,8 +208,13 @@ def _words(plant: Plant) -> list[list[str]]:
     masses = [] if many else [each for each in ("mass", "com", "inertia") if each not in names]
     delay = ["delay"] if plant.motion is not None else []
     lengths = [["length"]] if not many and rope.n_links > 1 and names.isdisjoint({"length", "com", "inertia"}) else []
-    every = [] if "length" in names else [LENGTHS]
-    return [[each for each in [*whole, *delay, *resistances, *masses, *every] if each not in names], *lengths]
+    return [[each for each in [*whole, *delay, *resistances, *masses] if each not in names], *lengths]
+
+
+def scale_words(plant: Plant) -> list[str]:
+    """Return the words of SCALES that are held: with lengths, links that are uniform go along, as they would."""
+    held = {"length": LENGTHS} | ({"gravity_scale": "gravity_scale"} if plant.parameters.guess.gravity.any() else {})
+    return [word for name, word in held.items() if name not in plant.parameters.names]
 
 
 def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:
@@ -222,8 +231,10 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
     return model, np.concatenate([x, [each.first for each in extra]]), groups
 
 
-def _tested(basis: Basis, words: Sequence[str]) -> list[ScoreTest]:
+def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[ScoreTest]:
+    """Return the tests of these words, or one of all, by the name `together`."""
     plant, x, groups = extended(basis.plant, basis.fit.x, words)
+    groups = [[each for group in groups for each in group]] if together and groups else groups
     size, total = x.size, 0.0
     matrix, score = np.zeros((size, size)), np.zeros(size)
     for window, state, residual in zip(basis.windows, basis.fit.states, basis.fit.residuals, strict=True):
@@ -255,16 +266,24 @@ def _tested(basis: Basis, words: Sequence[str]) -> list[ScoreTest]:
         noise = basis.information.variance * basis.information.correlation
         chance = noise * max(1, int(np.count_nonzero(step)))
         excess_gain = max(0.0, 1.0 - chance / (gain * total)) if gain * total > 0.0 else 0.0
-        opened = np.zeros(basis.fit.x.size)
+        added = np.zeros((basis.fit.x.size,) * 2)
         inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
-        opened[free] = np.sqrt(np.maximum(noise * np.einsum("ki,kl,li->i", across, inverse, across), 0.0)) / scale[free]
+        added[np.ix_(free, free)] = noise * across.T @ inverse @ across / np.outer(scale[free], scale[free])
         label = group[0].label if group[0].law != "own" or len(group[0].links) > 1 else word
         with np.errstate(over="ignore"):
             values = [parameter.value(each) for parameter, each in zip(group, moved, strict=True)]
         rate = np.zeros((basis.fit.x.size, len(own)))
-        rate[free] = -across.T / scale[free, None] * np.where(np.isfinite(scale[own]), scale[own], 0.0)
+        acting = np.where(np.isfinite(scale[own]), scale[own], 0.0)
+        rate[free] = -across.T / scale[free, None] * acting
         each = ScoreTest(
-            label, min(gain, 1.0), np.array(values), shift=shift, std_added=opened, excess_gain=excess_gain, rate=rate
+            together or label,
+            min(gain, 1.0),
+            np.array(values),
+            shift=shift,
+            added=added,
+            excess_gain=excess_gain,
+            rate=rate,
+            information=information * np.outer(acting, acting) / max(noise, 1e-300),
         )
         tests.append(replace(each, std=_std(information, noise, [p.scale for p in group] / scale[own])))
     return tests

@@ -1,4 +1,4 @@
-"""What 1 % of what was held or declared moves, as far as a motion cannot test it."""
+"""What 1 % of a centre of mass moves, and whether a longer and slower rope moves alike: what no motion can test."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,7 +10,6 @@ from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.uncertainty.covariance import Basis, ratio_gradients, ratio_spread, ratios
 from hyperflex.model import RESISTANCES
 
-HELD = ("gravity_scale", "com")  # what 1 % of is told, as far as the motion cannot test it
 PER_CENT = 0.01  # relative: the change that people think in
 
 
@@ -28,10 +27,10 @@ def moves_alike(plant: Plant) -> bool:
 
 
 def with_sway(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
-    """Return the tests, those of HELD with what 1 % moves beyond standard deviations that count the model's errors."""
+    """Return the tests, that of com with what 1 % moves beyond standard deviations that count the model's errors."""
     return tuple(
         replace(each, ratio_sensitivity=_ratio_sensitivity(basis, each))
-        if each.name in HELD and not each.freed_with
+        if each.name == "com" and not each.freed_with
         else each
         for each in tests
     )
@@ -43,8 +42,7 @@ def _ratio_sensitivity(basis: Basis, test: ScoreTest) -> float:
     gradients, known = ratio_gradients(parameters, information.x), ratios(parameters.rope(information.x))
     stds, worst = ratio_spread(parameters, information), 0.0
     for name in ("J/p1", "p/p1"):
-        size = 1.0 if test.name == "gravity_scale" else np.abs(test.values)
-        moved = np.max(np.abs(gradients[name] @ (test.rate * size)), axis=1) * PER_CENT
+        moved = np.max(np.abs(gradients[name] @ (test.rate * np.abs(test.values))), axis=1) * PER_CENT
         std = stds[name]
         beyond = (moved > 2.0 * std) & (std > 0.0)
         worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))

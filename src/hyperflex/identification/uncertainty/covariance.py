@@ -40,8 +40,8 @@ class Information:
     if the residuals were white. variance: of what each residual counts. freedom: its degrees of freedom, 1 at least.
     memory (m,): autocorrelations of the noise by lag; agrees: whether they explain the residuals. whiteness: p-value of
     white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters stand in an
-    unknown common factor. lengths (P,): change of x that one standard deviation of the lengths makes; length_error:
-    that standard deviation, of a common factor. estimated: False where an interrupt has left all of it open.
+    unknown common factor. scales (P, 2): change of x by the logarithms of a factor on all lengths, and one on gravity,
+    which a clock makes; scale_error (2, 2): covariance of these. estimated: False where an interrupt left all open.
     """
 
     x: Array
@@ -60,20 +60,25 @@ class Information:
     agrees: bool = True
     growing: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
     model: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    lengths: Array = field(default_factory=lambda: np.zeros(0))
-    length_error: float = 0.0
+    scales: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    scale_error: Array = field(default_factory=lambda: np.zeros((2, 2)))
     estimated: bool = True
 
     @property
     def total(self) -> Array:
-        """Covariance (P, P) of x by noise and errors of the model, the lengths being as declared."""
+        """Covariance (P, P) of x by noise and errors of the model, lengths and times being as declared."""
         return self.covariance + self.model if self.model.size else self.covariance
 
     def model_spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
-        """Return the part of `spread` that errors of the model and of the lengths have."""
+        """Return the part of `spread` that errors of the model, of the lengths and of the clock have."""
         model = self.model if self.model.size else np.zeros_like(self.covariance)
-        moved = self.length_error * by_length + (gradient @ self.lengths if self.lengths.size else 0.0)
-        return np.asarray(np.sqrt(np.einsum("ij,jk,ik->i", gradient, model, gradient) + moved**2))
+        moved = self._by_scales(gradient)
+        moved[:, 0] += by_length
+        variance = np.einsum("ij,jk,ik->i", gradient, model, gradient)
+        return np.asarray(np.sqrt(variance + np.einsum("ij,jk,ik->i", moved, self.scale_error, moved)))
+
+    def _by_scales(self, gradient: Array) -> Array:
+        return np.asarray(gradient @ self.scales) if self.scales.size else np.zeros((len(gradient), 2))
 
     def spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
         """Return standard deviations (k,) of functions of x with gradients (k, P); inf where x alone cannot tell.
@@ -92,9 +97,9 @@ class Information:
 
         `slopes` (P,) are d value / d x.
         """
-        lengths = slopes * (self.lengths if self.lengths.size else 0.0)
-        by_length = self.length_error * np.append(lengths, self.length_error)
-        return self.total * np.outer(slopes, slopes) + np.outer(lengths, lengths), by_length
+        moved = self._by_scales(np.diag(slopes))
+        by_length = np.append(moved @ self.scale_error[:, 0], self.scale_error[0, 0])
+        return self.total * np.outer(slopes, slopes) + moved @ self.scale_error @ moved.T, by_length
 
     def deviations(self, slopes: Array) -> Array:
         """Return standard deviations (P,) of the values, `slopes` (P,) d value / d x; inf where unknown."""
@@ -113,9 +118,13 @@ class Basis:
 
     @property
     def of_noise(self) -> "Basis":
-        """The same, without errors of the model and of the lengths."""
-        information = replace(self.information, model=np.zeros((0, 0)), lengths=np.zeros(0), length_error=0.0)
-        return replace(self, information=information)
+        """The same, without errors of the model, of the lengths and of the clock."""
+        return replace(self.as_declared, information=replace(self.as_declared.information, model=np.zeros((0, 0))))
+
+    @property
+    def as_declared(self) -> "Basis":
+        """The same, without errors of the lengths and of the clock, which all parts of a recording have in common."""
+        return replace(self, information=replace(self.information, scale_error=np.zeros((2, 2))))
 
 
 def not_estimated(plant: Plant, fit: Fit) -> Information:
@@ -277,7 +286,7 @@ def ratio_gradients(parameters: Parameters, x: Array) -> dict[str, Array]:
 def ratio_spread(parameters: Parameters, information: Information, *, model: bool = False) -> dict[str, Array]:
     """Return standard deviations (n,) of each ratio by the delta method; inf where it cannot be known.
 
-    With `model` only the part that errors of the model and of the lengths have. Ratios of what was held have none.
+    With `model` only the part that errors of the model, lengths and clock have. Ratios of what was held have none.
     """
     every = tuple(range(parameters.guess.n_links))
     stretched = Parameter("length", every, "length:factor", 1.0, 1.0, "factor")

@@ -165,6 +165,8 @@ def follow_plan(
     if not isinstance(plan, CastPlan):
         raise InvalidInput("only casts are followed", got=type(plan).__name__, allowed="a CastPlan")
     cast_setup, throw = plan.cast_setup, plan.required(plan.throw, "throw")
+    if cast_setup.obstacles:
+        raise InvalidInput("casts past obstacles are not followed", got=f"{len(cast_setup.obstacles)} obstacles")
     pause = checks.number("decision_time", decision_time, sign="nonnegative", unit="s")
     known = uncertainty or Uncertainty()
     samples = known.sample(SAMPLES, cast_setup, plan.target, seed=[checks.count("seed", seed, least=0), 1])

@@ -9,7 +9,7 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_TOL, Peg, Rope, recut
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import FINE, sampled_wall_gap
+from hyperflex.planning.clearance import FINE, obstacle_gaps
 from hyperflex.planning.insert.slot import Slot, find_crossings, frame, nearest_passage
 from hyperflex.planning.robust.scenario_rollouts import STREAM, SuccessProbability
 from hyperflex.planning.robust.uncertainty import Uncertainty
@@ -113,4 +113,5 @@ def _enters(slot: Slot, radius: float, near: float, t: Array, joints: Array) -> 
     if depth[end, -1] < slot.depth or (found.gap[found.row <= end] <= 0.0).any():
         return False
     # what verified runs take off their clearance counts here as well
-    return sampled_wall_gap(slot.walls, joints[max(0, way[0] - CLOSELY) : end + 1]) > radius + 0.5 * FINE
+    near_by = joints[max(0, way[0] - CLOSELY) : end + 1]
+    return bool(obstacle_gaps(slot.walls, near_by[:, :-1], near_by[:, 1:]).min() > radius + 0.5 * FINE)

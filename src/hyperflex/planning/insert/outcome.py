@@ -9,7 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import wall_clearance
+from hyperflex.planning.clearance import obstacle_clearance
 from hyperflex.planning.insert.slot import Slot, frame, nearest_passage
 from hyperflex.planning.search.contact_phase import starts_outside
 from hyperflex.planning.tip.outcome import TipOutcome, excess_torque, run_figures, sample_times, simulate_in_time
@@ -85,7 +85,7 @@ def evaluate_insert(
     left = begin + np.flatnonzero(np.append(depth[begin:], -1.0) <= 0.0)[0]
     last = min([int(left), *touched[touched >= begin].tolist(), run.t.size - 1])
     deepest = float(depth[begin : last + 1].max())
-    walls = wall_clearance(run, slot.walls, t)
+    walls = obstacle_clearance(run, slot.walls, t)
     gap = min(walls.value, 0.0) if (touched <= end).any() else walls.value
     figures = run_figures(cast_setup, run)
     message = figures["refused"]

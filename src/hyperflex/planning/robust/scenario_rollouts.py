@@ -103,6 +103,7 @@ def first_strikes(
         at[same], _, gap[same] = strikes.first_contact(
             np.nan_to_num(q[same]), base[same], lengths[same], Peg(*peg), batch.ropes[0].radius
         )
+    good &= at <= strikes.clear_samples(batch.ropes, batch.obstacles, q, base, 0.0)
     rows, hit = np.arange(len(batch)), (at > 0) & good
     before = np.maximum(at - 1, 0)
     return np.where(hit, t[before], np.nan), q[rows, before], qd[rows, before], gap

@@ -151,7 +151,7 @@ class BeamSearch:
                 at = swing.end + rest + float(seen.t[k])
                 struck.append(Strike(float(seen.score[k]), swing.side, strokes, rests, at, float(seen.t[k]) - time))
             first = int(ended[k])
-            last = t.size if np.isnan(seen.t[k]) else round(float(seen.t[k]) / step) + 1
+            last = int(seen.clear[k]) if np.isnan(seen.t[k]) else round(float(seen.t[k]) / step) + 1
             some = q[k, first:last], qd[k, first:last]
             if first < last and all(np.isfinite(each).all() for each in some):
                 delay, stop = float(t[first]) - time, swing.end + rest + time

@@ -8,7 +8,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Setup
-from hyperflex.planning.clearance import sampled_clearance
+from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.strikes import arm_tip
@@ -54,8 +54,8 @@ def simulate_contact(
     """Simulate ropes (M,) with pegs from shortly before their strikes, under motions that end.
 
     A strike that begins later, at `begin` (M,), s, lowers the score. A rope that comes within `clearance`, m, of its
-    arm or shaft counts as one that comes undone, whose score is lower the longer it is there. `time_budget` is the
-    processor time of each run, s, or a deadline; a run that takes more has failed.
+    arm or shaft, or an obstacle, counts as one that comes undone, whose score is lower the longer it is there.
+    `time_budget` is the processor time of each run, s, or a deadline; a run that takes more has failed.
     """
     stops = np.maximum([float(motion.breaks[-1]) for motion in batch.motions], 0.5)
     score, turns = np.empty(stops.size), np.empty(stops.size)
@@ -123,11 +123,14 @@ def _clear_of_peg(batch: RolloutBatch, k: int, q: Array, t: float, arm: Arm) -> 
 
 
 def _time_near_arm(batch: RolloutBatch, k: int, q: Array, t: Array, arm: Arm, clearance: float) -> float:
-    """Time, s, that rope k at angles q (T, n) at times t (T,), s, is too near its own arm, as far as samples tell."""
-    if clearance == -np.inf:
-        return 0.0
-    gap = sampled_clearance(batch.ropes[k], arm, q, arm_tip(arm, batch.motions[k], t)[0])
-    return SAMPLE_TIME * int((gap <= clearance).sum())
+    """Time, s, that rope k at angles q (T, n) at times t (T,), s, is too near arm or obstacles at samples."""
+    rope, near = batch.ropes[k], np.zeros(t.size, dtype=bool)
+    base = arm_tip(arm, batch.motions[k], t)[0]
+    if clearance > -np.inf:
+        near |= sampled_clearance(rope, arm, q, base) <= clearance
+    if batch.obstacles:
+        near |= sampled_obstacle_gaps(rope, batch.obstacles, q, base) <= max(clearance, 0.0)
+    return SAMPLE_TIME * int(near.sum())
 
 
 def starts_outside(setup: Setup, *start: Any) -> bool:

@@ -1,14 +1,14 @@
 """Batch rollouts of ropes that each have a peg and a motion of their own, in free flight or in contact."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Arm, Peg, Rope
+from hyperflex.model import Arm, Obstacle, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.simulation import Batch, simulate_batch
@@ -19,7 +19,8 @@ class RolloutBatch:
     """A batch of M rollouts, each with a rope, a peg and a motion of its own.
 
     Motions begin with the rollout, at t = 0; without contact `pegs` may be empty. `q`, rad, and `qd`, rad/s, (M, n) are
-    those at the start, `since`, s, the time of the throw there.
+    those at the start, `since`, s, the time of the throw there. `obstacles`, not to be touched, are not
+    simulated.
     """
 
     ropes: Sequence[Rope]
@@ -28,6 +29,7 @@ class RolloutBatch:
     q: Array
     qd: Array
     since: float = 0.0
+    obstacles: tuple[Obstacle, ...] = ()
 
     @classmethod
     def from_start(
@@ -35,7 +37,7 @@ class RolloutBatch:
     ) -> "RolloutBatch":
         """Return rollouts of ropes (M,) from the start of a cast set-up."""
         q, qd = (np.tile(part, (len(ropes), 1)) for part in cast_setup.start)
-        return cls(ropes, pegs, motions, q, qd)
+        return cls(ropes, pegs, motions, q, qd, obstacles=cast_setup.obstacles)
 
     @classmethod
     def from_state(
@@ -52,7 +54,7 @@ class RolloutBatch:
         """Return some of the rollouts."""
         ropes, pegs = [self.ropes[m] for m in rows], [self.pegs[m] for m in rows]
         motions = [self.motions[m] for m in rows]
-        return RolloutBatch(ropes, pegs, motions, self.q[list(rows)], self.qd[list(rows)], self.since)
+        return replace(self, ropes=ropes, pegs=pegs, motions=motions, q=self.q[list(rows)], qd=self.qd[list(rows)])
 
     def run(self, arm: Arm, t: Array, **options: Any) -> Batch:
         """Simulate to the last of the times t (T,), s, with samples there; `options` as for ``simulate_batch``."""

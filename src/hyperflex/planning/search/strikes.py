@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.model import Arm, Peg, Rope
+from hyperflex.model import Arm, Obstacle, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import sampled_obstacle_gaps
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.simulation import Deadline
 
@@ -34,7 +35,7 @@ class Strikes:
     `score` (M,): greater is better; below 0 without a strike. `energy_ratio` (M,): energy of turning about the peg over
     the energy that lifts the tail's centre of mass over the top. `tail_turns` (M,): length of the tail in turns about
     the peg. `t` (M,): last sample before the strike, s, NaN without a strike; `q`, rad, and `qd`, rad/s, (M, n): state
-    there.
+    there. `clear` (M,): samples before the rope comes too near an obstacle, after which it cannot strike.
     """
 
     score: Array
@@ -43,6 +44,7 @@ class Strikes:
     t: Array
     q: Array
     qd: Array
+    clear: npt.NDArray[np.int64]
 
     def select(self, rows: Sequence[int]) -> "Strikes":
         """Return the strikes of some rows, each as often as it is named."""
@@ -74,7 +76,10 @@ def find_strikes(cast_setup: CastSetup, peg: Peg, motions: Sequence[Motion], t: 
         np.stack(each) for each in zip(*(arm_tip(cast_setup.arm, motion, t) for motion in motions), strict=True)
     )
     at, link, least = first_contact(np.nan_to_num(q), base, cast_setup.rope.length, peg, cast_setup.rope.radius)
-    struck = (at > 0) & np.isfinite(q).all(axis=(1, 2))
+    clear = clear_samples([cast_setup.rope] * len(q), cast_setup.obstacles, q, base, cast_setup.clearance)
+    struck = (at > 0) & (at <= clear) & np.isfinite(q).all(axis=(1, 2))
+    blocked = (at > 0) & ~struck & (clear < t.size)
+    least += np.where(blocked, 1.0 - clear / np.maximum(at, 1), 0.0)
     rows, at = np.arange(len(motions)), np.where(struck, at, 1)
     state, joint = (q[rows, at], qd[rows, at]), (base[rows, at], base_velocity[rows, at])
     ratio, left = tail_energy(cast_setup, peg, state, joint, link)
@@ -87,7 +92,22 @@ def find_strikes(cast_setup: CastSetup, peg: Peg, motions: Sequence[Motion], t: 
         np.where(struck, t[at - 1], np.nan),
         q[rows, at - 1],
         qd[rows, at - 1],
+        clear,
     )
+
+
+def clear_samples(
+    ropes: Sequence[Rope], obstacles: Sequence[Obstacle], q: Array, base: Array, clearance: float
+) -> npt.NDArray[np.int64]:
+    """Return after how many samples (M,) ropes at angles q (M, T, n) come too near an obstacle; T if they do not.
+
+    `base` (M, T, 2), m, are places of their first joints, `clearance`, m, is the distance that they keep.
+    """
+    if not obstacles:
+        return np.full(len(q), q.shape[1])
+    places = zip(ropes, np.nan_to_num(q), base, strict=True)
+    near = [sampled_obstacle_gaps(rope, obstacles, *place) <= max(clearance, 0.0) for rope, *place in places]
+    return np.array([each.argmax() if each.any() else each.size for each in near])
 
 
 def arm_tip(arm: Arm, motion: Motion, t: Array) -> tuple[Array, Array]:

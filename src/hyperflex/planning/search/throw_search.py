@@ -72,7 +72,8 @@ class ThrowSearch:
         rope, arm, limits = self.cast_setup.rope, self.cast_setup.arm, self.cast_setup.limits
         q, _ = self.cast_setup.start
         may = [side for side in (-1, 1) if self.cast_setup.side in (side, 0)]
-        starts = {side: Setup(rope, hold_arm(limits.start_angle(side)), arm, pegs=(self.peg,)) for side in may}
+        pegs = (self.peg, *self.cast_setup.obstacles)
+        starts = {side: Setup(rope, hold_arm(limits.start_angle(side)), arm, pegs=pegs) for side in may}
         sides = [side for side, start in starts.items() if starts_outside(start, 0.0, q)]
         self.parametrizations = {side: ThrowParametrization(self.cast_setup, side) for side in sides}
         self._free: dict[int, Any] = {}  # made when it is needed: to import it takes seconds
@@ -292,7 +293,8 @@ class ThrowSearch:
         """Simulate throws (M), which are already cut, in contact from their strikes."""
         motions = [throw.motion(cast_setup.limits).shifted(-t) for throw, t in zip(throws, struck.t, strict=True)]
         count, budget = len(motions), self.run_budget(len(motions))
-        batch = RolloutBatch([cast_setup.rope] * count, [self.peg] * count, motions, struck.q, struck.qd)
+        ropes, pegs, walls = [cast_setup.rope] * count, [self.peg] * count, cast_setup.obstacles
+        batch = RolloutBatch(ropes, pegs, motions, struck.q, struck.qd, obstacles=walls)
         given: dict[str, Any] = {"arm": cast_setup.arm, "clearance": cast_setup.clearance}
         return simulate_contact(batch, struck.t, **given, time_budget=budget, threads=self.threads)
 

@@ -9,9 +9,8 @@ from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
 from hyperflex.model import Setup
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import rope_clearance
 from hyperflex.planning.time_budget import OutOfTime
-from hyperflex.planning.verification import folded_flat, greatest_bend, motor_torques, refusal
+from hyperflex.planning.verification import clearances, folded_flat, greatest_bend, motor_torques, refusal
 from hyperflex.simulation import OUT_OF_TIME, Deadline, simulate
 from hyperflex.trajectory import Trajectory
 
@@ -76,14 +75,14 @@ def simulate_in_time(setup: Setup, t: Array, time_budget: Deadline | None) -> Tr
 
 def run_figures(cast_setup: CastSetup, run: Trajectory) -> dict[str, Any]:
     """Return what a :class:`TipOutcome` tells of its whole run."""
-    max_bend, clearance, (torque, torque_peak) = greatest_bend(run), rope_clearance(run), motor_torques(run)
+    max_bend, near, (torque, torque_peak) = greatest_bend(run), clearances(cast_setup, run), motor_torques(run)
     return {
         "max_bend": max_bend,
         "folded": folded_flat(run),
-        "clearance": clearance.value,
+        "clearance": min(each.value for each in near),
         "torque": torque,
         "torque_peak": torque_peak,
-        "refused": refusal(cast_setup, max_bend, clearance),
+        "refused": refusal(cast_setup, max_bend, near),
         "n_links": run.q.shape[1],
         "run": run,
     }

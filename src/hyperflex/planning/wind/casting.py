@@ -9,7 +9,7 @@ from hyperflex import checks
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.interruption import caught, interruptible
-from hyperflex.model import Arm, Peg, Rope, Setup, cuts
+from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, cuts
 from hyperflex.motion import hold_arm
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
@@ -41,6 +41,7 @@ def plan_cast(
     holding_force: float = 0.0,
     contact: float | None = None,
     clearance: float = 0.0,
+    obstacles: Sequence[Obstacle] = (),
     uncertainty: Uncertainty | None = None,
     time_budget: float = TIME_BUDGET,
     skip_feasibility: bool = False,
@@ -76,7 +77,9 @@ def plan_cast(
         Least angle of the target that the rope must cover, rad. By default none is asked for, but where the rope is
         long enough a full turn is sought until twice the time in which the first plan stood; with 0 it is not.
     clearance : float
-        Least distance of the rope from its own arm and the motor's shaft, m, as of :class:`CastSetup`.
+        Least distance of the rope from its own arm, the motor's shaft and obstacles, m, as of :class:`CastSetup`.
+    obstacles : sequence of Peg, Wall, Ground
+        That the rope must not touch on its way to the target and while it is watched: a wall, the floor, a person.
     uncertainty : Uncertainty, optional
         Of rope, target and motor. With it the plan is the throw that succeeds in most of the sampled scenarios, and its
         success probability is estimated from others.
@@ -146,10 +149,12 @@ def plan_cast(
     fallback, skip_feasibility = checks.flag("fallback", fallback), checks.flag("skip_feasibility", skip_feasibility)
     time = 0.0 if time_limit is None else checks.number("time_limit", time_limit, sign="nonnegative", unit="s")
     motor = MotorLimits() if limits is None else limits
-    cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0)
+    cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0, tuple(obstacles))
     if state0 is not None:
         cast_setup = _swinging(cast_setup, state0)
-    Setup(cast_setup.rope, arm=cast_setup.arm, pegs=(target,))  # refuses, before any search, what cannot touch a peg
+    Setup(
+        cast_setup.rope, arm=cast_setup.arm, pegs=(target, *cast_setup.obstacles)
+    )  # refuses, before any search, what cannot touch a peg
     cuts(cast_setup.rope, (target,), arm=cast_setup.arm)  # or not be wound round it
     if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
         raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
@@ -173,7 +178,12 @@ def plan_cast(
                     "time_limit": time_limit,
                     "holding_force": holding_force,
                 }
-                given |= {"contact": contact, "clearance": clearance, "uncertainty": uncertainty}
+                given |= {
+                    "contact": contact,
+                    "clearance": clearance,
+                    "obstacles": obstacles,
+                    "uncertainty": uncertainty,
+                }
                 given |= {"time_budget": time_budget, "seed": seed, "threads": threads}
                 plan_for = partial(plan_cast, rope, arm, **given, progress=progress)
                 plan = plan_fallback(plan, search, time_budget, plan_for)

@@ -1,0 +1,120 @@
+"""Casts past obstacles, which the rope must not touch: distances, the search's view of them, and verified runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.errors import InvalidInput
+from hyperflex.planning import read_plan, verify_cast
+from hyperflex.planning.clearance import FINE, obstacle_clearance, sampled_obstacle_gaps
+from hyperflex.planning.search.contact_phase import simulate_contact
+from hyperflex.planning.search.rollouts import RolloutBatch
+from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
+
+FLOOR, POST, WALL = hf.Ground(0.0, -2.5, 0.3, 1.0), hf.Peg(1.2, -1.2, 0.2), hf.Wall(-1.6, -1.8, -1.3, -0.4)
+
+
+def distance(obstacle: hf.Peg | hf.Wall | hf.Ground, points: np.ndarray) -> np.ndarray:
+    """Distances of points (..., 2) from an obstacle, by another way than the library's."""
+    if isinstance(obstacle, hf.Peg):
+        return np.linalg.norm(points - [obstacle.x, obstacle.y], axis=-1) - obstacle.radius
+    if isinstance(obstacle, hf.Ground):
+        out = np.array([obstacle.nx, obstacle.ny])
+        return (points - [obstacle.x, obstacle.y]) @ (out / np.linalg.norm(out))
+    share = np.linspace(0.0, 1.0, 4001)[:, None]
+    along = np.array([obstacle.x, obstacle.y]) * (1.0 - share) + np.array([obstacle.x2, obstacle.y2]) * share
+    return np.linalg.norm(points[..., None, :] - along, axis=-1).min(axis=-1)
+
+
+@pytest.mark.parametrize("obstacle", [FLOOR, POST, WALL], ids=["floor", "post", "wall"])
+def test_distances_are_those_of_many_points_of_the_rope(obstacle: hf.Peg | hf.Wall | hf.Ground) -> None:
+    rope = CABLE.replace(radius=0.01)
+    for q in np.random.default_rng(5).uniform(-1.2, 1.2, (8, rope.n_links)):
+        joints = rope.joints(q[None], np.zeros((1, 2)))[0]
+        share = np.linspace(0.0, 1.0, 41)[:, None, None]
+        points = (joints[:-1] * (1.0 - share) + joints[1:] * share).reshape(-1, 2)
+        there = sampled_obstacle_gaps(rope, [obstacle], q[None], np.zeros((1, 2)))[0]
+        want = distance(obstacle, points).min() - rope.radius
+        assert there == pytest.approx(want, abs=1e-3)  # the points are 1 mm apart
+
+
+def test_a_run_tells_which_obstacle_it_comes_near_and_when() -> None:
+    run = planned().run
+    assert run is not None
+    k = int(np.argmin(distance(POST, run.tip)))
+    near = replace(POST, radius=POST.radius + 0.9 * float(distance(POST, run.tip)[k]))
+    found = obstacle_clearance(run, [FLOOR, near])
+    assert found.what == "the peg at (1.2, -1.2) m"
+    between = found.value - (float(sampled_obstacle_gaps(run.setup.rope, [near], run.q, run.base).min()) - 0.5 * FINE)
+    assert -0.03 < between <= 1e-9  # samples are 10 ms apart: the rope comes nearer between two of them
+
+
+def test_a_cast_that_touches_an_obstacle_fails_and_says_which() -> None:
+    run, motion = planned().run, WINDS.motion(cast_setup().limits)
+    assert run is not None
+    aside = hf.Ground(float(run.tip[:, 0].max()) - 0.05, 0.0, -1.0, 0.0)
+    seen = verify_cast(replace(cast_setup(), obstacles=[aside]), PEG, motion)
+    assert not seen.success
+    assert seen.clearance <= 0.0
+    assert "touches the ground" in seen.message or not seen.wound
+    far = replace(aside, x=aside.x + 0.15)
+    with_room = replace(cast_setup(), obstacles=[far])
+    seen = verify_cast(with_room, PEG, motion)
+    assert seen.success
+    room = obstacle_clearance(run, [far]).value
+    assert seen.clearance == pytest.approx(min(room, planned().outcome.clearance), abs=1e-3)
+    short = verify_cast(replace(with_room, clearance=room + 0.01), PEG, motion)
+    assert f"comes within {1e3 * room:.0f}"[:-1] in short.message or "the arm" in short.message
+
+
+def test_a_search_sees_what_lies_in_the_way() -> None:
+    run = planned().run
+    assert run is not None
+    free = simulated_strikes(cast_setup(), PEG, [WINDS])
+    assert np.isfinite(free.t[0])
+    before = run.tip[run.t < free.t[0]]
+    aside = hf.Ground(float(before[:, 0].max()) - 0.05, 0.0, -1.0, 0.0)
+    blocked = simulated_strikes(replace(cast_setup(), obstacles=[aside]), PEG, [WINDS])
+    assert np.isnan(blocked.t[0])
+    assert blocked.clear[0] < free.clear[0]
+    assert blocked.score[0] < 0.0
+    motion = WINDS.motion(cast_setup().limits).shifted(-free.t[0])
+    one = RolloutBatch([CABLE], [PEG], [motion], free.q, free.qd)
+    on = simulate_contact(one, free.t, arm=cast_setup().arm)
+    after = run.joints[run.t > free.t[0] + 0.1].reshape(-1, 2)
+    lowest = hf.Ground(0.0, float(after[:, 1].min()) + 0.02)
+    off = simulate_contact(replace(one, obstacles=(lowest,)), free.t, arm=cast_setup().arm)
+    assert off.score[0] < on.score[0]
+    assert off.turns[0] < on.turns[0]
+
+
+def test_obstacles_go_with_a_plan_through_its_file(tmp_path: Path) -> None:
+    known = replace(planned(), cast_setup=replace(cast_setup(), obstacles=[FLOOR, POST, WALL]))
+    known.to_toml(tmp_path / "cast.toml")
+    again = read_plan(tmp_path / "cast.toml")
+    assert set(again.cast_setup.obstacles) == {FLOOR, POST, WALL}
+    assert set(hf.Setup.from_toml(tmp_path / "cast.toml").pegs) == {PEG, FLOOR, POST, WALL}
+
+
+def test_obstacles_that_cannot_be_are_refused() -> None:
+    with pytest.raises(InvalidInput, match="turning arm hits the wall"):
+        replace(cast_setup(), obstacles=[hf.Wall(0.05, -0.05, 0.05, 0.05)])
+    with pytest.raises(InvalidInput, match="obstacles holds something else"):
+        hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, obstacles=["a wall"])  # type: ignore[list-item]
+    with pytest.raises(InvalidInput, match="past obstacles are not followed"):
+        hf.follow_plan(replace(planned(), cast_setup=replace(cast_setup(), obstacles=[FLOOR])), None)  # type: ignore[arg-type]
+
+
+def test_a_cast_is_found_beside_a_wall_that_leaves_room() -> None:
+    cord = hf.Rope.uniform(length=1.2, mass=0.06, n_links=15, radius=0.003, friction=5e-4)
+    where = {"obstacles": [hf.Ground(0.0, -1.4)], "contact": 0.0, "on_plan": lambda plan: True, "time_budget": 300.0}
+    plan = hf.plan_cast(cord, hf.Arm(length=0.15), hf.Peg(0.5, -0.6, 0.03), **where)  # type: ignore[arg-type]
+    assert plan.success, plan.message
+    assert plan.clearance > 0.0
+    assert plan.run is not None
+    assert plan.run.joints[..., 1].min() > -1.4
