@@ -59,6 +59,12 @@ def test_real_large_ropes_and_arms_pass() -> None:
     assert hf.move_arm(-4.0 * np.pi, 4.0 * np.pi, 60.0).breaks[-1] == 60.0
 
 
+def test_limits_of_the_motor_belong_to_its_limits() -> None:
+    for plan, name in ((hf.plan_cast, "torque"), (hf.plan_whip, "speed"), (hf.plan_insert, "acceleration")):
+        with pytest.raises(InvalidInput, match=rf"{name}.* belongs to limits=MotorLimits\(\.\.\.\)"):
+            plan(ROPE, hf.Arm(), None, **{name: 2.0})
+
+
 def test_a_run_goes_on_from_many_turns() -> None:
     """As it ends after a long whirl; a start at rest is asked for its unit."""
     setup = hf.Setup(ROPE, arm=hf.Arm(), q0=np.full(10, 90.3), qd0=np.full(10, 12.0))
