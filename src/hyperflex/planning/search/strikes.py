@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.model import Arm, Obstacle, Peg, Rope
+from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import sampled_obstacle_gaps
+from hyperflex.planning.clearance import clear_samples
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.simulation import Deadline
 
@@ -94,20 +94,6 @@ def find_strikes(cast_setup: CastSetup, peg: Peg, motions: Sequence[Motion], t: 
         qd[rows, at - 1],
         clear,
     )
-
-
-def clear_samples(
-    ropes: Sequence[Rope], obstacles: Sequence[Obstacle], q: Array, base: Array, clearance: float
-) -> npt.NDArray[np.int64]:
-    """Return after how many samples (M,) ropes at angles q (M, T, n) come too near an obstacle; T if they do not.
-
-    `base` (M, T, 2), m, are places of their first joints, `clearance`, m, is the distance that they keep.
-    """
-    if not obstacles:
-        return np.full(len(q), q.shape[1])
-    places = zip(ropes, np.nan_to_num(q), base, strict=True)
-    near = [sampled_obstacle_gaps(rope, obstacles, *place) <= max(clearance, 0.0) for rope, *place in places]
-    return np.array([each.argmax() if each.any() else each.size for each in near])
 
 
 def arm_tip(arm: Arm, motion: Motion, t: Array) -> tuple[Array, Array]:
