@@ -99,7 +99,7 @@ def simulate_peaks(cast_setup: CastSetup, strokes: list[Strokes], threads: int |
     base = cast_setup.arm.tip(angle)
     clear = clear_samples([cast_setup.rope] * len(strokes), cast_setup.obstacles, batch.q, base, cast_setup.clearance)
     before = found.t <= SAMPLE_TIME * (clear[found.row] - 1)
-    return Peaks(*(each[before] for each in found))
+    return Peaks._make(each[before] for each in found)
 
 
 @interruptible()
