@@ -188,7 +188,8 @@ def _mispredicted(held_out: HeldOut | None) -> list[str]:
     still = held_out.persistence
     words = ""
     if error > PERSISTENCE * still > 0.0 and not held_out.inside >= FORETOLD:
-        words = f"predictions of what was not fitted err by {100.0 * error / still:.3g} % of what keeping still would. {COMPARE}"
+        part = f"{100.0 * error / still:.3g} % of what keeping still would"
+        words = f"predictions of what was not fitted err by {part}. {COMPARE}"
     elif held_out.inside < INSIDE:
         words = (
             f"only {100.0 * held_out.inside:.3g} % of what was not fitted lies where 95 % is expected: the model "
