@@ -121,8 +121,9 @@ def grade(
     odd = [*(each for each in warnings if each), *_mispredicted(held_out), *disagree]
     links, coarse = _finer(tests, odd=bool(odd))
     wrong = [*_impossible(rope), *links, *misdeclared(tests), *_far(rope), *odd]
-    wrong = [*filter(None, [unlike_lengths(rope)]), *wrong] if wrong else []
-    suspicion = [*coarse, *_turned(turned), *slightly(tests), *differ, *untested(tests)]
+    unlike = [each for each in [unlike_lengths(rope)] if each]
+    wrong = [*unlike, *wrong] if wrong else []
+    suspicion = [*([] if wrong else unlike), *coarse, *_turned(turned), *slightly(tests), *differ, *untested(tests)]
     doubts = [*undetectable(tests, alike=alike), *_doubts(laws, moved, left_out), *_changing(scatter)]
     if hardly:
         rest = "" if wrong else ", all else is" if identifiable else ", all other ratios are"
