@@ -131,28 +131,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rope", choices=sorted(ROPES), default="nominal")
     parser.add_argument("--count", type=int, default=60, help="targets (60)")
-    parser.add_argument("--patience", type=float, default=TIME_BUDGET, help="s of planning a target (60)")
+    parser.add_argument("--time-budget", type=float, default=TIME_BUDGET, help="s of planning a target (60)")
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the targets ({SEED})")
-    parser.add_argument("--outside", action="store_true", help="targets called out of reach, ten times the patience")
+    parser.add_argument("--outside", action="store_true", help="targets called out of reach, ten times the time budget")
     parser.add_argument("--ours", action="store_true", help="our plans alone, without the paper's two ways")
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
     about = machine.describe()
     drawn = "" if options.seed == SEED else f" seed {options.seed}"
     kind = f"{options.rope}{' outside' if options.outside else ''}{drawn}"
-    patience = options.patience * (TENFOLD if options.outside else 1.0)
+    time_budget = options.time_budget * (TENFOLD if options.outside else 1.0)
     numbers = targets(options.rope, options.count, within=not options.outside, seed=options.seed)
     log = None if options.out == "-" else Path(options.out) / "casting.jsonl"
-    known = read(log, kind, patience)
+    known = read(log, kind, time_budget)
     rows = [known[number] for number in numbers if number in known]
     lines.told(rows, planned=True)
     missing = [n for n in numbers if n not in known]
     alone = options.outside or options.ours or options.rope not in TIP
-    for found in done(options.rope, missing, patience, ours_alone=alone, seed=options.seed):
+    for found in done(options.rope, missing, time_budget, ours_alone=alone, seed=options.seed):
         rows.append(found)
         print(line(found), flush=True)
         if log is not None:
-            lines.append(log, {"kind": kind, "patience": patience, **found})
+            lines.append(log, {"kind": kind, "time_budget": time_budget, **found})
     rows.sort(key=lambda row: int(row["number"]))
     by = f"{machine.sentence(about)} {lines.made(rows)} {lines.made(rows, 'planner')}"
     page = f"# Casting: {kind}\n\n{text(rows, options.rope)}\n{by}\n"
@@ -163,12 +163,12 @@ def main() -> None:
         files.write_text(log.with_name(f"{name}.md"), page)
 
 
-def read(log: Path | None, kind: str, patience: float) -> dict[int, dict[str, Any]]:
+def read(log: Path | None, kind: str, time_budget: float) -> dict[int, dict[str, Any]]:
     """Rows of the same kind by number."""
-    return {row["number"]: row for row in lines.read(log) if (row["kind"], row["patience"]) == (kind, patience)}
+    return {row["number"]: row for row in lines.read(log) if (row["kind"], row["time_budget"]) == (kind, time_budget)}
 
 
-def done(rope: str, numbers: list[int], patience: float, ours_alone: bool, seed: int) -> Iterator[dict[str, Any]]:
+def done(rope: str, numbers: list[int], time_budget: float, ours_alone: bool, seed: int) -> Iterator[dict[str, Any]]:
     """A row for each target as it is judged: with what time the planner leaves, while the next is planned."""
     with ThreadPoolExecutor(JUDGES, initializer=yielding) as judge:
         waiting: list[Future[dict[str, Any]]] = []
@@ -179,7 +179,7 @@ def done(rope: str, numbers: list[int], patience: float, ours_alone: bool, seed:
                 known.rope,
                 known.arm,
                 peg,
-                time_budget=patience,
+                time_budget=time_budget,
                 skip_feasibility=True,
                 seed=number,
                 on_plan=lambda found, told=told: told.append(found.seconds),  # type: ignore[misc]

@@ -245,12 +245,13 @@ def text(rows: list[lines.Row], rate: tuple[float, float, float]) -> str:
         "\n\nEpisodes from the seeds 0 to 199, or as many of them as are told. "
         f"{MEMBERS} members of Swing (20 links, 50 Hz) take {rate[0]:,.0f} steps/s by the clock "
         f"({rate[1]:,.0f} to {rate[2]:,.0f}); at least {AIM:,.0f} are asked. Learned: PPO of Stable-Baselines3 "
-        f"on {many['Swing']} members (Cast: {many['Cast']}), until it returns {SURE * PART:.0%} of what the best "
+        f"on {many['Swing']} members (Cast: {many['Cast']}, which are rewarded for swinging a little, too: chance "
+        f"hardly ever comes to a cast), until it returns {SURE * PART:.0%} of what the best "
         f"scripted policy does on other seeds ({PART:.0%} are asked), or after {LIMIT:.0f} s of processor "
         "time (all threads). "
-        "`crossing` is the paper's rule, `pumping` looks ahead with the model, `planned` carries out what "
-        f"`plan_cast` finds in {PLANNING:g} s of processor time, twice at most. All of them see the true "
-        "state; the true rope is the model's."
+        "`crossing` is the paper's rule, `pumping` looks ahead with the model (and knows no target), `planned` "
+        f"rehearses what `plan_cast` finds in {PLANNING:g} s of processor time, twice at most, and carries it out. "
+        "All of them see the true state; the true rope is the model's."
     )
 
 

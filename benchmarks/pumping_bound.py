@@ -61,7 +61,7 @@ class Manner(NamedTuple):
     """How a climb goes: its longest, when it is idle, what a rest out of bounds costs, m/s^2, and where it is put."""
 
     most: int
-    patience: int
+    idle: int
     gain: float
     cost: float
     inside: Callable[[Array], Array]
@@ -98,7 +98,7 @@ def climb(
         idle += 1
         if reach.max() > best[0] + manner.gain:
             best, idle = (float(reach.max()), tried[reach.argmax()]), 0
-        if idle > manner.patience or search.stop():
+        if idle > manner.idle or search.stop():
             break
     return best
 

@@ -60,7 +60,7 @@ def main() -> None:
     parser.add_argument("--rope", choices=sorted(TIP), default="nominal")
     parser.add_argument("--count", type=int, default=COUNT, help=f"targets of each kind ({COUNT})")
     parser.add_argument(
-        "--patience", type=float, default=TIME_BUDGET, help=f"s of searching a target ({TIME_BUDGET:g})"
+        "--time-budget", type=float, default=TIME_BUDGET, help=f"s of searching a target ({TIME_BUDGET:g})"
     )
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
@@ -70,12 +70,12 @@ def main() -> None:
         number: kind(check_feasibility(cast_setup(options.rope), target(number)))
         for number in range(FIRST, FIRST + COUNTED)
     }
-    known = read(log, options.rope, options.patience)
+    known = read(log, options.rope, options.time_budget)
     lines.told(known.values(), planned=True)
     asked = wanted(kinds, options.count)
     for number in asked:
         if number not in known:
-            known[number] = planned(options.rope, number, options.patience)
+            known[number] = planned(options.rope, number, options.time_budget)
             print(kinds[number], known[number], flush=True)
             if log is not None:
                 lines.append(log, known[number])
@@ -98,24 +98,24 @@ def _many(one: str, count: int) -> int:
     return math.ceil(count / {IN: 2}.get(one, 1))
 
 
-def read(log: Path | None, rope: str, patience: float) -> dict[int, dict[str, Any]]:
+def read(log: Path | None, rope: str, time_budget: float) -> dict[int, dict[str, Any]]:
     """Rows of the same search by number."""
-    same = (rope, patience)
-    return {row["number"]: row for row in lines.read(log) if (row["rope"], row["patience"]) == same}
+    same = (rope, time_budget)
+    return {row["number"]: row for row in lines.read(log) if (row["rope"], row["time_budget"]) == same}
 
 
-def planned(rope: str, number: int, patience: float) -> dict[str, Any]:
+def planned(rope: str, number: int, time_budget: float) -> dict[str, Any]:
     """A row: what a search finds for a target."""
     who = cast_setup(rope)
     plan = plan_cast(
-        who.rope, who.arm, target(number), time_budget=patience, skip_feasibility=True, seed=number, threads=1
+        who.rope, who.arm, target(number), time_budget=time_budget, skip_feasibility=True, seed=number, threads=1
     )
     return {
         "kernels": SOURCE_HASH,
         "planner": lines.planner(),
         "rope": rope,
         "number": number,
-        "patience": patience,
+        "time_budget": time_budget,
         "success": plan.success,
         "wound": plan.outcome is not None and plan.outcome.wound,
         "turns": 0.0 if plan.outcome is None else round(plan.outcome.turns, 3),
@@ -138,7 +138,7 @@ def text(kinds: dict[int, str], rows: dict[int, dict[str, Any]], options: argpar
     part, low, high = missed(shares, counts)
     lines += ["", f"Of the targets that a search winds, {part:.1%} are called out of reach"]
     lines[-1] += f" (95 % interval {low:.1%} to {high:.1%}); at most 10 % is asked."
-    lines += [f"A search is {options.patience:g} s of one processor at most; the benchmark's are 60 s of two.", ""]
+    lines += [f"A search is {options.time_budget:g} s of one processor at most; the benchmark's are 60 s of two.", ""]
     lines += ["| number | called | room | needed | energy | success | turns | s | why not |", "|" + "---|" * 9]
     for number, row in sorted(rows.items(), key=lambda pair: (KINDS.index(kinds[pair[0]]), pair[0])):
         told = check_feasibility(cast_setup(options.rope), target(number))

@@ -5,7 +5,8 @@ python -m benchmarks.robust --level 2            twice the standard deviations
 python -m benchmarks.robust --count 30 --fine 4  the first 4 judged on finer links too, in --fine-draws draws
 python -m benchmarks.robust --count 2 --out -    a look; nothing is written
 
-Each target is planned twice: for uncertain parameters (--patience, s), and for the expected ones alone (--nominal, s).
+Each target is planned twice: for uncertain parameters (--time-budget, s), and for the expected ones alone (--nominal,
+s).
 Both plans are then made in the same fresh draws of rope, peg, motor lag and timing, as a realistic identification
 leaves them (``hyperflex.planning.Uncertainty``), none of which a planner has seen; in open loop, and the robust plan in
 closed loop too (``hyperflex.planning.follow`` on the true state of the drawn rope; simulated time stands still while it
@@ -86,7 +87,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--rope", choices=sorted(TIP), default="nominal")
     parser.add_argument("--count", type=int, default=30, help="targets (30)")
     parser.add_argument("--level", type=float, default=1.0, help="factor on all standard deviations (1)")
-    parser.add_argument("--patience", type=float, default=90.0, help="s of robust planning a target (90)")
+    parser.add_argument("--time-budget", type=float, default=90.0, help="s of robust planning a target (90)")
     parser.add_argument("--nominal", type=float, default=30.0, help="s of nominal planning a target (30)")
     parser.add_argument("--draws", type=int, default=40, help="worlds in which each plan is made (40)")
     parser.add_argument("--closed", type=int, default=30, help="targets where closed loops follow (the first 30)")
@@ -144,9 +145,9 @@ class Case:
         """Everything about it."""
         options, peg = self.options, self.peg
         robust = self.plan == "robust"
-        patience = options.patience if robust else options.nominal
+        time_budget = options.time_budget if robust else options.nominal
         key = {"rope": options.rope, "level": options.level, "number": self.number, "plan": self.plan}
-        made = self.log.once(key | {"work": "plan", "patience": patience}, lambda: self.planned(patience))
+        made = self.log.once(key | {"work": "plan", "time_budget": time_budget}, lambda: self.planned(time_budget))
         row = {"number": self.number, "x": peg.x, "y": peg.y, "radius": peg.radius, **made}
         if made["throw"] is None:
             return row
@@ -158,7 +159,7 @@ class Case:
                 row[work] = self.log.once(of, lambda work=work, count=count: getattr(self, work)(throw, count))
         return row
 
-    def planned(self, patience: float) -> dict[str, Any]:
+    def planned(self, time_budget: float) -> dict[str, Any]:
         """The plan, and how often it wins by its own account."""
         known = self.uncertainty if self.plan == "robust" else None
         arm, threads = self.known.arm, self.options.threads
@@ -167,7 +168,7 @@ class Case:
             arm,
             self.peg,
             uncertainty=known,
-            time_budget=patience,
+            time_budget=time_budget,
             skip_feasibility=True,
             seed=self.number,
             threads=threads,

@@ -93,9 +93,11 @@ def paired(rows: Rows) -> Iterator[str]:
 def effort(rows: Rows, options: dict[str, Any]) -> str:
     """What planning took."""
     told = []
-    for plan, patience in (("robust", options["patience"]), ("nominal", options["nominal"])):
+    for plan, time_budget in (("robust", options["time_budget"]), ("nominal", options["nominal"])):
         seconds = [row[plan]["seconds"] for row in rows]
-        told.append(f"{plan} (patience {patience:g} s) median {np.median(seconds):.0f} s, at most {max(seconds):.0f} s")
+        told.append(
+            f"{plan} (time budget {time_budget:g} s) median {np.median(seconds):.0f} s, at most {max(seconds):.0f} s"
+        )
     return f"Planning, with what is stated or verified after it: {'; '.join(told)} a target."
 
 

@@ -1,7 +1,7 @@
 """Random ropes of every kind: does each run keep its tolerance, or end in an error that names the reason?
 
 python -m benchmarks.robustness --workers 2          2,000 ropes, an hour or two; results in benchmarks/results/
-python -m benchmarks.robustness --patience 900       those that were too slow for less once more
+python -m benchmarks.robustness --time-budget 900       those that were too slow for less once more
 python -m benchmarks.robustness --count 100 --out -  a look; nothing is written
 python -m benchmarks.robustness --only-index 42      one of them again, in words
 
@@ -38,13 +38,13 @@ from tests.reference.judging import USUAL, OutOfPatience, drift, judge
 from tests.reference.random_ropes import Case, draw, draw_stuck
 
 RESULTS = Path(__file__).parent / "results"
-PATIENCE = 120.0  # s of processor time for a run and its tighter ones by default
+TIME_BUDGET = 120.0  # s of processor time for a run and its tighter ones by default
 ALLOWED_FAILURES, MOST = 0.01, 0.99  # parts of all: errors, and errors within USUAL tol growth
 ALLOWED_DRIFT = 1e-6  # rad in 10 s, of a joint whose dry friction bears more than it must
 STICKING = 10  # one rope that should stick for so many others
 SLOWEST = 8
 SLOW = OutOfPatience.status
-TrackingTask = tuple[str, int, int, float]  # "rope" or "stuck", seed, number, patience
+TrackingTask = tuple[str, int, int, float]  # "rope" or "stuck", seed, number, time_budget
 ORDINARY = "at most 100 links, eta / (m l^2) within two decades of the paper's"
 PROMISE = """\
 A run has **met** its tolerance if, inside the horizon, it stays within `3 tol (1 + t / 20 ms) growth` of a run with
@@ -59,7 +59,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--first", type=int, default=0, help="number of the first one (0)")
     parser.add_argument("--workers", type=int, default=1, help="processes (1)")
     parser.add_argument("--seed", type=int, default=1, help="of all draws (1)")
-    parser.add_argument("--patience", type=float, default=PATIENCE, help="s of processor time for a rope (120)")
+    parser.add_argument("--time-budget", type=float, default=TIME_BUDGET, help="s of processor time for a rope (120)")
     parser.add_argument("--only-index", type=int, metavar="INDEX", help="run this rope alone and show all about it")
     parser.add_argument("--out", default=str(RESULTS), metavar="FOLDER", help="for JSON and Markdown; - writes nothing")
     return parser.parse_args()
@@ -70,7 +70,7 @@ def main() -> int:
     if options.only_index is not None:
         be_ready()
         sys.stdout.write(
-            json.dumps(plain(examine(options.seed, options.only_index, options.patience)), indent=1) + "\n"
+            json.dumps(plain(examine(options.seed, options.only_index, options.time_budget)), indent=1) + "\n"
         )
         return 0
     about = machine.describe()
@@ -89,9 +89,9 @@ def main() -> int:
 def sweep(options: argparse.Namespace, numbers: range) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Rows of the ropes and of the stuck ones that are there, known or new; Ctrl-C keeps what is done."""
     log, unkept = Path(options.out) / "robustness.jsonl", options.out == "-"
-    known = {} if unkept else read(log, options.seed, options.patience)
+    known = {} if unkept else read(log, options.seed, options.time_budget)
     jobs = [(what, number) for number in numbers for what in kinds(number) if (what, number) not in known]
-    tasks = [(what, options.seed, number, options.patience) for what, number in jobs]
+    tasks = [(what, options.seed, number, options.time_budget) for what, number in jobs]
     with Progress(console=Console(stderr=True)) as bar:
         task = bar.add_task("ropes", total=len(tasks))
         try:
@@ -121,24 +121,26 @@ def done(tasks: list[TrackingTask], workers: int) -> Iterator[dict[str, Any]]:
 
 
 def work(task: TrackingTask) -> dict[str, Any]:
-    what, seed, number, patience = task
-    row = examine(seed, number, patience) if what == "rope" else stay(draw_stuck(seed, number), patience)
-    return {"what": what, "patience": patience, **plain(row)}
+    what, seed, number, time_budget = task
+    row = examine(seed, number, time_budget) if what == "rope" else stay(draw_stuck(seed, number), time_budget)
+    return {"what": what, "time_budget": time_budget, **plain(row)}
 
 
 def be_ready() -> None:
-    """Compile for both friction models before any clock runs, and let patience be counted."""
-    signal.signal(signal.SIGVTALRM, _out_of_patience)
+    """Compile for both friction models before any clock runs, and let time be counted."""
+    signal.signal(signal.SIGVTALRM, _out_of_time)
     for model in ("relative", "printed"):
         rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=2, friction_model=model)
         hf.simulate(rope, duration=0.01)
 
 
-def read(log: Path, seed: int, patience: float) -> dict[tuple[str, int], dict[str, Any]]:
-    """Rows of an earlier sweep with the same seed and kernels, but for those that more patience may help."""
+def read(log: Path, seed: int, time_budget: float) -> dict[tuple[str, int], dict[str, Any]]:
+    """Rows of an earlier sweep with the same seed and kernels, but for those that a larger budget may help."""
     same = [row for row in lines.read(log) if row.pop("seed") == seed and row.pop("kernels") == SOURCE_HASH]
     latest = {(row["what"], row["number"]): row for row in same}
-    hasty = [key for key, row in latest.items() if row.get("reason") == SLOW and row.get("patience", 0.0) < patience]
+    hasty = [
+        key for key, row in latest.items() if row.get("reason") == SLOW and row.get("time_budget", 0.0) < time_budget
+    ]
     return {key: row for key, row in latest.items() if key not in hasty}
 
 
@@ -147,10 +149,10 @@ def table(rows: list[dict[str, Any]]) -> dict[str, list[Any]]:
     return {name: [row.get(name) for row in rows] for name in dict.fromkeys(name for row in rows for name in row)}
 
 
-def stay(case: Case, patience: float) -> dict[str, Any]:
+def stay(case: Case, time_budget: float) -> dict[str, Any]:
     """Whether a rope that should stick does."""
     try:
-        signal.setitimer(signal.ITIMER_VIRTUAL, patience)
+        signal.setitimer(signal.ITIMER_VIRTUAL, time_budget)
         turned = drift(case.setup)
     except (SimulationError, OutOfPatience) as error:
         return {"number": case.number, "links": case.kind["links"], "outcome": "failed", "reason": error.status}
@@ -171,14 +173,14 @@ def sticking(rows: list[dict[str, Any]]) -> str:
     )
 
 
-def _out_of_patience(*_: Any) -> None:
+def _out_of_time(*_: Any) -> None:
     raise OutOfPatience
 
 
-def examine(seed: int, number: int, patience: float) -> dict[str, Any]:
-    """Judge the case of a seed and a number with so much patience, s."""
+def examine(seed: int, number: int, time_budget: float) -> dict[str, Any]:
+    """Judge the case of a seed and a number with a time budget, s."""
     case = draw(seed, number)
-    signal.setitimer(signal.ITIMER_VIRTUAL, patience)
+    signal.setitimer(signal.ITIMER_VIRTUAL, time_budget)
     try:
         verdict = judge(case.setup, case.number)
     finally:

@@ -59,6 +59,18 @@ def test_real_large_ropes_and_arms_pass() -> None:
     assert hf.move_arm(-4.0 * np.pi, 4.0 * np.pi, 60.0).breaks[-1] == 60.0
 
 
+def test_limits_of_the_motor_belong_to_its_limits() -> None:
+    for plan, name in ((hf.plan_cast, "torque"), (hf.plan_whip, "speed"), (hf.plan_insert, "acceleration")):
+        with pytest.raises(InvalidInput, match=rf"{name}.* belongs to limits=MotorLimits\(\.\.\.\)"):
+            plan(ROPE, hf.Arm(), None, **{name: 2.0})
+
+
+def test_a_run_goes_on_from_many_turns() -> None:
+    """As it ends after a long whirl; a start at rest is asked for its unit."""
+    setup = hf.Setup(ROPE, arm=hf.Arm(), q0=np.full(10, 90.3), qd0=np.full(10, 12.0))
+    assert setup.replace(duration=0.1).q0 is not None
+
+
 def test_ropes_whose_scale_no_motion_tells_pass() -> None:
     """Identification from angles alone leaves masses in proportion, as heavy as may be."""
     assert hf.Rope(length=[0.3], mass=[60.0]).mass[0] == 60.0

@@ -4,12 +4,15 @@ Each returns the value in the form that the package works with, or raises :class
 """
 
 import difflib
+import functools
+import inspect
 import math
 import sys
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
 from types import MappingProxyType
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +22,7 @@ from hyperflex.errors import InvalidInput
 Array = npt.NDArray[np.float64]
 Sign = Literal["any", "positive", "nonnegative"]
 T = TypeVar("T")
+_P = ParamSpec("_P")
 
 MOST_THREADS = 1024
 LARGEST = 1e100  # of any quantity in SI units; squares and products of larger ones overflow
@@ -175,7 +179,8 @@ def keys(
         close = difflib.get_close_matches(key[:80], known, 1, 0.7)
         advice = [f"perhaps {close[0]!r} is meant"] if close else []
         advice += [f"it belongs {' or '.join(places)}"] if places else []
-        fix = ", or ".join(advice).capitalize() or "Correct its name, or remove it"
+        fix = ", or ".join(advice) or "correct its name, or remove it"
+        fix = fix[0].upper() + fix[1:]
         raise InvalidInput(f"{what} does not know this key", got=key, allowed=", ".join(known), fix=fix)
     if missing := [key for key in needed if key not in given]:
         raise InvalidInput(f"{what} lacks {', '.join(missing)}", got=given, allowed=", ".join(known), fix="Add it")
@@ -225,3 +230,20 @@ def choice(name: str, value: object, options: Sequence[str], *, also: str = "") 
         allowed = [*map(repr, options), *([also] if also else [])]
         raise InvalidInput(f"{name} is not known", got=value, allowed=", ".join(allowed))
     return value
+
+
+def arguments(**parts: type[Any]) -> Callable[[Callable[_P, T]], Callable[_P, T]]:
+    """Decorate a function: arguments that it lacks are refused; those of its `parts`, dataclasses, with their place."""
+
+    def decorate(function: Callable[_P, T]) -> Callable[_P, T]:
+        known = inspect.signature(function).parameters
+        elsewhere = {f"to {part}={of.__name__}(...)": [each.name for each in fields(of)] for part, of in parts.items()}
+
+        @functools.wraps(function)
+        def call(*values: _P.args, **named: _P.kwargs) -> T:
+            keys(f"{function.__name__}()", named, known, elsewhere=elsewhere)
+            return function(*values, **named)
+
+        return call
+
+    return decorate

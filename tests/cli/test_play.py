@@ -35,7 +35,7 @@ def test_it_opens_the_page_with_a_set_up(hyperflex_json, seen, tmp_path, monkeyp
 
 def test_it_says_which_rope_it_shows(hyperflex, seen, tmp_path):
     _, _, err = hyperflex("play", "--no-open", "--folder", tmp_path)
-    assert "It shows the paper's cable (Rope(50 links, 2 m, 0.125 kg)); hyperflex play SETUP.toml shows another" in err
+    assert "It shows the paper's cable (rope, 2 m, 125 g, 50 links); hyperflex play SETUP.toml shows another" in err
 
 
 @pytest.mark.parametrize(

@@ -106,6 +106,7 @@ def test_a_peg_is_put_where_it_is_dragged_but_not_into_the_rope():
     session.change({"target_solid": 0})
     assert session.setup.pegs == ()
     assert session.scene()["targets"] == [[0.5, -1.2]]
+    assert session.scene()["rope"].startswith("rope, ")
 
 
 def test_a_rope_strikes_the_peg_while_swinging():

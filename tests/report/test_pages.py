@@ -57,6 +57,17 @@ def test_a_page_is_one_file_that_escapes_and_fetches_nothing(tmp_path):
     assert "http" not in text
 
 
+def test_on_a_phone_charts_scroll_and_other_pictures_fit(tmp_path):
+    pictures = (Picture(PNG, "a chart"), Picture(PNG, "a strobe", chart=False))
+    write_page(tmp_path / "page.html", "Title", "Lead", "simulated", [Section("A", pictures=pictures)])
+    text = (tmp_path / "page.html").read_text("utf-8")
+    assert re.findall(r'<figure( class="chart")?><img.*alt="(.*?)"', text) == [
+        (' class="chart"', "a chart"),
+        ("", "a strobe"),
+    ]
+    assert ".chart { overflow-x: auto; }" in text
+
+
 def test_a_page_goes_whole_or_not_at_all(tmp_path):
     with pytest.raises(FileProblem, match="does not exist"):
         write_page(tmp_path / "no" / "page.html", "Title", "Lead", "simulated", [])

@@ -35,6 +35,7 @@ def play(
     """
     from hyperflex.model import Setup
     from hyperflex.play import Folder, PlayServer, Session
+    from hyperflex.play.session import in_short
 
     if setup is not None and setup.suffix.lower() == ".nc":
         fix = f"See a run with hyperflex view {setup}; in the page, Open takes one from the folder"
@@ -43,7 +44,7 @@ def play(
     if setup is not None:
         session.play(Setup.from_toml(setup), "file")
     with PlayServer(Folder(folder), session, port=port, host=host, allow=allow or ()) as server:
-        cable = f"the paper's cable ({session.rope!r}); hyperflex play SETUP.toml shows another"
+        cable = f"the paper's cable ({in_short(session.rope)}); hyperflex play SETUP.toml shows another"
         shown = setup or cable
         sys.stderr.write(f"hyperflex: at {server.address}; Ctrl-C ends it. It shows {shown}\n")
         if json:

@@ -308,4 +308,4 @@ def _paper_section(report: DemoReport, contents: Mapping[str, bytes]) -> Section
 
 
 def _shown(contents: Mapping[str, bytes], *kinds: str) -> tuple[Picture, ...]:
-    return tuple(Picture(contents[kind], _CAPTIONS[kind]) for kind in kinds)
+    return tuple(Picture(contents[kind], _CAPTIONS[kind], chart=kind not in ("seen", "strobe")) for kind in kinds)

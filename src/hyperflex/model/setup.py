@@ -100,8 +100,10 @@ class Setup:
         for name, unit in (("q0", "rad"), ("qd0", "rad/s")):
             if getattr(self, name) is not None:
                 values[name] = checks.array(name, getattr(self, name), (n,), unit=unit)
-        checks.meant("q0", values.get("q0", 0.0), "rad")
-        checks.meant("arm_angle0", self.arm_angle0, "rad")
+        if not np.any(values.get("qd0", 0.0)):  # where a run has ended angles may count many turns
+            checks.meant("q0", values.get("q0", 0.0), "rad")
+        if values["arm_rate0"] == 0.0:
+            checks.meant("arm_angle0", self.arm_angle0, "rad")
         values["contact_step"] = checks.number("contact_step", self.contact_step, sign="positive", unit="s")
         x, y = checks.array("tip_force", self.tip_force, (2,), unit="N")
         values |= {"tip_force": (float(x), float(y)), "pegs": checked_obstacles(self.pegs)}

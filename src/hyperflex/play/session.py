@@ -150,7 +150,7 @@ class Session:
             "settings": asdict(self.settings),
             "activity": self.activity,
             "given": self._given is not None,
-            "rope": repr(self.setup.rope),
+            "rope": in_short(self.setup.rope),
             "arm": self.setup.arm is not None,
             "radius": self.setup.rope.radius,
             "view": [x - reach, y - reach, x + reach, y + _ABOVE * reach],
@@ -236,3 +236,10 @@ class Session:
         speed = float(np.hypot(*run.tip_velocity[0]))
         numbers = [math.degrees(float(run.arm_angle[0])), float(energy[0]), float(x[0]), c * float(v[0]), tension]
         return [self.t, *numbers, float(turns(run, target)[0]), speed]
+
+
+def in_short(rope: Rope) -> str:
+    """Return a rope in a few words, as in "my cord, 2 m, 125 g, 50 links"."""
+    links = f"{rope.n_links} link{'' if rope.n_links == 1 else 's'}"
+    words = (rope.name or "rope", f"{rope.total_length:.4g} m", f"{1e3 * rope.total_mass:.4g} g", links)
+    return ", ".join(words)

@@ -31,6 +31,7 @@ class Picture:
 
     content: bytes
     caption: str
+    chart: bool = True  # its words are to be read: on a phone it scrolls, in place of being shrunk
 
     @property
     def source(self) -> str:

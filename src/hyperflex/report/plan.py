@@ -32,6 +32,7 @@ Plan = CastPlan | WhipPlan | InsertPlan
 Outcome = CastOutcome | TipStrike | InsertOutcome
 PlanT = TypeVar("PlanT", CastPlan, WhipPlan, InsertPlan)
 NOT_KNOWN = "not known"
+STROBES = ("strike", "peak", "entry")  # pictures of many instants in one, by their names
 STRONG = 30.0  # times the torque of the rope's weight at the arm, which usual casts ask 2 to 10 times
 
 
@@ -133,7 +134,10 @@ class PlanReport(ABC, Generic[PlanT]):
         run, captions = self.plan.run, self.captions
         films = {} if run is None else {"film": Film(player_html(run, **self.film()), captions["film"])}
         shown = {kind: caption for kind, caption in captions.items() if kind in drawn}
-        return {**films, **{kind: Picture(drawn[kind].read_bytes(), caption) for kind, caption in shown.items()}}
+        return films | {
+            kind: Picture(drawn[kind].read_bytes(), caption, chart=kind not in STROBES)
+            for kind, caption in shown.items()
+        }
 
     def _sections(self, shown: Mapping[str, Picture | Film]) -> list[Section]:
         plan, verdict, search = self.plan, (self.plan.success, self.verdict), (search_summary(self.plan),)

@@ -23,6 +23,7 @@ SWINGING = 0.5  # fraction of the time for random swings
 TIME_BUDGET, PERIODS = 30.0, 2.0  # s; swing periods within which the tip enters by default
 
 
+@checks.arguments(limits=MotorLimits)
 @interruptible(InsertPlan)
 def plan_insert(
     rope: Rope,

@@ -31,6 +31,7 @@ MAPPING = 0.4  # fraction of the time for the map
 TIME_BUDGET, PERIODS = 30.0, 3.0  # s; swing periods within which the tip strikes by default
 
 
+@checks.arguments(limits=MotorLimits)
 @interruptible(WhipPlan)
 def plan_whip(
     rope: Rope,

@@ -28,6 +28,7 @@ from hyperflex.simulation import simulate
 TIME_BUDGET = 60.0  # s
 
 
+@checks.arguments(limits=MotorLimits)
 @interruptible(CastPlan)
 def plan_cast(
     rope: Rope,
