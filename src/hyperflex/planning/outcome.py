@@ -66,6 +66,9 @@ class CastOutcome:
         Why the throw fails; empty if it succeeds.
     n_links : int
         Links of the simulated rope; 0 if the simulation failed.
+    tip_hangs : bool
+        Whether the rope's end is lower than the peg's centre all through the watch. One that lies on top of the peg may
+        fall to either side.
     run : Trajectory or None
         The run; None if the simulation failed, or if the outcome was read from a file.
     """
@@ -85,6 +88,7 @@ class CastOutcome:
     torque_peak: float
     message: str
     n_links: int
+    tip_hangs: bool = True
     run: Trajectory | None = None
 
     @property
@@ -158,6 +162,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
     torque, torque_peak = motor_torques(run)
     max_bend, clearance = greatest_bend(run), rope_clearance(run)
     covered = float(wound.contact[watched].min())
+    above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
     message = ""
     if not touched.any():
         message = "the rope does not touch the peg"
@@ -191,6 +196,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         torque_peak=torque_peak,
         message=message,
         n_links=run.q.shape[1],
+        tip_hangs=bool((above[watched] < 0.0).all()),
         run=run,
     )
 
