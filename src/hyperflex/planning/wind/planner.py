@@ -39,7 +39,9 @@ SWINGING = 0.5  # fraction of the time after which the search goes on in contact
 RESTART = 12  # generations in contact from one candidate
 LEAST = 1.0  # score of throws that wind and are worth a verification: less have those that slip by more than 2 cm
 ALIKE = 0.05  # points that differ by less are one
-FINER = (2, 3, 5)  # pieces of each link in the verifications after the first; with a margin in two the others are left
+# Pieces of each link in the verifications after the first: the second one needs the third where a margin lacks, and
+# that the last, which takes five times as long as the first, where the rope's end lies on top of the peg
+FINER = (2, 3, 5)
 SEARCHING = 0.85  # fraction of the time after which only verifications are begun
 LONGEST = 0.25  # fraction of the time that a first verification may take, or half of what is left
 LOOK = 1.0  # s; steps of a run between two looks at the clock may take as long on a busy machine
@@ -286,17 +288,19 @@ class CastPlanner:
         """Verify a throw on the rope as given and with links of half the length; without a margin with shorter ones.
 
         `seen` are the first two outcomes if these are known. Of those with shorter links the one that fails is
-        returned, or the one whose turns differ most: unpredictable throws differ with the length of the links. The
-        last may run out of time; then the others count.
+        returned, or the one whose turns differ most: unpredictable throws differ with the length of the links.
         """
         first, second = seen[1:] if seen else self.verify_twice(one)
-        if first is None or not first.success or with_margin((one.throw, first, second)):
-            return first, second  # type: ignore[return-value] # there is a first one
         known = [] if second is None else [second]
-        if known and not known[0].success:
-            return first, second
-        more = [self.finer_run(one, k) for k in range(len(known), len(self.finer))]
-        return first, worst_of(first, known + self.at_once(more, lambda found: found.success or not found.completed))
+        if first is None or not all(each.success for each in (first, *known)) or with_margin((None, first, second)):
+            return first, second  # type: ignore[return-value] # there is a first one
+        more = [self.finer_run(one, k) for k in range(len(known), 2)]
+        finer = known + self.at_once(more, lambda found: found.success or not found.completed)
+        worst = worst_of(first, finer)
+        if worst.success and not all(each.tip_hangs for each in (first, *finer)):
+            last = self.finer_run(one, 2)(lambda: False)
+            return first, worst_of(first, [worst, last]) if last.success else last
+        return first, worst
 
     def verify_twice(self, one: Candidate) -> tuple[CastOutcome, CastOutcome | None]:
         """Verify a throw on the rope as given and, beside that, with links of half the length where it has a margin."""
