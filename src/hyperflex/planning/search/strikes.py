@@ -109,11 +109,12 @@ def first_contact(q: Array, base: Array, length: Array, peg: Peg, rope_radius: f
     `q` (M, T, n) are angles, rad, `base` (M, T, 2) positions of the rope's first joint, m, `length` (n,) or (M, 1, n)
     those of the links, m, and `rope_radius` is in m.
     """
-    links = np.moveaxis(q, 2, 0)
+    single = np.float32  # good to a micrometre, in half the time
+    links, far = np.moveaxis(q.astype(single), 2, 0), (np.array([peg.x, peg.y]) - base).astype(single)
     sin, cos = np.sin(links, order="C"), np.cos(links, order="C")
-    x, y = peg.x - base[..., 0], peg.y - base[..., 1]  # from a link's motor-side joint to the peg
+    x, y = far[..., 0], far[..., 1]  # from a link's motor-side joint to the peg
     gap, beside = np.empty_like(sin), np.empty_like(sin)
-    each = np.moveaxis(np.broadcast_to(length, (len(q), 1, q.shape[2])), 2, 0)
+    each = np.moveaxis(np.broadcast_to(length.astype(single), (len(q), 1, q.shape[2])), 2, 0)
     for i, (s, c, long) in enumerate(zip(sin, cos, each, strict=True)):
         along = x * s - y * c
         beside[i] = np.where((along > 0.0) & (along < long), x * c + y * s, 0.0)
