@@ -478,8 +478,12 @@ def test_the_best_of_the_throws_that_two_verifications_bear_out_without_a_margin
 
     monkeypatch.setattr(cast_planner.CastPlanner, "verify_twice", twice)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
-    work = cast_planner.CastPlanner(search, 60.0)
-    for _ in range(4):
+    spent = SimpleNamespace(spent=0.0)
+    work = cast_planner.CastPlanner(search, 60.0, clock=spent)  # type: ignore[arg-type]
+    work.verify_new()
+    assert asked == []  # at first another with a margin is looked for
+    spent.spent = 7.0
+    for _ in range(3):
         work.verify_new()
     assert asked == ["d", "a", "c"]
     assert {one.throw.name for one in work.checked} == set("abcd")  # type: ignore[attr-defined]
@@ -663,7 +667,7 @@ def test_enough_throws_that_wind_are_verified_before_more_last_moves_are_tried(m
 
     def evaluate(side: int, points: list[np.ndarray]) -> None:
         tried.append({(point[-4], point[-2]) for point in points})
-        found = [cast_planner.Candidate(1.0, turns[len(tried) - 1], side, point, None) for point in points]  # type: ignore[arg-type]
+        found = [cast_planner.Candidate(2.0, turns[len(tried) - 1], side, point, None) for point in points]  # type: ignore[arg-type]
         search.candidates += found
 
     monkeypatch.setattr(search, "evaluate", evaluate)

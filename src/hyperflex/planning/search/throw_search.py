@@ -26,7 +26,9 @@ from hyperflex.simulation import Deadline
 MEMBERS, CONTACT_MEMBERS = 32, 16  # of a generation of free swings, and of one in contact
 KEPT = 4  # swings of a generation that may be tried in contact
 TRIED = 2  # swings that are tried in contact at once
-ENOUGH = 4  # throws that wind, after which they are verified before more last moves are tried
+# Throws that wind, after which they are verified before more last moves are tried; with less of a score they slip, or
+# are folded flat on the way
+ENOUGH, SOUND = 4, MIN_TURNS
 # Tried after a strike: strokes still made, none or two, and then the last move's end, in half turns. Of 32 swings at
 # eight targets these wound 16; one stroke more, or a rest of 0.05 periods before the last move, another one
 MORE, ENDS = (0.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0)
@@ -200,7 +202,7 @@ class ThrowSearch:
         before winds, a long rest is tried as well, and after MAX_FAILED such tries shorter links for the same swings.
         """
         if not self._untried:
-            self._failed_tries += bool(self.candidates) and not self._winding
+            self._failed_tries += bool(self.candidates) and not any(one.turns >= MIN_TURNS for one in self.candidates)
             if self._failed_tries == MAX_FAILED and self._in_contact is self.cast_setup:
                 self._in_contact = self.cast_setup.cut(PIECES)
                 self._tried.clear()
@@ -214,14 +216,14 @@ class ThrowSearch:
                     some = [one for one in fresh if one.side == side]
                     points = [np.append(one.x[:-LAST], [more, end, rest, 1.0]) for one in some for end in ENDS]
                     self._untried += [(side, points)] if points else []
-        wound = self._winding
-        while self._untried and self._winding < wound + ENOUGH and (self.left is None or self.left() > 0.0):
+        wound = self._sound
+        while self._untried and self._sound < wound + ENOUGH and (self.left is None or self.left() > 0.0):
             self.evaluate(*self._untried.pop(0))
 
     @property
-    def _winding(self) -> int:
-        """Number of candidates that wind."""
-        return sum(one.turns >= MIN_TURNS for one in self.candidates)
+    def _sound(self) -> int:
+        """Number of candidates that wind, hold and do not fold."""
+        return sum(one.turns >= MIN_TURNS and one.score >= SOUND for one in self.candidates)
 
     def try_throws(self, throws: Sequence[Throw]) -> None:
         """Simulate given throws in contact: their strokes until they strike, and then some more of them."""

@@ -11,7 +11,7 @@ from hyperflex.planning.outcome import MIN_TURNS, CastOutcome, require_holding_f
 from hyperflex.planning.search.candidates import Candidate, distinct, same_swing
 from hyperflex.planning.search.contact_phase import SLIP_COST
 from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
-from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.search.throw_search import SOUND, ThrowSearch
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
@@ -33,14 +33,16 @@ MIN_GROWTH, IDLE_ROUNDS = 1.03, 2  # a round that gains less than this factor is
 PROMISING, WORTHY = 0.5, 0.5  # energy ratio of swings that need no more time, and of swings that are worth a try
 MIN_TAIL = 0.5  # turns of tail, at least, that a swing is taken to have for that
 NEARLY = 0.9  # score of a throw in contact that is worth being refined though all swings strike late
-EARLY, LONGER = 0.1, 1.5  # fraction of the time after which swings that promise less may take longer; how much longer
+# Fraction of the time after which swings that promise less may take longer, and throws that fold or lack a margin are
+# verified to the end: others are mostly found sooner. How much longer
+EARLY, LONGER = 0.1, 1.5
 FREE = 0.2  # fraction of the time in which late swings are not tried in contact before they are worth it
 SWINGING = 0.5  # fraction of the time after which the search goes on in contact in any case
 RESTART = 12  # generations in contact from one candidate
 LEAST = 1.0  # score of throws that wind and are worth a verification: less have those that slip by more than 2 cm
 ALIKE = 0.05  # points that differ by less are one
-# Pieces of each link in the verifications after the first: the second one needs the third where a margin lacks, and
-# that the last, which takes five times as long as the first, where the rope's end lies on top of the peg
+# Pieces of each link in verifications after the first; the third is for throws without a margin, and the last, which
+# takes five times as long as the first, for those whose rope ends on top of the peg
 FINER = (2, 3, 5)
 SEARCHING = 0.85  # fraction of the time after which only verifications are begun
 LONGEST = 0.25  # fraction of the time that a first verification may take, or half of what is left
@@ -113,12 +115,7 @@ class CastPlanner:
         while not (self.late or self.done()):
             late = contact > 0 and self.search.late
             settled = idle >= IDLE_ROUNDS * (2 if late and score < WORTHY * self.tail else 1)
-            if (
-                late
-                and score < PROMISING * self.tail
-                and self.longer
-                and (settled or score < 0.0 or self.spent > EARLY * self.time_budget)
-            ):
+            if late and score < PROMISING * self.tail and self.longer and (settled or score < 0.0 or not self.early):
                 self.lengthen()
                 score, idle, contact = 0.0, 0, 0
             elif (
@@ -145,6 +142,11 @@ class CastPlanner:
     def stands(self) -> bool:
         """Whether a plan succeeds."""
         return succeeds(self.best)
+
+    @property
+    def early(self) -> bool:
+        """Whether throws without a margin are left."""
+        return self.spent <= EARLY * self.time_budget
 
     def try_worthy(self) -> None:
         """Try the best swings in contact, and others that are worth it until a plan stands."""
@@ -215,8 +217,9 @@ class CastPlanner:
                 break
             self.look(some)
         if self.stands:
-            self.waiting = [each for each in self.waiting if self.promises(each[0])]
-        if self.waiting and not self.done():
+            known = rank(self.best, self.contact)[:-1]
+            self.waiting = [each for each in self.waiting if promise(each[0], self.contact)[:-1] > known]
+        if self.waiting and not (self.early or self.done()):
             seen, one = self.waiting.pop(0)
             self.check([one], [seen])
 
@@ -234,12 +237,8 @@ class CastPlanner:
                 self.take([one], [found])
         self.waiting.sort(key=lambda each: promise(each[0], self.contact), reverse=True)
 
-    def promises(self, seen: Verified) -> bool:
-        """Whether a throw may be a better plan than the best, but for its turns."""
-        return promise(seen, self.contact)[:-1] > rank(self.best, self.contact)[:-1]
-
     def verify_best(self) -> None:
-        """Verify the best of those without a margin if no plan stands, or the best candidate if none was verified."""
+        """Verify the best throw without a margin if no plan stands, or the best candidate if none was verified."""
         if self.waiting and not self.stands:
             seen, one = self.waiting.pop(0)
             self.check([one], [seen])
@@ -249,7 +248,8 @@ class CastPlanner:
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, and are not like one that was verified nor like each other."""
         least = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN)
-        winding = (one for one in self.search.candidates if one.confirmed and one.turns >= least and one.score >= LEAST)
+        score, some = SOUND if self.early else LEAST, self.search.candidates
+        winding = (one for one in some if one.confirmed and one.turns >= least and one.score >= score)
         return distinct(winding, self.checked, max(1, self.search.workers // 2), ALIKE)
 
     def keep(self, one: Candidate, found: Verified) -> bool:
@@ -299,7 +299,7 @@ class CastPlanner:
         worst = worst_of(first, finer)
         if worst.success and not all(each.tip_hangs for each in (first, *finer)):
             last = self.finer_run(one, 2)(lambda: False)
-            return first, worst_of(first, [worst, last]) if last.success else last
+            worst = worst_of(first, [worst, last]) if last.success else last
         return first, worst
 
     def verify_twice(self, one: Candidate) -> tuple[CastOutcome, CastOutcome | None]:
