@@ -4,9 +4,10 @@ python -m benchmarks.coverage                        2,000 of each kind, half an
 python -m benchmarks.coverage --count 100 --out -    a look; nothing is written
 
 All data are simulated. Each experiment draws its rope, its first swing and its noise, fits with ``identify`` and its
-defaults, and looks whether each interval holds the value that made the data. Where the model is right, lengths are
-declared to be exact. The exit code is 1 if then one of the parameters is held more or less often than chance allows, or
-if a wrong model's intervals miss in more than 12 % of the results that are not graded "do not use".
+defaults, and looks whether each interval holds the value that made the data. Where the model is right, lengths and
+times are declared to be exact (length_std=0, clock_std=0); "measured" draws their errors as the defaults have them. The
+exit code is 1 if where the model is right one of the parameters is held more or less often than chance allows, or if a
+wrong model's intervals miss in more than 12 % of the results that are not graded "do not use".
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import warnings
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,7 +48,7 @@ LENGTH, LINK_MASS = 0.2, 1.53e-3  # m, kg: of a link of the paper's rope for ide
 INERTIA, FRICTION = 1.43e-7, 6.31e-4  # kg m^2, N m s/rad: what the paper identified
 CYLINDER = LINK_MASS * LENGTH**2 / 12.0  # kg m^2: a thin rod's
 EXACT = {"length_std": 0.0, "clock_std": 0.0}  # lengths and times are as declared, and are declared to be
-LENGTH_STD = 0.01  # as identify takes it
+LENGTH_STD, CLOCK_STD = 0.01, 0.005  # as identify takes them
 DRAG, LATE, PLACE_NOISE = 0.05, 0.02, 2e-3  # kg/m^2; s; m
 HOLDS = 0.88  # of intervals of a wrong model that is not called so
 WORDS = ("not white", "no noise", "as large as the declared noise")
@@ -130,10 +132,11 @@ def too_long(random: np.random.Generator) -> Experiment:
 
 
 def measured(random: np.random.Generator) -> Experiment:
-    """Lengths are measured with the error that intervals allow for."""
+    """Lengths and times are measured with the errors that intervals allow for by default."""
     true, guess, free, truth = doubles(random)
     recording = seen(true, 81, 20.0, random.uniform(0.4, 1.1, 2), random)
-    factor = float(np.exp(LENGTH_STD * random.standard_normal()))
+    factor, clock = np.exp([LENGTH_STD, CLOCK_STD] * random.standard_normal(2))
+    recording = replace(recording, t=clock * recording.t)
     return Experiment(recording, guess.replace(length=factor * guess.length), free, truth)
 
 
@@ -216,7 +219,7 @@ KINDS: dict[str, tuple[Draw, str]] = {
     "double": (double, "a double pendulum, nothing weighed: ratios; 81 frames in 4 s"),
     "finer": (finer, "the rope of 20 links, fitted with 5; the truth is the rope simply cut into 5"),
     "stiff": (stiff, "a stiff rope of 60 links, fitted with 15; factors of friction and stiffness"),
-    "measured": (measured, "a double pendulum, lengths measured with a standard deviation of 1 %"),
+    "measured": (measured, "a double pendulum, lengths measured with a standard deviation of 1 %, times of 0.5 %"),
     "drag": (dragged, "a double pendulum that the air brakes, fitted without air"),
     "length": (too_long, "a double pendulum, lengths taken 1 % too long"),
     "scale": (too_large, "a double pendulum, places of its markers 2 % too far apart"),

@@ -27,7 +27,7 @@ from benchmarks import machine
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.identification.uncertainty.covariance import ratio_spread
+from hyperflex.identification.uncertainty.ratios import ratio_spread
 
 RESULTS = Path(__file__).parent / "results"
 BAND = 1.96  # standard deviations on either side that hold 95 %

@@ -25,8 +25,9 @@ from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import scaling
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.rounds import message
-from hyperflex.identification.uncertainty.covariance import Information, estimate_covariance, ratio_spread
+from hyperflex.identification.uncertainty.covariance import Information, estimate_covariance
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation
+from hyperflex.identification.uncertainty.ratios import ratio_spread
 from hyperflex.identification.verdict import (
     failed_predictions,
     not_converged,

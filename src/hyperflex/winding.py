@@ -35,7 +35,8 @@ class Winding:
         Angle of the peg that the rope covers, rad, >= 0: from link to link between those, where none is off it by more
         than LIFTED of its length.
     before, after : (T,) float64
-        Tension of the rope towards the motor and towards the tip of the links on the peg, N; NaN where none is.
+        Tension of the rope towards the motor and towards the tip of the links on the peg, N: the force through their
+        outer joints along them, < 0 where it pushes, as a weight does that stands on its rope. NaN where none is.
     tail : (T,) float64
         Weight of what hangs beyond the links on the peg, the tip's mass included, N; NaN where none is.
     """
@@ -107,14 +108,16 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
     on = np.asarray((gap < LIFTED * run.setup.rope.length) & (between >= first[:, None]) & (between <= last[:, None]))
     on &= np.asarray(any_touch)[:, None]
     covered = np.abs(np.where(on[:, 1:] & on[:, :-1], swept(out), 0.0).sum(axis=1))
-    pull, rope = rope_tension(run), run.setup.rope
+    rope, force = run.setup.rope, _joint_forces(run)
+    along = np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
+    pull, left = (-(each * along).sum(axis=-1) for each in (force[:, :-1], force[:, 1:]))
     beyond = rope.tip_mass + np.append(np.cumsum(rope.mass[::-1])[::-1], 0.0)
     return Winding(
         turns=angles.sum(axis=1) / (2.0 * np.pi),
         arc=np.where(any_touch, middle[rows, last] - middle[rows, first], 0.0),
         contact=covered,
         before=np.where(any_touch, pull[rows, first], np.nan),
-        after=np.where(any_touch, pull[rows, last + 1], np.nan),
+        after=np.where(any_touch, left[rows, last], np.nan),
         tail=np.where(any_touch, np.hypot(*rope.gravity) * beyond[last + 1], np.nan),
     )
 
@@ -138,7 +141,13 @@ def rope_tension(run: Trajectory) -> Array:
     run : Trajectory
         With a prescribed arm or a fixed end. Beside pegs, accelerations and forces are means over the step.
     """
-    rope, drive = checks.instance("run", run, Trajectory).setup.rope, run.setup.drive()
+    force = _joint_forces(checks.instance("run", run, Trajectory))
+    return np.asarray(np.hypot(force[..., 0], force[..., 1]))
+
+
+def _joint_forces(run: Trajectory) -> Array:
+    """Force on what is beyond each joint from what is before it (T, n + 1, 2), N, the tip last."""
+    rope, drive = run.setup.rope, run.setup.drive()
     if run.setup.torque_driven:
         base = np.gradient(run.base_velocity, run.t, axis=0)
     else:
@@ -155,8 +164,7 @@ def rope_tension(run: Trajectory) -> Array:
     if run.contact_force is not None:
         needed = needed - run.contact_force
     end = rope.tip_mass * (joints[:, -1:] - rope.gravity) - np.array(run.setup.tip_force)
-    force = np.cumsum(np.concatenate([end, needed[:, ::-1]], axis=1), axis=1)[:, ::-1]
-    return np.asarray(np.hypot(force[..., 0], force[..., 1]))
+    return np.asarray(np.cumsum(np.concatenate([end, needed[:, ::-1]], axis=1), axis=1)[:, ::-1])
 
 
 def rope_slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array:

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 import hyperflex as hf
-from hyperflex import planning
+from hyperflex import files, planning
 from tests.planning.known_insert import ROPE, SLOT, far_insert, planned_insert
 
 NAMES = {"report.html", "entry.png", "gap.png", "course.png", "motion.csv", "insert.toml", "insert.nc"}
@@ -18,8 +18,7 @@ def setup_file(tmp_path):
     """A set-up whose table says all of the slot."""
     setup = tmp_path / "setup.toml"
     hf.Setup(ROPE, arm=hf.Arm(length=0.15)).to_toml(setup)
-    table = "".join(f"{name} = {value}\n" for name, value in dataclasses.asdict(SLOT).items())
-    setup.write_text(f"{setup.read_text()}[slot]\n{table}")
+    setup.write_text(setup.read_text() + files.dumps_toml({"slot": dataclasses.asdict(SLOT)}))
     return setup
 
 
@@ -56,6 +55,16 @@ def test_file_and_options_say_the_same(hyperflex_json, ready, setup_file, tmp_pa
     assert hyperflex_json(*words)[0] == 0
     assert asked["slot"] == SLOT
     assert hf.simulate(hf.Setup.from_toml(setup_file), duration=0.01).success  # a run leaves the slot alone
+
+
+def test_a_tube_its_speed_and_touches_are_asked_by_file_and_options(hyperflex_json, ready, setup_file, tmp_path):
+    asked = ready(planned_insert())
+    more = ("--tube", "0.06", "--max-speed", "0.8", "--touching")
+    assert hyperflex_json("insert", setup_file, "-o", tmp_path / "out", *more)[0] == 0
+    assert asked["slot"] == dataclasses.replace(SLOT, tube=0.06, max_speed=0.8, touching=True)
+    setup_file.write_text(setup_file.read_text().replace("tube = 0.0", "tube = 0.06").replace("false", "true"))
+    assert hyperflex_json("insert", setup_file, "-o", tmp_path / "out")[0] == 0
+    assert asked["slot"] == dataclasses.replace(SLOT, tube=0.06, touching=True)
 
 
 def test_the_file_of_a_plan_serves_again(hyperflex_json, ready, tmp_path):

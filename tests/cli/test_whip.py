@@ -115,11 +115,12 @@ def test_file_and_options_have_the_same_names_and_units(hyperflex, ready, tmp_pa
     assert "target direction is more than a turn" in err
 
 
-def test_obstacles_and_a_missing_target_are_refused(hyperflex, rope_file, tmp_path):
-    hf.Setup(ROPE, pegs=(hf.Peg(0.0, 1.0, 0.1),)).to_toml(tmp_path / "setup.toml")
-    code, _, err = hyperflex("whip", tmp_path / "setup.toml", "--target", "0.3", "-0.9", "-o", tmp_path / "out")
-    assert code == 2
-    assert "without obstacles" in err
+def test_obstacles_of_a_set_up_file_count_and_a_missing_target_is_refused(hyperflex, rope_file, ready, tmp_path):
+    peg = hf.Peg(0.0, 1.0, 0.1)
+    hf.Setup(ROPE, pegs=(peg,)).to_toml(tmp_path / "setup.toml")
+    asked = ready(planned_whip())
+    assert hyperflex("whip", tmp_path / "setup.toml", "--target", "0.3", "-0.9", "-o", tmp_path / "out")[0] == 0
+    assert asked["obstacles"] == (peg,)
     code, _, err = hyperflex("whip", "--rope", rope_file, "-o", tmp_path / "out")
     assert code == 2
     assert "--target is missing" in err

@@ -12,7 +12,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification import Identification, identify
 from hyperflex.identification.diagnosis.model_error import with_model_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
-from hyperflex.identification.uncertainty.covariance import ratios
+from hyperflex.identification.uncertainty.ratios import ratios
 from hyperflex.model import Rope, divided, parse_label
 from hyperflex.planning import RopePosterior
 from hyperflex.recording import Recording

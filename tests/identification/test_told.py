@@ -110,13 +110,15 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
 
 @pytest.mark.parametrize(
     ("identifiable", "words"),
-    [(True, "Usable: {}, all else is."), (False, "Usable for ratios: {}, all other ratios are.")],
+    [(True, "Usable: {}, all else is. {}"), (False, "Usable for ratios: {}, all other ratios are. {}")],
 )
 def test_what_is_not_known_stands_beside_what_is(identifiable: bool, words: str) -> None:
     told = grade((), PAIR, None, (), identifiable=identifiable, hardly=["friction[1]"])
-    assert str(told) == words.format("friction[1] is not known (the standard deviation is half of the value or more)")
+    unknown = "friction[1] is not known (the standard deviation is half of the value or more)"
+    advice = "Record longer or larger swings, or hold what you know otherwise."
+    assert str(told) == words.format(unknown, advice)
     poor = grade(("The fit is poor.",), PAIR, None, (), identifiable=identifiable, hardly=["friction[1]"])
-    assert poor.reasons[1] == "friction[1] is not known (the standard deviation is half of the value or more)."
+    assert poor.reasons[1] == f"{unknown}. {advice}"
 
 
 def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used() -> None:

@@ -46,6 +46,11 @@ NAMED = {  # what the first line must name
     "real double: radians read as degrees": "unit='rad'",
     "real double: last link's zero off by 10 degrees": "the zero of link 1 is off by 10.",
     "rope of 8 links: links in reverse order": "counted from the free end",
+    "double: one length in cm": "Link 1 is 83.3 times as long as link 0: are all lengths in m?",
+    "double: angles x 1.1, default": "angles multiplied by 0.91",
+    "markers: the last two swapped from the middle on": "markers 1 and 2 are swapped from t = 3 to",
+    "driven: arm's length x 1.2": "the arm were 0.1 m long",
+    "driven: stamps 100 ms late": "the motion were 0.1 s late",
 }
 FIT = (
     "as it is",

@@ -133,13 +133,22 @@ def test_swings_left_to_chance_are_not_continued(monkeypatch: pytest.MonkeyPatch
 
 def test_a_search_ends_where_swings_are_worth_a_try_and_goes_on_from_there() -> None:
     work = ThrowSearch(CAST_SETUP, hf.Peg(1.36 * np.sin(0.66), -1.36 * np.cos(0.66), 0.04))
-    score = work.beam_search(0.5)
-    assert score > 0.5
+    score = work.beam_search(0.1)
+    assert score > 0.1
     assert work.climbing
     runs = work.runs
     assert work.beam_search() >= score
     assert work.runs > runs
     assert not work.climbing
+
+
+def test_a_search_makes_full_strokes_first_and_others_where_these_are_not_enough() -> None:
+    """A full stroke is 0.95 of half a turn."""
+    for enough, full in ((0.1, True), (np.inf, False)):
+        work = ThrowSearch(CAST_SETUP, hf.Peg(1.36 * np.sin(0.66), -1.36 * np.cos(0.66), 0.04))
+        work.beam_search(enough)
+        made = {round(float(each), 6) for one in work.swings for each in one.x[: work.parametrizations[1].strokes]}
+        assert (made == {0.95}) is full
 
 
 def test_a_search_whose_time_is_over_begins_nothing() -> None:

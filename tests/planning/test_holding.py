@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import hyperflex as hf
 from hyperflex import winding
 from hyperflex.planning import outcome
 from hyperflex.planning.outcome import measure_holding_force, require_holding_force
@@ -112,3 +113,14 @@ def test_contact_and_bend_are_those_of_the_run() -> None:
     angle = np.unwrap(np.arctan2(away[lies, 1], away[lies, 0]))
     assert watched[-1] == pytest.approx(abs(angle[-1] - angle[0]), abs=0.5)  # to the length of a link on the peg
     assert cast.touch_time <= cast.strike_time
+
+
+def test_a_weight_that_stands_on_its_rope_pulls_along_it_alone() -> None:
+    """A rod rests on a peg near its tip, at 60 degrees from hanging: half of the tip's weight pulls along it."""
+    rod = hf.Rope.uniform(length=1.0, mass=0.1, n_links=1, radius=0.004, tip_mass=0.05, friction=0.5)
+    slope = np.radians(60.0)
+    along, across = np.array([np.sin(slope), -np.cos(slope)]), np.array([np.cos(slope), np.sin(slope)])
+    peg = hf.Peg(*(0.8 * along - 0.02401 * across), 0.02, 0.3)
+    run = hf.simulate(rod, duration=0.5, q0=[slope], pegs=[peg], refine=False)
+    assert winding.measure_winding(run, peg).after[-1] == pytest.approx(0.05 * 9.81 * np.cos(slope), rel=1e-3)
+    assert winding.rope_tension(run)[-1, -1] == pytest.approx(0.05 * 9.81, rel=1e-3)

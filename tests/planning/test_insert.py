@@ -52,6 +52,15 @@ def test_walls_leave_the_gap_free() -> None:
     ]
 
 
+def test_a_tube_goes_on_from_the_gaps_edges() -> None:
+    walls = replace(DOWN, tube=0.07).walls
+    assert walls[:2] == DOWN.walls
+    assert [(w.x, w.y, w.x2, w.y2) for w in walls[2:]] == [
+        pytest.approx((0.11, -0.5, 0.11, -0.57)),
+        pytest.approx((0.09, -0.5, 0.09, -0.57)),
+    ]
+
+
 @pytest.mark.parametrize(
     ("x", "slant", "offset", "gap"),
     [
@@ -86,10 +95,12 @@ def test_ways_of_a_tip_beyond_the_walls() -> None:
     assert passages(np.array([0.1, 0.2, -0.1]), 0.1) == []  # it begins there
 
 
-@pytest.mark.parametrize(("depth", "names"), [(0.04, ("offset", "t")), (0.06, ("depth",))])
-def test_derivatives_of_an_entry(depth: float, names: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    ("depth", "tube", "names"), [(0.04, 0.0, ("offset", "t")), (0.04, 0.05, ("offset",)), (0.06, 0.05, ("depth",))]
+)
+def test_derivatives_of_an_entry(depth: float, tube: float, names: tuple[str, ...]) -> None:
     """Against central differences: of an entry to the depth asked, and of how deep one comes that does not reach it."""
-    task = InsertTask(CastSetup(ROPE, ARM, MotorLimits(), 3.0), replace(SLOT, depth=depth), [])
+    task = InsertTask(CastSetup(ROPE, ARM, MotorLimits(), 3.0), replace(SLOT, depth=depth, tube=tube), [])
     strokes = replace(STROKES, rests=STROKES.rests + 0.02)
     entry = task.find(strokes, NEAR)
     assert entry is not None
@@ -144,6 +155,59 @@ def test_a_slot_that_is_not_there_is_touched(side: float) -> None:
     deeper = verify_insert(plan.cast_setup, replace(SLOT, depth=0.5), motion, near())
     assert deeper is not None
     assert "mm deep, and 500 mm are asked" in deeper.message or "touches" in deeper.message
+
+
+def test_in_a_tube_the_tip_keeps_to_the_middle_too() -> None:
+    who = CastSetup(ROPE, ARM, MotorLimits(), 3.0)
+    entries = [InsertTask(who, replace(SLOT, tube=tube), []).find(STROKES, NEAR) for tube in (0.0, 0.05)]
+    assert [entry.offset.size for entry in entries] == [3, 5]
+    assert (entries[1].offset[:3] == entries[0].offset).all()
+    run = verify_insert(who, SLOT, STROKES.motion(who.limits), NEAR).run
+    depth, offset = frame(SLOT, run.tip)
+    at = int(np.argmax(depth >= SLOT.depth))
+    assert entries[1].offset[4] == pytest.approx(offset[at], abs=5e-4)
+
+
+def test_a_plan_into_a_tube_keeps_clear_of_its_sides() -> None:
+    tube = replace(SLOT, tube=0.05)
+    plan = plan_insert(ROPE, ARM, tube, threads=1, time_budget=100.0, samples=4)
+    assert plan.success, plan.message
+    run, until = plan.outcome.run, plan.outcome.run.t <= plan.outcome.t
+    assert run.setup.pegs == tube.walls
+    depth, offset = frame(tube, run.joints[until])
+    inside = (depth > 0.0) & (depth < tube.tube) & (np.abs(offset) < 0.1)
+    assert inside.any()
+    assert np.abs(offset[inside]).max() + ROPE.radius < 0.5 * tube.width
+
+
+def test_touches_are_allowed_where_the_slot_says_so() -> None:
+    plan, motion = planned(), planned().required(planned().motion, "motion")
+    narrow = aside(SLOT, 0.3 * SLOT.width)
+    off, on = (verify_insert(plan.cast_setup, replace(narrow, touching=may), motion, near()) for may in (False, True))
+    assert "touches a wall at" in off.message
+    assert on.wall_clearance <= 0.0
+    assert on.message == "" or "mm deep" in on.message
+
+
+def test_a_tip_that_is_too_fast_inside_fails() -> None:
+    plan, motion = planned(), planned().required(planned().motion, "motion")
+    speed = plan.outcome.speed
+    for most, message in ((1.01 * speed, ""), (0.9 * speed, f"the tip is there with {speed:.2f} m/s")):
+        seen = verify_insert(plan.cast_setup, replace(SLOT, max_speed=most), motion, near())
+        assert seen.message.startswith(message)
+        assert bool(seen.message) is bool(message)
+
+
+def test_a_floor_that_the_rope_would_touch_is_kept_clear_of() -> None:
+    lowest = float(planned().outcome.run.joints[..., 1].min())
+    who = replace(planned().cast_setup, obstacles=(hf.Ground(0.0, lowest + 0.01),))
+    motion = planned().required(planned().motion, "motion")
+    seen = verify_insert(who, SLOT, motion, near())
+    assert seen is None or "touches the ground" in seen.message
+    free, blocked = (
+        InsertTask(each, SLOT, []).score([planned().strokes], 1)[0][0] for each in (planned().cast_setup, who)
+    )
+    assert free < 0.1 < blocked
 
 
 def test_free_swings_tell_what_runs_beside_the_walls_do() -> None:
@@ -208,6 +272,9 @@ def test_out_of_reach_is_said_before_any_search() -> None:
         ({"width": 0.0}, "slot width has the wrong sign"),
         ({"depth": np.inf}, "slot depth is not finite"),
         ({"direction": "down"}, "slot direction is not a number"),
+        ({"tube": -0.1}, "slot tube has the wrong sign"),
+        ({"max_speed": 0.0}, "slot max_speed has the wrong sign"),
+        ({"touching": "yes"}, "slot touching is neither true nor false"),
     ],
 )
 def test_slots_that_are_refused(change: dict[str, object], words: str) -> None:

@@ -16,11 +16,13 @@ from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import contact_phase, rollouts
 from hyperflex.planning.search.contact_phase import (
     ARM_COST,
+    FOLDED,
     LAST,
     LATE_COST,
     MAX_TURNS,
     MIN_HOPE,
     PASSING,
+    PLAIN,
     SLIP_COST,
     TOGETHER,
     score_winding,
@@ -143,7 +145,7 @@ def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypa
     def run(flights: RolloutBatch, t: np.ndarray, *_: object) -> SimpleNamespace:
         stops = np.array([motion.breaks[-1] for motion in flights.motions])
         turns = np.where(t < stops[:, None] + 1.0, 2.0, 0.0)
-        still = np.zeros((*turns.shape, 1))
+        still = np.zeros((*turns.shape, CABLE.n_links))
         return SimpleNamespace(values={"turns": turns[..., None]}, q=still, qd=still)
 
     monkeypatch.setattr(contact_phase, "_run", run)
@@ -153,6 +155,24 @@ def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypa
     found = simulate_contact(both, np.zeros(2), arm=CAST_SETUP.arm)
     assert found.turns[0] <= MIN_HOPE
     assert found.score[0] <= MIN_HOPE + PASSING * 2.0
+
+
+def test_of_two_throws_that_wind_the_one_that_folds_scores_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs are made up: two turns that stay, and a joint that bends by 3 rad, more than a rope so thick can."""
+
+    def run(flights: RolloutBatch, t: np.ndarray, *_: object) -> SimpleNamespace:
+        q = np.zeros((len(flights), t.size, CABLE.n_links))
+        q[1, 5, 7:] = 3.0
+        return SimpleNamespace(values={"turns": np.full((len(flights), t.size, 1), 2.0)}, q=q, qd=q)
+
+    monkeypatch.setattr(contact_phase, "_run", run)
+    monkeypatch.setattr(contact_phase, "_slip", lambda *_: 0.0)
+    motions = 2 * [hf.arm_moves([0.0, 1.0], [0.0], [0.6])]
+    both = RolloutBatch([CABLE] * 2, [PEG] * 2, motions, *np.zeros((2, 2, CABLE.n_links)))
+    found = simulate_contact(both, np.zeros(2), arm=CAST_SETUP.arm)
+    whole = 2.0 + PASSING * 2.0
+    assert found.turns.tolist() == [2.0, 2.0]
+    assert found.score == pytest.approx([whole, PLAIN + FOLDED * (whole - PLAIN)])
 
 
 @pytest.mark.parametrize(("clearance", "stays"), [(-np.inf, True), (0.0, True), (1.0, False)])

@@ -106,6 +106,8 @@ def test_obstacles_that_cannot_be_are_refused() -> None:
         replace(cast_setup(), obstacles=[hf.Wall(0.05, -0.05, 0.05, 0.05)])
     with pytest.raises(InvalidInput, match="obstacles holds something else"):
         hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, obstacles=["a wall"])  # type: ignore[list-item]
+    with pytest.raises(InvalidInput, match="begins in an obstacle"):
+        hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, obstacles=[hf.Ground(0.0, -1.9)])
     with pytest.raises(InvalidInput, match="past obstacles are not followed"):
         hf.follow_plan(replace(planned(), cast_setup=replace(cast_setup(), obstacles=[FLOOR])), None)  # type: ignore[arg-type]
 

@@ -171,7 +171,14 @@ def test_a_search_goes_on_for_a_full_turn_of_contact_where_the_rope_is_long_enou
     peg = replace(PEG, radius=radius)
     work = cast_planner.CastPlanner(SimpleNamespace(cast_setup=cast_setup(), peg=peg, candidates=[]), 1.0)
     good = SimpleNamespace(
-        success=True, turns=2.0, slip=1e-3, load_ratio=0.8, folded=False, contact_angle=contact, completed=True
+        success=True,
+        turns=2.0,
+        slip=1e-3,
+        load_ratio=0.8,
+        tip_hangs=True,
+        folded=False,
+        contact_angle=contact,
+        completed=True,
     )
     work.best = ("a throw", good, good)
     assert work.done() is enough

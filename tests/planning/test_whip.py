@@ -25,6 +25,7 @@ from hyperflex.planning import (
 from hyperflex.planning.whip import planner
 from hyperflex.planning.whip.aim import find_peak
 from hyperflex.planning.whip.impact import IMPACT_TIME, simulate_impact
+from hyperflex.planning.whip.search import simulate_peaks
 from hyperflex.planning.whip.tip_target import TipTarget, find_peaks, peak_costs
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=8, radius=0.0025, friction=5e-4)
@@ -217,6 +218,18 @@ def test_bad_input(point: list[float], direction: list[float], words: str, known
 def test_speed_of_zero_is_refused(known: WhipMap) -> None:
     with pytest.raises(InvalidInput, match="speed"):
         plan_whip(ROPE, ARM, [0.3, -0.9], [1.0, 0.0], least_speed=0.0, whip_map=known)
+
+
+def test_peaks_behind_an_obstacle_do_not_count(known: WhipMap) -> None:
+    walled = replace(known.cast_setup, obstacles=(hf.Wall(0.5, -1.5, 0.5, 0.5),))
+    strokes = list(known.strokes[:32])
+    free, kept = (simulate_peaks(each, strokes) for each in (known.cast_setup, walled))
+    assert (free.place[:, 0] > 0.51).any()
+    assert kept.place[:, 0].max() < 0.5
+    both = {(int(row), float(t)) for row, t in zip(free.row, free.t, strict=True)}
+    assert {(int(row), float(t)) for row, t in zip(kept.row, kept.t, strict=True)} < both
+    with pytest.raises(InvalidInput, match="other obstacles"):
+        plan_whip(ROPE, ARM, [0.3, -0.9], whip_map=known, obstacles=walled.obstacles)
 
 
 def test_a_map_of_another_rope_is_refused(known: WhipMap) -> None:

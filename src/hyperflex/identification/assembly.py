@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.identification.diagnosis.grade import MASSES, Grade, grade
@@ -15,7 +16,8 @@ from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGE
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_ratios, ratio_spread, ratios
+from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_ratios
+from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.identification.verdict import (
     HALF,
@@ -33,7 +35,7 @@ from hyperflex.identification.verdict import (
     verdict,
 )
 from hyperflex.model import Rope
-from hyperflex.sensors import Angles
+from hyperflex.sensors import Angles, Markers
 
 
 def assemble_result(
@@ -184,4 +186,15 @@ def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array
             elif rope is not None:
                 held = getattr(rope, name).copy()
             result.setdefault(name, held)[list(parameter.links)] = number
+    return result
+
+
+def fit_settings(plant: Plant, free: Sequence[str], loss: str, origin: npt.ArrayLike | None) -> dict[str, Any]:
+    """Return what was fitted and how, for the settings of a result."""
+    moved = "moved" if plant.arm is None else f"moved by an arm of {plant.arm.length:g} m"
+    result: dict[str, Any] = {"free": list(free), "loss": loss, "base": "fixed" if plant.motion is None else moved}
+    if isinstance(plant.sensor, Markers):
+        result["arc_lengths"] = plant.sensor.arc_lengths.tolist()
+    if origin is not None:
+        result["origin"] = np.asarray(origin, dtype=np.float64).tolist()
     return result

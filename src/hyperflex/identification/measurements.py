@@ -117,21 +117,18 @@ def _shape(recording: Recording, rope: Rope, arc_lengths: Array, side: float = 0
     places = recording.data.reshape(recording.t.size, -1, 2)
     middle = np.cumsum(rope.length) - 0.5 * rope.length
     angles = np.full((recording.t.size, rope.n_links), np.nan)
-    bends: dict[tuple[float, float], tuple[Array, Array]] = {}
-    for row, frame in enumerate(places):
-        known = np.flatnonzero(~np.isnan(frame).any(axis=1))
+    patterns, which = np.unique(~np.isnan(places).any(axis=2), axis=0, return_inverse=True)
+    for number, seen in enumerate(patterns):  # frames in which the same markers are seen, together
+        known, rows = np.flatnonzero(seen), np.flatnonzero(which.ravel() == number)
         if known.size < 2:
             continue
-        step, arcs = np.diff(frame[known], axis=0), arc_lengths[known]
+        step, arcs = np.diff(places[np.ix_(rows, known)], axis=1), arc_lengths[known]
         after = np.clip(np.searchsorted(arcs, middle) - 1, 0, known.size - 2)
-        angles[row] = np.arctan2(step[after, 0], -step[after, 1])
+        angles[rows] = np.arctan2(step[:, after, 0], -step[:, after, 1])
         for k in np.unique(after) if side else ():
-            ends = (float(arcs[k]), float(arcs[k + 1]))
-            if ends not in bends:
-                bends[ends] = _bends(rope, *ends)
-            distance, turns = bends[ends]
-            least = min(int(np.searchsorted(-distance, -np.hypot(*step[k]))), BENDS - 1)
-            angles[row] += side * np.where(after == k, turns[least], 0.0)
+            distance, turns = _bends(rope, float(arcs[k]), float(arcs[k + 1]))
+            least = np.minimum(np.searchsorted(-distance, -np.hypot(*step[:, k].T)), BENDS - 1)
+            angles[rows] += side * np.where(after == k, turns[least], 0.0)
     angles = unwrap(angles)
     first = np.array([column[np.flatnonzero(~np.isnan(column))[0]] for column in angles.T])
     if not side:

@@ -3,15 +3,13 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted
-from hyperflex.identification.assembly import assemble_result
+from hyperflex.identification.assembly import assemble_result, fit_settings
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, scaled_angles, suspicious
 from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
 from hyperflex.identification.diagnosis.link_test import link_test
@@ -27,7 +25,6 @@ from hyperflex.identification.fit.multiple_shooting import Report, one_thread
 from hyperflex.identification.fit.stages import Measurements, check_memory, fit_in_stages, search_delay, with_delay
 from hyperflex.identification.fit.windows import part_left, usual_length, with_enough_frames
 from hyperflex.identification.measurements import with_torque
-from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
 from hyperflex.identification.problem import build_plant, checked_measurements, refuse_half_a_drive, split
 from hyperflex.identification.result import Identification
@@ -39,7 +36,6 @@ from hyperflex.interruption import caught, deferred, interruptible, time_limit
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
-from hyperflex.sensors import Markers
 
 LENGTH_STD = 0.01  # relative: what rulers and pictures measure lengths to
 CLOCK_STD = 0.005  # relative, of times: parts of IBM 06 and 16 fit to a gravity of 1.00 +- 0.01, twice that
@@ -302,7 +298,7 @@ class _Problem:
             ranges, found.interrupted = stop.partial if ranges is None else ranges, True
         settings = trial.settings | {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
         settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
-        settings |= _fit_settings(basis.plant, trial.free, self.loss.name, self.origin)
+        settings |= fit_settings(basis.plant, trial.free, self.loss.name, self.origin)
         tested = any(each.name == SCALES for each in tests)
         settings["length_std"] = self.length_std if tested else 0.0  # else nothing counts the lengths
         settings["clock_std"] = self.clock_std if tested else 0.0
@@ -324,7 +320,9 @@ class _Problem:
             result = result.with_reason(scaled_angles(self.recording, short))
         first = first_misdeclared(trial.tests)
         wrong = result.grade.doubtful or suspicious(self.fitted.shape)
-        if wrong or any(each.suspected and each.name in DECLARED for each in trial.tests):
+        wrong = wrong or any(each.suspected and each.name in DECLARED for each in trial.tests)
+        to_noise = self.recording.noise is not None and trial.basis.information.variance <= 1.0
+        if wrong and not to_noise:  # which no slip explains better
             named = "" if first is None else first.name
             result = result.with_reason(explained(self.recording, self.origin, short, named=named))
         if self.arc_lengths is not None:
@@ -347,13 +345,3 @@ class _Problem:
         if how == "auto" and (first_misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > POOR):
             how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
         return all_intervals(basis, how, report=self.report)
-
-
-def _fit_settings(plant: Plant, free: Sequence[str], loss: str, origin: npt.ArrayLike | None) -> dict[str, Any]:
-    moved = "moved" if plant.arm is None else f"moved by an arm of {plant.arm.length:g} m"
-    result: dict[str, Any] = {"free": list(free), "loss": loss, "base": "fixed" if plant.motion is None else moved}
-    if isinstance(plant.sensor, Markers):
-        result["arc_lengths"] = plant.sensor.arc_lengths.tolist()
-    if origin is not None:
-        result["origin"] = np.asarray(origin, dtype=np.float64).tolist()
-    return result

@@ -132,15 +132,14 @@ def swapped(recording: Recording, rope: Rope) -> str:
         return ""
     places = recording.data.reshape(recording.t.size, -1, 2)
 
-    def off(order: Array) -> Array:
+    def off(order: list[int]) -> Array:
         apart = np.hypot(*np.diff(places[:, order], axis=1).T).T
         return np.asarray(np.abs(np.log(np.maximum(apart, 1e-12) / rope.length)).max(axis=1))
 
-    usual = np.arange(rope.n_links + 1)
+    usual = list(range(rope.n_links + 1))
     fits = off(usual)
     for k in range(rope.n_links):
-        order = usual.copy()
-        order[[k, k + 1]] = order[[k + 1, k]]
+        order = [*usual[:k], k + 1, k, *usual[k + 2 :]]
         there = (fits > SWAPPED) & (off(order) < UNEVEN)
         if there.sum() >= MANY:
             begin, end = recording.t[there][[0, -1]]

@@ -63,6 +63,20 @@ def sampled_obstacle_gaps(rope: Rope, obstacles: Sequence[Obstacle], q: Array, b
     return np.asarray(obstacle_gaps(obstacles, begin, end).min(axis=(-2, -1))) - rope.radius
 
 
+def clear_samples(
+    ropes: Sequence[Rope], obstacles: Sequence[Obstacle], q: Array, base: Array, clearance: float
+) -> npt.NDArray[np.int64]:
+    """Return after how many samples (M,) ropes at angles q (M, T, n) come too near an obstacle; T if they do not.
+
+    `base` (M, T, 2), m, are places of their first joints, `clearance`, m, is the distance that they keep.
+    """
+    if not obstacles:
+        return np.full(len(q), q.shape[1])
+    places = zip(ropes, np.nan_to_num(q), base, strict=True)
+    near = [sampled_obstacle_gaps(rope, obstacles, *place) <= max(clearance, 0.0) for rope, *place in places]
+    return np.array([each.argmax() if each.any() else each.size for each in near])
+
+
 def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Array:
     """Distances (..., w, k), m, of the axes of links from `begin` to `end` (..., k, 2) from w obstacles."""
     return np.stack([_obstacle_gap(each, begin, end) for each in obstacles], axis=-2)

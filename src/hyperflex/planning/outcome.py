@@ -72,6 +72,9 @@ class CastOutcome:
         Why the throw fails; empty if it succeeds.
     n_links : int
         Links of the simulated rope; 0 if the simulation failed.
+    tip_hangs : bool
+        Whether the rope's end is lower than the peg's centre all through the watch. One that lies on top of the peg may
+        fall to either side.
     run : Trajectory or None
         The run; None if the simulation failed, or if the outcome was read from a file.
     """
@@ -91,6 +94,7 @@ class CastOutcome:
     torque_peak: float
     message: str
     n_links: int
+    tip_hangs: bool = True
     run: Trajectory | None = None
 
     @property
@@ -164,6 +168,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
     torque, torque_peak = motor_torques(run)
     max_bend, near = greatest_bend(run), clearances(cast_setup, run)
     covered = float(wound.contact[watched].min())
+    above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
     message = ""
     if not touched.any():
         message = "the rope does not touch the peg"
@@ -197,6 +202,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         torque_peak=torque_peak,
         message=message,
         n_links=run.q.shape[1],
+        tip_hangs=bool((above[watched] < 0.0).all()),
         run=run,
     )
 

@@ -3,6 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -131,27 +132,27 @@ class ThrowParametrization:
     cast_setup: CastSetup
     side: int
 
-    @property
+    @cached_property
     def strokes(self) -> int:
         """Number of strokes k that the time allows, at least one."""
         return max(1, int(np.ceil(self.cast_setup.time / (self.stroke_time + self.rest))) + 1)
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Period of a small swing, s."""
         return swing_period(self.cast_setup.rope)
 
-    @property
+    @cached_property
     def stroke_time(self) -> float:
         """Duration of the initial stroke, s."""
         return float(self.cast_setup.limits.fastest_moves([self._initial_stroke])[0][0])
 
-    @property
+    @cached_property
     def rest(self) -> float:
         """Initial rest, s."""
         return max(0.02 * self.period, KEEPING_STEP * self.period - self.stroke_time)
 
-    @property
+    @cached_property
     def _initial_stroke(self) -> float:
         least, greatest = self.cast_setup.limits.angles
         return min(STROKE, greatest - least)

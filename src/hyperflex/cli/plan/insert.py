@@ -1,9 +1,11 @@
 """``hyperflex insert``: a rope, an arm and a slot in, strokes after which the tip goes through it out."""
 
+import math
 from typing import Annotated
 
 import typer
 
+from hyperflex import checks
 from hyperflex.checks import Sign
 from hyperflex.cli import output
 from hyperflex.cli.plan import planner
@@ -16,6 +18,8 @@ _SLOT: dict[str, tuple[Sign, str]] = {  # of the set-up file, as of Slot: sign a
     "width": ("positive", "m"),
     "depth": ("positive", "m"),
     "wall": ("positive", "m"),
+    "tube": ("nonnegative", "m"),
+    "max_speed": ("positive", "m/s"),
 }
 
 
@@ -36,6 +40,11 @@ def insert(
         float | None, typer.Option(help="How far beyond the walls the tip shall come, m. [default: 0.05]")
     ] = None,
     wall: Annotated[float | None, typer.Option(help="Length of each wall, m. [default: 0.1]")] = None,
+    tube: Annotated[
+        float | None, typer.Option(help="How far walls go on inwards from the gap's edges, m. [default: 0]")
+    ] = None,
+    max_speed: Annotated[float | None, typer.Option(help="Of the tip at that depth, m/s. [default: any]")] = None,
+    touching: Annotated[bool, typer.Option("--touching", help="The rope may touch the walls.")] = False,
     arm_length: planner.ArmLength = None,
     speed: planner.Speed = None,
     acceleration: planner.Acceleration = None,
@@ -57,7 +66,8 @@ def insert(
     """Plan how the arm swings its rope, so that the tip goes through a slot, to a depth, and touches no wall.
 
     The slot is a gap between two thin walls in one line. It is given by options, or as the table [slot] of the set-up
-    file: x, y, width, depth, wall (m), direction (rad). Options have the same units.
+    file: x, y, width, depth, wall, tube (m), direction (rad), max_speed (m/s), touching. Options have the same units.
+    [pegs], [walls] and [grounds] there are obstacles, which the rope must not touch.
 
     The plan is verified in simulation beside the walls, on the rope as given and with 2.5 times the links; the success
     probability is told for a slot that is 2 mm off and strokes that are 2 ms off. Writes a page on which the run plays,
@@ -75,14 +85,13 @@ def insert(
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
-    if task.obstacles:
-        got = f"{len(task.obstacles)} obstacles"
-        raise InvalidInput("insertions know the walls of their slot alone", got=got, fix="Leave other obstacles out")
-    options = {"direction": direction, "width": width, "depth": depth, "wall": wall}
-    asked = planner.asked("slot", task.slot, _SLOT, slot, options)
+    table = {name: value for name, value in task.slot.items() if value != math.inf}
+    may_touch = checks.flag("slot touching", table.pop("touching", False)) or touching
+    options = {"direction": direction, "width": width, "depth": depth, "wall": wall, "tube": tube}
+    asked = planner.asked("slot", table, _SLOT, slot, options | {"max_speed": max_speed})
     if "direction" not in asked:
         raise InvalidInput("--direction is missing", fix="Give the way into the slot, in rad: 0 is +x, pi/2 is up")
-    where = Slot(**asked)
+    where = Slot(**asked, touching=may_touch)
     plan = output.partial_of(
         lambda: plan_insert(
             task.rope,
@@ -90,6 +99,7 @@ def insert(
             where,
             task.limits,
             clearance=clearance,
+            obstacles=task.obstacles,
             time_limit=time_limit,
             skip_feasibility=skip_feasibility,
             time_budget=time_budget,

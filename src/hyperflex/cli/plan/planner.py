@@ -136,12 +136,13 @@ def _of_plan(path: Path) -> dict[str, Any]:
 
     plan = read_plan(path)
     known = plan.cast_setup
-    pegs = (plan.target, *known.obstacles) if isinstance(plan, CastPlan) else ()
+    cast = isinstance(plan, CastPlan)
+    pegs = (plan.target, *known.obstacles) if isinstance(plan, CastPlan) else known.obstacles
     setup = Setup(known.rope, None, known.arm, pegs=pegs)
     tables: dict[str, Any] = tomllib.loads(setup.dumps())
     tables["limits"] = {field.name: getattr(known.limits, field.name) for field in fields(known.limits)}
     name = "slot" if isinstance(plan, InsertPlan) else "target"
-    return tables if pegs else tables | {name: {f.name: getattr(plan.target, f.name) for f in fields(plan.target)}}
+    return tables if cast else tables | {name: {f.name: getattr(plan.target, f.name) for f in fields(plan.target)}}
 
 
 def asked(

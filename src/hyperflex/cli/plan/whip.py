@@ -9,7 +9,6 @@ import typer
 from hyperflex.checks import Sign
 from hyperflex.cli import output
 from hyperflex.cli.plan import planner
-from hyperflex.errors import InvalidInput
 
 _TARGET: dict[str, tuple[Sign, str]] = {  # of the set-up file, as of TipTarget: sign and unit
     "x": ("any", "m"),
@@ -54,7 +53,8 @@ def whip(
     """Plan how the arm whips its rope, so that the tip passes a point at a peak of its speed.
 
     The target is given by options, or as the table [target] of the set-up file: x, y (m), direction, angle_tolerance
-    (rad), least_speed (m/s). Options have the same units.
+    (rad), least_speed (m/s). Options have the same units. [pegs], [walls] and [grounds] there are obstacles, which the
+    rope must not touch.
 
     The plan is verified in simulation, on the rope as given and with links of half the length; the impact on a small
     peg at the target is simulated too. Writes a page on which the run plays, pictures, the motion for the motor (CSV),
@@ -71,10 +71,6 @@ def whip(
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
-    if task.obstacles:
-        raise InvalidInput(
-            "whips are planned without obstacles", got=f"{len(task.obstacles)} obstacles", fix="Leave them out"
-        )
     options = {"direction": direction, "angle_tolerance": angle_tolerance, "least_speed": least_speed}
     asked = planner.asked("target", task.target, _TARGET, target, options)
     angle = asked.get("direction")
@@ -88,6 +84,7 @@ def whip(
             least_speed=asked.get("least_speed", 5.0),
             angle_tolerance=asked.get("angle_tolerance", math.radians(20.0)),
             clearance=clearance,
+            obstacles=task.obstacles,
             time_limit=time_limit,
             skip_feasibility=skip_feasibility,
             time_budget=time_budget,

@@ -32,6 +32,7 @@ COMMON = (
     "masses, inertias and frictions share a factor that no free swing tells: use ratios alone, or weigh the links and "
     "leave 'mass' and 'com' out of free."
 )
+COMPARE = "Look whether another model predicts better (compare_models), and check what was declared."
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
 
 
@@ -120,12 +121,15 @@ def grade(
     odd = [*(each for each in warnings if each), *_mispredicted(held_out), *disagree]
     links, coarse = _finer(tests, odd=bool(odd))
     wrong = [*_impossible(rope), *links, *misdeclared(tests), *_far(rope), *odd]
-    wrong = [*filter(None, [unlike_lengths(rope)]), *wrong] if wrong else []
-    suspicion = [*coarse, *_turned(turned), *slightly(tests), *differ, *untested(tests)]
+    unlike = [each for each in [unlike_lengths(rope)] if each]
+    wrong = [*unlike, *wrong] if wrong else []
+    suspicion = [*([] if wrong else unlike), *coarse, *_turned(turned), *slightly(tests), *differ, *untested(tests)]
     doubts = [*undetectable(tests, alike=alike), *_doubts(laws, moved, left_out), *_changing(scatter)]
     if hardly:
         rest = "" if wrong else ", all else is" if identifiable else ", all other ratios are"
-        suspicion.append(_not_known(hardly) + f"{rest}.")
+        suspicion.append(
+            _not_known(hardly) + f"{rest}. Record longer or larger swings, or hold what you know otherwise."
+        )
     if noise:
         suspicion.insert(0, noise)
     if wrong:
@@ -179,16 +183,18 @@ def _mispredicted(held_out: HeldOut | None) -> list[str]:
     if held_out is None:
         return []
     if held_out.failed.size:
-        return [f"{held_out.failed.size} of {held_out.starts.size} predictions of what was not fitted failed."]
+        failed = f"{held_out.failed.size} of {held_out.starts.size} predictions of what was not fitted failed"
+        return [f"{failed}: look at the held-out part, or leave it out (train=inf)."]
     error = float(np.sqrt(np.mean(held_out.rms**2)))
     still = held_out.persistence
     words = ""
     if error > PERSISTENCE * still > 0.0 and not held_out.inside >= FORETOLD:
-        words = f"predictions of what was not fitted err by {100.0 * error / still:.3g} % of what keeping still would."
+        part = f"{100.0 * error / still:.3g} % of what keeping still would"
+        words = f"predictions of what was not fitted err by {part}. {COMPARE}"
     elif held_out.inside < INSIDE:
         words = (
             f"only {100.0 * held_out.inside:.3g} % of what was not fitted lies where 95 % is expected: the model "
-            "leaves something out, or the recording is not as declared, and intervals are far too small."
+            f"leaves something out, or the recording is not as declared, and intervals are far too small. {COMPARE}"
         )
     return [words] if words else []
 

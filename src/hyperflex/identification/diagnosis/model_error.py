@@ -72,9 +72,9 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, told: 
             step[which] = np.log(np.clip(each.values, 1e-9, 1e9))  # of what is not told it is any number
     if not rate.any():
         return rate, np.zeros((2, 2))
-    for k, each in enumerate(parameters.all):
-        power = CLOCK_POWER.get(each.kind.unit, 0.0) if each.name in LAWS and each.law != "taper" else 0.0
-        rate[k, 1] += power * each.value(float(x[k])) / each.derivative(float(x[k]))
+    for k, free in enumerate(parameters.all):
+        power = CLOCK_POWER.get(free.kind.unit, 0.0) if free.name in LAWS and free.law != "taper" else 0.0
+        rate[k, 1] += power * free.value(float(x[k])) / free.derivative(float(x[k]))
     prior = np.diag(std**2)
     error = np.linalg.solve(np.eye(2) + prior @ known, prior)
     moved = error @ known @ step

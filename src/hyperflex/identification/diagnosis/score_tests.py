@@ -9,16 +9,10 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.multiple_shooting import Fit, fit, linearise
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.names import parse
-from hyperflex.identification.model.parameters import Parameter, Parameters
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model.plant import Plant, extended
 from hyperflex.identification.model.scale import Mask
-from hyperflex.identification.uncertainty.covariance import (
-    Basis,
-    estimate_covariance,
-    ratio_spread,
-    ratios,
-)
+from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
+from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import RESISTANCES
 
@@ -215,20 +209,6 @@ def scale_words(plant: Plant) -> list[str]:
     """Return the words of SCALES that are held: with lengths, links that are uniform go along, as they would."""
     held = {"length": LENGTHS} | ({"gravity_scale": "gravity_scale"} if plant.parameters.guess.gravity.any() else {})
     return [word for name, word in held.items() if name not in plant.parameters.names]
-
-
-def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:
-    """Return the model at x (P,) with more free parameters, its x, and these word by word; words that fail are out."""
-    rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), []
-    for word in words:
-        try:
-            groups.append(parse(rope, [word], moved=plant.motion is not None))
-        except InvalidInput:  # a mass of 0 has no logarithm, say
-            continue
-    extra = [each for group in groups for each in group]
-    parameters = Parameters(plant.parameters.guess, [*plant.parameters.all, *extra])
-    model = Plant(parameters, plant.sensor, plant.motion, plant.arm, torque=plant.motor is not None)
-    return model, np.concatenate([x, [each.first for each in extra]]), groups
 
 
 def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[ScoreTest]:

@@ -7,7 +7,8 @@ import numpy as np
 
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.uncertainty.covariance import Basis, ratio_gradients, ratio_spread, ratios
+from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratio_spread, ratios
 from hyperflex.model import RESISTANCES
 
 PER_CENT = 0.01  # relative: the change that people think in

@@ -6,15 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.diagnosis.score_tests import EXPLAINS, ScoreTest, extended
+from hyperflex.identification.diagnosis.score_tests import EXPLAINS, ScoreTest
 from hyperflex.identification.fit.multiple_shooting import linearise
-from hyperflex.identification.uncertainty.covariance import (
-    UNKNOWN,
-    Basis,
-    ratio_gradients,
-    ratio_spread,
-    ratios,
-)
+from hyperflex.identification.model.plant import extended
+from hyperflex.identification.uncertainty.covariance import UNKNOWN, Basis
+from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratio_spread, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 
 DRIFT = "clock_drift"

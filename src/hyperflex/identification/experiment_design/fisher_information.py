@@ -16,7 +16,8 @@ from hyperflex.identification.model.parameters import Parameter, Parameters
 from hyperflex.identification.model.plant import PRECISION, Plant, pivot_places
 from hyperflex.identification.model.scale import in_common_factor
 from hyperflex.identification.problem import build_plant
-from hyperflex.identification.uncertainty.covariance import Information, known_directions, ratio_spread, ratios
+from hyperflex.identification.uncertainty.covariance import Information, known_directions
+from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.model import Arm, Rope
 from hyperflex.recording import Recording
 from hyperflex.sensors import Markers

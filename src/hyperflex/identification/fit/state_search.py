@@ -12,6 +12,7 @@ from hyperflex.identification.fit.windows import FEWEST, Window, nearest_turn
 from hyperflex.identification.model.plant import Plant
 
 GROWING = (0.125, 0.25, 0.5)  # parts of a window to which a state is fitted first
+ALIKE = 1e-2  # rad, rad/s: ends of fits to the same minimum differ by less, and other minima by far more
 SHORT = 10  # rounds of fitting a state to a part of a window
 
 
@@ -33,7 +34,7 @@ def search_state(
     """
     window, starts = windows[k], list(restart_states(plant, windows, x, states, k))
     if thorough:
-        starts = [_grown(plant, x, window, start, loss) for start in starts]
+        starts = _grown(plant, x, window, starts, loss)
         if k + 1 < len(windows) and plant.motion is None:
             starts += _from_behind(plant, x, window, windows[k + 1], states[k + 1], loss)
     found = fit_state(plant, x, window, *starts, loss=loss)
@@ -48,13 +49,18 @@ def _part(window: Window, rows: slice) -> Window:
     return replace(window, t=window.t[rows], y=window.y[rows], weight=window.weight[rows])
 
 
-def _grown(plant: Plant, x: Array, window: Window, state: Array, loss: Loss) -> Array:
-    """Return a state (2n,) fitted to the first samples of a window, then to more and more."""
+def _grown(plant: Plant, x: Array, window: Window, states: list[Array], loss: Loss) -> list[Array]:
+    """Return states (2n,) fitted to the first samples of a window, then to more and more; those that end alike once."""
     for part in GROWING:
         seen = _part(window, slice(0, max(FEWEST, int(part * window.t.size))))
-        found = fit_state(plant, x, seen, state, loss=loss, rounds=SHORT)
-        state = state if found is None else found[0]
-    return state
+        grown: list[Array] = []
+        for state in states:
+            found = fit_state(plant, x, seen, state, loss=loss, rounds=SHORT)
+            end = state if found is None else found[0]
+            if all(np.abs(end - other).max() > ALIKE for other in grown):
+                grown.append(end)
+        states = grown
+    return states
 
 
 def _from_behind(plant: Plant, x: Array, window: Window, after: Window, state: Array, loss: Loss) -> list[Array]:

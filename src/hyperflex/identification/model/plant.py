@@ -1,5 +1,6 @@
 """Predicted measurements of a window, with derivatives by state and parameters."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,8 @@ from hyperflex.core.integrate.progress import Limits
 from hyperflex.core.tangent.directions import Directions, place_changes
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.parameters import ARM, Parameters
+from hyperflex.identification.model.names import parse
+from hyperflex.identification.model.parameters import ARM, Parameter, Parameters
 from hyperflex.model import Arm, Rope, Setup, divided
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.sensors import Angles, MotorTorque, PostureSensor
@@ -234,3 +236,17 @@ def pivot_places(motion: Motion | None, arm: Arm | None, t: Array) -> Array:
     motion = motion or hold_arm(0.0)
     place: Array = motion.point(t)
     return place if arm is None else place + arm.tip(motion.angle(t))
+
+
+def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:
+    """Return the model at x (P,) with more free parameters, its x, and these word by word; words that fail are out."""
+    rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), []
+    for word in words:
+        try:
+            groups.append(parse(rope, [word], moved=plant.motion is not None))
+        except InvalidInput:  # a mass of 0 has no logarithm, say
+            continue
+    extra = [each for group in groups for each in group]
+    parameters = Parameters(plant.parameters.guess, [*plant.parameters.all, *extra])
+    model = Plant(parameters, plant.sensor, plant.motion, plant.arm, torque=plant.motor is not None)
+    return model, np.concatenate([x, [each.first for each in extra]]), groups

@@ -14,7 +14,8 @@ from hyperflex.identification.fit.multiple_shooting import fit, one_thread
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level, ratios
+from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level
+from hyperflex.identification.uncertainty.ratios import ratios
 from hyperflex.interruption import caught, interruptible
 from hyperflex.progress import progress_bar
 

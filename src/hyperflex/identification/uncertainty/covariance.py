@@ -1,6 +1,6 @@
 """Covariance of the parameters (sandwich estimate for robust losses and coloured noise), and intervals from it."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -12,14 +12,12 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, least_squares, linearise
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.parameters import Parameter, Parameters, lumped
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import Mask, in_common_factor
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.identification.uncertainty.whiteness import whiteness
 from hyperflex.interruption import caught, look, time_limit
-from hyperflex.model import RESISTANCES, Rope
 
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
@@ -253,49 +251,6 @@ def known_directions(rows: Sequence[Array]) -> tuple[Array, Array, Array]:
     _, singular, directions = np.linalg.svd(np.vstack(small), full_matrices=False)
     determined = singular > UNKNOWN * singular[0]
     return singular, directions[determined].T, directions[~determined].T
-
-
-def ratios(rope: Rope, free: Collection[str] = ()) -> dict[str, Array]:
-    """Return the ratios over p1 = p of link 0 that are identifiable without known forces, each (n,).
-
-    ``J/p1`` (m), ``p/p1``, ``c/p1`` (m/s), and of the other resistances those that the rope has or that are `free`:
-    ``tau_d/p1`` and ``k/p1`` (m/s^2), ``d/p1`` (1/m^3).
-    """
-    p, inertia = lumped(rope)
-    resistances = {each.symbol: getattr(rope, each.name) for each in RESISTANCES}
-    told = {each.symbol for each in RESISTANCES if each.name in free or each.symbol == "c"}
-    resistances = {name: value for name, value in resistances.items() if name in told or value.any()}
-    return {f"{name}/p1": value / p[0] for name, value in {"J": inertia, "p": p, **resistances}.items()}
-
-
-def ratio_gradients(parameters: Parameters, x: Array) -> dict[str, Array]:
-    """Return the derivatives (n, P) of each ratio by x (P,)."""
-    every = tuple(each.name for each in RESISTANCES)
-    names = ratios(parameters.rope(x), parameters.names)
-    step = 1e-6
-    columns = []
-    for k in range(x.size):
-        up, down = x.copy(), x.copy()
-        up[k] += step
-        down[k] = max(x[k] - step, parameters.lower[k])
-        above, below = (ratios(parameters.rope(end), every) for end in (up, down))
-        columns.append({name: (above[name] - below[name]) / (up[k] - down[k]) for name in names})
-    return {name: np.stack([c[name] for c in columns], axis=1) for name in names}
-
-
-def ratio_spread(parameters: Parameters, information: Information, *, model: bool = False) -> dict[str, Array]:
-    """Return standard deviations (n,) of each ratio by the delta method; inf where it cannot be known.
-
-    With `model` only the part that errors of the model, lengths and clock have. Ratios of what was held have none.
-    """
-    every = tuple(range(parameters.guess.n_links))
-    stretched = Parameter("length", every, "length:factor", 1.0, 1.0, "factor")
-    gradients = ratio_gradients(Parameters(parameters.guess, [*parameters.all, stretched]), np.append(information.x, 0))
-    spread = information.model_spread if model else information.spread
-    return {
-        name: spread(each[:, :-1], np.where(each[:, :-1].any(axis=1), each[:, -1], 0.0))
-        for name, each in gradients.items()
-    }
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import sampled_clearance
-from hyperflex.planning.insert.slot import Slot, find_crossings, frame, passages
+from hyperflex.planning.insert.slot import Slot, find_crossings, frame, passages, tip_speed
 from hyperflex.planning.tip.aim import GRID, WINDOW, position_std, swing_derivatives
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.task import Aimed
@@ -16,6 +16,7 @@ from hyperflex.simulation import Sensitivities
 LEVELS = (0.0, 0.5, 1.0)  # of the depth asked, at which the rope shall be in the middle of the gap
 DEEPER = 1.1  # times the depth asked, that the tip shall reach
 MARGIN = 0.35  # of the gap beside the rope
+SLOWER = 1.02  # times the speed asked that the tip shall be slower: finer links differ by less
 SAMPLE_TIME, CLOSELY = 0.01, 0.4  # s: between samples but for the last; those lie GRID apart
 SPARSE = 4  # samples of which one is looked at for the arm's clearance
 BESIDE = 0.01  # m, from walls that other parts of the rope shall keep
@@ -25,10 +26,11 @@ BESIDE = 0.01  # m, from walls that other parts of the rope shall keep
 class Entry(Aimed):
     """A way of the tip through a slot until it is as deep as asked, or deepest, at time `t`.
 
-    `offset` (3,), m, is where the rope crosses the line of the walls with the tip at LEVELS of the depth asked,
-    `depth`, m, the greatest that the tip reaches, and `gap`, m, the least distance from the walls of all the rope but
-    what follows the tip through. `doffset` (3, P), `ddepth` and `dgap` (P,) are their derivatives. `clearance`, m, is
-    the least distance of the rope from its own arm.
+    `offset` (3,), m, is where the rope crosses the line of the walls with the tip at LEVELS of the depth asked; of a
+    tube where the tip is at the last two of these, too: (5,). `depth`, m, is the greatest that the tip reaches. Its
+    `speed` at `t` is in m/s. `gap`, m, is the least distance from the walls of all the rope but what follows the tip
+    through. `doffset` (3 or 5, P), `ddepth` and `dgap` (P,) are their derivatives. `clearance`, m, is the least
+    distance of the rope from its own arm.
     """
 
     offset: Array
@@ -38,6 +40,7 @@ class Entry(Aimed):
     ddepth: Array
     dgap: Array
     clearance: float
+    speed: float
 
 
 class _Run:
@@ -91,17 +94,20 @@ def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float)
     if len(told) < len(LEVELS):
         return None
     late, dlate, _, _ = told[-1]
+    if slot.tube > 0.0:
+        told += [_tip_at(run, level * slot.depth, begin, end) for level in LEVELS[1:]]
     doffset = np.array([each[3] for each in told])
     gap, dgap = _least_gap(run, begin, end)
     return Entry(
         strokes,
         float(t[end] + (late - 1.0) * (t[end] - t[end - 1])),
         dlate[:-2] * (t[end] - t[end - 1]),
-        position_std(doffset / np.sqrt(len(LEVELS))),
+        position_std(doffset / np.sqrt(len(doffset))),
         offset=np.array([each[2] for each in told]),
         depth=float(depth[deepest]),
         gap=gap,
         doffset=doffset[:, :-2],
+        speed=tip_speed(t, depth, run.offset[:, -1], end),
         ddepth=run.changes(deepest)[0][-1, :-2],
         dgap=dgap[:-2],
         clearance=float(
@@ -132,6 +138,19 @@ def _at_depth(run: _Run, level: float, begin: int, end: int) -> tuple[float, Arr
         return None
     offset, doffset = (np.array(each) for each in zip(first, last, strict=True))
     return _at_level(level, depth[row - 1 : row + 1], offset, np.array([deep0[-1], deep1[-1]]), doffset)
+
+
+def _tip_at(run: _Run, level: float, begin: int, end: int) -> tuple[float, Array, float, Array]:
+    """Return the same of the tip's own offset at a depth; where that is not reached, at the row `end`."""
+    depth, offset = run.depth[:, -1], run.offset[:, -1]
+    reached = np.flatnonzero(depth[begin : end + 1] >= level)
+    row = begin + int(reached[0]) if reached.size else end
+    if not reached.size:
+        change = run.changes(row)[1][-1]
+        return 1.0, np.zeros(change.size), float(offset[row]), change
+    both = [run.changes(row - 1), run.changes(row)]
+    ddepth, doffset = (np.array([each[k][-1] for each in both]) for k in range(2))
+    return _at_level(level, depth[row - 1 : row + 1], offset[row - 1 : row + 1], ddepth, doffset)
 
 
 def _least_gap(run: _Run, begin: int, end: int) -> tuple[float, Array]:
@@ -175,14 +194,15 @@ def entry_residuals(slot: Slot, entry: Entry) -> tuple[Array, Array]:
 
 
 def entry_shortfall(cast_setup: CastSetup, slot: Slot, entry: Entry) -> float:
-    """Return by how much an entry fails, m: in the gap beside the rope, its depth, other gaps and the arm's clearance.
+    """Return by how much an entry fails, m: in the gap beside the rope, its depth, other gaps, clearance and speed.
 
-    At least MARGIN of the gap beside a rope in its middle shall be left.
+    At least MARGIN of the gap beside a rope in its middle shall be left, where it may not touch the walls.
     """
     room = 0.5 * slot.width - cast_setup.rope.radius
     return float(
-        max(0.0, np.abs(entry.offset).max() - (1.0 - MARGIN) * room)
+        max(0.0, np.abs(entry.offset).max() - (1.0 - (0.0 if slot.touching else MARGIN)) * room)
         + max(0.0, slot.depth - entry.depth)
         + max(0.0, -entry.gap)
         + max(0.0, cast_setup.clearance - entry.clearance)
+        + max(0.0, SLOWER * entry.speed / slot.max_speed - 1.0)
     )

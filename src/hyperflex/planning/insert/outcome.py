@@ -29,7 +29,7 @@ class InsertOutcome(TipOutcome):
     depth : float
         Greatest depth of the tip beyond the walls before it leaves them or the run ends, m.
     time_inside : float
-        From `t_enter` until the tip leaves, the rope touches a wall, or the run ends, s.
+        From `t_enter` until the tip leaves, the rope touches a wall (where it must not), or the run ends, s.
     wall_clearance : float
         Least distance of the rope from the walls until `t`, m; 0 or less: it touches them.
     """
@@ -83,21 +83,25 @@ def evaluate_insert(
     t_enter, t = _time_at(run.t, depth, begin, 0.0), _time_at(run.t, depth, end, slot.depth)
     touched = np.flatnonzero(np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0)
     left = begin + np.flatnonzero(np.append(depth[begin:], -1.0) <= 0.0)[0]
-    last = min([int(left), *touched[touched >= begin].tolist(), run.t.size - 1])
+    last = min([int(left), *([] if slot.touching else touched[touched >= begin].tolist()), run.t.size - 1])
     deepest = float(depth[begin : last + 1].max())
     walls = obstacle_clearance(run, slot.walls, t)
     gap = min(walls.value, 0.0) if (touched <= end).any() else walls.value
     figures = run_figures(cast_setup, run)
     message = figures["refused"]
-    if not message and gap <= 0.0:
+    velocity = np.array([np.interp(t, run.t, each) for each in run.tip_velocity.T])
+    speed = float(np.hypot(*velocity))
+    if not message and gap <= 0.0 and not slot.touching:
         message = f"the rope touches a wall at {min(walls.t, run.t[touched[0]] if touched.size else math.inf):.2f} s"
     elif not message and deepest < slot.depth:
         message = f"the tip comes {1e3 * deepest:.1f} mm deep, and {1e3 * slot.depth:g} mm are asked"
+    elif not message and speed > slot.max_speed:
+        message = f"the tip is there with {speed:.2f} m/s, and {slot.max_speed:g} at most are asked"
     return InsertOutcome(
         t_enter=t_enter,
         t=t,
         place=np.array([np.interp(t, run.t, each) for each in run.tip.T]),
-        velocity=np.array([np.interp(t, run.t, each) for each in run.tip_velocity.T]),
+        velocity=velocity,
         depth=deepest,
         time_inside=float(run.t[last]) - t_enter,
         wall_clearance=gap,

@@ -1,11 +1,12 @@
 """Plan an insertion: random swings that nearly enter the slot are aimed one by one, and the best are verified."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from hyperflex import checks
 from hyperflex.control import swing_period
 from hyperflex.interruption import caught, interruptible
-from hyperflex.model import Arm, Rope
+from hyperflex.model import Arm, Obstacle, Rope
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.insert.chance import SAMPLES, estimate_insert_probability
 from hyperflex.planning.insert.insert_plan import InsertPlan
@@ -32,6 +33,7 @@ def plan_insert(
     *,
     uncertainty: Uncertainty | None = None,
     clearance: float = 0.0,
+    obstacles: Sequence[Obstacle] = (),
     time_limit: float | None = None,
     time_budget: float = TIME_BUDGET,
     skip_feasibility: bool = False,
@@ -44,13 +46,14 @@ def plan_insert(
 
     Parameters
     ----------
-    rope, arm, limits, clearance, skip_feasibility, seed, threads, progress
+    rope, arm, limits, clearance, obstacles, skip_feasibility, seed, threads, progress
         As of :func:`hyperflex.plan_cast`.
     slot : Slot
         Its gap must be three diameters of the rope wide or more.
     uncertainty : Uncertainty, optional
         Of the scenarios that tell the success probability: by default the slot is 2 mm off in each coordinate, and each
-        stroke starts 2 ms early or late (standard deviations).
+        stroke starts 2 ms early or late (standard deviations). A rope that touches a wall fails in them, also where
+        the slot allows it, and obstacles are not looked at.
     time_limit : float, optional
         Time within which the tip must be inside, s; by default two periods of the rope's swing.
     time_budget : float
@@ -79,7 +82,7 @@ def plan_insert(
     if time_limit is None:
         time_limit = PERIODS * swing_period(rope)
     time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
-    cast_setup = CastSetup(rope, arm, limits or MotorLimits(), time_limit, clearance)
+    cast_setup = CastSetup(rope, arm, limits or MotorLimits(), time_limit, clearance, obstacles=tuple(obstacles))
 
     known = check_insert_feasibility(cast_setup, slot, None)
     swings: list[TipCandidate] = []

@@ -7,7 +7,8 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.insert.slot import Slot, find_crossings, frame, passages
+from hyperflex.planning.clearance import clear_samples
+from hyperflex.planning.insert.slot import Slot, find_crossings, frame, passages, tip_speed
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.swings import random_swings, simulate_swings
 from hyperflex.planning.tip.task import NEVER, Left, TipCandidate
@@ -17,6 +18,7 @@ SWINGS, TOGETHER = 512, 64  # random swings; those between two looks at the time
 MAX_COST = 0.12  # m, cost of the cheapest swing up to which a slot is feasible
 HARD_COST = 2.5  # m per m: of what strokes move less easily than all of an entry to one side
 TIME_COST = 0.004  # m/s: of equal entries the sooner one is less uncertain
+SPEED_COST = 0.03  # m per fraction by which the tip is too fast: chosen so that swings at half the speed come first
 
 
 @dataclass(frozen=True)
@@ -68,11 +70,16 @@ def _distance(cast_setup: CastSetup, slot: Slot) -> float:
 def score_entries(
     cast_setup: CastSetup, slot: Slot, strokes: list[Strokes], threads: int | None = None
 ) -> tuple[Array, Array]:
-    """Simulate free swings (M) from rest; return cost (M,), m, and time, s, of the cheapest entry of each."""
+    """Simulate free swings (M) from rest; return cost (M,), m, and time, s, of the cheapest entry of each.
+
+    Of a rope that touches an obstacle what comes before counts.
+    """
     t, batch, angle, _ = simulate_swings(cast_setup, strokes, SAMPLE_TIME, threads)
+    rope, base = cast_setup.rope, cast_setup.arm.tip(angle)
+    clear = clear_samples([rope] * len(strokes), cast_setup.obstacles, batch.q, base, cast_setup.clearance)
     scored = [
-        cheapest_entry(slot, cast_setup.rope.radius, t, cast_setup.rope.joints(q, first))
-        for q, first in zip(batch.q, cast_setup.arm.tip(angle), strict=True)
+        cheapest_entry(slot, rope.radius, t[:rows], rope.joints(q[:rows], first[:rows])) if rows else (NEVER, math.nan)
+        for q, first, rows in zip(batch.q, base, clear, strict=True)
     ]
     cost, at = np.array(scored).T
     return np.where(np.isfinite(batch.q).all(axis=(1, 2)), cost, NEVER), at
@@ -91,7 +98,8 @@ def cheapest_entry(slot: Slot, radius: float, t: Array, joints: Array) -> tuple[
     for begin, end in ways:
         part = depth[begin - 1, -1] / (depth[begin - 1, -1] - depth[begin, -1])
         enters = offset[begin - 1, -1] + part * (offset[begin, -1] - offset[begin - 1, -1])
-        least, most = np.min(off := np.append(mouth[begin : end + 1], enters)), np.max(off)
+        inside = offset[begin : end + 1, -1] if slot.tube > 0.0 else ()
+        least, most = np.min(off := np.concatenate([mouth[begin : end + 1], [enters], inside])), np.max(off)
         if not math.isfinite(most):  # the rope hangs on the far side, and the tip comes back to it
             continue
         lacks = max(0.0, slot.depth - float(depth[end, -1]))
@@ -99,6 +107,7 @@ def cheapest_entry(slot: Slot, radius: float, t: Array, joints: Array) -> tuple[
         struck = float(np.max(-found.gap, where=others, initial=0.0))
         hard = float(most - least) + lacks + struck
         cost = 0.5 * abs(float(least + most)) + HARD_COST * hard + TIME_COST * float(t[end])
+        cost += SPEED_COST * max(0.0, tip_speed(t, depth[:, -1], offset[:, -1], end) / slot.max_speed - 1.0)
         best = min(best, (cost, float(t[end])))
     return best
 

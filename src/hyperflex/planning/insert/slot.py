@@ -1,5 +1,6 @@
 """A slot between two walls, and where a rope crosses the line of these walls."""
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -30,6 +31,12 @@ class Slot:
         How far beyond the walls the tip shall come, m, > 0.
     wall : float
         Length of each wall, m, > 0.
+    tube : float
+        How far walls go on inwards from both edges of the gap, m, >= 0: the tip goes into a tube. 0: none.
+    max_speed : float
+        Greatest speed of the tip at that depth, m/s, > 0; infinite for any.
+    touching : bool
+        Whether the rope may touch the walls.
 
     Raises
     ------
@@ -49,6 +56,9 @@ class Slot:
     width: float = 0.02
     depth: float = 0.05
     wall: float = 0.1
+    tube: float = 0.0
+    max_speed: float = math.inf
+    touching: bool = False
 
     def __post_init__(self) -> None:
         for name, unit in (("x", "m"), ("y", "m"), ("direction", "rad")):
@@ -56,6 +66,11 @@ class Slot:
         for name in ("width", "depth", "wall"):
             value = checks.number(f"slot {name}", getattr(self, name), sign="positive", unit="m")
             object.__setattr__(self, name, value)
+        tube = checks.number("slot tube", self.tube, sign="nonnegative", unit="m")
+        object.__setattr__(self, "tube", tube)
+        most = checks.number("slot max_speed", self.max_speed, sign="positive", unit="m/s", infinite=True)
+        object.__setattr__(self, "max_speed", most)
+        object.__setattr__(self, "touching", checks.flag("slot touching", self.touching))
 
     @property
     def point(self) -> Array:
@@ -69,11 +84,14 @@ class Slot:
         return np.array([[c, s], [-s, c]])
 
     @property
-    def walls(self) -> tuple[Wall, Wall]:
-        """The walls: that to the left of the way in, and that to the right."""
-        ways = np.array([0.5 * self.width, 0.5 * self.width + self.wall])[:, None] * self.axes[1]
-        left, right = (Wall(*(self.point + side * ways).ravel().tolist()) for side in (1.0, -1.0))
-        return left, right
+    def walls(self) -> tuple[Wall, ...]:
+        """The walls: that to the left of the way in, that to the right, and those of the tube, if there is one."""
+        inwards, left = self.axes
+        edges = [self.point + side * 0.5 * self.width * left for side in (1.0, -1.0)]
+        ways = [side * self.wall * left for side in (1.0, -1.0)]
+        pairs = list(zip(edges, ways, strict=True))
+        pairs += [(edge, self.tube * inwards) for edge in edges if self.tube > 0.0]
+        return tuple(Wall(*edge.tolist(), *(edge + way).tolist()) for edge, way in pairs)
 
     def check_width(self, rope: Rope) -> None:
         """Raise InvalidInput if the gap is narrower than NARROWEST diameters of a rope."""
@@ -123,6 +141,12 @@ def frame(slot: Slot, points: Array) -> tuple[Array, Array]:
     """Return depth beyond the walls (...) and offset to the left of the way in (...) of points (..., 2), m."""
     out = (points - slot.point) @ slot.axes.T
     return out[..., 0], out[..., 1]
+
+
+def tip_speed(t: Array, depth: Array, offset: Array, row: int) -> float:
+    """Return the speed of the tip, m/s, before sample `row` of times t (T,), s, by its depth and offset (T,), m."""
+    way = math.hypot(depth[row] - depth[row - 1], offset[row] - offset[row - 1])
+    return way / float(t[row] - t[row - 1])
 
 
 def passages(depth: Array, asked: float) -> list[tuple[int, int]]:

@@ -15,6 +15,7 @@ from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import clear_samples
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
 from hyperflex.planning.search import strikes
@@ -103,7 +104,7 @@ def first_strikes(
         at[same], _, gap[same] = strikes.first_contact(
             np.nan_to_num(q[same]), base[same], lengths[same], Peg(*peg), batch.ropes[0].radius
         )
-    good &= at <= strikes.clear_samples(batch.ropes, batch.obstacles, q, base, 0.0)
+    good &= at <= clear_samples(batch.ropes, batch.obstacles, q, base, 0.0)
     rows, hit = np.arange(len(batch)), (at > 0) & good
     before = np.maximum(at - 1, 0)
     return np.where(hit, t[before], np.nan), q[rows, before], qd[rows, before], gap

@@ -12,6 +12,7 @@ from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gap
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.strikes import arm_tip
+from hyperflex.planning.verification import limit_bend
 from hyperflex.simulation import Batch, Deadline, check_outside
 from hyperflex.winding import slid
 
@@ -28,6 +29,9 @@ PASSING = 0.25  # weight of a turn that is undone again
 LATE_COST = 0.02  # turns that a second of delay costs
 # Turns that a rope costs that comes too near its arm, and up to as many more the longer it is there; half of these in s
 ARM_COST, ARM_TIME = 0.5, 0.3
+# A rope that is folded flat keeps of its score PLAIN and FOLDED of the rest: others come first. Coarse ropes have no
+# joint limits: where throws fold when verified they bent by 2.1 times the limit or more, else by half of it at most
+PLAIN, FOLDED = 1.0, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +118,9 @@ def _simulate_contact(
         for k in np.flatnonzero(ended.turns >= MIN_TURNS):
             ended.score[k] -= SLIP_COST * _slip(some, int(k), further.q[k], late, arm)
         found.score[on], found.turns[on] = ended.score, ended.turns
+    for k in np.flatnonzero(found.score > PLAIN):
+        if (np.abs(np.diff(run.q[k], axis=1)) > limit_bend(batch.ropes[k]).max_bend[1:]).any():
+            found.score[k] = PLAIN + FOLDED * (found.score[k] - PLAIN)
     return found
 
 

@@ -15,7 +15,7 @@ from hyperflex.motion import hold_arm
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import strikes
-from hyperflex.planning.search.beam import FINER, BeamSearch, Strike
+from hyperflex.planning.search.beam import FINER, FULL, SIZES, BeamSearch, Strike
 from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, unconfirmed
 from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, simulate_contact, starts_outside
 from hyperflex.planning.search.evolution import CmaEs
@@ -26,9 +26,12 @@ from hyperflex.simulation import Deadline
 MEMBERS, CONTACT_MEMBERS = 32, 16  # of a generation of free swings, and of one in contact
 KEPT = 4  # swings of a generation that may be tried in contact
 TRIED = 2  # swings that are tried in contact at once
-ENOUGH = 4  # throws that wind, after which they are verified before more last moves are tried
-# Tried after a strike: strokes still made; then the last move's end, in half turns, and the rest before it, periods
-MORE, ENDS, RESTS = (0.5, 1.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0), (0.0, 0.05)
+# Throws that wind, after which they are verified before more last moves are tried; with less of a score they slip, or
+# are folded flat on the way
+ENOUGH, SOUND = 4, MIN_TURNS
+# Tried after a strike: strokes still made, none or two, and then the last move's end, in half turns. Of 32 swings at
+# eight targets these wound 16; one stroke more, or a rest of 0.05 periods before the last move, another one
+MORE, ENDS = (0.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0)
 SLOW_RUNS, MIN_BUDGET = 10.0, 0.5  # one run in so many takes very long; processor time of each in any case, s
 UNTIL = 2.0 * strikes.SAMPLE_TIME  # s after a strike, until which the arm rests that rested before it
 LATE = 0.5  # fraction of the time allowed
@@ -107,13 +110,15 @@ class ThrowSearch:
     def beam_search(self, enough: float = np.inf) -> float:
         """Search free swings stroke by stroke; continues the last beam search if it can be, else begins one.
 
-        It ends where some swings score `enough`. Returns the best score so far.
+        It ends where some swings score `enough`. The first one makes full strokes alone; where none of these scores
+        that, one with others follows at once. Returns the best score so far.
         """
         self._check()
         time, most = self.cast_setup.time, max(each.strokes for each in self.parametrizations.values())
+        first = self._beam is None
         if self._beam is None or not self.climbing:
-            sides = list(self.parametrizations)
-            self._beam = BeamSearch(self.cast_setup, self.peg, sides, self._random, self.threads)
+            sides, sizes = list(self.parametrizations), FULL if first else SIZES
+            self._beam = BeamSearch(self.cast_setup, self.peg, sides, self._random, self.threads, sizes)
         before = self._beam.runs
         found = self._beam.extend(time, most, self.left, enough)
         self.runs += self._beam.runs - before
@@ -123,7 +128,8 @@ class ThrowSearch:
             rest = max(throws.rest, one.after + UNTIL)
             return Swing(one.score, one.side, throws.point(one.strokes, one.rests, rest), one.t)
 
-        return self._keep(list(map(swing, found)))
+        best = self._keep(list(map(swing, found)))
+        return self.beam_search(enough) if first and best < enough and not self.climbing else best
 
     def _keep(self, found: list[Swing]) -> float:
         """Keep the best distinct swings, with the lower of their scores with these and with shorter links.
@@ -196,13 +202,13 @@ class ThrowSearch:
         before winds, a long rest is tried as well, and after MAX_FAILED such tries shorter links for the same swings.
         """
         if not self._untried:
-            self._failed_tries += bool(self.candidates) and not self._winding
+            self._failed_tries += bool(self.candidates) and not any(one.turns >= MIN_TURNS for one in self.candidates)
             if self._failed_tries == MAX_FAILED and self._in_contact is self.cast_setup:
                 self._in_contact = self.cast_setup.cut(PIECES)
                 self._tried.clear()
             fresh = distinct(self.swings, self._tried, TRIED)
             self._tried += fresh
-            moves = [(a, b) for a in MORE for b in (RESTS if a < 1.0 else RESTS[:1])]
+            moves = [(more, 0.0) for more in MORE]
             if self._failed_tries:
                 moves.insert(0, (MORE[0], LONG_REST))
             for more, rest in moves:
@@ -210,24 +216,23 @@ class ThrowSearch:
                     some = [one for one in fresh if one.side == side]
                     points = [np.append(one.x[:-LAST], [more, end, rest, 1.0]) for one in some for end in ENDS]
                     self._untried += [(side, points)] if points else []
-        wound = self._winding
-        while self._untried and self._winding < wound + ENOUGH and (self.left is None or self.left() > 0.0):
+        wound = self._sound
+        while self._untried and self._sound < wound + ENOUGH and (self.left is None or self.left() > 0.0):
             self.evaluate(*self._untried.pop(0))
 
     @property
-    def _winding(self) -> int:
-        """Number of candidates that wind."""
-        return sum(one.turns >= MIN_TURNS for one in self.candidates)
+    def _sound(self) -> int:
+        """Number of candidates that wind, hold and do not fold."""
+        return sum(one.turns >= MIN_TURNS and one.score >= SOUND for one in self.candidates)
 
     def try_throws(self, throws: Sequence[Throw]) -> None:
         """Simulate given throws in contact: their strokes until they strike, and then some more of them."""
         for side, each in self.parametrizations.items():
             points = [
-                np.append(each.repeated(one)[:-LAST], [more, one.end / np.pi, rest, one.speed])
+                np.append(each.repeated(one)[:-LAST], [more, one.end / np.pi, 0.0, one.speed])
                 for one in throws
                 if one.side == side
                 for more in MORE
-                for rest in RESTS
             ]
             if points:
                 self.evaluate(side, points)

@@ -1,6 +1,7 @@
 """Plan a whip: swings of a map are aimed at the target one after the other, and the best ones are verified."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +11,7 @@ from hyperflex import checks
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import caught, interruptible
-from hyperflex.model import Arm, Rope
+from hyperflex.model import Arm, Obstacle, Rope
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.tip.planner import TipPlanner
@@ -42,6 +43,7 @@ def plan_whip(
     least_speed: float = 5.0,
     angle_tolerance: float = math.radians(20.0),
     clearance: float = 0.0,
+    obstacles: Sequence[Obstacle] = (),
     time_limit: float | None = None,
     time_budget: float = TIME_BUDGET,
     skip_feasibility: bool = False,
@@ -54,7 +56,7 @@ def plan_whip(
 
     Parameters
     ----------
-    rope, arm, limits, clearance, skip_feasibility, seed, threads, progress
+    rope, arm, limits, clearance, obstacles, skip_feasibility, seed, threads, progress
         As of :func:`hyperflex.plan_cast`.
     point : (2,) array_like
         Place of the tip at the peak, m.
@@ -70,8 +72,8 @@ def plan_whip(
     time_budget : float
         Time by the clock for map, search and verifications, s, without compiling.
     whip_map : WhipMap, optional
-        Of the same rope, arm, limits and time, from :func:`build_whip_map`; by default it is built, which takes some
-        seconds.
+        Of the same rope, arm, limits, time and obstacles, from :func:`build_whip_map`; by default it is built, which
+        takes some seconds.
 
     Returns
     -------
@@ -91,7 +93,7 @@ def plan_whip(
     seed = checks.count("seed", seed, least=0)
     if time_limit is not None:
         time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
-    cast_setup = replace(_cast_setup(rope, arm, limits, time_limit, whip_map), clearance=clearance)
+    cast_setup = replace(_cast_setup(rope, arm, limits, time_limit, tuple(obstacles), whip_map), clearance=clearance)
 
     distance = pivot_distance(cast_setup, target)
     known = WhipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
@@ -114,19 +116,26 @@ def plan_whip(
 
 
 def _cast_setup(
-    rope: Rope, arm: Arm, limits: MotorLimits | None, time_limit: float | None, whip_map: WhipMap | None
+    rope: Rope,
+    arm: Arm,
+    limits: MotorLimits | None,
+    time_limit: float | None,
+    obstacles: tuple[Obstacle, ...],
+    whip_map: WhipMap | None,
 ) -> CastSetup:
     """Return the set-up of the map, if there is one, which must be the one that is asked for."""
     checks.instance("rope", rope, Rope)
     if whip_map is None:
         usual = PERIODS * swing_period(rope)
-        return CastSetup(rope, arm, limits or MotorLimits(), usual if time_limit is None else time_limit)
+        time = usual if time_limit is None else time_limit
+        return CastSetup(rope, arm, limits or MotorLimits(), time, obstacles=obstacles)
     if limits is not None:
         checks.instance("limits", limits, MotorLimits)
     made = checks.instance("whip_map", whip_map, WhipMap).cast_setup
-    if made.rope != rope or made.arm != arm or limits not in (None, made.limits) or time_limit not in (None, made.time):
+    same = made.rope == rope and made.arm == arm and made.obstacles == obstacles
+    if not same or limits not in (None, made.limits) or time_limit not in (None, made.time):
         raise InvalidInput(
-            "map was made for another rope, arm, motor or time",
-            fix="Make one: build_whip_map(CastSetup(rope, arm, limits, time_limit))",
+            "map was made for another rope, arm, motor or time, or other obstacles",
+            fix="Make one: build_whip_map(CastSetup(rope, arm, limits, time_limit, obstacles=...))",
         )
     return made

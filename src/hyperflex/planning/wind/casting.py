@@ -161,6 +161,9 @@ def plan_cast(
         raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
     known = check_feasibility(cast_setup, target, holding_force=holding_force)
     search = ThrowSearch(cast_setup, target, checks.count("seed", seed, least=0), threads, holding_force)
+    if cast_setup.obstacles and not search.parametrizations:
+        fix = "Move them; the rope hangs from the arm, which points to one side"
+        raise InvalidInput("the rope begins in an obstacle or the target, whatever the arm's side", fix=fix)
     if known.impossible or not (known.feasible or skip_feasibility):
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:

@@ -11,7 +11,7 @@ from hyperflex.planning.outcome import MIN_TURNS, CastOutcome, require_holding_f
 from hyperflex.planning.search.candidates import Candidate, distinct, same_swing
 from hyperflex.planning.search.contact_phase import SLIP_COST
 from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
-from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.search.throw_search import SOUND, ThrowSearch
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
@@ -21,6 +21,7 @@ from hyperflex.planning.wind.verified import (
     failure,
     promise,
     rank,
+    steady,
     succeeds,
     with_margin,
     worst_of,
@@ -32,17 +33,21 @@ MIN_GROWTH, IDLE_ROUNDS = 1.03, 2  # a round that gains less than this factor is
 PROMISING, WORTHY = 0.5, 0.5  # energy ratio of swings that need no more time, and of swings that are worth a try
 MIN_TAIL = 0.5  # turns of tail, at least, that a swing is taken to have for that
 NEARLY = 0.9  # score of a throw in contact that is worth being refined though all swings strike late
-EARLY, LONGER = 0.1, 1.5  # fraction of the time after which swings that promise less may take longer; how much longer
+# Fraction of the time after which swings that promise less may take longer, and throws that fold or lack a margin are
+# verified to the end: others are mostly found sooner. How much longer
+EARLY, LONGER = 0.1, 1.5
 FREE = 0.2  # fraction of the time in which late swings are not tried in contact before they are worth it
 SWINGING = 0.5  # fraction of the time after which the search goes on in contact in any case
 RESTART = 12  # generations in contact from one candidate
 LEAST = 1.0  # score of throws that wind and are worth a verification: less have those that slip by more than 2 cm
 ALIKE = 0.05  # points that differ by less are one
-FINER = (2, 3)  # pieces of each link in the verifications after the first
+# Pieces of each link in verifications after the first; the third is for throws without a margin, and the last, which
+# takes five times as long as the first, for those whose rope ends on top of the peg
+FINER = (2, 3, 5)
 SEARCHING = 0.85  # fraction of the time after which only verifications are begun
 LONGEST = 0.25  # fraction of the time that a first verification may take, or half of what is left
 LOOK = 1.0  # s; steps of a run between two looks at the clock may take as long on a busy machine
-TRIES = 3  # verifications at most between two generations
+TRIES = 3  # looks at new candidates at most between two generations
 # A margin, and a full turn of contact that nobody asked for, are sought until so many times the time of the first plan
 BETTER = 2.0
 FULL_TURN = 2.0 * np.pi  # rad of contact that a search goes on for where the rope is long enough, if none is asked for
@@ -80,7 +85,7 @@ class CastPlanner:
         self.contact = FULL_TURN if full_turn and full.available_turns >= full.needed_turns else 0.0
         self.tail = float(np.clip(tail, MIN_TAIL, MAX_TAIL))
         self.checked: list[Candidate] = []
-        self.waiting: list[tuple[CastOutcome, Candidate]] = []  # that succeed in the first verification, best first
+        self.waiting: list[tuple[Verified, Candidate]] = []  # that succeed in two verifications without a margin
         self.verified: list[Verified] = []
         self.best: Verified = (None, None, None)
         self.first = np.inf  # time spent until a plan stood, s
@@ -110,12 +115,7 @@ class CastPlanner:
         while not (self.late or self.done()):
             late = contact > 0 and self.search.late
             settled = idle >= IDLE_ROUNDS * (2 if late and score < WORTHY * self.tail else 1)
-            if (
-                late
-                and score < PROMISING * self.tail
-                and self.longer
-                and (settled or score < 0.0 or self.spent > EARLY * self.time_budget)
-            ):
+            if late and score < PROMISING * self.tail and self.longer and (settled or score < 0.0 or not self.early):
                 self.lengthen()
                 score, idle, contact = 0.0, 0, 0
             elif (
@@ -142,6 +142,11 @@ class CastPlanner:
     def stands(self) -> bool:
         """Whether a plan succeeds."""
         return succeeds(self.best)
+
+    @property
+    def early(self) -> bool:
+        """Whether throws without a margin are left."""
+        return self.spent <= EARLY * self.time_budget
 
     def try_worthy(self) -> None:
         """Try the best swings in contact, and others that are worth it until a plan stands."""
@@ -203,46 +208,49 @@ class CastPlanner:
         return covers(self.best, self.contact) or self.spent > BETTER * self.first
 
     def verify_new(self) -> None:
-        """Verify the best candidates that were not verified yet: once as many as there are threads, then the best."""
+        """Verify the best candidates that were not verified yet, twice each; then the best that has no margin."""
         for _ in range(TRIES):
             if self.done() or (self.late and self.best[0] is not None):
                 return
             self.search.confirm()
-            self.verify_first(self.fresh())
-            if self.stands:
-                self.waiting = [each for each in self.waiting if self.promises(*each)]
-            if not self.waiting:
-                return
-            count = max(1, self.search.workers // len(self.finer))
-            some, self.waiting = self.waiting[:count], self.waiting[count:]
-            self.check([one for _, one in some], [seen for seen, _ in some])
+            if not (some := self.fresh()):
+                break
+            self.look(some)
+        if self.stands:
+            known = rank(self.best, self.contact)[:-1]
+            self.waiting = [each for each in self.waiting if promise(each[0], self.contact)[:-1] > known]
+        if self.waiting and not (self.early or self.done()):
+            seen, one = self.waiting.pop(0)
+            self.check([one], [seen])
 
-    def verify_first(self, some: Sequence[Candidate]) -> None:
-        """Verify candidates on the rope as given, all at once; those that succeed wait for the other verifications."""
+    def look(self, some: Sequence[Candidate]) -> None:
+        """Verify candidates twice, all at once; those that succeed without a margin wait for more verifications."""
         self.checked += some
-        with ThreadPoolExecutor(max(1, min(len(some), self.search.workers))) as pool:
-            outcomes = list(pool.map(self.first_outcome, some))
-        for one, seen in zip(some, outcomes, strict=True):
-            if seen.success:
-                self.waiting.append((seen, one))
+        with ThreadPoolExecutor(max(1, len(some))) as pool:
+            seen = list(pool.map(self.verify_twice, some))
+        for one, (first, second) in zip(some, seen, strict=True):
+            found = one.throw, first, second
+            if first.success and (second is None or second.success) and not with_margin(found):
+                self.waiting.append((found, one))
             else:
-                self.keep(one, (one.throw, seen, None))
-        self.waiting.sort(key=lambda each: promise(each[0], each[1], self.contact), reverse=True)
-
-    def promises(self, seen: CastOutcome, one: Candidate) -> bool:
-        """Whether a throw may be a better plan than the best, but for its turns."""
-        return promise(seen, one, self.contact)[:-1] > rank(self.best, self.contact)[:-1]
+                self.verified.append(found)
+                self.take([one], [found])
+        self.waiting.sort(key=lambda each: promise(each[0], self.contact), reverse=True)
 
     def verify_best(self) -> None:
-        """Verify the best candidate if none was verified."""
+        """Verify the best throw without a margin if no plan stands, or the best candidate if none was verified."""
+        if self.waiting and not self.stands:
+            seen, one = self.waiting.pop(0)
+            self.check([one], [seen])
         if self.best[0] is None and self.search.candidates:
             self.check(self.search.candidates[:1])
 
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, and are not like one that was verified nor like each other."""
         least = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN)
-        winding = (one for one in self.search.candidates if one.confirmed and one.turns >= least and one.score >= LEAST)
-        return distinct(winding, self.checked, self.search.workers, ALIKE)
+        score, some = SOUND if self.early else LEAST, self.search.candidates
+        winding = (one for one in some if one.confirmed and one.turns >= least and one.score >= score)
+        return distinct(winding, self.checked, max(1, self.search.workers // 2), ALIKE)
 
     def keep(self, one: Candidate, found: Verified) -> bool:
         """Take a verified candidate as the best if it is; correct its score if it fails. Whether it is the best."""
@@ -255,43 +263,69 @@ class CastPlanner:
             self.best = found
         return best
 
-    def check(self, some: Sequence[Candidate], firsts: Sequence[CastOutcome] = ()) -> None:
-        """Verify candidates, keep the best, and correct the scores of those that fail; `firsts` are of those known."""
-        better = [self.keep(one, found) for one, found in zip(some, self.outcomes(some, firsts), strict=True)]
+    def check(self, some: Sequence[Candidate], seen: Sequence[Verified] = ()) -> None:
+        """Verify candidates, keep the best, and correct the scores of those that fail; `seen` are those seen twice."""
+        self.take(some, self.outcomes(some, seen))
+
+    def take(self, some: Sequence[Candidate], found: Sequence[Verified]) -> None:
+        """Keep the best of verified candidates, and tell it if it stands; correct the scores of those that fail."""
+        better = [self.keep(*each) for each in zip(some, found, strict=True)]
         if any(better) and self.stands:
             self.first = min(self.first, self.spent)
             self.ended = bool(self.hear is not None and self.hear())
 
-    def outcomes(self, some: Sequence[Candidate], firsts: Sequence[CastOutcome] = ()) -> list[Verified]:
+    def outcomes(self, some: Sequence[Candidate], seen: Sequence[Verified] = ()) -> list[Verified]:
         """Verify candidates, as many at once as there are threads for."""
         self.checked += [one for one in some if not any(one is other for other in self.checked)]
-        known = [firsts] if firsts else []
-        with ThreadPoolExecutor(max(1, min(len(some), self.search.workers // len(self.finer)))) as pool:
-            seen = pool.map(self.verify, some, *known)
-            found: list[Verified] = [(one.throw, *each) for one, each in zip(some, seen, strict=True)]
+        known = [seen] if seen else []
+        with ThreadPoolExecutor(max(1, min(len(some), self.search.workers // 2))) as pool:
+            ended = pool.map(self.verify, some, *known)
+            found: list[Verified] = [(one.throw, *each) for one, each in zip(some, ended, strict=True)]
         self.verified += found
         return found
 
-    def verify(self, found: Candidate, first: CastOutcome | None = None) -> tuple[CastOutcome, CastOutcome | None]:
-        """Verify a throw on the rope as given, or as it is known; then, if it winds and holds, with shorter links.
+    def verify(self, one: Candidate, seen: Verified | None = None) -> tuple[CastOutcome, CastOutcome | None]:
+        """Verify a throw on the rope as given and with links of half the length; without a margin with shorter ones.
 
-        Of these the outcome that fails is returned, or the one whose turns differ most: unpredictable throws differ
-        with the length of the links. The last may run out of time; then the others count. A run that fails ends those
-        with still shorter links.
+        `seen` are the first two outcomes if these are known. Of those with shorter links the one that fails is
+        returned, or the one whose turns differ most: unpredictable throws differ with the length of the links.
         """
-        first = first or self.first_outcome(found)
-        if not first.success:
-            return first, None
-        refuted = [len(self.finer)]
+        first, second = seen[1:] if seen else self.verify_twice(one)
+        known = [] if second is None else [second]
+        if first is None or not all(each.success for each in (first, *known)) or with_margin((None, first, second)):
+            return first, second  # type: ignore[return-value] # there is a first one
+        more = [self.finer_run(one, k) for k in range(len(known), 2)]
+        finer = known + self.at_once(more, lambda found: found.success or not found.completed)
+        worst = worst_of(first, finer)
+        if worst.success and not all(each.tip_hangs for each in (first, *finer)):
+            last = self.finer_run(one, 2)(lambda: False)
+            worst = worst_of(first, [worst, last]) if last.success else last
+        return first, worst
+
+    def verify_twice(self, one: Candidate) -> tuple[CastOutcome, CastOutcome | None]:
+        """Verify a throw on the rope as given and, beside that, with links of half the length where it has a margin."""
+        runs = [lambda _: self.first_outcome(one), self.finer_run(one, 0)]
+        first, second = self.at_once(runs, lambda found: found.success and steady(found))
+        return first, second if first.success and steady(first) else None
+
+    def finer_run(self, one: Candidate, k: int) -> Callable[[Callable[[], bool]], CastOutcome]:
+        """Return what simulates a throw with shorter links unless it is told that this is for nothing."""
+        return lambda refuted: self.run_once(self.finer[k], one, lambda: -1.0 if refuted() else self.left())
+
+    def at_once(
+        self, runs: Sequence[Callable[[Callable[[], bool]], CastOutcome]], good: Callable[[CastOutcome], bool]
+    ) -> list[CastOutcome]:
+        """Return the outcomes of runs, on two threads where there are; one that is not good ends those after it."""
+        failed = [len(runs)]
 
         def run(k: int) -> CastOutcome:
-            seen = self.run_once(self.finer[k], found, lambda: -1.0 if min(refuted) < k else self.left())
-            if seen.completed and not seen.success:
-                refuted.append(k)
+            seen = runs[k](lambda: min(failed) < k)
+            if not good(seen):
+                failed.append(k)
             return seen
 
-        with ThreadPoolExecutor(max(1, min(len(self.finer), self.search.workers))) as pool:
-            return first, worst_of(first, list(pool.map(run, range(len(self.finer)))))
+        with ThreadPoolExecutor(min(2, self.search.workers)) as pool:
+            return list(pool.map(run, range(len(runs))))
 
     def first_outcome(self, found: Candidate) -> CastOutcome:
         """Verify a throw on the rope as given, in a part of the time."""

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 from hyperflex.planning.outcome import MAX_SLIP, CastOutcome
-from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.throw import Throw
 
 SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
@@ -15,8 +14,9 @@ Verified = tuple[Throw | None, CastOutcome | None, CastOutcome | None]  # throw,
 
 
 def steady(outcome: CastOutcome) -> bool:
-    """Whether a rope that holds does so with a margin, and was not folded flat before."""
-    return outcome.slip <= SLIP_MARGIN * MAX_SLIP and outcome.load_ratio <= LOAD_MARGIN and not outcome.folded
+    """Whether a rope that holds does so with a margin, its end hangs, and it was not folded flat before."""
+    held = outcome.slip <= SLIP_MARGIN * MAX_SLIP and outcome.load_ratio <= LOAD_MARGIN
+    return held and outcome.tip_hangs and not outcome.folded
 
 
 def succeeds(found: Verified) -> bool:
@@ -50,9 +50,10 @@ def rank(found: Verified, contact: float = 0.0) -> tuple[int, bool, bool, bool, 
     return int(outcome.success) + int(finer.success), alike, margin, covers(found, contact), turns
 
 
-def promise(seen: CastOutcome, one: Candidate, contact: float) -> tuple[int, bool, bool, bool, float]:
-    """Rank of a throw if its other verifications tell what the first does; the fewer turns, the sooner these end."""
-    *good, turns = rank((one.throw, seen, seen), contact)
+def promise(seen: Verified, contact: float) -> tuple[int, bool, bool, bool, float]:
+    """Rank of a throw if its other verifications tell what these do; the fewer turns, the sooner they end."""
+    throw, first, second = seen
+    *good, turns = rank((throw, first, second or first), contact)
     return *good, -turns  # type: ignore[return-value]
 
 

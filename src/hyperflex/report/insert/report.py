@@ -42,20 +42,23 @@ class InsertReport(PlanReport[InsertPlan]):
         self.title = "A planned insertion" if plan.success else "No way through the slot found"
         swung = "is" if plan.success else "is to be"
         self.task = (
-            f"A rope on a motor-driven arm {swung} swung so that its tip goes through a slot between two walls and "
-            f"touches neither."
+            f"A rope on a motor-driven arm {swung} swung so that its tip goes through a slot between two walls"
+            f"{'.' if slot.touching else ' and touches neither.'}"
         )
         self.verdict = f"No way through the slot was found: {plan.message}."
         if plan.success and (seen := plan.outcome) is not None:
+            clear = f"and the rope keeps clear of them by {length(seen.wall_clearance, 2)}"
+            touches = "and the rope touches them on its way, as it may" if seen.wall_clearance <= 0.0 else clear
             self.verdict = (
-                f"The tip is {length(slot.depth)} beyond the walls at {seen.t:.2f} s, and the rope keeps clear of them "
-                f"by {length(seen.wall_clearance, 2)}, in simulation."
+                f"The tip is {length(slot.depth)} beyond the walls at {seen.t:.2f} s, {touches}, in simulation."
             )
         self.warning = torque_warning(plan, plan.outcome)
         self.target = (
             f"a slot at x = {slot.x:.3g} m, y = {slot.y:.3g} m, {length(slot.width)} wide, between walls of "
             f"{length(slot.wall)}; way in: {np.degrees(slot.direction):.3g} degrees (0 is +x, 90 up), "
             f"{length(slot.depth)} deep"
+            + (f", in a tube of {length(slot.tube)}" if slot.tube > 0.0 else "")
+            + (f", with {slot.max_speed:g} m/s at most" if math.isfinite(slot.max_speed) else "")
         )
         self.tiles, self.story, self.checks = self._tiles(), self._story(), _checks(plan)
 
