@@ -15,6 +15,7 @@ from hyperflex.core.chain.drive import Segment, base_state, segment
 from hyperflex.core.chain.lanes import COLUMNS, load, rows, set_slip
 from hyperflex.core.integrate import steps as steppers
 from hyperflex.core.integrate.progress import JOINT, LENGTH, MODES
+from hyperflex.core.integrate.substeps import new_substeps
 from hyperflex.core.stiction.constraint_torques import QUICK
 from hyperflex.simulation.rollouts import TABLES, Rollout, rollout_limits
 from hyperflex.simulation.sensitivity.directions import ParameterDirections, parameter_directions
@@ -48,7 +49,14 @@ class Frozen:
 
     def step(self, part: Segment, order: int, length: float, grip: Array) -> Array:
         n, out = self.n, np.empty(2 * self.n + 2)
-        scratch = np.empty((2, 2 * n + 2)), self.lanes, self.tip, np.zeros((9, len(COLUMNS))), np.empty(6 * n)
+        scratch = (
+            np.empty((2, 2 * n + 2)),
+            new_substeps(n)[0],
+            self.lanes,
+            self.tip,
+            np.zeros((9, len(COLUMNS))),
+            np.empty(6 * n),
+        )
         steppers.extrapolate(
             self.chain, self.drive, part, TABLES[order - TABLES[0].order], self.t, length, self.y, out, *scratch
         )

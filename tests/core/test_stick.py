@@ -205,6 +205,19 @@ def test_a_dip_before_another_joint_s_event_is_found() -> None:
     assert taken == pytest.approx(np.arccos(-0.9) / (2.0 * np.pi), abs=2 * stick.INSTANT)
 
 
+def test_a_search_that_has_come_further_does_not_go_back_for_a_dip_before() -> None:
+    """Where friction acts on one link every attempt has a middle; it is no middle of what is left of the span."""
+    search = events.new_search(1)
+    stuck, low = np.ones(1), 0.5
+    search.low[0] = 1.0
+    events.begin_search(search)
+    for step, margin, middle in ((1.0, -1.0, np.inf), (low, 0.2, np.inf), (0.6, 0.1, 0.0)):
+        search.here[0], search.middle[0] = margin, middle
+        verdict, length = events.assess_step(stuck, search, step)
+        assert verdict == events.AGAIN
+    assert 0.6 < length < 1.0
+
+
 def test_a_joint_that_comes_loose_does_not_stop_for_rounding() -> None:
     """It hardly accelerates at first, so that its rate is rounding for long; then it slips, and stops much later."""
     start, jerk, end, rounding = 3e-10, 1e3, 0.04, 4e-16

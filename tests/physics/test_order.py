@@ -10,7 +10,8 @@ import pytest
 import hyperflex as hf
 from hyperflex.core.chain.drive import segment
 from hyperflex.core.chain.lanes import COLUMNS, load, rows
-from hyperflex.core.integrate.steps import extrapolate, scheme
+from hyperflex.core.integrate.steps import COURSE, extrapolate, scheme
+from hyperflex.core.integrate.substeps import add_substeps, new_substeps, weigh_terms
 from hyperflex.errors import InvalidInput
 from tests.reference.arm import cast, links_of, still
 
@@ -40,8 +41,11 @@ def test_runge_kutta_has_order_four() -> None:
     assert slope(1.0 / counts, errors) == pytest.approx(4.0, abs=0.15)
 
 
-def fixed_steps(order: int, count: int, duration: float) -> np.ndarray:
-    """End state (4,) of extrapolated steps of equal length, with the error control left out."""
+def fixed_steps(order: int, count: int, duration: float, part_of_last: float | None = None) -> np.ndarray:
+    """State (4,) at the end of extrapolated steps of equal length, or within the last; the error control is left out.
+
+    Within the last step its substeps tell the course.
+    """
     setup = hf.Setup(rope=chain(), q0=Q0)
     parameters, drive, table = setup.chain(), setup.drive(), scheme(order)
     n = len(Q0)
@@ -50,11 +54,17 @@ def fixed_steps(order: int, count: int, duration: float) -> np.ndarray:
     lanes, tip = rows(COLUMNS, n)
     base, trig = np.zeros((9, len(COLUMNS))), np.zeros(2 * n)
     load(COLUMNS, parameters, lanes, tip)
+    kept, weight = new_substeps(n)
     h = duration / count
     for k in range(count):
         part = segment(drive, k * h)
-        extrapolate(parameters, drive, part, table, k * h, h, y, out, errors, lanes, tip, base, trig)
-        y[:] = out
+        extrapolate(parameters, drive, part, table, k * h, h, y, out, errors, kept, lanes, tip, base, trig)
+        if k == count - 1 and part_of_last is not None:
+            weight = weight[: table.column.size]
+            weigh_terms(COURSE[order, :order], part_of_last, weight)
+            add_substeps(weight, kept, y)
+        else:
+            y[:] = out
     return y[: 2 * n]
 
 
@@ -70,6 +80,35 @@ def test_extrapolation_has_the_order_that_it_declares(order: int) -> None:
     errors = [float(np.abs(fixed_steps(order, int(k), duration) - want).max()) for k in counts]
     # The next term has the other sign here, so the measured order comes up from below: by 0.01 to 0.3 at these steps.
     assert order - 0.4 < slope(duration / counts, errors) < order + 0.2
+
+
+# Long enough for the error of one step to stay above rounding, and short enough for its leading term.
+STEPS = {3: (0.02, 0.04), 5: (0.03, 0.06), 7: (0.06, 0.1)}
+
+
+@pytest.mark.parametrize("part", [0.2, 0.5, 0.9])
+@pytest.mark.parametrize("order", STEPS)
+def test_the_substeps_tell_the_course_of_a_step_to_its_order(order: int, part: float) -> None:
+    steps = np.array(STEPS[order])
+    errors = [float(np.abs(fixed_steps(order, 1, h, part) - exact(part * h)).max()) for h in steps]
+    # One step errs in proportion to its length^(order + 1), at these steps from 0.8 below to 0.1 above.
+    assert order + 0.15 < slope(steps, errors) < order + 1.3
+
+
+@pytest.mark.parametrize(
+    ("changes", "torque"),
+    [({}, 1.5e-4), ({"friction": 5e-3}, 5e-4), ({"n_links": 120}, 2e-3), ({"stiffness": 0.1}, 5e-4)],
+    ids=["paper's", "friction", "fine", "stiff"],
+)
+def test_outputs_within_steps_are_as_good_as_the_steps(changes: dict[str, float], torque: float) -> None:
+    """Also behind the arm's switches, where friction settles: there accelerations, and so torques, tell errors most."""
+    t = np.linspace(0.0, 1.5, 1201)
+    runs = [
+        hf.simulate(cable(**changes), hf.arm_swings(), arm=hf.Arm(length=0.105), duration=1.5, t_eval=t, tol=tol)
+        for tol in (1e-5, 1e-6)
+    ]
+    assert np.abs(runs[0].joints - runs[1].joints).max() < 4e-5  # the steps themselves err by up to 3.4 times tol
+    assert np.abs(runs[0].motor_torque - runs[1].motor_torque).max() < torque  # N m
 
 
 def test_the_error_follows_the_tolerance() -> None:

@@ -27,6 +27,7 @@ from hyperflex.planning.whip.task import WhipTask
 from hyperflex.planning.wind import casting
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.simulation import OUT_OF_TIME, Deadline
+from hyperflex.simulation.batch.contact import run_blocks
 from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
 from tests.planning.known_whip import planned_whip
 
@@ -87,6 +88,12 @@ def test_runs_of_a_search_do_not_outlast_it() -> None:
     batch = RolloutBatch([CABLE], [PEG], motions, strike.q, strike.qd)
     cut = simulate_contact(batch, strike.t, arm=cast_setup().arm, time_budget=budget)
     assert cut.turns[0] == 0.0  # with the time that it takes: 2.4
+
+
+def test_no_block_of_a_batch_begins_when_the_time_is_over() -> None:
+    begun: list[int] = []
+    run_blocks(lambda low, high: begun.append(low), 1, 4, 1, False, OVER)
+    assert begun == []
 
 
 def test_free_swings_of_a_search_do_not_outlast_it() -> None:

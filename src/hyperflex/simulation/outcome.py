@@ -73,7 +73,6 @@ def _unbalanced(time: float) -> SimulationError:
 class _Seen(NamedTuple):
     """What a run looks like at its outputs and, in the last row, where it ended; see ``dense_output.observe``."""
 
-    y: Array  # (T + 1, 2 n + 2)
     qdd: Array  # (T + 1, n)
     base: Array  # (T + 1, 9)
     scalars: Array  # (T + 1, 5)
@@ -81,29 +80,30 @@ class _Seen(NamedTuple):
 
 def _balanced_rows(run: Rollout, setup: Setup, seen: _Seen) -> tuple[int, float | None]:
     """Number of leading output rows whose energy balance holds, and the time of the first state for which it fails."""
-    n, y = run.chain.length.size, seen.y
-    kinetic, potential, work, lost = *seen.scalars[:, :2].T, *y[:, 2 * n :].T
+    n, y, end = run.chain.length.size, run.y[: run.done], run.progress.y[None]
+    kinetic, potential, work, lost = *seen.scalars[:, :2].T, *np.concatenate([y[:, 2 * n :], end[:, 2 * n :]]).T
     if run.seen is not None and run.spin is not None:
         rates = np.concatenate([split_samples(run.seen[: run.done], n).spin, run.spin[None]])[:, 1]
         kinetic = kinetic + spin_energy(setup, rates)
-    floor, count = least_scale(setup.rope), y.shape[0]
+    floor, count = least_scale(setup.rope), kinetic.size
     good = int(balanced(floor, kinetic, potential, 0.0, work, lost))
     if good < count:  # what is held may explain it, see there
-        good = int(balanced(floor, kinetic, potential, stored(run.chain, y[:, :n]), work, lost))
+        held = np.concatenate([stored(run.chain, states[:, :n]) for states in (y, end)])
+        good = int(balanced(floor, kinetic, potential, held, work, lost))
     return min(good, run.done), None if good == count else float(np.append(run.t[: run.done], run.time)[good])
 
 
 def _observe(run: Rollout) -> _Seen:
     """Observe a run at its outputs and where it ended; Ctrl-C is looked at now and then."""
-    n = run.chain.length.size
-    t = np.append(run.t[: run.done], run.time)
-    y = np.concatenate([run.y[: run.done], run.progress.y[None]])
-    seen = _Seen(y, np.empty((t.size, n)), np.empty((t.size, 9)), np.empty((t.size, 5)))
-    at_once = max(1, AT_ONCE // y.shape[1])
-    for first in range(0, t.size, at_once):
-        rows = slice(first, first + at_once)
+    n, done = run.chain.length.size, run.done
+    seen = _Seen(np.empty((done + 1, n)), np.empty((done + 1, 9)), np.empty((done + 1, 5)))
+    at_once = max(1, AT_ONCE // run.y.shape[1])
+    for first in range(0, done, at_once):
+        rows = slice(first, min(first + at_once, done))
         look()
-        output.observe(run.chain, run.drive, t[rows], y[rows], *(each[rows] for each in seen[1:]))
+        output.observe(run.chain, run.drive, run.t[rows], run.y[rows], *(each[rows] for each in seen))
+    last = (each[done:] for each in seen)
+    output.observe(run.chain, run.drive, np.array([run.time]), run.progress.y[None], *last)
     return seen
 
 
@@ -120,7 +120,7 @@ def _trajectory(
     """Trajectory of the output rows skip..count - 1."""
     n = run.chain.length.size
     t, y = run.t[skip:count], run.y[skip:count]
-    qdd, base, scalars = (each[skip:count] for each in seen[1:])
+    qdd, base, scalars = (each[skip:count] for each in seen)
     q, qd = y[:, :n], y[:, n : 2 * n]
     contact = None if run.seen is None else split_samples(run.seen[skip:count], n)
     if contact is not None:  # in free flight what (1) gives stands

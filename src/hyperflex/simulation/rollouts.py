@@ -18,7 +18,7 @@ from hyperflex.core.integrate import rollout
 from hyperflex.core.integrate.end_conditions import NEVER, Until
 from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
-from hyperflex.core.integrate.steps import scheme
+from hyperflex.core.integrate.steps import MOST_ORDER, scheme
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import defer_while_compiling, look
@@ -26,8 +26,8 @@ from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
 
 # Orders that a run chooses from, step by step: seven fills four lanes without a gap, lower ones save no time, and eight
-# is worth its rounds at tight tolerances. Higher ones would outrun the polynomial between steps, and rounding.
-LEAST_ORDER, MOST_ORDER = 7, 8
+# (MOST_ORDER) is worth its rounds at tight tolerances.
+LEAST_ORDER = 7
 DRY_ORDER = 3  # the least where many joints may stick, whose events cut steps short
 TABLES = tuple(scheme(order) for order in range(DRY_ORDER - 1, MOST_ORDER + 1))
 # A run is refused when its energy balance is off by more than this part of the energy that went through it.

@@ -215,7 +215,8 @@ def simulate(
         code, event = status.OK, (until.name, run.time)
         end_at_event(run)
     name = name if code == status.RUNNING else status.NAMES[code]
-    return replace(conclude(run, setup, code, name, throw=throw, skip=skip), event=event)
+    trajectory = conclude(run, setup, code, name, throw=throw, skip=skip)
+    return trajectory if event is None else replace(trajectory, event=event)
 
 
 def _refuse_two_starts(start: dict[str, Any], state: State | None, torque: object) -> None:

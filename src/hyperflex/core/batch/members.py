@@ -154,10 +154,11 @@ def chain_of(members, terms, m, gx, gy):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def observe_block(members, terms, low, high, t, y, kinetic, potential, joint):  # type: ignore[no-untyped-def]
+def observe_block(members, terms, low, high, t, y, kinetic, potential, joint, trig):  # type: ignore[no-untyped-def]
     """Energies and first joints of members low..high - 1 at times t (T,) and states y (high - low, T, 2 n + 2).
 
-    Outputs: kinetic, potential (high - low, T), J; joint (high - low, T, 2), position of the first joint, m.
+    Outputs: kinetic, potential (high - low, T), J; joint (high - low, T, 2), position of the first joint, m. `trig`
+    (2 n,) is scratch.
     """
     n = members.links.shape[2]
     for m in range(low, high):
@@ -178,4 +179,4 @@ def observe_block(members, terms, low, high, t, y, kinetic, potential, joint):  
             joint[m - low, k, 0], joint[m - low, k, 1] = x, yy
             state = y[m - low, k]
             base = (x, yy, vx + reach * cos * rate, vy + reach * sin * rate, angle, rate)
-            kinetic[m - low, k], potential[m - low, k] = energies(chain, state[:n], state[n : 2 * n], base)
+            kinetic[m - low, k], potential[m - low, k] = energies(chain, state[:n], state[n : 2 * n], base, trig)

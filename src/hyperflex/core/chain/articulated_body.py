@@ -278,16 +278,19 @@ def lost_power(chain, w, slip, base, work):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def energies(chain, q, w, base):  # type: ignore[no-untyped-def]
+def energies(chain, q, w, base, trig):  # type: ignore[no-untyped-def]
     """Kinetic and potential energy (gravity and springs; zero with all at the origin), J.
 
-    `base`: (6,) position x, y of the first joint, its velocity x, y, angle and rate of the parent.
+    `base`: (6,) position x, y of the first joint, its velocity x, y, angle and rate of the parent. `trig` (2 n,) or
+    more is scratch, which holds the links' sines and cosines then.
     """
     x, y, vx, vy, angle, _ = base
     kinetic = 0.0
     potential = 0.0
-    for i in range(q.size):
-        sin, cos = sincos(q[i])
+    n = q.size
+    sines(q, trig, 0)
+    for i in range(n):
+        sin, cos = trig[i], trig[n + i]
         a = chain.com[i]
         cvx = vx + a * cos * w[i]
         cvy = vy + a * sin * w[i]

@@ -100,10 +100,15 @@ def load_lane(width, j, chain, lanes, tip):  # type: ignore[no-untyped-def]
 @non_allocating
 def set_slip(width, lanes, slip):  # type: ignore[no-untyped-def]
     """Set how each joint slips in every lane, (n,) as in ``articulated_body.accelerations``."""
-    k = len(width)
+    for j in range(len(width)):
+        set_lane_slip(width, j, lanes, slip)
+
+
+@inlined
+def set_lane_slip(width, j, lanes, slip):  # type: ignore[no-untyped-def]
+    """Set how each joint slips in lane j."""
     for i in range(slip.size):
-        for j in range(k):
-            lanes[((i + 1) * ROW + SLIP) * k + j] = slip[i]
+        lanes[((i + 1) * ROW + SLIP) * len(width) + j] = slip[i]
 
 
 @inlined
@@ -283,6 +288,15 @@ def advance(width, more, lanes, tip):  # type: ignore[no-untyped-def]
                 row[(AT + SIN) * k + j], row[(AT + COS) * k + j] = sincos(q)
 
 
+@inlined
+def base_load(top, answers, k, j, reaction_factor, px, py, up):  # type: ignore[no-untyped-def]
+    """Force x, y on lane j's chain at its first joint, whose acceleration is p less gravity, and torque through it."""
+    axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = load_answer(answers, k, j, reaction_factor, 0)
+    fx = axx * px + axy * py + fx * up + bx - top[FX * k + j]
+    fy = ayx * px + ayy * py + fy * up + by - top[FY * k + j]
+    return fx, fy, ux * px + uy * py + s * up + beta
+
+
 @non_allocating
 def euler(width, reaction, more, lanes, tip, base):  # type: ignore[no-untyped-def]
     """One linearly implicit Euler step in every lane, each of its own length.
@@ -313,10 +327,7 @@ def euler(width, reaction, more, lanes, tip, base):  # type: ignore[no-untyped-d
         px = base[0, j]
         py = base[1, j]
         up = base[2, j]
-        axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = load_answer(answers, k, j, len(reaction) - 1.0, 0)
-        fx = axx * px + axy * py + fx * up + bx - top[FX * k + j]
-        fy = ayx * px + ayy * py + fy * up + by - top[FY * k + j]
-        moment = ux * px + uy * py + s * up + beta
+        fx, fy, moment = base_load(top, answers, k, j, len(reaction) - 1.0, px, py, up)
         power = fx * base[5, j] + fy * base[6, j] + moment * base[3, j] + tip[EXTERNAL * k + j] * row[W * k + j]
         h = answers[STEP * k + j]
         top[WORK * k + j] += h * power

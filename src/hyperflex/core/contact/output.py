@@ -25,7 +25,7 @@ def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside
     t, y = state.clock[T], state.y
     try_step(chain, drive, part, pegs, pull, t, x * h, y, state.memory, aside, True, 0.0, True)
     taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]
-    has = energy(chain, aside.out, aside.base[2]) + turning_energy(aside.spin, aside.spin.after)
+    has = energy(chain, aside.out, aside.base[2], aside.ahead_trig) + turning_energy(aside.spin, aside.spin.after)
     return energy_balanced(has - had + taken, energy_allowance(bounds, h))
 
 

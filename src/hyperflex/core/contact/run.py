@@ -154,7 +154,7 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
     surplus, has : J, energy from nowhere, and energy after the step
     good : bool, False where the shortest step had to be taken as it was
     """
-    y, clock, t = state.y, state.clock, state.clock[T]
+    y, clock, t, trig = state.y, state.clock, state.clock[T], workspace.ahead_trig
     shortest = min(SHORTEST * bounds.step, h)
     push, anew, back, stale = True, False, False, np.inf
     while True:
@@ -176,8 +176,9 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
         longest = longest_safe_step(chain, pegs, workspace)
         error = relative_error(chain, bounds, state.memory, workspace, h)
         if math.isnan(had):
-            had = energy(chain, y, workspace.base[0]) + turning_energy(workspace.spin, workspace.spin.before)
-        has = energy(chain, workspace.out, workspace.base[2]) + turning_energy(workspace.spin, workspace.spin.after)
+            had = energy(chain, y, workspace.base[0], trig) + turning_energy(workspace.spin, workspace.spin.before)
+        has = energy(chain, workspace.out, workspace.base[2], trig)
+        has += turning_energy(workspace.spin, workspace.spin.after)
         surplus = has - had + workspace.account[FRICTION] + workspace.account[CONTACT] - workspace.account[WORK]
         good = energy_balanced(surplus, given) and rounds > 0 and h <= longest
         good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])

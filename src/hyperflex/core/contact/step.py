@@ -335,8 +335,12 @@ def energy_account(chain, workspace, torque, whole, h):  # type: ignore[no-untyp
 
 
 @non_allocating
-def energy(chain, y, base):  # type: ignore[no-untyped-def]
-    """Kinetic and potential energy of angles and rates y (2 n or more,), J; `base` (9,) motion of the first joint."""
+def energy(chain, y, base, trig):  # type: ignore[no-untyped-def]
+    """Kinetic and potential energy of angles and rates y (2 n or more,), J; `base` (9,) motion of the first joint.
+
+    `trig` is scratch, as in ``energies``.
+    """
     n = chain.length.size
-    kinetic, potential = energies(chain, y[:n], y[n : 2 * n], (base[7], base[8], base[5], base[6], base[4], base[3]))
+    point = (base[7], base[8], base[5], base[6], base[4], base[3])
+    kinetic, potential = energies(chain, y[:n], y[n : 2 * n], point, trig)
     return kinetic + potential

@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 
-from hyperflex.core.chain.articulated_body import Array, accelerations, can_stick, energies
+from hyperflex.core.chain import lanes as ln
+from hyperflex.core.chain.articulated_body import Array, can_stick, energies
 from hyperflex.core.chain.drive import base_state, segment
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.jit import inlined, kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
 from hyperflex.core.stiction.slip_modes import find_modes
 
@@ -72,6 +73,26 @@ def interpolate(theta, step, ys, dys, out):  # type: ignore[no-untyped-def]
         out[i] = total
 
 
+@inlined
+def enter_state(j, chain, q, w, trig, base, torque, lanes, tip, motion):  # type: ignore[no-untyped-def]
+    """Put a state into lane j, for its accelerations: ``lanes.euler`` takes no step of it.
+
+    `trig` (2 n,) holds sines and cosines of q; `base` (9,) goes to `motion` (9, k), and `torque` is the motor's, N m.
+    """
+    k, n = len(ln.COLUMNS), q.size
+    for i in range(n):
+        lanes[((i + 1) * ln.ROW + ln.Q) * k + j] = q[i]
+        lanes[((i + 1) * ln.ROW + ln.W) * k + j] = w[i]
+        lanes[((i + 1) * ln.ROW + ln.SIN) * k + j] = trig[i]
+        lanes[((i + 1) * ln.ROW + ln.COS) * k + j] = trig[n + i]
+    tip[ln.STEP * k + j] = 0.0
+    tip[ln.EXTERNAL * k + j] = torque
+    for s in range(9):
+        motion[s, j] = base[s]
+    motion[0, j] -= chain.gx
+    motion[1, j] -= chain.gy
+
+
 @kernel
 def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-untyped-def]
     """What a run looks like at given states: accelerations, base motion, energies, motor torque.
@@ -83,16 +104,29 @@ def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-unty
     base_out : (m, 9) out, motion of the first joint (``drive.base_state``)
     scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m
     """
-    n = chain.length.size
+    n, k = chain.length.size, len(ln.COLUMNS)
     sticks = can_stick(chain)
     slip, workspace = np.ones(n), new_stiction_workspace(n)
-    for k in range(t.size):
-        base = base_out[k]
-        torque = base_state(drive, segment(drive, t[k]), t[k], base)
-        q, w = y[k, :n], y[k, n : 2 * n]
-        if sticks:
-            find_modes(chain, q, w, base[:7], torque, 1.0, slip, workspace)
-        fx, fy, moment = accelerations(chain, q, w, slip, base[:7], torque, 0.0, qdd[k], workspace.work)
-        kinetic, potential = energies(chain, q, w, (base[7], base[8], base[5], base[6], base[4], base[3]))
-        scalars[k, 0], scalars[k, 1] = kinetic, potential
-        scalars[k, 2], scalars[k, 3], scalars[k, 4] = fx, fy, moment + torque
+    lanes, tip = ln.rows(ln.COLUMNS, n)
+    ln.load(ln.COLUMNS, chain, lanes, tip)
+    motion = np.zeros((9, k))
+    for first in range(0, t.size, k):
+        last = min(first + k, t.size)
+        for m in range(first, last):  # lanes that are left over hold what they held, or a chain at rest
+            base, q, w, trig = base_out[m], y[m, :n], y[m, n : 2 * n], workspace.work
+            torque = base_state(drive, segment(drive, t[m]), t[m], base)
+            if sticks:
+                find_modes(chain, q, w, base[:7], torque, 1.0, slip, workspace)
+                ln.set_lane_slip(ln.COLUMNS, m - first, lanes, slip)
+            point = (base[7], base[8], base[5], base[6], base[4], base[3])
+            scalars[m, 0], scalars[m, 1] = energies(chain, q, w, point, trig)
+            enter_state(m - first, chain, q, w, trig, base, torque, lanes, tip, motion)
+        ln.euler(ln.COLUMNS, chain.reaction, ln.LAST, lanes, tip, motion)
+        for m in range(first, last):
+            j = m - first
+            for i in range(n):
+                qdd[m, i] = lanes[((i + 1) * ln.ROW + ln.ALPHA) * k + j]
+            px, py, up = motion[0, j], motion[1, j], motion[2, j]
+            top, answers, reaction_factor = lanes[: ln.ROW * k], lanes[ln.ROW * k :], len(chain.reaction) - 1.0
+            fx, fy, moment = ln.base_load(top, answers, k, j, reaction_factor, px, py, up)
+            scalars[m, 2], scalars[m, 3], scalars[m, 4] = fx, fy, moment + tip[ln.EXTERNAL * k + j]

@@ -141,4 +141,4 @@ def find_event(chain, drive, part, table, terms, progress, step, workspace, deci
         step = length
         clock[TAKEN] += 1
         clock[REJECTED] += 1
-        advance(chain, drive, part, table, terms.fixed, t, step, y, slip, out, workspace)
+        advance(chain, drive, part, table, terms.fixed, t, step, y, slip, out, workspace.kept[:0], workspace)

@@ -179,6 +179,8 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
     """
     span = search.span
     span[TRIES] += 1.0
+    if span[LOW] > 0.0:
+        search.middle[:] = np.inf  # it is that of a whole attempt, and the search has come further than its beginning
     over = False
     near = True
     for i in range(locked.size):
@@ -193,8 +195,8 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
         at = span[LOW] + hidden_event(locked, search, step - span[LOW]) * (step - span[LOW])
     if ends and at >= step:
         return EVENT if over else DONE, step
-    if clear or not over or span[LOW] > 0.0:
-        search.middle[:] = np.inf  # it tells of a whole attempt
+    if clear or not over:
+        search.middle[:] = np.inf
     if clear:
         return AGAIN, at
     side = 1.0 if over else -1.0

@@ -10,6 +10,7 @@ from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.integrate.end_conditions import Until
 from hyperflex.core.integrate.event_search import Search, new_search
 from hyperflex.core.integrate.steps import extrapolate, runge_kutta
+from hyperflex.core.integrate.substeps import new_substeps
 from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import StictionWorkspace, new_stiction_workspace
 
@@ -93,6 +94,8 @@ class Workspace(NamedTuple):
     alpha: Array  # (n,) accelerations at the beginning of a step
     locked: Array  # (n + 1,) or, where a joint has limits, (2 n + 1,), as in event_search.assess_step
     power: Array  # (3,) of stuck joints, see constraint_torques.stuck_loss
+    kept: Array  # (2 n + 2, MOST_SUBSTEPS) substeps of a step in which there are outputs, and their weights
+    weight: Array
 
 
 @kernel
@@ -102,6 +105,7 @@ def new_workspace(chain):  # type: ignore[no-untyped-def]
     m = 2 * n + 1 if chain.max_bend.min() < np.inf else n + 1
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
+    kept, weight = new_substeps(n)
     return Workspace(
         np.empty(2 * n + 2),
         np.zeros((2, 2 * n + 2)),
@@ -119,15 +123,20 @@ def new_workspace(chain):  # type: ignore[no-untyped-def]
         np.empty(n),
         np.zeros(m),
         np.zeros(3),
+        kept,
+        weight,
     )
 
 
 @non_allocating
-def advance(chain, drive, part, table, fixed, t, step, y, slip, out, workspace):  # type: ignore[no-untyped-def]
-    """Take one step of the chosen integrator from y at t to `out`; the lanes of `workspace` know `slip`."""
+def advance(chain, drive, part, table, fixed, t, step, y, slip, out, kept, workspace):  # type: ignore[no-untyped-def]
+    """Take one step of the chosen integrator from y at t to `out`; the lanes of `workspace` know `slip`.
+
+    `kept` is as in ``steps.extrapolate``.
+    """
     work, lanes, tip = workspace.stiction.work, workspace.lanes, workspace.tip
     if fixed > 0.0:
         runge_kutta(chain, drive, part, t, step, y, slip, out, workspace.stage, work)
     else:
         base = workspace.base
-        extrapolate(chain, drive, part, table, t, step, y, out, workspace.errors, lanes, tip, base, work)
+        extrapolate(chain, drive, part, table, t, step, y, out, workspace.errors, kept, lanes, tip, base, work)

@@ -47,11 +47,13 @@ from hyperflex.core.integrate.step_size import (
     shorter,
     until_next_event,
 )
-from hyperflex.core.integrate.steps import rates
+from hyperflex.core.integrate.steps import COURSE, COURSE_ERRORS, rates
+from hyperflex.core.integrate.substeps import add_substeps, weigh_terms
 from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import QUICK, project_stuck, stuck_loss
 
 ENERGY = 10.0  # see error_norm
+SETTLED = 0.3  # part of the step behind a switch that its substeps do not tell well
 TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
 
 
@@ -127,6 +129,17 @@ def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, want
 
 
 @non_allocating
+def course_size(chain, limits, table, step, workspace):  # type: ignore[no-untyped-def]
+    """Error of what the kept substeps say of the course of a step, in units of what the step may err."""
+    errors, size = workspace.errors[0], 0.0
+    for weight in COURSE_ERRORS[table.order]:
+        errors[:] = 0.0
+        add_substeps(weight[: table.column.size], workspace.kept, errors)
+        size = max(size, error_norm(chain, limits, table, workspace.out, errors, step, workspace.stiction.work))
+    return size
+
+
+@non_allocating
 def log_step(progress, step, end, order, event, joint):  # type: ignore[no-untyped-def]
     """Keep a step that succeeded in the log, and count quick changes of the joints' modes."""
     clock = progress.clock
@@ -144,6 +157,12 @@ def log_step(progress, step, end, order, event, joint):  # type: ignore[no-untyp
 
 
 @non_allocating
+def samples(clock, t_out, end):  # type: ignore[no-untyped-def]
+    """Whether an output before the time `end`, s, is not written yet."""
+    return clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end
+
+
+@non_allocating
 def write_until(clock, t_out, t, y, y_out):  # type: ignore[no-untyped-def]
     """Write state y to every output up to time t that is not written yet."""
     while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= t:
@@ -152,26 +171,48 @@ def write_until(clock, t_out, t, y, y_out):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def write_between(chain, drive, part, table, fixed, progress, step, workspace, t_out, y_out):  # type: ignore[no-untyped-def]
-    """Write the outputs strictly within the step from where `progress` stands to ``workspace.out``."""
+def write_course(table, progress, step, workspace, t_out, y_out):  # type: ignore[no-untyped-def]
+    """Write the outputs strictly within a step from its kept substeps."""
+    y, clock, weight = progress.y, progress.clock, workspace.weight[: table.column.size]
+    course = COURSE[table.order, : table.order]
+    while samples(clock, t_out, clock[T] + step):
+        index = int(clock[INDEX])
+        weigh_terms(course, (t_out[index] - clock[T]) / step, weight)
+        assign(y_out[index], y)
+        add_substeps(weight, workspace.kept, y_out[index])
+        clock[INDEX] += 1
+
+
+@non_allocating
+def write_between(chain, drive, part, table, limits, progress, step, kept, workspace, t_out, y_out):  # type: ignore[no-untyped-def]
+    """Write the outputs strictly within the step from where `progress` stands to ``workspace.out``.
+
+    `kept` are its substeps, which tell its course where they are accurate enough; else it is interpolated through its
+    middle. Where friction settles behind a switch, outputs are the ends of steps of their own.
+    """
     y, slip, clock = progress.y, progress.slip, progress.clock
+    fixed, none = limits.fixed, workspace.kept[:0]
     t = clock[T]
     end = t + step
-    if clock[INDEX] >= t_out.size or t_out[int(clock[INDEX])] >= end:
+    if not samples(clock, t_out, end):
         return
     ys, dys = workspace.ys, workspace.dys
     assign(ys[0], y)
     assign(ys[2], workspace.out)
     first = int(clock[INDEX])
-    while fixed == 0.0 and clock[RESTARTED] == 1.0 and clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+    told = kept.shape[0] > 0 and course_size(chain, limits, table, step, workspace) <= 1.0
+    settled = t + SETTLED * step if told else end
+    while fixed == 0.0 and clock[RESTARTED] == 1.0 and samples(clock, t_out, settled):
         index = int(clock[INDEX])
-        advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, slip, y_out[index], workspace)
+        advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, slip, y_out[index], none, workspace)
         clock[INDEX] += 1
-    if clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
-        advance(chain, drive, part, table, fixed, t, 0.5 * step, y, slip, ys[1], workspace)
+    if told:
+        write_course(table, progress, step, workspace, t_out, y_out)
+    if samples(clock, t_out, end):
+        advance(chain, drive, part, table, fixed, t, 0.5 * step, y, slip, ys[1], none, workspace)
         for k in range(3):
             rates(chain, drive, part, t + 0.5 * k * step, ys[k], slip, dys[k], workspace.stiction.work)
-    while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] < end:
+    while samples(clock, t_out, end):
         index = int(clock[INDEX])
         interpolate(2.0 * (t_out[index] - t) / step - 1.0, step, ys, dys, y_out[index])
         clock[INDEX] += 1
@@ -217,8 +258,8 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
     sticks, often = can_stick(chain), sticks_often(chain)
     airy = fixed == 0.0 and chain.drag.any()
     watching = sticks or limits.until.kind != NOTHING or chain.max_bend.min() < np.inf
-    if sticks:
-        ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
+    looked_at = fixed == 0.0 and not watching
+    ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
     write_until(clock, t_out, clock[T], y, y_out)
     part = segment(drive, clock[T])
     for _ in range(limits.budget):
@@ -237,7 +278,8 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             save_mark(progress)
         order = min(max(int(clock[ORDER]), limits.least), limits.most)
         table = tables[order - tables[0].order]
-        advance(chain, drive, part, table, fixed, t, step, y, slip, workspace.out, workspace)
+        kept = workspace.kept[: y.size if looked_at and samples(clock, t_out, t + step) else 0]
+        advance(chain, drive, part, table, fixed, t, step, y, slip, workspace.out, kept, workspace)
         clock[TAKEN] += 1
         size, lower_size = error_sizes(chain, limits, table, step, cut, workspace)
         if airy and size <= 1.0:
@@ -257,7 +299,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
                 return status.REACHED
         t_new = end if cut and taken == step else t + taken
         log_step(progress, taken, t_new, order, event, joint)
-        write_between(chain, drive, part, table, fixed, progress, t_new - t, workspace, t_out, y_out)
+        write_between(chain, drive, part, table, limits, progress, t_new - t, kept, workspace, t_out, y_out)
         assign(y, workspace.out)
         y[y.size - 1] += stuck_loss(workspace.power, t_new - t, 1.0)
         clock[T] = t_new

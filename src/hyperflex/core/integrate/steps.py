@@ -13,6 +13,7 @@ from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import accelerations, lost_power, sines
 from hyperflex.core.chain.drive import base_state
+from hyperflex.core.integrate.substeps import LOOKS, MOST_SUBSTEPS, keep, polynomials
 from hyperflex.core.jit import inlined, kernel, non_allocating
 
 ROUNDING = 3e-16  # m, of a place a metre or two away
@@ -74,6 +75,24 @@ def _packed(order: int) -> npt.NDArray[np.int64]:
         rounds += 1
 
 
+def _courses(most: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Weights of the substeps of each order up to `most`: their polynomials, and those in the errors at LOOKS."""
+    course = np.zeros((most + 1, most, MOST_SUBSTEPS))
+    errors = np.zeros((most + 1, len(LOOKS), MOST_SUBSTEPS))
+    for order in range(2, most + 1):
+        table = scheme(order)
+        substeps = table.column.size
+        course[order, :order, :substeps] = gap = polynomials(order, table.column, table.done)
+        gap[:-1] -= polynomials(order - 1, table.column, table.done)
+        powers = [count * part ** np.arange(1, order + 1) for part, count in LOOKS]
+        errors[order, :, :substeps] = np.array(powers) @ gap
+    return course, errors
+
+
+MOST_ORDER = 8  # higher ones would outrun the polynomial between steps, and rounding
+COURSE, COURSE_ERRORS = _courses(MOST_ORDER)
+
+
 @inlined
 def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base, trig):  # type: ignore[no-untyped-def]
     """Make the lanes ready for a round: the state where a column begins, the base's motion, the step of each lane.
@@ -129,7 +148,7 @@ def end_columns(table, turn, y, out, errors, lanes):  # type: ignore[no-untyped-
 
 
 @kernel
-def extrapolate(chain, drive, part, table, t, step, y, out, errors, lanes, tip, base, trig):  # type: ignore[no-untyped-def]
+def extrapolate(chain, drive, part, table, t, step, y, out, errors, kept, lanes, tip, base, trig):  # type: ignore[no-untyped-def]
     """Take one extrapolated step from y at time t; O(p^2 n / lanes).
 
     Parameters
@@ -137,6 +156,7 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, lanes, tip, 
     chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
     y, out : (2 n + 2,) state, new state (out)
     errors : (2, 2 n + 2) out, error estimates of the result, and of the one that an order less would have given
+    kept : (2 n + 2, MOST_SUBSTEPS) out, the substeps (``substeps.keep``); (0, ...) where nobody will ask for them
     lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
     base, trig : (9, lanes), (2 n,) scratch
     """
@@ -147,6 +167,8 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, lanes, tip, 
         begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base, trig)
         ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, lanes, tip, base)
         end_columns(table, turn, y, out, errors, lanes)
+        if kept.shape[0] > 0:
+            keep(turn, y, lanes, kept)
 
 
 @kernel

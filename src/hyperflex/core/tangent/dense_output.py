@@ -5,7 +5,7 @@ import numpy as np
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.chain.drive import base_state
-from hyperflex.core.integrate.dense_output import basis, interpolate
+from hyperflex.core.integrate.dense_output import basis, enter_state, interpolate
 from hyperflex.core.jit import kernel, non_allocating
 from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.extrapolation import CELL, PARTS, K, begin_pairs, enter, set_ends, step_pair, tangent_step
@@ -22,18 +22,10 @@ def acceleration_derivatives(chain, drive, part, t, step, directions, workspace)
         node = min(j, 2)
         workspace.into[j] = 0.5 * node
         workspace.when[j] = t + 0.5 * node * step
-        sines(ys[node, :n], workspace.work, 0)
-        for i in range(n):
-            lanes[((i + 1) * ln.ROW + ln.Q) * K + j] = ys[node, i]
-            lanes[((i + 1) * ln.ROW + ln.W) * K + j] = ys[node, n + i]
-            lanes[((i + 1) * ln.ROW + ln.SIN) * K + j] = workspace.work[i]
-            lanes[((i + 1) * ln.ROW + ln.COS) * K + j] = workspace.work[n + i]
-        workspace.tip[ln.STEP * K + j] = 0.0
-        workspace.tip[ln.EXTERNAL * K + j] = base_state(drive, part, workspace.when[j], motion)
-        for s in range(9):
-            workspace.base[s, j] = motion[s]
-        workspace.base[0, j] -= chain.gx
-        workspace.base[1, j] -= chain.gy
+        torque = base_state(drive, part, workspace.when[j], motion)
+        q, w = ys[node, :n], ys[node, n : 2 * n]
+        sines(q, workspace.work, 0)
+        enter_state(j, chain, q, w, workspace.work, motion, torque, lanes, workspace.tip, workspace.base)
     tg.save_trig(ln.COLUMNS, lanes)
     ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, lanes, workspace.tip, workspace.base)
     begin_pairs(chain.reaction, lanes, workspace.air, workspace.base)

@@ -116,10 +116,11 @@ class Plant:
             return None
         n, start = at.rope.n_links, (state[: state.size // 2], state[state.size // 2 :])
         try:
-            run = record_steps(at.chain, at.drive, start, self._limits(at, t), float(t[0]))
-            y, dy = forward_derivatives(run, at.parameter_directions, start, t, at.seeds)
+            run = record_steps(at.chain, at.drive, start, self._limits(at, t), float(t[0]), t=t)
+            _, dy = forward_derivatives(run, at.parameter_directions, start, t, at.seeds)
         except SimulationError:
             return None
+        y = run.y[-t.size :]
         q, dq = y[:, :n], dy[:, :n, : len(at.parameter_directions.names)]
         dpivot = np.zeros((t.size, 2, at.parameter_directions.width))
         if self.sensor.placed:

@@ -305,9 +305,9 @@ class _Work:
         Returns the position of the first joint at `times` (high - low, T, 2), m; the first time is that of the start.
         """
         kinetic, potential = np.empty((high - low, times.size)), np.empty((high - low, times.size))
-        joint = np.empty((high - low, times.size, 2))
-        observe_block(self.members, self.terms, low, high, times, states, kinetic, potential, joint)
-        n = self.members.links.shape[2]
+        joint, n = np.empty((high - low, times.size, 2)), self.members.links.shape[2]
+        seen = kinetic, potential, joint, np.empty(2 * n)
+        observe_block(self.members, self.terms, low, high, times, states, *seen)
         floor, work, lost = self.floor[low:high, None], states[:, :, 2 * n], states[:, :, 2 * n + 1]
         done = np.flatnonzero(codes == status.OK)
         rows = balanced(floor[done], kinetic[done], potential[done], 0.0, work[done], lost[done])

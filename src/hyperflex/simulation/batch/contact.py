@@ -78,7 +78,8 @@ def run_blocks(
         ThreadPoolExecutor(threads) as pool,
         progress_bar(0, count, progress, unit="members") as report,
     ):
-        spans = [(low, min(low + size, count)) for low in range(0, count, size)]
+        begins = range(0, count if left is None or left() >= 0.0 else 0, size)
+        spans = [(low, min(low + size, count)) for low in begins]
         futures: list[Future[None]] = []
 
         def end() -> None:

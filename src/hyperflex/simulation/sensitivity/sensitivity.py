@@ -185,10 +185,10 @@ def sensitivities(
         f"derivatives of {links} links by {count} parameters at {t.size} outputs",
         "Ask for fewer outputs (t_eval=[...]) or parameters (wrt=[...])",
     )
-    run = record_steps(chain, drive, setup.start(), rollout_limits(setup, chain, setup.duration))
+    run = record_steps(chain, drive, setup.start(), rollout_limits(setup, chain, setup.duration), t=t)
     refuse_unbalanced(run, setup)
-    y, dy = forward_derivatives(run, directions, setup.start(), t)
-    return _labelled(chain, drive, directions, t, y, dy, own=1 if setup.torque_driven else 0)
+    _, dy = forward_derivatives(run, directions, setup.start(), t)
+    return _labelled(chain, drive, directions, t, run.y[-t.size :], dy, own=1 if setup.torque_driven else 0)
 
 
 class AngleJacobian:
@@ -226,8 +226,9 @@ class AngleJacobian:
         if (rope or self.setup.rope) is not self.rope:
             self._begin(rope or self.setup.rope)
         chain, bounds = self.chain, rollout_limits(self.setup, self.chain, float(t[-1]))
-        run = record_steps(chain, self.drive, (q0, qd0), bounds, float(t[0]))
-        y, dy = forward_derivatives(run, self.wrt, (q0, qd0), t, self.seeds)
+        run = record_steps(chain, self.drive, (q0, qd0), bounds, float(t[0]), t=t)
+        _, dy = forward_derivatives(run, self.wrt, (q0, qd0), t, self.seeds)
+        y = run.y[-t.size :]
         n, p = chain.length.size, len(self.names)
         return y[:, :n], y[:, n : 2 * n], dy[:, :n, :p], dy[:, n:, :p]
 
@@ -239,12 +240,14 @@ def record_steps(
     bounds: Limits,
     begin: float = 0.0,
     first_step: float = FIRST_STEP,
+    t: Array | None = None,
 ) -> Rollout:
-    """Run to the end, noting every step, `first_step` (s) being tried first; raises where that fails."""
+    """Run to the end, noting every step, `first_step` (s) being tried first; outputs at `begin`, s, and t (T,), s."""
     count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
+    times = np.array([begin]) if t is None else t if t[0] == begin else np.append(begin, t)
     while True:
         memory.check(8.0 * count * width, f"a run of {count} steps", "Make it shorter, or loosen tol")
-        run = prepare_rollout(chain, drive, start, np.array([begin]), bounds, log=np.empty((count, width)))
+        run = prepare_rollout(chain, drive, start, times, bounds, log=np.empty((count, width)))
         run.progress.clock[STEP] = first_step
         try:
             code = finish_rollout(run, enforce_budget(None, None, (begin, bounds.stop)))
@@ -265,8 +268,9 @@ def forward_derivatives(
     t: Array,
     seeds: Directions | None = None,
 ) -> tuple[Array, Array]:
-    """Go through a recorded run again: states (T, 2 n + 2) and derivatives (T, 2 n, p) at times t (T,).
+    """Go through a recorded run again: states (T, 2 n + 2) and their derivatives (T, 2 n, p) at times t (T,).
 
+    Within steps they are read off a polynomial; the run's own outputs differ from them by less than steps may err.
     `seeds` are the directions as the kernels take them, where they are at hand.
     """
     n, begin = run.chain.length.size, float(run.t[0])
