@@ -119,7 +119,7 @@ def _simulate_contact(
             ended.score[k] -= SLIP_COST * _slip(some, int(k), further.q[k], late, arm)
         found.score[on], found.turns[on] = ended.score, ended.turns
     for k in np.flatnonzero(found.score > PLAIN):
-        if (np.abs(np.diff(run.q[k], axis=1)) > limit_bend(batch.ropes[k]).max_bend[1:]).any():
+        if (np.abs(np.diff(run.q[k], axis=1)) > limit_bend(batch.ropes[int(k)]).max_bend[1:]).any():
             found.score[k] = PLAIN + FOLDED * (found.score[k] - PLAIN)
     return found
 

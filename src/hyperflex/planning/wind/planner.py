@@ -145,7 +145,7 @@ class CastPlanner:
 
     @property
     def early(self) -> bool:
-        """Whether throws without a margin are left."""
+        """Whether throws without a margin wait."""
         return self.spent <= EARLY * self.time_budget
 
     def try_worthy(self) -> None:
@@ -246,9 +246,9 @@ class CastPlanner:
             self.check(self.search.candidates[:1])
 
     def fresh(self) -> list[Candidate]:
-        """Return confirmed candidates that wind, and are not like one that was verified nor like each other."""
+        """Return confirmed candidates that wind, unlike those verified and each other; early on none that fold."""
         least = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN)
-        score, some = SOUND if self.early else LEAST, self.search.candidates
+        score, some = SOUND if self.early or self.stands else LEAST, self.search.candidates
         winding = (one for one in some if one.confirmed and one.turns >= least and one.score >= score)
         return distinct(winding, self.checked, max(1, self.search.workers // 2), ALIKE)
 
