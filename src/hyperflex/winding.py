@@ -36,7 +36,8 @@ class Winding:
         than LIFTED of its length.
     before, after : (T,) float64
         Tension of the rope towards the motor and towards the tip of the links on the peg, N: the force through their
-        outer joints along them, < 0 where it pushes, as a weight does that stands on its rope. NaN where none is.
+        outer joints along the next link, or along the last one itself, < 0 where it pushes, as a weight does that
+        stands on its rope. NaN where none is on the peg.
     tail : (T,) float64
         Weight of what hangs beyond the links on the peg, the tip's mass included, N; NaN where none is.
     """
@@ -110,14 +111,17 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
     covered = np.abs(np.where(on[:, 1:] & on[:, :-1], swept(out), 0.0).sum(axis=1))
     rope, force = run.setup.rope, _joint_forces(run)
     along = np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
-    pull, left = (-(each * along).sum(axis=-1) for each in (force[:, :-1], force[:, 1:]))
+    inner, outer = np.maximum(first - 1, 0), np.minimum(last + 1, rope.n_links - 1)
+    before, after = (
+        -(force[rows, k] * along[rows, link]).sum(axis=-1) for k, link in ((first, inner), (last + 1, outer))
+    )
     beyond = rope.tip_mass + np.append(np.cumsum(rope.mass[::-1])[::-1], 0.0)
     return Winding(
         turns=angles.sum(axis=1) / (2.0 * np.pi),
         arc=np.where(any_touch, middle[rows, last] - middle[rows, first], 0.0),
         contact=covered,
-        before=np.where(any_touch, pull[rows, first], np.nan),
-        after=np.where(any_touch, left[rows, last], np.nan),
+        before=np.where(any_touch, before, np.nan),
+        after=np.where(any_touch, after, np.nan),
         tail=np.where(any_touch, np.hypot(*rope.gravity) * beyond[last + 1], np.nan),
     )
 

@@ -116,7 +116,7 @@ def test_the_page_says_simulated_and_names_no_folder(demo_report):
     plain = re.sub(r'src="data:[^"]*"', "", text)
     assert "simulated" in plain
     assert "Nothing here was measured on a real rope" in plain
-    assert plain.count("<figure>") == 10
+    assert len(re.findall(r"<figure[ >]", plain)) == 10
     assert str(demo_report.files["page"].parent) not in plain
     for row in demo_report.parameters.rows:
         assert row[2] in plain
