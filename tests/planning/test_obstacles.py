@@ -14,6 +14,7 @@ from hyperflex.planning import read_plan, verify_cast
 from hyperflex.planning.clearance import FINE, obstacle_clearance, sampled_obstacle_gaps
 from hyperflex.planning.search.contact_phase import simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.verification import verified_setup
 from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
 
 FLOOR, POST, WALL = hf.Ground(0.0, -2.5, 0.3, 1.0), hf.Peg(1.2, -1.2, 0.2), hf.Wall(-1.6, -1.8, -1.3, -0.4)
@@ -70,6 +71,21 @@ def test_a_cast_that_touches_an_obstacle_fails_and_says_which() -> None:
     assert seen.clearance == pytest.approx(min(room, planned().outcome.clearance), abs=1e-3)
     short = verify_cast(replace(with_room, clearance=room + 0.01), PEG, motion)
     assert f"comes within {1e3 * room:.0f}"[:-1] in short.message or "the arm" in short.message
+
+
+def test_a_touch_between_two_samples_is_seen() -> None:
+    who, motion = cast_setup(), WINDS.motion(cast_setup().limits)
+    t = np.arange(0.0, 4.3, 0.01)
+    for x, y in ((0.85778, -1.65443), (0.8414, -1.68562), (0.16175, -1.99088), (0.08262, -1.97463)):
+        post = hf.Peg(x, y, 0.003, 0.1)
+        setup = verified_setup(replace(who, obstacles=[post]), motion, 4.3)
+        run = hf.simulate(setup, t_eval=t)
+        assert run.attrs["contact_impacts"] > 0.0
+        assert obstacle_clearance(run, [post]).value <= 0.0  # cubic interpolation alone passes it by 1 to 2 mm
+        free = hf.simulate(replace(setup, pegs=()), t_eval=t)
+        assert obstacle_clearance(free, [post]).value < -0.5e-3
+        close = obstacle_clearance(hf.simulate(replace(setup, pegs=()), t_eval=t[::2]), [FLOOR])
+        assert close.value == pytest.approx(obstacle_clearance(free, [FLOOR]).value, abs=1e-3)  # a smooth run loses none
 
 
 def test_a_search_sees_what_lies_in_the_way() -> None:

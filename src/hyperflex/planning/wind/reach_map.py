@@ -50,7 +50,7 @@ class ReachMap:
         Of the targets, m, and their friction with the rope.
     status : (Y, X) int64
         As of :attr:`CastPlan.status`: 0 where a cast stands, 1 where the target is not feasible and none was searched
-        for. NOT_PLANNED where an interrupt came before.
+        for. NOT_PLANNED where an interrupt came before, or ended the search.
     turns, contact_angle : (Y, X) float64
         Of the casts that stand: turns, and the angle of the target that the rope covers, rad; else NaN.
     seconds : (Y, X) float64
@@ -204,6 +204,8 @@ def build_reach_map(
     values = {name: np.full(len(targets), np.nan) for name in VARIABLES}
     values["status"] = np.full(len(targets), NOT_PLANNED)
     for number, plan in plans.items():
+        if plan.interrupted and not plan.success:
+            continue
         for name, value in _figures(plan).items():
             values[name][number] = value
     shaped: dict[str, Any] = {name: each.reshape(levels.size, places.size) for name, each in values.items()}
