@@ -93,6 +93,12 @@ def _obstacle_gap(each: Obstacle, begin: Array, end: Array) -> Array:
     return np.asarray(np.minimum((begin - place) @ out, (end - place) @ out))
 
 
+def holds(obstacle: Obstacle, x: float, y: float) -> bool:
+    """Whether a place, m, lies in an obstacle."""
+    place = np.array([[x, y]])
+    return bool(obstacle_gaps((obstacle,), place, place)[0, 0] <= 0.0)
+
+
 def named(obstacle: Obstacle) -> str:
     """Return an obstacle in words, by its kind and place."""
     return f"the {type(obstacle).__name__.lower()} at ({obstacle.x:.4g}, {obstacle.y:.4g}) m"

@@ -14,7 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
-from hyperflex.model import Arm, Peg, Rope, Setup
+from hyperflex.model import Arm, Peg, Rope, Setup, checked_obstacles
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED
 from hyperflex.planning.wind.cast_plan import CastPlan
@@ -186,6 +186,8 @@ def build_reach_map(
     >>> hf.build_reach_map(cable, hf.Arm(length=0.105), x=[2.2, 2.4], y=[0.0])
     ReachMap(2 targets, 0 feasible, 0 wound)
     """
+    if "obstacles" in options:
+        options["obstacles"] = checked_obstacles(options["obstacles"], "obstacles")
     known = {name: options[name] for name in ("clearance", "side", "obstacles") if options.get(name) is not None}
     known |= {"time": options.get("time_limit") or 0.0, "contact": options.get("contact") or 0.0}
     cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, **known)
