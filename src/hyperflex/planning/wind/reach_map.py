@@ -149,7 +149,7 @@ def build_reach_map(
         Of the grid, from the arm's pivot to as far as the rope comes.
     x, y : array_like, optional
         Of the grid instead, m, increasing. By default all that the rope can come to on the right-hand side; on the left
-        it is the mirror image where the motor's angles are alike to both sides.
+        it is the mirror image where the motor's angles are alike to both sides, and obstacles too.
     radius, mu : float
         Of the targets, m, and their friction with the rope.
     time_budget : float
