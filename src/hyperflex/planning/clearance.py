@@ -132,7 +132,9 @@ def least_gap(
         sides, links = slice(row, row + 2), slice(near[-1] + 1)
         q = interpolated(run.t[sides], run.q[sides, links], run.qd[sides, links], times)
         base = interpolated(run.t[sides], run.base[sides], run.base_velocity[sides], times)
-        best = min(best, _least(times, gaps(q, base, near) - off[row, near]))
+        between = gaps(q, base, near)
+        low = np.maximum(between - off[row, near], run.setup.rope.radius)  # a touch, but no depth that none saw
+        best = min(best, _least(times, np.minimum(between, low)))
     return best[0] - run.setup.rope.radius - 0.5 * FINE, *best[1:]
 
 
