@@ -123,13 +123,28 @@ def test_a_reach_map_tells_what_is_wound_and_reads_back_equal(tmp_path: Path) ->
         hf.build_reach_map(CORD, ARM, x=[0.2, 0.1])
 
 
+def test_rows_of_a_reach_map_are_heights_and_columns_are_x(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def plan_cast(rope: hf.Rope, arm: hf.Arm, target: hf.Peg, *_: object, **__: object) -> CastPlan:
+        return replace(planned(target), seconds=target.x + 10.0 * target.y)
+
+    monkeypatch.setattr(many, "plan_cast", plan_cast)
+    x, y = [0.1, 0.5, 0.9], [-0.8, 0.3]
+    reach = hf.build_reach_map(CORD, ARM, x=x, y=y)
+    reach.to_netcdf(tmp_path / "reach.nc")
+    for each in (reach, hf.read_reach_map(tmp_path / "reach.nc")):
+        assert each.seconds == pytest.approx(np.array(x) + 10.0 * np.array(y)[:, None])
+    usual = hf.build_reach_map(CORD, hf.Arm(length=0.2, pivot=(1.0, 2.0)), cells=2)
+    assert usual.x == pytest.approx([1.35, 2.05])
+    assert usual.y == pytest.approx([0.95, 1.65, 2.35, 3.05])
+
+
 @pytest.mark.parametrize("partial", [None, "plan"])
 def test_an_interrupt_leaves_the_plans_until_then(monkeypatch: pytest.MonkeyPatch, partial: str | None) -> None:
     done: list[CastPlan] = []
 
     def plan_cast(rope: hf.Rope, arm: hf.Arm, target: hf.Peg, *_: object, **__: object) -> CastPlan:
         if done:
-            raise Interrupted(planned(target, "interrupted") if partial else None)
+            raise Interrupted(replace(planned(target, "interrupted"), interrupted=True) if partial else None)
         done.append(planned(target))
         return done[0]
 
@@ -141,6 +156,6 @@ def test_an_interrupt_leaves_the_plans_until_then(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(Interrupted) as stop:
         hf.build_reach_map(CORD, ARM, x=[-0.45], y=[-0.5, -0.45, -0.4])
     reach = stop.value.partial
-    assert reach.status.ravel().tolist() == [0, 4 if partial else -1, -1]
+    assert reach.status.ravel().tolist() == [0, -1, -1]
     assert not reach.complete
     assert "interrupted" in repr(reach)

@@ -12,6 +12,7 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import Clearance
 from hyperflex.planning.verification import (
     clearances,
     folded_flat,
@@ -30,6 +31,7 @@ WATCH_TIME = 2.0  # s for which the rope must hold
 MAX_SLIP = 5e-3  # m, in the watch
 SAMPLE_TIME = 0.01  # s
 BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
+FREE = Clearance(np.inf, 0.0, "")  # of the arm, where obstacles alone are looked at
 MEAN_TIME = 0.1  # s over which forces are averaged: those of single steps jump
 
 
@@ -186,6 +188,8 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         message = f"it covers {np.degrees(covered):.0f} degrees of the peg, and {asked}"
     elif torque > cast_setup.limits.torque:
         message = f"it asks {torque:.3g} N m of a motor that gives {cast_setup.limits.torque:.3g}"
+    if not (enough and held) and (met := refusal(cast_setup, 0.0, (FREE, *near[1:]))):
+        message += f"; {met}"
     return CastOutcome(
         wound=enough,
         held=held,

@@ -13,14 +13,17 @@ from hyperflex.cli import output
 from hyperflex.cli.plan import planner
 
 DATA, PICTURE = "reach-map.nc", "reach-map.png"
+RADIUS = 0.03  # m
 
 
 def reach_map(
     out: planner.Output,
     setup: planner.Setup = None,
     rope: planner.RopeFile = None,
-    radius: Annotated[float, typer.Option(callback=planner.positive("m"), help="Of the targets, m.")] = 0.03,
-    mu: Annotated[float, typer.Option(help="Friction between rope and targets.")] = 0.3,
+    radius: Annotated[
+        float | None, typer.Option(callback=planner.positive("m"), help="Of the targets, m. [default: 0.03]")
+    ] = None,
+    mu: Annotated[float | None, typer.Option(help="Friction between rope and targets. [default: 0.3]")] = None,
     cells: Annotated[
         int, typer.Option(min=1, max=200, help="Of the grid, from the shaft to as far as the rope comes.")
     ] = 8,
@@ -40,8 +43,12 @@ def reach_map(
 ) -> None:
     """Map which targets a rope on an arm can wind: plan a cast for each target of a grid.
 
-    The grid is that of the right-hand side, up to where the rope ends; the left is its mirror image. Targets that are
-    not feasible cost nothing, others a few seconds each: minutes in all. Writes a picture and the figures (NetCDF).
+    The grid is that of the right-hand side, up to where the rope ends; the left is its mirror image, but for obstacles
+    and a motor that turns further to one side. Targets that are not feasible cost nothing, others a few seconds each:
+    minutes in all. Writes a picture and the figures (NetCDF).
+
+    A set-up file is read as by cast: the targets are like the first of [pegs], all other pegs, [walls] and [grounds]
+    are obstacles.
 
     Ctrl-C ends it; the map so far is written, and says so.
     """
@@ -51,6 +58,8 @@ def reach_map(
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits)
+    first = planner.first_peg(task)
+    like = planner.peg_of(task, (0.0, 0.0), radius or (RADIUS if first is None else None), mu)
     with _processes(workers) as executor:
         found = output.partial_of(
             lambda: build_reach_map(
@@ -58,12 +67,12 @@ def reach_map(
                 task.arm,
                 task.limits,
                 cells=cells,
-                radius=radius,
-                mu=mu,
+                radius=like.radius,
+                mu=like.mu,
                 time_budget=time_budget,
                 holding_force=holding_force,
                 clearance=clearance,
-                obstacles=task.obstacles,
+                obstacles=[each for each in task.obstacles if each is not first],
                 seed=seed,
                 threads=1,
                 executor=executor,

@@ -6,7 +6,7 @@ from typing import Any
 from hyperflex import checks
 from hyperflex.control import swing_period
 from hyperflex.interruption import caught, interruptible
-from hyperflex.model import Arm, Obstacle, Rope
+from hyperflex.model import Arm, Obstacle, Rope, checked_obstacles
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.insert.chance import SAMPLES, estimate_insert_probability
 from hyperflex.planning.insert.insert_plan import InsertPlan
@@ -14,6 +14,7 @@ from hyperflex.planning.insert.search import check_insert_feasibility, insert_ca
 from hyperflex.planning.insert.slot import Slot
 from hyperflex.planning.insert.task import InsertTask
 from hyperflex.planning.robust.uncertainty import Uncertainty
+from hyperflex.planning.search.contact_phase import check_start
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.tip.planner import TipPlanner
 from hyperflex.planning.tip.task import TipCandidate
@@ -82,7 +83,9 @@ def plan_insert(
     if time_limit is None:
         time_limit = PERIODS * swing_period(rope)
     time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
-    cast_setup = CastSetup(rope, arm, limits or MotorLimits(), time_limit, clearance, obstacles=tuple(obstacles))
+    walls = checked_obstacles(obstacles, "obstacles")
+    cast_setup = CastSetup(rope, arm, limits or MotorLimits(), time_limit, clearance, obstacles=walls)
+    check_start(cast_setup)
 
     known = check_insert_feasibility(cast_setup, slot, None)
     swings: list[TipCandidate] = []

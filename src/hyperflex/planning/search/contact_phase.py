@@ -1,5 +1,6 @@
 """The contact phase of throws: coarse batch rollouts beside the peg from shortly before the strike, and their score."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -7,7 +8,9 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Setup
+from hyperflex.model import Arm, Obstacle, Setup
+from hyperflex.motion import hold_arm
+from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -147,6 +150,21 @@ def starts_outside(setup: Setup, *start: Any) -> bool:
     except InvalidInput:
         return False
     return True
+
+
+def free_sides(cast_setup: CastSetup, pegs: Sequence[Obstacle]) -> list[int]:
+    """Return the sides on which the arm may stand at first without the rope in one of the `pegs`."""
+    may = [side for side in (-1, 1) if cast_setup.side in (side, 0)]
+    (q, _), angle = cast_setup.start, cast_setup.limits.start_angle
+    starts = [Setup(cast_setup.rope, hold_arm(angle(side)), cast_setup.arm, pegs=tuple(pegs)) for side in may]
+    return [side for side, start in zip(may, starts, strict=True) if starts_outside(start, 0.0, q)]
+
+
+def check_start(cast_setup: CastSetup) -> None:
+    """Raise InvalidInput if the rope begins in an obstacle on all sides."""
+    if not free_sides(cast_setup, cast_setup.obstacles):
+        fix = "Move it; the rope hangs from the arm, which points to one side"
+        raise InvalidInput("the rope begins in an obstacle, whatever the arm's side", fix=fix)
 
 
 def _run(batch: RolloutBatch, t: Array, arm: Arm, time_budget: float | Deadline, threads: int | None) -> Batch:

@@ -10,14 +10,13 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Peg, Setup
-from hyperflex.motion import hold_arm
+from hyperflex.model import Peg
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.beam import FINER, FULL, SIZES, BeamSearch, Strike
 from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, unconfirmed
-from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, simulate_contact, starts_outside
+from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, free_sides, simulate_contact
 from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.throw import LAST, Throw, ThrowParametrization
@@ -72,12 +71,7 @@ class ThrowSearch:
         self._begin()
 
     def _begin(self) -> None:
-        rope, arm, limits = self.cast_setup.rope, self.cast_setup.arm, self.cast_setup.limits
-        q, _ = self.cast_setup.start
-        may = [side for side in (-1, 1) if self.cast_setup.side in (side, 0)]
-        pegs = (self.peg, *self.cast_setup.obstacles)
-        starts = {side: Setup(rope, hold_arm(limits.start_angle(side)), arm, pegs=pegs) for side in may}
-        sides = [side for side, start in starts.items() if starts_outside(start, 0.0, q)]
+        sides = free_sides(self.cast_setup, (self.peg, *self.cast_setup.obstacles))
         self.parametrizations = {side: ThrowParametrization(self.cast_setup, side) for side in sides}
         self._free: dict[int, Any] = {}  # made when it is needed: to import it takes seconds
         self.swings.clear()

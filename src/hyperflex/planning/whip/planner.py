@@ -11,8 +11,9 @@ from hyperflex import checks
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import caught, interruptible
-from hyperflex.model import Arm, Obstacle, Rope
+from hyperflex.model import Arm, Obstacle, Rope, checked_obstacles
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.search.contact_phase import check_start
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.tip.planner import TipPlanner
 from hyperflex.planning.whip.search import (
@@ -93,7 +94,8 @@ def plan_whip(
     seed = checks.count("seed", seed, least=0)
     if time_limit is not None:
         time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
-    cast_setup = replace(_cast_setup(rope, arm, limits, time_limit, tuple(obstacles), whip_map), clearance=clearance)
+    cast_setup = replace(_cast_setup(rope, arm, limits, time_limit, obstacles, whip_map), clearance=clearance)
+    check_start(cast_setup)
 
     distance = pivot_distance(cast_setup, target)
     known = WhipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
@@ -120,11 +122,12 @@ def _cast_setup(
     arm: Arm,
     limits: MotorLimits | None,
     time_limit: float | None,
-    obstacles: tuple[Obstacle, ...],
+    obstacles: Sequence[Obstacle],
     whip_map: WhipMap | None,
 ) -> CastSetup:
     """Return the set-up of the map, if there is one, which must be the one that is asked for."""
     checks.instance("rope", rope, Rope)
+    obstacles = checked_obstacles(obstacles, "obstacles")
     if whip_map is None:
         usual = PERIODS * swing_period(rope)
         time = usual if time_limit is None else time_limit

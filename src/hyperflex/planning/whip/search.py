@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import clear_samples
+from hyperflex.planning.clearance import clear_samples, holds, named
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.swings import random_swings, simulate_swings
 from hyperflex.planning.tip.task import TipCandidate
@@ -77,6 +77,8 @@ def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibil
     short = distance - cast_setup.rope.total_length - cast_setup.arm.length
     if short > 0.0:
         return WhipFeasibility(distance, math.inf, f"out of reach: the rope ends {short:.2f} m short of the target")
+    if inside := [each for each in cast_setup.obstacles if holds(each, target.x, target.y)]:
+        return WhipFeasibility(distance, math.inf, f"the target lies in {named(inside[0])}")
     near = whip_map.candidates(target)
     cost = near[0].cost if near else math.inf
     if cost <= MAX_COST:

@@ -9,11 +9,12 @@ from hyperflex import checks
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.interruption import caught, interruptible
-from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, cuts
+from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, checked_obstacles, cuts
 from hyperflex.motion import hold_arm
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
 from hyperflex.planning.robust.uncertainty import Uncertainty
+from hyperflex.planning.search.contact_phase import check_start
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
@@ -150,7 +151,8 @@ def plan_cast(
     fallback, skip_feasibility = checks.flag("fallback", fallback), checks.flag("skip_feasibility", skip_feasibility)
     time = 0.0 if time_limit is None else checks.number("time_limit", time_limit, sign="nonnegative", unit="s")
     motor = MotorLimits() if limits is None else limits
-    cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0, tuple(obstacles))
+    obstacles = checked_obstacles(obstacles, "obstacles")
+    cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0, obstacles)
     if state0 is not None:
         cast_setup = _swinging(cast_setup, state0)
     Setup(
@@ -159,11 +161,11 @@ def plan_cast(
     cuts(cast_setup.rope, (target,), arm=cast_setup.arm)  # or not be wound round it
     if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
         raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
+    check_start(cast_setup)
     known = check_feasibility(cast_setup, target, holding_force=holding_force)
     search = ThrowSearch(cast_setup, target, checks.count("seed", seed, least=0), threads, holding_force)
-    if cast_setup.obstacles and not search.parametrizations:
-        fix = "Move them; the rope hangs from the arm, which points to one side"
-        raise InvalidInput("the rope begins in an obstacle or the target, whatever the arm's side", fix=fix)
+    if not search.parametrizations:
+        known = replace(known, impossible=True, message="the rope begins in the target, or beside it in an obstacle")
     if known.impossible or not (known.feasible or skip_feasibility):
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:

@@ -19,6 +19,7 @@ from hyperflex import checks
 from hyperflex.control import swing_period
 from hyperflex.model import Peg, Rope
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import holds, named
 from hyperflex.planning.outcome import MIN_TURNS
 
 MARGIN = 0.05  # turns beyond MIN_TURNS that a plan aims at, since the tail still swings
@@ -93,6 +94,8 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     energy = _energy(cast_setup, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
     bears = _hold(cast_setup, peg, room, _contact(far, aside, axis), _straight(far, axis))
     impossible, message = _geometry(cast_setup, far, axis, room, needed)
+    if inside := [each for each in cast_setup.obstacles if holds(each, peg.x, peg.y)]:
+        impossible, message = True, f"the target lies in {named(inside[0])}"
     if (torque := _start_torque(cast_setup)) > cast_setup.limits.torque:
         impossible = True
         message = f"the motor is too weak: the rope that hangs from the arm asks {torque:.3g} N m of it at the start"

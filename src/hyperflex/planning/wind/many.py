@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from hyperflex import checks
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.interruption import Caught, caught, interruptible
-from hyperflex.model import Arm, Peg, Rope
+from hyperflex.model import Arm, Peg, Rope, checked_obstacles
 from hyperflex.planning.cast_setup import MotorLimits
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.casting import plan_cast
@@ -98,6 +98,8 @@ def plan_each(
 ) -> tuple[dict[int, CastPlan], Caught]:
     """Plan as :func:`plan_casts` does; returns plans by the targets' numbers, and the interrupt."""
     executor, size = checked_chunks(executor, chunk_size, CHUNK)
+    if "obstacles" in options:
+        options = {**options, "obstacles": checked_obstacles(options["obstacles"], "obstacles")}
     alone = _apart(targets, NEAR * checks.instance("rope", rope, Rope).total_length)
     plans: dict[int, CastPlan] = {}
     todo: list[_Asked] = []

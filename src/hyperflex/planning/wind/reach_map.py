@@ -14,7 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
-from hyperflex.model import Arm, Peg, Rope, Setup
+from hyperflex.model import Arm, Peg, Rope, Setup, checked_obstacles
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED
 from hyperflex.planning.wind.cast_plan import CastPlan
@@ -50,7 +50,7 @@ class ReachMap:
         Of the targets, m, and their friction with the rope.
     status : (Y, X) int64
         As of :attr:`CastPlan.status`: 0 where a cast stands, 1 where the target is not feasible and none was searched
-        for. NOT_PLANNED where an interrupt came before.
+        for. NOT_PLANNED where an interrupt came before, or ended the search.
     turns, contact_angle : (Y, X) float64
         Of the casts that stand: turns, and the angle of the target that the rope covers, rad; else NaN.
     seconds : (Y, X) float64
@@ -149,7 +149,7 @@ def build_reach_map(
         Of the grid, from the arm's pivot to as far as the rope comes.
     x, y : array_like, optional
         Of the grid instead, m, increasing. By default all that the rope can come to on the right-hand side; on the left
-        it is the mirror image where the motor's angles are alike to both sides.
+        it is the mirror image where the motor's angles are alike to both sides, and obstacles too.
     radius, mu : float
         Of the targets, m, and their friction with the rope.
     time_budget : float
@@ -186,6 +186,8 @@ def build_reach_map(
     >>> hf.build_reach_map(cable, hf.Arm(length=0.105), x=[2.2, 2.4], y=[0.0])
     ReachMap(2 targets, 0 feasible, 0 wound)
     """
+    if "obstacles" in options:
+        options["obstacles"] = checked_obstacles(options["obstacles"], "obstacles")
     known = {name: options[name] for name in ("clearance", "side", "obstacles") if options.get(name) is not None}
     known |= {"time": options.get("time_limit") or 0.0, "contact": options.get("contact") or 0.0}
     cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, **known)
@@ -204,6 +206,8 @@ def build_reach_map(
     values = {name: np.full(len(targets), np.nan) for name in VARIABLES}
     values["status"] = np.full(len(targets), NOT_PLANNED)
     for number, plan in plans.items():
+        if plan.interrupted and not plan.success:
+            continue
         for name, value in _figures(plan).items():
             values[name][number] = value
     shaped: dict[str, Any] = {name: each.reshape(levels.size, places.size) for name, each in values.items()}

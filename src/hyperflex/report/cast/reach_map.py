@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.planning import ReachMap
-from hyperflex.report.strobe import draw_obstacle
+from hyperflex.report.strobe import GROUND, PEG, draw_obstacle
 from hyperflex.report.style import BLUE, GREY, INK, RED, legend, new_figure
 
 if TYPE_CHECKING:
@@ -39,6 +39,8 @@ def reach_figure(reach: ReachMap) -> "Figure":
             axis.plot(*circle, color=colour, ls="--", lw=1.1, label=words)
         for obstacle in reach.cast_setup.obstacles:
             draw_obstacle(axis, obstacle, 4.0 * far)
+        for kind in sorted({type(each).__name__.lower() for each in reach.cast_setup.obstacles}):
+            axis.plot([], [], "s", color=GROUND if kind == "ground" else PEG, ms=6.0, label=f"{kind}, an obstacle")
         axis.plot(*arm.pivot, "o", color=INK, ms=5.0, label="motor's shaft")
         axis.set(xlabel="x, m", ylabel="y, m (up)", aspect="equal", title=_title(reach))
         axis.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]])

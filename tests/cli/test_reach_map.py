@@ -1,0 +1,49 @@
+"""``hyperflex reach-map``: what it reads of a set-up file, what it writes, and what Ctrl-C leaves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex import planning
+from hyperflex.errors import Interrupted
+from hyperflex.planning import NOT_PLANNED
+from tests.planning.known import CABLE
+
+POST, OTHER, FLOOR = hf.Peg(0.8, -1.1, 0.3, 0.4), hf.Peg(1.5, 1.0, 0.1), hf.Ground(0.0, -3.0)
+
+
+@pytest.fixture
+def setup(tmp_path):
+    hf.Setup(CABLE, arm=hf.Arm(length=0.105), pegs=(POST, OTHER, FLOOR)).to_toml(tmp_path / "setup.toml")
+    return tmp_path / "setup.toml"
+
+
+def test_targets_are_like_the_first_peg_and_the_rest_are_obstacles(hyperflex_json, setup, tmp_path):
+    code, told = hyperflex_json("reach-map", setup, "--cells", 1, "-o", tmp_path / "out")
+    assert (code, told["targets"], told["feasible"], told["complete"]) == (0, 2, 0, True)
+    found = hf.read_reach_map(told["files"]["map"])
+    assert found.cast_setup.obstacles == (OTHER, FLOOR)
+    assert (found.radius, found.mu) == (POST.radius, POST.mu)
+    words = [text.get_text() for text in found.plot().legends[0].get_texts()]
+    assert {"ground, an obstacle", "peg, an obstacle"} <= set(words)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"reach-map.nc", "reach-map.png"}
+    code, told = hyperflex_json("reach-map", setup, "--cells", 1, "--radius", 0.4, "--mu", 0.1, "-o", tmp_path / "out")
+    found = hf.read_reach_map(told["files"]["map"])
+    assert (found.radius, found.mu) == (0.4, 0.1)
+
+
+def test_an_interrupt_leaves_the_map_so_far_and_says_so(hyperflex_json, setup, tmp_path, monkeypatch):
+    whole = hf.build_reach_map(CABLE, hf.Arm(length=0.105), x=[2.2, 2.4], y=[0.0])
+    part = replace(whole, status=np.array([[1, NOT_PLANNED]]))
+
+    def stopped(*_, **__):
+        raise Interrupted(part)
+
+    monkeypatch.setattr(planning, "build_reach_map", stopped)
+    code, told = hyperflex_json("reach-map", setup, "-o", tmp_path / "out")
+    assert (code, told["complete"], told["error"]) == (130, False, "interrupted")
+    assert hf.read_reach_map(told["files"]["map"]).status.tolist() == [[1, NOT_PLANNED]]
