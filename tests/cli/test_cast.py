@@ -105,6 +105,15 @@ def test_a_set_up_file_gives_rope_arm_limits_and_target(hyperflex, ready, tmp_pa
     assert asked["limits"] == hf.MotorLimits(speed=5.0, torque=3.0)
 
 
+def test_clearance_and_contact_of_an_earlier_plan_are_told(hyperflex, ready, tmp_path):
+    asked = ready("winds")
+    known = dataclasses.replace(planned().cast_setup, clearance=0.02, contact=6.0)
+    dataclasses.replace(planned(), cast_setup=known).to_toml(tmp_path / "cast.toml")
+    code, _, err = hyperflex("cast", tmp_path / "cast.toml", "-o", tmp_path / "out")
+    assert (code, asked["clearance"]) == (0, 0.0)
+    assert "was planned with --clearance 0.02 --contact 6; give that again" in " ".join(err.split())
+
+
 def test_what_a_set_up_file_holds_beside_its_first_peg_are_obstacles(hyperflex, ready, tmp_path):
     floor, other = hf.Ground(0.0, -3.0), hf.Peg(1.5, 1.0, 0.1)
     hf.Setup(CABLE, arm=hf.Arm(length=0.105), pegs=(PEG, other, floor)).to_toml(tmp_path / "setup.toml")

@@ -129,13 +129,18 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
 def _of_plan(path: Path) -> dict[str, Any]:
     """Return the tables of a set-up for what an earlier plan was made for: its rope before it was cut, and its limits.
 
-    What the file says beside it is the verified run, whose rope is cut for the target of then.
+    What the file says beside it is the verified run, whose rope is cut for the target of then. Clearance and contact are
+    options: what was asked then is told on standard error.
     """
     from hyperflex.model import Setup
     from hyperflex.planning import CastPlan, InsertPlan, read_plan
 
     plan = read_plan(path)
     known = plan.cast_setup
+    then = [f"--{each} {getattr(known, each):g}" for each in ("clearance", "contact") if getattr(known, each) != 0.0]
+    if then:
+        words = f"{path} was planned with {' '.join(then)}; give that again where it is still wanted"
+        sys.stderr.write(f"hyperflex: {words}\n")
     cast = isinstance(plan, CastPlan)
     pegs = (plan.target, *known.obstacles) if isinstance(plan, CastPlan) else known.obstacles
     setup = Setup(known.rope, None, known.arm, pegs=pegs)

@@ -98,6 +98,7 @@ def plan_each(
 ) -> tuple[dict[int, CastPlan], Caught]:
     """Plan as :func:`plan_casts` does; returns plans by the targets' numbers, and the interrupt."""
     executor, size = checked_chunks(executor, chunk_size, CHUNK)
+    options = {**options, "start_from": list(options.get("start_from", ()))}
     if "obstacles" in options:
         options = {**options, "obstacles": checked_obstacles(options["obstacles"], "obstacles")}
     alone = _apart(targets, NEAR * checks.instance("rope", rope, Rope).total_length)
@@ -126,11 +127,10 @@ def _plan(
     rope: Rope,
     arm: Arm,
     limits: MotorLimits | None,
-    start_from: Sequence[CastPlan] = (),
+    start_from: list[CastPlan],
     **options: Any,
 ) -> list[CastPlan]:
-    known = list(start_from)
-    return [plan_cast(rope, arm, each.target, limits, start_from=each.near + known, **options) for each in chunk]
+    return [plan_cast(rope, arm, each.target, limits, start_from=each.near + start_from, **options) for each in chunk]
 
 
 def _apart(targets: Sequence[Peg], least: float) -> list[int]:
