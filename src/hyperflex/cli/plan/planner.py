@@ -129,8 +129,8 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
 def _of_plan(path: Path) -> dict[str, Any]:
     """Return the tables of a set-up for what an earlier plan was made for: its rope before it was cut, and its limits.
 
-    What the file says beside it is the verified run, whose rope is cut for the target of then. Clearance and contact are
-    options: what was asked then is told on standard error.
+    What the file says beside it is the verified run, whose rope is cut for the target of then. Clearance and contact
+    are options: what was asked then is told on standard error.
     """
     from hyperflex.model import Setup
     from hyperflex.planning import CastPlan, InsertPlan, read_plan
