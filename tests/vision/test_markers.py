@@ -191,6 +191,20 @@ def test_colour_found_in_one_frame():
     assert found.area == pytest.approx(44.0, rel=0.5)
 
 
+@pytest.mark.parametrize("diameter", [0.02, 0.025, 0.06])
+def test_a_click_measures_the_whole_marker(diameter):
+    """Edges count by their shares, so that every other marker is one, and not two that touch."""
+    scene = Scene(ARCS[::2], marker_diameter=diameter)
+    renderer = Renderer(camera(), swinging(), scene)
+    image, places = renderer.image(0.0), renderer.truth([0.0]).pixels[0]
+    for place in places:
+        colour = MarkerColour.from_click(image, place)
+        assert colour.area == pytest.approx(np.pi * (0.5 * diameter * 300.0) ** 2, rel=0.15)
+        seen = MarkerDetector(colour).find(image)
+        assert len(seen.places) == len(places)
+        np.testing.assert_allclose(seen.areas, 1.0, atol=0.2)
+
+
 def test_colours_that_cannot_be_are_refused():
     image = Renderer(camera(), swinging(), Scene(ARCS)).image(0.0)
     with pytest.raises(InvalidInput, match="large surface"):

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.core.image import blobs
 from hyperflex.core.image.discriminant import discriminant
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.video import Image
@@ -15,6 +16,7 @@ LEAST_CHROMA = 35.0  # levels, from which a colour is told from grey
 _LEAST_CONTRAST = 30.0  # levels
 _NOISE = 1.5  # levels, of a channel at least
 _TOLERANCE = 28.0  # levels, within which pixels about a click belong to the marker
+_SIGMAS, _LEAST_SHARE = 4.5, 0.06  # threshold of a pixel's share: times its noise, and at least
 # two directions across grey: what shade, shadow and grey ropes leave alone
 _CHROMA = np.array([[-1.0, -1.0, 2.0], [1.0, -1.0, 0.0]]) / np.array([[6.0**0.5], [2.0**0.5]])
 _GREY = np.array([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]) / 3.0**0.5
@@ -67,7 +69,7 @@ class MarkerColour:
 
     @classmethod
     def from_click(cls, image: Image, place: npt.ArrayLike, bright: bool | None = None) -> "MarkerColour":
-        """Return the colour of the marker at a place in a frame.
+        """Return the colour of the marker at a place in a frame, and its area, edges by the shares that it covers.
 
         Parameters
         ----------
@@ -92,7 +94,8 @@ class MarkerColour:
             )
         wall = np.median(image[around], axis=0)
         grey = bool(np.linalg.norm(_CHROMA @ (colour - wall)) < LEAST_CHROMA) if bright is None else bright
-        return cls._checked(colour, wall, grey, float(inside.sum()))
+        found = cls._checked(colour, wall, grey, float(inside.sum()))
+        return replace(found, area=found._area_about(image, inside) or found.area)
 
     @classmethod
     def from_frame(cls, image: Image, least: int = 3) -> "MarkerColour":
@@ -159,6 +162,20 @@ class MarkerColour:
             return self
         return replace(self, bgr=moved)
 
+    def _area_about(self, image: Image, inside: npt.NDArray[np.bool_]) -> float | None:
+        """Return the area of the blob whose core is `inside` (height, width), px^2, as it is measured when it is found.
+
+        None where nothing is found.
+        """
+        v, u = np.nonzero(inside)
+        first, last = np.array([u.min(), v.min()]), np.array([u.max(), v.max()])
+        around = last - first + 6  # px on each side: most of the region is wall
+        left, top = np.maximum(first - around, 0)
+        right, bottom = last + around + 1
+        found, _ = self.blobs(np.ascontiguousarray(image[top:bottom, left:right]))
+        off = found[:, [blobs.MEAN_U, blobs.MEAN_V]] + [left, top] - [u.mean(), v.mean()]
+        return float(found[np.linalg.norm(off, axis=1).argmin(), blobs.AREA]) if len(found) else None
+
     @property
     def axes(self) -> Array:
         """Directions (2, 3) in blue, green, red in which the marker is told; by brightness the second one is zero."""
@@ -183,6 +200,30 @@ class MarkerColour:
         contrast = np.array([0.5 * _LEAST_CONTRAST, _NOISE])
         noise = discriminant(region, self.axes, self.axes @ self.bgr, contrast, result)
         return result, float(noise)
+
+    def blobs(self, region: Image) -> tuple[Array, float]:
+        """Return what of this colour is in a part of the picture, and the noise of a pixel's share there.
+
+        Parameters
+        ----------
+        region : (h, w, 3) uint8
+            As for :meth:`functional`, in one piece of memory.
+
+        Returns
+        -------
+        (M, COLUMNS) float64
+            Moments of each blob, as of ``blob_moments``; px from the region's first pixel.
+        float
+            As of :meth:`functional`.
+        """
+        found = np.empty((blobs.LARGEST, blobs.COLUMNS))
+        functional, noise = self.functional(region)
+        if noise == 0.0:
+            return found[:0], 0.0
+        weights = np.empty(region.shape[:2])
+        blobs.weigh(region, functional, weights)
+        count = blobs.blob_moments(region, weights, max(_SIGMAS * noise, _LEAST_SHARE), found)
+        return found[:count], noise
 
 
 def surface(image: Image, place: npt.ArrayLike) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:

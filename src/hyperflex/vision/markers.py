@@ -16,7 +16,6 @@ from hyperflex.vision.video import Image
 FLOOR = 0.05  # px, standard deviation of a place at least: compression, lens, pixels that are no squares
 _REACH = 3.5  # standard deviations of a gate that are searched
 _MARGIN = 5.0  # px of wall around what is looked for
-_SIGMAS, _LEAST_SHARE = 4.5, 0.06  # threshold of a pixel's share: times its noise, and at least
 _SEARCH_SHARE = 0.25  # in a whole frame, where noise has more chances
 _MOST_REGIONS = 150
 _MERGED = 1.6  # areas of a marker, from which a blob is two of them
@@ -133,17 +132,9 @@ class MarkerDetector:
     def _measure(self, image: Image, box: tuple[int, int, int, int]) -> tuple[Array, float]:
         """Return the blobs in a part of the picture (M, columns), and the noise of a pixel's share there."""
         left, top, right, bottom = box
-        found = np.empty((blobs.LARGEST, blobs.COLUMNS))
         if right - left < 5 or bottom - top < 5:
-            return found[:0], 0.0
-        region = np.ascontiguousarray(image[top:bottom, left:right])
-        functional, noise = self.colour.functional(region)
-        if noise == 0.0:
-            return found[:0], 0.0
-        weights = np.empty(region.shape[:2])
-        blobs.weigh(region, functional, weights)
-        count = blobs.blob_moments(region, weights, max(_SIGMAS * noise, _LEAST_SHARE), found)
-        found = found[:count]
+            return np.empty((0, blobs.COLUMNS)), 0.0
+        found, noise = self.colour.blobs(np.ascontiguousarray(image[top:bottom, left:right]))
         found[:, blobs.MEAN_U] += left
         found[:, blobs.MEAN_V] += top
         return found, noise
