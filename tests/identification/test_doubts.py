@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.coverage import KINDS
 
 import hyperflex as hf
 from hyperflex.identification import Identification, ratios
@@ -68,6 +69,16 @@ def test_lengths_within_what_a_ruler_errs_make_no_result_useless() -> None:
         "ratios would move by up to 3 %."
     )
     assert graded(0.98).startswith("Do not use: times or lengths are not as declared")
+
+
+def test_lengths_and_times_that_err_as_was_declared_make_no_result_useless() -> None:
+    """Gravity seems 3 % off, and does by two standard deviations of 1 % of lengths, 0.5 % of times and of noise."""
+    case = KINDS["measured"][0](np.random.default_rng([77, 5]))
+    found = hf.identify(case.recording, case.guess, case.free)
+    assert str(found.grade).startswith("Usable for ratios: times or lengths may be off: if so, 15")
+    assert found.intervals["J/p1[1]"].low < case.truth["J/p1[1]"] < found.intervals["J/p1[1]"].high
+    exact = hf.identify(case.recording, case.guess, case.free, length_std=0.0, clock_std=0.0)
+    assert str(exact.grade).startswith("Do not use: times or lengths are not as declared")
 
 
 def test_what_moves_ratios_within_their_deviations_makes_no_result_useless() -> None:

@@ -85,7 +85,8 @@ def slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}: "
                 f"measure a length, or the frame rate, again; ratios would move by up to {percent(each.moved)}."
             )
-        if (each.suspected or (each.covered and each.name not in (*TOLD, DRIFT))) and not each.freed_with:
+        covered = each.covered and each.name not in (*TOLD, DRIFT)
+        if (each.suspected or covered) and (not each.freed_with or each.expected):
             said.append(
                 f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
                 f"residuals' sum of squares go away, and ratios move by up to {percent(each.moved)}. Standard "
