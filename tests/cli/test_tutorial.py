@@ -46,7 +46,7 @@ def test_the_commands_find_what_the_page_says(hyperflex_json, filmed):
     assert coarse["values"]["friction"][0] == pytest.approx(538 * MICRO, rel=0.03)
     assert fine["values"]["friction"][0] == pytest.approx(944 * MICRO, rel=0.03)
     intervals = json.loads((filmed / FIGURES[1]).read_text())["intervals"]["friction:shared"]
-    assert (intervals["low"], intervals["high"]) == pytest.approx((903 * MICRO, 986 * MICRO), rel=0.02)
+    assert (intervals["low"], intervals["high"]) == pytest.approx((879 * MICRO, 1010 * MICRO), rel=0.02)
     exact = twin.exact()
     arcs = [float(each) for each in twin.ARC_LENGTHS]
     places = hf.Recording(exact.t, exact.data[:, 2:], kind="markers")

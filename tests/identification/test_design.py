@@ -49,7 +49,8 @@ def test_markers_are_foreseen_as_a_fit_of_places_sees_them() -> None:
     places[:, 1] = arc_lengths[1] * along
     seen = places.reshape(look.t.size, -1) + 1e-3 * np.random.default_rng(0).standard_normal((look.t.size, 6))
     recording = Recording(look.t, seen, kind="markers", noise=1e-3)  # type: ignore[arg-type]
-    found = identify(recording, DOUBLE, ["inertia", "friction"], arc_lengths=arc_lengths, train=np.inf, length_std=0.0)
+    exact = {"length_std": 0.0, "clock_std": 0.0}
+    found = identify(recording, DOUBLE, ["inertia", "friction"], arc_lengths=arc_lengths, train=np.inf, **exact)
     np.testing.assert_allclose(found.std["inertia"], list(planned.std.values()), rtol=0.1)
 
 

@@ -4,6 +4,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
@@ -257,7 +258,7 @@ class _Problem:
         basis = Basis(plant, windows, found, fit_information(plant, windows, found))
         with caught() as stop:  # what was fitted is worth more than its tests
             if found.converged and not found.interrupted:
-                tests = score_tests(basis)
+                tests = score_tests(basis, float(np.hypot(self.length_std, 2.0 * self.clock_std)))
                 scores = window_scores(basis)
                 tests = tuple(sorted((*tests, *drift_test(basis, scores)), key=lambda each: -each.gain))
         found.interrupted = found.interrupted or stop.met

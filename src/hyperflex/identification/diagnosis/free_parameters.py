@@ -12,7 +12,12 @@ from hyperflex.interruption import caught
 from hyperflex.model import Rope
 
 MOST = 3  # parameters that are added at most: each costs a fit
-ALLOWED = ("com", "gravity_angle", "delay", *LAWS)  # of what was held: what a user is likely not to know
+ALLOWED = (
+    "com",
+    "gravity_angle",
+    "delay",
+    *LAWS,
+)  # of what was held, what a user is likely not to know: the likeliest first
 
 
 def first_choice(guess: Rope) -> list[str]:
@@ -41,7 +46,7 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
     """Return the fit with parameters chosen one by one, and the choice in words.
 
     `fit` gets what is free. What the score tests of a fit ask for is freed as well, as long as that makes a fit that
-    converges; an interrupted fit is the last.
+    converges: of what explains the same, to EQUAL, the first of ALLOWED. An interrupted fit is the last.
     """
     trial, why = fit(first_choice(guess)), []
     usual = ", ".join(trial.free)
@@ -50,15 +55,17 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
         asked = [each for each in trial.tests if _asked(each) and each.gain > drift + EQUAL]
         if not asked or not trial.basis.fit.converged or trial.basis.fit.interrupted:
             break
+        equals = [each for each in asked if each.gain > asked[0].gain - EQUAL]
+        chosen = min(equals, key=lambda each: ALLOWED.index(each.name.partition(":")[0]))
         with caught() as stop:
-            richer = fit([*trial.free, asked[0].name])
+            richer = fit([*trial.free, chosen.name])
         if stop.met or richer.basis.fit.interrupted:
             trial.basis.fit.interrupted = True  # what has converged and was tested is worth more
             break
         if not richer.basis.fit.converged:
             break
         trial = richer
-        why.append(f"{asked[0].name} (it takes away {100.0 * asked[0].gain:.3g} % of the residuals' sum of squares)")
+        why.append(f"{chosen.name} (it takes away {100.0 * chosen.gain:.3g} % of the residuals' sum of squares)")
     added = f", and by what the recording tells {', '.join(why)}" if why else ""
     return trial, f"Free were {usual} by default{added}; name others with free."
 

@@ -4,10 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import EQUAL, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, SCALES, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 
 UNTESTED = 0.05  # standard deviation of gravity's factor: any ruler measures lengths better
+SHORT = 0.004  # relative, of lengths: by less a ruler errs, even one that was read with care
+CERTAIN = 3.0  # standard deviations: more than noise makes of 99.7 % of what is right
 NEAR = 0.03  # relative, of a factor of the clock: rates twice or half of the declared ones were found within 0.01
 TOLD = ("gravity_angle", "delay")  # believed, these are told with their value even where they hardly matter
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
@@ -74,7 +76,7 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
 
 def slightly(tests: Sequence[ScoreTest]) -> list[str]:
     """Return what seems declared wrongly, but so little that ratios hardly move or something else may explain it."""
-    said = []
+    said = _lengths(tests)
     for each in tests:
         if each.slight and each.believed:
             names = " and ".join(repr(name) for name in each.freed_with)
@@ -83,7 +85,8 @@ def slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}: "
                 f"measure a length, or the frame rate, again; ratios would move by up to {percent(each.moved)}."
             )
-        if (each.suspected or (each.covered and each.name not in (*TOLD, DRIFT))) and not each.freed_with:
+        covered = each.covered and each.name not in (*TOLD, DRIFT)
+        if (each.suspected or covered) and (not each.freed_with or each.expected):
             said.append(
                 f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
                 f"residuals' sum of squares go away, and ratios move by up to {percent(each.moved)}. Standard "
@@ -102,6 +105,19 @@ def slightly(tests: Sequence[ScoreTest]) -> list[str]:
             what = f"the motion seems {value:.2g} s off"
         said.append(f"{what}: without that, {part} go away. Put '{each.name}' into free.")
     return said
+
+
+def _lengths(tests: Sequence[ScoreTest]) -> list[str]:
+    """Return that lengths seem off where a drive lets the motion tell them, and no clock seems off."""
+    scales = next((each for each in tests if each.name == SCALES and each.values.size == 2), None)
+    if scales is None or any(each.believed and each.name == "gravity_scale" for each in tests):
+        return []
+    off = abs(float(np.log(np.clip(scales.values[0], 1e-9, 1e9))))
+    if off < max(SHORT, CERTAIN * scales.std):
+        return []
+    part = percent(off)
+    words = f"lengths seem {part} off, of the links or the arm, unless a law was left out: measure them again. "
+    return [f"{words}Standard deviations hold {part}."]
 
 
 def _frames(factor: float) -> str:

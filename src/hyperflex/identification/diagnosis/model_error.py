@@ -48,7 +48,8 @@ def with_model_error(
     if scatter is not None:
         model += scatter
     gravity = next((float(each.values[0]) for each in tests if each.name == "gravity_scale"), 1.0)
-    told = not clock and (white or abs(np.log(max(gravity, 1e-9))) > SLIGHT)
+    driven = basis.plant.motion is not None
+    told = driven or (not clock and (white or abs(np.log(max(gravity, 1e-9))) > SLIGHT))
     scales, error = _scale_error(basis, tests, np.array([length_std, 2.0 * clock_std]), told=told)
     return replace(basis, information=replace(information, model=model, scales=scales, scale_error=error))
 
@@ -59,8 +60,9 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, told: 
     Known before to `std` (2,), of gravity twice that of a clock. A clock changes frictions by its own factor besides.
     What the data tell is one combination, as a rule: the posterior covariance (2, 2) keeps the width of `std` where
     they tell nothing. It is about what was declared: what the data say counts as an error if `told`, of either the
-    lengths or the clock, for a slip is of one. Not where gravity counts already; nor, where residuals are not white,
-    within SLIGHT, for a law that was left out makes it seem so.
+    lengths or the clock, for a slip is of one. Not where gravity counts already; nor, where residuals of a free swing
+    are not white, within SLIGHT, for a law that was left out makes it seem so. A drive has lengths and times of its
+    own, beside which the data tell those of the rope.
     """
     parameters, x = basis.plant.parameters, basis.fit.x
     rate, known, step = np.zeros((x.size, 2)), np.zeros((2, 2)), np.zeros(2)

@@ -70,6 +70,8 @@ class ScoreTest:
         What had to be free as well before the data asked for this.
     information : (k, k) float64
         Of its own x, in units of the noise's variance.
+    declared_std : float
+        Of gravity_scale: relative standard deviation that lengths and times as declared give it; else 0.
     """
 
     name: str
@@ -86,6 +88,7 @@ class ScoreTest:
     ratio_sensitivity: float = 0.0
     freed_with: tuple[str, ...] = ()
     information: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    declared_std: float = 0.0
 
     @property
     def believed(self) -> bool:
@@ -100,7 +103,7 @@ class ScoreTest:
     @property
     def matters(self) -> bool:
         """Whether ratios would move by more than is of no account and than noise may move them, or gravity turn."""
-        if not self.possible or self.slight:
+        if not self.possible or self.slight or self.expected:
             return False
         if self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED:
             return True
@@ -125,6 +128,13 @@ class ScoreTest:
         return bool(abs(np.log(max(float(self.values[0]), 1e-9))) <= SLIGHT)
 
     @property
+    def expected(self) -> bool:
+        """Whether lengths and times that err as was declared make gravity seem so far off: deviations hold that."""
+        if not self.refitted or self.declared_std == 0.0:
+            return False
+        return bool(abs(np.log(max(self.values[0], 1e-9))) <= COVERED * np.hypot(self.declared_std, self.std))
+
+    @property
     def masks(self) -> bool:
         """Whether a refit explains so much by what changes no conclusion that other causes may stand behind it."""
         law = self.name.partition(":")[0] in LAWS
@@ -138,8 +148,10 @@ class ScoreTest:
         return not np.isnan(self.moved)
 
 
-def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
+def score_tests(basis: Basis, declared_std: float = 0.0) -> tuple[ScoreTest, ...]:
     """Test what a fit has held; the greatest gain comes first.
+
+    Lengths and times as declared give gravity a relative standard deviation of `declared_std`.
 
     Notes
     -----
@@ -168,6 +180,7 @@ def score_tests(basis: Basis) -> tuple[ScoreTest, ...]:
     known = {each.name for each in found if each.believed}
     found = [each if each.name in known else later.pop(each.name, each) for each in found]
     found += [each for name, each in later.items() if name not in known]
+    found = [replace(each, declared_std=declared_std) if each.name == "gravity_scale" else each for each in found]
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 

@@ -163,7 +163,9 @@ def design_experiment(
     Notes
     -----
     Ranked by the largest relative standard deviation among what is wanted. The prediction is first order: it holds for
-    small noise, a fit of the whole recording (``train=float("inf")``), white noise and a true model.
+    small noise, a fit of the whole recording (``train=float("inf")``), white noise, a true model, and lengths and times
+    that are exact (``length_std=0, clock_std=0``): their errors come on top in any experiment, and longer recordings or
+    less noise do not lessen them.
 
     Examples
     --------
