@@ -286,9 +286,11 @@ def _values(parameters: Parameters, information: Information) -> list[str]:
 
 HALF = 0.5  # of a value: with a standard deviation beyond, it is hardly known
 POOR = 0.05  # part of the motion that may stay unexplained: fits of real pendulums that are right leave 0.1 to 1 %
-WHITE_POOR = 0.2  # the same where what stays is white, so that it is noise
-TORQUE_POOR = 0.2  # the same of a torque: torque sensors, and currents in place of them, are not better
-QUIET = 0.5  # the same: what stays below shows that less noise was there
+WHITE_POOR = 0.2  # part of the motion, where what stays is white, so that it is noise
+TORQUE_POOR = (
+    0.2  # part of a torque that may stay unexplained: torque sensors, and currents in place of them, are not better
+)
+QUIET = 0.5  # times the declared noise: what stays below shows that less noise was there
 NOISY = 1.5  # times the declared noise: what stays below is as good as the recording, however little moves
 
 

@@ -130,9 +130,8 @@ class ScoreTest:
     @property
     def expected(self) -> bool:
         """Whether lengths and times that err as was declared make gravity seem so far off: deviations hold that."""
-        if not self.refitted or self.declared_std == 0.0:
-            return False
-        return bool(abs(np.log(max(self.values[0], 1e-9))) <= COVERED * np.hypot(self.declared_std, self.std))
+        known = self.refitted and self.declared_std > 0.0
+        return bool(known and abs(np.log(max(self.values[0], 1e-9))) <= COVERED * np.hypot(self.declared_std, self.std))
 
     @property
     def masks(self) -> bool:
