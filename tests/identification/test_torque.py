@@ -224,6 +224,8 @@ def test_the_torque_fixes_the_scale() -> None:
     found = fit(torque=True)
     assert found.identifiable
     assert found.verdict[0].startswith("All free parameters can be known")
+    assert found.grade.name == "usable"
+    assert "in proportion to the torque as it was measured" in found.grade.reasons[-1]
     for name, truth in (("mass", ROPE.mass), ("inertia", ROPE.inertia), ("friction", ROPE.friction)):
         assert (np.abs(found.values[name] - truth) < 4.0 * found.std[name]).all(), name
         assert (found.std[name] < 0.1 * truth).all(), name
