@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.coverage import KINDS
+from benchmarks.wrong_input import noisy, swing
 
 import hyperflex as hf
 from hyperflex.identification import Identification, ratios
@@ -79,6 +80,15 @@ def test_lengths_and_times_that_err_as_was_declared_make_no_result_useless() -> 
     assert found.intervals["J/p1[1]"].low < case.truth["J/p1[1]"] < found.intervals["J/p1[1]"].high
     exact = hf.identify(case.recording, case.guess, case.free, length_std=0.0, clock_std=0.0)
     assert str(exact.grade).startswith("Do not use: times or lengths are not as declared")
+
+
+def test_a_mass_at_the_tip_that_was_not_declared_is_no_clock() -> None:
+    rope = hf.Rope.uniform(1.0, 0.05, 8, friction=4e-4)
+    t, q = swing(rope.replace(tip_mass=0.005), np.linspace(0.9, 0.6, 8))
+    found = hf.identify(hf.Recording(t, noisy(q)), rope.replace(friction=1e-3), intervals=None)
+    assert str(found.grade).startswith("Do not use: what is held does not fit: with 'tip_mass' free, 99.")
+    assert found.score_tests[0].values[0] == pytest.approx(0.005, rel=0.01)
+    assert found.score_tests[0].beyond == np.inf  # first moments of a rope with held masses have no deviation
 
 
 def test_what_moves_ratios_within_their_deviations_makes_no_result_useless() -> None:

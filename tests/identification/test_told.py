@@ -11,6 +11,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification import pipeline
 from hyperflex.identification.diagnosis.grade import grade
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.verdict import swapped
 from tests.faults.interrupting import left_by
 
 PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], friction=[3e-4, 1e-4])
@@ -99,7 +100,7 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
     run = hf.simulate(stiff, duration=4.0, t_eval=T, q0=[0.8, 0.8])
     recording = hf.Recording(T, run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape))
     tests = [pipeline.score_tests, stopped]
-    monkeypatch.setattr(pipeline, "score_tests", lambda basis: tests.pop(0)(basis))
+    monkeypatch.setattr(pipeline, "score_tests", lambda *asked: tests.pop(0)(*asked))
     found = left_by(lambda: hf.identify(recording, PAIR, intervals=None))
     assert tests == []
     assert found.message == "interrupted"
@@ -140,3 +141,15 @@ def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used() -> None:
 def test_questions_end_with_their_own_mark() -> None:
     assert str(InvalidInput("nothing moves", fix="Is it on?")) == "nothing moves. Is it on?"
     assert str(InvalidInput("nothing moves", got=0.0, fix="Shake it")) == "nothing moves: got 0.0. Shake it."
+
+
+def test_markers_swapped_in_two_intervals_are_told_with_both() -> None:
+    rope = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06])
+    t, q = np.arange(400) / 50.0, np.full((400, 2), [0.3, 0.8])
+    places = np.stack([rope.joints(row, np.zeros(2)) for row in q])
+    away = (t >= 1.0) & (t < 2.0) | (t >= 5.0) & (t < 5.5)
+    places[away] = places[away][:, [0, 2, 1]]
+    recording = hf.Recording(t, places.reshape(t.size, -1), kind="markers")
+    assert swapped(recording, rope) == (
+        "markers 1 and 2 are swapped from t = 1 to 1.98 s and from t = 5 to 5.48 s: swap them back there."
+    )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.wrong_input import DOUBLE, noisy
 
 from hyperflex import (
     Arm,
@@ -223,6 +224,8 @@ def test_the_torque_fixes_the_scale() -> None:
     found = fit(torque=True)
     assert found.identifiable
     assert found.verdict[0].startswith("All free parameters can be known")
+    assert found.grade.name == "usable"
+    assert "in proportion to the torque as it was measured" in found.grade.reasons[-1]
     for name, truth in (("mass", ROPE.mass), ("inertia", ROPE.inertia), ("friction", ROPE.friction)):
         assert (np.abs(found.values[name] - truth) < 4.0 * found.std[name]).all(), name
         assert (found.std[name] < 0.1 * truth).all(), name
@@ -252,6 +255,22 @@ def test_a_torque_of_the_wrong_sign_is_told() -> None:
     assert "sign" in told[0]
     assert "unit" in told[0]
     assert not any(text.startswith("All free parameters can be known") for text in found.verdict)
+
+
+@pytest.mark.parametrize(
+    ("inertia", "said"), [(2e-4, "the arm's inertia seems to be 0.0002 kg m^2"), (1e-3, "'arm_inertia'")]
+)
+def test_an_arm_that_has_more_inertia_than_declared_is_told(inertia: float, said: str) -> None:
+    """Its torque goes into masses otherwise, by their own deviations and more."""
+    motion, t = arm_swings(0.7, 0.4, "minimum-jerk"), np.arange(300) / 50.0
+    run = simulate(DOUBLE, motion, arm=Arm(length=0.1, inertia=inertia), duration=t[-1], t_eval=t, tol=1e-9)
+    measured = {"torque": noisy(run.motor_torque, 1e-3, 1), "torque_noise": 1e-3, "motion": motion}
+    recording = Recording(t, noisy(run.q), noise=2e-3)  # type: ignore[arg-type]
+    guess = DOUBLE.replace(inertia=5e-4, friction=3e-4)
+    found = identify(recording, guess, ["mass", "inertia", "friction"], arm=Arm(length=0.1), intervals=None, **measured)
+    assert said in str(found.grade)
+    assert (found.grade.name == "do not use") == (inertia == 1e-3)
+    np.testing.assert_array_less(np.abs(found.rope.mass - DOUBLE.mass), 2.0 * found.std["mass"])
 
 
 def test_gaps_in_the_torque_and_a_held_out_part() -> None:

@@ -17,7 +17,7 @@ from hyperflex.identification.diagnosis.link_test import link_test
 from hyperflex.identification.diagnosis.misdeclared import DECLARED, first_misdeclared
 from hyperflex.identification.diagnosis.model_error import with_model_error
 from hyperflex.identification.diagnosis.score_tests import SCALES, ScoreTest, score_tests
-from hyperflex.identification.diagnosis.tolerances import with_sway
+from hyperflex.identification.diagnosis.tolerances import with_ratio_sensitivity
 from hyperflex.identification.diagnosis.window_tests import Scatter, drift_test, scatter_test, window_scores
 from hyperflex.identification.ending import INTERRUPTED, OUT_OF_TIME
 from hyperflex.identification.excitation import check_excitation
@@ -277,7 +277,7 @@ class _Problem:
                 scatter, covariance = scatter_test(trial.basis, trial.scores)
                 if scatter:
                     basis = self._with_model_error(trial, tests, covariance)
-            tests = with_sway(basis, tests)
+            tests = with_ratio_sensitivity(basis, tests)
         found.interrupted = found.interrupted or stop.met
         return trial._replace(basis=basis, tests=tests, scatter=scatter)
 

@@ -33,6 +33,7 @@ FIRST_MOMENT = (
 OUTLYING = 6.0  # times the median deviation: a distance that a lost marker makes
 UNEVEN = 0.03  # relative difference of two scales; as the distances of markers
 SWAPPED = 0.2  # logarithm of a distance over a length: far beyond UNEVEN, and less than swaps of links of a rope make
+INTERVALS = 3  # that are named, for a line
 BEYOND, MANY = 5.0, 20  # standard errors, and distances at least
 LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a link
 
@@ -142,8 +143,11 @@ def swapped(recording: Recording, rope: Rope) -> str:
         order = [*usual[:k], k + 1, k, *usual[k + 2 :]]
         there = (fits > SWAPPED) & (off(order) < UNEVEN)
         if there.sum() >= MANY:
-            begin, end = recording.t[there][[0, -1]]
-            return f"markers {k} and {k + 1} are swapped from t = {begin:.4g} to {end:.4g} s: swap them back there."
+            before = np.cumsum(fits <= SWAPPED)[there]  # frames in order, which part one interval from the next
+            parts = [recording.t[there][before == count][[0, -1]] for count in np.unique(before)]
+            times = " and ".join(f"from t = {begin:.4g} to {end:.4g} s" for begin, end in parts[:INTERVALS])
+            more = f" and {len(parts) - INTERVALS} times more" if len(parts) > INTERVALS else ""
+            return f"markers {k} and {k + 1} are swapped {times}{more}: swap them back there."
     return ""
 
 
@@ -286,9 +290,11 @@ def _values(parameters: Parameters, information: Information) -> list[str]:
 
 HALF = 0.5  # of a value: with a standard deviation beyond, it is hardly known
 POOR = 0.05  # part of the motion that may stay unexplained: fits of real pendulums that are right leave 0.1 to 1 %
-WHITE_POOR = 0.2  # the same where what stays is white, so that it is noise
-TORQUE_POOR = 0.2  # the same of a torque: torque sensors, and currents in place of them, are not better
-QUIET = 0.5  # the same: what stays below shows that less noise was there
+WHITE_POOR = 0.2  # part of the motion, where what stays is white, so that it is noise
+TORQUE_POOR = (
+    0.2  # part of a torque that may stay unexplained: torque sensors, and currents in place of them, are not better
+)
+QUIET = 0.5  # times the declared noise: what stays below shows that less noise was there
 NOISY = 1.5  # times the declared noise: what stays below is as good as the recording, however little moves
 
 

@@ -19,7 +19,9 @@ AXES = 0.2  # rad, of gravity's angle: 11 degrees, more than any camera that was
 PERSISTENCE = 0.5  # part of the error that keeping still would make: half of that predicts nothing of use
 FRICTION_MOVES = 0.1  # part of a friction: by more than another law would change it, it is called a model error
 INSIDE = 0.5  # part of predicted values within the band of 95 %: at 0.5 deviations are 2.9 times too small (normal law)
-FORETOLD = 0.9  # the same: nearly 0.95, so that the error is as foretold, and what moves is hardly more than noise
+FORETOLD = (
+    0.9  # part within the same band: nearly 0.95, so that the error is as foretold, and what moves is hardly noise
+)
 NAMED = 4  # labels of what is hardly known that are named, for a line
 LIKELY = 0.5  # probability: more likely than not
 LEFT_OUT = 0.2  # part of the windows: one in five
@@ -31,6 +33,10 @@ HELD = (
 COMMON = (
     "masses, inertias and frictions share a factor that no free swing tells: use ratios alone, or weigh the links and "
     "leave 'mass' and 'com' out of free."
+)
+BY_TORQUE = (
+    "masses, inertias and frictions are in proportion to the torque as it was measured: one 1 % too large makes them 1 "
+    "% too large. Check its scale with a known weight."
 )
 COMPARE = "Look whether another model predicts better (compare_models), and check what was declared."
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
@@ -135,7 +141,7 @@ def grade(
     if wrong:
         return Grade("do not use", (*wrong, *suspicion, *doubts), axes)
     if identifiable and not held:
-        return Grade("usable", (*suspicion, *doubts), axes)
+        return Grade("usable", (*suspicion, *doubts, BY_TORQUE), axes)
     places = next((each.ratio_sensitivity for each in tests if each.name == "com"), 0.0)
     moves = f" (1 % of a centre of mass moves ratios by up to {percent(places)})" if places > 0.0 else ""
     common = HELD.format(moves) if identifiable else COMMON

@@ -11,7 +11,12 @@ UNTESTED = 0.05  # standard deviation of gravity's factor: any ruler measures le
 SHORT = 0.004  # relative, of lengths: by less a ruler errs, even one that was read with care
 CERTAIN = 3.0  # standard deviations: more than noise makes of 99.7 % of what is right
 NEAR = 0.03  # relative, of a factor of the clock: rates twice or half of the declared ones were found within 0.01
-TOLD = ("gravity_angle", "delay")  # believed, these are told with their value even where they hardly matter
+TOLD = (
+    "gravity_angle",
+    "delay",
+    "arm_inertia",
+    "arm_friction",
+)  # believed, these are told with their value even where they hardly matter
 DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
 UNDETECTABLE_CLOCK = (
     "If they are wrong by more than clock_std, moments and inertias are as well (a clock 1 % off makes J/p1 2 % off): "
@@ -100,9 +105,12 @@ def slightly(tests: Sequence[ScoreTest]) -> list[str]:
         if not each.believed or each.matters or each.name not in TOLD:
             continue
         value, part = float(each.values[0]), f"{100.0 * each.gain:.3g} % of the residuals' sum of squares"
-        what = f"the zero of the angles seems off by {np.degrees(value):.2g} degrees"
-        if each.name == "delay":
-            what = f"the motion seems {value:.2g} s off"
+        what = {
+            "gravity_angle": f"the zero of the angles seems off by {np.degrees(value):.2g} degrees",
+            "delay": f"the motion seems {value:.2g} s off",
+            "arm_inertia": f"the arm's inertia seems to be {value:.2g} kg m^2",
+            "arm_friction": f"the arm's friction seems to be {value:.2g} N m s/rad",
+        }[each.name]
         said.append(f"{what}: without that, {part} go away. Put '{each.name}' into free.")
     return said
 

@@ -50,7 +50,7 @@ class ScoreTest:
     moved : float
         Largest relative change of J/p1 and p/p1 that a refit finds; NaN without one.
     beyond : float
-        The same in standard deviations that noise gives these ratios, the largest.
+        The same in standard deviations that noise gives these ratios, the largest; inf of one that was held.
     std : float
         Greatest standard deviation that they would have.
     shift : (P,) float64
@@ -71,7 +71,7 @@ class ScoreTest:
     information : (k, k) float64
         Of its own x, in units of the noise's variance.
     declared_std : float
-        Of gravity_scale: relative standard deviation that lengths and times as declared give it; else 0.
+        Of gravity_scale: relative standard deviation by lengths and times as declared; else 0.
     """
 
     name: str
@@ -130,9 +130,8 @@ class ScoreTest:
     @property
     def expected(self) -> bool:
         """Whether lengths and times that err as was declared make gravity seem so far off: deviations hold that."""
-        if not self.refitted or self.declared_std == 0.0:
-            return False
-        return bool(abs(np.log(max(self.values[0], 1e-9))) <= COVERED * np.hypot(self.declared_std, self.std))
+        known = self.refitted and self.declared_std > 0.0
+        return bool(known and abs(np.log(max(self.values[0], 1e-9))) <= COVERED * np.hypot(self.declared_std, self.std))
 
     @property
     def masks(self) -> bool:
@@ -212,8 +211,8 @@ def _words(plant: Plant) -> list[list[str]]:
     many = rope.n_links > FEW_LINKS
     whole = ["gravity_angle", "gravity_scale"] if np.any(rope.gravity) else []
     resistances = [each.name + (":shared" if many else "") for each in RESISTANCES if each.name not in names]
-    masses = [] if many else [each for each in ("mass", "com", "inertia") if each not in names]
-    delay = ["delay"] if plant.motion is not None else []
+    masses = ["tip_mass"] if many else ["mass", "com", "inertia"]
+    delay = ["delay"] * (plant.motion is not None) + ["arm_inertia", "arm_friction"] * (plant.motor is not None)
     lengths = [["length"]] if not many and rope.n_links > 1 and names.isdisjoint({"length", "com", "inertia"}) else []
     return [[each for each in [*whole, *delay, *resistances, *masses] if each not in names], *lengths]
 
@@ -335,16 +334,17 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     if before is None or after is None:
         return replace(test, gain=0.0, excess_gain=0.0)
     x = plant.parameters.rounded(after.x)
+    names, spread = ("J/p1", "p/p1"), ratio_spread(basis.plant.parameters, basis.information)
     then, now = ratios(plant.parameters.rope(x)), ratios(basis.plant.parameters.rope(before.x))
-    stds, names = ratio_spread(basis.plant.parameters, basis.information), ("J/p1", "p/p1")
-    moved = float(np.max([np.abs(then[name] / now[name] - 1.0) for name in names]))
-    beyond = float(
-        np.max([np.abs(then[name] - now[name]) / np.maximum(stds[name], TINY * now[name]) for name in names])
-    )
+    later, size, std = (np.concatenate([each[name] for name in names]) for each in (then, now, spread))
+    step = np.abs(later / size - 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):  # what was held has no deviation: inf if it moves
+        beyond = np.where(step > TINY, np.abs(later - size) / std, 0.0)
     gain = 1.0 - after.cost / before.cost if before.cost > 0.0 else 0.0
     excess_gain = max(0.0, 1.0 - (1.0 - test.excess_gain) * test.gain / gain) if gain > 0.0 else 0.0
     values = plant.parameters.values(x)[basis.fit.x.size :]
     sure = basis.information.whiteness >= CHANCE
     if not sure and excess_gain > SURE:  # what is held may be all that colours the residuals
         sure = estimate_covariance(plant, windows, after).whiteness >= CHANCE
-    return replace(test, gain=gain, values=values, moved=moved, beyond=beyond, excess_gain=excess_gain, sure=sure)
+    moved, far = float(step.max()), float(beyond.max())
+    return replace(test, gain=gain, values=values, moved=moved, beyond=far, excess_gain=excess_gain, sure=sure)

@@ -27,7 +27,7 @@ def moves_alike(plant: Plant) -> bool:
     return "inertia" in names and not any(getattr(plant.parameters.guess, name).any() for name in held)
 
 
-def with_sway(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
+def with_ratio_sensitivity(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[ScoreTest, ...]:
     """Return the tests, that of com with what 1 % moves beyond standard deviations that count the model's errors."""
     return tuple(
         replace(each, ratio_sensitivity=_ratio_sensitivity(basis, each))

@@ -244,7 +244,8 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
     rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), []
     for word in words:
         try:
-            groups.append(parse(rope, [word], moved=plant.motion is not None))
+            arm = None if plant.motor is None else plant.arm
+            groups.append(parse(rope, [word], moved=plant.motion is not None, arm=arm))
         except InvalidInput:  # a mass of 0 has no logarithm, say
             continue
     extra = [each for group in groups for each in group]

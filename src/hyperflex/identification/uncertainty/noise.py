@@ -11,7 +11,7 @@ from hyperflex.interruption import look
 MOST_TERMS = 8  # of the autoregression
 MAX_WORSE_TERMS = 2  # further terms in a row that BIC does not ask for before the search ends
 NEAR_ONE = 0.995  # greatest size of a partial autocorrelation: beyond it noise would hardly ever return to 0
-LATER = 0.95  # the same for all but the first: tones that hardly die away are no noise
+LATER = 0.95  # greatest size of all partial autocorrelations but the first: tones that hardly die away are no noise
 AGREES = 0.05  # by which autocorrelations may miss those of the residuals before no process is said to leave them
 ROUNDS = 20  # of Gauss and Newton's steps
 SETTLED = 1e-9  # sum of squared misses of autocorrelations below which nothing is left to gain
