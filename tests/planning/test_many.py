@@ -133,6 +133,10 @@ def test_rows_of_a_reach_map_are_heights_and_columns_are_x(monkeypatch: pytest.M
     reach.to_netcdf(tmp_path / "reach.nc")
     for each in (reach, hf.read_reach_map(tmp_path / "reach.nc")):
         assert each.seconds == pytest.approx(np.array(x) + 10.0 * np.array(y)[:, None])
+    for damaged in (replace(reach, status=reach.status * np.nan), replace(reach, x=reach.x[::-1])):
+        damaged.to_netcdf(tmp_path / "damaged.nc")
+        with pytest.raises(InvalidInput, match=r"status|increasing"):
+            hf.read_reach_map(tmp_path / "damaged.nc")
     usual = hf.build_reach_map(CORD, hf.Arm(length=0.2, pivot=(1.0, 2.0)), cells=2)
     assert usual.x == pytest.approx([1.35, 2.05])
     assert usual.y == pytest.approx([0.95, 1.65, 2.35, 3.05])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import hyperflex as hf
 from hyperflex.report import InsertReport, plan_html
 from tests.planning.known_insert import far_insert, planned_insert
 from tests.report.test_whip import words_of
@@ -22,6 +25,13 @@ def test_the_page_names_slot_strokes_and_clearance(tmp_path):
     ):
         assert told in page, told
     assert set(files) == {"motion", "plan", "run", "page", "entry", "gap", "course"}
+
+
+def test_a_probability_that_knows_no_obstacles_says_so():
+    plan = planned_insert()
+    past = replace(plan, cast_setup=replace(plan.cast_setup, obstacles=(hf.Ground(0.0, -1.5),)))
+    for shown, said in ((plan, False), (past, True)):
+        assert any("obstacles are not looked at" in told for _, told in InsertReport(shown).tiles) is said
 
 
 def test_a_plan_without_strokes_is_a_page_with_the_reason(tmp_path):

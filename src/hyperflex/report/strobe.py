@@ -137,5 +137,12 @@ def _draw_key(axis: Any, first: float, last: float) -> None:
     )
     axis.add_collection(key, autolim=False)
     for place, t, side in ((x[0], first, "left"), (x[-1], last, "right")):
-        style: Any = {"color": PALE, "fontsize": 8, "ha": side, "va": "bottom", "transform": axis.transAxes}
+        style: Any = {
+            "color": PALE,
+            "fontsize": 8,
+            "ha": side,
+            "va": "bottom",
+            "transform": axis.transAxes,
+            "zorder": 5,
+        }
         axis.text(place, y[0] + 0.012, f"{t:.2f} s", **style)

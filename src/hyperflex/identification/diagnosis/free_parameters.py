@@ -12,12 +12,8 @@ from hyperflex.interruption import caught
 from hyperflex.model import Rope
 
 MOST = 3  # parameters that are added at most: each costs a fit
-ALLOWED = (
-    "com",
-    "gravity_angle",
-    "delay",
-    *LAWS,
-)  # of what was held, what a user is likely not to know: the likeliest first
+# Of what was held, what a user is likely not to know: the likeliest first
+ALLOWED = ("com", "gravity_angle", "delay", *LAWS)
 
 
 def first_choice(guess: Rope) -> list[str]:

@@ -244,7 +244,8 @@ def read_reach_map(path: str | Path) -> ReachMap:
     numbers: dict[str, Any] = {name: held[name].numbers(name) for name in ("x", "y", *VARIABLES)}
     shape = (numbers["y"].size, numbers["x"].size)
     for name in VARIABLES:
-        checks.array(name, numbers[name], shape, gaps=True)
+        checks.array(name, numbers[name], shape, gaps=name != "status")
+    numbers |= {name: _increasing(name, numbers[name]) for name in ("x", "y")}
     numbers["status"] = numbers["status"].astype(np.int64)
     setup = Setup.loads(str(about["setup"]), f"the set-up in {path}")
     motor = MotorLimits(**{name: _plain(about[key]) for name, key in limits.items()})

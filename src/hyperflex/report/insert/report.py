@@ -74,6 +74,7 @@ class InsertReport(PlanReport[InsertPlan]):
             shown.append((length(seen.depth, 2), "greatest depth before it leaves, touches or the run ends"))
         if plan.success_probability is not None:
             told = "success probability with a slot 2 mm and strokes 2 ms off, unless planned for something else"
+            told += "; obstacles are not looked at there" if plan.cast_setup.obstacles else ""
             shown.append((f"{100 * plan.success_probability.estimate:.0f} %", told))
         return (*shown, *clearance_tiles(plan), *torque_tiles(plan, seen))
 
