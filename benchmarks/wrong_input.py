@@ -29,8 +29,7 @@ from scipy.special import ndtri
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import HyperflexError
-from hyperflex.identification import ratios
-from hyperflex.identification.diagnosis.misdeclared import UNDETECTABLE_CLOCK, UNDETECTABLE_SCALE
+from hyperflex.identification import About, about, ratios
 
 Array = np.ndarray
 TIMES_OR_LENGTHS = ("times or lengths", "lengths seem", "times were to be multiplied")
@@ -366,9 +365,7 @@ def outcome(case: Case) -> Outcome:
     holds = all(each.away <= together(len(every)) for each in every)
     if every and holds and all(each.width <= 1.0 for each in every):
         return Outcome("right", line, sum(each.away <= 1.0 for each in every), len(every))
-    if case.undetectable and any(
-        words in each for each in found.grade.reasons for words in (UNDETECTABLE_CLOCK, UNDETECTABLE_SCALE)
-    ):
+    if case.undetectable and any(about(each) in (About.UNTESTED, About.UNDETECTABLE) for each in found.grade.reasons):
         return Outcome("cannot be told", line)
     named = any(words in line for words in CAUSES.get(case.wrong, ()))
     if named and case.right is not None and line != outcome(case.right).line:
@@ -379,8 +376,8 @@ def outcome(case: Case) -> Outcome:
 def compared(found: hf.Identification, case: Case) -> list[Compared]:
     """Return each interval of what is called usable beside the truth; not of what the grade itself calls unknown."""
     usable = found.ratios | (found.values if found.grade.name == "usable" else {})
-    unknown = " ".join(each for each in found.grade.reasons if "not known" in each)
-    model_error = any("friction is a model error" in each for each in found.grade.reasons)
+    unknown = " ".join(each for each in found.grade.reasons if about(each) is About.NOT_KNOWN)
+    model_error = any(about(each) is About.FRICTION for each in found.grade.reasons)
     every = []
     for name in usable.keys() & case.truth.keys():
         errors = np.broadcast_to(case.error.get(name, 0.0), case.truth[name].shape)

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.identification.diagnosis.grade import MASSES, Grade, grade
+from hyperflex.identification.diagnosis.grade import MASSES, Findings, grade
 from hyperflex.identification.diagnosis.model_error import law_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.diagnosis.tolerances import moves_alike
@@ -80,6 +80,23 @@ def assemble_result(
     said = too_small(windows, residuals, found.loss) if declared else ""
     if intervals is not None:
         intervals = intervals | of_ratios(known, ratio_std, information.freedom)
+    missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
+    findings = Findings(
+        rope,
+        identifiable=information.unknown.shape[1] == 0,
+        warnings=warnings,
+        held_out=held_out,
+        tests=tests,
+        scatter=scatter,
+        noise=said,
+        held=plant.motor is None,
+        laws=law_error(basis, tests),
+        hardly=_hardly(basis, known, ratio_std),
+        moved=_moved(known, laws),
+        turned=parameters.single("gravity_angle", found.x),
+        left_out=missing / (missing + settings["windows"]),
+        alike=moves_alike(plant),
+    )
     result = Identification(
         rope=rope,
         values=_by_name(plant, rope, parameters.values(x)),
@@ -89,12 +106,10 @@ def assemble_result(
         model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
         ratio_model_std=moves,
         intervals=intervals or {},
-        grade=_graded(
-            basis, rope, warnings, held_out, tests, scatter, settings, said, _moved(known, laws), (known, ratio_std)
-        ),
+        grade=grade(findings),
         score_tests=tests,
         verdict=tuple(consistent(words)),
-        identifiable=information.unknown.shape[1] == 0,
+        identifiable=findings.identifiable,
         residual_rms=np.sqrt(np.nanmean(residuals**2, axis=0)),
         residual_t=np.concatenate([w.t for w in windows]),
         residuals=residuals,
@@ -113,48 +128,17 @@ def assemble_result(
     return result.with_remark(held_words(result.held), last=True)
 
 
-def _graded(
-    basis: Basis,
-    rope: Rope,
-    warnings: Sequence[str],
-    held_out: HeldOut | None,
-    tests: Sequence[ScoreTest],
-    scatter: Sequence[Scatter],
-    settings: dict[str, Any],
-    noise: str,
-    moved: float,
-    ratio_spreads: tuple[dict[str, Array], dict[str, Array]],
-) -> Grade:
-    missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
-    return grade(
-        warnings,
-        rope,
-        held_out,
-        tests,
-        scatter=scatter,
-        noise=noise,
-        held=basis.plant.motor is None,
-        identifiable=basis.information.unknown.shape[1] == 0,
-        laws=law_error(basis, tests),
-        hardly=_hardly(basis, ratio_spreads),
-        moved=moved,
-        turned=basis.plant.parameters.single("gravity_angle", basis.fit.x),
-        left_out=missing / (missing + settings["windows"]),
-        alike=moves_alike(basis.plant),
-    )
-
-
 def _moved(ratios: dict[str, Array], moves: dict[str, Array]) -> float:
     """Return by what part of themselves the model's error may move ratios of moments and inertias, at most."""
     parts = [moves[name] / np.maximum(np.abs(ratios[name]), 1e-300) for name in MASSES if name in moves]
     return float(np.nanmax(np.concatenate(parts), initial=0.0)) if parts else 0.0
 
 
-def _hardly(basis: Basis, ratios: tuple[dict[str, Array], dict[str, Array]]) -> list[str]:
+def _hardly(basis: Basis, ratios: dict[str, Array], ratio_std: dict[str, Array]) -> list[str]:
     """Return the labels of values and of ratios of moments and inertias known to half of themselves only, or worse."""
     said = [label for label, _, _ in hardly_known(basis.plant.parameters, basis.information)]
     for name in MASSES:
-        pairs = zip(ratios[0].get(name, []), ratios[1].get(name, []), strict=True)
+        pairs = zip(ratios.get(name, []), ratio_std.get(name, []), strict=True)
         said += [f"{name}[{k}]" for k, (x, std) in enumerate(pairs) if np.isfinite(std) and std > HALF * abs(x)]
     return said
 

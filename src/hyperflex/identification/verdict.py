@@ -11,6 +11,7 @@ from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.scale import common_factor, in_common_factor
 from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.sentences import About, Sentence
 from hyperflex.identification.uncertainty.covariance import TOUCHED, Information
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import Rope
@@ -18,17 +19,19 @@ from hyperflex.recording import Recording
 
 CORRELATED = 10.0  # samples
 LEAST_FREEDOM = 2.0  # independent values; a variance from fewer has no std
-COLOURED = (
+COLOURED = Sentence(
     "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
-    "and intervals allow for the first, and for other laws of the joints and of the air, not for more."
+    "and intervals allow for the first, and for other laws of the joints and of the air, not for more.",
+    About.COLOURED,
 )
-ALL_KNOWN = "All free parameters can be known from this motion, given those that were held."
+ALL_KNOWN = Sentence("All free parameters can be known from this motion, given those that were held.", About.ALL_KNOWN)
 ALL_ACT = (
     "Each free parameter acts in this motion in a way of its own, given those that were held; how far the values can "
     "be trusted, the other sentences say."
 )
-FIRST_MOMENT = (
-    "In ratios p1 is the first moment of link 0 about its joint, kg m, with all mass beyond it at its far end."
+FIRST_MOMENT = Sentence(
+    "In ratios p1 is the first moment of link 0 about its joint, kg m, with all mass beyond it at its far end.",
+    About.MEANING,
 )
 OUTLYING = 6.0  # times the median deviation: a distance that a lost marker makes
 UNEVEN = 0.03  # relative difference of two scales; as the distances of markers
@@ -70,10 +73,11 @@ def not_noise(correlation: float, whiteness: float = 1.0) -> str:
     """Return a warning for an autocorrelation time (samples), or a p-value of a whiteness test, beyond chance."""
     if correlation <= CORRELATED:
         return "" if whiteness >= CHANCE else COLOURED
-    return (
+    return Sentence(
         f"The residuals are no noise (they hang together over {correlation:.0f} samples) but errors of the model: it "
         "leaves something out. Standard deviations and intervals hold what other laws of the joints and of the air "
-        "would change, not what is none of these."
+        "would change, not what is none of these.",
+        About.COLOURED,
     )
 
 
