@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import pipeline
+from hyperflex.identification import About, about, pipeline
 from hyperflex.identification.diagnosis.grade import Findings, grade
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
-from hyperflex.identification.verdict import swapped
+from hyperflex.identification.verdict import not_noise, swapped
 from tests.faults.interrupting import left_by
 
 PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], friction=[3e-4, 1e-4])
@@ -153,3 +155,12 @@ def test_markers_swapped_in_two_intervals_are_told_with_both() -> None:
     assert swapped(recording, rope) == (
         "markers 1 and 2 are swapped from t = 1 to 1.98 s and from t = 5 to 5.48 s: swap them back there."
     )
+
+
+def test_a_sentence_carries_what_it_is_about() -> None:
+    """In the verdict and, with a capital, among the further reasons of a grade; to another process, too."""
+    told = grade(Findings(PAIR, identifiable=True, noise="noise", hardly=["friction[1]"], laws=(2.0, "drag")))
+    assert [about(each) for each in told.reasons[:3]] == [About.ELSE, About.NOT_KNOWN, About.FRICTION]
+    assert [about(each) for each in pickle.loads(pickle.dumps(told)).more[:2]] == [About.NOT_KNOWN, About.FRICTION]
+    assert told.more[0].startswith("Friction[1] is not known")
+    assert about(not_noise(20.0)) is about(not_noise(1.0, 0.0)) is About.COLOURED

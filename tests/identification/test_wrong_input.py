@@ -114,6 +114,8 @@ REAL = (
 OPEN = {  # known to be wrong; strict, so that what is mended leaves this list
     "single: from 1.4 rad, angles x 0.9": "a factor of the angles is told as a clock that drifts",
     "double: every 25th frame dropped, times counted on": "intervals as wide as their values are called usable",
+    "double: noise of a tenth of the motion": "a friction that is not known is not said to be",
+    "double: a frame is repeated every second": "a friction that is not known is not said to be",
 }
 
 

@@ -22,7 +22,6 @@ from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.identification.verdict import (
     HALF,
     consistent,
-    failed_predictions,
     hardly_known,
     held_words,
     noise_not_modelled,
@@ -73,7 +72,6 @@ def assemble_result(
         *warnings[1:],
         not_noise(information.correlation, information.whiteness),
         noise_not_modelled(information.agrees, information.freedom),
-        failed_predictions(held_out),
         too_large(information.variance, information.freedom) if declared else "",
         *(each.remark for each in (intervals or {}).values()),
     ]
@@ -136,7 +134,7 @@ def _moved(ratios: dict[str, Array], moves: dict[str, Array]) -> float:
 
 def _hardly(basis: Basis, ratios: dict[str, Array], ratio_std: dict[str, Array]) -> list[str]:
     """Return the labels of values and of ratios of moments and inertias known to half of themselves only, or worse."""
-    said = [label for label, _, _ in hardly_known(basis.plant.parameters, basis.information)]
+    said = hardly_known(basis.plant.parameters, basis.information)
     for name in MASSES:
         pairs = zip(ratios.get(name, []), ratio_std.get(name, []), strict=True)
         said += [f"{name}[{k}]" for k, (x, std) in enumerate(pairs) if np.isfinite(std) and std > HALF * abs(x)]

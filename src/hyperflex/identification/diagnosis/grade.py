@@ -216,8 +216,12 @@ def _mispredicted(held_out: HeldOut | None) -> list[str]:
     if held_out is None:
         return []
     if held_out.failed.size:
+        starts = ", ".join(f"{start:.4g}" for start in held_out.failed)
         failed = f"{held_out.failed.size} of {held_out.starts.size} predictions of what was not fitted failed"
-        return [f"{failed}: look at the held-out part, or leave it out (train=inf)."]
+        words = (
+            f"{failed} (from t = {starts} s): the identified rope cannot be simulated there. Look at the held-out part"
+        )
+        return [f"{words}, or leave it out (train=inf)."]
     error = float(np.sqrt(np.mean(held_out.rms**2)))
     still = held_out.persistence
     words = ""
