@@ -1,6 +1,7 @@
 """A fit as a result: values, ratios, sentences and grade."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -57,7 +58,6 @@ def assemble_result(
     residuals, torque = _residuals(basis)
     known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     moves = ratio_spread(parameters, information, model=True)
-    laws = ratio_spread(parameters, basis.as_declared.information, model=True)
     covariance, by_length = information.covariances(slopes)
     message = early if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
     unit, declared = "rad" if isinstance(plant.sensor, Angles) else "m", settings["noise"] == "declared"
@@ -78,22 +78,8 @@ def assemble_result(
     said = too_small(windows, residuals, found.loss) if declared else ""
     if intervals is not None:
         intervals = intervals | of_ratios(known, ratio_std, information.freedom)
-    missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
-    findings = Findings(
-        rope,
-        identifiable=information.unknown.shape[1] == 0,
-        warnings=warnings,
-        held_out=held_out,
-        tests=tests,
-        scatter=scatter,
-        noise=said,
-        held=plant.motor is None,
-        laws=law_error(basis, tests),
-        hardly=_hardly(basis, known, ratio_std),
-        moved=_moved(known, laws),
-        turned=parameters.single("gravity_angle", found.x),
-        left_out=missing / (missing + settings["windows"]),
-        alike=moves_alike(plant),
+    findings = replace(
+        _findings(basis, rope, tests, settings), warnings=warnings, held_out=held_out, scatter=scatter, noise=said
     )
     result = Identification(
         rope=rope,
@@ -124,6 +110,25 @@ def assemble_result(
     )
     object.__setattr__(result, "_basis", basis)
     return result.with_remark(held_words(result.held), last=True)
+
+
+def _findings(basis: Basis, rope: Rope, tests: Sequence[ScoreTest], settings: dict[str, Any]) -> Findings:
+    """Return what is found of a fit by its covariance and its score tests."""
+    parameters, information = basis.plant.parameters, basis.information
+    known, std = ratios(rope, parameters.names), ratio_spread(parameters, information)
+    missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
+    return Findings(
+        rope,
+        identifiable=information.unknown.shape[1] == 0,
+        tests=tests,
+        held=basis.plant.motor is None,
+        laws=law_error(basis, tests),
+        hardly=_hardly(basis, known, std),
+        moved=_moved(known, ratio_spread(parameters, basis.as_declared.information, model=True)),
+        turned=parameters.single("gravity_angle", basis.fit.x),
+        left_out=missing / (missing + settings["windows"]),
+        alike=moves_alike(basis.plant),
+    )
 
 
 def _moved(ratios: dict[str, Array], moves: dict[str, Array]) -> float:
