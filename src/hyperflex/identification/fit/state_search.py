@@ -100,7 +100,7 @@ def states_at(
     """Return each window's state of least cost at x, from several starts, or None where a window has none."""
     found = list(states)
     for k, window in enumerate(windows):
-        best = fit_state(plant, x, window, *restart_states(plant, windows, x, found, k), loss=loss, enough=HARDLY)
+        best = fit_state(plant, x, window, *restart_states(plant, windows, x, found, k), loss=loss)
         if best is None:
             return None
         found[k] = best[0]
