@@ -13,7 +13,7 @@ from benchmarks.wrong_input import noisy, swing
 import hyperflex as hf
 from hyperflex.identification import Identification, ratios
 from hyperflex.identification.diagnosis.grade import grade
-from hyperflex.identification.diagnosis.model_error import with_model_error
+from hyperflex.identification.diagnosis.model_error import DeclaredStds, with_model_error
 from hyperflex.identification.diagnosis.score_tests import SCALES, ScoreTest
 
 ROPE = hf.Rope(length=[0.4, 0.2], mass=[0.15, 0.05], com=[0.21, 0.09], inertia=[2.2e-3, 2e-4], friction=[4e-4, 5e-5])
@@ -118,8 +118,8 @@ def test_one_discrepancy_of_times_and_lengths_counts_once() -> None:
     ruled, lengths_only = np.diag([1e6, 0.0]), np.ones((size, 2)) * [1.0, 0.0]
     lengths = ScoreTest(SCALES, 0.9, np.array([1.02, 1.0]), rate=lengths_only, excess_gain=0.99, information=ruled)
     clock = ScoreTest("gravity_scale", 0.9, np.array([0.98]), moved=0.02, shift=np.full(size, 0.02), excess_gain=0.99)
-    alone = with_model_error(basis, [lengths], 0.01, 0.0).information
-    both = with_model_error(basis, [clock, lengths], 0.01, 0.0).information
+    alone = with_model_error(basis, [lengths], DeclaredStds(0.01, 0.0, 0.0)).information
+    both = with_model_error(basis, [clock, lengths], DeclaredStds(0.01, 0.0, 0.0)).information
     assert np.sqrt(alone.scale_error[0, 0]) == pytest.approx(np.hypot(1e-3, np.log(1.02)), rel=0.02)
     assert np.sqrt(both.scale_error[0, 0]) == pytest.approx(1e-3, rel=0.02)
     assert np.diag(both.model) == pytest.approx(0.99 * 0.02**2, rel=1e-6)

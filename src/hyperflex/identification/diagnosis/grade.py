@@ -36,7 +36,7 @@ COMMON = (
 )
 BY_TORQUE = (
     "masses, inertias and frictions are in proportion to the torque as it was measured: one 1 % too large makes them 1 "
-    "% too large. Check its scale with a known weight."
+    "% too large. Standard deviations hold torque_std: check its scale with a known weight."
 )
 COMPARE = "Look whether another model predicts better (compare_models), and check what was declared."
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
