@@ -144,6 +144,18 @@ def test_a_clock_that_is_off_by_less_than_shows_is_in_the_deviations(data_dir: P
     assert found.ratio_std["J/p1"][0] < 0.02 * truth["J/p1"][0]  # not by saying that nothing is known
 
 
+def test_a_chaotic_motion_is_predicted_as_far_as_its_band_tells(data_dir: Path) -> None:
+    """Links turn over: after 0.4 s the band is as wide as a fifth of the motion, and predictions err by whole turns."""
+    path = data_dir / "ibm_double_pendulum" / "run06_500Hz.csv"
+    part = hf.read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 18.0)
+    guess = hf.Rope(length=part.link_lengths(), mass=0.1, friction=1e-5)
+    found = hf.identify(part, guess, ["inertia", "com", "friction"], intervals=None)
+    assert found.held_out is not None
+    assert found.held_out.rms.max() > 4.0
+    assert found.grade.name == "usable for ratios", found.grade
+    assert (np.abs(found.ratios["J/p1"] - [0.0906, 0.00691]) < 2.0 * found.ratio_std["J/p1"]).all()
+
+
 @pytest.mark.parametrize(("name", "begin", "duration"), [("triple", 0.0, 0.6), ("triple", 5.0, 0.6), ("16", 25.0, 3.0)])
 def test_short_recordings_that_are_right_are_not_refused(
     data_dir: Path, name: str, begin: float, duration: float

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.identification.diagnosis.grade import MASSES, Grade, grade
+from hyperflex.identification.diagnosis.grade import LOOSE, MASSES, Grade, grade
 from hyperflex.identification.diagnosis.model_error import law_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.diagnosis.tolerances import moves_alike
@@ -20,7 +20,6 @@ from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.identification.verdict import (
-    HALF,
     consistent,
     failed_predictions,
     hardly_known,
@@ -126,6 +125,8 @@ def _graded(
     ratio_spreads: tuple[dict[str, Array], dict[str, Array]],
 ) -> Grade:
     missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
+    loose, free = _loose(*ratio_spreads)
+    values = [label for label, _, _ in hardly_known(basis.plant.parameters, basis.information)]
     return grade(
         warnings,
         rope,
@@ -136,7 +137,8 @@ def _graded(
         held=basis.plant.motor is None,
         identifiable=basis.information.unknown.shape[1] == 0,
         laws=law_error(basis, tests),
-        hardly=_hardly(basis, ratio_spreads),
+        hardly=[*values, *loose],
+        unknown=0 < free == len(loose),
         moved=moved,
         turned=basis.plant.parameters.single("gravity_angle", basis.fit.x),
         left_out=missing / (missing + settings["windows"]),
@@ -150,13 +152,17 @@ def _moved(ratios: dict[str, Array], moves: dict[str, Array]) -> float:
     return float(np.nanmax(np.concatenate(parts), initial=0.0)) if parts else 0.0
 
 
-def _hardly(basis: Basis, ratios: tuple[dict[str, Array], dict[str, Array]]) -> list[str]:
-    """Return the labels of values and of ratios of moments and inertias known to half of themselves only, or worse."""
-    said = [label for label, _, _ in hardly_known(basis.plant.parameters, basis.information)]
+def _loose(ratios: dict[str, Array], spreads: dict[str, Array]) -> tuple[list[str], int]:
+    """Return the labels of ratios of moments and inertias known to LOOSE of themselves only, and how many are free.
+
+    Those that cannot be known at all are told elsewhere, and do not count.
+    """
+    said, free = [], 0
     for name in MASSES:
-        pairs = zip(ratios[0].get(name, []), ratios[1].get(name, []), strict=True)
-        said += [f"{name}[{k}]" for k, (x, std) in enumerate(pairs) if np.isfinite(std) and std > HALF * abs(x)]
-    return said
+        for k, (x, std) in enumerate(zip(ratios.get(name, []), spreads.get(name, []), strict=True)):
+            free += int(0.0 < std < np.inf)
+            said += [f"{name}[{k}]"] * bool(LOOSE * abs(x) < std < np.inf)
+    return said, free
 
 
 def _residuals(basis: Basis) -> tuple[Array, Array | None]:

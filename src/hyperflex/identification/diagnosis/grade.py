@@ -39,6 +39,11 @@ BY_TORQUE = (
     "% too large. Standard deviations hold torque_std: check its scale with a known weight."
 )
 COMPARE = "Look whether another model predicts better (compare_models), and check what was declared."
+LOOSE = 0.3  # part of a ratio: with a standard deviation beyond, it is hardly known, and an interval may hold 0
+NOTHING = (
+    "no ratio of moments and inertias is known better than to {:g} % of itself. Record longer or larger swings, or "
+    "more frames a second."
+)
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
 
 
@@ -86,6 +91,7 @@ def grade(
     held: bool = False,
     laws: tuple[float, str] = (0.0, ""),
     hardly: Sequence[str] = (),
+    unknown: bool = False,
     moved: float = 0.0,
     turned: float = 0.0,
     left_out: float = 0.0,
@@ -112,7 +118,9 @@ def grade(
     laws : (float, str)
         By what part of its value friction may change if another law is free too, and which.
     hardly : sequence of str
-        What is known to half of its value only, or worse.
+        What is hardly known: values to half of themselves only, or worse, and ratios to LOOSE of themselves.
+    unknown : bool
+        Whether that are all ratios of moments and inertias that are free.
     moved : float
         By what part the model's error may move ratios of moments and inertias.
     turned : float
@@ -127,12 +135,13 @@ def grade(
     odd = [*(each for each in warnings if each), *_mispredicted(held_out), *disagree]
     links, coarse = _finer(tests, odd=bool(odd))
     wrong = [*_impossible(rope), *links, *misdeclared(tests), *_far(rope), *odd]
+    wrong += [NOTHING.format(100.0 * LOOSE)] * unknown
     unlike = [each for each in [unlike_lengths(rope)] if each]
     wrong = [*unlike, *wrong] if wrong else []
     suspicion = [*([] if wrong else unlike), *coarse, *_turned(turned), *slightly(tests), *differ, *untested(tests)]
     doubts = [*undetectable(tests, alike=alike), *_doubts(laws, moved, left_out), *_changing(scatter)]
     if hardly:
-        rest = "" if wrong else ", all else is" if identifiable else ", all other ratios are"
+        rest = "" if wrong else "; all else is known better" if identifiable else "; all other ratios are known better"
         suspicion.append(
             _not_known(hardly) + f"{rest}. Record longer or larger swings, or hold what you know otherwise."
         )
@@ -180,7 +189,8 @@ def _far(rope: Rope) -> list[str]:
 def _not_known(hardly: Sequence[str]) -> str:
     names = ", ".join(hardly[:NAMED]) + (f" and {len(hardly) - NAMED} more" if len(hardly) > NAMED else "")
     return (
-        f"{names} {'is' if len(hardly) == 1 else 'are'} not known (the standard deviation is half of the value or more)"
+        f"{names} {'is' if len(hardly) == 1 else 'are'} hardly known (the standard deviation is {100.0 * LOOSE:g} % of "
+        "the value or more)"
     )
 
 
@@ -191,6 +201,7 @@ def _mispredicted(held_out: HeldOut | None) -> list[str]:
     if held_out.failed.size:
         failed = f"{held_out.failed.size} of {held_out.starts.size} predictions of what was not fitted failed"
         return [f"{failed}: look at the held-out part, or leave it out (train=inf)."]
+    held_out = held_out.foreseeable
     error = float(np.sqrt(np.mean(held_out.rms**2)))
     still = held_out.persistence
     words = ""
