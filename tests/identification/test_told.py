@@ -13,6 +13,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification import pipeline
 from hyperflex.identification.diagnosis.grade import grade
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.ending import alone
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.verdict import swapped
 from tests.faults.interrupting import left_by
@@ -156,6 +157,11 @@ def test_predictions_are_compared_as_far_as_their_band_is_narrow() -> None:
     assert grade((), PAIR, held, (), identifiable=True).name == "do not use"
     std[15] = 0.5
     assert grade((), PAIR, replace(held, std=std), (), identifiable=True).name == "usable"
+
+
+def test_a_fit_that_one_start_alone_came_to_is_told() -> None:
+    assert alone(3, 1).startswith("Of 3 starts one alone came to this fit")
+    assert alone(3, 2) == alone(1, 1) == ""
 
 
 def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used() -> None:

@@ -12,7 +12,7 @@ from hyperflex.identification.diagnosis.model_error import law_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.diagnosis.tolerances import moves_alike
 from hyperflex.identification.diagnosis.window_tests import Scatter
-from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, alone
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.result import Identification
@@ -70,6 +70,7 @@ def assemble_result(
         warnings[0],
         *verdict(parameters, information, ratio_std),
         *warnings[1:],
+        alone(settings.get("starts", 1), settings.get("starts_agree", 1)),
         not_noise(information.correlation, information.whiteness),
         noise_not_modelled(information.agrees, information.freedom),
         failed_predictions(held_out),

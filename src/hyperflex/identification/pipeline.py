@@ -13,7 +13,7 @@ from hyperflex.identification.assembly import assemble_result, fit_settings
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, scaled_angles, suspicious
 from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
 from hyperflex.identification.diagnosis.link_test import link_test
-from hyperflex.identification.diagnosis.misdeclared import DECLARED, first_misdeclared
+from hyperflex.identification.diagnosis.misdeclared import DECLARED, explaining, first_misdeclared
 from hyperflex.identification.diagnosis.model_error import DeclaredStds, with_model_error
 from hyperflex.identification.diagnosis.score_tests import SCALES, ScoreTest, score_tests
 from hyperflex.identification.diagnosis.tolerances import with_ratio_sensitivity
@@ -320,14 +320,14 @@ class _Problem:
         """Return a result with what looks wrong in what was declared of the recording, as far as short fits tell."""
         short = ShortFit(self.guess, trial.free, self.arc_lengths, self.origin, self.motion, self.arm, self.loss)
         first = first_misdeclared(trial.tests)
-        said = scaled_angles(self.recording, short)
-        result = result.with_reason(said)
+        result = result.with_reason(said := scaled_angles(self.recording, short))
         wrong = result.grade.doubtful or suspicious(self.fitted.shape)
         wrong = wrong or any(each.suspected and each.name in DECLARED for each in trial.tests)
         to_noise = self.recording.noise is not None and trial.basis.information.variance <= 1.0
         if wrong and not to_noise and not said:  # which no slip explains better
-            named, value = ("", 0.0) if first is None else (first.name, float(first.values[0]))
-            result = result.with_reason(explained(self.recording, self.origin, short, named=named, value=value))
+            cause = first or explaining(trial.tests)
+            named, gain = ("", 0.0) if cause is None else (cause.name, cause.gain)
+            result = result.with_reason(explained(self.recording, self.origin, short, named=named, gain=gain))
         if self.arc_lengths is not None:
             return result
         result = result.with_suspicion(other_lengths(self.recording, self.guess))

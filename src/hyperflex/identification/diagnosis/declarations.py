@@ -182,22 +182,22 @@ def _best_factor(part: Callable[[float], float]) -> tuple[float, float]:
 
 
 def explained(
-    recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit, *, named: str, value: float = 0.0
+    recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit, *, named: str, gain: float = 0.0
 ) -> str:
     """Return in words the slip that explains a fit that is not good, or nothing.
 
     A slip is named if it leaves half of what the recording as declared leaves at most, and that is little. A wrong
     clock or scale and a camera that is not level come before a slip that explains less, and beside one that explains as
-    much; the zero of one link comes where nothing else explains. What score tests have `named` already, of angles with
-    a factor of so much (`value`), has to leave twice as much when it is free.
+    much; the zero of one link comes where nothing else explains. What score tests have `named` already, with a
+    `gain` of the sum of squares, has to leave twice as much.
     """
     declared, _ = left(recording)
     skewed, (scale, angle) = left(recording, SKEWED)
     most = declared
-    if named.partition(":")[0] in FREE_PROPERTIES and named not in SKEWED:
+    if named.partition(":")[0] in FREE_PROPERTIES and named not in (*SKEWED, "delay"):
         most = min(most, left(recording, (named,))[0])
-    if named == ANGLES:
-        most = min(most, left(_multiplied(recording, 1.0 / value))[0])
+    if named in (ANGLES, "delay"):  # a short fit does not free the one, and takes the other from a grid
+        most = min(most, declared * float(np.sqrt(1.0 - gain)))
     tried = [(left(other)[0], words) for words, other in (*slips(recording, pivot), *_rescaled(recording, left))]
     tried += _driven(recording, left)
     least, words = min(tried, default=(np.inf, ""))

@@ -6,7 +6,15 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hyperflex.identification.diagnosis.link_test import LINKS
-from hyperflex.identification.diagnosis.misdeclared import misdeclared, percent, slightly, undetectable, untested
+from hyperflex.identification.diagnosis.misdeclared import (
+    explaining,
+    misdeclared,
+    percent,
+    seems,
+    slightly,
+    undetectable,
+    untested,
+)
 from hyperflex.identification.diagnosis.score_tests import EXPLAINS, MOVES, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.excitation import unlike_lengths
@@ -134,11 +142,20 @@ def grade(
     disagree, differ = _disagreeing(scatter)
     odd = [*(each for each in warnings if each), *_mispredicted(held_out), *disagree]
     links, coarse = _finer(tests, odd=bool(odd))
-    wrong = [*_impossible(rope), *links, *misdeclared(tests), *_far(rope), *odd]
+    wrong = [*_impossible(rope), *links, *misdeclared(tests)]
+    cause = explaining(tests) if odd and not wrong else None
+    wrong += [*([seems(cause)] if cause else []), *_far(rope), *odd]
     wrong += [NOTHING.format(100.0 * LOOSE)] * unknown
     unlike = [each for each in [unlike_lengths(rope)] if each]
     wrong = [*unlike, *wrong] if wrong else []
-    suspicion = [*([] if wrong else unlike), *coarse, *_turned(turned), *slightly(tests), *differ, *untested(tests)]
+    suspicion = [
+        *([] if wrong else unlike),
+        *coarse,
+        *_turned(turned),
+        *slightly(tests, cause),
+        *differ,
+        *untested(tests),
+    ]
     doubts = [*undetectable(tests, alike=alike), *_doubts(laws, moved, left_out), *_changing(scatter)]
     if hardly:
         rest = "" if wrong else "; all else is known better" if identifiable else "; all other ratios are known better"

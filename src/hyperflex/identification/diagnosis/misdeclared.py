@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import EQUAL, SCALES, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, SCALES, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 from hyperflex.identification.model.plant import ANGLES
 
@@ -45,6 +45,11 @@ MEANT = {
 def first_misdeclared(tests: Sequence[ScoreTest]) -> ScoreTest | None:
     """Return what was declared or held, does not fit and matters, and explains most; None where all fits."""
     return next((each for each in tests if each.believed and each.matters), None)
+
+
+def explaining(tests: Sequence[ScoreTest]) -> ScoreTest | None:
+    """Return what explains most of a fit that is poor, though its ratios are not known well enough to move beyond."""
+    return next((each for each in tests if each.believed and each.name in TOLD and each.gain > EXPLAINS), None)
 
 
 def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
@@ -110,8 +115,11 @@ def _alike(first: ScoreTest, tests: Sequence[ScoreTest]) -> list[str]:
     return said
 
 
-def slightly(tests: Sequence[ScoreTest]) -> list[str]:
-    """Return what seems declared wrongly, but so little that ratios hardly move or something else may explain it."""
+def slightly(tests: Sequence[ScoreTest], cause: ScoreTest | None = None) -> list[str]:
+    """Return what seems declared wrongly, but so little that ratios hardly move or something else may explain it.
+
+    Of what is told as the `cause` of a poor fit already, see :func:`seems`, nothing.
+    """
     said, first = _lengths(tests), first_misdeclared(tests)
     for each in tests:
         if each.slight and each.believed:
@@ -134,17 +142,21 @@ def slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 f"the clock seems to drift by {percent(0.5 * abs(float(each.values[0])))} over the recording: check "
                 f"the time stamps; ratios would move by up to {percent(each.moved)}. Standard deviations hold that."
             )
-        if not each.believed or each.matters or each.name not in TOLD:
-            continue
-        value, part = float(each.values[0]), f"{100.0 * each.gain:.3g} % of the residuals' sum of squares"
-        what = {
-            "gravity_angle": f"the zero of the angles seems off by {np.degrees(value):.2g} degrees",
-            "delay": f"the motion seems {value:.2g} s off",
-            "arm_inertia": f"the arm's inertia seems to be {value:.2g} kg m^2",
-            "arm_friction": f"the arm's friction seems to be {value:.2g} N m s/rad",
-        }[each.name]
-        said.append(f"{what}: without that, {part} go away. Put '{each.name}' into free.")
+        if each.believed and not each.matters and each.name in TOLD and each is not cause:
+            said.append(seems(each))
     return said
+
+
+def seems(test: ScoreTest) -> str:
+    """Return what one of TOLD seems to be, in words."""
+    value, part = float(test.values[0]), f"{100.0 * test.gain:.3g} % of the residuals' sum of squares"
+    what = {
+        "gravity_angle": f"the zero of the angles seems off by {np.degrees(value):.2g} degrees",
+        "delay": f"the motion seems {value:.2g} s off",
+        "arm_inertia": f"the arm's inertia seems to be {value:.2g} kg m^2",
+        "arm_friction": f"the arm's friction seems to be {value:.2g} N m s/rad",
+    }[test.name]
+    return f"{what}: without that, {part} go away. Put '{test.name}' into free."
 
 
 def _lengths(tests: Sequence[ScoreTest]) -> list[str]:
