@@ -53,8 +53,7 @@ def assemble_result(
     plant, information, found, windows = basis.plant, basis.information, basis.fit, basis.windows
     parameters = plant.parameters
     x = parameters.rounded(found.x)
-    rope, slopes = parameters.rope(x), parameters.derivatives(x)
-    residuals, torque = _residuals(basis)
+    rope, slopes, (residuals, torque) = parameters.rope(x), parameters.derivatives(x), _residuals(basis)
     known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     moves = ratio_spread(parameters, information, model=True)
     laws = ratio_spread(parameters, basis.as_declared.information, model=True)
