@@ -11,7 +11,7 @@ from benchmarks.wrong_input import DOUBLE, FREE, longer, noisy, swing
 
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Identification, identify
-from hyperflex.identification.diagnosis.model_error import with_model_error
+from hyperflex.identification.diagnosis.model_error import DeclaredStds, with_model_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.uncertainty.ratios import ratios
 from hyperflex.model import Arm, Rope, divided, parse_label
@@ -165,7 +165,7 @@ def test_links_that_may_be_too_long_count_by_their_probability() -> None:
     odd = replace(basis, information=replace(basis.information, whiteness=0.0))
     for excess_gain in (0.1, 0.5):
         test = ScoreTest("links", 0.3, np.array([16.0]), shift=np.array([0.2]), excess_gain=excess_gain)
-        told = with_model_error(odd, [test], 0.0, 0.0).information.model
+        told = with_model_error(odd, [test], DeclaredStds(0.0, 0.0, 0.0)).information.model
         assert told == pytest.approx(np.array([[excess_gain * 0.2**2]]))
 
 

@@ -129,8 +129,8 @@ def test_profiles_are_of_noise_alone_and_intervals_of_all(rounds: int, monkeypat
     information, std = plain.information, np.sqrt(np.diag(plain.information.covariance))
     errors = {
         "model": np.diag(std**2),
-        "scales": np.outer(std, [2.0, 0.0]),
-        "scale_error": np.eye(2),
+        "scales": np.outer(std, [2.0, 0.0, 0.0, 0.0]),
+        "scale_error": np.eye(4),
     }
     basis = replace(plain, information=replace(information, **errors))
     by_std = all_intervals(basis, "covariance")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification import About, about, pipeline
 from hyperflex.identification.diagnosis.grade import Findings, grade
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.ending import alone
+from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.verdict import not_noise, swapped
 from tests.faults.interrupting import left_by
 
@@ -85,7 +88,7 @@ def test_a_delay_far_off_is_found(late: float) -> None:
     assert abs(found.settings["delay_from"] - late) < 0.1  # the grid's step is a sixteenth of a window
 
 
-def stopped(*_: object) -> None:
+def stopped(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
 
 
@@ -102,7 +105,7 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
     run = hf.simulate(stiff, duration=4.0, t_eval=T, q0=[0.8, 0.8])
     recording = hf.Recording(T, run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape))
     tests = [pipeline.score_tests, stopped]
-    monkeypatch.setattr(pipeline, "score_tests", lambda *asked: tests.pop(0)(*asked))
+    monkeypatch.setattr(pipeline, "score_tests", lambda *asked, **how: tests.pop(0)(*asked, **how))
     found = left_by(lambda: hf.identify(recording, PAIR, intervals=None))
     assert tests == []
     assert found.message == "interrupted"
@@ -113,15 +116,53 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
 
 @pytest.mark.parametrize(
     ("identifiable", "words"),
-    [(True, "Usable: {}, all else is. {}"), (False, "Usable for ratios: {}, all other ratios are. {}")],
+    [
+        (True, "Usable: {}; all else is known better. {}"),
+        (False, "Usable for ratios: {}; all other ratios are known better. {}"),
+    ],
 )
 def test_what_is_not_known_stands_beside_what_is(identifiable: bool, words: str) -> None:
     told = grade(Findings(PAIR, identifiable=identifiable, hardly=["friction[1]"]))
-    unknown = "friction[1] is not known (the standard deviation is half of the value or more)"
+    unknown = "friction[1] is hardly known (the standard deviation is 30 % of the value or more)"
     advice = "Record longer or larger swings, or hold what you know otherwise."
     assert str(told) == words.format(unknown, advice)
     poor = grade(Findings(PAIR, identifiable=identifiable, warnings=["The fit is poor."], hardly=["friction[1]"]))
     assert poor.reasons[1] == f"{unknown}. {advice}"
+
+
+def test_ratios_of_which_none_is_known_are_not_to_be_used() -> None:
+    """Half a second of much noise: intervals hold the truth, and 0, and tell nothing."""
+    q = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8]).q[:30]
+    q = q + 0.05 * np.random.default_rng(0).standard_normal(q.shape)
+    found = hf.identify(hf.Recording(T[:30], q), PAIR, ["inertia", "com"], intervals=None, train=np.inf)
+    assert found.success
+    assert (found.ratio_std["J/p1"] > 0.3 * found.ratios["J/p1"]).all()
+    assert str(found.grade).startswith("Do not use: no ratio of moments and inertias is known better than to 30 % of")
+    told = grade(Findings(PAIR, identifiable=False, hardly=["J/p1[1]"]))
+    assert str(told).startswith("Usable for ratios: J/p1[1] is hardly known")
+
+
+def test_predictions_are_compared_as_far_as_their_band_is_narrow() -> None:
+    """Once it has grown beyond a fifth of what keeping still errs by, what lies behind does not count."""
+    t = np.linspace(0.1, 1.0, 10)
+    measured = np.append(t, t)[:, None]
+    predicted = measured + np.where(np.append(t, t) > 0.55, 3.0, 0.0)[:, None]
+    std = np.full((20, 1), 0.01)
+    std[5] = 0.5  # of the first prediction alone
+    starts = np.array([0.0, 1.0])
+    rms = np.array([1.0])
+    held = HeldOut(rms, np.ones((2, 1)), starts, 0.5, 1.0, np.append(t, t + 1.0), measured, predicted, std)
+    kept = held.foreseeable
+    np.testing.assert_allclose(kept.t, np.append(t[:5], t + 1.0))
+    assert kept.rms[0] == pytest.approx(3.0 * np.sqrt(5 / 15))
+    assert grade(Findings(PAIR, identifiable=True, held_out=held)).name == "do not use"
+    std[15] = 0.5
+    assert grade(Findings(PAIR, identifiable=True, held_out=replace(held, std=std))).name == "usable"
+
+
+def test_a_fit_that_one_start_alone_came_to_is_told() -> None:
+    assert alone(3, 1).startswith("Of 3 starts one alone came to this fit")
+    assert alone(3, 2) == alone(1, 1) == ""
 
 
 def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.wrong_input import DOUBLE, noisy
+from benchmarks.wrong_input import DOUBLE, longer, noisy
 
 from hyperflex import (
     Arm,
@@ -23,7 +23,7 @@ from hyperflex import (
 )
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model.plant import ARM_LENGTH, TORQUE, Plant, extended
 from hyperflex.identification.problem import build_plant
 from hyperflex.sensors import MotorTorque
 from tests.reference import dense
@@ -145,7 +145,7 @@ def test_slopes_by_everything_are_those_of_whole_rollouts() -> None:
     """Fourth-order differences of rollouts: these err by some 1e-7 rad, which over a step of 3e-3 makes 3e-5 N m."""
     free = ["inertia", "mass", "com", "length[0]", "friction", "stiffness", "tip_mass", "gravity_angle", "delay"]
     subject = plant([*free, "arm_inertia", "arm_friction"])
-    x = subject.parameters.start
+    subject, x, _ = extended(subject, subject.parameters.start, [TORQUE, ARM_LENGTH])
     t = np.arange(30, 61) / 50  # while the arm moves
     swing = run(duration=1.3)
     state = np.concatenate([swing.q[30], swing.qd[30]])
@@ -208,7 +208,8 @@ def fit(*, torque: bool) -> Identification:
     if not torque:
         return identify(recording, GUESS, SCALED, motion=MOVE, arm=LIGHT)
     free = [*SCALED, "arm_inertia"]
-    return identify(recording, GUESS, free, motion=MOVE, arm=LIGHT, torque=values, torque_noise=TORQUE_NOISE)
+    exact = {"length_std": 0.0, "clock_std": 0.0, "torque_std": 0.0}
+    return identify(recording, GUESS, free, motion=MOVE, arm=LIGHT, torque=values, torque_noise=TORQUE_NOISE, **exact)
 
 
 def test_without_the_torque_the_scale_is_unknown() -> None:
@@ -271,6 +272,54 @@ def test_an_arm_that_has_more_inertia_than_declared_is_told(inertia: float, said
     assert said in str(found.grade)
     assert (found.grade.name == "do not use") == (inertia == 1e-3)
     np.testing.assert_array_less(np.abs(found.rope.mass - DOUBLE.mass), 2.0 * found.std["mass"])
+
+
+def driven(*, length: float = 1.0, arm: float = 1.0, clock: float = 1.0, scale: float = 1.0, **exact: float) -> Any:
+    """Fit a twin whose lengths, arm, clock or torque are declared as so many times what they are."""
+    t = np.arange(300) / 50.0
+    run = simulate(DOUBLE, MOVE, arm=Arm(length=0.1), duration=t[-1], t_eval=t, tol=1e-9)
+    measured = {"torque": scale * noisy(run.motor_torque, 1e-3, 1), "torque_noise": 1e-3}
+    recording = Recording(clock * t, noisy(run.q), noise=2e-3)  # type: ignore[arg-type]
+    guess = longer(DOUBLE.replace(inertia=5e-4, friction=3e-4), length)
+    motion = arm_swings(0.7 * clock, 0.4 * clock, "minimum-jerk")
+    return identify(
+        recording, guess, SCALED, motion=motion, arm=Arm(length=0.1 * arm), intervals=None, **measured, **exact
+    )
+
+
+def off(found: Identification) -> float:
+    """Return how many standard deviations masses, inertias and frictions are from the truth, at most."""
+    return max(float(np.max(np.abs(found.values[k] - getattr(DOUBLE, k)) / found.std[k])) for k in SCALED)
+
+
+def test_the_scale_of_the_torque_is_in_the_deviations_of_values_alone() -> None:
+    found, exact = driven(scale=1.02), driven(scale=1.02, torque_std=0.0, length_std=0.0, clock_std=0.0)
+    assert off(found) < 1.2
+    assert off(exact) > 20.0
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), np.concatenate(list(found.std.values())))
+    whole = driven(scale=1.02, length_std=0.0, clock_std=0.0)
+    np.testing.assert_allclose(whole.std["mass"], np.hypot(exact.std["mass"], 0.02 * whole.values["mass"]), rtol=1e-3)
+    for name, std in exact.ratio_std.items():
+        np.testing.assert_allclose(whole.ratio_std[name], std, rtol=1e-3, atol=1e-12)
+    assert found.settings["torque_std"] == 0.02
+    assert "torque_std" in found.grade.reasons[-1]
+    assert found.summary()["settings"]["torque_std"] == 0.02
+    with pytest.raises(InvalidInput, match="torque_std has the wrong sign"):
+        driven(torque_std=-0.01)
+
+
+@pytest.mark.parametrize(
+    ("length", "arm", "clock"),
+    [(0.99, 1.01, 1.0), (1.01, 1.01, 1.0), (0.99, 0.99, 1.0), (1.0, 0.99, 1.0), (1.0, 1.0, 1.005)],
+)
+def test_lengths_arm_and_clock_that_err_as_declared_are_in_the_deviations_of_masses(
+    length: float, arm: float, clock: float
+) -> None:
+    """With all lengths 1 % off mass[1] was 5.3 deviations off: an arm's length had none, and a clock no torque."""
+    found = driven(length=length, arm=arm, clock=clock, torque_std=0.0)
+    assert found.grade.name == "usable"
+    assert off(found) < 2.0
+    assert (found.std["mass"] < 0.03 * DOUBLE.mass).all()  # not by saying that nothing is known
 
 
 def test_gaps_in_the_torque_and_a_held_out_part() -> None:

@@ -63,7 +63,7 @@ NAMED = {  # what the first line must name
     "double: angles x 1.1, default": "angles multiplied by 0.91",
     "markers: the last two swapped from the middle on": "markers 1 and 2 are swapped from t = 3 to",
     "driven: arm's length x 1.2": "the arm were 0.1 m long",
-    "driven: stamps 100 ms late": "the motion were 0.1 s late",
+    "driven: stamps 100 ms late": "0.1 s",
 }
 FIT = (
     "as it is",

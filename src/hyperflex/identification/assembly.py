@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.identification.diagnosis.grade import MASSES, Findings, grade
+from hyperflex.identification.diagnosis.grade import LOOSE, MASSES, Findings, grade
 from hyperflex.identification.diagnosis.model_error import law_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.diagnosis.tolerances import moves_alike
 from hyperflex.identification.diagnosis.window_tests import Scatter
-from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, alone
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.result import Identification
@@ -21,7 +21,6 @@ from hyperflex.identification.uncertainty.covariance import Basis, Interval, of_
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.identification.verdict import (
-    HALF,
     consistent,
     hardly_known,
     held_words,
@@ -54,8 +53,7 @@ def assemble_result(
     plant, information, found, windows = basis.plant, basis.information, basis.fit, basis.windows
     parameters = plant.parameters
     x = parameters.rounded(found.x)
-    rope, slopes = parameters.rope(x), parameters.derivatives(x)
-    residuals, torque = _residuals(basis)
+    rope, slopes, (residuals, torque) = parameters.rope(x), parameters.derivatives(x), _residuals(basis)
     known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     moves = ratio_spread(parameters, information, model=True)
     covariance, by_length = information.covariances(slopes)
@@ -70,6 +68,7 @@ def assemble_result(
         warnings[0],
         *verdict(parameters, information, ratio_std),
         *warnings[1:],
+        alone(settings.get("starts", 1), settings.get("starts_agree", 1)),
         not_noise(information.correlation, information.whiteness),
         noise_not_modelled(information.agrees, information.freedom),
         too_large(information.variance, information.freedom) if declared else "",
@@ -117,13 +116,15 @@ def _findings(basis: Basis, rope: Rope, tests: Sequence[ScoreTest], settings: di
     parameters, information = basis.plant.parameters, basis.information
     known, std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
+    loose, free = _loose(known, std)
     return Findings(
         rope,
         identifiable=information.unknown.shape[1] == 0,
         tests=tests,
         held=basis.plant.motor is None,
         laws=law_error(basis, tests),
-        hardly=_hardly(basis, known, std),
+        hardly=[*hardly_known(parameters, information), *loose],
+        unknown=0 < free == len(loose),
         moved=_moved(known, ratio_spread(parameters, basis.as_declared.information, model=True)),
         turned=parameters.single("gravity_angle", basis.fit.x),
         left_out=missing / (missing + settings["windows"]),
@@ -137,13 +138,17 @@ def _moved(ratios: dict[str, Array], moves: dict[str, Array]) -> float:
     return float(np.nanmax(np.concatenate(parts), initial=0.0)) if parts else 0.0
 
 
-def _hardly(basis: Basis, ratios: dict[str, Array], ratio_std: dict[str, Array]) -> list[str]:
-    """Return the labels of values and of ratios of moments and inertias known to half of themselves only, or worse."""
-    said = hardly_known(basis.plant.parameters, basis.information)
+def _loose(ratios: dict[str, Array], spreads: dict[str, Array]) -> tuple[list[str], int]:
+    """Return the labels of ratios of moments and inertias known to LOOSE of themselves only, and how many are free.
+
+    Those that cannot be known at all are told elsewhere, and do not count.
+    """
+    said, free = [], 0
     for name in MASSES:
-        pairs = zip(ratios.get(name, []), ratio_std.get(name, []), strict=True)
-        said += [f"{name}[{k}]" for k, (x, std) in enumerate(pairs) if np.isfinite(std) and std > HALF * abs(x)]
-    return said
+        for k, (x, std) in enumerate(zip(ratios.get(name, []), spreads.get(name, []), strict=True)):
+            free += int(0.0 < std < np.inf)
+            said += [f"{name}[{k}]"] * bool(LOOSE * abs(x) < std < np.inf)
+    return said, free
 
 
 def _residuals(basis: Basis) -> tuple[Array, Array | None]:

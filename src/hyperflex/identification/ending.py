@@ -25,3 +25,13 @@ class Ended:
     def ending(self) -> dict[str, bool | int | str]:
         """Return success, status and message, for JSON and TOML."""
         return {"success": self.success, "status": self.status, "message": self.message}
+
+
+def alone(starts: int, agree: int) -> str:
+    """Return a warning where of several starts none but the best came to this fit."""
+    if starts == 1 or agree > 1:
+        return ""
+    return (
+        f"Of {starts} starts one alone came to this fit, which may be a local optimum: give a better guess, or shorter "
+        "windows (window=...)."
+    )

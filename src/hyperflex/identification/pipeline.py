@@ -4,7 +4,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
@@ -14,8 +13,8 @@ from hyperflex.identification.assembly import assemble_result, fit_settings
 from hyperflex.identification.diagnosis.declarations import ShortFit, explained, scaled_angles, suspicious
 from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
 from hyperflex.identification.diagnosis.link_test import link_test
-from hyperflex.identification.diagnosis.misdeclared import DECLARED, first_misdeclared
-from hyperflex.identification.diagnosis.model_error import with_model_error
+from hyperflex.identification.diagnosis.misdeclared import DECLARED, explaining, first_misdeclared
+from hyperflex.identification.diagnosis.model_error import DeclaredStds, with_model_error
 from hyperflex.identification.diagnosis.score_tests import SCALES, ScoreTest, score_tests
 from hyperflex.identification.diagnosis.tolerances import with_ratio_sensitivity
 from hyperflex.identification.diagnosis.window_tests import Scatter, drift_test, scatter_test, window_scores
@@ -40,6 +39,7 @@ from hyperflex.recording import Recording
 
 LENGTH_STD = 0.01  # relative: what rulers and pictures measure lengths to
 CLOCK_STD = 0.005  # relative, of times: parts of IBM 06 and 16 fit to a gravity of 1.00 +- 0.01, twice that
+TORQUE_STD = 0.02  # relative: a good calibration of a motor's torque constant, or of a torque sensor on its shaft
 TIME_BUDGET = 1800.0  # s of processor time, where no time budget is given
 
 
@@ -60,6 +60,7 @@ def identify(
     torque_noise: npt.ArrayLike | None = None,
     length_std: float = LENGTH_STD,
     clock_std: float = CLOCK_STD,
+    torque_std: float = TORQUE_STD,
     loss: LossName = "squares",
     lead: float = 0.5,
     ahead: float = 1.0,
@@ -108,11 +109,14 @@ def identify(
         Its standard deviation; needed with `torque`, beside the noise of the recording.
     length_std : float
         Relative standard deviation of the lengths that were declared, of one factor of all, as a ruler or the scale of
-        a picture has. Standard deviations and intervals hold what it would change, as far as the motion does not tell
-        the lengths themselves; 0: lengths are exact.
+        a picture has, and of the arm's length. Standard deviations and intervals hold what it would change, as far as
+        the motion does not tell the lengths themselves; 0: lengths are exact.
     clock_std : float
         The same of the times, of one factor of all: a clock or frame rate. What lengths and times that are off
         together would change, no motion tells, and standard deviations hold it; 0: times are exact.
+    torque_std : float
+        The same of `torque`, of one factor of all samples, as a torque constant has. No motion tells it, and masses,
+        inertias and frictions go with it; ratios do not. 0: torques are exact.
     loss : {"squares", "huber", "cauchy"}
         ``huber`` and ``cauchy`` are robust; ``cauchy`` also against gross outliers.
     lead, ahead : float, s
@@ -163,8 +167,8 @@ def identify(
         checks.number("time_budget", time_budget, sign="positive", unit="s", infinite=True)
     if window is not None:
         checks.number("window", window, sign="positive", infinite=True)
-    checks.number("length_std", length_std, sign="nonnegative")
-    checks.number("clock_std", clock_std, sign="nonnegative")
+    stds = {"length_std": length_std, "clock_std": clock_std, "torque_std": torque_std}
+    declared = DeclaredStds(*(checks.number(name, each, sign="nonnegative") for name, each in stds.items()))
     refuse_half_a_drive(motion, arm, torque)
     measured, places = checked_measurements(recording, rope_guess, arc_lengths, origin, motion, arm)
     fitted, rest = split(measured, train, lead, ahead)
@@ -183,8 +187,7 @@ def identify(
             motion=motion,
             arm=arm,
             torque=torque is not None,
-            length_std=length_std,
-            clock_std=clock_std,
+            declared=declared,
             window=window,
             loss=Loss(loss),
             lead=lead,
@@ -216,8 +219,7 @@ class _Problem:
     motion: Motion | None
     arm: Arm | None
     torque: bool
-    length_std: float
-    clock_std: float
+    declared: DeclaredStds
     window: float | None
     loss: Loss
     lead: float
@@ -258,7 +260,7 @@ class _Problem:
         basis = Basis(plant, windows, found, fit_information(plant, windows, found))
         with caught() as stop:  # what was fitted is worth more than its tests
             if found.converged and not found.interrupted:
-                tests = score_tests(basis, float(np.hypot(self.length_std, 2.0 * self.clock_std)))
+                tests = score_tests(basis, self.declared.gravity, angles=self.recording.kind == "angles")
                 scores = window_scores(basis)
                 tests = tuple(sorted((*tests, *drift_test(basis, scores)), key=lambda each: -each.gain))
         found.interrupted = found.interrupted or stop.met
@@ -282,7 +284,7 @@ class _Problem:
         return trial._replace(basis=basis, tests=tests, scatter=scatter)
 
     def _with_model_error(self, trial: Trial, tests: Sequence[ScoreTest], scatter: Array | None = None) -> Basis:
-        return with_model_error(trial.basis, tests, self.length_std, self.clock_std, scatter)
+        return with_model_error(trial.basis, tests, self.declared, scatter)
 
     def complete(self, trial: Trial, intervals: How | None, remark: str, began: float) -> Identification:
         """Return a fit as a result, with intervals, predictions of what was held out, and a grade."""
@@ -300,9 +302,9 @@ class _Problem:
         settings = trial.settings | {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
         settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
         settings |= fit_settings(basis.plant, trial.free, self.loss.name, self.origin)
-        tested = any(each.name == SCALES for each in tests)
-        settings["length_std"] = self.length_std if tested else 0.0  # else nothing counts the lengths
-        settings["clock_std"] = self.clock_std if tested else 0.0
+        tested = any(each.name == SCALES for each in tests)  # else nothing counts what was declared
+        counted = {f"{name}_std": std * tested for name, std in self.declared._asdict().items()}
+        settings |= {name: std for name, std in counted.items() if self.torque or name != "torque_std"}
         settings["noise"] = "not declared" if self.recording.noise is None else "declared"
         with caught() as stop:
             with deferred():
@@ -317,15 +319,15 @@ class _Problem:
     def _doubted(self, result: Identification, trial: Trial) -> Identification:
         """Return a result with what looks wrong in what was declared of the recording, as far as short fits tell."""
         short = ShortFit(self.guess, trial.free, self.arc_lengths, self.origin, self.motion, self.arm, self.loss)
-        if result.grade.name != "do not use":
-            result = result.with_reason(scaled_angles(self.recording, short))
         first = first_misdeclared(trial.tests)
+        result = result.with_reason(said := scaled_angles(self.recording, short))
         wrong = result.grade.doubtful or suspicious(self.fitted.shape)
         wrong = wrong or any(each.suspected and each.name in DECLARED for each in trial.tests)
         to_noise = self.recording.noise is not None and trial.basis.information.variance <= 1.0
-        if wrong and not to_noise:  # which no slip explains better
-            named = "" if first is None else first.name
-            result = result.with_reason(explained(self.recording, self.origin, short, named=named))
+        if wrong and not to_noise and not said:  # which no slip explains better
+            cause = first or explaining(trial.tests)
+            named, gain = ("", 0.0) if cause is None else (cause.name, cause.gain)
+            result = result.with_reason(explained(self.recording, self.origin, short, named=named, gain=gain))
         if self.arc_lengths is not None:
             return result
         result = result.with_suspicion(other_lengths(self.recording, self.guess))

@@ -1,8 +1,9 @@
 """Prediction of the held-out part of a recording, with its standard deviation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.identification.fit.loss import Loss
@@ -13,6 +14,7 @@ from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.uncertainty.covariance import Basis
 
 BAND = 1.96  # standard deviations on either side that hold 95 %
+WIDE = 0.2  # part of what keeping still would err by: where the band of a prediction is wider, chaos has begun
 TINY = 1e-9  # rad or m, the least noise that samples are weighed by
 
 
@@ -55,7 +57,7 @@ class HeldOut:
     @property
     def persistence(self) -> float:
         """Error of predicting that all stays as it was when the prediction began, rms over all values, rad or m."""
-        began = np.searchsorted(self.starts, self.t, side="left") - 1
+        began = self._began
         off = np.full_like(self.measured, np.nan)
         for k in range(self.starts.size):
             piece = self.measured[began == k]
@@ -65,6 +67,23 @@ class HeldOut:
                     off[began == k, c] = column - known[0]
         known = off[~np.isnan(off)]
         return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+
+    @property
+    def _began(self) -> npt.NDArray[np.intp]:
+        """Which prediction each sample (m,) belongs to."""
+        return np.searchsorted(self.starts, self.t, side="left") - 1
+
+    @property
+    def foreseeable(self) -> "HeldOut":
+        """The same without what lies, in each prediction, behind the first value whose band is WIDE.
+
+        In a chaotic motion the errors of state and parameters grow there as fast as those that a wrong model makes.
+        """
+        wide = np.where(np.isnan(self.std), 0.0, BAND * self.std).max(axis=1) > WIDE * self.persistence
+        keep = ~np.concatenate([np.logical_or.accumulate(wide[self._began == k]) for k in range(self.starts.size)])
+        seen, predicted = self.measured[keep], self.predicted[keep]
+        rms = _rms(predicted - seen)
+        return replace(self, rms=rms, t=self.t[keep], measured=seen, predicted=predicted, std=self.std[keep])
 
     @property
     def failed(self) -> Array:

@@ -36,8 +36,9 @@ class Identification(Ended):
         (p_i = m_i a_i + l_i m_beyond, J_i = inertia_i + m_i a_i^2 + l_i^2 m_beyond; p1 is that of link 0).
     model_std, ratio_model_std : dict of str to ndarray
         The part of `std` and `ratio_std` that errors of the model have: what the values would move by if laws of the
-        joints and of the air that were left out, and that the data ask for, were in, lengths were off by `length_std`,
-        and links finer where they are too long. The rest is of noise.
+        joints and of the air that were left out, and that the data ask for, were in, lengths, times and torques were
+        off by `length_std`, `clock_std` and `torque_std`, and links finer where they are too long. The rest is of
+        noise.
     intervals : dict of str to Interval
         95 %, of each of `parameters` and of each link's ratios (``J/p1[0]``). Empty where none were asked for.
     grade : Grade

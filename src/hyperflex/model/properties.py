@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 from hyperflex.checks import Sign
 
-Owner = Literal["link", "rope", "motion", "camera", "marker", "arm"]
+Owner = Literal["link", "rope", "motion", "camera", "marker", "encoder", "arm"]
 Form = Literal["log", "linear", "nonnegative"]
 Cut = Literal["shared", "alike", "joint", "bending", "limit", "stays"]
 
@@ -33,7 +33,7 @@ class Property:
         candidate models.
     owner : str
         Whose it is: of each ``link`` (or of its joint), of the whole ``rope``, of the ``motion``, the ``camera``, each
-        ``marker`` or the ``arm``.
+        ``marker``, the ``encoder`` of the angles or the ``arm``.
     sign : str
         What values are allowed, see :mod:`hyperflex.checks`.
     default : float or None
@@ -95,8 +95,11 @@ _TABLE = (
     Property("origin_x", "origin of the motion as the camera sees it, x", "m", owner="camera", form="linear"),
     Property("origin_y", "origin of the motion as the camera sees it, y", "m", owner="camera", form="linear"),
     Property("arc", "place along the rope", "m", owner="marker", form="linear"),
+    Property("angle_factor", "angles as read over angles", "1", owner="encoder", sign="positive", form=None),
     Property("arm_inertia", "moment of inertia of arm and rotor", "kg m^2", owner="arm"),
     Property("arm_friction", "viscous friction of the shaft", "N m s/rad", owner="arm"),
+    Property("torque_factor", "torque as measured over torque", "1", owner="arm", sign="positive", form=None),
+    Property("arm_length", "length of the arm over what was declared", "1", owner="motion", sign="positive", form=None),
 )
 PROPERTIES = {each.name: each for each in _TABLE}
 LINK_PROPERTIES = tuple(each for each in _TABLE if each.owner == "link")

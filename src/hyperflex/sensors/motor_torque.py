@@ -28,16 +28,20 @@ class MotorTorque:
     Parameters
     ----------
     arm : Arm
-        Its values, (2,), are inertia, kg m^2, and viscous friction, N m s/rad.
+    factor : float
+        Torque as measured over torque: 1 where it is measured as it is.
+
+    Its values, (3,), are the arm's inertia, kg m^2, and viscous friction, N m s/rad, and `factor`.
     """
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Arm, factor: float = 1.0) -> None:
         self.arm = arm
-        self.values = np.array([arm.inertia, arm.friction])
+        self.values = np.array([arm.inertia, arm.friction, checks.number("factor", factor, sign="positive")])
 
     def with_values(self, values: Array) -> "MotorTorque":
-        """Return the same sensor with another inertia and friction (2,)."""
-        return MotorTorque(replace(self.arm, inertia=float(values[0]), friction=float(values[1])))
+        """Return the same sensor with other values (3,)."""
+        inertia, friction, factor = (float(each) for each in values)
+        return MotorTorque(replace(self.arm, inertia=inertia, friction=friction), factor)
 
     def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
         """Return the torque in one state, y (1,), with derivatives; see :class:`Sensor`.
@@ -89,13 +93,15 @@ class MotorTorque:
         return result
 
     def value_jacobian(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
-        """Return its derivatives (m, 2) with respect to the arm's inertia and friction."""
+        """Return its derivatives (m, 3) with respect to its values."""
         seen = self._seen(chain, drive, t, y, np.ones((t.size, chain.length.size)))
-        return np.stack([seen[:, 3], seen[:, 2]], axis=1)
+        factor = self.values[2]
+        return np.stack([factor * seen[:, 3], factor * seen[:, 2], self.predict(chain, drive, t, y) / factor], axis=1)
 
     def _torque(self, chain: Chain, drive: Drive, t: Array, y: Array, slip: Array) -> Array:
         rope, angle, rate, acceleration = self._seen(chain, drive, t, y, slip).T
-        return np.asarray(rope + self.arm.shaft_torque(np.array([chain.gx, chain.gy]), angle, rate, acceleration))
+        shaft = self.arm.shaft_torque(np.array([chain.gx, chain.gy]), angle, rate, acceleration)
+        return np.asarray(self.values[2] * (rope + shaft))
 
     @staticmethod
     def _slip(chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
@@ -116,8 +122,7 @@ def _moved(chain: Chain, part: ParameterChange, step: float) -> Chain:
     for name, change in part.items():
         if name == "gravity":
             changes |= {"gx": chain.gx + step * float(change[0]), "gy": chain.gy + step * float(change[1])}
-        elif name in PROPERTIES:
-            field = PROPERTIES[name].field
+        elif name in PROPERTIES and (field := PROPERTIES[name].field):
             changes[field] = getattr(chain, field) + step * (
                 change if PROPERTIES[name] in LINK_PROPERTIES else float(change[0])
             )
@@ -125,6 +130,9 @@ def _moved(chain: Chain, part: ParameterChange, step: float) -> Chain:
 
 
 def _shifted(drive: Drive, part: ParameterChange, step: float) -> Drive:
-    """Return the drive with its breaks and pieces changed by `step` times as much as `part` says."""
-    changes = {name: getattr(drive, name) + step * part[name] for name in ("breaks", "coef") if name in part}
-    return read_only(drive._replace(**changes))
+    """Return the drive with its breaks, pieces and arm changed by `step` times as much as `part` says."""
+    names = ("breaks", "coef")
+    changes: dict[str, object] = {name: getattr(drive, name) + step * part[name] for name in names if name in part}
+    if "arm_length" in part:
+        changes["arm_length"] = drive.arm_length + step * float(part["arm_length"][0])
+    return read_only(drive._replace(**changes))  # type: ignore[arg-type]

@@ -53,16 +53,22 @@ class PostureSensor(ABC):
 
 
 class Angles(PostureSensor):
-    """Absolute link angles, rad."""
+    """Absolute link angles, rad, times `factor`: 1 where they are read as they are."""
+
+    def __init__(self, factor: float = 1.0) -> None:
+        self.values = np.array([checks.number("factor", factor, sign="positive")])
+
+    def with_values(self, values: Array) -> "Angles":
+        return Angles(float(values[0]))
 
     def predict(self, rope: Rope, q: Array, pivot: Array) -> Array:
-        return q
+        return float(self.values[0]) * q
 
     def jacobian(self, rope: Rope, q: Array, dq: Array, dpivot: Array, dlength: Array) -> Array:
-        return dq
+        return float(self.values[0]) * dq
 
     def value_jacobian(self, rope: Rope, q: Array) -> Array:
-        return np.zeros((*q.shape, 0))
+        return q[:, :, None]
 
 
 class Markers(PostureSensor):

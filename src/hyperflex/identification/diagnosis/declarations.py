@@ -13,7 +13,7 @@ from hyperflex.identification.fit.multiple_shooting import HARDLY, fit
 from hyperflex.identification.fit.stages import Measurements, search_delay, with_delay
 from hyperflex.identification.fit.windows import decimation_step, part_left, usual_length, with_enough_frames
 from hyperflex.identification.model.parameters import lumped
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model.plant import ANGLES, Plant
 from hyperflex.identification.problem import build_plant, checked_measurements
 from hyperflex.model import FREE_PROPERTIES, Arm, Rope
 from hyperflex.motion import Motion
@@ -28,6 +28,7 @@ SMALL, LARGE = 0.06, 2.0  # rad: half a turn read as degrees, and degrees read a
 TURNS = 0.7  # rad: six turns read as degrees, the farthest that a free double pendulum was seen to wind up (IBM 16)
 GAIN, LEAST_GAIN = 0.3, 0.005  # logarithms of factors of angles, or of the arm's length: tried, and told
 AS_GOOD = 1.1  # times the residual of another explanation: one that leaves no more explains as well
+SPRING = 1.25  # the same of a spring's: a real pendulum read 10 % too large left 1.16, a double one with springs 1.5
 RIGHT_ANGLE = 10.0  # degrees by which a gravity may miss one that was turned by 90
 ZERO = 0.09  # rad, 5 degrees: between what is no slip and the 10 degrees that were tried
 STRAIGHT, LEAST_SCALE = 0.95, 0.02  # quantile of distances that is a straight rope's; part by which scales may be off
@@ -154,17 +155,19 @@ def scaled_angles(recording: Recording, left: ShortFit) -> str:
         return ""
     plain = replace(left, free=words)
 
-    def part(factor: float) -> float:
-        noise = None if recording.noise is None else recording.noise * factor
-        return plain(replace(recording, data=recording.data * factor, noise=noise, rates=None))[0]
-
-    least, factor = _best_factor(part)
-    if abs(np.log(factor)) < LEAST_GAIN or least > AS_GOOD * left(recording)[0]:
+    least, factor = _best_factor(lambda factor: plain(_multiplied(recording, factor))[0])
+    if abs(np.log(factor)) < LEAST_GAIN or least > SPRING * left(recording)[0]:
         return ""
     return (
         f"stiffness was freed, but angles multiplied by {factor:.3g} explain the recording as well without any: check "
         "what an angle of the sensor is in radians, or name what is free."
     )
+
+
+def _multiplied(recording: Recording, factor: float) -> Recording:
+    """Return a recording of angles with all of them multiplied by a factor."""
+    noise = None if recording.noise is None else recording.noise * factor
+    return replace(recording, data=recording.data * factor, noise=noise, rates=None)
 
 
 def _best_factor(part: Callable[[float], float]) -> tuple[float, float]:
@@ -178,19 +181,23 @@ def _best_factor(part: Callable[[float], float]) -> tuple[float, float]:
     return float(found.fun), float(np.exp(found.x))
 
 
-def explained(recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit, *, named: str) -> str:
+def explained(
+    recording: Recording, pivot: npt.ArrayLike | None, left: ShortFit, *, named: str, gain: float = 0.0
+) -> str:
     """Return in words the slip that explains a fit that is not good, or nothing.
 
     A slip is named if it leaves half of what the recording as declared leaves at most, and that is little. A wrong
     clock or scale and a camera that is not level come before a slip that explains less, and beside one that explains as
-    much; the zero of one link comes where nothing else explains. What score tests have `named` already has to leave
-    twice as much when it is free.
+    much; the zero of one link comes where nothing else explains. What score tests have `named` already, with a
+    `gain` of the sum of squares, has to leave twice as much.
     """
     declared, _ = left(recording)
     skewed, (scale, angle) = left(recording, SKEWED)
     most = declared
-    if named.partition(":")[0] in FREE_PROPERTIES and named not in SKEWED:
+    if named.partition(":")[0] in FREE_PROPERTIES and named not in (*SKEWED, "delay"):
         most = min(most, left(recording, (named,))[0])
+    if named in (ANGLES, "delay"):  # a short fit does not free the one, and takes the other from a grid
+        most = min(most, declared * float(np.sqrt(1.0 - gain)))
     tried = [(left(other)[0], words) for words, other in (*slips(recording, pivot), *_rescaled(recording, left))]
     tried += _driven(recording, left)
     least, words = min(tried, default=(np.inf, ""))

@@ -7,6 +7,7 @@ import numpy as np
 
 from hyperflex.identification.diagnosis.score_tests import EQUAL, FEW_LINKS, LAWS, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter, WindowScores
+from hyperflex.identification.model.plant import ANGLES
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.interruption import caught
 from hyperflex.model import Rope
@@ -47,8 +48,8 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
     trial, why = fit(first_choice(guess)), []
     usual = ", ".join(trial.free)
     for _ in range(MOST):
-        drift = max((each.gain for each in trial.tests if each.name == DRIFT and each.believed), default=0.0)
-        asked = [each for each in trial.tests if _asked(each) and each.gain > drift + EQUAL]
+        slips = [each.gain for each in trial.tests if each.believed and each.name in (DRIFT, ANGLES)]
+        asked = [each for each in trial.tests if _asked(each) and each.gain > max(slips, default=0.0) + EQUAL]
         if not asked or not trial.basis.fit.converged or trial.basis.fit.interrupted:
             break
         equals = [each for each in asked if each.gain > asked[0].gain - EQUAL]

@@ -7,7 +7,15 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hyperflex.identification.diagnosis.link_test import LINKS
-from hyperflex.identification.diagnosis.misdeclared import misdeclared, percent, slightly, undetectable, untested
+from hyperflex.identification.diagnosis.misdeclared import (
+    explaining,
+    misdeclared,
+    percent,
+    seems,
+    slightly,
+    undetectable,
+    untested,
+)
 from hyperflex.identification.diagnosis.score_tests import EXPLAINS, MOVES, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.excitation import unlike_lengths
@@ -38,9 +46,14 @@ COMMON = (
 )
 BY_TORQUE = (
     "masses, inertias and frictions are in proportion to the torque as it was measured: one 1 % too large makes them 1 "
-    "% too large. Check its scale with a known weight."
+    "% too large. Standard deviations hold torque_std: check its scale with a known weight."
 )
 COMPARE = "Look whether another model predicts better (compare_models), and check what was declared."
+LOOSE = 0.3  # part of a ratio: with a standard deviation beyond, it is hardly known, and an interval may hold 0
+NOTHING = (
+    "no ratio of moments and inertias is known better than to {:g} % of itself. Record longer or larger swings, or "
+    "more frames a second."
+)
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
 
 
@@ -99,7 +112,9 @@ class Findings:
     laws : (float, str)
         By what part of its value friction may change if another law is free too, and which.
     hardly : sequence of str
-        What is known to half of its value only, or worse.
+        What is hardly known: values to half of themselves only, or worse, and ratios to LOOSE of themselves.
+    unknown : bool
+        Whether that are all ratios of moments and inertias that are free.
     moved : float
         By what part the model's error may move ratios of moments and inertias.
     turned : float
@@ -120,6 +135,7 @@ class Findings:
     held: bool = False
     laws: tuple[float, str] = (0.0, "")
     hardly: Sequence[str] = ()
+    unknown: bool = False
     moved: float = 0.0
     turned: float = 0.0
     left_out: float = 0.0
@@ -145,8 +161,18 @@ def _wrong(found: Findings) -> list[str]:
     """Return why a result is not to be used."""
     odd = _odd(found)
     links, _ = _finer(found.tests, odd=bool(odd))
-    wrong = [*_impossible(found.rope), *links, *misdeclared(found.tests), *_far(found.rope), *odd]
+    cause = _cause(found)
+    wrong = [*_impossible(found.rope), *links, *misdeclared(found.tests), *([seems(cause)] if cause else [])]
+    wrong += [*_far(found.rope), *odd, *[NOTHING.format(100.0 * LOOSE)] * found.unknown]
     return [*_unlike(found.rope), *wrong] if wrong else []
+
+
+def _cause(found: Findings) -> ScoreTest | None:
+    """Return what explains most of an odd fit, where nothing else is said to be wrong."""
+    odd = _odd(found)
+    links, _ = _finer(found.tests, odd=bool(odd))
+    said = [*_impossible(found.rope), *links, *misdeclared(found.tests)]
+    return explaining(found.tests) if odd and not said else None
 
 
 def _suspicions(found: Findings, *, wrong: bool) -> list[str]:
@@ -155,9 +181,11 @@ def _suspicions(found: Findings, *, wrong: bool) -> list[str]:
     _, differ = _disagreeing(found.scatter)
     suspicion = [found.noise] if found.noise else []
     suspicion += [] if wrong else _unlike(found.rope)
-    suspicion += [*coarse, *_turned(found.turned), *slightly(found.tests), *differ, *untested(found.tests)]
+    suspicion += [*coarse, *_turned(found.turned), *slightly(found.tests, _cause(found))]
+    suspicion += [*differ, *untested(found.tests)]
     if found.hardly:
-        rest = "" if wrong else ", all else is" if found.identifiable else ", all other ratios are"
+        others = "all else is known better" if found.identifiable else "all other ratios are known better"
+        rest = "" if wrong else f"; {others}"
         words = f"{_not_known(found.hardly)}{rest}. Record longer or larger swings, or hold what you know otherwise."
         suspicion.append(Sentence(words, About.NOT_KNOWN))
     return suspicion
@@ -207,7 +235,8 @@ def _far(rope: Rope) -> list[str]:
 def _not_known(hardly: Sequence[str]) -> str:
     names = ", ".join(hardly[:NAMED]) + (f" and {len(hardly) - NAMED} more" if len(hardly) > NAMED else "")
     return (
-        f"{names} {'is' if len(hardly) == 1 else 'are'} not known (the standard deviation is half of the value or more)"
+        f"{names} {'is' if len(hardly) == 1 else 'are'} hardly known (the standard deviation is {100.0 * LOOSE:g} % of "
+        "the value or more)"
     )
 
 
@@ -222,6 +251,7 @@ def _mispredicted(held_out: HeldOut | None) -> list[str]:
             f"{failed} (from t = {starts} s): the identified rope cannot be simulated there. Look at the held-out part"
         )
         return [f"{words}, or leave it out (train=inf)."]
+    held_out = held_out.foreseeable
     error = float(np.sqrt(np.mean(held_out.rms**2)))
     still = held_out.persistence
     words = ""

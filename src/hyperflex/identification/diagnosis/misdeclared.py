@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import EQUAL, SCALES, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, SCALES, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import DRIFT
+from hyperflex.identification.model.plant import ANGLES
 from hyperflex.identification.sentences import About, Sentence
 
 UNTESTED = 0.05  # standard deviation of gravity's factor: any ruler measures lengths better
@@ -18,7 +19,7 @@ TOLD = (
     "arm_inertia",
     "arm_friction",
 )  # believed, these are told with their value even where they hardly matter
-DECLARED = ("gravity_scale", "gravity_angle", "delay")  # what stands for a recording that is not as declared
+DECLARED = ("gravity_scale", "gravity_angle", "delay", ANGLES)  # what stands for a recording that is not as declared
 UNDETECTABLE_CLOCK = (
     "If they are wrong by more than clock_std, moments and inertias are as well (a clock 1 % off makes J/p1 2 % off): "
     "check the frame rate."
@@ -33,13 +34,24 @@ CHECK = {
     "gravity_scale": "check the frame rate, and one length",
     "gravity_angle": "level the camera, or put it into free",
     "delay": "put it into free",
+    ANGLES: "check what an angle of the sensor is in radians",
 }
-MEANT = {"gravity_scale": "times or lengths", "gravity_angle": "the zero of the angles", "delay": "the motion"}
+MEANT = {
+    "gravity_scale": "times or lengths",
+    "gravity_angle": "the zero of the angles",
+    "delay": "the motion",
+    ANGLES: "the angles' scale",
+}
 
 
 def first_misdeclared(tests: Sequence[ScoreTest]) -> ScoreTest | None:
     """Return what was declared or held, does not fit and matters, and explains most; None where all fits."""
     return next((each for each in tests if each.believed and each.matters), None)
+
+
+def explaining(tests: Sequence[ScoreTest]) -> ScoreTest | None:
+    """Return what explains most of a fit that is poor, though its ratios are not known well enough to move beyond."""
+    return next((each for each in tests if each.believed and each.name in TOLD and each.gain > EXPLAINS), None)
 
 
 def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
@@ -52,7 +64,7 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
     if first.freed_with:
         part += f" that is left with {' and '.join(repr(name) for name in first.freed_with)} free"
     value = float(first.values[0])
-    names = " or ".join(f"'{name}'" for name in equals if name not in DECLARED)
+    alike = "".join(f", or with {words}" for words in _alike(first, tests))
     if first.name == "gravity_scale":
         clock = float(np.sqrt(value))
         said = (
@@ -65,25 +77,52 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
             f"the zero of the angles is off by {np.degrees(value):.3g} degrees: without that, {part} go away. Check "
             "the zero, level the camera, or put 'gravity_angle' into free."
         )
+    elif first.name == ANGLES:
+        said = (
+            f"angles are not as declared: {part} go away with angles multiplied by {1.0 / value:.3g}{alike}. Check "
+            "what an angle of the sensor is in radians."
+        )
     elif first.name == DRIFT:
         said = (
             f"the clock drifts, or something changes over the recording: {part} go away if times run "
-            f"{percent(0.5 * abs(value))} {'slower' if value < 0.0 else 'faster'} at its end than at its beginning. "
-            "Check the time stamps, or fit parts of the recording on their own."
+            f"{percent(0.5 * abs(value))} {'slower' if value < 0.0 else 'faster'} at its end than at its beginning"
+            f"{alike}. Check the time stamps, or fit parts of the recording on their own."
         )
     elif first.name == "delay":
         said = f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free."
     else:
+        names = " or ".join(f"'{name}'" for name in equals if name not in (*DECLARED, DRIFT))
         said = (
-            f"what is held does not fit: with {names} free, {part} go away, and ratios move by up to "
+            f"what is held does not fit: with {names} free{alike}, {part} go away, and ratios move by up to "
             f"{percent(first.moved)}. Put it into free."
         )
     return [said]
 
 
-def slightly(tests: Sequence[ScoreTest]) -> list[str]:
-    """Return what seems declared wrongly, but so little that ratios hardly move or something else may explain it."""
-    said = _lengths(tests)
+def _alike(first: ScoreTest, tests: Sequence[ScoreTest]) -> list[str]:
+    """Return what explains as much as `first`, in words.
+
+    Angles read too large act like a spring, and while a swing dies out like a clock that drifts.
+    """
+    said = []
+    for each in tests:
+        if not each.believed or each.name == first.name or each.gain <= first.gain - EQUAL:
+            continue
+        if each.name == ANGLES:
+            said.append(f"angles multiplied by {1.0 / each.values[0]:.3g}")
+        elif each.name == DRIFT:
+            said.append(f"a clock that drifts by {percent(0.5 * abs(float(each.values[0])))}")
+        elif each.name.partition(":")[0] == "stiffness" and first.name in (ANGLES, DRIFT):
+            said.append(f"'{each.name}' free")
+    return said
+
+
+def slightly(tests: Sequence[ScoreTest], cause: ScoreTest | None = None) -> list[str]:
+    """Return what seems declared wrongly, but so little that ratios hardly move or something else may explain it.
+
+    Of what is told as the `cause` of a poor fit already, see :func:`seems`, nothing.
+    """
+    said, first = _lengths(tests), first_misdeclared(tests)
     for each in tests:
         if each.slight and each.believed:
             names = " and ".join(repr(name) for name in each.freed_with)
@@ -99,31 +138,38 @@ def slightly(tests: Sequence[ScoreTest]) -> list[str]:
                 f"residuals' sum of squares go away, and ratios move by up to {percent(each.moved)}. Standard "
                 f"deviations hold that; {CHECK.get(each.name, 'measure it, or put it into free')}."
             )
-        if each.name == DRIFT and each.refitted and not (each.believed and each.matters):
+        behind = first is not None and first.gain > each.gain  # which it seems to be, or is told of there
+        if each.name == DRIFT and each.refitted and not (each.believed and each.matters) and not behind:
             said.append(
                 f"the clock seems to drift by {percent(0.5 * abs(float(each.values[0])))} over the recording: check "
                 f"the time stamps; ratios would move by up to {percent(each.moved)}. Standard deviations hold that."
             )
-        if not each.believed or each.matters or each.name not in TOLD:
-            continue
-        value, part = float(each.values[0]), f"{100.0 * each.gain:.3g} % of the residuals' sum of squares"
-        what = {
-            "gravity_angle": f"the zero of the angles seems off by {np.degrees(value):.2g} degrees",
-            "delay": f"the motion seems {value:.2g} s off",
-            "arm_inertia": f"the arm's inertia seems to be {value:.2g} kg m^2",
-            "arm_friction": f"the arm's friction seems to be {value:.2g} N m s/rad",
-        }[each.name]
-        said.append(f"{what}: without that, {part} go away. Put '{each.name}' into free.")
+        if each.believed and not each.matters and each.name in TOLD and each is not cause:
+            said.append(seems(each))
     return said
+
+
+def seems(test: ScoreTest) -> str:
+    """Return what one of TOLD seems to be, in words."""
+    value, part = float(test.values[0]), f"{100.0 * test.gain:.3g} % of the residuals' sum of squares"
+    what = {
+        "gravity_angle": f"the zero of the angles seems off by {np.degrees(value):.2g} degrees",
+        "delay": f"the motion seems {value:.2g} s off",
+        "arm_inertia": f"the arm's inertia seems to be {value:.2g} kg m^2",
+        "arm_friction": f"the arm's friction seems to be {value:.2g} N m s/rad",
+    }[test.name]
+    return f"{what}: without that, {part} go away. Put '{test.name}' into free."
 
 
 def _lengths(tests: Sequence[ScoreTest]) -> list[str]:
     """Return that lengths seem off where a drive lets the motion tell them, and no clock seems off."""
-    scales = next((each for each in tests if each.name == SCALES and each.values.size == 2), None)
+    scales = next((each for each in tests if each.name == SCALES and each.values.size > 2), None)
     if scales is None or any(each.believed and each.name == "gravity_scale" for each in tests):
         return []
-    off = abs(float(np.log(np.clip(scales.values[0], 1e-9, 1e9))))
-    if off < max(SHORT, CERTAIN * scales.std):
+    known = scales.information[:2, :2]  # of links' lengths and of gravity, the arm being as long as declared
+    score = scales.information[:2] @ np.log(np.clip(scales.values, 1e-9, 1e9))
+    off, std = abs(float(np.linalg.solve(known, score)[0])), float(np.sqrt(np.linalg.inv(known)[0, 0]))
+    if off < max(SHORT, CERTAIN * std):
         return []
     part = percent(off)
     words = f"lengths seem {part} off, of the links or the arm, unless a law was left out: measure them again. "

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from hyperflex.identification.diagnosis.link_test import LINKS
 from hyperflex.identification.diagnosis.score_tests import LAWS, SCALES, SLIGHT, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 from hyperflex.identification.model.parameters import Parameters, lumped
+from hyperflex.identification.model.plant import scale_words
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 
@@ -18,21 +20,34 @@ CLOCK_POWER = {"N m s/rad": -0.5, "N m": -1.0, "N m/rad": -1.0}  # of gravity's 
 FLOOR = 5e-4  # relative, of a value: no clock, length or weight is known better; 6e-4 was seen of a good pendulum
 
 
+class DeclaredStds(NamedTuple):
+    """Relative standard deviations of what was declared: all lengths, all times, the torque."""
+
+    length: float
+    clock: float
+    torque: float
+
+    @property
+    def gravity(self) -> float:
+        """That of gravity, as lengths and times tell it."""
+        return float(np.hypot(self.length, 2.0 * self.clock))
+
+
 def with_model_error(
-    basis: Basis, tests: Sequence[ScoreTest], length_std: float, clock_std: float, scatter: Array | None = None
+    basis: Basis, tests: Sequence[ScoreTest], declared: DeclaredStds, scatter: Array | None = None
 ) -> Basis:
-    """Return a fit whose information counts what the model leaves out, and errors of lengths and times, beside noise.
+    """Return a fit whose information counts what the model leaves out, and what was declared, beside noise.
 
     Links that are too long, and each resistance that was left out and that the data ask for, would move the parameters
     by their `shift`, and leave them less known: that is taken as a standard deviation, in proportion to how far noise
     does not explain what it gains. Where residuals are white, or much goes away, everything else that was held or
     declared counts as well; where they are not, resistances count the size of :func:`law_error` at least, and no value
-    is taken as known better than FLOOR. All lengths may be off by one factor, and all times by another, see
-    :func:`_scale_error`. `scatter` (P, P) is what windows that disagree show.
+    is taken as known better than FLOOR. All lengths of links may be off by one factor, the arm's by another, all times
+    and all torques as well, see :func:`_scale_error`. `scatter` (P, P) is what windows that disagree show.
     """
     information, x = basis.information, basis.fit.x
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
-    clock = False
+    counted = False
     for each in tests:
         if each.name == SCALES:
             continue
@@ -41,7 +56,7 @@ def with_model_error(
         counts = asked and each.excess_gain > ASKED and not (each.slight and each.freed_with)
         if counts or each.name == LINKS:  # whose excess_gain is a probability
             model += each.excess_gain * (np.outer(each.shift, each.shift) + (each.added if law else 0.0))
-            clock = clock or each.name == "gravity_scale"
+            counted = counted or each.name == "gravity_scale"
     if not white:
         model += np.diag(np.maximum(_law_errors(basis, tests)[0] ** 2 - np.diag(model), 0.0))
         model += np.diag(_floor(basis.plant.parameters, x) ** 2)
@@ -49,36 +64,38 @@ def with_model_error(
         model += scatter
     gravity = next((float(each.values[0]) for each in tests if each.name == "gravity_scale"), 1.0)
     driven = basis.plant.motion is not None
-    told = driven or (not clock and (white or abs(np.log(max(gravity, 1e-9))) > SLIGHT))
-    scales, error = _scale_error(basis, tests, np.array([length_std, 2.0 * clock_std]), told=told)
+    told = driven or (not counted and (white or abs(np.log(max(gravity, 1e-9))) > SLIGHT))
+    std = np.array([declared.length, 2.0 * declared.clock, declared.length, declared.torque])
+    scales, error = _scale_error(basis, tests, std, told=told)
     return replace(basis, information=replace(information, model=model, scales=scales, scale_error=error))
 
 
 def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, told: bool) -> tuple[Array, Array]:
-    """Return how x (P, 2) goes with the logarithms of a factor on all lengths and of one on gravity, and their errors.
+    """Return how x (P, 4) goes with the logarithms of the factors of SCALES, and the covariance (4, 4) of these.
 
-    Known before to `std` (2,), of gravity twice that of a clock. A clock changes frictions by its own factor besides.
-    What the data tell is one combination, as a rule: the posterior covariance (2, 2) keeps the width of `std` where
-    they tell nothing. It is about what was declared: what the data say counts as an error if `told`, of either the
-    lengths or the clock, for a slip is of one. Not where gravity counts already; nor, where residuals of a free swing
-    are not white, within SLIGHT, for a law that was left out makes it seem so. A drive has lengths and times of its
-    own, beside which the data tell those of the rope.
+    Known before to `std` (4,), of gravity twice that of a clock. A clock changes frictions, and torques, by its own
+    factor besides. What the data tell are some combinations, as a rule: the posterior covariance keeps the width of
+    `std` where they tell nothing. It is about what was declared: what the data say counts as an error if `told`, of
+    one of them, for a slip is of one. Not where gravity counts already; nor, where residuals of a free swing are not
+    white, within SLIGHT, for a law that was left out makes it seem so. A drive has lengths and times of its own, beside
+    which the data tell those of the rope.
     """
     parameters, x = basis.plant.parameters, basis.fit.x
-    rate, known, step = np.zeros((x.size, 2)), np.zeros((2, 2)), np.zeros(2)
+    rate, known, step = np.zeros((x.size, std.size)), np.zeros((std.size, std.size)), np.zeros(std.size)
     for each in tests:
         if each.name == SCALES:
-            which = [k for k, name in enumerate(("length", "gravity_scale")) if name not in parameters.names]
-            which = which[: each.rate.shape[1]]
+            which = list(scale_words(basis.plant))[: each.rate.shape[1]]
             rate[:, which], known[np.ix_(which, which)] = each.rate, each.information
             step[which] = np.log(np.clip(each.values, 1e-9, 1e9))  # of what is not told it is any number
     if not rate.any():
-        return rate, np.zeros((2, 2))
+        return rate, known
     for k, free in enumerate(parameters.all):
         power = CLOCK_POWER.get(free.kind.unit, 0.0) if free.name in LAWS and free.law != "taper" else 0.0
         rate[k, 1] += power * free.value(float(x[k])) / free.derivative(float(x[k]))
+    rate[:, 1] -= rate[:, 3]  # where times are multiplied by a, gravity is by 1 / a^2, torque by a^2
+    std = np.where(rate.any(axis=0), std, 0.0)
     prior = np.diag(std**2)
-    error = np.linalg.solve(np.eye(2) + prior @ known, prior)
+    error = np.linalg.solve(np.eye(std.size) + prior @ known, prior)
     moved = error @ known @ step
     share = std**2 / max(float(std @ std), 1e-300)  # of the one cause, the probability
     causes = np.diag(moved**2 / np.where(share > 0.0, share, np.inf))

@@ -9,7 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.multiple_shooting import Fit, fit, linearise
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.plant import Plant, extended
+from hyperflex.identification.model.plant import ANGLES, Plant, extended, scale_words
 from hyperflex.identification.model.scale import Mask
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
@@ -27,8 +27,8 @@ MOVES = 0.01  # relative, of ratios: independent fits of real pendulums differ b
 COVERED = 2.0  # standard deviations: the 95 % intervals reach so far, and hold smaller moves
 TURNED = 0.03  # rad, of gravity: 1.7 degrees, more than a camera is off that was levelled by eye
 FARTHEST = 6.0  # factor of gravity: a frame rate off by two makes it four; beyond, something else is wrong
-LENGTHS = "length:factor"
-SCALES = "length:factor,gravity_scale"  # a factor on all lengths and one on gravity, which a clock makes, together
+MISREAD, SCALED = 2.0, 0.02  # factor of angles: beyond, something else is wrong; its logarithm: encoders are better
+SCALES = "scales"  # factors on the links' lengths, on gravity, which a clock makes, the arm's length and the torque
 HIDING = 2  # refits that are tested again, each with one thing more freed: the triple pendulum needs two, drag and dry
 SLIGHT = 0.01  # relative, of lengths: a ruler errs by so much; the triple pendulum seems 0.0067 off with drag free
 TINY = 1e-8  # part of the largest eigenvalue of scaled information: about the root of rounding
@@ -41,8 +41,9 @@ class ScoreTest:
     Attributes
     ----------
     name : str
-        As in ``free``: ``com``, or ``gravity_scale``, which a wrong clock or wrong lengths move; ``clock_drift``, by
-        which gravity seems to grow over the recording; ``links``, which may be too long.
+        As in ``free``: ``com``, or ``gravity_scale``, which a wrong clock or wrong lengths move; ``angle_factor``, by
+        which angles are read too large; ``clock_drift``, by which gravity seems to grow over the recording; ``links``,
+        which may be too long.
     gain : float
         Part of the residuals' sum of squares that freeing it takes away: by a refit, or to first order.
     values : (k,) float64
@@ -97,15 +98,18 @@ class ScoreTest:
 
     @property
     def possible(self) -> bool:
-        """Whether a recording may be declared so wrongly: no clock is off so far that gravity seems beyond FARTHEST."""
-        return self.name != "gravity_scale" or abs(np.log(max(float(self.values[0]), 1e-9))) <= np.log(FARTHEST)
+        """Whether a recording may be declared so wrongly: gravity up to FARTHEST by the clock, angles up to MISREAD."""
+        farthest = {"gravity_scale": FARTHEST, ANGLES: MISREAD}.get(self.name, np.inf)
+        return farthest == np.inf or abs(np.log(max(float(self.values[0]), 1e-9))) <= np.log(farthest)
 
     @property
     def matters(self) -> bool:
-        """Whether ratios would move by more than is of no account and than noise may move them, or gravity turn."""
+        """Whether ratios would move by more than is of no account and noise may move them, or gravity or angles do."""
         if not self.possible or self.slight or self.expected:
             return False
         if self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED:
+            return True
+        if self.name == ANGLES and abs(np.log(self.values[0])) > SCALED:
             return True
         return self.moved > MOVES and self.beyond > COVERED
 
@@ -147,8 +151,8 @@ class ScoreTest:
         return not np.isnan(self.moved)
 
 
-def score_tests(basis: Basis, declared_std: float = 0.0) -> tuple[ScoreTest, ...]:
-    """Test what a fit has held; the greatest gain comes first.
+def score_tests(basis: Basis, declared_std: float = 0.0, *, angles: bool = False) -> tuple[ScoreTest, ...]:
+    """Test what a fit has held, and `angles` if these were read off a sensor; the greatest gain comes first.
 
     Lengths and times as declared give gravity a relative standard deviation of `declared_std`.
 
@@ -162,7 +166,7 @@ def score_tests(basis: Basis, declared_std: float = 0.0) -> tuple[ScoreTest, ...
     three that explain much are fitted along, in some of the windows. A resistance that explains much, or anything that
     explains most and changes no ratio, may hide what else is wrong: a fit with it free is tested again.
     """
-    found, freed = _refitted_tests(basis), list[str]()
+    found, freed = _refitted_tests(basis, angles=angles), list[str]()
     tests, later, now = found, dict[str, ScoreTest](), basis
     for _ in range(HIDING):
         hiding = next((each.name for each in tests if each.masks), "")
@@ -171,7 +175,7 @@ def score_tests(basis: Basis, declared_std: float = 0.0) -> tuple[ScoreTest, ...
             break
         now = richer
         freed.append(hiding)
-        tests = _refitted_tests(now)
+        tests = _refitted_tests(now, angles=angles)
         for each in tests:
             each = _within(each, basis.fit.x.size, freed)
             if each.believed and (each.matters or each.slight) and each.name.partition(":")[0] not in LAWS:
@@ -189,38 +193,32 @@ def _within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
     return replace(test, freed_with=tuple(freed))
 
 
-def _refitted_tests(basis: Basis) -> list[ScoreTest]:
+def _refitted_tests(basis: Basis, *, angles: bool) -> list[ScoreTest]:
     """Return the tests of a fit, the greatest gain first; those that explain much with what a refit says."""
     found: list[ScoreTest] = []
-    for words in _words(basis.plant):
+    for words in _words(basis.plant, angles=angles):
         found += _tested(basis, words)
-    found += _tested(basis, scale_words(basis.plant), SCALES)
+    found += _tested(basis, list(scale_words(basis.plant).values()), SCALES)
     found.sort(key=lambda each: -each.gain)
     others = [k for k, each in enumerate(found) if each.name != SCALES]
-    turned = [k for k in others[REFITS:] if found[k].name == "gravity_angle"]  # a slip that is easily mended
-    for k in [*others[:REFITS], *turned]:
+    slips = [k for k in others[REFITS:] if found[k].name in ("gravity_angle", ANGLES)]  # that are easily mended
+    for k in [*others[:REFITS], *slips]:
         each = found[k]
         if each.gain > SUSPECT or each.excess_gain > SURE:
             found[k] = _refitted(basis, each)
     return sorted(found, key=lambda each: -each.gain)
 
 
-def _words(plant: Plant) -> list[list[str]]:
+def _words(plant: Plant, *, angles: bool) -> list[list[str]]:
     """Return words for what is held, those that are tested in one linearisation together."""
     rope, names = plant.parameters.guess, {each.name for each in plant.parameters.all}
     many = rope.n_links > FEW_LINKS
-    whole = ["gravity_angle", "gravity_scale"] if np.any(rope.gravity) else []
+    whole = ["gravity_angle", "gravity_scale", *[ANGLES] * angles] if np.any(rope.gravity) else []
     resistances = [each.name + (":shared" if many else "") for each in RESISTANCES if each.name not in names]
     masses = ["tip_mass"] if many else ["mass", "com", "inertia"]
     delay = ["delay"] * (plant.motion is not None) + ["arm_inertia", "arm_friction"] * (plant.motor is not None)
     lengths = [["length"]] if not many and rope.n_links > 1 and names.isdisjoint({"length", "com", "inertia"}) else []
     return [[each for each in [*whole, *delay, *resistances, *masses] if each not in names], *lengths]
-
-
-def scale_words(plant: Plant) -> list[str]:
-    """Return the words of SCALES that are held: with lengths, links that are uniform go along, as they would."""
-    held = {"length": LENGTHS} | ({"gravity_scale": "gravity_scale"} if plant.parameters.guess.gravity.any() else {})
-    return [word for name, word in held.items() if name not in plant.parameters.names]
 
 
 def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[ScoreTest]:

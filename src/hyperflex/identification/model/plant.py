@@ -1,7 +1,7 @@
 """Predicted measurements of a window, with derivatives by state and parameters."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,8 @@ from hyperflex.simulation import (
     rollout_limits,
 )
 
+# Factors that are tested, and cannot be free: of the angles and torque as read, and of the arm's length
+ANGLES, TORQUE, ARM_LENGTH = "angle_factor", "torque_factor", "arm_length"
 PRECISION = 1e-7  # tolerance of a rollout over the rope's length, far below any measured angle's error
 # Steps of a rollout, beyond which it counts as failed: real ropes take some tens a second. A rope whose last
 # link has hardly an inertia turns it at 1e3 rad/s, and a fit that goes there would take minutes.
@@ -41,6 +43,7 @@ class _Evaluation:
     rope: Rope
     chain: Chain
     motion: Motion
+    arm: Arm | None
     drive: Drive
     sensor: PostureSensor
     motor: MotorTorque | None
@@ -93,7 +96,7 @@ class Plant:
         if at is None:
             raise InvalidInput("the parameters describe no rope", got=x)
         rope = divided(at.rope, pieces)
-        return Plant(Parameters(rope, []), at.sensor, None if self.motion is None else at.motion, self.arm)
+        return Plant(Parameters(rope, []), at.sensor, None if self.motion is None else at.motion, at.arm)
 
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         """Return the channels (m, C) at times t (m,) from `state` (2n,) at t[0]; None where the rollout fails."""
@@ -184,7 +187,7 @@ class Plant:
     def _channels(self, at: _Evaluation, t: Array, y: Array) -> Array:
         """Return the channels (m, C) of states y (m, 2n or more)."""
         moved = self.sensor.placed and (self.motion is not None or self.arm is not None)
-        pivot = pivot_places(at.motion, self.arm, t) if moved else np.zeros((t.size, 2))
+        pivot = pivot_places(at.motion, at.arm, t) if moved else np.zeros((t.size, 2))
         seen = at.sensor.predict(at.rope, y[:, : at.rope.n_links], pivot)
         if at.motor is None:
             return seen
@@ -202,10 +205,11 @@ class Plant:
         if rope is None:
             return None
         motion, drive = self.motion or hold_arm(0.0), self._setup.drive()
-        delay = self.parameters.single("delay", x)
-        if self.motion is not None and delay != 0.0:
+        delay, longer = self.parameters.single("delay", x), self.parameters.single(ARM_LENGTH, x, 1.0)
+        arm = self.arm if self.arm is None else replace(self.arm, length=longer * self.arm.length)
+        if self.motion is not None and (delay != 0.0 or longer != 1.0):
             motion = self.motion.shifted(delay)
-            drive = Setup(self.parameters.guess, motion, self.arm).drive()
+            drive = Setup(self.parameters.guess, motion, arm).drive()
         own = self.sensor.values.copy()
         for parameter, each in zip(self.parameters.all, x, strict=True):
             if (place := _place(parameter.name, parameter.links)) is not None:
@@ -222,18 +226,22 @@ class Plant:
             if "delay" in part:
                 breaks = np.full(drive.breaks.size, part["delay"][0])
                 part = {"breaks": breaks, "coef": np.zeros_like(drive.coef)}
+            if ARM_LENGTH in part:
+                part = {ARM_LENGTH: part[ARM_LENGTH] * drive.arm_length / longer}
             parts.append(part)
         names = tuple(str(k) for k in range(len(parts)))
         chain, directions = rope.chain(), ParameterDirections(names, tuple(parts))
         seeds, freed = directions.directions(chain, drive), [k for k, _ in moving]
-        return _Evaluation(rope, chain, motion, drive, self.sensor.with_values(own), motor, freed, directions, seeds)
+        return _Evaluation(
+            rope, chain, motion, arm, drive, self.sensor.with_values(own), motor, freed, directions, seeds
+        )
 
 
 def _place(name: str, markers: tuple[int, ...]) -> int | None:
     """Return which of the values of :class:`hyperflex.sensors.Markers` a parameter is."""
     if name == "arc":
         return 2 + markers[0]
-    return {"origin_x": 0, "origin_y": 1}.get(name)
+    return {"origin_x": 0, "origin_y": 1, ANGLES: 0}.get(name)
 
 
 def pivot_places(motion: Motion | None, arm: Arm | None, t: Array) -> Array:
@@ -247,6 +255,9 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
     """Return the model at x (P,) with more free parameters, its x, and these word by word; words that fail are out."""
     rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), []
     for word in words:
+        if word in (ANGLES, TORQUE, ARM_LENGTH):
+            groups.append([Parameter(word, (), word, 1.0, 1.0, "factor")])
+            continue
         try:
             arm = None if plant.motor is None else plant.arm
             groups.append(parse(rope, [word], moved=plant.motion is not None, arm=arm))
@@ -256,3 +267,15 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
     parameters = Parameters(plant.parameters.guess, [*plant.parameters.all, *extra])
     model = Plant(parameters, plant.sensor, plant.motion, plant.arm, torque=plant.motor is not None)
     return model, np.concatenate([x, [each.first for each in extra]]), groups
+
+
+def scale_words(plant: Plant) -> dict[int, str]:
+    """Return the words for what has a scale and is held, by number: links' lengths, gravity, the arm's length, torque.
+
+    With lengths, what goes with those of uniform links goes along.
+    """
+    driven = plant.motion is not None and plant.arm is not None and plant.arm.length > 0.0
+    heavy, names = plant.parameters.guess.gravity.any(), plant.parameters.names
+    held = ("length" not in names, heavy and "gravity_scale" not in names, driven, plant.motor is not None)
+    words = ("length:factor", "gravity_scale", ARM_LENGTH, TORQUE)
+    return {k: word for k, (word, own) in enumerate(zip(words, held, strict=True)) if own}

@@ -38,8 +38,9 @@ class Information:
     if the residuals were white. variance: of what each residual counts. freedom: its degrees of freedom, 1 at least.
     memory (m,): autocorrelations of the noise by lag; agrees: whether they explain the residuals. whiteness: p-value of
     white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters stand in an
-    unknown common factor. scales (P, 2): change of x by the logarithms of a factor on all lengths, and one on gravity,
-    which a clock makes; scale_error (2, 2): covariance of these. estimated: False where an interrupt left all open.
+    unknown common factor. scales (P, 4): change of x by the logarithms of factors on the links' lengths, on gravity,
+    which a clock makes, on the arm's length and on the torque; scale_error (4, 4): covariance of these. estimated:
+    False where an interrupt left all open.
     """
 
     x: Array
@@ -58,8 +59,8 @@ class Information:
     agrees: bool = True
     growing: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))
     model: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    scales: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    scale_error: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    scales: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    scale_error: Array = field(default_factory=lambda: np.zeros((4, 4)))
     estimated: bool = True
 
     @property
@@ -68,7 +69,7 @@ class Information:
         return self.covariance + self.model if self.model.size else self.covariance
 
     def model_spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
-        """Return the part of `spread` that errors of the model, of the lengths and of the clock have."""
+        """Return the part of `spread` that errors of the model, the lengths, the clock and the torque have."""
         model = self.model if self.model.size else np.zeros_like(self.covariance)
         moved = self._by_scales(gradient)
         moved[:, 0] += by_length
@@ -76,7 +77,7 @@ class Information:
         return np.asarray(np.sqrt(variance + np.einsum("ij,jk,ik->i", moved, self.scale_error, moved)))
 
     def _by_scales(self, gradient: Array) -> Array:
-        return np.asarray(gradient @ self.scales) if self.scales.size else np.zeros((len(gradient), 2))
+        return np.asarray(gradient @ self.scales) if self.scales.size else np.zeros((len(gradient), 4))
 
     def spread(self, gradient: Array, by_length: Array | float = 0.0) -> Array:
         """Return standard deviations (k,) of functions of x with gradients (k, P); inf where x alone cannot tell.
@@ -116,13 +117,13 @@ class Basis:
 
     @property
     def of_noise(self) -> "Basis":
-        """The same, without errors of the model, of the lengths and of the clock."""
+        """The same, without errors of the model, the lengths, the clock and the torque."""
         return replace(self.as_declared, information=replace(self.as_declared.information, model=np.zeros((0, 0))))
 
     @property
     def as_declared(self) -> "Basis":
-        """The same, without errors of the lengths and of the clock, which all parts of a recording have in common."""
-        return replace(self, information=replace(self.information, scale_error=np.zeros((2, 2))))
+        """The same, without errors of lengths, clock and torque, which all parts of a recording have in common."""
+        return replace(self, information=replace(self.information, scale_error=np.zeros((4, 4))))
 
 
 def not_estimated(plant: Plant, fit: Fit) -> Information:

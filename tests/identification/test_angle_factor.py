@@ -1,0 +1,97 @@
+"""Angles that are read too large or too small: named as that, and not as a clock that drifts or a spring."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.wrong_input import DOUBLE, FREE, SINGLE, Array, noisy, swing
+
+import hyperflex as hf
+from hyperflex.errors import InvalidInput
+from hyperflex.identification.diagnosis.window_tests import DRIFT
+from hyperflex.identification.model.plant import ANGLES
+
+GUESS = SINGLE.replace(inertia=1e-3, friction=5e-4)
+
+
+def told(found: hf.Identification) -> float:
+    """The factor that the first line names."""
+    said = re.match(r"Do not use: .* with angles multiplied by (\d\.\d+)", str(found.grade))
+    assert said is not None, found.grade
+    return float(said[1])
+
+
+def real_single(data_dir: Path, factor: float = 1.0, drift: float = 0.0) -> tuple[Array, Array, hf.Rope]:
+    """Eight seconds of a real pendulum of J/p1 = 0.1529 m, its angles and its clock, and a guess."""
+    path = data_dir / "multiarm_single" / "SinglePendulumDataForParameterEstimation.mat"
+    part = hf.read_recording(path).window(0.0, 8.0).decimate(5)
+    return part.t * (1.0 + drift * part.t / part.t[-1]), factor * part.data, hf.Rope([0.3], 0.1, friction=1e-4)
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+@pytest.mark.parametrize("free", [["inertia", "friction"], None], ids=["named", "default"])
+def test_a_real_pendulum_read_too_small_or_too_large(data_dir: Path, factor: float, free: list[str] | None) -> None:
+    t, q, guess = real_single(data_dir, factor)
+    found = hf.identify(hf.Recording(t, q), guess, free, intervals=None)
+    assert told(found) == pytest.approx(1.0 / factor, rel=0.01)
+    assert not any("drift" in each for each in found.grade.reasons)
+    assert ANGLES not in found.settings["free"]
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_a_pendulum_read_too_small_or_too_large(factor: float) -> None:
+    """Noise hides most of it, and J/p1 is 2 % off; a spring only makes a pendulum faster, and does the same then."""
+    t, q = swing(SINGLE, [1.0])
+    found = hf.identify(hf.Recording(t, factor * noisy(q)), GUESS, ["inertia", "friction"], intervals=None)
+    assert told(found) == pytest.approx(1.0 / factor, rel=0.01)
+    assert ("'stiffness' free" in str(found.grade)) == (factor > 1.0)
+
+
+@pytest.mark.parametrize("factor", [0.97, 1.03, 1.1])
+def test_a_double_pendulum_shows_a_small_factor(factor: float) -> None:
+    t, q = swing(DOUBLE, [0.9, 0.6])
+    guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
+    found = hf.identify(hf.Recording(t, factor * noisy(q)), guess, FREE, intervals=None)
+    assert "angles multiplied by" in str(found.grade)
+    test = next(each for each in found.score_tests if each.name == ANGLES)
+    assert test.values[0] == pytest.approx(factor, abs=2e-3)
+
+
+def test_a_clock_that_drifts_keeps_its_name(data_dir: Path) -> None:
+    t, q, guess = real_single(data_dir, drift=0.02)
+    found = hf.identify(hf.Recording(t, q), guess, ["inertia", "friction"], intervals=None)
+    assert str(found.grade).startswith("Do not use: the clock drifts")
+    gains = {each.name: each.gain for each in found.score_tests}
+    assert gains[DRIFT] > gains[ANGLES]
+
+
+def test_a_spring_keeps_its_name() -> None:
+    """One of a single pendulum does exactly, to third order in the angle, what angles read too large do."""
+    t, q = swing(DOUBLE.replace(stiffness=[0.02, 0.01]), [0.9, 0.6])
+    guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
+    found = hf.identify(hf.Recording(t, noisy(q)), guess, FREE, intervals=None)
+    assert "with 'stiffness' free, " in str(found.grade)
+    t, q = swing(SINGLE.replace(stiffness=0.02), [1.0])
+    found = hf.identify(hf.Recording(t, noisy(q)), GUESS, ["inertia", "friction"], intervals=None)
+    assert "with 'stiffness' free, or with angles multiplied by 0.9" in str(found.grade)
+
+
+@pytest.mark.parametrize("more", [[], ["gravity_angle"]])
+def test_a_stiffness_that_was_freed_may_be_angles_read_too_large(data_dir: Path, more: list[str]) -> None:
+    """J/p1 would be 17 % off, by nine standard deviations."""
+    t, q, guess = real_single(data_dir, 1.1)
+    found = hf.identify(hf.Recording(t, q), guess, ["inertia", "friction", "stiffness", *more], intervals=None)
+    assert str(found.grade).startswith("Do not use: stiffness was freed, but angles multiplied by 0.9")
+    assert not any("times were to be multiplied" in each for each in found.grade.reasons)
+
+
+def test_places_have_no_such_factor_and_none_can_be_free() -> None:
+    t, q = swing(DOUBLE, [0.9, 0.6], 3.0)
+    places = np.stack([DOUBLE.joints(row, np.zeros(2)) for row in q]).reshape(t.size, -1)
+    found = hf.identify(hf.Recording(t, noisy(places, 5e-4), kind="markers"), DOUBLE, FREE, intervals=None)
+    assert ANGLES not in {each.name for each in found.score_tests}
+    with pytest.raises(InvalidInput, match="unknown name"):
+        hf.identify(hf.Recording(t, q), DOUBLE, [*FREE, ANGLES])
