@@ -203,5 +203,5 @@ def test_a_sentence_carries_what_it_is_about() -> None:
     told = grade(Findings(PAIR, identifiable=True, noise="noise", hardly=["friction[1]"], laws=(2.0, "drag")))
     assert [about(each) for each in told.reasons[:3]] == [About.ELSE, About.NOT_KNOWN, About.FRICTION]
     assert [about(each) for each in pickle.loads(pickle.dumps(told)).more[:2]] == [About.NOT_KNOWN, About.FRICTION]
-    assert told.more[0].startswith("Friction[1] is not known")
+    assert told.more[0].startswith("Friction[1] is hardly known")
     assert about(not_noise(20.0)) is about(not_noise(1.0, 0.0)) is About.COLOURED
