@@ -13,6 +13,7 @@ counts. The exit code is 1 where one is called usable and is wrong or says nearl
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -62,9 +63,10 @@ DOUBLE = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia
 SINGLE = hf.Rope(length=[0.3], mass=[0.1], com=[0.14], inertia=[7.5e-4], friction=[2e-4])
 FREE = ("inertia", "com", "friction")
 BAND = 1.96  # standard deviations on either side that hold 95 %
-# Half of an interval over its value, at most: of moments, masses and inertias; of these from a poor recording; of
-# frictions, which another law of friction changes by as much as they are
-NARROW, POOR, FRICTION = 0.05, 0.3, 1.0
+# Half of an interval over its value, at most: of ratios of moments and inertias; of these from a poor recording; of
+# masses and inertias, which hold 2 % of the torque, 1 % of the lengths and, of a link about its centre of mass, more;
+# of frictions, which another law of friction changes by as much as they are
+NARROW, POOR, WEIGHED, FRICTION = 0.05, 0.3, 0.2, 1.0
 FRICTIONS = ("c/p1", "friction")
 
 
@@ -374,9 +376,10 @@ def outcome(case: Case) -> Outcome:
 
 
 def compared(found: hf.Identification, case: Case) -> list[Compared]:
-    """Return each interval of what is called usable beside the truth; not of what the grade itself calls unknown."""
+    """Return each interval of what is called usable beside the truth; what is hardly known may be of any width."""
     usable = found.ratios | (found.values if found.grade.name == "usable" else {})
-    unknown = " ".join(each for each in found.grade.reasons if about(each) is About.NOT_KNOWN)
+    said = " ".join(each for each in found.grade.reasons if about(each) is About.NOT_KNOWN)
+    unknown = set(re.findall(r"(\S+) \(±", said))
     model_error = any(about(each) is About.FRICTION for each in found.grade.reasons)
     every = []
     for name in usable.keys() & case.truth.keys():
@@ -384,10 +387,14 @@ def compared(found: hf.Identification, case: Case) -> list[Compared]:
         for k, (value, true, error) in enumerate(zip(usable[name], case.truth[name], errors, strict=True)):
             label = f"{name}[{k}]"
             interval = found.intervals.get(label)
-            if interval is None or label in unknown or label in found.held or (name == "p/p1" and k == 0):
+            if interval is None or label in found.held or (name == "p/p1" and k == 0):
                 continue
             side = interval.high - value if true > value else value - interval.low
-            allowed = case.widest if name not in FRICTIONS else np.inf if model_error else FRICTION
+            allowed = case.widest if name in found.ratios else max(case.widest, WEIGHED)
+            if name in FRICTIONS:
+                allowed = np.inf if model_error else FRICTION
+            if {label, name} & unknown:
+                allowed = np.inf
             width = 0.5 * (interval.high - interval.low) / (allowed * abs(true)) if true else 0.0
             every.append(Compared(float(abs(true - value) / np.hypot(side, BAND * error)), float(width)))
     return every
@@ -445,9 +452,10 @@ one of the reasons says by how much each per cent counts, and standard deviation
 "Right" are results whose 95 % intervals, widened so that all of one result hold together with 95 %, hold the truth:
 all ratios, and where values are called usable these too; the truth of a real pendulum has a deviation of its own.
 They must also say something: an interval reaches at most {NARROW:.0%} of the value to either side ({POOR:.0%} where a
-recording is poor: noisy, short, with gaps or forces; of a friction {FRICTION:.0%}), but for what a reason calls not
-known, or a friction that it calls a model error. "WIDE" is one that reaches farther, "WRONG" one that misses the
-truth. Of the {{intervals}} intervals as they are {{held}} do. A test holds this page, and that these motions are
+recording is poor: noisy, short, with gaps or forces; of a mass or inertia that a torque tells {WEIGHED:.0%}; of a
+friction {FRICTION:.0%}), but for what a reason calls hardly known, or a friction that it calls a model error. "WIDE"
+is one that reaches farther, "WRONG" one that misses the truth. Of the {{intervals}} intervals as they are {{held}} do.
+A test holds this page, and that these motions are
 exactly alike; `python -m benchmarks.wrong_input --data FOLDER` writes it.
 
 {{table}}"""

@@ -122,11 +122,13 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
     ],
 )
 def test_what_is_not_known_stands_beside_what_is(identifiable: bool, words: str) -> None:
-    told = grade(Findings(PAIR, identifiable=identifiable, hardly=["friction[1]"]))
-    unknown = "friction[1] is hardly known (the standard deviation is 30 % of the value or more)"
+    told = grade(Findings(PAIR, identifiable=identifiable, hardly=["friction[1] (± 55 %)"]))
+    unknown = "friction[1] (± 55 %) is hardly known"
     advice = "Record longer or larger swings, or hold what you know otherwise."
     assert str(told) == words.format(unknown, advice)
-    poor = grade(Findings(PAIR, identifiable=identifiable, warnings=["The fit is poor."], hardly=["friction[1]"]))
+    poor = grade(
+        Findings(PAIR, identifiable=identifiable, warnings=["The fit is poor."], hardly=["friction[1] (± 55 %)"])
+    )
     assert poor.reasons[1] == f"{unknown}. {advice}"
 
 
@@ -137,9 +139,9 @@ def test_ratios_of_which_none_is_known_are_not_to_be_used() -> None:
     found = hf.identify(hf.Recording(T[:30], q), PAIR, ["inertia", "com"], intervals=None, train=np.inf)
     assert found.success
     assert (found.ratio_std["J/p1"] > 0.3 * found.ratios["J/p1"]).all()
-    assert str(found.grade).startswith("Do not use: no ratio of moments and inertias is known better than to 30 % of")
-    told = grade(Findings(PAIR, identifiable=False, hardly=["J/p1[1]"]))
-    assert str(told).startswith("Usable for ratios: J/p1[1] is hardly known")
+    assert str(found.grade).startswith("Do not use: no ratio of moments and inertias is known better than to 15 % of")
+    told = grade(Findings(PAIR, identifiable=False, hardly=["J/p1[1] (± 55 %)"]))
+    assert str(told).startswith("Usable for ratios: J/p1[1] (± 55 %) is hardly known")
 
 
 def test_predictions_are_compared_as_far_as_their_band_is_narrow() -> None:
@@ -200,8 +202,8 @@ def test_markers_swapped_in_two_intervals_are_told_with_both() -> None:
 
 def test_a_sentence_carries_what_it_is_about() -> None:
     """In the verdict and, with a capital, among the further reasons of a grade; to another process, too."""
-    told = grade(Findings(PAIR, identifiable=True, noise="noise", hardly=["friction[1]"], laws=(2.0, "drag")))
+    told = grade(Findings(PAIR, identifiable=True, noise="noise", hardly=["friction[1] (± 55 %)"], laws=(2.0, "drag")))
     assert [about(each) for each in told.reasons[:3]] == [About.ELSE, About.NOT_KNOWN, About.FRICTION]
     assert [about(each) for each in pickle.loads(pickle.dumps(told)).more[:2]] == [About.NOT_KNOWN, About.FRICTION]
-    assert told.more[0].startswith("Friction[1] is hardly known")
+    assert told.more[0].startswith("Friction[1] (± 55 %) is hardly known")
     assert about(not_noise(20.0)) is about(not_noise(1.0, 0.0)) is About.COLOURED

@@ -45,6 +45,15 @@ def test_a_clock_that_drifts_is_told(duration: float, free: tuple[str, ...] | No
     assert drift(found) == pytest.approx(-0.04 * (1.0 - 1.2 / duration), abs=0.01)  # between the windows' middles
 
 
+def test_a_zero_that_is_off_is_no_clock_that_drifts() -> None:
+    """Windows of large swings ask for another gravity than those of small ones, until the zero is off there as well."""
+    t, q = swing(DOUBLE, [0.9, 0.6])
+    found = identified(t, q + 0.025)
+    assert drift(found) == pytest.approx(0.0, abs=0.005)
+    assert [each for each in found.grade.reasons if "clock drifts" in each or "seems to drift" in each] == []
+    assert found.grade.reasons[0].startswith("the zero of the angles seems off by 1.4 degrees")
+
+
 def test_a_clock_that_drifts_is_no_stiffness() -> None:
     t, q = swing(SINGLE, [1.0], 20.0)
     found = identified(t + 0.0025 * t**2 / t[-1], q, SINGLE.replace(inertia=1e-3, friction=5e-4), None)

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.identification.diagnosis.grade import LOOSE, MASSES, Findings, grade
+from hyperflex.identification.diagnosis.grade import FRICTION_LOOSE, LOOSE, MASSES, Findings, grade, hardly
 from hyperflex.identification.diagnosis.model_error import law_error
-from hyperflex.identification.diagnosis.score_tests import ScoreTest
+from hyperflex.identification.diagnosis.score_tests import LAWS, ScoreTest
 from hyperflex.identification.diagnosis.tolerances import moves_alike
 from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, alone
@@ -22,7 +22,6 @@ from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.identification.verdict import (
     consistent,
-    hardly_known,
     held_words,
     noise_not_modelled,
     not_converged,
@@ -116,15 +115,15 @@ def _findings(basis: Basis, rope: Rope, tests: Sequence[ScoreTest], settings: di
     parameters, information = basis.plant.parameters, basis.information
     known, std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
-    loose, free = _loose(known, std)
+    parts = np.concatenate([_parts(known[name], std[name]) for name in MASSES])
     return Findings(
         rope,
         identifiable=information.unknown.shape[1] == 0,
         tests=tests,
         held=basis.plant.motor is None,
         laws=law_error(basis, tests),
-        hardly=[*hardly_known(parameters, information), *loose],
-        unknown=0 < free == len(loose),
+        hardly=_hardly(basis, known, std),
+        unknown=bool(parts.any() and (parts[parts > 0.0] > LOOSE).all()),
         moved=_moved(known, ratio_spread(parameters, basis.as_declared.information, model=True)),
         turned=parameters.single("gravity_angle", basis.fit.x),
         left_out=missing / (missing + settings["windows"]),
@@ -138,17 +137,35 @@ def _moved(ratios: dict[str, Array], moves: dict[str, Array]) -> float:
     return float(np.nanmax(np.concatenate(parts), initial=0.0)) if parts else 0.0
 
 
-def _loose(ratios: dict[str, Array], spreads: dict[str, Array]) -> tuple[list[str], int]:
-    """Return the labels of ratios of moments and inertias known to LOOSE of themselves only, and how many are free.
+def _hardly(basis: Basis, ratios: dict[str, Array], spreads: dict[str, Array]) -> list[str]:
+    """Return the labels of values and ratios that are hardly known, with standard deviations; a name stands for all.
 
-    Those that cannot be known at all are told elsewhere, and do not count.
+    Ratios stand for the values that they are of where no torque tells these. What cannot be known at all is told
+    elsewhere.
     """
-    said, free = [], 0
-    for name in MASSES:
-        for k, (x, std) in enumerate(zip(ratios.get(name, []), spreads.get(name, []), strict=True)):
-            free += int(0.0 < std < np.inf)
-            said += [f"{name}[{k}]"] * bool(LOOSE * abs(x) < std < np.inf)
-    return said, free
+    parameters, information = basis.plant.parameters, basis.information
+    std = information.deviations(parameters.derivatives(information.x))
+    values = parameters.values(parameters.rounded(information.x))
+    told = {"mass", "com", "inertia", *LAWS} if basis.plant.motor is None else set()
+    said = []
+    for each, value, spread in zip(parameters.all, values, std, strict=True):
+        part = spread / value if value > 0.0 and each.kind.form != "linear" and each.name not in told else 0.0
+        if (FRICTION_LOOSE if each.name in LAWS else LOOSE) < part < np.inf:
+            said.append(hardly(each.label, part))
+    for name, numbers in ratios.items():
+        parts = _parts(numbers, spreads[name])
+        loose = np.flatnonzero(parts > (LOOSE if name in MASSES else FRICTION_LOOSE))
+        if 1 < loose.size == np.count_nonzero(parts):
+            said.append(hardly(name, float(parts.max())))
+        else:
+            said += [hardly(f"{name}[{k}]", float(parts[k])) for k in loose]
+    return said
+
+
+def _parts(values: Array, std: Array) -> Array:
+    """Return standard deviations (n,) as parts of values (n,); 0 of what was held or cannot be known at all."""
+    known = (std > 0.0) & (std < np.inf)
+    return np.where(known, std, 0.0) / np.maximum(np.abs(values), 1e-300)
 
 
 def _residuals(basis: Basis) -> tuple[Array, Array | None]:

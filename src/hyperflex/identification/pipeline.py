@@ -261,7 +261,7 @@ class _Problem:
         with caught() as stop:  # what was fitted is worth more than its tests
             if found.converged and not found.interrupted:
                 tests = score_tests(basis, self.declared.gravity, angles=self.recording.kind == "angles")
-                scores = window_scores(basis)
+                scores = window_scores(basis, [each.name for each in tests if each.masks and not each.law])
                 tests = tuple(sorted((*tests, *drift_test(basis, scores)), key=lambda each: -each.gain))
         found.interrupted = found.interrupted or stop.met
         return Trial(list(free), basis, tests, settings | delay, scores)

@@ -249,17 +249,6 @@ def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -
     )
 
 
-def hardly_known(parameters: Parameters, information: Information) -> list[str]:
-    """Return the labels of what is known to half its value only, or worse."""
-    std = information.deviations(parameters.derivatives(information.x))
-    values = parameters.values(parameters.rounded(information.x))
-    return [
-        each.label
-        for each, value, spread in zip(parameters.all, values, std, strict=True)
-        if each.kind.form != "linear" and np.isfinite(spread) and spread > HALF * value > 0.0
-    ]
-
-
 def _at_zero(parameters: Parameters, information: Information) -> list[str]:
     """Return what went to 0."""
     values = parameters.values(parameters.rounded(information.x))
@@ -271,7 +260,6 @@ def _at_zero(parameters: Parameters, information: Information) -> list[str]:
     return [f"{', '.join(none)} went to 0, the least allowed: the data show none of it."] if none else []
 
 
-HALF = 0.5  # of a value: with a standard deviation beyond, it is hardly known
 POOR = 0.05  # part of the motion that may stay unexplained: fits of real pendulums that are right leave 0.1 to 1 %
 WHITE_POOR = 0.2  # part of the motion, where what stays is white, so that it is noise
 TORQUE_POOR = (

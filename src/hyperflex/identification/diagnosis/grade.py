@@ -49,7 +49,8 @@ BY_TORQUE = (
     "% too large. Standard deviations hold torque_std: check its scale with a known weight."
 )
 COMPARE = "Look whether another model predicts better (compare_models), and check what was declared."
-LOOSE = 0.3  # part of a ratio: with a standard deviation beyond, it is hardly known, and an interval may hold 0
+LOOSE = 0.15  # standard deviation as a part of a value or ratio: beyond, 95 % intervals reach farther than 30 %
+FRICTION_LOOSE = 0.3  # the same of frictions and stiffnesses, which other laws change by much
 NOTHING = (
     "no ratio of moments and inertias is known better than to {:g} % of itself. Record longer or larger swings, or "
     "more frames a second."
@@ -112,9 +113,9 @@ class Findings:
     laws : (float, str)
         By what part of its value friction may change if another law is free too, and which.
     hardly : sequence of str
-        What is hardly known: values to half of themselves only, or worse, and ratios to LOOSE of themselves.
+        What is hardly known, values and ratios, with standard deviations; see :func:`hardly`.
     unknown : bool
-        Whether that are all ratios of moments and inertias that are free.
+        Whether it is all ratios of moments and inertias that are free.
     moved : float
         By what part the model's error may move ratios of moments and inertias.
     turned : float
@@ -232,12 +233,14 @@ def _far(rope: Rope) -> list[str]:
     return [words]
 
 
+def hardly(label: str, part: float) -> str:
+    """Return the label of what is hardly known, with its standard deviation as a part of it."""
+    return f"{label} (± {percent(part)})"
+
+
 def _not_known(hardly: Sequence[str]) -> str:
     names = ", ".join(hardly[:NAMED]) + (f" and {len(hardly) - NAMED} more" if len(hardly) > NAMED else "")
-    return (
-        f"{names} {'is' if len(hardly) == 1 else 'are'} hardly known (the standard deviation is {100.0 * LOOSE:g} % of "
-        "the value or more)"
-    )
+    return f"{names} {'is' if len(hardly) == 1 else 'are'} hardly known"
 
 
 def _mispredicted(held_out: HeldOut | None) -> list[str]:

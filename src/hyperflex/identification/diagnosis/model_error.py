@@ -51,11 +51,10 @@ def with_model_error(
     for each in tests:
         if each.name == SCALES:
             continue
-        law = each.name.partition(":")[0] in LAWS
-        asked = white or law or each.believed or each.suspected or each.name == DRIFT  # which has a std of its own
+        asked = white or each.law or each.believed or each.suspected or each.name == DRIFT  # which has a std of its own
         counts = asked and each.excess_gain > ASKED and not (each.slight and each.freed_with)
         if counts or each.name == LINKS:  # whose excess_gain is a probability
-            model += each.excess_gain * (np.outer(each.shift, each.shift) + (each.added if law else 0.0))
+            model += each.excess_gain * (np.outer(each.shift, each.shift) + (each.added if each.law else 0.0))
             counted = counted or each.name == "gravity_scale"
     if not white:
         model += np.diag(np.maximum(_law_errors(basis, tests)[0] ** 2 - np.diag(model), 0.0))
@@ -137,7 +136,7 @@ def _law_errors(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[Array, list[s
     own = np.array([p.name in LAWS and p.kind.unit != "N m/rad" for p in parameters.all]) & (x > parameters.lower)
     sizes, names = np.zeros(x.size), [""] * x.size
     for each in tests:
-        if each.name.partition(":")[0] in LAWS and each.shift.size:
+        if each.law and each.shift.size:
             size = np.sqrt(each.shift**2 + np.maximum(np.diag(each.added), 0.0)) * own
             names = [each.name if more else name for more, name in zip(size > sizes, names, strict=True)]
             sizes = np.maximum(sizes, size)

@@ -92,6 +92,11 @@ class ScoreTest:
     declared_std: float = 0.0
 
     @property
+    def law(self) -> bool:
+        """Whether it is a resistance that was left out."""
+        return self.name.partition(":")[0] in LAWS
+
+    @property
     def believed(self) -> bool:
         """Whether something else than what was held or declared fits: it takes most away, or more than noise can."""
         return self.refitted and (self.gain > EXPLAINS or (self.sure and self.excess_gain > SURE))
@@ -121,8 +126,7 @@ class ScoreTest:
     @property
     def suspected(self) -> bool:
         """Whether what was held or declared may be off: a refit takes much away and moves ratios, unbelieved."""
-        law = self.name.partition(":")[0] in LAWS
-        return self.refitted and not law and self.gain > SUSPECT and self.matters and not self.believed
+        return self.refitted and not self.law and self.gain > SUSPECT and self.matters and not self.believed
 
     @property
     def slight(self) -> bool:
@@ -140,8 +144,7 @@ class ScoreTest:
     @property
     def masks(self) -> bool:
         """Whether a refit explains so much by what changes no conclusion that other causes may stand behind it."""
-        law = self.name.partition(":")[0] in LAWS
-        if law:
+        if self.law:
             return self.refitted and self.gain > SUSPECT
         return self.believed and not self.matters and self.name != "gravity_scale"
 
@@ -178,7 +181,7 @@ def score_tests(basis: Basis, declared_std: float = 0.0, *, angles: bool = False
         tests = _refitted_tests(now, angles=angles)
         for each in tests:
             each = _within(each, basis.fit.x.size, freed)
-            if each.believed and (each.matters or each.slight) and each.name.partition(":")[0] not in LAWS:
+            if each.believed and (each.matters or each.slight) and not each.law:
                 later.setdefault(each.name, each)
     known = {each.name for each in found if each.believed}
     found = [each if each.name in known else later.pop(each.name, each) for each in found]

@@ -1,5 +1,6 @@
 """Tests of whether all windows of a recording tell the same: a drifting clock, and estimates that scatter."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -24,9 +25,9 @@ SMALL = UNKNOWN**2  # part of the largest eigenvalue of scaled information below
 class WindowScores:
     """What each of W windows says of K numbers: the P that were free, and gravity's scale if that was held.
 
-    score (W, K): derivative of half its sum of squares by each, its state eliminated. information (W, K, K). middle
-    (W,): s. gravity: which of the numbers is gravity's scale; None without gravity. widths (K,): comparable changes.
-    free: which are not at a bound. total: sum of squares.
+    Then come numbers of what was held and explains much. score (W, K): derivative of half its sum of squares by each,
+    its state eliminated. information (W, K, K). middle (W,): s. gravity: which of the numbers is gravity's scale; None
+    without gravity. widths (K,): comparable changes. free: which of the P are not at a bound. total: sum of squares.
     """
 
     score: Array
@@ -47,15 +48,18 @@ class WindowScores:
         return result
 
 
-def window_scores(basis: Basis) -> WindowScores | None:
-    """Return the scores of a fit's windows, at the cost of one round of it; None of too few windows."""
+def window_scores(basis: Basis, beside: Sequence[str] = ()) -> WindowScores | None:
+    """Return the scores of a fit's windows, at the cost of one round of it; None of too few windows.
+
+    `beside`: words of what was held and explains so much that a drift may seem to be there for it.
+    """
     if len(basis.windows) < LEAST:
         return None
     plant, count = basis.plant, basis.fit.x.size
     heavy = bool(np.any(plant.parameters.guess.gravity))
     labels = [each.name for each in plant.parameters.all]
     held = heavy and "gravity_scale" not in labels
-    model, x, _ = extended(plant, basis.fit.x, ["gravity_scale"] if held else [])
+    model, x, _ = extended(plant, basis.fit.x, [*["gravity_scale"] * held, *beside])
     scores, matrices, total = [], [], 0.0
     for window, state, residual in zip(basis.windows, basis.fit.states, basis.fit.residuals, strict=True):
         slopes, left = linearise(model, window, x, state, residual, basis.fit.loss).reduced()
@@ -79,7 +83,7 @@ def drift_test(basis: Basis, scores: WindowScores | None) -> tuple[ScoreTest, ..
     -1/2 to 1/2; what is free and the mean scale are eliminated. Its standard deviation is that of the windows' scores
     about the trend (cluster-robust), and that of the noise at least. `values` is the change of gravity from the first
     window to the last, `moved` what ratios of inertia move by to either side of the middle; NaN where it may be
-    chance and explains little.
+    chance and explains little. The windows' scores are those at the linear model's optimum with what stands beside.
     """
     if scores is None or scores.gravity is None:
         return ()
@@ -87,19 +91,26 @@ def drift_test(basis: Basis, scores: WindowScores | None) -> tuple[ScoreTest, ..
 
     gravity, count = scores.gravity, basis.fit.x.size
     place = (scores.middle - scores.middle.mean()) / np.ptp(scores.middle)
-    nuisance = sorted({*scores.free, gravity})
+    others = [k for k in range(count, scores.widths.size) if k != gravity]
+    nuisance = sorted({*scores.free, gravity, *others})
     mixed = place[:, None] * scores.information[:, gravity]
-    across = scores.inverse(nuisance) @ mixed.sum(axis=0)
+    inverse = scores.inverse(nuisance)
+    across = inverse @ mixed.sum(axis=0)
     own = place**2 * scores.information[:, gravity, gravity] - 2.0 * mixed @ across
     own += np.einsum("i,wij,j->w", across, scores.information, across)
-    each = place * scores.score[:, gravity] - scores.score @ across
+    score, total = scores.score, scores.total
+    if others:
+        step = -inverse @ score.sum(axis=0)
+        score = score + scores.information @ step
+        total += float(scores.score.sum(axis=0) @ step)
+    each = place * score[:, gravity] - score @ across
     information = float(own.sum())
     if information <= SMALL * float(mixed[:, gravity] @ place):
         return ()
     drift = -float(each.sum()) / information
-    gain = min(drift**2 * information / scores.total, 1.0)
+    gain = min(drift**2 * information / total, 1.0)
     scatter = float(np.sum((each + own * drift) ** 2)) * place.size / (place.size - 2.0)
-    noise = float(np.sqrt(basis.information.variance * (1.0 - gain) / information))
+    noise = float(np.sqrt(basis.information.variance * total / scores.total * (1.0 - gain) / information))
     std, least = float(np.sqrt(scatter)) / information, float(stdtrit(place.size - 2.0, 1.0 - 0.5 * RARE))
     sure = abs(drift) > max(least * std, BEYOND * noise)
     by_gravity = scores.inverse(scores.free)[:count] @ scores.information.sum(axis=0)[:, gravity]
