@@ -57,6 +57,7 @@ CAUSES: dict[str, tuple[str, ...]] = {  # by what is wrong, as in a case's name:
     "inertia held wrong": ("'inertia'",),
     "arm's length x 1.01": ("lengths seem",),
     "stamps 20 ms late": ("s late", "s off"),
+    "bent at rest, held straight": ("the rope seems bent at rest",),
 }
 BOTH = "clock x 1.1 and lengths x 1.21: a longer rope that moves alike"
 DOUBLE = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
@@ -282,6 +283,14 @@ def of_ropes() -> Iterator[Case]:
     yield case("clock x 1.1", q, 1.1 * t)
     yield replace(case(BOTH, q, 1.1 * t, rope=longer(guess, 1.21)), undetectable=True)
     yield case("links in reverse order", q[:, ::-1])
+    part = 0.5 ** np.linspace(0.0, 1.0, 8)
+    lighter = rope.replace(mass=rope.mass * part, inertia=rope.inertia * part)
+    q = noisy(swing(lighter, np.full(8, 0.8), 4.0)[1], 5e-3)
+    yield replace(case("half the mass at the tip, held alike", q), truth=ratios(lighter))
+    bent = rope.replace(stiffness=1e-3, rest_angle=np.where(np.arange(8) > 0, 0.1, 0.0))
+    q = noisy(swing(bent, np.full(8, 0.8), 4.0)[1], 5e-3)
+    springy = case("bent at rest, held straight", q, rope=guess.replace(stiffness=2e-3))
+    yield replace(springy, truth=ratios(bent))
 
 
 def real(folder: Path) -> Iterator[Case]:

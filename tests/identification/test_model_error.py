@@ -155,7 +155,10 @@ def test_four_links_of_a_rope_of_40_are_told_before_the_units_are_doubted(free: 
 def test_a_chain_of_just_four_links_is_not_told(drag: float) -> None:
     found = fit_of_four_links(4, drag, ["inertia", "friction"])
     assert "more links" not in str(found)
-    assert [each.excess_gain < 0.5 for each in found.score_tests if each.name == "links"] == [True] * (drag > 0.0)
+    gains = {each.name: each.gain for each in found.score_tests if each.name in ("drag", "links")}
+    if drag > 0.0:  # which explains nearly all; finer links hardly anything
+        assert gains["drag"] > 0.9
+        assert gains["links"] < 0.05
 
 
 def test_links_that_may_be_too_long_count_by_their_probability() -> None:

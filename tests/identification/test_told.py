@@ -207,3 +207,17 @@ def test_a_sentence_carries_what_it_is_about() -> None:
     assert [about(each) for each in pickle.loads(pickle.dumps(told)).more[:2]] == [About.NOT_KNOWN, About.FRICTION]
     assert told.more[0].startswith("Friction[1] (± 55 %) is hardly known")
     assert about(not_noise(20.0)) is about(not_noise(1.0, 0.0)) is About.COLOURED
+
+
+def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more() -> None:
+    """A rope that is bent at rest looks like one of finer links; these would explain little, and a bend more."""
+    links = ScoreTest("links", 0.3, np.array([32.0]), excess_gain=0.7, ratio_sensitivity=0.2)
+    bent = ScoreTest("rest_angle:shared", 0.8, np.array([0.1]), moved=0.0)
+
+    def said(*tests: ScoreTest) -> str:
+        return str(grade(Findings(PAIR, identifiable=True, tests=tests)).reasons)
+
+    assert "use more links" in said(links)
+    assert "use more links" not in said(replace(links, gain=0.02))
+    assert "use more links" not in said(bent, links)
+    assert "the rope seems bent at rest, by 5.7 degrees a joint" in said(bent, links)

@@ -59,6 +59,9 @@ NAMED = {  # what the first line must name
     "real double: radians read as degrees": "unit='rad'",
     "real double: last link's zero off by 10 degrees": "the zero of link 1 is off by 10.",
     "rope of 8 links: links in reverse order": "counted from the free end",
+    "single: from 1.4 rad, angles x 0.9": "angles multiplied by 1.1",
+    "rope of 8 links: half the mass at the tip, held alike": "the rope's mass changes along it",
+    "rope of 8 links: bent at rest, held straight": "the rope seems bent at rest",
     "double: one length in cm": "Link 1 is 83.3 times as long as link 0: are all lengths in m?",
     "double: angles x 1.1, default": "angles multiplied by 0.91",
     "markers: the last two swapped from the middle on": "markers 1 and 2 are swapped from t = 3 to",
@@ -108,14 +111,6 @@ REAL = (
 )
 
 
-OPEN = {  # known to be wrong; strict, so that what is mended leaves this list
-    "single: from 1.4 rad, angles x 0.9": "a factor of the angles is told as a clock that drifts",
-    "double: every 25th frame dropped, times counted on": "intervals as wide as their values are called usable",
-    "double: noise of a tenth of the motion": "a friction that is not known is not said to be",
-    "double: a frame is repeated every second": "a friction that is not known is not said to be",
-}
-
-
 def check(case: Case) -> Outcome:
     """Check how a case ends; return that."""
     found = outcome(case)
@@ -126,12 +121,7 @@ def check(case: Case) -> Outcome:
     return found
 
 
-def marked(case: Case) -> Any:
-    marks = [pytest.mark.xfail(strict=True, reason=OPEN[case.name])] if case.name in OPEN else []
-    return pytest.param(case, id=case.name, marks=marks)
-
-
-@pytest.mark.parametrize("case", [marked(case) for case in SIMULATED])
+@pytest.mark.parametrize("case", SIMULATED, ids=[case.name for case in SIMULATED])
 def test_no_wrong_answer_is_called_usable(case: Case) -> None:
     check(case)
 
@@ -172,7 +162,7 @@ def test_the_page_has_the_rows_of_this_matrix() -> None:
     rows = {cells[0]: cells[1:] for line in page.splitlines() if len(cells := line.strip("| ").split(" | ")) == 3}
     missing = [case.name for case in SIMULATED if case.name not in rows] + [name for name in REAL if name not in rows]
     assert missing == [], "python -m benchmarks.wrong_input --data FOLDER"
-    assert {name for name, (end, _) in rows.items() if end in ("WRONG", "WIDE")} == set(OPEN)
+    assert [name for name, (end, _) in rows.items() if end in ("WRONG", "WIDE")] == []
     assert [name for name, words in NAMED.items() if words not in rows[name][1]] == []
     undetectable = {case.name for case in SIMULATED if case.undetectable}
     told = {name for name, (end, _) in rows.items() if end == "cannot be told" and not name.startswith("real")}

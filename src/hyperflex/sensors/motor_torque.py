@@ -23,15 +23,14 @@ class MotorTorque:
     """Torque (m,) of the motor of a prescribed `arm`, N m, as ``Trajectory.motor_torque`` defines it.
 
     It follows from the state at a sample without integration; its derivatives are central differences, at the slip or
-    stick of each joint as it is there, chained with the exact derivatives of the state.
+    stick of each joint as it is there, chained with the exact derivatives of the state. Its values, (3,), are the arm's
+    inertia, kg m^2, and viscous friction, N m s/rad, and `factor`.
 
     Parameters
     ----------
     arm : Arm
     factor : float
         Torque as measured over torque: 1 where it is measured as it is.
-
-    Its values, (3,), are the arm's inertia, kg m^2, and viscous friction, N m s/rad, and `factor`.
     """
 
     def __init__(self, arm: Arm, factor: float = 1.0) -> None:

@@ -16,7 +16,7 @@ from hyperflex.identification.diagnosis.misdeclared import (
     undetectable,
     untested,
 )
-from hyperflex.identification.diagnosis.score_tests import EXPLAINS, MOVES, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, MOVES, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.excitation import unlike_lengths
 from hyperflex.identification.model.parameters import lumped
@@ -32,8 +32,8 @@ INSIDE = 0.5  # part of predicted values within the band of 95 %: at 0.5 deviati
 FORETOLD = (
     0.9  # part within the same band: nearly 0.95, so that the error is as foretold, and what moves is hardly noise
 )
-NAMED = 4  # labels of what is hardly known that are named, for a line
 LIKELY = 0.5  # probability: more likely than not
+NAMED = 4  # labels of what is hardly known that are named, for a line
 LEFT_OUT = 0.2  # part of the windows: one in five
 REACH = 2.0  # lengths of a link, to which its mass may reach; 1 is the most without counterweights (Cauchy-Schwarz)
 HELD = (
@@ -298,9 +298,10 @@ def _changing(scatter: Sequence[Scatter]) -> list[str]:
 
 
 def _finer(tests: Sequence[ScoreTest], *, odd: bool) -> tuple[list[str], list[str]]:
-    """Return that links are too long: as the cause of an `odd` fit, or as a suspicion."""
-    each = next((each for each in tests if each.name == LINKS and each.excess_gain >= LIKELY), None)
-    if each is None:
+    """Return that links are too long: as the cause of an `odd` fit, or as a suspicion; not beside a better cause."""
+    likely = (each for each in tests if each.name == LINKS and each.excess_gain >= LIKELY and each.gain > EQUAL)
+    each = next(likely, None)
+    if each is None or any(other.believed and other.gain > each.gain + EQUAL for other in tests):
         return [], []
     words = f"use more links: this looks like a rope of finer links (probability {100.0 * each.excess_gain:.3g} %)"
     if odd and each.gain >= max(EXPLAINS, *(other.gain for other in tests)):

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, SCALES, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import CURL, EQUAL, EXPLAINS, SCALES, TAPER, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 from hyperflex.identification.model.plant import ANGLES
 from hyperflex.identification.sentences import About, Sentence
@@ -18,6 +18,7 @@ TOLD = (
     "delay",
     "arm_inertia",
     "arm_friction",
+    CURL,
 )  # believed, these are told with their value even where they hardly matter
 DECLARED = ("gravity_scale", "gravity_angle", "delay", ANGLES)  # what stands for a recording that is not as declared
 UNDETECTABLE_CLOCK = (
@@ -69,8 +70,8 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
         clock = float(np.sqrt(value))
         said = (
             f"times or lengths are not as declared: {part} go away if times are multiplied by {clock:.3g}"
-            f"{_frames(clock)}, or lengths divided by {value:.3g}. Check the clock or frame rate, the scale, and the "
-            "lengths of the guess."
+            f"{_frames(clock)}, or lengths divided by {value:.3g}{alike}. Check the clock or frame rate, the scale, "
+            "and the lengths of the guess."
         )
     elif first.name == "gravity_angle":
         said = (
@@ -88,10 +89,15 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
             f"{percent(0.5 * abs(value))} {'slower' if value < 0.0 else 'faster'} at its end than at its beginning"
             f"{alike}. Check the time stamps, or fit parts of the recording on their own."
         )
+    elif first.name == TAPER:
+        said = (
+            f"the rope's mass changes along it: {part} go away if that of its tip is {np.exp(value):.3g} times that of "
+            f"its begin{alike}. Give the guess such masses, or put '{TAPER}' into free."
+        )
     elif first.name == "delay":
         said = f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free."
     else:
-        names = " or ".join(f"'{name}'" for name in equals if name not in (*DECLARED, DRIFT))
+        names = " or ".join(f"'{name}'" for name in equals if name not in (*DECLARED, DRIFT, TAPER))
         said = (
             f"what is held does not fit: with {names} free{alike}, {part} go away, and ratios move by up to "
             f"{percent(first.moved)}. Put it into free."
@@ -110,6 +116,10 @@ def _alike(first: ScoreTest, tests: Sequence[ScoreTest]) -> list[str]:
             continue
         if each.name == ANGLES:
             said.append(f"angles multiplied by {1.0 / each.values[0]:.3g}")
+        elif each.name == TAPER:
+            said.append(f"a tip whose mass is {np.exp(each.values[0]):.3g} times that of the rope's begin")
+        elif each.name == "gravity_scale" and first.name == TAPER:
+            said.append(f"times multiplied by {np.sqrt(each.values[0]):.3g}")
         elif each.name == DRIFT:
             said.append(f"a clock that drifts by {percent(0.5 * abs(float(each.values[0])))}")
         elif each.name.partition(":")[0] == "stiffness" and first.name in (ANGLES, DRIFT):
@@ -156,6 +166,7 @@ def seems(test: ScoreTest) -> str:
         "gravity_angle": f"the zero of the angles seems off by {np.degrees(value):.2g} degrees",
         "delay": f"the motion seems {value:.2g} s off",
         "arm_inertia": f"the arm's inertia seems to be {value:.2g} kg m^2",
+        CURL: f"the rope seems bent at rest, by {np.degrees(value):.2g} degrees a joint",
         "arm_friction": f"the arm's friction seems to be {value:.2g} N m s/rad",
     }[test.name]
     return f"{what}: without that, {part} go away. Put '{test.name}' into free."

@@ -28,6 +28,7 @@ COVERED = 2.0  # standard deviations: the 95 % intervals reach so far, and hold 
 TURNED = 0.03  # rad, of gravity: 1.7 degrees, more than a camera is off that was levelled by eye
 FARTHEST = 6.0  # factor of gravity: a frame rate off by two makes it four; beyond, something else is wrong
 MISREAD, SCALED = 2.0, 0.02  # factor of angles: beyond, something else is wrong; its logarithm: encoders are better
+TAPER, CURL = "mass:taper", "rest_angle:shared"  # of ropes of many links: growth of the mass along it, bend at rest
 SCALES = "scales"  # factors on the links' lengths, on gravity, which a clock makes, the arm's length and the torque
 HIDING = 2  # refits that are tested again, each with one thing more freed: the triple pendulum needs two, drag and dry
 SLIGHT = 0.01  # relative, of lengths: a ruler errs by so much; the triple pendulum seems 0.0067 off with drag free
@@ -42,7 +43,8 @@ class ScoreTest:
     ----------
     name : str
         As in ``free``: ``com``, or ``gravity_scale``, which a wrong clock or wrong lengths move; ``angle_factor``, by
-        which angles are read too large; ``clock_drift``, by which gravity seems to grow over the recording; ``links``,
+        which angles are read too large; ``mass:taper``, the logarithm of the mass's growth along a rope of many links;
+        ``clock_drift``, by which gravity seems to grow over the recording; ``links``,
         which may be too long.
     gain : float
         Part of the residuals' sum of squares that freeing it takes away: by a refit, or to first order.
@@ -112,9 +114,8 @@ class ScoreTest:
         """Whether ratios would move by more than is of no account and noise may move them, or gravity or angles do."""
         if not self.possible or self.slight or self.expected:
             return False
-        if self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED:
-            return True
-        if self.name == ANGLES and abs(np.log(self.values[0])) > SCALED:
+        turned = self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED
+        if turned or (self.name == ANGLES and abs(np.log(self.values[0])) > SCALED):
             return True
         return self.moved > MOVES and self.beyond > COVERED
 
@@ -131,9 +132,8 @@ class ScoreTest:
     @property
     def slight(self) -> bool:
         """Whether lengths seem hardly off: no more than a ruler errs, or than a law that was left out makes it seem."""
-        if self.name != "gravity_scale" or not self.refitted:
-            return False
-        return bool(abs(np.log(max(float(self.values[0]), 1e-9))) <= SLIGHT)
+        gravity = self.name == "gravity_scale" and self.refitted
+        return bool(gravity and abs(np.log(max(float(self.values[0]), 1e-9))) <= SLIGHT)
 
     @property
     def expected(self) -> bool:
@@ -198,9 +198,7 @@ def _within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
 
 def _refitted_tests(basis: Basis, *, angles: bool) -> list[ScoreTest]:
     """Return the tests of a fit, the greatest gain first; those that explain much with what a refit says."""
-    found: list[ScoreTest] = []
-    for words in _words(basis.plant, angles=angles):
-        found += _tested(basis, words)
+    found = [each for words in _words(basis.plant, angles=angles) for each in _tested(basis, words)]
     found += _tested(basis, list(scale_words(basis.plant).values()), SCALES)
     found.sort(key=lambda each: -each.gain)
     others = [k for k, each in enumerate(found) if each.name != SCALES]
@@ -218,10 +216,12 @@ def _words(plant: Plant, *, angles: bool) -> list[list[str]]:
     many = rope.n_links > FEW_LINKS
     whole = ["gravity_angle", "gravity_scale", *[ANGLES] * angles] if np.any(rope.gravity) else []
     resistances = [each.name + (":shared" if many else "") for each in RESISTANCES if each.name not in names]
-    masses = ["tip_mass"] if many else ["mass", "com", "inertia"]
+    masses = ["tip_mass", TAPER] if many else ["mass", "com", "inertia"]
+    masses += [CURL] * (many and ("stiffness" in names or bool(rope.stiffness.any())))
     delay = ["delay"] * (plant.motion is not None) + ["arm_inertia", "arm_friction"] * (plant.motor is not None)
     lengths = [["length"]] if not many and rope.n_links > 1 and names.isdisjoint({"length", "com", "inertia"}) else []
-    return [[each for each in [*whole, *delay, *resistances, *masses] if each not in names], *lengths]
+    words = [each for each in [*whole, *delay, *resistances, *masses] if each.partition(":")[0] not in names]
+    return [words, *lengths]
 
 
 def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[ScoreTest]:
@@ -272,13 +272,14 @@ def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[Scor
             together or label,
             min(gain, 1.0),
             np.array(values),
+            std=_std(information, noise, [p.scale for p in group] / scale[own]),
             shift=shift,
             added=added,
             excess_gain=excess_gain,
             rate=rate,
             information=information * np.outer(acting, acting) / max(noise, 1e-300),
         )
-        tests.append(replace(each, std=_std(information, noise, [p.scale for p in group] / scale[own])))
+        tests.append(each)
     return tests
 
 
@@ -309,9 +310,7 @@ def _freed(basis: Basis, name: str) -> Basis | None:
     plant, x, _ = extended(basis.plant, basis.fit.x, [name])
     windows, states = _some(basis)
     found = _fit(plant, windows, x, states, basis)
-    if found is None:
-        return None
-    return Basis(plant, windows, found, estimate_covariance(plant, windows, found))
+    return None if found is None else Basis(plant, windows, found, estimate_covariance(plant, windows, found))
 
 
 def _some(basis: Basis) -> tuple[list[Window], list[Array]]:
