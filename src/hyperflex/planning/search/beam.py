@@ -101,6 +101,7 @@ class BeamSearch:
         self._sizes = sizes
         self._random, self._period = random, swing_period(cast_setup.rope)
         self._strikes: list[Strike] = []
+        self._moves: dict[tuple[float, float], Motion] = {}  # full strokes go to and fro between the same angles
         q, qd = (part[None] for part in cast_setup.start)
         self._swings = [
             _Swing(0.0, side, (), (), cast_setup.limits.start_angle(side), 0.0, 0.0, q, qd) for side in sides
@@ -204,10 +205,17 @@ class BeamSearch:
                 end = float(np.clip(swing.angle + sense * way, *limits.angles))
                 if sense * (end - swing.angle) > MIN_STROKE and end not in ends:
                     ends.add(end)
-                    (time,), ramp = limits.fastest_moves([end - swing.angle])
-                    motion = arm_moves([swing.angle, end], [0.0], [time], ramp)
-                    tries.append(_Continuation(swing, swing.delay + at * step, at, end, float(time), motion))
+                    motion = self._move(swing.angle, end)
+                    time = float(motion.breaks[-1])
+                    tries.append(_Continuation(swing, swing.delay + at * step, at, end, time, motion))
         return tries
+
+    def _move(self, start: float, end: float) -> Motion:
+        """Return the fastest move between two arm angles, rad; the same one where it was asked for before."""
+        if (start, end) not in self._moves:
+            (time,), ramp = self.cast_setup.limits.fastest_moves([end - start])
+            self._moves[start, end] = arm_moves([start, end], [0.0], [time], ramp)
+        return self._moves[start, end]
 
     def _energy(self, tries: list[_Continuation], q: Array, qd: Array, at: Array) -> Array:
         """Energy (M,), J, at samples `at` (M,), where the arm rests, of point masses at the links' centres of mass."""

@@ -72,9 +72,8 @@ def simulate_strikes(
 
 def find_strikes(cast_setup: CastSetup, peg: Peg, motions: Sequence[Motion], t: Array, q: Array, qd: Array) -> Strikes:
     """Find the first strikes in samples q, qd (M, T, n) at times t (T,) of free swings under motions (M,)."""
-    base, base_velocity = (
-        np.stack(each) for each in zip(*(arm_tip(cast_setup.arm, motion, t) for motion in motions), strict=True)
-    )
+    tips = {id(motion): arm_tip(cast_setup.arm, motion, t) for motion in {id(each): each for each in motions}.values()}
+    base, base_velocity = (np.stack(each) for each in zip(*(tips[id(motion)] for motion in motions), strict=True))
     at, link, least = first_contact(np.nan_to_num(q), base, cast_setup.rope.length, peg, cast_setup.rope.radius)
     clear = clear_samples([cast_setup.rope] * len(q), cast_setup.obstacles, q, base, cast_setup.clearance)
     struck = (at > 0) & (at <= clear) & np.isfinite(q).all(axis=(1, 2))
