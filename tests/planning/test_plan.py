@@ -483,7 +483,7 @@ def test_the_best_of_the_throws_that_two_verifications_bear_out_without_a_margin
     work = cast_planner.CastPlanner(search, 60.0, clock=spent)  # type: ignore[arg-type]
     work.verify_new()
     assert asked == []  # at first another with a margin is looked for
-    spent.spent = 7.0
+    spent.spent = 10.0
     for _ in range(3):
         work.verify_new()
     assert asked == ["d", "a", "c"]
@@ -494,6 +494,21 @@ def test_the_best_of_the_throws_that_two_verifications_bear_out_without_a_margin
     work.verify_new()
     assert (work.best[0].name, work.done()) == ("e", True)  # type: ignore[union-attr] # a margin in two is enough
     assert asked == ["d", "a", "c"]
+
+
+def test_throws_that_barely_wind_are_verified_later() -> None:
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=20)
+    x, throw = np.zeros(2 * search.parametrizations[1].strokes + 4), SimpleNamespace(count=2)
+    told = [(2.6, 2.3), (1.6, 1.3), (1.4, 1.4), (1.1, 2.0), (0.9, 2.0)]  # score, turns
+    search.candidates = [
+        cast_planner.Candidate(score, turns, 1, x + k, throw, confirmed=True)  # type: ignore[arg-type]
+        for k, (score, turns) in enumerate(told)
+    ]
+    spent = SimpleNamespace(spent=0.0)
+    work = cast_planner.CastPlanner(search, 60.0, clock=spent)  # type: ignore[arg-type]
+    assert [one.x[0] for one in work.fresh()] == [0.0]
+    spent.spent = 10.0
+    assert [one.x[0] for one in work.fresh()] == [0.0, 1.0, 2.0, 3.0]
 
 
 def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,6 +16,7 @@ from hyperflex.control import swing_period
 from hyperflex.model import Peg, Rope, divided
 from hyperflex.motion import Motion, arm_moves
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import samples_clear_of_arm
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.throw import MIN_STROKE, STROKE
@@ -147,7 +148,7 @@ class BeamSearch:
         batch = flights.run(arm, t[1:], keep=("q", "qd"), **how)
         q = np.concatenate([q[:, None], batch.q], axis=1)
         qd = np.concatenate([qd[:, None], batch.qd], axis=1)
-        seen = strikes.find_strikes(self.cast_setup, self.peg, motions, t, q, qd)
+        seen = strikes.find_strikes(self.cast_setup, self.peg, motions, t, q, qd, own_arm=False)
         ended = np.array([int(np.ceil(one.duration / step)) for one in tries])
         energy = self._energy(tries, q, qd, ended)
         struck: list[Strike] = []
@@ -165,9 +166,23 @@ class BeamSearch:
                 new = _Swing(float(energy[k]), swing.side, strokes, rests, end, stop, delay, *map(np.copy, some))
                 onward.append((k, new))
         likely = _best(onward, 2 * WIDTH)
-        confirmed = self._confirmed(flights, [k for k, _ in onward if k in likely], ended, q, how)
+        onward = self._clear_of_arm([each for each in onward if each[0] in likely], flights, t, q, ended)
+        confirmed = self._confirmed(flights, [k for k, _ in onward], ended, q, how)
         best = _best([each for each in onward if each[0] in confirmed], WIDTH)
         return struck, [one for k, one in onward if k in best]
+
+    def _clear_of_arm(
+        self, onward: list[tuple[int, _Swing]], flights: RolloutBatch, t: Array, q: Array, ended: Array
+    ) -> list[tuple[int, _Swing]]:
+        """Swings by their rows of q (M, T, n), with the samples before the rope comes too near its arm, if any."""
+        rows, arm = [k for k, _ in onward], self.cast_setup.arm
+        base = np.array([strikes.arm_tip(arm, flights.motions[k], t)[0] for k in rows]).reshape(len(rows), t.size, 2)
+        clear = samples_clear_of_arm(self.cast_setup.rope, arm, q[rows], base, self.cast_setup.clearance) - ended[rows]
+        return [
+            (k, one._replace(q=one.q[:count], qd=one.qd[:count]))
+            for (k, one), count in zip(onward, clear.tolist(), strict=True)
+            if count > 0
+        ]
 
     def _confirmed(
         self, flights: RolloutBatch, rows: list[int], ended: Array, q: Array, how: dict[str, Any]

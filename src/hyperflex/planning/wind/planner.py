@@ -36,9 +36,9 @@ MIN_GROWTH, IDLE_ROUNDS = 1.03, 2  # a round that gains less than this factor is
 WORTHY = 0.5
 MIN_TAIL = 0.5  # turns of tail, at least, that a swing is taken to have for that
 NEARLY = 0.9  # score of a throw in contact that is worth being refined though all swings strike late
-# Fraction of the time after which throws that fold or lack a margin are verified to the end, and those are verified that
-# wind by less than so many turns more than are asked, or score less: others are mostly found sooner, and one in two of
-# these fails. A verification takes as long as fifty runs of the search
+# Fraction of the time until which neither throws that fold or lack a margin are verified to the end, nor others that
+# wind by less than so many turns more than are asked, or score less: better ones are mostly found sooner, and half of
+# these fail. A verification takes as long as fifty runs of the search
 EARLY, SPARE_TURNS, SPARE_SCORE = 0.15, 0.1, 0.25
 FREE = 0.2  # fraction of the time in which late swings are not tried in contact before they are worth it
 SWINGING = 0.5  # fraction of the time after which the search goes on in contact in any case
@@ -241,8 +241,9 @@ class CastPlanner:
 
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, unlike those verified and each other; early on none that barely do."""
-        least = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN) + SPARE_TURNS * self.early
-        score = SOUND + SPARE_SCORE * self.early if self.early or self.stands else LEAST
+        least, score = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN), SOUND if self.stands else LEAST
+        if self.early:
+            least, score = least + SPARE_TURNS, SOUND + SPARE_SCORE
         some = self.search.candidates
         winding = (one for one in some if one.confirmed and one.turns >= least and one.score >= score)
         return distinct(winding, self.checked, max(1, self.search.workers // 2), ALIKE)
