@@ -506,6 +506,8 @@ def test_throws_that_barely_wind_are_verified_later() -> None:
     ]
     spent = SimpleNamespace(spent=0.0)
     work = cast_planner.CastPlanner(search, 60.0, clock=spent)  # type: ignore[arg-type]
+    assert [one.x[0] for one in work.fresh()] == [0.0, 1.0, 2.0, 3.0]  # given throws
+    search.swings = [Swing(1.0, 1, x, 5.0)]
     assert [one.x[0] for one in work.fresh()] == [0.0]
     spent.spent = 10.0
     assert [one.x[0] for one in work.fresh()] == [0.0, 1.0, 2.0, 3.0]

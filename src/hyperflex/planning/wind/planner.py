@@ -242,7 +242,7 @@ class CastPlanner:
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, unlike those verified and each other; early on none that barely do."""
         least, score = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN), SOUND if self.stands else LEAST
-        if self.early:
+        if self.early and self.search.swings:  # not where given throws are tried before any swing
             least, score = least + SPARE_TURNS, SOUND + SPARE_SCORE
         some = self.search.candidates
         winding = (one for one in some if one.confirmed and one.turns >= least and one.score >= score)
