@@ -489,7 +489,9 @@ def test_the_best_of_the_throws_that_two_verifications_bear_out_without_a_margin
     assert asked == ["d", "a", "c"]
     assert {one.throw.name for one in work.checked} == set("abcd")  # type: ignore[attr-defined]
     told |= {"e": {"load_ratio": 0.5}}
-    fifth = search.candidates[0]._replace(x=np.full(points[0].size, 9.0), throw=SimpleNamespace(name="e", count=2))
+    fifth = search.candidates[0]._replace(
+        score=3.0, x=np.full(points[0].size, 9.0), throw=SimpleNamespace(name="e", count=2)
+    )
     search.candidates = [fifth]
     work.verify_new()
     assert (work.best[0].name, work.done()) == ("e", True)  # type: ignore[union-attr] # a margin in two is enough
@@ -506,11 +508,11 @@ def test_throws_that_barely_wind_are_verified_later() -> None:
     ]
     spent = SimpleNamespace(spent=0.0)
     work = cast_planner.CastPlanner(search, 60.0, clock=spent)  # type: ignore[arg-type]
-    assert [one.x[0] for one in work.fresh()] == [0.0, 1.0, 2.0, 3.0]  # given throws
+    assert [one.x[0] for one in work.fresh()] == [0.0, 1.0, 2.0]  # given throws
     search.swings = [Swing(1.0, 1, x, 5.0)]
-    assert [one.x[0] for one in work.fresh()] == [0.0]
-    spent.spent = 10.0
-    assert [one.x[0] for one in work.fresh()] == [0.0, 1.0, 2.0, 3.0]
+    for time, count in ((0.0, 1), (10.0, 3), (31.0, 4)):
+        spent.spent = time
+        assert [one.x[0] for one in work.fresh()] == list(range(count))
 
 
 def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,10 +36,11 @@ MIN_GROWTH, IDLE_ROUNDS = 1.03, 2  # a round that gains less than this factor is
 WORTHY = 0.5
 MIN_TAIL = 0.5  # turns of tail, at least, that a swing is taken to have for that
 NEARLY = 0.9  # score of a throw in contact that is worth being refined though all swings strike late
-# Fraction of the time until which neither throws that fold or lack a margin are verified to the end, nor others that
-# wind by less than so many turns more than are asked, or score less: better ones are mostly found sooner, and half of
-# these fail. A verification takes as long as fifty runs of the search
+# Fraction of the time until which throws without a margin are not verified to the end, nor others that wind by less
+# than so many turns more than are asked, or score less: better ones are mostly found sooner, and half of these fail. A
+# verification takes as long as fifty runs of the search
 EARLY, SPARE_TURNS, SPARE_SCORE = 0.15, 0.1, 0.25
+FOLDING = 0.5  # fraction of the time until which throws that slip, or fold flat, are not verified: one in five holds
 FREE = 0.2  # fraction of the time in which late swings are not tried in contact before they are worth it
 SWINGING = 0.5  # fraction of the time after which the search goes on in contact in any case
 RESTART = 12  # generations in contact from one candidate
@@ -241,7 +242,8 @@ class CastPlanner:
 
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, unlike those verified and each other; early on none that barely do."""
-        least, score = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN), SOUND if self.stands else LEAST
+        last = not self.stands and self.spent > FOLDING * self.time_budget
+        least, score = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN), LEAST if last else SOUND
         if self.early and self.search.swings:  # not where given throws are tried before any swing
             least, score = least + SPARE_TURNS, SOUND + SPARE_SCORE
         some = self.search.candidates
