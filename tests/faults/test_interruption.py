@@ -350,13 +350,29 @@ def test_calls_and_commands_that_signals_end_at_random_times() -> None:
         assert json.loads(content)["faults"] == [], name
 
 
-def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code() -> None:
+@pytest.mark.parametrize(
+    "how", ["os.kill(os.getpid(), signal.SIGTERM)", "exec('os.kill(os.getpid(), signal.SIGTERM)')"]
+)
+def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code(tmp_path: Path, how: str) -> None:
+    """Also where Python keeps a mark of it, as for code in a string (as of namedtuple) below ``python -m``."""
     code = "import os, signal; from hyperflex import demo; from hyperflex.cli import main\n"
-    code += "def work(*_): os.kill(os.getpid(), signal.SIGTERM)\ndemo.write_demo = work\nmain()"
-    done = subprocess.run([sys.executable, "-c", code, "demo", "--json"], capture_output=True, text=True, check=False)
+    (tmp_path / "stopped.py").write_text(f"{code}def work(*_): {how}\ndemo.write_demo = work\nmain()")
+    words = [sys.executable, "-m", "stopped", "demo", "--json"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 143
     assert json.loads(done.stdout)["error"] == "interrupted"
     assert interruption.number() == signal.SIGINT
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_command_line_is_loaded_is_told_with_its_code(number: signal.Signals) -> None:
+    code = "import os, signal, sys; from hyperflex.cli import main\nclass Finder:\n"
+    code += f"    def find_spec(name, *_): return os.kill(os.getpid(), {int(number)}) if name == 'typer' else None\n"
+    code += "sys.meta_path.insert(0, Finder)\nmain()"
+    done = subprocess.run([sys.executable, "-c", code, "demo", "--json"], capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + number
+    assert done.stderr == "hyperflex: Interrupted.\n"
+    assert json.loads(done.stdout) == {"error": "interrupted", "type": "Interrupted"}
 
 
 def test_an_interrupt_waits_for_the_compiler() -> None:
