@@ -138,7 +138,7 @@ def test_another_rope_begins_anew_and_an_impossible_one_changes_nothing():
 def test_a_set_up_is_played_to_its_end_and_on_and_its_peg_is_the_target():
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6, friction=1e-3)
     motion, arm, peg = hf.arm_moves([0.0, 1.0], [0.1], [0.4]), hf.Arm(length=0.2), hf.Peg(0.7, -0.3, 0.05, 0.4)
-    setup = hf.Setup(rope, motion, arm, duration=0.5, pegs=(peg, hf.Ground(0.0, -1.5)))
+    setup = hf.Setup(rope, motion, arm, duration=0.5, pegs=(peg, hf.Ground(0.0, -1.8)))
     session = Session()
     session.play(setup, "file", skip=0.25)
     assert session.t == pytest.approx(0.25)
@@ -149,8 +149,13 @@ def test_a_set_up_is_played_to_its_end_and_on_and_its_peg_is_the_target():
     assert [type(each).__name__ for each in session.setup.pegs] == ["Peg", "Ground"]
     session.hang()
     assert (session.rope, session.arm) == (rope, arm)
+    assert [type(each).__name__ for each in session.setup.pegs] == ["Peg", "Ground"]
     session.change({"length": 1.5})
     assert session.arm == Settings().arm
+    assert session.obstacles == setup.pegs[1:]  # what is planned with
+    with pytest.raises(InvalidInput, match="starts inside an obstacle"):
+        session.change({"length": 2.5})
+    assert session.rope.total_length == 1.5
 
 
 @pytest.mark.parametrize(

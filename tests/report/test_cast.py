@@ -185,6 +185,10 @@ def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
     np.testing.assert_allclose(rope, [[-0.105, 0.0], [-0.105, -2.0]], atol=1e-12)  # rounding of cos(pi / 2)
     low, high = axis.get_xlim()
     assert low < -2.105 < 2.53 < high
+    walls = (hf.Wall(1.0, -1.0, 1.0, 1.0), hf.Peg(9.0, 0.0, 0.1))
+    past = dataclasses.replace(plan, cast_setup=dataclasses.replace(plan.cast_setup, obstacles=walls))
+    words = [text.get_text() for text in target_map(past).legends[0].get_texts()]
+    assert [word for word in words if "obstacle" in word] == ["wall, an obstacle"]  # the peg is beyond the picture
 
 
 def test_the_film_tells_the_course(held):

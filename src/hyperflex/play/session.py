@@ -11,7 +11,7 @@ import numpy as np
 from hyperflex import control
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Arm, Peg, Rope, Setup
+from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
 from hyperflex.play.arm_program import ArmProgram
 from hyperflex.play.controls import CROSSING, FIXED, Settings
 from hyperflex.simulation import simulate
@@ -49,6 +49,8 @@ class Session:
         What is simulated, with the motion as far as it is decided.
     t : float
         Simulated time, s.
+    obstacles : tuple of Peg, Wall, Ground
+        What else there is beside the rope: of the set-up that was opened last all but the target.
     activity : str
         ``"hang"``, ``"swing"``, ``"cast"`` (a planned motion) or ``"file"``.
     version : int
@@ -58,6 +60,7 @@ class Session:
     def __init__(self, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
         self.version = 0
+        self.obstacles: tuple[Obstacle, ...] = ()
         self._given: Setup | None = None  # whose rope and arm are used until others are set
         self.activity, self.t, self._begun = "hang", 0.0, 0.0
         self._program: ArmProgram | None = None  # None: the motion is that of a whole set-up
@@ -94,9 +97,10 @@ class Session:
     def play(self, setup: Setup, activity: str, skip: float = 0.0) -> None:
         """Begin a whole set-up; the first `skip` seconds are simulated at once. Its first round peg is the target."""
         self._begin(setup, activity, None)
-        self._given = setup if activity == "file" else self._given
-        if setup.round_pegs:
-            peg = setup.round_pegs[0]
+        if activity == "file":
+            self._given = setup
+            self.obstacles = tuple(each for each in setup.pegs if each not in setup.round_pegs[:1])
+        if (peg := self._target(setup)) is not None:
             place = {"target_x": peg.x, "target_y": peg.y, "target_radius": peg.radius, "target_friction": peg.mu}
             self.settings = replace(self.settings, **place, target_solid=1)
         if skip > 0.0:
@@ -155,7 +159,7 @@ class Session:
             "radius": self.setup.rope.radius,
             "view": [x - reach, y - reach, x + reach, y + _ABOVE * reach],
             "obstacles": [{**asdict(each), "kind": type(each).__name__.lower()} for each in self.setup.pegs],
-            "targets": [] if self.setup.pegs else [[self.settings.target_x, self.settings.target_y]],
+            "targets": [] if self._target(self.setup) else [[self.settings.target_x, self.settings.target_y]],
         }
 
     def recorded(self) -> Recorded:
@@ -208,13 +212,16 @@ class Session:
             self._next = rule.next_start(RopeState(self.t, self._state.q, self._state.qd), program.made)
         return self._next
 
-    def _pegs(self) -> tuple[Peg, ...]:
-        return (self.settings.target,) if self.settings.target_solid else ()
+    def _pegs(self) -> tuple[Obstacle, ...]:
+        return (*((self.settings.target,) if self.settings.target_solid else ()), *self.obstacles)
+
+    def _target(self, setup: Setup) -> Peg | None:
+        """Return the first round peg of a set-up that is none of the obstacles."""
+        return next((each for each in setup.round_pegs if each not in self.obstacles), None)
 
     def _move_target(self) -> None:
         """Move the peg, unless it would be in the rope; it is put there, it does not push."""
-        others = [each for each in self.setup.pegs if each not in self.setup.round_pegs[:1]]
-        setup = self.setup.replace(pegs=(*self._pegs(), *others))
+        setup = self.setup.replace(pegs=self._pegs())
         state = None if self._state is None else replace(self._state, checkpoint={})
         simulate(setup, duration=1e-6, t_eval=[self.t], state=state)
         self.setup, self._state = setup, state
@@ -227,7 +234,7 @@ class Session:
         return arm.tip(angle) - np.array(arm.pivot)
 
     def _numbers(self, run: Trajectory) -> list[float]:
-        target = next(iter(self.setup.round_pegs), self.settings.target)
+        target = self._target(self.setup) or self.settings.target
         c = control.driving_constant(self.settings.t_move, self.settings.t_rest)
         x, v = run.tip[:, 0], run.tip_velocity[:, 0]
         energy = control.pseudo_energy(x, v, float(self.setup.rope.mass.sum()), c)

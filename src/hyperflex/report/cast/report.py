@@ -25,6 +25,7 @@ from hyperflex.report.page import Picture, Section, TextTable
 from hyperflex.report.plan import (
     NOT_KNOWN,
     PlanReport,
+    clear_of,
     clearance_tiles,
     counted,
     searched,
@@ -151,7 +152,9 @@ class CastReport(PlanReport[CastPlan]):
         plots = (Plot(f"turns, {way(self.plan)}", "", (Line("", turns),)),)
         strike = math.nan if self.plan.outcome is None else self.plan.outcome.strike_time
         marks = (strike,) if math.isfinite(strike) else ()
-        return {"title": "planned cast, simulated", "note": self.film_note(), "plots": plots, "marks": marks}
+        walls = self.plan.cast_setup.obstacles
+        words = {"title": "planned cast, simulated", "note": self.film_note()}
+        return {**words, "plots": plots, "marks": marks, "obstacles": walls}
 
     def film_note(self) -> Callable[[float], str]:
         """Return what the film says at a time, s: target, arm, turns, and at the end the hold."""
@@ -329,7 +332,7 @@ def _checks(plan: CastPlan) -> TextTable:
             contact, clear = f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}", f"{1e3 * cast.clearance:.1f} mm"
             good = "yes" if cast.success else "no"
             rows.append((name, str(cast.n_links), strike, turns, contact, slip, clear, good))
-    names = ("run", "links", "strikes", "turns", "contact", "slips", "clear of the arm", "winds and holds")
+    names = ("run", "links", "strikes", "turns", "contact", "slips", clear_of(plan.cast_setup), "winds and holds")
     return TextTable(names, tuple(rows))
 
 
