@@ -54,7 +54,7 @@ def test_errors_of_the_work_are_raised() -> None:
 
 
 def test_what_cannot_be_sent_to_processes_is_refused_with_the_reason(two: Executor) -> None:
-    with pytest.raises(InvalidInput, match="cannot be given the work.*lambda"):
+    with pytest.raises(InvalidInput, match=r"cannot be given the work.*lambda"):
         results(partial(squares, on_plan=lambda _: True), 4, two, 2)
     targets = [hf.Peg(2.5, 0.0, 0.03)]
     with pytest.raises(InvalidInput, match="defined at the top of a module"):
