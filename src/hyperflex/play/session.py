@@ -9,16 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperflex import control
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
 from hyperflex.play.arm_program import ArmProgram
 from hyperflex.play.controls import CROSSING, FIXED, Settings
-from hyperflex.simulation import simulate
+from hyperflex.simulation import OUT_OF_TIME, simulate
 from hyperflex.trajectory import State, Trajectory
 from hyperflex.winding import rope_tension, turns
 
 MOST_RECORDED = 120.0  # s of a run that can be kept
+FRAME_TIME = 1.0  # s of processor time that a frame may take, usually some thousandths
 _MEDIAN = 5  # frames, of which the tension is the median: beside a peg that of a single step jumps
 _ABOVE = 0.5  # part of what the rope reaches above the shaft that is in the picture
 _ROPE, _PLACE = ("length", "mass", "links", "friction", "arm_length"), "target_"
@@ -131,10 +132,16 @@ class Session:
         self.version += 1
 
     def advance(self, dt: float) -> bytes:
-        """Go on by dt, s; returns the frame: NUMBERS and places of shaft and joints, m, as float32."""
+        """Go on by dt, s; returns the frame: NUMBERS and places of shaft and joints, m, as float32.
+
+        Raises
+        ------
+        SimulationError
+            If it cannot be simulated, or takes more than FRAME_TIME, as where a peg was put into a rope wound round it.
+        """
         if self._program is not None:
             self._decide(self._program, self.t + dt)
-        self._go_on(dt)
+        self._go_on(dt, FRAME_TIME)
         if self.t - self._begun > MOST_RECORDED:
             self._record_from_here()
         return self.frame()
@@ -174,8 +181,17 @@ class Session:
         self._tensions.clear()
         self.version += 1
 
-    def _go_on(self, dt: float) -> None:
-        self._run = simulate(self.setup, duration=dt, t_eval=[self.t + dt], state=self._state)
+    def _go_on(self, dt: float, time_budget: float | None = None) -> None:
+        try:
+            end = [self.t + dt]
+            self._run = simulate(self.setup, duration=dt, t_eval=end, state=self._state, time_budget=time_budget)
+        except SimulationError as error:
+            if error.status != OUT_OF_TIME or time_budget is None:
+                raise
+            why = (
+                f"The next frame takes more than {time_budget:g} s of work. Hang the rope anew, or give it fewer links."
+            )
+            raise SimulationError(why, status=OUT_OF_TIME, time=error.time) from error
         self._state = self._run.state
         self.t = self._state.t
 

@@ -16,10 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.model import Peg, Rope
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import holds, named
+from hyperflex.planning.clearance import holds, named, obstacle_gaps
 from hyperflex.planning.outcome import MIN_TURNS
 
 MARGIN = 0.05  # turns beyond MIN_TURNS that a plan aims at, since the tail still swings
@@ -29,6 +30,7 @@ GAIN = 2.2  # by which one stroke widens a swing, in units of the arm tip's way 
 # which angle it can be swung then, rad. Beyond level it goes slack: a weight at its end jerks it when it is taut again
 OUTWARD, WIDEST = (2.0 / 3.0, 0.74), (2.3, 1.7)
 MIN_ENERGY = 0.2  # energy ratio at the strike
+STANDS = 73  # angles of the arm from which a straight way to the target is looked for
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,8 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     impossible, message = _geometry(cast_setup, far, axis, room, needed)
     if inside := [each for each in cast_setup.obstacles if holds(each, peg.x, peg.y)]:
         impossible, message = True, f"the target lies in {named(inside[0])}"
+    elif not message and (blocked := _blocked(cast_setup, peg)):
+        message = f"out of reach: {blocked}"
     if (torque := _start_torque(cast_setup)) > cast_setup.limits.torque:
         impossible = True
         message = f"the motor is too weak: the rope that hangs from the arm asks {torque:.3g} N m of it at the start"
@@ -125,6 +129,30 @@ def _geometry(cast_setup: CastSetup, far: float, axis: float, room: float, neede
         left = f"rope for {max(room, 0.0):.2f} turns is left beyond the target"
         return False, f"out of reach: {left}, {needed:.2f} needed"
     return False, ""
+
+
+def _blocked(cast_setup: CastSetup, peg: Peg) -> str:
+    """Return which obstacle leaves a wound rope no room, and where, in words; "" if there is room.
+
+    It goes round the target, and straight to one of its sides from where the arm may stand.
+    """
+    obstacles, rope, arm = cast_setup.obstacles, cast_setup.rope, cast_setup.arm
+    if not obstacles:
+        return ""
+    centre: Array = np.array([[peg.x, peg.y]])
+    room = obstacle_gaps(obstacles, centre, centre)[:, 0] - peg.radius
+    beside, needed = int(room.argmin()), 2.0 * rope.radius + max(cast_setup.clearance, 0.0)
+    if room[beside] < needed:
+        left = f"leaves {1e3 * max(room[beside], 0.0):.3g} mm beside the target"
+        return f"{named(obstacles[beside])} {left}, the rope takes {1e3 * needed:.3g}"
+    tips = arm.tip(np.linspace(*cast_setup.limits.angles, STANDS))
+    ways = centre - tips
+    aside = (peg.radius + rope.radius) * np.stack([-ways[:, 1], ways[:, 0]], axis=-1) / np.hypot(*ways.T)[:, None]
+    ends = np.concatenate([centre + side * aside for side in (-1.0, 0.0, 1.0)])
+    gaps = obstacle_gaps(obstacles, np.tile(tips, (3, 1)), ends) - rope.radius
+    if gaps.min(axis=0).max() > 0.0:
+        return ""
+    return f"{named(obstacles[int((gaps <= 0.0).sum(axis=1).argmax())])} stands between the arm and the target"
 
 
 def _start_torque(cast_setup: CastSetup) -> float:
