@@ -28,7 +28,7 @@ from hyperflex.demo import write_demo
 from hyperflex.estimate import track_video
 from hyperflex.files import atomic_path
 from hyperflex.identification.uncertainty import covariance
-from hyperflex.interruption import caught, deferred, handle_signals, interruptible, look
+from hyperflex.interruption import catch_interrupt, deferred, handle_signals, interruptible, look
 from hyperflex.paper import reproduce
 from hyperflex.simulation.contact import runs
 from hyperflex.vision import calibrate_camera, track_bars
@@ -150,12 +150,12 @@ def test_what_a_library_makes_another_error_of_is_an_interrupt() -> None:
                 swallowed()
             raise ValueError("cannot convert")
 
-    with handle_signals(), caught() as stop:
+    with handle_signals(), catch_interrupt() as stop:
         convert(interrupt=True)
-    assert stop.met
+    assert stop.received
     with pytest.raises(KeyboardInterrupt):
         convert(interrupt=True)
-    with pytest.raises(ValueError, match="cannot"), handle_signals(), caught():
+    with pytest.raises(ValueError, match="cannot"), handle_signals(), catch_interrupt():
         convert(interrupt=False)
 
 
@@ -182,13 +182,13 @@ def test_a_partial_result_may_be_made_when_it_is_asked_for() -> None:
 
 def test_what_follows_a_caught_interrupt_may_take_long_until_the_second_one() -> None:
     with handle_signals():
-        with caught() as stop:
+        with catch_interrupt() as stop:
             signal.raise_signal(signal.SIGINT)
         look()
-        assert stop.met
+        assert stop.received
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-        with caught():
+        with catch_interrupt():
             look()
 
 

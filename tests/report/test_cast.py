@@ -53,7 +53,7 @@ def test_the_page_names_target_swings_turns_and_hold(tmp_path, held):
         f"{1e3 * planned().clearance:.1f} mm",
         "clear of the arm",
         "clockwise",
-        f"bore {held.force:.2f} N",
+        f"withstood {held.force:.2f} N",
         f"{held.capstan_force:.2f} N",
         "simulated",
         "8.61 rad/s",
@@ -162,7 +162,7 @@ def test_a_target_in_reach_that_no_throw_winds_is_not_said_to_be_out_of_reach():
 def test_what_the_rule_of_thumb_says_is_said_to_be_that():
     rope, arm = planned().cast_setup.rope, planned().cast_setup.arm
     asked = CastReport(hf.plan_cast(rope, arm, PEG, holding_force=20.0), None)
-    assert "out of reach by a rule of thumb: wound it bears 2.94 N at most" in asked.verdict
+    assert "out of reach by a rule of thumb: its holding force is 2.94 N at most" in asked.verdict
     assert (
         "found: out of reach: the rope ends" in CastReport(unreachable(), None).verdict
     )  # no rule of thumb but geometry

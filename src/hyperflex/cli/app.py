@@ -66,8 +66,8 @@ for _command, _example in (
 _COMMANDS = {each.callback.__name__.replace("_", "-") for each in app.registered_commands if each.callback is not None}
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(asked: bool) -> None:
+    if asked:
         typer.echo(__version__)
         raise typer.Exit
 

@@ -198,8 +198,8 @@ class Session:
     def _decide(self, program: ArmProgram, until: float) -> None:
         """Decide the next move of the arm, if it begins before a time."""
         start = max(self.t, self._start(program))
-        wanted = self.activity == "swing" or (self._goal is not None and self._goal != program.angle)
-        if start >= until or not wanted:
+        moves = self.activity == "swing" or (self._goal is not None and self._goal != program.angle)
+        if start >= until or not moves:
             return
         if program.full:
             program = self._program = ArmProgram(program.angle, program.end)

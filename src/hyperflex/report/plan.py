@@ -236,7 +236,7 @@ def torque_warning(plan: Plan, seen: Outcome | None) -> str:
     if not seen.torque > STRONG * weight:
         return ""
     return (
-        f"The motor and the rope must bear a lot: {seen.torque:.3g} N m for 5 ms, {seen.torque_peak:.3g} N m at the "
+        f"Motor and rope are loaded heavily: {seen.torque:.3g} N m for 5 ms, {seen.torque_peak:.3g} N m at the "
         f"peak, where the rope's weight at the arm makes {weight:.2g} N m. Give --torque to plan for a weaker motor."
     )
 

@@ -25,7 +25,7 @@ def cast(
     speed: planner.Speed = None,
     acceleration: planner.Acceleration = None,
     torque: planner.Torque = None,
-    holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
+    holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should withstand, N.")] = 0.0,
     contact: Annotated[
         float | None,
         typer.Option(

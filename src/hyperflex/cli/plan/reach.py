@@ -31,7 +31,7 @@ def reach_map(
     speed: planner.Speed = None,
     acceleration: planner.Acceleration = None,
     torque: planner.Torque = None,
-    holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
+    holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should withstand, N.")] = 0.0,
     clearance: planner.Clearance = None,
     time_budget: Annotated[
         float,

@@ -47,7 +47,7 @@ class Feasibility:
         Energy of the tail at the strike, over the energy that lifts its centre of mass over the target; at least
         MIN_ENERGY.
     holding_force : float
-        Greatest pull that the wound rope can bear, N: weight of the hanging end times e^(mu angle of contact).
+        Greatest pull that the wound rope can withstand, N: weight of the hanging end times e^(mu angle of contact).
     impossible : bool
         Whether geometry or the motor's torque rule the target out; then a search is never made.
     message : str
@@ -75,7 +75,7 @@ class Feasibility:
 
 
 def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0) -> Feasibility:
-    """Check whether a target is feasible; `holding_force` is the pull that the wound rope must bear, N.
+    """Check whether a target is feasible; `holding_force` is the pull that the wound rope must withstand, N.
 
     Notes
     -----
@@ -94,7 +94,7 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     room = (rope.total_length - far + axis) / (2.0 * math.pi * axis)
     needed = _needed(far, aside, axis, cast_setup.contact)
     energy = _energy(cast_setup, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
-    bears = _hold(cast_setup, peg, room, _contact(far, aside, axis), _straight(far, axis))
+    holding = _hold(cast_setup, peg, room, _contact(far, aside, axis), _straight(far, axis))
     impossible, message = _geometry(cast_setup, far, axis, room, needed)
     if inside := [each for each in cast_setup.obstacles if holds(each, peg.x, peg.y)]:
         impossible, message = True, f"the target lies in {named(inside[0])}"
@@ -109,9 +109,9 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
         high = f"it is higher than the rope swings, {math.degrees(_widest(rope)):.0f} degrees from hanging"
         ratio = f"at the strike {energy:.2f} of what lifts the tail over it, {MIN_ENERGY:g} needed"
         message = f"out of reach: {why}: {high if energy < 0.0 else ratio}"
-    if not message and bears < asked:
-        message = f"out of reach: wound it bears {bears:.3g} N at most, {asked:g} N asked"
-    return Feasibility(room, needed, energy, bears, impossible, message)
+    if not message and holding < asked:
+        message = f"out of reach: its holding force is {holding:.3g} N at most, {asked:g} N asked"
+    return Feasibility(room, needed, energy, holding, impossible, message)
 
 
 def _geometry(cast_setup: CastSetup, far: float, axis: float, room: float, needed: float) -> tuple[bool, str]:
@@ -229,7 +229,7 @@ def _energy(cast_setup: CastSetup, far: float, aside: float, axis: float) -> flo
 
 
 def _hold(cast_setup: CastSetup, peg: Peg, room: float, contact: float, straight: float) -> float:
-    """Greatest pull that a wound rope bears, N, of all the turns that it has room for."""
+    """Greatest pull that a wound rope withstands, N, of all the turns that it has room for."""
     rope, axis = cast_setup.rope, peg.radius + cast_setup.rope.radius
     weight = math.hypot(*rope.gravity)
     # Mass beyond each joint over the length of rope there, from the tip on

@@ -106,7 +106,7 @@ class CastReport(PlanReport[CastPlan]):
             shown.append(
                 (
                     f"{least}{self.held.force:.2f}\u00a0N",
-                    "hold force: the pull that the wound rope bears before it slips",
+                    "hold force: the pull that the wound rope withstands before it slips",
                 )
             )
         return tuple(shown)
@@ -305,16 +305,16 @@ def _grazes(cast: CastOutcome) -> str:
 
 
 def _hold(held: HoldingForce) -> str:
-    bore = (
-        f"the rope bore {held.force:.2f} N and then slipped"
+    told = (
+        f"the rope withstood {held.force:.2f} N and then slipped"
         if held.tug.slipped
-        else f"the rope bore {held.force:.2f} N and had not slipped when the pull ended, so it holds more"
+        else f"the rope withstood {held.force:.2f} N and had not slipped when the pull ended, so it holds more"
     )
     return (
-        f"Hold force (mean over 0.1 s): pulled away from the target at 20 mm/s, {bore}. For comparison, the tail that "
+        f"Hold force (mean over 0.1 s): pulled away from the target at 20 mm/s, {told}. For comparison, the tail that "
         f"hangs beyond the target weighs {held.tail_weight:.3f} N; times e^(mu angle), with mu = {held.mu:g} and "
         f"{held.contact_angle:.1f} rad of contact, that is {held.capstan_force:.2f} N (Capstan equation). It leaves "
-        "out the weight of the rope on the target and of the rope between target and arm, which the pull bears as well."
+        "out the weight of the rope on the target and of the rope between target and arm, which the pull lifts as well."
     )
 
 

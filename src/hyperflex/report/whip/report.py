@@ -131,7 +131,7 @@ class WhipReport(PlanReport[WhipPlan]):
         seen, target = self.plan.required(self.plan.outcome, "outcome"), self.plan.target
 
         def note(t: float) -> str:
-            end = f"met at {seen.t:.2f} s: {seen.speed:.1f} m/s, {length(seen.miss, 2)} off"
+            end = f"passes it at {seen.t:.2f} s: {seen.speed:.1f} m/s, {length(seen.miss, 2)} off"
             if not self.plan.success:
                 end = f"FAILS: {self.plan.message}"
             place = f"target: x = {target.x:.3g} m, y = {target.y:.3g} m, {target.least_speed:.3g} m/s or more"
