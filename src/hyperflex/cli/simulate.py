@@ -118,7 +118,7 @@ def _told_of(peg: dict[str, Any]) -> str:
     if np.isnan(peg["tension_N"]):
         return f"{turns}; the rope does not touch it at the end"
     slip = peg["slip_m"]
-    on = f"slipped {1e3 * slip:.1f} mm" if np.isfinite(slip) else "came to lie on it, or let go,"
+    on = f"slipped {1e3 * abs(slip):.1f} mm" if np.isfinite(slip) else "came to lie on it, or let go,"
     words = f"{turns}, {np.degrees(peg['covered_rad']):.0f} degrees covered, {on} in the last {WATCH:g} s"
     if "hold_N" not in peg:
         return words
