@@ -16,6 +16,7 @@ from hyperflex import files, progress
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import Identification, identify, lumped, ratios
+from hyperflex.identification.diagnosis.grade import Findings, grade
 from hyperflex.identification.fit.multiple_shooting import Fit, Linear, fit, fit_state
 from hyperflex.identification.fit.stages import Measurements
 from hyperflex.identification.fit.windows import Window, cut_windows, decimation_step, usual_length
@@ -29,7 +30,6 @@ from hyperflex.identification.uncertainty.covariance import Information, estimat
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation
 from hyperflex.identification.uncertainty.ratios import ratio_spread
 from hyperflex.identification.verdict import (
-    failed_predictions,
     not_converged,
     not_noise,
     other_lengths,
@@ -540,15 +540,17 @@ def test_a_prediction_that_diverges_counts_as_infinitely_wrong(free_swing: Recor
     assert not np.isnan(held.window_rms).any()
     assert np.isinf(held.rms).all()
     np.testing.assert_allclose(held.failed, [5.5])
-    assert "1 of 3 held-out predictions failed (from t = 5.5 s)" in failed_predictions(held)
+    told = grade(Findings(DOUBLE, identifiable=True, held_out=held))
+    assert told.name == "do not use"
+    assert "1 of 3 predictions of what was not fitted failed (from t = 5.5 s)" in told.reasons[0]
     good = held_out(plain(DOUBLE), free_swing.window(4.0, np.inf))
-    assert failed_predictions(good) == failed_predictions(None) == ""
+    assert not any("failed" in each for each in grade(Findings(DOUBLE, identifiable=True, held_out=good)).reasons)
 
 
-def test_failed_predictions_are_in_the_verdict(free_swing: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_predictions_are_in_the_grade(free_swing: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hyperflex.identification.problem.Plant", Wild)
     result = identify(free_swing, DOUBLE, ["friction"], train=4.0)
-    assert any("held-out predictions failed" in text for text in result.verdict)
+    assert "predictions of what was not fitted failed" in result.grade.reasons[0]
     assert result.summary()["held_out"]["rms"] == [None, None]  # JSON has no infinity
 
 

@@ -12,7 +12,7 @@ from benchmarks.wrong_input import noisy, swing
 
 import hyperflex as hf
 from hyperflex.identification import Identification, ratios
-from hyperflex.identification.diagnosis.grade import grade
+from hyperflex.identification.diagnosis.grade import Findings, grade
 from hyperflex.identification.diagnosis.model_error import with_model_error
 from hyperflex.identification.diagnosis.score_tests import SCALES, ScoreTest
 
@@ -63,7 +63,7 @@ def test_a_clock_that_drifts_is_told_and_in_the_deviations() -> None:
 def test_lengths_within_what_a_ruler_errs_make_no_result_useless() -> None:
     def graded(scale: float) -> str:
         test = ScoreTest("gravity_scale", 0.9, np.array([scale]), moved=0.03, std=1e-3)
-        return str(grade([], ROPE, None, [test], identifiable=False))
+        return str(grade(Findings(ROPE, identifiable=False, tests=[test])))
 
     assert graded(0.994) == (
         "Usable for ratios: lengths seem 0.6 % off, or times half of that: measure a length, or the frame rate, again; "
@@ -94,7 +94,7 @@ def test_a_mass_at_the_tip_that_was_not_declared_is_no_clock() -> None:
 def test_what_moves_ratios_within_their_deviations_makes_no_result_useless() -> None:
     def graded(name: str, beyond: float) -> str:
         test = ScoreTest(name, 0.9, np.array([1.03]), moved=0.03, beyond=beyond, std=1e-3, excess_gain=0.99, sure=True)
-        return str(grade([], ROPE, None, [test], identifiable=False))
+        return str(grade(Findings(ROPE, identifiable=False, tests=[test])))
 
     said = "90 % of the residuals' sum of squares go away, and ratios move by up to 3 %. Standard deviations hold that"
     assert graded("com", 1.0) == f"Usable for ratios: 'com' may be off: if so, {said}; measure it, or put it into free."

@@ -102,3 +102,12 @@ def test_a_state_or_rope_without_a_rollout_is_none() -> None:
     assert it.predict(it.parameters.start, T, np.full(6, np.nan)) is None
     assert it.jacobian(it.parameters.start, T, np.full(6, np.nan)) is None
     assert it.predict(-it.parameters.start, T, STATE) is None  # no rope has such inertias
+
+
+@pytest.mark.parametrize(("least", "fails"), [(1e-4, False), (1e-13, True)])
+def test_a_rollout_of_far_too_many_steps_is_none(least: float, fails: bool) -> None:
+    """As the triple pendulum's, with its links in reverse order: a last link with next to no inertia whirls."""
+    rope = Rope([0.2, 0.2], [0.1, 0.1], com=[0.1, 1e-7], inertia=[1e-3, least])
+    it = Plant(Parameters(rope, parse(rope, ["inertia"])), Angles())
+    seen = it.predict(it.parameters.start, np.linspace(0.0, 1.5, 150), np.array([0.3, 0.4, 0.0, 0.0]))
+    assert (seen is None) == fails

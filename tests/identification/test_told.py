@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import pipeline
-from hyperflex.identification.diagnosis.grade import grade
+from hyperflex.identification import About, about, pipeline
+from hyperflex.identification.diagnosis.grade import Findings, grade
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
-from hyperflex.identification.verdict import swapped
+from hyperflex.identification.verdict import not_noise, swapped
 from tests.faults.interrupting import left_by
 
 PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], friction=[3e-4, 1e-4])
@@ -114,26 +116,26 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
     [(True, "Usable: {}, all else is. {}"), (False, "Usable for ratios: {}, all other ratios are. {}")],
 )
 def test_what_is_not_known_stands_beside_what_is(identifiable: bool, words: str) -> None:
-    told = grade((), PAIR, None, (), identifiable=identifiable, hardly=["friction[1]"])
+    told = grade(Findings(PAIR, identifiable=identifiable, hardly=["friction[1]"]))
     unknown = "friction[1] is not known (the standard deviation is half of the value or more)"
     advice = "Record longer or larger swings, or hold what you know otherwise."
     assert str(told) == words.format(unknown, advice)
-    poor = grade(("The fit is poor.",), PAIR, None, (), identifiable=identifiable, hardly=["friction[1]"])
+    poor = grade(Findings(PAIR, identifiable=identifiable, warnings=["The fit is poor."], hardly=["friction[1]"]))
     assert poor.reasons[1] == f"{unknown}. {advice}"
 
 
 def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used() -> None:
     """As a frame rate that is far too low makes it: times are stretched, and with them inertia over first moment."""
     rope = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09])
-    assert grade((), rope, None, (), identifiable=True).name == "usable"
+    assert grade(Findings(rope, identifiable=True)).name == "usable"
     odd = rope.replace(inertia=[0.0225, rope.inertia[1]])
-    told = grade((), odd, None, (), identifiable=True)
+    told = grade(Findings(odd, identifiable=True))
     assert told.name == "do not use"
     assert "link 0 would have its mass" in told.reasons[0]
-    last = grade((), rope.replace(inertia=[rope.inertia[0], 0.05]), None, (), identifiable=True)
+    last = grade(Findings(rope.replace(inertia=[rope.inertia[0], 0.05]), identifiable=True))
     assert "link 1 would have its mass" in last.reasons[0]
     clock = ScoreTest("gravity_scale", 0.9, np.array([0.25]), moved=3.0, std=1e-3)
-    named = grade((), odd, None, (clock,), identifiable=True).reasons
+    named = grade(Findings(odd, identifiable=True, tests=[clock])).reasons
     assert "times or lengths are not as declared" in named[0]  # says more, and comes before
     assert "link 0 would have its mass" in named[1]
 
@@ -153,3 +155,12 @@ def test_markers_swapped_in_two_intervals_are_told_with_both() -> None:
     assert swapped(recording, rope) == (
         "markers 1 and 2 are swapped from t = 1 to 1.98 s and from t = 5 to 5.48 s: swap them back there."
     )
+
+
+def test_a_sentence_carries_what_it_is_about() -> None:
+    """In the verdict and, with a capital, among the further reasons of a grade; to another process, too."""
+    told = grade(Findings(PAIR, identifiable=True, noise="noise", hardly=["friction[1]"], laws=(2.0, "drag")))
+    assert [about(each) for each in told.reasons[:3]] == [About.ELSE, About.NOT_KNOWN, About.FRICTION]
+    assert [about(each) for each in pickle.loads(pickle.dumps(told)).more[:2]] == [About.NOT_KNOWN, About.FRICTION]
+    assert told.more[0].startswith("Friction[1] is not known")
+    assert about(not_noise(20.0)) is about(not_noise(1.0, 0.0)) is About.COLOURED

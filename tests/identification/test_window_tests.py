@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.windows import summary, text
+from benchmarks.windows import summary, text, too_many_refused
 from benchmarks.wrong_input import DOUBLE, FREE, SINGLE, Array, noisy, swing
 
 import hyperflex as hf
-from hyperflex.identification.diagnosis.grade import grade
+from hyperflex.identification.diagnosis.grade import Findings, grade
 from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter
 
 GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
@@ -88,10 +88,10 @@ def test_friction_that_changes_is_a_model_error() -> None:
 
 
 def test_windows_that_disagree_by_little_are_said_and_no_more() -> None:
-    slight = grade((), DOUBLE, None, (), identifiable=True, scatter=[Scatter("J/p1[1]", 3.0, 0.004)])
+    slight = grade(Findings(DOUBLE, identifiable=True, scatter=[Scatter("J/p1[1]", 3.0, 0.004)]))
     assert slight.name == "usable"
     assert "J/p1[1] scatters between them 3 times as much as noise makes it" in slight.reasons[0]
-    assert grade((), DOUBLE, None, (), identifiable=True, scatter=[Scatter("J/p1[1]", 3.0, 0.02)]).name == "do not use"
+    assert grade(Findings(DOUBLE, identifiable=True, scatter=[Scatter("J/p1[1]", 3.0, 0.02)])).name == "do not use"
 
 
 def test_what_was_held_says_so() -> None:
@@ -104,9 +104,9 @@ def test_what_was_held_says_so() -> None:
 
 
 def test_a_grade_says_by_itself_whether_axes_may_be_wrong() -> None:
-    assert grade((), DOUBLE, None, (), identifiable=True, turned=1.5).doubtful
-    assert not grade((), DOUBLE, None, (), identifiable=True, turned=0.1).doubtful
-    assert not grade((), DOUBLE, None, (), identifiable=True, noise="gravity is turned").doubtful
+    assert grade(Findings(DOUBLE, identifiable=True, turned=1.5)).doubtful
+    assert not grade(Findings(DOUBLE, identifiable=True, turned=0.1)).doubtful
+    assert not grade(Findings(DOUBLE, identifiable=True, noise="gravity is turned")).doubtful
 
 
 @pytest.mark.parametrize(("words", "holds"), [("up to 50 %", None), ("", False)])
@@ -116,21 +116,25 @@ def test_the_benchmark_of_parts_counts_scatter_and_overlap_of_those_that_may_be_
     """Scatter without the errors that all parts have in common, which would hide it."""
     rows = [
         {"recording": "one", "begin": float(k), "seconds": 1.0, "grade": grade, "reason": "", "friction": friction}
-        | {"ratios": {"J/p1[0]": [value, 5.0, 0.5], "c/p1[0]": [10.0 * value, 0.5, 0.5]}}
+        | {"ratios": {"J/p1[0]": [value, 5.0, 0.5, 0.3], "c/p1[0]": [10.0 * value, 0.5, 0.5, 0.3]}}
         for k, (value, grade, friction) in enumerate(
             [
                 (0.0, "usable", "up to 50 %"),
-                (1.0, "usable", "up to 50 %"),
+                (1.5, "usable", "up to 50 %"),
                 (3.0, "usable for ratios", "up to 50 %"),
                 (99.0, "do not use", words),
             ]
         )
     ]
     ratio, friction = summary(rows)
-    # about the mean 4/3: (16 + 1 + 25) / 9 / 0.25 over two degrees of freedom; 3 overlaps with neither
-    assert ratio["chi_squared"] == pytest.approx(42.0 / 9.0 / 0.25 / 2.0)
-    assert (ratio["parts"], ratio["overlap"]) == (3, pytest.approx(1.0 / 3.0))
+    # about the mean 3/2: (9 + 0 + 9) / 4 / 0.25 over two degrees of freedom
+    assert ratio["chi_squared"] == pytest.approx(4.5 / 0.25 / 2.0)
+    # differences of 1.5 are beyond 1.96 sqrt(0.5), though intervals of 0.98 to either side overlap; of 3 they do not
+    assert (ratio["parts"], ratio["agree"], ratio["overlap"]) == (3, 0.0, pytest.approx(2.0 / 3.0))
     assert ratio["holds"] is False
-    assert ratio["stated"] == pytest.approx(42.0 / 9.0 / 25.0 / 2.0)
+    assert ratio["stated"] == pytest.approx(4.5 / 25.0 / 2.0)
     assert (friction["holds"], friction["model_error"]) == (holds, "up to 50 %")
     assert "**no**" in text(rows)
+    assert "not to be used: 1 of 4" in text(rows)
+    assert too_many_refused(rows) == []
+    assert too_many_refused(rows[2:]) == ["one"]

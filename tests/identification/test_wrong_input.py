@@ -5,10 +5,23 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from benchmarks.wrong_input import DOUBLE, SINGLE, Case, Outcome, longer, outcome, real, simulated, swing
+from benchmarks.wrong_input import (
+    CAUSES,
+    DOUBLE,
+    SINGLE,
+    Case,
+    Outcome,
+    longer,
+    outcome,
+    ratios,
+    real,
+    simulated,
+    swing,
+)
 
 import hyperflex as hf
 from hyperflex.identification.diagnosis.declarations import ShortFit
@@ -63,31 +76,62 @@ FIT = (
 
 
 REAL = (
+    "real single: as it is",
+    "real single: angles x 0.9",
+    "real single: zero off by 5 degrees",
+    "real single: half the frame rate",
+    "real single: clock x 1.1: a pendulum of more inertia",
     "real triple: as it is",
     "real triple: relative angles read as absolute",
+    "real triple: degrees read as radians",
+    "real triple: radians read as degrees",
+    "real triple: 0 is up",
+    "real triple: zero off by 5 degrees",
+    "real triple: last link's zero off by 10 degrees",
     "real triple: clock x 1.1",
     "real triple: twice the frame rate",
     "real triple: half the frame rate",
     "real triple: a clock that drifts, 2 % too slow at the end",
     "real triple: clock x 1.005 and lengths x 1.01, as clocks and rulers err",
     "real double: as it is",
+    "real double: relative angles read as absolute",
+    "real double: degrees read as radians",
+    "real double: 0 is level",
+    "real double: zero off by 5 degrees",
+    "real double: first link to the other side",
+    "real double: clock x 1.1",
+    "real double: lengths x 1.1",
+    "real double: clock x 1.005 and lengths x 1.01, as clocks and rulers err",
     "real double: radians read as degrees",
     "real double: last link's zero off by 10 degrees",
     "real double: a clock that drifts, 2 % too slow at the end",
 )
 
 
+OPEN = {  # known to be wrong; strict, so that what is mended leaves this list
+    "single: from 1.4 rad, angles x 0.9": "a factor of the angles is told as a clock that drifts",
+    "double: every 25th frame dropped, times counted on": "intervals as wide as their values are called usable",
+    "double: noise of a tenth of the motion": "a friction that is not known is not said to be",
+    "double: a frame is repeated every second": "a friction that is not known is not said to be",
+}
+
+
 def check(case: Case) -> Outcome:
     """Check how a case ends; return that."""
     found = outcome(case)
-    assert found.end != "WRONG", found.line
+    assert found.end not in ("WRONG", "WIDE"), found.line
     assert NAMED.get(case.name, "") in found.line
     if case.name.endswith(FIT) and case.name not in NAMED:
         assert found.end in ("right", "suspicion", "cannot be told"), found.line
     return found
 
 
-@pytest.mark.parametrize("case", SIMULATED, ids=[case.name for case in SIMULATED])
+def marked(case: Case) -> Any:
+    marks = [pytest.mark.xfail(strict=True, reason=OPEN[case.name])] if case.name in OPEN else []
+    return pytest.param(case, id=case.name, marks=marks)
+
+
+@pytest.mark.parametrize("case", [marked(case) for case in SIMULATED])
 def test_no_wrong_answer_is_called_usable(case: Case) -> None:
     check(case)
 
@@ -128,13 +172,42 @@ def test_the_page_has_the_rows_of_this_matrix() -> None:
     rows = {cells[0]: cells[1:] for line in page.splitlines() if len(cells := line.strip("| ").split(" | ")) == 3}
     missing = [case.name for case in SIMULATED if case.name not in rows] + [name for name in REAL if name not in rows]
     assert missing == [], "python -m benchmarks.wrong_input --data FOLDER"
-    assert [name for name, (end, _) in rows.items() if end == "WRONG"] == []
+    assert {name for name, (end, _) in rows.items() if end in ("WRONG", "WIDE")} == set(OPEN)
     assert [name for name, words in NAMED.items() if words not in rows[name][1]] == []
     undetectable = {case.name for case in SIMULATED if case.undetectable}
     told = {name for name, (end, _) in rows.items() if end == "cannot be told" and not name.startswith("real")}
     assert told == undetectable
     held, count = (int(re.search(words, page)[1]) for words in (r"as they are (\d+) do", r"Of the (\d+) intervals"))  # type: ignore[index]
-    assert 0.9 * count <= held < count
+    assert 0.9 * count <= held <= count
+
+
+@pytest.mark.parametrize(
+    ("changed", "end"),
+    [
+        ({}, "right"),
+        ({"widest": 1e-3}, "WIDE"),
+        ({"truth": {"J/p1": np.array([0.2])}}, "WRONG"),
+        ({"truth": {}}, "WIDE"),
+        ({"truth": {"J/p1": np.array([0.2])}, "name": "single: clock x 1.1"}, "WRONG"),
+    ],
+    ids=["as it is", "a narrower limit", "another truth", "nothing to compare", "a cause that is not named"],
+)
+def test_what_counts_as_right(changed: dict[str, Any], end: str) -> None:
+    right = next(case for case in SIMULATED if case.name == "single: as it is")
+    assert outcome(replace(right, right=right, **changed)).end == end
+
+
+def test_a_suspicion_is_of_the_true_cause() -> None:
+    """A clock and lengths that are off, told as the length, count; the same words for another cause do not."""
+    case = next(case for case in SIMULATED if case.name == "driven: lengths x 0.99")
+    case = replace(case, truth={name: 2.0 * value for name, value in ratios(DOUBLE).items()})
+    assert outcome(case).end == "suspicion"
+    assert outcome(replace(case, name="driven: com held wrong")).end == "WRONG"
+
+
+def test_causes_are_those_of_cases() -> None:
+    named = {case.wrong for case in SIMULATED}
+    assert set(CAUSES) <= named
 
 
 def test_a_recording_shorter_than_a_usual_window_is_looked_at_as_well() -> None:

@@ -1,13 +1,14 @@
 """A fit as a result: values, ratios, sentences and grade."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.identification.diagnosis.grade import MASSES, Grade, grade
+from hyperflex.identification.diagnosis.grade import MASSES, Findings, grade
 from hyperflex.identification.diagnosis.model_error import law_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.diagnosis.tolerances import moves_alike
@@ -22,7 +23,6 @@ from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.identification.verdict import (
     HALF,
     consistent,
-    failed_predictions,
     hardly_known,
     held_words,
     noise_not_modelled,
@@ -58,7 +58,6 @@ def assemble_result(
     residuals, torque = _residuals(basis)
     known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     moves = ratio_spread(parameters, information, model=True)
-    laws = ratio_spread(parameters, basis.as_declared.information, model=True)
     covariance, by_length = information.covariances(slopes)
     message = early if found.interrupted else CONVERGED if found.converged else NOT_CONVERGED
     unit, declared = "rad" if isinstance(plant.sensor, Angles) else "m", settings["noise"] == "declared"
@@ -73,13 +72,15 @@ def assemble_result(
         *warnings[1:],
         not_noise(information.correlation, information.whiteness),
         noise_not_modelled(information.agrees, information.freedom),
-        failed_predictions(held_out),
         too_large(information.variance, information.freedom) if declared else "",
         *(each.remark for each in (intervals or {}).values()),
     ]
     said = too_small(windows, residuals, found.loss) if declared else ""
     if intervals is not None:
         intervals = intervals | of_ratios(known, ratio_std, information.freedom)
+    findings = replace(
+        _findings(basis, rope, tests, settings), warnings=warnings, held_out=held_out, scatter=scatter, noise=said
+    )
     result = Identification(
         rope=rope,
         values=_by_name(plant, rope, parameters.values(x)),
@@ -89,12 +90,10 @@ def assemble_result(
         model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
         ratio_model_std=moves,
         intervals=intervals or {},
-        grade=_graded(
-            basis, rope, warnings, held_out, tests, scatter, settings, said, _moved(known, laws), (known, ratio_std)
-        ),
+        grade=grade(findings),
         score_tests=tests,
         verdict=tuple(consistent(words)),
-        identifiable=information.unknown.shape[1] == 0,
+        identifiable=findings.identifiable,
         residual_rms=np.sqrt(np.nanmean(residuals**2, axis=0)),
         residual_t=np.concatenate([w.t for w in windows]),
         residuals=residuals,
@@ -113,32 +112,20 @@ def assemble_result(
     return result.with_remark(held_words(result.held), last=True)
 
 
-def _graded(
-    basis: Basis,
-    rope: Rope,
-    warnings: Sequence[str],
-    held_out: HeldOut | None,
-    tests: Sequence[ScoreTest],
-    scatter: Sequence[Scatter],
-    settings: dict[str, Any],
-    noise: str,
-    moved: float,
-    ratio_spreads: tuple[dict[str, Array], dict[str, Array]],
-) -> Grade:
+def _findings(basis: Basis, rope: Rope, tests: Sequence[ScoreTest], settings: dict[str, Any]) -> Findings:
+    """Return what is found of a fit by its covariance and its score tests."""
+    parameters, information = basis.plant.parameters, basis.information
+    known, std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     missing = max(0, settings["left_out"] - 1)  # what is left at the end is no window, as a rule
-    return grade(
-        warnings,
+    return Findings(
         rope,
-        held_out,
-        tests,
-        scatter=scatter,
-        noise=noise,
+        identifiable=information.unknown.shape[1] == 0,
+        tests=tests,
         held=basis.plant.motor is None,
-        identifiable=basis.information.unknown.shape[1] == 0,
         laws=law_error(basis, tests),
-        hardly=_hardly(basis, ratio_spreads),
-        moved=moved,
-        turned=basis.plant.parameters.single("gravity_angle", basis.fit.x),
+        hardly=_hardly(basis, known, std),
+        moved=_moved(known, ratio_spread(parameters, basis.as_declared.information, model=True)),
+        turned=parameters.single("gravity_angle", basis.fit.x),
         left_out=missing / (missing + settings["windows"]),
         alike=moves_alike(basis.plant),
     )
@@ -150,11 +137,11 @@ def _moved(ratios: dict[str, Array], moves: dict[str, Array]) -> float:
     return float(np.nanmax(np.concatenate(parts), initial=0.0)) if parts else 0.0
 
 
-def _hardly(basis: Basis, ratios: tuple[dict[str, Array], dict[str, Array]]) -> list[str]:
+def _hardly(basis: Basis, ratios: dict[str, Array], ratio_std: dict[str, Array]) -> list[str]:
     """Return the labels of values and of ratios of moments and inertias known to half of themselves only, or worse."""
-    said = [label for label, _, _ in hardly_known(basis.plant.parameters, basis.information)]
+    said = hardly_known(basis.plant.parameters, basis.information)
     for name in MASSES:
-        pairs = zip(ratios[0].get(name, []), ratios[1].get(name, []), strict=True)
+        pairs = zip(ratios.get(name, []), ratio_std.get(name, []), strict=True)
         said += [f"{name}[{k}]" for k, (x, std) in enumerate(pairs) if np.isfinite(std) and std > HALF * abs(x)]
     return said
 

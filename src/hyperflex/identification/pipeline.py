@@ -40,7 +40,7 @@ from hyperflex.recording import Recording
 
 LENGTH_STD = 0.01  # relative: what rulers and pictures measure lengths to
 CLOCK_STD = 0.005  # relative, of times: parts of IBM 06 and 16 fit to a gravity of 1.00 +- 0.01, twice that
-PATIENCE = 1800.0  # s of processor time, where no time budget is given
+TIME_BUDGET = 1800.0  # s of processor time, where no time budget is given
 
 
 @interruptible(Identification)
@@ -190,7 +190,7 @@ def identify(
             lead=lead,
             ahead=ahead,
             report=report,
-            limit=time_limit(PATIENCE if time_budget is None else time_budget),
+            limit=time_limit(TIME_BUDGET if time_budget is None else time_budget),
         )
         result = problem.solve(free, intervals, began)
     if result.message == INTERRUPTED:

@@ -10,7 +10,7 @@ from hyperflex.identification.fit.loss import NORMAL, Loss
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.scale import common_factor, in_common_factor
-from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.sentences import About, Sentence
 from hyperflex.identification.uncertainty.covariance import TOUCHED, Information
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import Rope
@@ -18,17 +18,19 @@ from hyperflex.recording import Recording
 
 CORRELATED = 10.0  # samples
 LEAST_FREEDOM = 2.0  # independent values; a variance from fewer has no std
-COLOURED = (
+COLOURED = Sentence(
     "The residuals are not white: the measuring noise is coloured, or the model leaves something out. The deviations "
-    "and intervals allow for the first, and for other laws of the joints and of the air, not for more."
+    "and intervals allow for the first, and for other laws of the joints and of the air, not for more.",
+    About.COLOURED,
 )
-ALL_KNOWN = "All free parameters can be known from this motion, given those that were held."
+ALL_KNOWN = Sentence("All free parameters can be known from this motion, given those that were held.", About.ALL_KNOWN)
 ALL_ACT = (
     "Each free parameter acts in this motion in a way of its own, given those that were held; how far the values can "
     "be trusted, the other sentences say."
 )
-FIRST_MOMENT = (
-    "In ratios p1 is the first moment of link 0 about its joint, kg m, with all mass beyond it at its far end."
+FIRST_MOMENT = Sentence(
+    "In ratios p1 is the first moment of link 0 about its joint, kg m, with all mass beyond it at its far end.",
+    About.MEANING,
 )
 OUTLYING = 6.0  # times the median deviation: a distance that a lost marker makes
 UNEVEN = 0.03  # relative difference of two scales; as the distances of markers
@@ -42,7 +44,7 @@ def verdict(parameters: Parameters, information: Information, spreads: dict[str,
     """Return in words what is identifiable; `spreads` (n,) are standard deviations of the ratios."""
     if not information.estimated:
         return ["It ended before deviations and intervals were worked out: there are none."]
-    return [*_unknown(parameters, information, spreads), *_values(parameters, information), *_first_moment(spreads)]
+    return [*_unknown(parameters, information, spreads), *_at_zero(parameters, information), *_first_moment(spreads)]
 
 
 def not_converged(message: str) -> str:
@@ -70,10 +72,11 @@ def not_noise(correlation: float, whiteness: float = 1.0) -> str:
     """Return a warning for an autocorrelation time (samples), or a p-value of a whiteness test, beyond chance."""
     if correlation <= CORRELATED:
         return "" if whiteness >= CHANCE else COLOURED
-    return (
+    return Sentence(
         f"The residuals are no noise (they hang together over {correlation:.0f} samples) but errors of the model: it "
         "leaves something out. Standard deviations and intervals hold what other laws of the joints and of the air "
-        "would change, not what is none of these."
+        "would change, not what is none of these.",
+        About.COLOURED,
     )
 
 
@@ -204,17 +207,6 @@ def held_words(held: Sequence[str]) -> str:
     return f"Held as given, so a standard deviation of 0 is no accuracy: {', '.join(held)}."
 
 
-def failed_predictions(held_out: HeldOut | None) -> str:
-    """Return a warning where held-out stretches could not be predicted."""
-    if held_out is None or held_out.failed.size == 0:
-        return ""
-    starts = ", ".join(f"{start:.4g}" for start in held_out.failed)
-    return (
-        f"{held_out.failed.size} of {held_out.starts.size} held-out predictions failed (from t = {starts} s): the "
-        "identified rope cannot be simulated there, and the prediction error counts as infinite."
-    )
-
-
 def _unknown(parameters: Parameters, information: Information, spreads: dict[str, Array]) -> list[str]:
     """Return what cannot be known: a common factor, parameters that do not act, and those that act alike."""
     unknown = information.unknown
@@ -257,35 +249,26 @@ def _together(names: str, count: int, spreads: dict[str, Array], common: bool) -
     )
 
 
-def hardly_known(parameters: Parameters, information: Information) -> list[tuple[str, float, float]]:
-    """Return labels, values and standard deviations of what is known to half its value only, or worse."""
+def hardly_known(parameters: Parameters, information: Information) -> list[str]:
+    """Return the labels of what is known to half its value only, or worse."""
     std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
     return [
-        (each.label, value, spread)
+        each.label
         for each, value, spread in zip(parameters.all, values, std, strict=True)
         if each.kind.form != "linear" and np.isfinite(spread) and spread > HALF * value > 0.0
     ]
 
 
-def _values(parameters: Parameters, information: Information) -> list[str]:
+def _at_zero(parameters: Parameters, information: Information) -> list[str]:
+    """Return what went to 0."""
     values = parameters.values(parameters.rounded(information.x))
     none = [
         each.label
         for each, value in zip(parameters.all, values, strict=True)
         if each.form == "nonnegative" and value == 0.0
     ]
-    hardly = hardly_known(parameters, information)
-    said = [f"{', '.join(none)} went to 0, the least allowed: the data show none of it."] if none else []
-    if len(hardly) == 1:
-        label, value, spread = hardly[0]
-        said.append(f"{label} is hardly known: {value:.3g} with a standard deviation of {spread:.2g}.")
-    elif hardly:
-        said.append(
-            f"{', '.join(label for label, _, _ in hardly)} are hardly known: standard deviations of half their values "
-            "and more."
-        )
-    return said
+    return [f"{', '.join(none)} went to 0, the least allowed: the data show none of it."] if none else []
 
 
 HALF = 0.5  # of a value: with a standard deviation beyond, it is hardly known

@@ -158,12 +158,15 @@ def end_at_event(run: Rollout) -> None:
     clock[INDEX], clock[MARK] = run.t.size, -np.inf
 
 
-def finish_rollout(run: Rollout, report: Callable[[float], None] | None = None) -> int:
-    """Run to the end and return the status code; `report` is called with the simulated time between budgets."""
-    code = status.RUNNING
+def finish_rollout(run: Rollout, report: Callable[[float], None] | None = None, most: float = np.inf) -> int:
+    """Run to the end and return the status code; `report` is called with the simulated time between budgets.
+
+    After `most` budgets it is still RUNNING.
+    """
+    code, budgets = status.RUNNING, 0
     run.progress.clock[MARK] = -np.inf
-    while code == status.RUNNING:
-        code = run.advance()
+    while code == status.RUNNING and budgets < most:
+        code, budgets = run.advance(), budgets + 1
         look()
         if report is not None:
             report(run.time)

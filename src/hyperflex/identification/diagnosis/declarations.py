@@ -9,8 +9,8 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.stages import HARDLY, Measurements, search_delay, with_delay
+from hyperflex.identification.fit.multiple_shooting import HARDLY, fit
+from hyperflex.identification.fit.stages import Measurements, search_delay, with_delay
 from hyperflex.identification.fit.windows import decimation_step, part_left, usual_length, with_enough_frames
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.model.plant import Plant

@@ -1,6 +1,7 @@
 """What an identification may be used for, and why."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.excitation import unlike_lengths
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.sentences import About, Sentence, capitalised
 from hyperflex.model import Rope
 
 GradeName = Literal["usable", "usable for ratios", "do not use"]
@@ -68,41 +70,26 @@ class Grade(NamedTuple):
     @property
     def more(self) -> tuple[str, ...]:
         """All reasons but the first, as sentences."""
-        return tuple(f"{text[0].upper()}{text[1:]}" for text in self.reasons[1:])
+        return tuple(capitalised(text) for text in self.reasons[1:])
 
     def __str__(self) -> str:
         return f"{self.name.capitalize()}: {self.reasons[0]}" if self.reasons else f"{self.name.capitalize()}."
 
 
-def grade(
-    warnings: Sequence[str],
-    rope: Rope,
-    held_out: HeldOut | None,
-    tests: Sequence[ScoreTest],
-    *,
-    identifiable: bool,
-    scatter: Sequence[Scatter] = (),
-    noise: str = "",
-    held: bool = False,
-    laws: tuple[float, str] = (0.0, ""),
-    hardly: Sequence[str] = (),
-    moved: float = 0.0,
-    turned: float = 0.0,
-    left_out: float = 0.0,
-    alike: bool = False,
-) -> Grade:
-    """Return what a result may be used for.
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What was found of a fit, from which its grade follows.
 
-    Parameters
+    Attributes
     ----------
-    warnings : sequence of str
-        Of a fit that did not converge or leaves much of the motion; empty ones count as none.
     rope : Rope
         As identified.
-    held_out : HeldOut or None
-    tests : sequence of ScoreTest
     identifiable : bool
         Whether all free parameters are known.
+    warnings : sequence of str
+        Of a fit that did not converge or leaves much of the motion; empty ones count as none.
+    held_out : HeldOut or None
+    tests : sequence of ScoreTest
     scatter : sequence of Scatter
         Ratios of which windows disagree.
     noise : str
@@ -122,30 +109,70 @@ def grade(
     alike : bool
         Whether a longer and slower rope moves exactly alike.
     """
-    axes = bool(abs(turned) > AXES)
-    disagree, differ = _disagreeing(scatter)
-    odd = [*(each for each in warnings if each), *_mispredicted(held_out), *disagree]
-    links, coarse = _finer(tests, odd=bool(odd))
-    wrong = [*_impossible(rope), *links, *misdeclared(tests), *_far(rope), *odd]
-    unlike = [each for each in [unlike_lengths(rope)] if each]
-    wrong = [*unlike, *wrong] if wrong else []
-    suspicion = [*([] if wrong else unlike), *coarse, *_turned(turned), *slightly(tests), *differ, *untested(tests)]
-    doubts = [*undetectable(tests, alike=alike), *_doubts(laws, moved, left_out), *_changing(scatter)]
-    if hardly:
-        rest = "" if wrong else ", all else is" if identifiable else ", all other ratios are"
-        suspicion.append(
-            _not_known(hardly) + f"{rest}. Record longer or larger swings, or hold what you know otherwise."
-        )
-    if noise:
-        suspicion.insert(0, noise)
+
+    rope: Rope
+    identifiable: bool
+    warnings: Sequence[str] = ()
+    held_out: HeldOut | None = None
+    tests: Sequence[ScoreTest] = ()
+    scatter: Sequence[Scatter] = ()
+    noise: str = ""
+    held: bool = False
+    laws: tuple[float, str] = (0.0, "")
+    hardly: Sequence[str] = ()
+    moved: float = 0.0
+    turned: float = 0.0
+    left_out: float = 0.0
+    alike: bool = False
+
+
+def grade(found: Findings) -> Grade:
+    """Return what a result may be used for."""
+    axes = bool(abs(found.turned) > AXES)
+    wrong = _wrong(found)
+    suspicion, doubts = _suspicions(found, wrong=bool(wrong)), _doubts(found)
     if wrong:
         return Grade("do not use", (*wrong, *suspicion, *doubts), axes)
-    if identifiable and not held:
+    if found.identifiable and not found.held:
         return Grade("usable", (*suspicion, *doubts, BY_TORQUE), axes)
-    places = next((each.ratio_sensitivity for each in tests if each.name == "com"), 0.0)
+    places = next((each.ratio_sensitivity for each in found.tests if each.name == "com"), 0.0)
     moves = f" (1 % of a centre of mass moves ratios by up to {percent(places)})" if places > 0.0 else ""
-    common = HELD.format(moves) if identifiable else COMMON
+    common = HELD.format(moves) if found.identifiable else COMMON
     return Grade("usable for ratios", (*suspicion, common, *doubts), axes)
+
+
+def _wrong(found: Findings) -> list[str]:
+    """Return why a result is not to be used."""
+    odd = _odd(found)
+    links, _ = _finer(found.tests, odd=bool(odd))
+    wrong = [*_impossible(found.rope), *links, *misdeclared(found.tests), *_far(found.rope), *odd]
+    return [*_unlike(found.rope), *wrong] if wrong else []
+
+
+def _suspicions(found: Findings, *, wrong: bool) -> list[str]:
+    """Return what may be wrong, or is not known; what makes a result `wrong` is not said again."""
+    _, coarse = _finer(found.tests, odd=bool(_odd(found)))
+    _, differ = _disagreeing(found.scatter)
+    suspicion = [found.noise] if found.noise else []
+    suspicion += [] if wrong else _unlike(found.rope)
+    suspicion += [*coarse, *_turned(found.turned), *slightly(found.tests), *differ, *untested(found.tests)]
+    if found.hardly:
+        rest = "" if wrong else ", all else is" if found.identifiable else ", all other ratios are"
+        words = f"{_not_known(found.hardly)}{rest}. Record longer or larger swings, or hold what you know otherwise."
+        suspicion.append(Sentence(words, About.NOT_KNOWN))
+    return suspicion
+
+
+def _odd(found: Findings) -> list[str]:
+    """Return what is odd of a fit, whatever the cause."""
+    disagree, _ = _disagreeing(found.scatter)
+    return [*(each for each in found.warnings if each), *_mispredicted(found.held_out), *disagree]
+
+
+def _unlike(rope: Rope) -> list[str]:
+    """Return that a link is far longer than another."""
+    words = unlike_lengths(rope)
+    return [words] if words else []
 
 
 def _impossible(rope: Rope) -> list[str]:
@@ -189,8 +216,12 @@ def _mispredicted(held_out: HeldOut | None) -> list[str]:
     if held_out is None:
         return []
     if held_out.failed.size:
+        starts = ", ".join(f"{start:.4g}" for start in held_out.failed)
         failed = f"{held_out.failed.size} of {held_out.starts.size} predictions of what was not fitted failed"
-        return [f"{failed}: look at the held-out part, or leave it out (train=inf)."]
+        words = (
+            f"{failed} (from t = {starts} s): the identified rope cannot be simulated there. Look at the held-out part"
+        )
+        return [f"{words}, or leave it out (train=inf)."]
     error = float(np.sqrt(np.mean(held_out.rms**2)))
     still = held_out.persistence
     words = ""
@@ -252,19 +283,21 @@ def _turned(angle: float) -> list[str]:
     return [words] if abs(angle) > AXES else []
 
 
-def _doubts(laws: tuple[float, str], moved: float, left_out: float) -> list[str]:
-    said = []
-    part, name = laws
+def _doubts(found: Findings) -> list[str]:
+    """Return what no motion tells, and what the model and the windows leave out."""
+    said = undetectable(found.tests, alike=found.alike)
+    part, name = found.laws
     if part > FRICTION_MOVES:
         size = f"up to {100.0 * part:.2g} %" if part < 1.0 else "as much as it is"
-        said.append(
+        words = (
             "friction is a model error: it stands for all that brakes, and would change by "
             f"{size} if '{name}' were free as well."
-            f"{' Ratios of moments and inertias hardly move.' if moved < MOVES else ''}"
+            f"{' Ratios of moments and inertias hardly move.' if found.moved < MOVES else ''}"
         )
-    if left_out > LEFT_OUT:
+        said.append(Sentence(words, About.FRICTION))
+    if found.left_out > LEFT_OUT:
         said.append(
-            f"{100.0 * left_out:.0f} % of the windows were left out: they have too few samples, or the rope could not "
-            "be simulated from their states."
+            f"{100.0 * found.left_out:.0f} % of the windows were left out: they have too few samples, or the rope "
+            "could not be simulated from their states."
         )
-    return said
+    return [*said, *_changing(found.scatter)]

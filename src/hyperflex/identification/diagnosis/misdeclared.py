@@ -6,6 +6,7 @@ import numpy as np
 
 from hyperflex.identification.diagnosis.score_tests import EQUAL, SCALES, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import DRIFT
+from hyperflex.identification.sentences import About, Sentence
 
 UNTESTED = 0.05  # standard deviation of gravity's factor: any ruler measures lengths better
 SHORT = 0.004  # relative, of lengths: by less a ruler errs, even one that was read with care
@@ -22,10 +23,11 @@ UNDETECTABLE_CLOCK = (
     "If they are wrong by more than clock_std, moments and inertias are as well (a clock 1 % off makes J/p1 2 % off): "
     "check the frame rate."
 )
-UNDETECTABLE_SCALE = (
+UNDETECTABLE_SCALE = Sentence(
     "times and lengths are tested against each other alone: with a clock 1 % off and all lengths 2 % off a rope moves "
     "exactly alike, and J/p1 is 2 % off. Standard deviations hold length_std and clock_std: check the frame rate, or "
-    "one length."
+    "one length.",
+    About.UNDETECTABLE,
 )
 CHECK = {
     "gravity_scale": "check the frame rate, and one length",
@@ -141,7 +143,8 @@ def untested(tests: Sequence[ScoreTest]) -> list[str]:
     scale = next((each for each in tests if each.name == "gravity_scale"), None)
     if scale is None or scale.std <= UNTESTED:
         return []
-    return [f"times and lengths are taken as declared: this motion cannot test them. {UNDETECTABLE_CLOCK}"]
+    words = f"times and lengths are taken as declared: this motion cannot test them. {UNDETECTABLE_CLOCK}"
+    return [Sentence(words, About.UNTESTED)]
 
 
 def undetectable(tests: Sequence[ScoreTest], *, alike: bool) -> list[str]:

@@ -96,9 +96,10 @@ def _other_states(
     costs = _costs(plant, windows, x, states)
     changed: dict[int, Array] = {}
     least = float(np.quantile(costs, BETTER_PART))
-    for k in np.flatnonzero(costs > AMISS * min(1.0, least)).tolist():
+    good = AMISS * min(1.0, least)
+    for k in np.flatnonzero(costs > good).tolist():
         known = [changed.get(j, state) for j, state in enumerate(states)]
-        state = search_state(plant, windows, x, known, k, loss, thorough=least < AMISS)
+        state = search_state(plant, windows, x, known, k, loss, good=good, thorough=least < AMISS)
         if state is not None:
             changed[k] = state
     return changed

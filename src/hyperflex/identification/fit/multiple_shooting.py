@@ -22,6 +22,7 @@ from hyperflex.interruption import catch_interrupt
 LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
 ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their std
 SHORT = 1.0  # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
+HARDLY = 1e-2  # gain of a round, as a part of the cost, that ends a fit after which others come
 ROUGH = 1e-5  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
 STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up
 NEAR, FALL = 1e-2, 0.7  # in scales: farther above its bound a parameter falls by no more than this part of the way
@@ -161,26 +162,34 @@ def fit(
 
 
 def fit_state(
-    plant: Plant, x: Array, window: Window, *starts: Array, loss: Loss | None = None, rounds: int = 30
+    plant: Plant,
+    x: Array,
+    window: Window,
+    *starts: Array,
+    loss: Loss | None = None,
+    rounds: int = 30,
+    enough: float | None = None,
 ) -> tuple[Array, Array] | None:
     """Return the fitted state (2n,) at a window's start and its residual (m C,), parameters fixed; None on failure.
 
-    Of several `starts` the one goes on that a few rounds bring farthest.
+    Of several `starts` the one goes on that a few rounds bring farthest. It ends as :func:`fit` does.
     """
     found: Fit | None = None
     for start in starts:
         sketch = SKETCH if len(starts) > 1 else rounds
-        tried = _fit_state(plant, x, window, start, loss, sketch)
+        tried = _fit_state(plant, x, window, start, loss, sketch, enough)
         if tried is not None and (found is None or tried.cost < found.cost):
             found = tried
     if found is not None and len(starts) > 1 and not found.converged:
-        found = _fit_state(plant, x, window, found.states[0], loss, rounds) or found
+        found = _fit_state(plant, x, window, found.states[0], loss, rounds, enough) or found
     return None if found is None else (found.states[0], found.residuals[0])
 
 
-def _fit_state(plant: Plant, x: Array, window: Window, start: Array, loss: Loss | None, rounds: int) -> Fit | None:
+def _fit_state(
+    plant: Plant, x: Array, window: Window, start: Array, loss: Loss | None, rounds: int, enough: float | None
+) -> Fit | None:
     try:
-        return fit(plant, [window], x, [start], loss=loss, states_only=True, rounds=rounds)
+        return fit(plant, [window], x, [start], loss=loss, states_only=True, rounds=rounds, enough=enough)
     except InvalidInput:
         return None
 

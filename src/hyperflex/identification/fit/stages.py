@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.fit.alternating import fit_alternating
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit, fit_state, with_entries
+from hyperflex.identification.fit.multiple_shooting import HARDLY, Fit, Report, fit, fit_state, with_entries
 from hyperflex.identification.fit.restarts import fit_from_starts, refit_poor_windows
 from hyperflex.identification.fit.state_search import arrived
 from hyperflex.identification.fit.windows import FEWEST, Window, cut_windows, decimation_step
@@ -20,7 +20,6 @@ from hyperflex.interruption import catch_interrupt
 from hyperflex.recording import Recording
 
 FIRST = 8  # windows so many times shorter come first
-HARDLY = 1e-2  # gain of a round, as a part of the cost, that ends a stage before the last
 STAGE_WINDOWS = 40  # of the short ones, spread over the recording
 DELAY_STEPS = 16  # of the grid on either side of 0, over a window's length
 DELAY_WINDOWS = 4  # that are looked at
@@ -169,7 +168,7 @@ def _starts(
         if window.others and kept and refine:
             starts += arrived(plant, x, kept[-1], states[-1], window)
         rounds = 30 if refine or window.others else 0
-        found = fit_state(plant, x, window, *starts, loss=loss, rounds=rounds)
+        found = fit_state(plant, x, window, *starts, loss=loss, rounds=rounds, enough=HARDLY)
         if found is not None:
             kept.append(window)
             states.append(found[0])

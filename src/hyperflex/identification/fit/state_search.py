@@ -7,7 +7,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import fit_state
+from hyperflex.identification.fit.multiple_shooting import HARDLY, fit_state
 from hyperflex.identification.fit.windows import FEWEST, Window, nearest_turn
 from hyperflex.identification.model.plant import Plant
 
@@ -25,24 +25,41 @@ def search_state(
     loss: Loss,
     *,
     enough: float = 1.0,
+    good: float = 0.0,
     thorough: bool = False,
 ) -> Array | None:
     """Return a state of window k that costs less than the part `enough` of what the present one costs, or None.
 
-    `thorough`: states are fitted to its first samples, then to more and more of it, and to its last samples, beginning
-    with the window after. That is worth its time where x is about right.
+    `thorough`: states are fitted to its last samples as well, beginning with the window after, and to its first
+    samples, then to more and more of it. That is worth its time where x is about right. A state of which a value costs
+    no more than `good` ends the search.
     """
-    window, starts = windows[k], list(restart_states(plant, windows, x, states, k))
-    if thorough:
-        starts = _grown(plant, x, window, starts, loss)
-        if k + 1 < len(windows) and plant.motion is None:
-            starts += _from_behind(plant, x, window, windows[k + 1], states[k + 1], loss)
-    found = fit_state(plant, x, window, *starts, loss=loss)
-    if found is None:
-        return None
+    window = windows[k]
     before = plant.residual(x, window, states[k])
-    now = np.inf if before is None else loss.cost(before) + window.prior_cost(states[k])
-    return found[0] if loss.cost(found[1]) + window.prior_cost(found[0]) < enough * now else None
+    least = np.inf if before is None else enough * (loss.cost(before) + window.prior_cost(states[k]))
+    best: Array | None = None
+    for starts in _starts(plant, windows, x, states, k, loss, thorough=thorough):
+        found = fit_state(plant, x, window, *starts, loss=loss, enough=HARDLY)
+        if found is not None and (cost := loss.cost(found[1]) + window.prior_cost(found[0])) < least:
+            best, least = found[0], cost
+            if cost <= good * window.values:
+                break
+    return best
+
+
+def _starts(
+    plant: Plant, windows: Sequence[Window], x: Array, states: list[Array], k: int, loss: Loss, *, thorough: bool
+) -> Iterator[list[Array]]:
+    """Yield groups of states to start window k from, the cheapest first."""
+    starts = list(restart_states(plant, windows, x, states, k))
+    if not thorough:
+        yield starts
+        return
+    if k > 0:
+        yield arrived(plant, x, windows[k - 1], states[k - 1], windows[k])
+    if k + 1 < len(windows) and plant.motion is None:
+        yield _from_behind(plant, x, windows[k], windows[k + 1], states[k + 1], loss)
+    yield _grown(plant, x, windows[k], starts, loss)
 
 
 def _part(window: Window, rows: slice) -> Window:
@@ -55,7 +72,7 @@ def _grown(plant: Plant, x: Array, window: Window, states: list[Array], loss: Lo
         seen = _part(window, slice(0, max(FEWEST, int(part * window.t.size))))
         grown: list[Array] = []
         for state in states:
-            found = fit_state(plant, x, seen, state, loss=loss, rounds=SHORT)
+            found = fit_state(plant, x, seen, state, loss=loss, rounds=SHORT, enough=HARDLY)
             end = state if found is None else found[0]
             if all(np.abs(end - other).max() > ALIKE for other in grown):
                 grown.append(end)
@@ -72,7 +89,7 @@ def _from_behind(plant: Plant, x: Array, window: Window, after: Window, state: A
         if mirrored is None:  # backwards friction would push; forwards, with all rates turned round, it is about right
             return []
         state = nearest_turn(np.append(mirrored[:n], -mirrored[n:]), window.guess)
-        found = fit_state(plant, x, _part(window, slice(first, None)), state, loss=loss, rounds=SHORT)
+        found = fit_state(plant, x, _part(window, slice(first, None)), state, loss=loss, rounds=SHORT, enough=HARDLY)
         state, end = state if found is None else found[0], float(window.t[first])
     return [state]
 

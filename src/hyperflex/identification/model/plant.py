@@ -29,6 +29,9 @@ from hyperflex.simulation import (
 )
 
 PRECISION = 1e-7  # tolerance of a rollout over the rope's length, far below any measured angle's error
+# Steps of a rollout, beyond which it counts as failed: real ropes take some tens a second. A rope whose last
+# link has hardly an inertia turns it at 1e3 rad/s, and a fit that goes there would take minutes.
+MOST_STEPS, MOST_STEPS_A_SECOND = 2000, 1000
 
 
 @dataclass(frozen=True)
@@ -172,10 +175,11 @@ class Plant:
         return rollout_limits(self._setup, at.chain, float(t[-1]))
 
     def _run(self, at: _Evaluation, t: Array, state: Array) -> Array | None:
-        """Return the rollout's states at t (m,) from `state` (2n,), or None where it fails."""
+        """Return the rollout's states at t (m,) from `state` (2n,), or None where it fails or takes too many steps."""
         n = at.rope.n_links
         run = prepare_rollout(at.chain, at.drive, (state[:n], state[n:]), t, self._limits(at, t))
-        return run.y if finish_rollout(run) == status.OK else None
+        most = max(MOST_STEPS, MOST_STEPS_A_SECOND * float(t[-1] - t[0])) / run.limits.budget
+        return run.y if finish_rollout(run, most=most) == status.OK else None
 
     def _channels(self, at: _Evaluation, t: Array, y: Array) -> Array:
         """Return the channels (m, C) of states y (m, 2n or more)."""

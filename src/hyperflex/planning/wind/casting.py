@@ -19,7 +19,7 @@ from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fallback
-from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
+from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility, search_time
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.planning.wind.remedies import find_remedies
 from hyperflex.planning.wind.robust_phase import NOMINAL, refine_robustly
@@ -70,8 +70,8 @@ def plan_cast(
     side : {-1, 1}, optional
         Side on which the arm stands, left or right; needed with `state0`. By default the planner chooses.
     time_limit : float, optional
-        Time within which the rope must strike, s; by default five periods of its swing, and half as many again if
-        these do not seem to give it energy enough.
+        Time within which the rope must strike, s; by default five periods of its swing, and up to eleven where a
+        target is so high that strokes must swing the rope up for longer.
     holding_force : float
         Pull that the wound rope must withstand, N: by a rule in the feasibility check, and by a simulated tug when a
         throw is verified. The success probability does not include it.
@@ -163,13 +163,15 @@ def plan_cast(
         raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
     check_start(cast_setup)
     known = check_feasibility(cast_setup, target, holding_force=holding_force)
+    if time_limit is None:
+        cast_setup = replace(cast_setup, time=search_time(cast_setup, target))
     search = ThrowSearch(cast_setup, target, checks.count("seed", seed, least=0), threads, holding_force)
     if not search.parametrizations:
         known = replace(known, impossible=True, message="the rope begins in the target, or beside it in an obstacle")
     if known.impossible or not (known.feasible or skip_feasibility):
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:
-        free = {"longer": time_limit is None, "full_turn": contact is None, "clock": clock}
+        free = {"full_turn": contact is None, "clock": clock}
         search.try_throws([one.throw for one in start_from if one.throw is not None])
         plan = _search(search, known, uncertainty, time_budget, progress, on_plan, **free)
     with catch_interrupt() as stop:

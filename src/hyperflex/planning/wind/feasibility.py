@@ -22,10 +22,13 @@ from hyperflex.model import Peg, Rope
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import holds, named, obstacle_gaps
 from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.throw import KEEPING_STEP
 
 MARGIN = 0.05  # turns beyond MIN_TURNS that a plan aims at, since the tail still swings
 HANGING = 2.0  # radii of the target that the rope's end hangs from it, at least
 GAIN = 2.2  # by which one stroke widens a swing, in units of the arm tip's way over the length of an equal pendulum
+GROWN = 0.5  # part of it that a stroke adds on average from rest to level: ten strokes bring the paper's cable there
+SPARE, MOST_TIME = 2.0, 11.0  # periods beyond the pumping, and periods at most, that a search allows until the strike
 # How far out a rope's weight is (length of an equal pendulum over its own: 2/3 of a uniform rope, 1 of a bob), and to
 # which angle it can be swung then, rad. Beyond level it goes slack: a weight at its end jerks it when it is taut again
 OUTWARD, WIDEST = (2.0 / 3.0, 0.74), (2.3, 1.7)
@@ -201,6 +204,21 @@ def _gain(cast_setup: CastSetup, *, fast: bool = False) -> float:
     gain = GAIN * 2.0 * cast_setup.arm.length * math.sin(0.5 * stroke) / _pendulum(cast_setup.rope)
     time = float(cast_setup.limits.fastest_moves([stroke])[0][0])
     return gain if fast else gain * min(1.0, 0.5 * swing_period(cast_setup.rope) / time)
+
+
+def search_time(cast_setup: CastSetup, peg: Peg) -> float:
+    """Time, s, until the strike that a search allows if nobody says: what strokes take to swing the rope up, and SPARE.
+
+    They swing it from rest to the target and a stroke's gain beyond it. At least the time of the set-up, and MOST_TIME
+    periods at most. Within the time of the set-up searches found strikes with energy enough on none of twelve targets
+    above level, with it on eleven.
+    """
+    arm, down, period = cast_setup.arm, np.array(cast_setup.rope.gravity), swing_period(cast_setup.rope)
+    x, y = peg.x - arm.pivot[0], peg.y - arm.pivot[1]
+    aside = math.atan2(abs(x * down[1] - y * down[0]), x * down[0] + y * down[1])
+    gain = _gain(cast_setup)
+    strokes = (aside + gain) / (GROWN * gain)
+    return max(cast_setup.time, min(KEEPING_STEP * strokes + SPARE, MOST_TIME) * period)
 
 
 def _widest(rope: Rope) -> float:

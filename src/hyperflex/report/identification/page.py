@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperflex.identification import BAND, HeldOut, Identification
+from hyperflex.identification import BAND, About, HeldOut, Identification, about
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.report.folder import whole_folder
@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LONG = 16  # rows of a table that are shown at once
-_MODEL_ERROR = ("The residuals are no noise", "The residuals are not white")  # how the verdict's warnings begin
-_ALWAYS = ("Times and lengths are tested against", "In ratios p1 is")  # how sentences begin that warn of nothing
+_PLAIN = (About.UNDETECTABLE, About.MEANING)  # what sentences are about that warn of nothing
 _WIDE = 0.5  # of the error of a prediction that nothing moves on
 _TRUSTED = 0.85  # part of held-out values within their 95 % band, below which the page warns
 _DPI = 110
@@ -94,9 +93,7 @@ def _verdict(found: Identification) -> Section:
         (f"{rms / unit.size:.3g} {unit.name}", "left by the fit (rms over all channels)"),
     ]
     settled = found.success
-    marks = [
-        (settled and sentence.startswith("All free parameters can be known"), sentence) for sentence in found.verdict
-    ]
+    marks = [(settled and about(sentence) is About.ALL_KNOWN, sentence) for sentence in found.verdict]
     held = found.held_out
     if held is not None:
         error = float(np.sqrt(np.mean(held.rms**2)))
@@ -110,7 +107,7 @@ def _verdict(found: Identification) -> Section:
             marks = _with_trust(marks, held, half, still)
     usable = settled and found.grade.name != "do not use"
     marks = [*((False, sentence) for sentence in found.grade.more), *marks]
-    text = tuple(sentence for _, sentence in marks if sentence.startswith(_ALWAYS))
+    text = tuple(sentence for _, sentence in marks if about(sentence) in _PLAIN)
     marks = [mark for mark in marks if mark[1] not in text]
     return Section("Verdict", verdict=(usable, str(found.grade)), tiles=tuple(tiles), text=text, marks=tuple(marks))
 
@@ -135,7 +132,7 @@ def _with_trust(marks: list[tuple[bool, str]], held: HeldOut, half: str, still: 
     part = f"{part}, {half}"
     if _half_band(held) > _WIDE * held.persistence:
         return [*marks, (False, f"{part}: so wide a band says little, for keeping still would err by {still}.")]
-    told = [k for k, (_, sentence) in enumerate(marks) if sentence.startswith(_MODEL_ERROR)]
+    told = [k for k, (_, sentence) in enumerate(marks) if about(sentence) is About.COLOURED]
     if not told:
         return [*marks, (True, f"{part}: its uncertainties can be believed over {held.ahead:g} s.")]
     text = (
