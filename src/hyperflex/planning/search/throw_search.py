@@ -55,8 +55,8 @@ class ThrowSearch:
     """A search for throws: over free swings by beam search and by CMA-ES, then by CMA-ES in contact with the peg.
 
     Swings and candidates are kept best first; `runs` counts the simulated runs. `holding_force`, N, is the pull that
-    the wound rope must bear; it is used where the candidates are verified. `left` returns the time that is left for the
-    search, s; None for no limit. `threads` is one a processor by default.
+    the wound rope must withstand; it is used where the candidates are verified. `left` returns the time that is left
+    for the search, s; None for no limit. `threads` is one a processor by default.
     """
 
     cast_setup: CastSetup
