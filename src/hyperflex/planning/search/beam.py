@@ -25,9 +25,11 @@ from hyperflex.simulation import Deadline
 WIDTH, EACH = 12, 2  # swings of a side that are continued, and how many of them after the same strokes
 RESTS, MAX_REST = 5, 0.6  # rests that are tried after a stroke, and the longest of them, in periods
 SIZES = ((1.0, 1.0), (0.5, 0.9), (0.15, 0.5))  # of the strokes tried after each rest, relative to the usual stroke
-# Of a first look: six of ten targets were struck well enough with these alone, nine with all in 2.5 times the time
+# Of a first look, and every second one: six of ten targets were struck well enough with these alone, nine with all in
+# 2.5 times the time
 FULL = SIZES[:1]
 ENOUGH = 6  # strikes that are worth a try, after which a beam search may end
+BACK = 3  # strokes before the first strike from which a search begins again
 WATCHED = 0.7  # periods after a stroke in which a strike is looked for
 FINER = 3  # pieces of each link, as in the last verification
 MAX_DEVIATION = 0.005  # of the tip with shorter links after a stroke, in rope lengths
@@ -73,7 +75,7 @@ class _Continuation(NamedTuple):
 
 
 class BeamSearch:
-    """Beam search over the swings of a rope; it can be continued.
+    """Beam search over the swings of a rope; it can be continued, and begun again with other rests and strokes.
 
     Parameters
     ----------
@@ -107,6 +109,15 @@ class BeamSearch:
         self._swings = [
             _Swing(0.0, side, (), (), cast_setup.limits.start_angle(side), 0.0, 0.0, q, qd) for side in sides
         ]
+        self._levels = {0: self._swings}  # swings by their number of strokes, as they were first reached
+
+    def restart(self, sizes: Sequence[tuple[float, float]]) -> None:
+        """Begin again with strokes of other sizes, BACK strokes before the first strike: those before pump alone.
+
+        Where nothing was struck it begins in the middle of the strokes made.
+        """
+        strokes = [len(one.strokes) - BACK for one in self._strikes] or [len(self._levels) // 2]
+        self._sizes, self._swings = sizes, self._levels[max(0, min(strokes))]
 
     def ready(self, time: float, most: int) -> bool:
         """Whether any swing of less than `most` strokes ends before `time`, s."""
@@ -115,7 +126,7 @@ class BeamSearch:
     def extend(
         self, time: float, most: int, left: Callable[[], float] | None = None, enough: float = np.inf
     ) -> list[Strike]:
-        """Continue all swings that are ready until none is, or no time is left; return all strikes, best first.
+        """Continue all swings that are ready until none is, or no time is left; return new strikes, best first.
 
         Swings of at most `most` strokes end, and strikes come, before `time`, s. `left` returns the time that is left,
         s. It ends as well where ENOUGH new strikes score `enough`.
@@ -129,7 +140,9 @@ class BeamSearch:
             struck, onward = self._continue([one for one in self._swings if one.ready(time, most)], budget)
             self._strikes += struck
             self._swings = later + onward
-        return sorted((one for one in self._strikes if one.t < time), key=lambda one: -one.score)
+            for strokes in {len(one.strokes) for one in onward} - self._levels.keys():
+                self._levels[strokes] = [one for one in onward if len(one.strokes) == strokes]
+        return sorted((one for one in self._strikes[known:] if one.t < time), key=lambda one: -one.score)
 
     def _continue(self, swings: list[_Swing], budget: Deadline | None) -> tuple[list[Strike], list[_Swing]]:
         """Add a stroke to each swing; return the strikes, and the swings that are continued."""

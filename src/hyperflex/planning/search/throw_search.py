@@ -72,6 +72,7 @@ class ThrowSearch:
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
         self._beam: BeamSearch | None = None
+        self._restarts = 0  # of the beam search
         sides = free_sides(self.cast_setup, (self.peg, *self.cast_setup.obstacles))
         self.parametrizations = {side: ThrowParametrization(self.cast_setup, side) for side in sides}
         self._free: dict[int, Any] = {}  # made when it is needed: to import it takes seconds
@@ -101,17 +102,20 @@ class ThrowSearch:
         return self._beam is not None and self._beam.ready(self.cast_setup.time, most)
 
     def beam_search(self, enough: float = np.inf) -> float:
-        """Search free swings stroke by stroke; continues the last beam search if it can be, else begins one.
+        """Search free swings stroke by stroke; continues the last beam search if it can be, else begins again.
 
-        It ends where some swings score `enough`. The first one makes full strokes alone; where none of these scores
-        that, one with others follows at once. Returns the best score so far.
+        It ends where some swings score `enough`. The first one makes full strokes alone, as every second one after it
+        does; where none of its swings scores that, the next one follows at once. Returns the best score so far.
         """
         self._check()
         time, most = self.cast_setup.time, max(each.strokes for each in self.parametrizations.values())
         first = self._beam is None
-        if self._beam is None or not self.climbing:
-            sides, sizes = list(self.parametrizations), FULL if first else SIZES
-            self._beam = BeamSearch(self.cast_setup, self.peg, sides, self._random, self.threads, sizes)
+        if self._beam is None:
+            sides = list(self.parametrizations)
+            self._beam = BeamSearch(self.cast_setup, self.peg, sides, self._random, self.threads, FULL)
+        elif not self.climbing:
+            self._beam.restart((FULL, SIZES)[self._restarts % 2])
+            self._restarts += 1
         before = self._beam.runs
         found = self._beam.extend(time, most, self.left, enough)
         self.runs += self._beam.runs - before
@@ -129,7 +133,7 @@ class ThrowSearch:
 
         Returns the best score so far.
         """
-        some = distinct(sorted(found, key=lambda one: -one.score), (), CONFIRMED)
+        some = distinct(sorted(found, key=lambda one: -one.score), self.swings, CONFIRMED)
         if some:
             throws = [
                 self.parametrizations[one.side].throw(one.x).cut(self.cast_setup.time, self.cast_setup.limits)
