@@ -648,9 +648,9 @@ def test_rounds_of_swings_are_stroke_by_stroke_and_in_whole_by_turns(monkeypatch
     work, made = cast_planner.CastPlanner(ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), 60.0), []
     monkeypatch.setattr(ThrowSearch, "beam_search", lambda self, _: made.append("stroke by stroke") or 0.5)
     monkeypatch.setattr(ThrowSearch, "evolve_swings", lambda self: made.append("whole") or 0.7)
-    assert [work.swing() for _ in range(3)] == [0.5, 0.7, 0.5]
+    assert [work.swing() for _ in range(4)] == [0.5, 0.5, 0.7, 0.5]
     whole = ["whole"] * cast_planner.GENERATIONS
-    assert made == ["stroke by stroke", *whole, "stroke by stroke"]
+    assert made == ["stroke by stroke", "stroke by stroke", *whole, "stroke by stroke"]
 
 
 def test_many_swings_are_tried_with_a_few_last_moves_before_some_with_more(monkeypatch: pytest.MonkeyPatch) -> None:

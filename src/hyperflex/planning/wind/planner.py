@@ -29,7 +29,7 @@ from hyperflex.planning.wind.verified import (
 )
 from hyperflex.simulation import Deadline
 
-GENERATIONS = 5  # of free swings in a round
+GENERATIONS, BY_TURNS = 5, 3  # of free swings in a round by CMA-ES, which is every third one: beam search finds more
 MIN_GROWTH, IDLE_ROUNDS = 1.03, 2  # a round that gains less than this factor is idle; after so many contact is next
 # Energy ratio of swings that are worth a try, relative to that of the feasibility check where this is below 1: of a
 # long tail nobody lifts all
@@ -175,11 +175,11 @@ class CastPlanner:
         return bool(candidates) and (not late or candidates[0].score >= NEARLY)
 
     def swing(self) -> float:
-        """Make a round of free swings, by turns beam search and CMA-ES; return the best score so far.
+        """Make a round of free swings, one in BY_TURNS by CMA-ES, others by beam search; return the best score so far.
 
         A beam search that has found swings worth a try is gone on with in the next round.
         """
-        if self.search.climbing or self.rounds % 2 == 0:
+        if self.search.climbing or (self.rounds + 1) % BY_TURNS:
             score = self.search.beam_search(self.worthy)
             self.rounds += not self.search.climbing
             return score
