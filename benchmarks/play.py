@@ -28,6 +28,7 @@ from tests.browser import Browser, found
 
 RESULTS = Path(__file__).parent / "results"
 LINKS, PAUSE, PIECE, SETTLED = 200, 0.1, 15.0, 20.0  # s between two moves of the slider, of a look, before a soak
+PATIENCE = 20.0  # s without a frame, after which the page has stopped
 AIM = {"delivered": 55.0, "painted": 20.0, "idle p95": 100.0, "planning p95": 200.0, "cancel": 1.0, "growth": 5.0}
 SLIDE = """(async () => {
     const took = [], end = performance.now() + 1000 * %g;
@@ -123,14 +124,19 @@ def soak(page: Measured, minutes: float) -> dict[str, float]:
         frames: list[float] = []
         for message in ({"button": "hang"}, {"button": "swing"}):
             ask(socket, frames, **message)
-        begin, took, first = time.monotonic(), [], 0.0
+        begin, took, first, stops = time.monotonic(), [], 0.0, 0
         while (now := time.monotonic()) < begin + SETTLED + 60.0 * minutes:
             if not first and now > begin + SETTLED:
                 first, took, frames = page.memory(), [], [now]
             took.append(ask(socket, frames, set={"target_x": -0.8 - 0.05 * np.random.default_rng(len(took)).random()}))
             while time.monotonic() < now + 1.0:
-                if isinstance(socket.recv(), bytes):
-                    frames.append(time.monotonic())
+                try:
+                    if isinstance(socket.recv(timeout=PATIENCE), bytes):
+                        frames.append(time.monotonic())
+                except TimeoutError:  # it was told that the next frame takes too long
+                    stops += 1
+                    for button in ("hang", "swing"):
+                        ask(socket, frames, button=button)
         last = page.memory()
     return {
         "minutes": minutes,
@@ -140,6 +146,7 @@ def soak(page: Measured, minutes: float) -> dict[str, float]:
         "delivered": (len(frames) - 1) / (frames[-1] - frames[0]),
         "answer p50": 1e3 * float(np.percentile(took, 50)),
         "answer p95": 1e3 * float(np.percentile(took, 95)),
+        "stops": stops,
     }
 
 
@@ -198,7 +205,7 @@ def text(found: dict[str, Any]) -> str:
         f"Cancelling a search took {found['cancel s']:.2f} s at most of three (aim {AIM['cancel']:g} s).",
         f"Memory of the server, {long['minutes']:g} minutes with a client that paints nothing and moves the peg:",
         f"{grown} (aim +{AIM['growth']:g} % in 30 minutes). It got {long['delivered']:.1f} frames a second,",
-        f"and answers in {answers}.",
+        f"and answers in {answers}; {long['stops']} times the rope was hung anew, since a frame took too long.",
         f"Requests to other hosts: {found['foreign requests']}. Complaints in the console: {found['console']}.",
     ]
     return "\n".join(rows) + "\n\n" + "\n".join(lines)

@@ -53,6 +53,16 @@ def test_errors_of_the_work_are_raised() -> None:
         results(fails, 10, threads, 3)
 
 
+def test_what_cannot_be_sent_to_processes_is_refused_with_the_reason(two: Executor) -> None:
+    with pytest.raises(InvalidInput, match=r"cannot be given the work.*lambda"):
+        results(partial(squares, on_plan=lambda _: True), 4, two, 2)
+    targets = [hf.Peg(2.5, 0.0, 0.03)]
+    with pytest.raises(InvalidInput, match="defined at the top of a module"):
+        hf.plan_casts(ROPE, hf.Arm(length=0.1), targets, executor=two, on_plan=lambda _: True)
+    with pytest.raises(ZeroDivisionError):  # an error of the work itself is none of sending it
+        results(fails, 10, two, 3)
+
+
 def test_a_worker_that_dies_loses_nothing(tmp_path: Path) -> None:
     with processes(2) as pool:
         assert results(DiesOnce(tmp_path, 3), 12, pool, 2) == ([k**2 for k in range(12)], [])

@@ -39,7 +39,7 @@ _ALLOWED = {"any": "finite", "positive": "finite and > 0", "nonnegative": "finit
 
 
 def number(name: str, value: object, *, sign: Sign = "any", unit: str = "", infinite: bool = False) -> float:
-    """Return `value` as a finite float of the wanted sign (``infinite=True`` lets +inf pass)."""
+    """Return `value` as a finite float of the required sign (``infinite=True`` lets +inf pass)."""
     allowed = f"a number, {_ALLOWED[sign]}" + (" (or inf)" if infinite else "") + (f", in {unit}" if unit else "")
     if isinstance(value, (str, bytes, bool)):
         raise InvalidInput(f"{name} is not a number", got=value, allowed=allowed)
@@ -99,7 +99,7 @@ def array(
     Parameters
     ----------
     shape : tuple of int, or None
-        Wanted shape; -1 leaves that axis free, None all.
+        Required shape; -1 leaves that axis free, None all.
     sign : {"any", "positive", "nonnegative"}
         Sign that every element must have.
     scalar : bool

@@ -202,7 +202,7 @@ def bias(
     Notes
     -----
     From the accelerations of one O(n) sweep: bias = -M qdd for tau = 0. Dry friction counts where a joint turns; one at
-    rest bears what the motion asks of it, which is not known here. Paper (1).
+    rest transmits what the motion asks of it, which is not known here. Paper (1).
     """
     angles = _joined(rope, q, "q", "rad", arm, arm_angle)
     rates = _joined(rope, qd, "qd", "rad/s", arm, arm_rate)

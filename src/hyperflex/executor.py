@@ -3,12 +3,13 @@
 Executors are those of ``concurrent.futures``, and what others make with their interface: Dask, loky, mpi4py.
 """
 
+import pickle
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor
 from typing import Any, TypeVar
 
 from hyperflex import checks
-from hyperflex.errors import WorkerLost
+from hyperflex.errors import InvalidInput, WorkerLost
 
 _T = TypeVar("_T")
 _R = TypeVar("_R")
@@ -53,6 +54,11 @@ def run_chunks(
     -------
     list of range
         The numbers of the items of each chunk that killed its worker each time, thrice.
+
+    Raises
+    ------
+    InvalidInput
+        If `work` or an item cannot be pickled, where the executor needs that.
     """
     chunks: Chunks[_T] = {low: list(items[low : low + size]) for low in range(0, len(items), size)}
     if executor is None:
@@ -101,6 +107,13 @@ def _round(
             except (BrokenExecutor, CancelledError):
                 lost[low] = chunks[low]
             except Exception as error:
+                if _not_sent(work, chunks[low], error):
+                    raise InvalidInput(
+                        "the executor's processes cannot be given the work",
+                        got=str(error),
+                        allowed="arguments that can be pickled",
+                        fix="Give functions that are defined at the top of a module, no lambdas or local ones",
+                    ) from error
                 if type(error).__name__ not in DEATHS:
                     raise
                 lost[low] = chunks[low]
@@ -111,6 +124,15 @@ def _round(
             future.cancel()
         raise
     return lost
+
+
+def _not_sent(work: object, chunk: object, error: Exception) -> bool:
+    """Return whether an error is the one with which pickling work and chunk fails."""
+    try:
+        pickle.dumps((work, chunk))
+    except Exception as own:  # noqa: BLE001 whatever an argument raises there
+        return (type(own), str(own)) == (type(error), str(error))
+    return False
 
 
 def _broken(executor: Executor) -> bool:

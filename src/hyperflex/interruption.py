@@ -2,7 +2,7 @@
 
 The first signal raises KeyboardInterrupt where Python code runs, and is remembered. What a library that is called back
 swallows, and what no thread but the main one hears, is raised again by the next :func:`look`, and at the end of the
-call at the latest. Who has something to keep catches it (:func:`caught`) and raises it again as
+call at the latest. Who has something to keep catches it (:func:`catch_interrupt`) and raises it again as
 :class:`~hyperflex.errors.Interrupted` with that. A second signal ends what is then still being made of it.
 """
 
@@ -33,7 +33,7 @@ class _State:
     number, pending, deferred, compilers, count = 0, False, 0, False, 0
 
 
-# ``caught``: the count of signals at the last one that this thread has caught; ``limits``: its time limits
+# ``handled``: the count of signals at the last one that this thread has handled; ``limits``: its time limits
 _thread = threading.local()
 
 
@@ -60,11 +60,11 @@ def number() -> int:
 
 
 def look() -> None:
-    """Raise KeyboardInterrupt, in any thread, if a signal has come and the thread has not caught it yet.
+    """Raise KeyboardInterrupt, in any thread, if a signal has come and the thread has not handled it yet.
 
     And if the time of a :class:`time_limit` of the thread is over.
     """
-    if _State.pending and not _State.deferred and getattr(_thread, "caught", 0) != _State.count:
+    if _State.pending and not _State.deferred and getattr(_thread, "handled", 0) != _State.count:
         raise KeyboardInterrupt
     for limit in getattr(_thread, "limits", ()):
         limit.look()
@@ -174,13 +174,13 @@ class _Compiling:
         self._stack.pop().__exit__(None, None, None)
 
 
-class Caught:
+class CaughtInterrupt:
     """Whether a block was interrupted, and by what."""
 
     error: BaseException | None = None
 
     @property
-    def met(self) -> bool:
+    def received(self) -> bool:
         """Whether the block was interrupted."""
         return self.error is not None
 
@@ -191,25 +191,25 @@ class Caught:
 
     def deliver(self, result: _R) -> _R:
         """Return a result; if the block was interrupted, raise Interrupted with it instead."""
-        if self.met:
+        if self.received:
             raise Interrupted(result)
         return result
 
 
 @contextmanager
-def caught() -> Iterator[Caught]:
+def catch_interrupt() -> Iterator[CaughtInterrupt]:
     """Catch an interrupt of the block, also one that a library reports as another error, to keep what was done.
 
     What follows may take long again. The block must not return: what came at its end would be lost.
     """
-    stop = Caught()
+    stop = CaughtInterrupt()
     try:
         yield stop
         look()
     except (KeyboardInterrupt, Exception) as error:
         if not (_State.pending or isinstance(error, KeyboardInterrupt)):
             raise
-        stop.error, _thread.caught = error, _State.count
+        stop.error, _thread.handled = error, _State.count
         if threading.current_thread() is threading.main_thread():  # others are to end as well
             _State.pending = False
 
@@ -217,7 +217,7 @@ def caught() -> Iterator[Caught]:
 def interruptible(kind: type | None = None) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
     """Decorate a function that may take long: an interrupt comes out of it as Interrupted.
 
-    Its ``partial`` is what the function delivers of `kind`, by :class:`Caught`, or None.
+    Its ``partial`` is what the function delivers of `kind`, by :class:`CaughtInterrupt`, or None.
     """
 
     def decorate(function: Callable[_P, _R]) -> Callable[_P, _R]:

@@ -13,14 +13,14 @@ EVERY = 10.0  # s between two lines where nobody watches
 
 @contextmanager
 def progress_bar(
-    begin: float, end: float, wanted: bool, what: str = "simulating", unit: str = "s"
+    begin: float, end: float, enabled: bool, what: str = "simulating", unit: str = "s"
 ) -> Iterator[Callable[..., None] | None]:
-    """Show on standard error how far work has come from `begin` to `end`, in `unit`, if wanted.
+    """Show on standard error how far work has come from `begin` to `end`, in `unit`, if `enabled`.
 
     Yields the function that sets it, and its words where others than `what` are given. The bar is for a terminal;
     elsewhere there is a line every EVERY s.
     """
-    if not wanted:
+    if not enabled:
         yield None
         return
     if (console := terminal()) is None:

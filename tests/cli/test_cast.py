@@ -105,13 +105,17 @@ def test_a_set_up_file_gives_rope_arm_limits_and_target(hyperflex, ready, tmp_pa
     assert asked["limits"] == hf.MotorLimits(speed=5.0, torque=3.0)
 
 
-def test_clearance_and_contact_of_an_earlier_plan_are_told(hyperflex, ready, tmp_path):
+def test_clearance_and_contact_of_an_earlier_plan_are_asked_again_and_told(hyperflex, ready, tmp_path):
     asked = ready("winds")
     known = dataclasses.replace(planned().cast_setup, clearance=0.02, contact=6.0)
     dataclasses.replace(planned(), cast_setup=known).to_toml(tmp_path / "cast.toml")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", "-o", tmp_path / "out")
-    assert (code, asked["clearance"]) == (0, 0.0)
-    assert "was planned with --clearance 0.02 --contact 6; give that again" in " ".join(err.split())
+    assert (code, asked["clearance"], asked["contact"]) == (0, 0.02, 6.0)
+    assert "was planned with --clearance 0.02 --contact 6, which is asked again" in " ".join(err.split())
+    options = ("--clearance", "0", "--contact", "0")
+    code, _, err = hyperflex("cast", tmp_path / "cast.toml", *options, "-o", tmp_path / "out")
+    assert (code, asked["clearance"], asked["contact"]) == (0, 0.0, 0.0)
+    assert "asked again" not in err
 
 
 def test_what_a_set_up_file_holds_beside_its_first_peg_are_obstacles(hyperflex, ready, tmp_path):

@@ -9,6 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import simulation
+from hyperflex.cli.simulate import _told_of
 
 
 @pytest.fixture
@@ -163,6 +164,11 @@ def test_simulate_tells_how_the_rope_lies_on_the_pegs(hyperflex, hyperflex_json,
     assert f"{over['turns']:.2f} turns, {np.degrees(over['covered_rad']):.0f} degrees covered" in said
     assert "peg at (2, 0) m" in said
     assert "does not touch it at the end" in said
+
+
+def test_how_far_a_rope_slipped_has_no_sign():
+    words = _told_of({"turns": 2.3, "tension_N": 0.2, "covered_rad": 11.0, "slip_m": -2e-6})
+    assert "slipped 0.0 mm" in words
 
 
 def test_a_set_up_in_which_nothing_moves_says_so(hyperflex, setup_file, tmp_path):

@@ -28,7 +28,7 @@ from hyperflex.demo import write_demo
 from hyperflex.estimate import track_video
 from hyperflex.files import atomic_path
 from hyperflex.identification.uncertainty import covariance
-from hyperflex.interruption import caught, deferred, handle_signals, interruptible, look
+from hyperflex.interruption import catch_interrupt, deferred, handle_signals, interruptible, look
 from hyperflex.paper import reproduce
 from hyperflex.simulation.contact import runs
 from hyperflex.vision import calibrate_camera, track_bars
@@ -150,12 +150,12 @@ def test_what_a_library_makes_another_error_of_is_an_interrupt() -> None:
                 swallowed()
             raise ValueError("cannot convert")
 
-    with handle_signals(), caught() as stop:
+    with handle_signals(), catch_interrupt() as stop:
         convert(interrupt=True)
-    assert stop.met
+    assert stop.received
     with pytest.raises(KeyboardInterrupt):
         convert(interrupt=True)
-    with pytest.raises(ValueError, match="cannot"), handle_signals(), caught():
+    with pytest.raises(ValueError, match="cannot"), handle_signals(), catch_interrupt():
         convert(interrupt=False)
 
 
@@ -182,13 +182,13 @@ def test_a_partial_result_may_be_made_when_it_is_asked_for() -> None:
 
 def test_what_follows_a_caught_interrupt_may_take_long_until_the_second_one() -> None:
     with handle_signals():
-        with caught() as stop:
+        with catch_interrupt() as stop:
             signal.raise_signal(signal.SIGINT)
         look()
-        assert stop.met
+        assert stop.received
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-        with caught():
+        with catch_interrupt():
             look()
 
 
@@ -350,13 +350,29 @@ def test_calls_and_commands_that_signals_end_at_random_times() -> None:
         assert json.loads(content)["faults"] == [], name
 
 
-def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code() -> None:
+@pytest.mark.parametrize(
+    "how", ["os.kill(os.getpid(), signal.SIGTERM)", "exec('os.kill(os.getpid(), signal.SIGTERM)')"]
+)
+def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code(tmp_path: Path, how: str) -> None:
+    """Also where Python keeps a mark of it, as for code in a string (as of namedtuple) below ``python -m``."""
     code = "import os, signal; from hyperflex import demo; from hyperflex.cli import main\n"
-    code += "def work(*_): os.kill(os.getpid(), signal.SIGTERM)\ndemo.write_demo = work\nmain()"
-    done = subprocess.run([sys.executable, "-c", code, "demo", "--json"], capture_output=True, text=True, check=False)
+    (tmp_path / "stopped.py").write_text(f"{code}def work(*_): {how}\ndemo.write_demo = work\nmain()")
+    words = [sys.executable, "-m", "stopped", "demo", "--json"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 143
     assert json.loads(done.stdout)["error"] == "interrupted"
     assert interruption.number() == signal.SIGINT
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_the_command_line_is_loaded_is_told_with_its_code(number: signal.Signals) -> None:
+    code = "import os, signal, sys; from hyperflex.cli import main\nclass Finder:\n"
+    code += f"    def find_spec(name, *_): return os.kill(os.getpid(), {int(number)}) if name == 'typer' else None\n"
+    code += "sys.meta_path.insert(0, Finder)\nmain()"
+    done = subprocess.run([sys.executable, "-c", code, "demo", "--json"], capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + number
+    assert done.stderr == "hyperflex: Interrupted.\n"
+    assert json.loads(done.stdout) == {"error": "interrupted", "type": "Interrupted"}
 
 
 def test_an_interrupt_waits_for_the_compiler() -> None:

@@ -14,7 +14,7 @@ from hyperflex.control import swing_period
 from hyperflex.planning import CastSetup, MotorLimits
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import beam, strikes
-from hyperflex.planning.search.beam import BeamSearch
+from hyperflex.planning.search.beam import BACK, SIZES, BeamSearch
 from hyperflex.planning.search.candidates import APART, SCREENED, SHARED, Candidate, Swing, corrected
 from hyperflex.planning.search.contact_phase import WindingScores
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -38,7 +38,7 @@ def searched(peg: hf.Peg, time: float, seed: int = 1, most: int = 20, cast_setup
 def test_a_strike_is_that_of_the_whole_flight_from_rest() -> None:
     """Its strokes, flown at once: same time, same score; two integrations at a tolerance of 0.1 mm."""
     patient = replace(CAST_SETUP, time=11.0)
-    found = searched(LEVEL, patient.time).extend(patient.time, 20)
+    found = BeamSearch(CAST_SETUP, LEVEL, (-1, 1), np.random.default_rng(1)).extend(patient.time, 20)
     assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
     genes = {side: ThrowParametrization(patient, side) for side in (-1, 1)}
     some = [one for one in found if len(one.strokes) <= genes[1].strokes]
@@ -142,13 +142,16 @@ def test_a_search_ends_where_swings_are_worth_a_try_and_goes_on_from_there() -> 
     assert not work.climbing
 
 
-def test_a_search_makes_full_strokes_first_and_others_where_these_are_not_enough() -> None:
+def test_a_search_makes_full_strokes_first_and_by_turns_others_where_these_are_not_enough() -> None:
     """A full stroke is 0.95 of half a turn."""
-    for enough, full in ((0.1, True), (np.inf, False)):
-        work = ThrowSearch(CAST_SETUP, hf.Peg(1.36 * np.sin(0.66), -1.36 * np.cos(0.66), 0.04))
+    work = ThrowSearch(CAST_SETUP, hf.Peg(1.36 * np.sin(0.66), -1.36 * np.cos(0.66), 0.04))
+    sizes = []
+    for enough in (0.1, np.inf, np.inf, np.inf):  # the second call continues the first search
+        work.swings.clear()
         work.beam_search(enough)
         made = {round(float(each), 6) for one in work.swings for each in one.x[: work.parametrizations[1].strokes]}
-        assert (made == {0.95}) is full
+        sizes.append(made == {0.95})
+    assert sizes == [True, True, True, False]
 
 
 def test_a_search_whose_time_is_over_begins_nothing() -> None:
@@ -179,20 +182,27 @@ def test_a_swing_of_a_search_strikes_when_it_was_found_to() -> None:
     assert simulated_strikes(patient, LEVEL, throws).t == pytest.approx([one.t for one in work.swings])
 
 
-def test_a_search_climbs_anew_or_goes_on_if_time_was_added() -> None:
+def test_a_search_that_has_ended_begins_again_some_strokes_before_the_first_strike() -> None:
     work = ThrowSearch(CAST_SETUP, LEVEL, seed=3)
     score = work.beam_search()
     assert score == work.swings[0].score
     assert all(one.t < CAST_SETUP.time for one in work.swings)
-    work = ThrowSearch(replace(CAST_SETUP, time=3.0), FAR)
+    beam, before = work._beam, len(work.swings)
+    assert beam is not None
+    first = min(len(one.strokes) for one in beam._strikes)
+    beam.restart(SIZES)
+    assert {len(one.strokes) for one in beam._swings} == {max(0, first - BACK)}
+    again = beam.extend(CAST_SETUP.time, 9)
+    assert again
+    assert min(len(one.strokes) for one in again) > max(0, first - BACK)
+    assert not {(one.strokes, one.rests) for one in again} & {
+        (one.strokes, one.rests) for one in beam._strikes[:before]
+    }
+    work = ThrowSearch(replace(CAST_SETUP, time=3.0), FAR)  # strikes nothing
     assert work.beam_search() == strikes.NEVER
-    first, runs = work._beam, work.runs
-    work.beam_search()
-    second = work._beam
-    assert (second is first, work.runs > runs) == (False, True)
-    work.lengthen(1.5)
-    work.beam_search()
-    assert work._beam is second
+    runs = work.runs
+    assert work.beam_search() == strikes.NEVER
+    assert work.runs > runs
 
 
 def test_a_swing_counts_what_it_does_with_shorter_links_if_that_is_less(monkeypatch: pytest.MonkeyPatch) -> None:

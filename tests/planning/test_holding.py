@@ -52,7 +52,7 @@ def test_a_cast_that_bears_less_than_is_asked_has_failed():
     assert require_holding_force(cast, PEG, 0.9 * force) is cast
     failed = require_holding_force(cast, PEG, 1.1 * force)
     assert (failed.wound, failed.held, failed.success) == (True, False, False)
-    assert failed.message == f"it bears {force:.3g} N, and {1.1 * force:.3g} N are asked"
+    assert failed.message == f"its holding force is {force:.3g} N, and {1.1 * force:.3g} N are asked"
 
 
 @pytest.mark.parametrize(("asked", "stands"), [(0.0, True), (0.9, True), (1.1, False)])
@@ -64,7 +64,7 @@ def test_a_plan_is_asked_for_the_pull_by_a_tug(monkeypatch, asked, stands):
     monkeypatch.setattr(cast_planner, "verify_cast", lambda *_, **__: plan.outcome)
     work.check([cast_planner.Candidate(2.0, 2.0, 1, np.zeros(3), plan.throw)])
     reason = cast_planner.failure(*work.best[1:], interrupted=False)
-    assert reason == "" if stands else reason.startswith("it bears")
+    assert reason == "" if stands else reason.startswith("its holding force is")
     assert work.done() is stands
 
 
@@ -76,7 +76,7 @@ def test_a_pull_that_is_less_than_is_asked_tells_nothing_of_more(monkeypatch):
     )
     assert require_holding_force(cast, PEG, 2.0 * held.force).message.startswith("it was pulled with")
     monkeypatch.setattr(outcome, "measure_holding_force", lambda *_, **__: None)
-    assert require_holding_force(cast, PEG, 0.1).message == "what it bears could not be simulated"
+    assert require_holding_force(cast, PEG, 0.1).message == "its holding force could not be simulated"
     assert require_holding_force(cast, PEG, 0.0) is cast
 
 

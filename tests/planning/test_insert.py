@@ -16,8 +16,8 @@ from hyperflex.planning import CastSetup, InsertPlan, MotorLimits, Slot, estimat
 from hyperflex.planning.clearance import obstacle_clearance
 from hyperflex.planning.insert.chance import insert_scenarios, usual_uncertainty
 from hyperflex.planning.insert.entry import LEVELS
-from hyperflex.planning.insert.outcome import verify_insert
-from hyperflex.planning.insert.slot import find_crossings, frame, passages
+from hyperflex.planning.insert.outcome import evaluate_insert, verify_insert
+from hyperflex.planning.insert.slot import find_crossings, frame, nearest_passage, passages
 from hyperflex.planning.insert.task import InsertTask
 from hyperflex.planning.plan import to_table
 from tests.planning.known_insert import ARM, NEAR, ROPE, SLOT, STROKES
@@ -187,6 +187,21 @@ def test_touches_are_allowed_where_the_slot_says_so() -> None:
     assert "touches a wall at" in off.message
     assert on.wall_clearance <= 0.0
     assert on.message == "" or "mm deep" in on.message
+
+
+def test_a_touch_of_an_obstacle_is_no_touch_of_a_wall() -> None:
+    plan, seen = planned(), planned().outcome
+    run, row = seen.run, int(np.searchsorted(seen.run.t, seen.t_enter - 0.3))
+    force = np.zeros_like(run.contact_force)
+    force[row, 8] = 0.0, 0.1
+    pushed, depth = replace(run, contact_force=force), frame(SLOT, run.tip)[0]
+    rows = nearest_passage(depth, SLOT.depth, run.t, seen.t)
+    post = hf.Peg(*(run.joints[row, 8] - [0.0, 0.02]), 0.01)
+    beside, alone = (
+        evaluate_insert(replace(plan.cast_setup, obstacles=there), SLOT, pushed, depth, *rows) for there in ([post], ())
+    )
+    assert beside.wall_clearance == seen.wall_clearance > 0.0
+    assert alone.wall_clearance == 0.0
 
 
 def test_a_tip_that_is_too_fast_inside_fails() -> None:

@@ -10,7 +10,14 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import TipTarget, build_whip_map, check_whip_feasibility, read_plan, verify_cast
+from hyperflex.planning import (
+    TipTarget,
+    build_whip_map,
+    check_feasibility,
+    check_whip_feasibility,
+    read_plan,
+    verify_cast,
+)
 from hyperflex.planning.clearance import FINE, obstacle_clearance, sampled_obstacle_gaps
 from hyperflex.planning.search.contact_phase import simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -157,6 +164,28 @@ def test_a_target_that_the_rope_begins_in_is_not_feasible_and_others_are_planned
     on, far = hf.plan_casts(CABLE, hf.Arm(length=0.105), places, side=-1)
     assert on.message.startswith("the rope begins in the target")
     assert (on.status, far.status) == (1, 1)
+
+
+def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search() -> None:
+    """And places that they leave none are no fallback targets, and a remedy is one that makes room."""
+    arm, room = hf.Arm(length=0.105), 2e3 * CABLE.radius
+    near = hf.Wall(PEG.x - PEG.radius - 0.003, -1.5, PEG.x - PEG.radius - 0.003, -0.8)
+    plan = hf.plan_cast(CABLE, arm, PEG, obstacles=[near])
+    said = f"out of reach: the wall at ({near.x:.4g}, -1.5) m leaves 3 mm beside the target, the rope takes {room:.3g}"
+    assert (plan.status, plan.message, plan.feasibility.impossible) == (1, said, False)
+    assert plan.remedies == ("a peg of 37.9 mm radius",)
+    assert plan.fallback is not None
+    assert plan.fallback.target.x - PEG.radius - near.x >= 2.0 * CABLE.radius
+    assert plan.fallback.distance < 0.02
+    between = hf.Wall(-0.7, -0.4, -0.2, -0.9)
+    for obstacles in ([between], [hf.Peg(2.0, 0.0, 0.1), between]):
+        behind = hf.plan_cast(CABLE, arm, PEG, obstacles=obstacles)
+        assert behind.message == "out of reach: the wall at (-0.7, -0.4) m stands between the arm and the target"
+        there = behind.fallback.target
+        sight = [np.linspace(tip, (there.x, there.y), 4001) for tip in arm.tip(np.linspace(-np.pi, np.pi, 25))]
+        assert max(distance(between, way).min() for way in sight) > 0.0 or behind.fallback.distance > 0.2
+    for free in (hf.Wall(-0.6, -1.2, -0.5, -1.0), hf.Peg(-0.3, -0.6, 0.05), hf.Ground(0.0, -2.5)):
+        assert check_feasibility(replace(cast_setup(), obstacles=[free]), PEG).feasible
 
 
 def test_a_cast_is_found_beside_a_wall_that_leaves_room() -> None:

@@ -14,10 +14,9 @@ from hyperflex.planning import CastSetup, MotorLimits, SuccessProbability, Uncer
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.candidates import Swing
 from hyperflex.planning.search.contact_phase import WindingScores
-from hyperflex.planning.search.throw_search import MAX_FAILED, TRIED, ThrowSearch
+from hyperflex.planning.search.throw_search import MAX_FAILED, MOVES, TRIED, ThrowSearch
 from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
-from hyperflex.planning.wind.planner import LONGER
 from tests.faults.interrupting import left_by
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
@@ -347,7 +346,9 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     [
         ({}, {}, True),
         ({"slip": 3e-3}, {}, False),  # 5 mm are allowed
-        ({}, {"tip_hangs": False}, False),  # on top of the peg, from where it may fall to either side
+        # on top of the peg, from where it may fall to either side
+        ({"turns": 2.2}, {"turns": 2.2, "tip_hangs": False}, False),
+        ({"turns": 2.3}, {"turns": 2.3, "tip_hangs": False}, True),  # a turn more than are needed is left then
         ({"folded": True}, {}, False),  # flat: what a real rope does then is left to chance
         ({}, {"load_ratio": 1.2}, False),  # pulled with more than the capstan equation lets it bear
         ({}, {"contact_angle": 5.0}, False),  # the rope is long enough for a full turn of contact
@@ -482,17 +483,36 @@ def test_the_best_of_the_throws_that_two_verifications_bear_out_without_a_margin
     work = cast_planner.CastPlanner(search, 60.0, clock=spent)  # type: ignore[arg-type]
     work.verify_new()
     assert asked == []  # at first another with a margin is looked for
-    spent.spent = 7.0
+    spent.spent = 10.0
     for _ in range(3):
         work.verify_new()
     assert asked == ["d", "a", "c"]
     assert {one.throw.name for one in work.checked} == set("abcd")  # type: ignore[attr-defined]
     told |= {"e": {"load_ratio": 0.5}}
-    fifth = search.candidates[0]._replace(x=np.full(points[0].size, 9.0), throw=SimpleNamespace(name="e", count=2))
+    fifth = search.candidates[0]._replace(
+        score=3.0, x=np.full(points[0].size, 9.0), throw=SimpleNamespace(name="e", count=2)
+    )
     search.candidates = [fifth]
     work.verify_new()
     assert (work.best[0].name, work.done()) == ("e", True)  # type: ignore[union-attr] # a margin in two is enough
     assert asked == ["d", "a", "c"]
+
+
+def test_throws_that_barely_wind_are_verified_later() -> None:
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=20)
+    x, throw = np.zeros(2 * search.parametrizations[1].strokes + 4), SimpleNamespace(count=2)
+    told = [(2.6, 2.3), (1.6, 1.3), (1.4, 1.4), (1.1, 2.0), (0.9, 2.0)]  # score, turns
+    search.candidates = [
+        cast_planner.Candidate(score, turns, 1, x + k, throw, confirmed=True)  # type: ignore[arg-type]
+        for k, (score, turns) in enumerate(told)
+    ]
+    spent = SimpleNamespace(spent=0.0)
+    work = cast_planner.CastPlanner(search, 60.0, clock=spent)  # type: ignore[arg-type]
+    assert [one.x[0] for one in work.fresh()] == [0.0, 1.0, 2.0]  # given throws
+    search.swings = [Swing(1.0, 1, x, 5.0)]
+    for time, count in ((0.0, 1), (10.0, 3), (31.0, 4)):
+        spent.spent = time
+        assert [one.x[0] for one in work.fresh()] == list(range(count))
 
 
 def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -551,6 +571,7 @@ def test_poor_throws_are_refined_only_where_swings_do_not_lack_time(
         ([1.6, 1.5, 1.6, None], 0.0, 5),  # none for the last, which an end on top of the peg needs
         ([1.6, None, 1.5, 1.5], 0.0, 3),
         ([1.6, 0.4, 1.5, 1.5], 0.4, 3),  # the first that fails, though two are begun
+        ([2.4, 2.5, 1.0, 1.0], 2.5, 2),  # an end that falls loses a turn at most, and enough are left
     ],
 )
 def test_a_throw_that_ends_on_top_of_the_peg_is_verified_with_shorter_and_shorter_links(
@@ -599,30 +620,15 @@ def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypa
     assert [one.x[0] for one in work.fresh()] == [1.0]
 
 
-@pytest.mark.parametrize(
-    ("score", "strike", "given", "factor"),
-    [(0.5, 0.9, None, LONGER), (1.5, 0.9, None, 1.0), (0.5, 0.9, 6.0, 1.0), (0.5, 0.2, None, 1.0)],
-)
-def test_late_swings_that_promise_too_little_may_take_longer_once(
-    monkeypatch: pytest.MonkeyPatch, score: float, strike: float, given: float | None, factor: float
-) -> None:
-    """Unless the user has said how long; swings that strike early do not lack time."""
-    times = []
-
-    def swing(self: cast_planner.CastPlanner) -> float:
-        self.search.runs += 1
-        self.search.swings[:] = [Swing(score, 1, np.zeros(3), strike * self.search.cast_setup.time)]
-        times.append(self.search.cast_setup.time)
-        return score
-
-    monkeypatch.setattr(cast_planner, "EARLY", 0.0)
-    monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
-    monkeypatch.setattr(ThrowSearch, "evolve_throws", lambda self: None)
-    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: None)
-    found = hf.plan_cast(CABLE, ARM, EASY, time_budget=0.2, time_limit=given)
-    usual = given or CastSetup(CABLE, ARM, hf.MotorLimits()).time
-    assert (times[0], set(times)) == (usual, {usual, factor * usual})
-    assert found.cast_setup.time == factor * usual
+def test_a_high_target_gets_time_to_swing_the_rope_up_to_it_unless_the_user_says_how_long() -> None:
+    """A target above the shaft needs more strokes than five periods have, one below it does not."""
+    usual, high = CastSetup(CABLE, ARM, hf.MotorLimits()).time, hf.Peg(1.1, 0.5, 0.03)
+    asked = {"time_budget": 1e-3, "skip_feasibility": True}
+    assert hf.plan_cast(CABLE, ARM, high, **asked).cast_setup.time > 1.4 * usual
+    assert hf.plan_cast(CABLE, ARM, hf.Peg(0.05, -1.3, 0.03), **asked).cast_setup.time == usual
+    assert hf.plan_cast(CABLE, ARM, high, time_limit=6.0, **asked).cast_setup.time == 6.0
+    slow = hf.MotorLimits(speed=0.05, acceleration=0.1)
+    assert hf.plan_cast(CABLE, ARM, high, slow, **asked).cast_setup.time == pytest.approx(11.0 / 5.0 * usual)
 
 
 def test_other_directions_of_gravity_are_refused() -> None:
@@ -639,68 +645,64 @@ def test_sides_are_those_from_which_the_motor_can_begin() -> None:
 
 
 def test_rounds_of_swings_are_stroke_by_stroke_and_in_whole_by_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With more time the swings at hand are continued first."""
     work, made = cast_planner.CastPlanner(ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), 60.0), []
     monkeypatch.setattr(ThrowSearch, "beam_search", lambda self, _: made.append("stroke by stroke") or 0.5)
     monkeypatch.setattr(ThrowSearch, "evolve_swings", lambda self: made.append("whole") or 0.7)
-    assert [work.swing() for _ in range(3)] == [0.5, 0.7, 0.5]
+    assert [work.swing() for _ in range(4)] == [0.5, 0.5, 0.7, 0.5]
     whole = ["whole"] * cast_planner.GENERATIONS
-    assert made == ["stroke by stroke", *whole, "stroke by stroke"]
-    work.lengthen()
-    work.swing()
-    assert made[-1] == "stroke by stroke"
+    assert made == ["stroke by stroke", "stroke by stroke", *whole, "stroke by stroke"]
 
 
-def test_a_rope_that_strikes_nothing_in_the_time_allowed_gets_more_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
-    work, times = cast_planner.CastPlanner(search, 1e3, longer=True), []
-    monkeypatch.setattr(cast_planner.CastPlanner, "swing", lambda self: times.append(search.cast_setup.time) or -1.0)
-    monkeypatch.setattr(cast_planner.CastPlanner, "done", lambda self: len(times) == 2)
-    work.run(None)
-    assert times[1] == LONGER * times[0]
-
-
-def test_enough_throws_that_wind_are_verified_before_more_last_moves_are_tried(monkeypatch: pytest.MonkeyPatch) -> None:
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
-    x, tried, turns = search.parametrizations[1].centre(), [], [2.0, 0.0, 0.0, 0.0]
-    search.swings = [Swing(1.0, 1, x, 5.0)]
+def test_many_swings_are_tried_with_a_few_last_moves_before_some_with_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), hf.Peg(0.9, -0.4, 0.03), threads=1)
+    x, tried = search.parametrizations[1].centre(), []
+    search.swings = [Swing(1.0 - 0.1 * k, 1, x + 0.2 * k, 5.0) for k in range(TRIED + 1)]
+    search.swings.append(Swing(-0.2, 1, x - 0.2, 5.0))  # with shorter links it does not strike
 
     def evaluate(side: int, points: list[np.ndarray]) -> None:
-        tried.append({(point[-4], point[-2]) for point in points})
-        found = [cast_planner.Candidate(2.0, turns[len(tried) - 1], side, point, None) for point in points]  # type: ignore[arg-type]
-        search.candidates += found
+        tried.append([(round((point[0] - x[0]) / 0.2), *point[-4:-1].tolist()) for point in points])
 
     monkeypatch.setattr(search, "evaluate", evaluate)
-    search.try_last_moves()
-    assert tried == [{(0.5, 0.0)}]  # strokes after the strike, and the rest before the last move: these wind
-    assert search.untried(np.inf)
-    search.try_last_moves()
-    assert tried == [{(0.5, 0.0)}, {(2.5, 0.0)}]
-    assert not search.untried(np.inf)
+    for _ in range(4):
+        assert search.untried(0.0) == (len(tried) < 2)
+        search.try_last_moves()
+    moves = [[(more, end, rest) for more, end, rest in some] for some in MOVES]
+    assert tried[0] == [(k, *move) for k in range(TRIED) for move in moves[0]]
+    assert tried[1] == [(TRIED, *move) for move in moves[0]]
+    assert tried[2] == [(k, *move) for k in range(TRIED) for move in moves[1]]
+    assert tried[3] == [(TRIED, *move) for move in moves[1]]
+    for _ in range(99):
+        search.try_last_moves()
+    assert len(tried) == 2 * len(MOVES)
+    assert {point[1:] for some in tried for point in some} == {move for some in moves for move in some}
 
 
-def test_where_no_throw_winds_a_long_rest_is_tried_and_then_shorter_links() -> None:
-    """A short tail must come to rest; with links as long as the peg is thick, throws that wind may seem not to."""
+def test_last_moves_end_towards_the_targets_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = {}
+    for x in (-0.9, 0.9):
+        search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), hf.Peg(x, -0.4, 0.03), threads=1)
+        search.swings = [Swing(1.0, 1, search.parametrizations[1].centre(), 5.0)]
+        monkeypatch.setattr(search, "evaluate", lambda _, points, x=x: ends.update({x: [p[-3] for p in points]}))
+        search.try_last_moves()
+    assert ends[-0.9] == [-end for end in ends[0.9]]
+
+
+def test_where_no_throw_winds_shorter_links_are_tried() -> None:
+    """With links as long as the peg is thick, throws that wind may seem not to."""
     search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
-    x, period = search.parametrizations[1].centre(), search.parametrizations[1].period
+    x = search.parametrizations[1].centre()
     search.swings = [Swing(1.0, 1, x + 0.2 * k, 5.0) for k in range(2 * TRIED)]
-    tried: list[tuple[int, float, int]] = []
+    links: list[int] = []
 
     def wind(cast_setup: CastSetup, throws: list, struck: object) -> WindingScores:
-        tried[-1:] = [
-            (cast_setup.rope.n_links, max([*tried[-1][1:2], *(one.rest for one in throws)]), tried[-1][2] + 1)
-        ]
+        links.append(cast_setup.rope.n_links)
         return WindingScores(np.zeros(len(throws)), np.full(len(throws), 0.3))
 
     found = strikes.Strikes(*np.zeros((3, 99)), np.full(99, 5.0), *np.zeros((2, 99, 1)), np.full(99, 9))
     search._wind, search._strikes = wind, lambda cast_setup, throws: found  # type: ignore[method-assign,assignment]
-    for _ in range(MAX_FAILED + 2):
-        tried.append((0, 0.0, 0))
+    for _ in range(MAX_FAILED + 3):
         search.try_last_moves()
-    links, rests, portions = zip(*tried, strict=True)
-    assert links == (CABLE.n_links, CABLE.n_links, 0, 2 * CABLE.n_links, 2 * CABLE.n_links)  # once no swing is left
-    assert portions[1] == portions[0] + 1 == portions[3]
-    assert rests[1] > rests[0] + 1.9 * period
+    assert links == MAX_FAILED * [CABLE.n_links] + 3 * [2 * CABLE.n_links]
 
 
 @pytest.mark.parametrize(("strike", "tries"), [(0.9, 1), (0.2, 5)])
@@ -710,7 +712,7 @@ def test_late_swings_are_tried_beside_the_peg_once_they_are_worth_it(
     """Those that strike early are tried at once."""
     search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
     work, tried = cast_planner.CastPlanner(search, 1e3), list[float]()
-    scores = [part * cast_planner.WORTHY * work.tail for part in (0.62, 0.69, 0.75, 0.81, 1.0)]
+    scores = [part * work.worthy for part in (0.62, 0.69, 0.75, 0.81, 1.0)]
     all_scores = scores.copy()
 
     def swing(self: cast_planner.CastPlanner) -> float:

@@ -8,8 +8,9 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastSetup, MotorLimits
+from hyperflex.planning.clearance import sampled_clearance, samples_clear_of_arm
 from hyperflex.planning.search.contact_phase import TIME_BUDGET
-from hyperflex.planning.search.strikes import NEAR, first_contact, tail_energy
+from hyperflex.planning.search.strikes import NEAR, NEVER, find_strikes, first_contact, tail_energy
 from hyperflex.planning.search.throw_search import MIN_BUDGET, ThrowSearch
 from hyperflex.planning.throw import ThrowParametrization
 from tests.planning.known import simulated_strikes
@@ -50,6 +51,36 @@ def test_a_rope_that_hangs_beside_the_peg_leaves_it_before_it_strikes() -> None:
     assert at.tolist() == [5]
     at, _, _ = first_contact(angle[None, :5, None], base[:, :5], np.array([1.0]), peg, 0.0)
     assert at.tolist() == [0]
+
+
+def test_samples_clear_of_the_arm_are_those_before_the_first_that_is_not() -> None:
+    """All links at all samples, beside those alone that may be near."""
+    random, arm, far = np.random.default_rng(5), hf.Arm(length=0.15), hf.Rope.uniform(1.2, 0.06, 12, 0.003)
+    q = np.cumsum(random.normal(0.0, 0.4, (40, 60, 12)), axis=1) + random.uniform(-np.pi, np.pi, (40, 1, 12))
+    angle = random.uniform(-np.pi, np.pi, (40, 60))
+    base = 0.15 * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
+    for clearance in (0.0, 0.05):
+        found = samples_clear_of_arm(far, arm, q, base, clearance)
+        near = np.array([sampled_clearance(far, arm, *each) <= clearance for each in zip(q, base, strict=True)])
+        assert found.tolist() == np.where(near.any(axis=1), near.argmax(axis=1), 60).tolist()
+        assert (found < 60).sum() > 5
+    assert samples_clear_of_arm(far, arm, q, base, -np.inf).tolist() == 40 * [60]
+
+
+def test_a_swing_that_goes_through_its_arm_does_not_strike() -> None:
+    """A rope that folds over the shaft, and strikes the peg on the other side of it."""
+    t: np.ndarray = np.arange(0.0, 0.6, 0.02)
+    turn = np.linspace(0.0, 1.9 * np.pi, t.size)[:, None]
+    rope, arm = hf.Rope.uniform(1.2, 0.06, 12, 0.003), hf.Arm(length=0.2, shaft_radius=0.03)
+    q, motion = np.broadcast_to(0.3 + turn, (t.size, 12))[None], hf.hold_arm(0.5 * np.pi)
+    strike = {}
+    for clearance in (0.0, -np.inf):
+        cast_setup = CastSetup(rope, arm, MotorLimits(), clearance=clearance)
+        found = find_strikes(cast_setup, hf.Peg(-0.5, -0.3, 0.02), [motion], t, q, np.ones_like(q))
+        strike[clearance] = float(found.t[0]), float(found.score[0])
+    assert np.isnan(strike[0.0][0])
+    assert strike[0.0][1] < NEVER
+    assert strike[-np.inf][0] > 0.0
 
 
 def test_a_side_on_which_the_rope_starts_inside_the_peg_is_left_out() -> None:

@@ -57,7 +57,7 @@ def test_verifications_do_not_outlast_the_time() -> None:
     assert (outcome.completed, finer) == (False, None)
     assert OUT_OF_TIME in outcome.message
     held = require_holding_force(planned().outcome, PEG, 0.1, OVER)
-    assert held.message == "what it bears could not be simulated"
+    assert held.message == "its holding force could not be simulated"
 
 
 def test_the_time_counts_from_the_call_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -270,6 +270,16 @@ def test_a_plan_is_searched_in_a_process_of_its_own_and_cancelled(server, page):
     assert "the plan fails" in page.ask(button="cast")["error"]
 
 
+def test_plans_know_the_obstacles_of_the_set_up_that_was_opened(server, page):
+    aside, floor = hf.Peg(1.2, 0.4, 0.1), hf.Ground(0.0, -3.0)
+    setup = hf.Setup(hf.Rope.uniform(length=1.0, mass=0.05, n_links=6), pegs=(hf.Peg(9.0, 9.0, 0.03), aside, floor))
+    server.runner.call(lambda: server.runner.session.play(setup, "file")).result()
+    server.runner.plan = None
+    page.ask(button="plan")
+    assert page.until(lambda _: server.runner.plan is not None)
+    assert server.runner.plan.cast_setup.obstacles == (aside, floor)
+
+
 def test_a_planned_cast_winds_as_planned(server, page, folder):
     plan = planned()
     server.runner.call(lambda: setattr(server.runner, "plan", plan)).result()

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.play.arm_program import MOST_MOVES, ArmProgram
 from hyperflex.play.controls import CONTROLS, CROSSING, FIXED, PUMPING, Settings
 from hyperflex.play.session import MOST_RECORDED, NUMBERS, Session
+from hyperflex.simulation import OUT_OF_TIME
 
 DT = 1.0 / 60.0
 FREE = {"links": 12, "target_solid": 0}
@@ -138,7 +139,7 @@ def test_another_rope_begins_anew_and_an_impossible_one_changes_nothing():
 def test_a_set_up_is_played_to_its_end_and_on_and_its_peg_is_the_target():
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6, friction=1e-3)
     motion, arm, peg = hf.arm_moves([0.0, 1.0], [0.1], [0.4]), hf.Arm(length=0.2), hf.Peg(0.7, -0.3, 0.05, 0.4)
-    setup = hf.Setup(rope, motion, arm, duration=0.5, pegs=(peg, hf.Ground(0.0, -1.5)))
+    setup = hf.Setup(rope, motion, arm, duration=0.5, pegs=(peg, hf.Ground(0.0, -1.8)))
     session = Session()
     session.play(setup, "file", skip=0.25)
     assert session.t == pytest.approx(0.25)
@@ -149,8 +150,27 @@ def test_a_set_up_is_played_to_its_end_and_on_and_its_peg_is_the_target():
     assert [type(each).__name__ for each in session.setup.pegs] == ["Peg", "Ground"]
     session.hang()
     assert (session.rope, session.arm) == (rope, arm)
+    assert [type(each).__name__ for each in session.setup.pegs] == ["Peg", "Ground"]
     session.change({"length": 1.5})
     assert session.arm == Settings().arm
+    assert session.obstacles == setup.pegs[1:]  # what is planned with
+    with pytest.raises(InvalidInput, match="starts inside an obstacle"):
+        session.change({"length": 2.5})
+    assert session.rope.total_length == 1.5
+
+
+def test_a_frame_that_takes_too_long_is_given_up(monkeypatch):
+    session = Session(Settings().changed(FREE))
+    session.swing()
+
+    def slow(*_: object, time_budget: float, **__: object) -> None:
+        raise SimulationError(f"over {time_budget}", status=OUT_OF_TIME, time=0.0)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("hyperflex.play.session.simulate", slow)
+        with pytest.raises(SimulationError, match=r"The next frame takes more than 1 s of work\. Hang the rope anew"):
+            session.advance(DT)
+    assert run_for(session, 0.1)
 
 
 @pytest.mark.parametrize(

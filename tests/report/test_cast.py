@@ -53,7 +53,7 @@ def test_the_page_names_target_swings_turns_and_hold(tmp_path, held):
         f"{1e3 * planned().clearance:.1f} mm",
         "clear of the arm",
         "clockwise",
-        f"bore {held.force:.2f} N",
+        f"withstood {held.force:.2f} N",
         f"{held.capstan_force:.2f} N",
         "simulated",
         "8.61 rad/s",
@@ -162,7 +162,7 @@ def test_a_target_in_reach_that_no_throw_winds_is_not_said_to_be_out_of_reach():
 def test_what_the_rule_of_thumb_says_is_said_to_be_that():
     rope, arm = planned().cast_setup.rope, planned().cast_setup.arm
     asked = CastReport(hf.plan_cast(rope, arm, PEG, holding_force=20.0), None)
-    assert "out of reach by a rule of thumb: wound it bears 2.94 N at most" in asked.verdict
+    assert "out of reach by a rule of thumb: its holding force is 2.94 N at most" in asked.verdict
     assert (
         "found: out of reach: the rope ends" in CastReport(unreachable(), None).verdict
     )  # no rule of thumb but geometry
@@ -185,6 +185,10 @@ def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
     np.testing.assert_allclose(rope, [[-0.105, 0.0], [-0.105, -2.0]], atol=1e-12)  # rounding of cos(pi / 2)
     low, high = axis.get_xlim()
     assert low < -2.105 < 2.53 < high
+    walls = (hf.Wall(1.0, -1.0, 1.0, 1.0), hf.Peg(9.0, 0.0, 0.1))
+    past = dataclasses.replace(plan, cast_setup=dataclasses.replace(plan.cast_setup, obstacles=walls))
+    words = [text.get_text() for text in target_map(past).legends[0].get_texts()]
+    assert [word for word in words if "obstacle" in word] == ["wall, an obstacle"]  # the peg is beyond the picture
 
 
 def test_the_film_tells_the_course(held):

@@ -15,7 +15,7 @@ from hyperflex.paper.casting import READINGS, casts
 from hyperflex.paper.report import casting
 from hyperflex.report.animation import animate
 from hyperflex.report.shapes import shapes
-from hyperflex.report.strobe import strobe_figure
+from hyperflex.report.strobe import GROUND, OBSTACLE, PEG, strobe_figure
 from hyperflex.report.style import png, save_png
 from hyperflex.vision import VideoReader
 
@@ -87,8 +87,8 @@ def test_walls_and_grounds_are_drawn(tmp_path):
     obstacles = (hf.Wall(1.4, -0.9, 1.4, -0.5), hf.Ground(0.0, -0.9))
     run = hf.simulate(hf.Setup(rope, duration=0.1, pegs=obstacles, q0=np.full(6, 1.5)))
     (axis,) = strobe_figure(run).axes
-    assert any(np.array_equal(line.get_xydata(), [[1.4, -0.9], [1.4, -0.5]]) for line in axis.get_lines())
-    (ground,) = (patch for patch in axis.patches if patch.get_xy().shape[1] == 2)
+    wall, ground = axis.patches
+    assert np.array_equal(wall.get_path().vertices, [[1.4, -0.9], [1.4, -0.5]])
     assert ground.contains_point(axis.transData.transform((0.7, -0.92)))
     assert not ground.contains_point(axis.transData.transform((0.7, -0.88)))
     assert axis.get_xlim()[1] > 1.4  # the view reaches as far
@@ -99,6 +99,20 @@ def test_walls_and_grounds_are_drawn(tmp_path):
     low = frame[-2]
     assert (np.ptp(low, axis=0) < 40).all()
     assert low.sum(axis=1).min() > frame[2].sum(axis=1).min()  # the ground is lighter than the night
+
+
+def test_what_the_rope_must_not_touch_has_a_colour_of_its_own():
+    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=6, radius=0.004, friction=1e-3)
+    target, wall = hf.Peg(0.8, -0.5, 0.1), hf.Wall(1.4, -0.9, 1.4, -0.5)
+    run = hf.simulate(hf.Setup(rope, duration=0.1, pegs=(target, wall, hf.Ground(0.0, -1.2)), q0=np.full(6, 1.5)))
+    alone, beside = (
+        strobe_figure(run, title="t", obstacles=there).axes[0] for there in ((), (wall, *run.setup.pegs[2:]))
+    )
+    colours = [[mpl.colors.to_hex(patch.get_edgecolor()) for patch in axis.patches] for axis in (alone, beside)]
+    assert colours[0][1:] == [PEG, GROUND]
+    assert colours[1][1:] == [OBSTACLE, OBSTACLE]
+    assert {mpl.colors.to_hex(axis.patches[0].get_facecolor()) for axis in (alone, beside)} == {PEG}
+    assert [axis.texts[-1].get_text() for axis in (alone, beside)] == ["t", "t; violet: obstacles"]
 
 
 def test_a_film_has_its_frames_in_time(short_cast, tmp_path):

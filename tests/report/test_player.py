@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -174,6 +175,29 @@ def test_pegs_that_turn_walls_and_floors_are_drawn(browser, tmp_path):
     drawn = browser.evaluate("D.obstacles.map((o) => [o.kind, o.turns])")
     assert drawn == [["peg", 0], ["wall", None], ["ground", None]]
     assert browser.complaints == []
+
+
+def test_what_the_rope_must_not_touch_is_told_apart(browser, tmp_path):
+    walls = (hf.Wall(-1.9, -1.8, -1.7, -0.6), hf.Ground(0.0, -2.4), hf.Peg(1.4, 0.3, 0.12))
+    plan = planned()
+    known = replace(plan.cast_setup, obstacles=walls)
+    run = replace(plan.run, setup=plan.run.setup.replace(pegs=(plan.target, *known.obstacles)))
+    page = CastReport(replace(plan, cast_setup=known, outcome=replace(plan.outcome, run=run)), None).add_page(tmp_path)
+    browser.open(page["page"].as_uri())
+    words = browser.evaluate("document.body.innerText")
+    assert words.count("Violet: obstacles, which the rope must not touch.") == 2  # below the film and the strike
+    told = "a wall from (-1.9, -1.8) to (-1.7, -0.6) m; a ground through (0, -2.4) m; a peg at (1.4, 0.3) m, radius 120"
+    assert f"Obstacles, which the rope must not touch: {told}" in words.replace("\xa0", " ")
+    assert "clear of arm and obstacles" in words.lower()
+    (tmp_path / "alone.html").write_text(browser.evaluate("document.querySelector('iframe').srcdoc"), "utf-8")
+    colours = """(() => {
+        const to = mapping(D.view, canvas.clientWidth, canvas.clientHeight), ratio = canvas.width / canvas.clientWidth;
+        const at = (o) => Array.from(pen.getImageData(ratio * to.X(o.x), ratio * to.Y(o.y), 1, 1).data).slice(0, 3);
+        return D.obstacles.filter((o) => o.kind === "peg").map(at);
+    })()"""
+    browser.open(f"{(tmp_path / 'alone.html').as_uri()}#t=0")
+    assert browser.complaints == []
+    assert browser.evaluate(colours) == [[200, 69, 47], [123, 75, 183]]  # the target; the obstacle
 
 
 def test_a_long_run_has_no_more_frames_than_others():

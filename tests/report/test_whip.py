@@ -55,8 +55,8 @@ def test_the_film_tells_the_course():
     assert "3 strokes to come" in note(0.01)
     assert "stroke 1 of 3" in note(0.2)
     assert "m/s or more" in note(0.0)
-    assert "met" not in note(1.5)
-    assert "met at 1.90 s: 1.3 m/s, 0.5 mm off" in note(1.95)
+    assert "passes it" not in note(1.5)
+    assert "passes it at 1.90 s: 1.3 m/s, 0.5 mm off" in note(1.95)
     assert "FAILS: the tip misses" in WhipReport(planned_whip(meets=False), None).film_note()(1.95)
 
 

@@ -66,8 +66,8 @@ for _command, _example in (
 _COMMANDS = {each.callback.__name__.replace("_", "-") for each in app.registered_commands if each.callback is not None}
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(asked: bool) -> None:
+    if asked:
         typer.echo(__version__)
         raise typer.Exit
 
@@ -180,15 +180,12 @@ def _given(option: str, arguments: Sequence[str]) -> str:
 
 def _invoke(arguments: Sequence[str]) -> int:
     """Run one command without the parser's own handling of errors, which swallows Ctrl-C; return its exit code."""
-    command = typer.main.get_command(app)
     try:
-        with (
-            handle_signals(signal.SIGTERM),
-            warnings.catch_warnings(),
-            command.make_context("hyperflex", list(arguments)) as context,
-        ):
-            warnings.showwarning = output.warner()
-            command.invoke(context)
+        with handle_signals(signal.SIGTERM), warnings.catch_warnings():
+            command = typer.main.get_command(app)
+            with command.make_context("hyperflex", list(arguments)) as context:
+                warnings.showwarning = output.warner()
+                command.invoke(context)
     except typer.Exit as stop:
         return int(stop.exit_code)
     return 0

@@ -118,10 +118,10 @@ def _known_points(path: Path) -> tuple[Any, Any]:
     from hyperflex.files import read_table
 
     names, rows, *_ = read_table(path)
-    wanted = ["x", "y", "u", "v"]
-    if sorted(names) != sorted(wanted):
+    columns = ["x", "y", "u", "v"]
+    if sorted(names) != sorted(columns):
         raise InvalidInput(f"{path}: the columns do not fit", got=names, allowed="x, y (m), u, v (px)")
-    table = rows[:, [names.index(name) for name in wanted]]
+    table = rows[:, [names.index(name) for name in columns]]
     return table[:, :2], table[:, 2:]
 
 

@@ -11,7 +11,7 @@ import typer
 
 from hyperflex import files, interruption, progress
 from hyperflex.errors import InvalidInput
-from hyperflex.interruption import caught
+from hyperflex.interruption import catch_interrupt
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -98,7 +98,7 @@ def with_options(message: str, options: Mapping[str, str]) -> str:
 
 
 def interrupted(message: str, left: Mapping[str, Any], *, as_json: bool) -> int:
-    """Say on standard error that Ctrl-C or SIGTERM was met, and as JSON, with what was `left`; return the exit code."""
+    """Say on standard error that Ctrl-C or SIGTERM came, and as JSON, with what was `left`; return the exit code."""
     sys.stderr.write(f"hyperflex: {message}\n")
     if as_json:
         print_json({**left, "error": "interrupted", "type": "Interrupted", "message": message}, one_line=True)
@@ -107,9 +107,9 @@ def interrupted(message: str, left: Mapping[str, Any], *, as_json: bool) -> int:
 
 def partial_of(work: Callable[[], _T]) -> _T:
     """Return what `work` returns, or what it leaves when it is interrupted; KeyboardInterrupt if that is nothing."""
-    with caught() as stop:
+    with catch_interrupt() as stop:
         result = work()
-    if not stop.met:
+    if not stop.received:
         return result
     if stop.partial is None:
         raise KeyboardInterrupt
@@ -123,13 +123,13 @@ def partial_path(out: Path) -> Path:
 
 @contextmanager
 def keeping(written: Mapping[str, Path], missing: str, result: Mapping[str, Any], *, as_json: bool) -> Iterator[None]:
-    """Exit where Ctrl-C is met in the block, and say which files are `written` and what is `missing`.
+    """Exit where Ctrl-C comes in the block, and say which files are `written` and what is `missing`.
 
     `result` is what JSON tells beside it.
     """
-    with caught() as stop:
+    with catch_interrupt() as stop:
         yield
-    if stop.met:
+    if stop.received:
         there = ", ".join(str(path) for path in written.values()) or "nothing"
         left = {**result, "files": written, "missing": missing}
         message = f"Interrupted. Written: {there}. Missing: {missing}."
@@ -265,7 +265,7 @@ def show(
     as_json: bool,
     one_line: bool = False,
 ) -> None:
-    """Print a `result` as JSON, or its named values in words below a title; in JSON on `one_line` if wanted."""
+    """Print a `result` as JSON, or its named values in words below a title; in JSON on `one_line` if asked."""
     if as_json:
         print_json(result, one_line=one_line)
     else:

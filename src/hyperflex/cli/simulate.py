@@ -49,9 +49,9 @@ def simulate(
     output.check_destination(out, ".nc", [setup])
     if horizon is not None:
         checks.number("--horizon", horizon, sign="positive", unit="m")
-    wanted = Setup.from_toml(setup)
-    files.check_space(out, file_size(wanted, wanted.duration if duration is None else duration))
-    trajectory = output.partial_of(lambda: run(wanted, duration=duration, time_budget=time_budget, progress=True))
+    simulated = Setup.from_toml(setup)
+    files.check_space(out, file_size(simulated, simulated.duration if duration is None else duration))
+    trajectory = output.partial_of(lambda: run(simulated, duration=duration, time_budget=time_budget, progress=True))
     if trajectory.status == INTERRUPTED:
         _leave(trajectory, output.partial_path(out), json)
     with deferred():  # what has taken long is written first
@@ -71,12 +71,12 @@ def simulate(
         "energy_moved_J": worked,
     }
     with output.keeping({"run": out}, "until when it can be trusted", result, as_json=json):
-        trust = {} if horizon is None else _trust(wanted, duration, horizon)
+        trust = {} if horizon is None else _trust(simulated, duration, horizon)
     result |= trust
     with output.keeping({"run": out}, "how the rope lies on the pegs", result, as_json=json):
         result["pegs"] = [_wound(trajectory, peg, tug) for peg in trajectory.setup.round_pegs]
     x, y = trajectory.tip[-1]
-    still = wanted.arm is None and not np.ptp(trajectory.tip, axis=0).any()
+    still = simulated.arm is None and not np.ptp(trajectory.tip, axis=0).any()
     output.show(
         result,
         f"Simulated {trajectory.q.shape[1]} links from {trajectory.t[0]:g} to {trajectory.t[-1]:g} s",
@@ -118,7 +118,7 @@ def _told_of(peg: dict[str, Any]) -> str:
     if np.isnan(peg["tension_N"]):
         return f"{turns}; the rope does not touch it at the end"
     slip = peg["slip_m"]
-    on = f"slipped {1e3 * slip:.1f} mm" if np.isfinite(slip) else "came to lie on it, or let go,"
+    on = f"slipped {1e3 * abs(slip):.1f} mm" if np.isfinite(slip) else "came to lie on it, or let go,"
     words = f"{turns}, {np.degrees(peg['covered_rad']):.0f} degrees covered, {on} in the last {WATCH:g} s"
     if "hold_N" not in peg:
         return words

@@ -13,7 +13,7 @@ from hyperflex import files
 from hyperflex.checks import number
 from hyperflex.cli import output
 from hyperflex.errors import InvalidInput
-from hyperflex.interruption import caught
+from hyperflex.interruption import catch_interrupt
 
 if TYPE_CHECKING:
     from hyperflex.estimate import RopeFilter, VideoTrack
@@ -101,9 +101,9 @@ def track(
 @contextmanager
 def _keeping(out: Path, as_json: bool) -> Iterator[None]:
     """Write what Ctrl-C has left of the tracking in the block, under a name that says so, and exit."""
-    with caught() as stop:
+    with catch_interrupt() as stop:
         yield
-    if not stop.met:
+    if not stop.received:
         return
     if (part := stop.partial) is None:
         raise KeyboardInterrupt

@@ -16,7 +16,7 @@ import typer
 from hyperflex import checks
 from hyperflex.cli import output
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.interruption import caught
+from hyperflex.interruption import catch_interrupt
 
 if TYPE_CHECKING:
     from hyperflex.estimate import Change, FrameThread, LiveEstimate, RopeTracker, Watch
@@ -95,10 +95,10 @@ def watch(
         shown = _Pictures(tracker, preview, pictures)
         tally = _Tally()
         with WatchLog(out, line.n_links, len(arcs), camera) as log, shown:
-            with caught() as stop:
+            with catch_interrupt() as stop:
                 _run(follow, until, [log.note, tally.note, shown.draw], json)
                 log.ending = frames.ended or f"stopped after {duration:g} s"
-            log.interrupted = stop.met
+            log.interrupted = stop.received
     result = {"output": out, "ending": log.ending, "interrupted": log.interrupted, **tally.summary(tracker)}
     if log.interrupted:
         raise typer.Exit(output.interrupted(f"Interrupted; the log is kept in {out}.", result, as_json=json))

@@ -11,7 +11,7 @@ from hyperflex.control.state_source import hanging_state
 from hyperflex.control.swing_model import SwingModel, arrival_time
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 
 MEMBERS = 60  # of a generation
 SPREAD = 0.08  # s, of the first generation about constant rests
@@ -93,12 +93,12 @@ def optimize_pumping(
         constants.size,
     )
     low, high = found.arrival_time - 0.6 * model.period, found.arrival_time
-    with caught() as stop:
+    with catch_interrupt() as stop:
         while rounds and high - low > MIN_GAIN:
             deadline = 0.5 * (low + high)
-            found, met = _before(deadline, model, want, rest, found, rounds, seed)
-            low, high = (low, found.arrival_time) if met else (deadline, high)
-    return stop.deliver(replace(found, interrupted=stop.met))
+            found, reached = _before(deadline, model, want, rest, found, rounds, seed)
+            low, high = (low, found.arrival_time) if reached else (deadline, high)
+    return stop.deliver(replace(found, interrupted=stop.received))
 
 
 def _from_first(later: Array) -> Array:

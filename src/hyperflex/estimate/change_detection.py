@@ -70,7 +70,7 @@ class ChangeDetector:
     the later; a touch is a force along x and y at one of some places, in one interval between two frames or from then
     until now. With the sums ``A = G' G`` and ``b = G' nu``, theta is ``A^-1 b`` of covariance ``A^-1``, and
     ``(|theta| - tolerance)^2 A`` is a chi square at most if nothing more than the tolerance has changed.
-    A sign counts as an alarm if its probability is less than 1 / (false alarms wanted per frame x number of tests),
+    A sign counts as an alarm if its probability is less than 1 / (false alarms allowed per frame x number of tests),
     by Bonferroni's bound; the tests are alike, so that false alarms are rarer than stated.
     """
 

@@ -65,7 +65,7 @@ class ParameterStates:
 
     Parameters
     ----------
-    wanted : sequence of EstimatedParameter
+    estimated : sequence of EstimatedParameter
     rope : Rope
         As it is taken to be where all are 0.
     watched : sequence of str
@@ -81,15 +81,15 @@ class ParameterStates:
     """
 
     def __init__(
-        self, wanted: Sequence[EstimatedParameter], rope: Rope, watched: Sequence[str] = (), moved: bool = False
+        self, estimated: Sequence[EstimatedParameter], rope: Rope, watched: Sequence[str] = (), moved: bool = False
     ) -> None:
         self.rope = rope
-        names = [each.name for each in wanted]
+        names = [each.name for each in estimated]
         held = [EstimatedParameter(name, 1.0) for name in watched if name not in names]
         self.names = (*names, *(each.name for each in held))
-        self.value_at_start = np.array([each.value for each in (*wanted, *held)])
-        self.walk = np.array([each.walk for each in (*wanted, *held)])
-        self.std = np.array([*(each.std for each in wanted), *(0.0 for _ in held)])
+        self.value_at_start = np.array([each.value for each in (*estimated, *held)])
+        self.walk = np.array([each.walk for each in (*estimated, *held)])
+        self.std = np.array([*(each.std for each in estimated), *(0.0 for _ in held)])
         if len(set(self.names)) != len(self.names):
             raise InvalidInput("parameters name something twice", got=self.names, allowed="each name once")
         for name in ("friction", "drag"):

@@ -14,7 +14,7 @@ from hyperflex.estimate.changes import Change
 from hyperflex.estimate.parameters import OPTICAL
 from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, draw_frame
 from hyperflex.files import PathLike
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.recording import Recording
 from hyperflex.vision import Camera, VideoReader, VideoWriter
 
@@ -126,7 +126,7 @@ def track_video(
         reader = stack.enter_context(VideoReader(video))
         _check_timing(tracker.camera, reader)
         writer = None if preview is None else stack.enter_context(VideoWriter(preview, reader.image_size))
-        with caught() as stop:
+        with catch_interrupt() as stop:
             for frame in reader:
                 tracked = tracker.look(frame)
                 count += 1
@@ -137,7 +137,7 @@ def track_video(
                 if progress is not None:
                     progress(count)
         seen = sum(_any_seen(each) for each in found)
-        if stop.met:
+        if stop.received:
             if seen < 2:
                 raise Interrupted
             part = _result(tracker, found, count, str(video), reader.notes)
@@ -187,13 +187,13 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, source: st
     arcs, declared = tracker.estimator.model.arc_lengths, parameters.std > 0.0
     now = parameters.arc_lengths(arcs, np.where(declared, tracker.values, 0.0))[kept]
     told = tracker.estimator.values
-    wanted = {name: told[name] for name, each in zip(parameters.names, declared, strict=True) if each and name in told}
-    applied = _applied(told, wanted)
+    asked = {name: told[name] for name, each in zip(parameters.names, declared, strict=True) if each and name in told}
+    applied = _applied(told, asked)
     where = ", ".join(f"{arc:.5g}" for arc in now)
     convention = f"positions in m, x right, y up from the camera's origin, of markers at {where} m along the rope"
     recording = _recording(tracker, found, seen, "; ".join([convention, *applied]), source)
     notes = [*said, *([tracker.warning] if tracker.warning else []), *applied, *_missing(arcs, kept)]
-    notes += _of_the_rope(wanted, now) + _untold(tracker)
+    notes += _of_the_rope(asked, now) + _untold(tracker)
     return VideoTrack(
         recording,
         now,
@@ -206,13 +206,13 @@ def _result(tracker: RopeTracker, found: list[_Sighting], count: int, source: st
     )
 
 
-def _applied(values: dict[str, tuple[float, float]], wanted: dict[str, tuple[float, float]]) -> list[str]:
+def _applied(values: dict[str, tuple[float, float]], asked: dict[str, tuple[float, float]]) -> list[str]:
     """Say what of the estimated parameters is in the places and times."""
     result = []
     for name in OPTICAL:
         if name in values:
             what = "times" if name == "delay" else "places"
-            when = "of all frames" if name in wanted else "since it changed"
+            when = "of all frames" if name in asked else "since it changed"
             result.append(f"applied to the {what} {when}: {name} {_with_std(values[name])}")
     return result
 

@@ -303,25 +303,25 @@ def _named(element: ET.Element) -> str:
     return f"{element.tag} {element.get('name', '')}".strip()
 
 
-def _compare(got: ET.Element, wanted: ET.Element) -> None:
+def _compare(got: ET.Element, expected: ET.Element) -> None:
     """Refuse the first element that is not as it would be written."""
-    changed = {name for name in {*got.keys(), *wanted.keys()} if got.get(name) != wanted.get(name)}
+    changed = {name for name in {*got.keys(), *expected.keys()} if got.get(name) != expected.get(name)}
     for name in sorted(changed - {"data"}):
-        if _same(got.get(name), wanted.get(name)):
+        if _same(got.get(name), expected.get(name)):
             continue
         fix = "Of an edited file the rope's numbers are read, no others: change the set-up instead"
-        allowed = f"{wanted.get(name)!r}"
+        allowed = f"{expected.get(name)!r}"
         raise InvalidInput(f"{_named(got)} has another {name}", got=got.get(name), allowed=allowed, fix=fix)
-    if [each.tag for each in got] != [each.tag for each in wanted]:
-        allowed = ", ".join(each.tag for each in wanted) or "nothing"
+    if [each.tag for each in got] != [each.tag for each in expected]:
+        allowed = ", ".join(each.tag for each in expected) or "nothing"
         raise InvalidInput(f"{_named(got)} holds other parts", got=[each.tag for each in got], allowed=allowed)
-    for one, other in zip(got, wanted, strict=True):
+    for one, other in zip(got, expected, strict=True):
         _compare(one, other)
 
 
-def _same(got: str | None, wanted: str | None) -> bool:
+def _same(got: str | None, expected: str | None) -> bool:
     """Whether two texts hold the same numbers."""
     try:
-        return [float(word) for word in (got or "").split()] == [float(word) for word in (wanted or "").split()]
+        return [float(word) for word in (got or "").split()] == [float(word) for word in (expected or "").split()]
     except ValueError:
         return False

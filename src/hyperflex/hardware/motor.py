@@ -112,19 +112,21 @@ class SimulatedMotor:
         if count < 1:
             return
         times: Array = self._t + step * np.arange(1.0, count + 1.0)
-        wanted = self._wanted(times - step)  # of each step's beginning: so it is late by the lag, and no step more
+        commanded = self._commanded(
+            times - step
+        )  # of each step's beginning: so it is late by the lag, and no step more
         w, most = 2.0 / self.lag, self.torque / self.inertia
         y, v = self._y, self._v
-        for t, u in zip(times.tolist(), wanted.tolist(), strict=True):
+        for t, u in zip(times.tolist(), commanded.tolist(), strict=True):
             v += step * min(most, max(-most, w**2 * (u - y) - 2.0 * w * v))
             y += step * v
             if t >= self._seen[-1][0] + SAMPLE_TIME:
                 self._seen.append((t, y))
         self._t, self._y, self._v = float(times[-1]), y, v
 
-    def _wanted(self, t: Array) -> Array:
+    def _commanded(self, t: Array) -> Array:
         """Angle (T,) asked for at times t (T,), rad: by the last motion that has come through by then."""
-        wanted = np.full(t.size, self._start)
+        commanded = np.full(t.size, self._start)
         for since, motion in self._asked:
-            wanted = np.where(t >= since, motion.angle(t), wanted)
-        return wanted
+            commanded = np.where(t >= since, motion.angle(t), commanded)
+        return commanded

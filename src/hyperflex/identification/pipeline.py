@@ -32,7 +32,7 @@ from hyperflex.identification.rounds import rounds_shown
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information
 from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
 from hyperflex.identification.verdict import POOR, other_lengths, swapped, uneven_scale
-from hyperflex.interruption import caught, deferred, interruptible, time_limit
+from hyperflex.interruption import catch_interrupt, deferred, interruptible, time_limit
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
@@ -258,12 +258,12 @@ class _Problem:
         tests: tuple[ScoreTest, ...] = ()
         scores = None
         basis = Basis(plant, windows, found, fit_information(plant, windows, found))
-        with caught() as stop:  # what was fitted is worth more than its tests
+        with catch_interrupt() as stop:  # what was fitted is worth more than its tests
             if found.converged and not found.interrupted:
                 tests = score_tests(basis, self.declared.gravity, angles=self.recording.kind == "angles")
                 scores = window_scores(basis, [each.name for each in tests if each.masks and not each.law])
                 tests = tuple(sorted((*tests, *drift_test(basis, scores)), key=lambda each: -each.gain))
-        found.interrupted = found.interrupted or stop.met
+        found.interrupted = found.interrupted or stop.received
         return Trial(list(free), basis, tests, settings | delay, scores)
 
     def judged(self, trial: Trial) -> Trial:
@@ -272,7 +272,7 @@ class _Problem:
         scatter: tuple[Scatter, ...] = ()
         if tests:
             basis = self._with_model_error(trial, tests)  # what stands if the next test is interrupted
-        with caught() as stop:
+        with catch_interrupt() as stop:
             if found.converged and not found.interrupted:
                 tests = (*tests, *link_test(trial.basis))
                 basis = self._with_model_error(trial, tests)
@@ -280,7 +280,7 @@ class _Problem:
                 if scatter:
                     basis = self._with_model_error(trial, tests, covariance)
             tests = with_ratio_sensitivity(basis, tests)
-        found.interrupted = found.interrupted or stop.met
+        found.interrupted = found.interrupted or stop.received
         return trial._replace(basis=basis, tests=tests, scatter=scatter)
 
     def _with_model_error(self, trial: Trial, tests: Sequence[ScoreTest], scatter: Array | None = None) -> Basis:
@@ -291,13 +291,13 @@ class _Problem:
         basis, tests, found, fitted = trial.basis, trial.tests, trial.basis.fit, self.fitted.channels
         ranges: dict[str, Interval] | None = None
         held_out: HeldOut | None = None
-        with caught() as stop:  # what was fitted is worth more than its intervals and its trial
+        with catch_interrupt() as stop:  # what was fitted is worth more than its intervals and its trial
             ranges = self._intervals(trial, intervals)
             if self.rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
                 spread = prediction_uncertainty(basis, self.untorqued.channels.data.shape[1])
                 plant = basis.plant.without_torque()  # what is held out is predicted without force or torque
                 held_out = predict(plant, found.x, self.rest, self.lead, self.ahead, self.loss, spread)
-        if stop.met:
+        if stop.received:
             ranges, found.interrupted = stop.partial if ranges is None else ranges, True
         settings = trial.settings | {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
         settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
@@ -306,12 +306,12 @@ class _Problem:
         counted = {f"{name}_std": std * tested for name, std in self.declared._asdict().items()}
         settings |= {name: std for name, std in counted.items() if self.torque or name != "torque_std"}
         settings["noise"] = "not declared" if self.recording.noise is None else "declared"
-        with caught() as stop:
+        with catch_interrupt() as stop:
             with deferred():
                 result = assemble_result(basis, held_out, settings, ranges, tests, trial.scatter, self._early)
             if not found.interrupted:
                 result = self._doubted(result, trial)
-        if stop.met:
+        if stop.received:
             found.interrupted = True
             result = assemble_result(basis, held_out, settings, ranges, tests, trial.scatter, self._early)
         return result.with_remark(remark)

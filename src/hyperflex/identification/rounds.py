@@ -11,11 +11,11 @@ BEGIN = "first states (Ctrl-C keeps the best so far)"
 
 
 @contextmanager
-def rounds_shown(wanted: bool | Report) -> Iterator[Report]:
-    """Show rounds on standard error if wanted; yields the callable that gets them, `wanted` itself if it is one."""
-    if callable(wanted):
-        yield wanted
-    elif not wanted:
+def rounds_shown(show: bool | Report) -> Iterator[Report]:
+    """Show rounds on standard error if asked; yields the callable that gets them, `show` itself if it is one."""
+    if callable(show):
+        yield show
+    elif not show:
         yield lambda entry: None
     elif (watched := progress.terminal()) is None:
         with progress.lines() as say:

@@ -142,8 +142,8 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
             continue  # nothing winds round what is straight
         axis = peg.radius + rope.radius
         near = far >= np.hypot(peg.x - x, peg.y - y) - axis
-        wanted = np.ceil(rope.length / max(ratio * axis, _LEAST) - 1e-9)
-        pieces = np.maximum(pieces, np.where(near, np.minimum(wanted, 1e15), 1.0).astype(np.int64))
+        needed = np.ceil(rope.length / max(ratio * axis, _LEAST) - 1e-9)
+        pieces = np.maximum(pieces, np.where(near, np.minimum(needed, 1e15), 1.0).astype(np.int64))
     if (total := float(pieces.sum(dtype=np.float64))) > max(MOST_PIECES, rope.n_links):
         raise InvalidInput(
             "the rope would be cut into too many links to wind round a peg so thin",

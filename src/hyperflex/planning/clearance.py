@@ -78,6 +78,28 @@ def clear_samples(
     return np.array([each.argmax() if each.any() else each.size for each in near])
 
 
+def samples_clear_of_arm(rope: Rope, arm: Arm, q: Array, base: Array, clearance: float) -> npt.NDArray[np.int64]:
+    """Return after how many samples (M,) a rope at angles q (M, T, n) comes too near arm or shaft; T if it does not.
+
+    `base` (M, T, 2), m, are places of the arm's tip, `clearance`, m, is the distance that it keeps; none if -inf.
+    """
+    clear = np.full(len(q), q.shape[1])
+    if clearance == -np.inf:
+        return clear
+    hangs = int(np.searchsorted(np.cumsum(rope.length), _hanging(rope, arm), side="right")) + 1
+    room = max(arm.length + arm.radius, arm.shaft_radius) + rope.radius + clearance + float(rope.length.max())
+    angles, (x, y) = np.nan_to_num(q).astype(np.float32), np.moveaxis(base - np.array(arm.pivot), 2, 0)
+    length = rope.length.astype(np.float32)
+    x = x[..., None] + np.cumsum(length * np.sin(angles), axis=2)
+    y = y[..., None] - np.cumsum(length * np.cos(angles), axis=2)
+    close = (x * x + y * y)[..., hangs:].min(axis=2, initial=np.inf) < room**2  # joints that do not hang from the tip
+    for k in np.flatnonzero(close.any(axis=1)):
+        rows = np.flatnonzero(close[k])
+        near = rows[sampled_clearance(rope, arm, q[k, rows], base[k, rows]) <= clearance]
+        clear[k] = near[0] if near.size else clear[k]
+    return clear
+
+
 def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Array:
     """Distances (..., w, k), m, of the axes of links from `begin` to `end` (..., k, 2) from w obstacles."""
     return np.stack([_obstacle_gap(each, begin, end) for each in obstacles], axis=-2)
@@ -187,10 +209,14 @@ def _gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: npt.NDArray[np.int6
     pivot = np.broadcast_to(np.array(arm.pivot), tip.shape)
     shaft = _distance(pivot, begin, end)
     bar = _segment_distance(begin, end, pivot, tip)
-    near = max(LENGTHS * arm.length, RADII * (rope.radius + arm.radius))
-    hangs = (np.cumsum(rope.length) - rope.length)[links] <= near
+    hangs = (np.cumsum(rope.length) - rope.length)[links] <= _hanging(rope, arm)
     bar = np.where(hangs, np.inf, bar)
     return np.stack([shaft - arm.shaft_radius, bar - arm.radius], axis=1)
+
+
+def _hanging(rope: Rope, arm: Arm) -> float:
+    """Length of rope beyond the arm's tip, m, whose links hang from it and do not count as too near."""
+    return max(LENGTHS * arm.length, RADII * (rope.radius + arm.radius))
 
 
 def _links(rope: Rope, q: Array, base: Array, links: npt.NDArray[np.int64]) -> tuple[Array, Array]:

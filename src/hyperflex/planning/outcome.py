@@ -45,7 +45,7 @@ class CastOutcome:
         Whether the rope turns MIN_TURNS times or more about the peg all through the watch: WATCH_TIME seconds from
         SETTLING_TIME after the arm's stop.
     held : bool
-        Whether it slips by less than MAX_SLIP in the watch, and bears the pull that was asked for.
+        Whether it slips by less than MAX_SLIP in the watch, and withstands the pull that was asked for.
     turns : float
         Signed turns from the arm's tip to the rope's end at the end of the run, positive counterclockwise.
     slip : float
@@ -188,8 +188,8 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         message = f"it covers {np.degrees(covered):.0f} degrees of the peg, and {asked}"
     elif torque > cast_setup.limits.torque:
         message = f"it asks {torque:.3g} N m of a motor that gives {cast_setup.limits.torque:.3g}"
-    if not (enough and held) and (met := refusal(cast_setup, 0.0, (FREE, *near[1:]))):
-        message += f"; {met}"
+    if not (enough and held) and (refused := refusal(cast_setup, 0.0, (FREE, *near[1:]))):
+        message += f"; {refused}"
     return CastOutcome(
         wound=enough,
         held=held,
@@ -233,7 +233,7 @@ def _load_ratio(wound: Winding, watched: npt.NDArray[np.bool_], peg: Peg) -> flo
 
 @dataclass(frozen=True, eq=False)
 class HoldingForce:
-    """Force that a wound rope bears, by a simulated tug from the end of a run and by the capstan equation.
+    """Force that a wound rope withstands, by a simulated tug from the end of a run and by the capstan equation.
 
     `tail_weight` is that of the rope that hangs beyond the peg, N, `contact_angle` >= 0 the angle about the peg from
     the first to the last link in contact, rad, `mu` the friction coefficient between rope and peg.
@@ -276,7 +276,7 @@ def measure_holding_force(
 def require_holding_force(
     outcome: CastOutcome, peg: Peg, force: float, time_budget: Deadline | None = None
 ) -> CastOutcome:
-    """Return the outcome, as a failure if a simulated tug shows that the rope bears less than `force`, N.
+    """Return the outcome, as a failure if a simulated tug shows that the rope withstands less than `force`, N.
 
     A force of 0 asks for nothing.
     """
@@ -284,9 +284,13 @@ def require_holding_force(
         return outcome
     measured = measure_holding_force(outcome.run, peg, time_budget=time_budget)
     if measured is None:
-        return replace(outcome, held=False, message="what it bears could not be simulated")
+        return replace(outcome, held=False, message="its holding force could not be simulated")
     if measured.tug.holds(force):
         return outcome
     slipped = measured.tug.slipped
-    bears = f"it bears {measured.force:.3g} N" if slipped else f"it was pulled with {measured.force:.3g} N at most"
-    return replace(outcome, held=False, message=f"{bears}, and {force:.3g} N are asked")
+    told = (
+        f"its holding force is {measured.force:.3g} N"
+        if slipped
+        else f"it was pulled with {measured.force:.3g} N at most"
+    )
+    return replace(outcome, held=False, message=f"{told}, and {force:.3g} N are asked")

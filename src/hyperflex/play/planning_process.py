@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple
 
 from hyperflex.errors import HyperflexError
-from hyperflex.model import Arm, Peg, Rope
+from hyperflex.model import Arm, Obstacle, Peg, Rope
 from hyperflex.planning import CastPlan, MotorLimits, WhipPlan, plan_cast, plan_whip
 
 NICENESS = 10
@@ -21,18 +21,20 @@ _COMMAND = "import sys; from hyperflex.play.planning_process import work; work(i
 
 
 class PlanningTask(NamedTuple):
-    """What is planned: a cast round the target, or a whip to its centre; `time_budget` in s."""
+    """What is planned: a cast round the target, or a whip to its centre, past obstacles; `time_budget` in s."""
 
     kind: Literal["cast", "whip"]
     rope: Rope
     arm: Arm
     target: Peg
+    obstacles: tuple[Obstacle, ...]
     limits: MotorLimits
     time_budget: float
 
     def plan(self) -> CastPlan | WhipPlan:
         """Plan it, and leave one processor to others."""
         given: dict[str, Any] = {"time_budget": self.time_budget, "threads": max(1, (os.cpu_count() or 2) - 1)}
+        given["obstacles"] = self.obstacles
         if self.kind == "cast":
             return plan_cast(self.rope, self.arm, self.target, self.limits, **given)
         return plan_whip(self.rope, self.arm, (self.target.x, self.target.y), None, self.limits, **given)

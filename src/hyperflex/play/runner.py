@@ -179,9 +179,8 @@ class Runner:
         if self._planning is not None:
             raise InvalidInput("a plan is being made", fix="Wait for it, or cancel it")
         session, settings = self.session, self.session.settings
-        self._planning = PlanningProcess(
-            PlanningTask(kind, session.rope, session.arm, settings.target, settings.limits, settings.time_budget)
-        )
+        where = (session.rope, session.arm, settings.target, session.obstacles)
+        self._planning = PlanningProcess(PlanningTask(kind, *where, settings.limits, settings.time_budget))
 
     def _cancel(self) -> None:
         if self._planning is not None:

@@ -70,7 +70,7 @@ class PlayServer:
         allow: Sequence[str] = (),
     ) -> None:
         self.folder, self._news = folder, set[asyncio.Event]()
-        self._given, self._wanted, self._allow = session or Session(), (host, port), set(allow)
+        self._given, self._asked, self._allow = session or Session(), (host, port), set(allow)
         self._loop, self._end = asyncio.new_event_loop(), asyncio.Event()
         self._ready, self._problem = threading.Event(), ""
         self.port, self.runner = 0, Runner(self._given, self._tell)
@@ -110,7 +110,7 @@ class PlayServer:
             self._loop.close()
 
     async def _listen(self) -> None:
-        host, port = self._wanted
+        host, port = self._asked
         connections = weakref.WeakSet[ServerConnection]()
 
         class Connection(ServerConnection):

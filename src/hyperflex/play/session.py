@@ -9,16 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperflex import control
-from hyperflex.errors import InvalidInput
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interfaces import RopeState
-from hyperflex.model import Arm, Peg, Rope, Setup
+from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
 from hyperflex.play.arm_program import ArmProgram
 from hyperflex.play.controls import CROSSING, FIXED, Settings
-from hyperflex.simulation import simulate
+from hyperflex.simulation import OUT_OF_TIME, simulate
 from hyperflex.trajectory import State, Trajectory
 from hyperflex.winding import rope_tension, turns
 
 MOST_RECORDED = 120.0  # s of a run that can be kept
+FRAME_TIME = 1.0  # s of processor time that a frame may take, usually some thousandths
 _MEDIAN = 5  # frames, of which the tension is the median: beside a peg that of a single step jumps
 _ABOVE = 0.5  # part of what the rope reaches above the shaft that is in the picture
 _ROPE, _PLACE = ("length", "mass", "links", "friction", "arm_length"), "target_"
@@ -49,6 +50,8 @@ class Session:
         What is simulated, with the motion as far as it is decided.
     t : float
         Simulated time, s.
+    obstacles : tuple of Peg, Wall, Ground
+        What else there is beside the rope: of the set-up that was opened last all but the target.
     activity : str
         ``"hang"``, ``"swing"``, ``"cast"`` (a planned motion) or ``"file"``.
     version : int
@@ -58,6 +61,7 @@ class Session:
     def __init__(self, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
         self.version = 0
+        self.obstacles: tuple[Obstacle, ...] = ()
         self._given: Setup | None = None  # whose rope and arm are used until others are set
         self.activity, self.t, self._begun = "hang", 0.0, 0.0
         self._program: ArmProgram | None = None  # None: the motion is that of a whole set-up
@@ -94,9 +98,10 @@ class Session:
     def play(self, setup: Setup, activity: str, skip: float = 0.0) -> None:
         """Begin a whole set-up; the first `skip` seconds are simulated at once. Its first round peg is the target."""
         self._begin(setup, activity, None)
-        self._given = setup if activity == "file" else self._given
-        if setup.round_pegs:
-            peg = setup.round_pegs[0]
+        if activity == "file":
+            self._given = setup
+            self.obstacles = tuple(each for each in setup.pegs if each not in setup.round_pegs[:1])
+        if (peg := self._target(setup)) is not None:
             place = {"target_x": peg.x, "target_y": peg.y, "target_radius": peg.radius, "target_friction": peg.mu}
             self.settings = replace(self.settings, **place, target_solid=1)
         if skip > 0.0:
@@ -127,10 +132,16 @@ class Session:
         self.version += 1
 
     def advance(self, dt: float) -> bytes:
-        """Go on by dt, s; returns the frame: NUMBERS and places of shaft and joints, m, as float32."""
+        """Go on by dt, s; returns the frame: NUMBERS and places of shaft and joints, m, as float32.
+
+        Raises
+        ------
+        SimulationError
+            If it cannot be simulated, or takes more than FRAME_TIME, as where a peg was put into a rope wound round it.
+        """
         if self._program is not None:
             self._decide(self._program, self.t + dt)
-        self._go_on(dt)
+        self._go_on(dt, FRAME_TIME)
         if self.t - self._begun > MOST_RECORDED:
             self._record_from_here()
         return self.frame()
@@ -155,7 +166,7 @@ class Session:
             "radius": self.setup.rope.radius,
             "view": [x - reach, y - reach, x + reach, y + _ABOVE * reach],
             "obstacles": [{**asdict(each), "kind": type(each).__name__.lower()} for each in self.setup.pegs],
-            "targets": [] if self.setup.pegs else [[self.settings.target_x, self.settings.target_y]],
+            "targets": [] if self._target(self.setup) else [[self.settings.target_x, self.settings.target_y]],
         }
 
     def recorded(self) -> Recorded:
@@ -170,16 +181,25 @@ class Session:
         self._tensions.clear()
         self.version += 1
 
-    def _go_on(self, dt: float) -> None:
-        self._run = simulate(self.setup, duration=dt, t_eval=[self.t + dt], state=self._state)
+    def _go_on(self, dt: float, time_budget: float | None = None) -> None:
+        try:
+            end = [self.t + dt]
+            self._run = simulate(self.setup, duration=dt, t_eval=end, state=self._state, time_budget=time_budget)
+        except SimulationError as error:
+            if error.status != OUT_OF_TIME or time_budget is None:
+                raise
+            why = (
+                f"The next frame takes more than {time_budget:g} s of work. Hang the rope anew, or give it fewer links."
+            )
+            raise SimulationError(why, status=OUT_OF_TIME, time=error.time) from error
         self._state = self._run.state
         self.t = self._state.t
 
     def _decide(self, program: ArmProgram, until: float) -> None:
         """Decide the next move of the arm, if it begins before a time."""
         start = max(self.t, self._start(program))
-        wanted = self.activity == "swing" or (self._goal is not None and self._goal != program.angle)
-        if start >= until or not wanted:
+        moves = self.activity == "swing" or (self._goal is not None and self._goal != program.angle)
+        if start >= until or not moves:
             return
         if program.full:
             program = self._program = ArmProgram(program.angle, program.end)
@@ -208,13 +228,16 @@ class Session:
             self._next = rule.next_start(RopeState(self.t, self._state.q, self._state.qd), program.made)
         return self._next
 
-    def _pegs(self) -> tuple[Peg, ...]:
-        return (self.settings.target,) if self.settings.target_solid else ()
+    def _pegs(self) -> tuple[Obstacle, ...]:
+        return (*((self.settings.target,) if self.settings.target_solid else ()), *self.obstacles)
+
+    def _target(self, setup: Setup) -> Peg | None:
+        """Return the first round peg of a set-up that is none of the obstacles."""
+        return next((each for each in setup.round_pegs if each not in self.obstacles), None)
 
     def _move_target(self) -> None:
         """Move the peg, unless it would be in the rope; it is put there, it does not push."""
-        others = [each for each in self.setup.pegs if each not in self.setup.round_pegs[:1]]
-        setup = self.setup.replace(pegs=(*self._pegs(), *others))
+        setup = self.setup.replace(pegs=self._pegs())
         state = None if self._state is None else replace(self._state, checkpoint={})
         simulate(setup, duration=1e-6, t_eval=[self.t], state=state)
         self.setup, self._state = setup, state
@@ -227,7 +250,7 @@ class Session:
         return arm.tip(angle) - np.array(arm.pivot)
 
     def _numbers(self, run: Trajectory) -> list[float]:
-        target = next(iter(self.setup.round_pegs), self.settings.target)
+        target = self._target(self.setup) or self.settings.target
         c = control.driving_constant(self.settings.t_move, self.settings.t_rest)
         x, v = run.tip[:, 0], run.tip_velocity[:, 0]
         energy = control.pseudo_energy(x, v, float(self.setup.rope.mass.sum()), c)

@@ -117,16 +117,16 @@ def _declarations(raw: Raw, given: Mapping[str, object]) -> dict[str, object]:
 
 def _require_all(raw: Raw, declared: Mapping[str, object]) -> None:
     """Refuse with the names of all arguments that are still missing."""
-    wanted = {"time_unit": OPTIONS["time_unit"], "unit": tuple(RADIANS)}
+    required = {"time_unit": OPTIONS["time_unit"], "unit": tuple(RADIANS)}
     if raw.kind == "markers":
-        wanted = {"time_unit": OPTIONS["time_unit"], "unit": (*METRES, "px"), "y_axis": OPTIONS["y_axis"]}
-    missing = [key for key in wanted if key not in declared]
+        required = {"time_unit": OPTIONS["time_unit"], "unit": (*METRES, "px"), "y_axis": OPTIONS["y_axis"]}
+    missing = [key for key in required if key not in declared]
     if declared.get("time_unit") == "frame" and "frame_rate" not in declared:
         missing.append("frame_rate")
     if declared.get("unit") == "px" and "scale" not in declared:
         missing.append("scale")
     if missing:
-        words = {key: f"{key}=... ({' | '.join(options)})" for key, options in wanted.items()}
+        words = {key: f"{key}=... ({' | '.join(options)})" for key, options in required.items()}
         words |= {"frame_rate": "frame_rate=... (frames/s)", "scale": "scale=... (m per pixel)"}
         raise InvalidInput(
             f"{raw.source} holds {raw.kind}, but not all that is needed to read them is declared",

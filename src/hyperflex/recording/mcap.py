@@ -27,7 +27,7 @@ _DAMAGE: tuple[type[Exception], ...] = (struct.error, ValueError, LookupError, T
 _DAMAGE += (EOFError, OverflowError, MemoryError, RuntimeError, AssertionError, StopIteration)
 
 
-def read(path: PathLike, wanted: Selection) -> Raw:
+def read(path: PathLike, selection: Selection) -> Raw:
     """Return the messages of one topic as columns, with what the file declares."""
     reader = extras.load("mcap.reader", "mcap", "MCAP files")
     errors = extras.load("mcap.exceptions", "mcap", "MCAP files")
@@ -35,7 +35,7 @@ def read(path: PathLike, wanted: Selection) -> Raw:
     file = regular_file(path, "MCAP file")
     try:
         with file.open("rb") as stream:
-            return _read(path, reader.SeekingReader(stream, validate_crcs=True, record_size_limit=LARGEST), wanted)
+            return _read(path, reader.SeekingReader(stream, validate_crcs=True, record_size_limit=LARGEST), selection)
     except (InvalidInput, FileProblem, MissingPackage):
         raise
     except (*_DAMAGE, errors.McapError, zstandard.ZstdError) as error:
@@ -43,30 +43,30 @@ def read(path: PathLike, wanted: Selection) -> Raw:
         raise FileProblem(told) from error
 
 
-def _read(path: PathLike, reader: Any, wanted: Selection) -> Raw:
+def _read(path: PathLike, reader: Any, selection: Selection) -> Raw:
     summary = reader.get_summary()
     if summary is None:
         raise InvalidInput(f"{path} has no summary", fix="It was not closed: mcap recover mends such files")
     channels = list(summary.channels.values())
     if channels and all(each.message_encoding == "cdr" for each in channels):
-        return rosbag.read(path, wanted)
+        return rosbag.read(path, selection)
     counts = summary.statistics.channel_message_counts if summary.statistics else {}
     known = [each for each in channels if each.message_encoding == "json" and each.schema_id in summary.schemas]
     schemas = {each.topic: summary.schemas[each.schema_id].name for each in known}
     sizes = {each.topic: counts.get(each.id, 1) for each in known}
     own = _own(reader)
-    if own and wanted.kind is wanted.topic is None:  # of a run its angles
-        wanted = wanted._replace(kind=own["kind"])
+    if own and selection.kind is selection.topic is None:  # of a run its angles
+        selection = selection._replace(kind=own["kind"])
     topics = [Topic(name, KINDS[kind], sizes[name]) for name, kind in sorted(schemas.items()) if kind in KINDS]
-    topic, noise = choose(path, topics, wanted), array("d")
+    topic, noise = choose(path, topics, selection), array("d")
     rows = _messages(reader, topic.name, noise)
     if topic.kind == "angles":
-        columns = wanted.columns or json.loads(own.get("columns", "null"))
-        raw = joints(path, _joints(rows, bool(own), wanted.time), columns)
+        columns = selection.columns or json.loads(own.get("columns", "null"))
+        raw = joints(path, _joints(rows, bool(own), selection.time), columns)
     else:
-        refuse_columns(path, topic, wanted)
+        refuse_columns(path, topic, selection)
         single = schemas[topic.name] == POSE_IN_FRAME
-        raw = poses(path, _poses(rows, single, bool(own), wanted.time), wanted.plane or own.get("plane"))
+        raw = poses(path, _poses(rows, single, bool(own), selection.time), selection.plane or own.get("plane"))
     return _declared(raw, own, noise)
 
 

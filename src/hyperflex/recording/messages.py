@@ -51,15 +51,15 @@ class Poses(NamedTuple):
     places: Sequence[float]
 
 
-def choose(path: PathLike, topics: Sequence[Topic], wanted: Selection) -> Topic:
-    """Return the topic that is wanted; InvalidInput where there is none, or where several could be meant."""
-    checks.choice("time", wanted.time, TIMES)
-    if wanted.plane is not None:
-        checks.choice("plane", wanted.plane, tuple(PLANES))
+def choose(path: PathLike, topics: Sequence[Topic], selection: Selection) -> Topic:
+    """Return the selected topic; InvalidInput where there is none, or where several could be meant."""
+    checks.choice("time", selection.time, TIMES)
+    if selection.plane is not None:
+        checks.choice("plane", selection.plane, tuple(PLANES))
     listed = ", ".join(f"{each.name} ({each.kind})" for each in topics) or "none"
-    fit = [each for each in topics if wanted.kind in (None, each.kind) and wanted.topic in (None, each.name)]
+    fit = [each for each in topics if selection.kind in (None, each.kind) and selection.topic in (None, each.name)]
     if not fit:
-        got = wanted.topic or wanted.kind or "other topics"
+        got = selection.topic or selection.kind or "other topics"
         allowed = f"joint states, poses or points; here: {listed}"
         raise InvalidInput(f"{path} has no such topic to read", got=got, allowed=allowed)
     if len(fit) > 1:
@@ -69,14 +69,14 @@ def choose(path: PathLike, topics: Sequence[Topic], wanted: Selection) -> Topic:
     return fit[0]
 
 
-def refuse_columns(path: PathLike, topic: Topic, wanted: Selection) -> None:
+def refuse_columns(path: PathLike, topic: Topic, selection: Selection) -> None:
     """Refuse names of joints for a topic of poses."""
-    if wanted.columns is not None:
+    if selection.columns is not None:
         raise InvalidInput(f"{path}: columns are names of joints, {topic.name} holds poses", fix="Leave them out")
 
 
 def joints(path: PathLike, rows: Iterable[Joints], columns: Sequence[str] | None) -> Raw:
-    """Return joint states as columns in the order of the names wanted, by default the first message's; NaN in gaps."""
+    """Return joint states as columns in the order of the given names, by default the first message's; NaN in gaps."""
     times: list[float] = []
     position, velocity, order, moving = array("d"), array("d"), list(columns or ()), True
     for row in rows:

@@ -157,9 +157,9 @@ def _netcdf(path: PathLike) -> Raw:
     for key, variable in (("time_unit", "time"), ("unit", name)):
         if "units" in held[variable][1]:
             declared[key] = held[variable][1]["units"]
-    wanted = f"{declared.get('unit')}/s"
-    if "rate" in held and "unit" in declared and held["rate"][1].get("units") != wanted:
-        raise InvalidInput(f"{path}: units of rate", got=held["rate"][1].get("units"), allowed=repr(wanted))
+    expected = f"{declared.get('unit')}/s"
+    if "rate" in held and "unit" in declared and held["rate"][1].get("units") != expected:
+        raise InvalidInput(f"{path}: units of rate", got=held["rate"][1].get("units"), allowed=repr(expected))
     columns = {key: values.reshape(samples, -1) for key, (values, _) in held.items() if key != "time"}
     return Raw(
         t=held["time"][0],

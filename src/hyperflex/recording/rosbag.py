@@ -24,7 +24,7 @@ def is_bag(path: Path) -> bool:
     return path.is_dir() and (path / "metadata.yaml").exists()
 
 
-def read(path: PathLike, wanted: Selection) -> Raw:
+def read(path: PathLike, selection: Selection) -> Raw:
     """Return the messages of one topic as columns."""
     bags = extras.load("rosbags.highlevel", "ros", "ROS bags")
     stores = extras.load("rosbags.typesys", "ros", "ROS bags")
@@ -32,7 +32,7 @@ def read(path: PathLike, wanted: Selection) -> Raw:
     known = stores.get_typestore(stores.Stores.ROS2_HUMBLE)  # of bags that do not say what their messages are
     try:
         with bags.AnyReader([as_path(path, "bag")], default_typestore=known) as reader:
-            return _read(path, reader, wanted)
+            return _read(path, reader, selection)
     except (InvalidInput, FileProblem):
         raise
     except (*_DAMAGE, *bags.anyreader.ReaderErrors, bags.AnyReaderError, apsw.Error) as error:
@@ -40,17 +40,17 @@ def read(path: PathLike, wanted: Selection) -> Raw:
         raise FileProblem(told) from error
 
 
-def _read(path: PathLike, reader: Any, wanted: Selection) -> Raw:
+def _read(path: PathLike, reader: Any, selection: Selection) -> Raw:
     types = {name: each.msgtype for name, each in reader.topics.items()}
     topics = [
         Topic(name, KINDS[types[name]], each.msgcount) for name, each in reader.topics.items() if types[name] in KINDS
     ]
-    topic = choose(path, topics, wanted)
-    rows = _rows(reader, [each for each in reader.connections if each.topic == topic.name], wanted.time)
+    topic = choose(path, topics, selection)
+    rows = _rows(reader, [each for each in reader.connections if each.topic == topic.name], selection.time)
     if topic.kind == "angles":
-        return joints(path, _joints(rows), wanted.columns)
-    refuse_columns(path, topic, wanted)
-    return poses(path, _poses(rows, types[topic.name]), wanted.plane)
+        return joints(path, _joints(rows), selection.columns)
+    refuse_columns(path, topic, selection)
+    return poses(path, _poses(rows, types[topic.name]), selection.plane)
 
 
 def _rows(reader: Any, connections: list[Any], time: str) -> Iterator[tuple[int, Any]]:

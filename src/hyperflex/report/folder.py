@@ -18,7 +18,7 @@ Progress = Callable[[str], None]  # called with a message on what is being done
 
 
 def silent(message: str) -> None:
-    """Do nothing: the progress callable where none is wanted."""
+    """Do nothing: the progress callable where none is asked for."""
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
+from hyperflex.model import Peg, Wall
 from hyperflex.motion import Motion
 from hyperflex.planning import (
     RATE,
@@ -24,6 +25,7 @@ from hyperflex.report.folder import Progress, silent, whole_folder
 from hyperflex.report.page import Film, Picture, Section, TextTable, write_page
 from hyperflex.report.player import player_html
 from hyperflex.report.style import save_png
+from hyperflex.report.units import length
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -132,10 +134,11 @@ class PlanReport(ABC, Generic[PlanT]):
     def pictures(self, drawn: Mapping[str, Path]) -> dict[str, Picture | Film]:
         """Return the player of the run, if there is one, and what :meth:`draw` drew, with captions."""
         run, captions = self.plan.run, self.captions
-        films = {} if run is None else {"film": Film(player_html(run, **self.film()), captions["film"])}
+        violet = " Violet: obstacles, which the rope must not touch." if self.plan.cast_setup.obstacles else ""
+        films = {} if run is None else {"film": Film(player_html(run, **self.film()), captions["film"] + violet)}
         shown = {kind: caption for kind, caption in captions.items() if kind in drawn}
         return films | {
-            kind: Picture(drawn[kind].read_bytes(), caption, chart=kind not in STROBES)
+            kind: Picture(drawn[kind].read_bytes(), caption + violet * (kind in STROBES), chart=kind not in STROBES)
             for kind, caption in shown.items()
         }
 
@@ -155,7 +158,8 @@ class PlanReport(ABC, Generic[PlanT]):
             sections.append(
                 Section("Motor", table=_motor_table(plan.cast_setup.limits, plan.motion, self.plan.outcome))
             )
-        return [*sections, Section("Set-up", text=(f"{_rope_and_arm(plan.cast_setup)} Target: {self.target}.",))]
+        setup = f"{_rope_and_arm(plan.cast_setup)} Target: {self.target}.{_obstacles(plan.cast_setup)}"
+        return [*sections, Section("Set-up", text=(setup,))]
 
 
 def _motor_table(limits: MotorLimits, motion: Motion, seen: Outcome | None) -> TextTable:
@@ -183,6 +187,25 @@ def _rope_and_arm(setup: CastSetup) -> str:
         f"Rope{name}: {rope.total_length:.4g} m, {1e3 * rope.total_mass:.4g} g, radius {1e3 * rope.radius:.3g} mm, "
         f"{rope.n_links} links{tip}. Arm: {1e3 * setup.arm.length:.4g} mm."
     )
+
+
+def _obstacles(setup: CastSetup) -> str:
+    """Return the obstacles in a sentence, after a space; "" without any."""
+    words = []
+    for each in setup.obstacles:
+        place = f"({each.x:.4g}, {each.y:.4g})"
+        if isinstance(each, Peg):
+            words.append(f"a peg at {place} m, radius {length(each.radius)}")
+        elif isinstance(each, Wall):
+            words.append(f"a wall from {place} to ({each.x2:.4g}, {each.y2:.4g}) m")
+        else:
+            words.append(f"a ground through {place} m")
+    return f" Obstacles, which the rope must not touch: {'; '.join(words)}." if words else ""
+
+
+def clear_of(setup: CastSetup) -> str:
+    """Return what a clearance is of, as the head of a table's column."""
+    return "clear of arm and obstacles" if setup.obstacles else "clear of the arm"
 
 
 def clearance_tiles(plan: Plan) -> list[tuple[str, str]]:
@@ -213,7 +236,7 @@ def torque_warning(plan: Plan, seen: Outcome | None) -> str:
     if not seen.torque > STRONG * weight:
         return ""
     return (
-        f"The motor and the rope must bear a lot: {seen.torque:.3g} N m for 5 ms, {seen.torque_peak:.3g} N m at the "
+        f"Motor and rope are loaded heavily: {seen.torque:.3g} N m for 5 ms, {seen.torque_peak:.3g} N m at the "
         f"peak, where the rope's weight at the arm makes {weight:.2g} N m. Give --torque to plan for a weaker motor."
     )
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
-from hyperflex.model import Peg
+from hyperflex.model import Obstacle, Peg
 from hyperflex.report.page import render
 from hyperflex.report.shapes import NO_TARGETS, shapes, span, view
 from hyperflex.trajectory import Trajectory
@@ -57,6 +57,7 @@ def player_html(
     title: str = "",
     note: Note | None = None,
     targets: Array | None = None,
+    obstacles: Sequence[Obstacle] = (),
     plots: Sequence[Plot] = (),
     marks: Sequence[float] = (),
     dots: Dots | None = None,
@@ -81,6 +82,8 @@ def player_html(
         Written above the picture; called with the simulated time, s, for the words below the title.
     targets : (k, 2) float64, optional
         Points to mark with a ring, m.
+    obstacles : sequence of Peg, Wall, Ground, optional
+        Those of the set-up that the rope must not touch, in a colour of their own.
     plots : sequence of Plot, optional
         Shown after arm angle, speed of the tip and energy.
     marks : sequence of float, optional
@@ -114,7 +117,7 @@ def player_html(
         "arm": arm,
         "radius": run.setup.rope.radius,
         "view": [*low, *high],
-        "obstacles": _obstacles(run),
+        "obstacles": _obstacles(run, obstacles),
         "peg_angles": None if run.peg_angle is None else _packed(_at(run, run.peg_angle, times).astype("<f4")),
         "targets": targets.tolist(),
         "dots": None if dots is None else {"t": _packed(dots.t), "places": _packed(dots.places.astype("<f4"))},
@@ -161,12 +164,15 @@ def _places(points: Array) -> dict[str, Any]:
     return {"places": _packed(steps), "wide": bool(wide), "centre": centre.tolist(), "step": step}
 
 
-def _obstacles(run: Trajectory) -> list[dict[str, Any]]:
-    """Return what the rope may touch; `turns` is the place of a round peg among those, None of one that is fixed."""
+def _obstacles(run: Trajectory, avoided: Sequence[Obstacle]) -> list[dict[str, Any]]:
+    """Return what there is beside the rope; `turns` is the place of a round peg among those, None of one that is fixed.
+
+    `avoided` are those that it must not touch.
+    """
     found, pegs = [], run.setup.round_pegs
     for each in run.setup.pegs:
         turns = pegs.index(each) if isinstance(each, Peg) and each.turns else None
-        found.append({**asdict(each), "kind": type(each).__name__.lower(), "turns": turns})
+        found.append({**asdict(each), "kind": type(each).__name__.lower(), "turns": turns, "avoided": each in avoided})
     return found
 
 

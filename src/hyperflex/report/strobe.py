@@ -1,12 +1,13 @@
 """Stroboscopic pictures: many instants of one motion in one frame."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.model import Ground, Peg, Wall
+from hyperflex.model import Obstacle, Peg, Wall
 from hyperflex.report.shapes import NO_TARGETS, Shapes, ground_corners, shapes, span, view, wall_ends
 from hyperflex.report.style import new_figure
 from hyperflex.trajectory import Trajectory
@@ -14,7 +15,7 @@ from hyperflex.trajectory import Trajectory
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NIGHT, PALE, PEG, GROUND = "#0c1322", "#aab6c8", "#d65c46", "#1c263a"
+NIGHT, PALE, PEG, GROUND, OBSTACLE = "#0c1322", "#aab6c8", "#d65c46", "#1c263a", "#a07be0"
 _COLOURS = ("#27406b", "#2f7fb5", "#4fc3c0", "#f2d479", "#ff8a4c")  # first instant to last
 _TRAIL_POINTS = 800
 
@@ -28,6 +29,7 @@ def strobe_figure(
     title: str = "",
     width: float = 9.0,
     targets: Array | None = None,
+    obstacles: Sequence[Obstacle] = (),
 ) -> "Figure":
     """Draw the rope at `count` instants of a run, early ones dark, late ones bright, with the path of the tip.
 
@@ -45,6 +47,8 @@ def strobe_figure(
         Width of the picture, inches; the height follows from the rope's reach.
     targets : (k, 2) float64, optional
         Points to mark with a ring, m.
+    obstacles : sequence of Peg, Wall, Ground, optional
+        Those of the set-up that the rope must not touch: violet, which the title then says.
     """
     count = checks.count("count", count, least=2)
     first, last = span(run, start, end)
@@ -59,13 +63,15 @@ def strobe_figure(
         axis.set_axis_off()
         _draw_ropes(axis, drawn.joints, trail)
         for obstacle in run.setup.pegs:
-            draw_obstacle(axis, obstacle, 10.0 * float(np.ptp([low, high], axis=0).max()))
+            colour = OBSTACLE if obstacle in obstacles else PEG
+            _draw(axis, obstacle, 10.0 * float(np.ptp([low, high], axis=0).max()), colour)
         axis.plot(*targets.T, "o", ms=15.0, mfc="none", mec=PEG, mew=1.8, zorder=7)
         _draw_arm(axis, drawn, run.setup.arm is not None)
         _draw_scale(axis, low, high)
         _draw_key(axis, first, last)
+        words = f"{title}; violet: obstacles" if obstacles else title
         axis.text(
-            0.018, 0.965, title, transform=axis.transAxes, color="white", fontsize=11, va="top", fontweight="bold"
+            0.018, 0.965, words, transform=axis.transAxes, color="white", fontsize=11, va="top", fontweight="bold"
         )
     return figure
 
@@ -103,17 +109,35 @@ def _draw_arm(axis: Any, drawn: Shapes, with_arm: bool) -> None:
     axis.plot(*pivots[-1], "o", color="white", ms=5.5, mec=NIGHT, mew=1.2, zorder=6)
 
 
-def draw_obstacle(axis: Any, obstacle: Peg | Wall | Ground, far: float) -> None:
-    """Draw an obstacle; of a ground the part within `far`, m, of its point."""
-    from matplotlib.patches import Circle, Polygon
+def draw_obstacles(axis: Any, obstacles: Sequence[Obstacle], far: float) -> None:
+    """Draw what the rope must not touch into a plot whose limits stand; its legend names what lies within them.
+
+    Of grounds the part within `far`, m, of their points is drawn.
+    """
+    shown = []
+    for each in obstacles:
+        outline = _draw(axis, each, far, OBSTACLE).get_path()
+        if outline.intersects_bbox(axis.viewLim, filled=not isinstance(each, Wall)):
+            shown.append(type(each).__name__.lower())
+    for kind in sorted(set(shown)):
+        face = GROUND if kind == "ground" else OBSTACLE
+        axis.plot([], [], "s", color=face, mec=OBSTACLE, mew=1.5, ms=6.0, label=f"{kind}, an obstacle")
+
+
+def _draw(axis: Any, obstacle: Obstacle, far: float, colour: str) -> Any:
+    """Draw a peg, wall or ground and return it; of a ground an obstacle's colour shows the surface alone."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
 
     if isinstance(obstacle, Peg):
-        centre = (obstacle.x, obstacle.y)
-        axis.add_patch(Circle(centre, obstacle.radius, facecolor=PEG, lw=0, zorder=1))  # below the wraps
+        outline = Path.circle((obstacle.x, obstacle.y), obstacle.radius)
+        look: Any = {"facecolor": colour, "lw": 0, "zorder": 1}  # below the wraps
     elif isinstance(obstacle, Wall):
-        axis.plot(*np.transpose(wall_ends(obstacle)), color=PEG, lw=2.2, zorder=4)
+        outline, look = Path(wall_ends(obstacle)), {"edgecolor": colour, "lw": 2.2, "zorder": 4}
     else:
-        axis.add_patch(Polygon(ground_corners(obstacle, far), facecolor=GROUND, zorder=0))
+        outline = Path(ground_corners(obstacle, far)[[0, 1, 2, 3, 0]], closed=True)
+        look = {"facecolor": GROUND, "edgecolor": colour if colour == OBSTACLE else GROUND, "lw": 2.2, "zorder": 0}
+    return axis.add_patch(PathPatch(outline, **look))
 
 
 def _draw_scale(axis: Any, low: Array, high: Array) -> None:

@@ -72,8 +72,8 @@ def state_directions(command: str, chain: Chain, drive: Drive) -> tuple[Array, D
     n, by = chain.length.size, {"coef": np.ones((1, 4, 6))}
     q, qd = ([{name: row} for row in np.eye(n)] for name in ("q0", "qd0"))
     parts = [*q, *qd, by] if command == "torque" else [by, *q, by, *qd, by]
-    wanted = ParameterDirections(tuple(map(str, range(len(parts)))), tuple(parts))
-    return wanted.start(n), wanted.directions(chain, drive._replace(coef=by["coef"]))  # all that may ever move
+    varied = ParameterDirections(tuple(map(str, range(len(parts)))), tuple(parts))
+    return varied.start(n), varied.directions(chain, drive._replace(coef=by["coef"]))  # all that may ever move
 
 
 def set_commands(command: str, seeds: Directions, powers: Array) -> None:

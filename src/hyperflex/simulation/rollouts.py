@@ -209,8 +209,8 @@ def controlled(
     while run.time < stop and code == status.OK:
         y, now = run.progress.y, run.time
         answer = control(now, float(y[0]), float(y[n]), y[1:n].copy(), y[n + 1 : 2 * n].copy())
-        wanted = checks.number(f"torque callback at t = {now:g} s", answer, unit="N m")
-        applied.append((now, float(np.clip(wanted, -limit, limit))))
+        commanded = checks.number(f"torque callback at t = {now:g} s", answer, unit="N m")
+        applied.append((now, float(np.clip(commanded, -limit, limit))))
         until = min(begin + len(applied) * period, stop)
         interval.set(now, until, TORQUE, [applied[-1][1], 0.0, 0.0, 0.0, 0.0, 0.0])
         run.limits = run.limits._replace(stop=until)

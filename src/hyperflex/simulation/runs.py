@@ -15,7 +15,7 @@ from hyperflex.core import status
 from hyperflex.core.chain.drive import TORQUE
 from hyperflex.core.integrate.end_conditions import NEVER, Until
 from hyperflex.errors import Interrupted, InvalidInput
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, checked_obstacles
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.progress import progress_bar
@@ -195,7 +195,7 @@ def simulate(
         resume(run, state, setup)
     code, name = status.RUNNING, INTERRUPTED
     applied: list[tuple[float, float]] = []
-    with caught():
+    with catch_interrupt():
         try:
             with progress_bar(begin, begin + length, progress) as bar:
                 report = enforce_budget(bar, time_budget, (begin, begin + length))

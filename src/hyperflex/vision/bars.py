@@ -12,7 +12,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.recording import Recording
 from hyperflex.vision.colour import surface
 from hyperflex.vision.video import Image, VideoReader, VideoWriter
@@ -225,7 +225,7 @@ def track_bars(
     with ExitStack() as stack:
         reader = stack.enter_context(VideoReader(video))
         writer = None if preview is None else stack.enter_context(VideoWriter(preview, reader.image_size))
-        with caught() as stop:
+        with catch_interrupt() as stop:
             for frame in reader:
                 seen = detector.find(frame.image)
                 angles.append(link_angles(seen, start, expected_angles(times, angles, frame.time)))
@@ -235,7 +235,7 @@ def track_bars(
                     writer.write(_drawn(frame.image, seen, angles[-1], frame.time), frame.time)
                 if progress is not None:
                     progress(len(times))
-        if not stop.met:
+        if not stop.received:
             return _bar_track(times, angles, stds, reader)
         with suppress(InvalidInput):
             raise Interrupted(replace(_bar_track(times, angles, stds, reader), interrupted=True))

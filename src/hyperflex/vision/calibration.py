@@ -159,7 +159,7 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
 
 
 def check_size(image: Image, size: tuple[int, int]) -> None:
-    """Raise InvalidInput if a picture is not of the wanted size (width, height), px."""
+    """Raise InvalidInput if a picture is not of the required size (width, height), px."""
     if image.shape[1::-1] != size:
         raise InvalidInput("pictures differ in size", got=image.shape[1::-1], allowed=f"{size} px, as the others")
 

@@ -25,14 +25,14 @@ def cast(
     speed: planner.Speed = None,
     acceleration: planner.Acceleration = None,
     torque: planner.Torque = None,
-    holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
+    holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should withstand, N.")] = 0.0,
     contact: Annotated[
         float | None,
         typer.Option(
             help="Least angle of the target that the rope must cover, rad. [default: none, but a full turn is sought]",
         ),
     ] = None,
-    clearance: planner.Clearance = 0.0,
+    clearance: planner.Clearance = None,
     time_limit: Annotated[
         float | None,
         typer.Option(
@@ -89,7 +89,7 @@ def cast(
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    task = planner.read_task(setup, rope, arm_length, limits)
+    task = planner.read_task(setup, rope, arm_length, limits, clearance, contact)
     uncertainty = Uncertainty.from_rope_file(rope or setup or Path()) if robust else None
     peg, first = planner.peg_of(task, target, radius, mu), planner.first_peg(task)
     plan = output.partial_of(
@@ -100,8 +100,8 @@ def cast(
             task.limits,
             time_limit=time_limit,
             holding_force=holding_force,
-            contact=contact,
-            clearance=clearance,
+            contact=task.contact,
+            clearance=task.clearance,
             obstacles=[each for each in task.obstacles if each is not first],
             uncertainty=uncertainty,
             time_budget=time_budget,

@@ -56,7 +56,7 @@ def insert(
             help="Within which the tip must be inside, s. [default: two periods of the rope's swing]",
         ),
     ] = None,
-    clearance: planner.Clearance = 0.0,
+    clearance: planner.Clearance = None,
     skip_feasibility: planner.SkipFeasibility = False,
     rate: planner.Rate = 200.0,
     time_budget: planner.TimeBudget = 30.0,
@@ -84,7 +84,7 @@ def insert(
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    task = planner.read_task(setup, rope, arm_length, limits)
+    task = planner.read_task(setup, rope, arm_length, limits, clearance)
     table = {name: value for name, value in task.slot.items() if value != math.inf}
     may_touch = checks.flag("slot touching", table.pop("touching", False)) or touching
     options = {"direction": direction, "width": width, "depth": depth, "wall": wall, "tube": tube}
@@ -98,7 +98,7 @@ def insert(
             task.arm,
             where,
             task.limits,
-            clearance=clearance,
+            clearance=task.clearance,
             obstacles=task.obstacles,
             time_limit=time_limit,
             skip_feasibility=skip_feasibility,

@@ -61,8 +61,11 @@ Acceleration = Annotated[
 ]
 Torque = Annotated[float | None, typer.Option(help="Greatest torque, N m. [default: not limited]")]
 Clearance = Annotated[
-    float,
-    typer.Option(help="Least distance of the rope from arm, shaft and obstacles, m; -inf: none from arm and shaft."),
+    float | None,
+    typer.Option(
+        help="Least distance of the rope from arm, shaft and obstacles, m; -inf: none from arm and shaft. [default: 0, "
+        "or an earlier plan's whose file is given]",
+    ),
 ]
 SkipFeasibility = Annotated[
     bool, typer.Option("--skip-feasibility", help="Search even for a target that is called out of reach.")
@@ -85,7 +88,10 @@ _WRITTEN = {
 
 
 class Task(NamedTuple):
-    """What is planned with: rope, arm, limits of the motor, obstacles, and [target] and [slot] of a set-up file."""
+    """What is planned with: rope, arm, limits of the motor, obstacles, and [target] and [slot] of a set-up file.
+
+    And `clearance`, m, and `contact`, rad or None, which an earlier plan's file says where no option does.
+    """
 
     rope: Rope
     arm: Arm
@@ -93,9 +99,18 @@ class Task(NamedTuple):
     obstacles: tuple[Obstacle, ...]
     target: Mapping[str, Any]
     slot: Mapping[str, Any]
+    clearance: float
+    contact: float | None
 
 
-def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, limits: Mapping[str, Any]) -> Task:
+def read_task(
+    setup: Path | None,
+    rope: Path | None,
+    arm_length: float | None,
+    limits: Mapping[str, Any],
+    clearance: float | None,
+    contact: float | None = None,
+) -> Task:
     """Return what the TOML files and the options give; options override the set-up file.
 
     `limits` are arguments of MotorLimits; those that are not given are None.
@@ -104,8 +119,9 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
     from hyperflex.planning import MotorLimits
 
     content = {} if setup is None else files.read_toml(setup)
+    again = {"clearance": clearance, "contact": contact}
     if setup is not None and PLAN in content:
-        content = _of_plan(setup)
+        content = _of_plan(setup, again)
     for name in ("limits", "target", "slot"):
         if not isinstance(content.get(name, {}), Mapping):
             raise InvalidInput(f"{name} of {setup} is not a table", got=content[name], allowed=f"[{name}]")
@@ -123,24 +139,28 @@ def read_task(setup: Path | None, rope: Path | None, arm_length: float | None, l
         sys.stderr.write(f"hyperflex: no arm is given, so the paper's is taken, {arm.length:g} m long; {words}\n")
     if arm_length is not None:
         arm = replace(arm, length=arm_length)
-    return Task(read.rope, arm, MotorLimits(**given), read.pegs, content.get("target", {}), content.get("slot", {}))
+    places = (content.get("target", {}), content.get("slot", {}))
+    return Task(read.rope, arm, MotorLimits(**given), read.pegs, *places, again["clearance"] or 0.0, again["contact"])
 
 
-def _of_plan(path: Path) -> dict[str, Any]:
+def _of_plan(path: Path, again: dict[str, float | None]) -> dict[str, Any]:
     """Return the tables of a set-up for what an earlier plan was made for: its rope before it was cut, and its limits.
 
-    What the file says beside it is the verified run, whose rope is cut for the target of then. Clearance and contact
-    are options: what was asked then is told on standard error.
+    What the file says beside it is the verified run, whose rope is cut for the target of then. Of clearance and contact
+    what was asked then is put into `again`, where no option gives them, and told on standard error.
     """
     from hyperflex.model import Setup
     from hyperflex.planning import CastPlan, InsertPlan, read_plan
 
     plan = read_plan(path)
     known = plan.cast_setup
-    then = [f"--{each} {getattr(known, each):g}" for each in ("clearance", "contact") if getattr(known, each) != 0.0]
+    then = {name: getattr(known, name) for name, given in again.items() if given is None and getattr(known, name)}
+    again |= then
     if then:
-        words = f"{path} was planned with {' '.join(then)}; give that again where it is still wanted"
-        sys.stderr.write(f"hyperflex: {words}\n")
+        words = " ".join(f"--{name} {value:g}" for name, value in then.items())
+        sys.stderr.write(
+            f"hyperflex: {path} was planned with {words}, which is asked again; give another to change it\n"
+        )
     cast = isinstance(plan, CastPlan)
     pegs = (plan.target, *known.obstacles) if isinstance(plan, CastPlan) else known.obstacles
     setup = Setup(known.rope, None, known.arm, pegs=pegs)

@@ -31,8 +31,8 @@ def reach_map(
     speed: planner.Speed = None,
     acceleration: planner.Acceleration = None,
     torque: planner.Torque = None,
-    holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should bear, N.")] = 0.0,
-    clearance: planner.Clearance = 0.0,
+    holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should withstand, N.")] = 0.0,
+    clearance: planner.Clearance = None,
     time_budget: Annotated[
         float,
         typer.Option(callback=planner.positive("s"), help="Of each target, s; a cast that stands ends it before."),
@@ -57,7 +57,7 @@ def reach_map(
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    task = planner.read_task(setup, rope, arm_length, limits)
+    task = planner.read_task(setup, rope, arm_length, limits, clearance)
     first = planner.first_peg(task)
     like = planner.peg_of(task, (0.0, 0.0), radius or (RADIUS if first is None else None), mu)
     with _processes(workers) as executor:
@@ -71,7 +71,7 @@ def reach_map(
                 mu=like.mu,
                 time_budget=time_budget,
                 holding_force=holding_force,
-                clearance=clearance,
+                clearance=task.clearance,
                 obstacles=[each for each in task.obstacles if each is not first],
                 seed=seed,
                 threads=1,

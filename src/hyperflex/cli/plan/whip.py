@@ -43,7 +43,7 @@ def whip(
             help="Within which the tip must pass, s. [default: three periods of the rope's swing]",
         ),
     ] = None,
-    clearance: planner.Clearance = 0.0,
+    clearance: planner.Clearance = None,
     skip_feasibility: planner.SkipFeasibility = False,
     rate: planner.Rate = 200.0,
     time_budget: planner.TimeBudget = 30.0,
@@ -70,7 +70,7 @@ def whip(
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    task = planner.read_task(setup, rope, arm_length, limits)
+    task = planner.read_task(setup, rope, arm_length, limits, clearance)
     options = {"direction": direction, "angle_tolerance": angle_tolerance, "least_speed": least_speed}
     asked = planner.asked("target", task.target, _TARGET, target, options)
     angle = asked.get("direction")
@@ -83,7 +83,7 @@ def whip(
             task.limits,
             least_speed=asked.get("least_speed", 5.0),
             angle_tolerance=asked.get("angle_tolerance", math.radians(20.0)),
-            clearance=clearance,
+            clearance=task.clearance,
             obstacles=task.obstacles,
             time_limit=time_limit,
             skip_feasibility=skip_feasibility,

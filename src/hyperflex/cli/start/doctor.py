@@ -77,11 +77,11 @@ def _packages() -> Iterator[Finding]:
     except importlib.metadata.PackageNotFoundError:
         yield Finding("packages", WRONG, "hyperflex is not installed, its folder alone is there.", "pip install it.")
         return
-    wanted: dict[str, list[str]] = {}
+    packages: dict[str, list[str]] = {}
     for each in requirements:
         match = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", each)
-        wanted.setdefault(match[1] if match else "", []).append(re.split(r"[\s\[<>=!~;]", each, maxsplit=1)[0])
-    for extra, names in sorted(wanted.items()):
+        packages.setdefault(match[1] if match else "", []).append(re.split(r"[\s\[<>=!~;]", each, maxsplit=1)[0])
+    for extra, names in sorted(packages.items()):
         versions = {name: _version(name) for name in names if name != "hyperflex"}
         lacking = [name for name, version in versions.items() if not version]
         there = ", ".join(f"{name} {version}" for name, version in versions.items() if version)

@@ -136,7 +136,7 @@ def _compile(kernels: list[tuple[str, str]], count: int) -> float:
     try:
         with progress_bar(0.0, len(kernels), True, "compiling", "kernels") as report:
             while any(worker.poll() is None for worker in workers):
-                report(cache.compiled(kernels))  # type: ignore[misc]  # it is wanted
+                report(cache.compiled(kernels))  # type: ignore[misc]  # asked for
                 if any(worker.poll() for worker in workers):
                     break
                 time.sleep(POLL)

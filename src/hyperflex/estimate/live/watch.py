@@ -215,11 +215,11 @@ class Watch:
 
     def _fits(self, frame: Frame) -> bool:
         """Whether a frame has the camera's size; says so where that changes."""
-        size, wanted = frame.image.shape[1::-1], tuple(self.tracker.camera.image_size)
-        fits = size == wanted
+        size, expected = frame.image.shape[1::-1], tuple(self.tracker.camera.image_size)
+        fits = size == expected
         if not fits and not self._sized:
             self._messages.append(
-                f"frames of {size[0]}x{size[1]} px are left out: the camera's file is of {wanted[0]}x{wanted[1]} px"
+                f"frames of {size[0]}x{size[1]} px are left out: the camera's file is of {expected[0]}x{expected[1]} px"
             )
         if fits and self._sized:
             self._messages.append(f"frames have {size[0]}x{size[1]} px again")

@@ -24,7 +24,7 @@ from hyperflex.identification.baselines.simplex import (
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.identification.fit.multiple_shooting import one_thread
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Rope, Setup
 from hyperflex.recording import Recording
 from hyperflex.simulation import AngleJacobian, angles
@@ -178,7 +178,7 @@ def iterative_revision(
     done: list[Round] = []
     message, std = NOT_CONVERGED, {"inertia": float("inf"), "friction": float("inf")}
     values = np.array([rope_guess.inertia.mean(), rope_guess.friction.mean()])
-    with caught() as stop:
+    with catch_interrupt() as stop:
         try:
             for _ in range(checks.count("rounds", rounds) + 1):
                 found = revision.state(values, done[-1] if done else None, began)
@@ -193,7 +193,7 @@ def iterative_revision(
         except IdentificationError:
             if not done:
                 raise
-    if stop.met:
+    if stop.received:
         if not done:
             raise Interrupted
         message = INTERRUPTED

@@ -10,7 +10,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput, SimulationError
 from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import angles
@@ -102,7 +102,7 @@ def estimate_initial_state(
             "The rope cannot be simulated from the start. Give another start or other parameters."
         )
     message = INTERRUPTED
-    with caught() as stop:
+    with catch_interrupt() as stop:
         converged = [descent.descend(checks.count("max_evaluations", max_evaluations)) for _ in range(2)][-1]
         message = CONVERGED if converged else NOT_CONVERGED
     best = descent.best

@@ -18,12 +18,12 @@ from hyperflex.identification.model.names import scales
 from hyperflex.identification.model.parameters import GRAVITY
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import DAMPING, FREE_PROPERTIES, MOST_LINKS, RESISTANCES, Rope, parse_label, recut
 from hyperflex.progress import progress_bar
 from hyperflex.recording import Recording
 
-WORSE = 1.001  # ratio of costs: within it fits have met the same optimum, as far as they go
+WORSE = 1.001  # ratio of costs: within it fits have reached the same optimum, as far as they go
 SLIGHT = 0.1  # of its scale, what a guess has none of at the start
 MAX_ADDED = 2  # resistances beside viscous friction in one candidate
 
@@ -97,7 +97,7 @@ def compare_models(
     by 2 % and by two standard errors over the held-out stretches (by 10 % where there are fewer than three). The
     simplest that both support is preferred. Where none is, prediction decides, unless the residuals of BIC's choice are
     white. All candidates must be fitted to the same samples; one that is not has no BIC. A model that fits worse than
-    one nested in it has met a local minimum, and is fitted again from there.
+    one nested in it has ended in a local minimum, and is fitted again from there.
     """
     checks.instance("recording", recording, Recording)
     checks.instance("rope_guess", rope_guess, Rope)
@@ -113,7 +113,7 @@ def compare_models(
         options["arc_lengths"] = np.append(0.0, np.cumsum(rope_guess.length))
     todo = candidates(rope_guess, free, models, links)
     done: list[Identification | str] = []
-    with caught() as stop, progress_bar(0.0, float(len(todo)), progress, "comparing", "models") as report:
+    with catch_interrupt() as stop, progress_bar(0.0, float(len(todo)), progress, "comparing", "models") as report:
         fit: Callable[..., Identification] = partial(identify, recording, intervals=None, progress=False, **options)
         for number, each in enumerate(todo):
             try:
@@ -126,9 +126,9 @@ def compare_models(
                 fit = partial(fit, window=found.settings["window"])  # the same for all
             if report is not None:
                 report(number + 1.0)
-    if stop.met and all(isinstance(one, str) for one in done):
+    if stop.received and all(isinstance(one, str) for one in done):
         raise Interrupted
-    return stop.deliver(_compared(todo[: len(done)], done, stop.met))
+    return stop.deliver(_compared(todo[: len(done)], done, stop.received))
 
 
 def _refit_from_nested(

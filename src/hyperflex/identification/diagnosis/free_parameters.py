@@ -9,7 +9,7 @@ from hyperflex.identification.diagnosis.score_tests import EQUAL, FEW_LINKS, LAW
 from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter, WindowScores
 from hyperflex.identification.model.plant import ANGLES
 from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.interruption import caught
+from hyperflex.interruption import catch_interrupt
 from hyperflex.model import Rope
 
 MOST = 3  # parameters that are added at most: each costs a fit
@@ -54,9 +54,9 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
             break
         equals = [each for each in asked if each.gain > asked[0].gain - EQUAL]
         chosen = min(equals, key=lambda each: ALLOWED.index(each.name.partition(":")[0]))
-        with caught() as stop:
+        with catch_interrupt() as stop:
             richer = fit([*trial.free, chosen.name])
-        if stop.met or richer.basis.fit.interrupted:
+        if stop.received or richer.basis.fit.interrupted:
             trial.basis.fit.interrupted = True  # what has converged and was tested is worth more
             break
         if not richer.basis.fit.converged:

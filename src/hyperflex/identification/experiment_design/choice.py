@@ -14,13 +14,13 @@ from hyperflex.identification.experiment_design.experiments import Experiment, d
 from hyperflex.identification.experiment_design.fisher_information import ExpectedInformation, expected_information
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.scale import common_factor
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Rope
 from hyperflex.progress import progress_bar
 
 WEIGHED = ("mass", "com", "tip_mass")  # what a pair of scales can tell
 TORQUE_NOISE = 0.01  # part of the torque that holds arm and rope out level, all mass at the tip
-SHOWN = 3  # wanted numbers in a line of the table, the rest in the summary
+SHOWN = 3  # numbers asked for in a line of the table, the rest in the summary
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Plan:
     ----------
     experiment : Experiment
     std, relative : dict of str to float
-        Predicted standard deviation of each wanted number, SI units, and over its value (over a typical change where
+        Predicted standard deviation of each number asked for, SI units, and over its value (over a typical change where
         that is 0, or an offset); inf where the experiment cannot tell it.
     reason : str
         Why it could not be simulated, or empty.
@@ -55,7 +55,7 @@ class Plan:
 
     @property
     def score(self) -> float:
-        """The largest relative standard deviation; inf where something wanted cannot be told."""
+        """The largest relative standard deviation; inf where something asked for cannot be told."""
         return max(self.relative.values(), default=float("inf"))
 
 
@@ -68,7 +68,7 @@ class ExperimentDesign(Ended):
     plans : tuple of Plan
         The best first, those that could not be simulated last.
     want : tuple of str
-        What was wanted.
+        What was asked for.
     advice : str
         In words: which to make; or what to measure where none can tell.
     message : {"converged", "interrupted"}
@@ -82,12 +82,12 @@ class ExperimentDesign(Ended):
 
     @property
     def success(self) -> bool:
-        """Whether all candidates were simulated and one can tell what is wanted."""
+        """Whether all candidates were simulated and one can tell what is asked for."""
         return self.message == CONVERGED and self.best is not None
 
     @property
     def best(self) -> Plan | None:
-        """The plan that tells most about what is wanted; None where none can tell it."""
+        """The plan that tells most about what is asked for; None where none can tell it."""
         first = self.plans[0] if self.plans else None
         return first if first is not None and np.isfinite(first.score) else None
 
@@ -162,10 +162,10 @@ def design_experiment(
 
     Notes
     -----
-    Ranked by the largest relative standard deviation among what is wanted. The prediction is first order: it holds for
-    small noise, a fit of the whole recording (``train=float("inf")``), white noise, a true model, and lengths and times
-    that are exact (``length_std=0, clock_std=0``): their errors come on top in any experiment, and longer recordings or
-    less noise do not lessen them.
+    Ranked by the largest relative standard deviation among what is asked for. The prediction is first order: it holds
+    for small noise, a fit of the whole recording (``train=float("inf")``), white noise, a true model, and lengths and
+    times that are exact (``length_std=0, clock_std=0``): their errors come on top in any experiment, and longer
+    recordings or less noise do not lessen them.
 
     Examples
     --------
@@ -176,8 +176,8 @@ def design_experiment(
     >>> hf.design_experiment(rope, "friction", [small, large]).best.experiment.name
     'large'
     """
-    wanted = [want] if isinstance(want, str) else checks.sequence("want", want, "names of parameters")
-    words = tuple(checks.text("a name in want", word) for word in wanted)
+    names = [want] if isinstance(want, str) else checks.sequence("want", want, "names of parameters")
+    words = tuple(checks.text("a name in want", word) for word in names)
     free, progress = checks.sequence("free", free, "names of parameters"), checks.flag("progress", progress)
     checks.number("noise", noise, sign="positive", unit="m or rad")
     todo = _todo(rope, candidates, arm)
@@ -186,14 +186,14 @@ def design_experiment(
     plans: list[Plan] = []
     seen: list[ExpectedInformation] = []
     last = len(todo) + (0.0 if candidates is not None else 6.0)
-    with caught() as stop, progress_bar(0.0, last, progress, "designing", "experiments") as report:
+    with catch_interrupt() as stop, progress_bar(0.0, last, progress, "designing", "experiments") as report:
         for experiment in _in_turn(todo, plans, vary=candidates is None):
             plans.append(_plan(asked, experiment, seen))
             if report is not None:
                 report(float(len(plans)))
-    if stop.met and not plans:
+    if stop.received and not plans:
         raise Interrupted
-    message = INTERRUPTED if stop.met else CONVERGED
+    message = INTERRUPTED if stop.received else CONVERGED
     ranked = tuple(sorted(plans, key=lambda plan: (plan.score, bool(plan.reason))))
     return stop.deliver(ExperimentDesign(ranked, words, _advice(asked, ranked, seen), message))
 
@@ -253,7 +253,7 @@ def _advice(asked: DesignQuestion, ranked: Sequence[Plan], seen: Sequence[Expect
 
 
 def _alternatives(asked: DesignQuestion, experiments: Sequence[Experiment], seen: ExpectedInformation) -> str:
-    """Return in words why none of the simulated `experiments` tells what is wanted, and what would."""
+    """Return in words why none of the simulated `experiments` tells what is asked for, and what would."""
     lost = [name for name, (std, _) in seen.spreads(asked.want).items() if not np.isfinite(std)]
     names = ", ".join(lost) or ", ".join(asked.want)
     if common_factor(seen.parameters, seen.information.x, seen.information.unknown) is None:
@@ -295,7 +295,7 @@ def _tells(seen: ExpectedInformation, name: str) -> bool:
 
 
 def _best(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
-    """Return which experiment then tells what is wanted, and how well; empty if none does."""
+    """Return which experiment then tells what is asked for, and how well; empty if none does."""
     scores: dict[str, float] = {}
     for experiment in experiments:
         try:

@@ -11,7 +11,7 @@ from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit
 from hyperflex.identification.fit.state_search import search_state, states_at
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.plant import Plant
-from hyperflex.interruption import caught
+from hyperflex.interruption import catch_interrupt
 
 TURNS = 6  # times at most that parameters and states take turns; four were needed for a rope that is seen at its tip
 AMISS = 10.0  # times what a value of the better windows, or of noise, costs: a shape taken for its mirror costs 100s
@@ -30,7 +30,7 @@ def fit_alternating(
     Interrupted by Ctrl-C, with what there is.
     """
     best, rng = _alternated(plant, windows, x, states, loss, report), np.random.default_rng(0)
-    with caught() as stop:
+    with catch_interrupt() as stop:
         for _ in range(SCATTERED):
             if _typical(windows, best) <= AMISS:
                 break
@@ -58,7 +58,7 @@ def _alternated(
     and so on.
     """
     begun = x, states
-    with caught() as stop:
+    with catch_interrupt() as stop:
         for _ in range(TURNS):
             found = _fit_of_the_better(plant, windows, x, states, loss, report)
             if found is None:

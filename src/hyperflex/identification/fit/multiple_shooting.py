@@ -17,7 +17,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.plant import Plant
-from hyperflex.interruption import caught
+from hyperflex.interruption import catch_interrupt
 
 LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
 ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their std
@@ -134,7 +134,7 @@ def fit(
     lower = np.empty(0) if states_only else plant.parameters.lower
     least = min(1e-4, ENOUGH / count) if enough is None else enough
     damping, stalled = 1e-3, 0
-    with caught() as stop:
+    with catch_interrupt() as stop:
         for number in range(rounds):
             best.loss = best.loss.scaled(best.residuals)
             before = best.cost
@@ -157,7 +157,7 @@ def fit(
             best.converged = stalled > 0 and (free or promised < max(least, ROUGH) * before)
             if best.converged or stalled == STALLS:
                 break
-    best.interrupted = stop.met
+    best.interrupted = stop.received
     return stop.deliver(best)
 
 

@@ -16,7 +16,7 @@ from hyperflex.identification.fit.state_search import arrived
 from hyperflex.identification.fit.windows import FEWEST, Window, cut_windows, decimation_step
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
-from hyperflex.interruption import caught
+from hyperflex.interruption import catch_interrupt
 from hyperflex.recording import Recording
 
 FIRST = 8  # windows so many times shorter come first
@@ -92,7 +92,7 @@ def fit_in_stages(
         stage = {"window": part, "stage": number, "stages": len(lengths)}
         usable: list[Window] = []
         found: Fit | None = None
-        with caught() as stop:
+        with catch_interrupt() as stop:
             known = {} if not done else {w.t[0]: s for w, s in zip(done[-1][1], done[-1][0].states, strict=True)}
             usable, states = _starts(plant, windows, x, known, loss, refine=bool(done) or ambiguous)
             heard = with_entries(report, stage)
@@ -119,7 +119,7 @@ def fit_in_stages(
                 settings |= {"starts": tried, "starts_agree": agree}
             done.append((found, usable, settings))
             x = found.x
-        if stop.met:
+        if stop.received:
             if not done:
                 raise Interrupted
             done[-1][0].interrupted = True
@@ -129,7 +129,7 @@ def fit_in_stages(
 
 
 def stage_lengths(length: float, usual: float, spacing: float, *, short: bool = True) -> list[float]:
-    """Return window lengths, s: `short` ones, then the usual one, doubled until the wanted length is reached.
+    """Return window lengths, s: `short` ones, then the usual one, doubled until the length asked for is reached.
 
     Without short ones where states have several guesses: too few samples tell these apart.
     """

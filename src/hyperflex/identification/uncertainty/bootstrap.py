@@ -16,7 +16,7 @@ from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level
 from hyperflex.identification.uncertainty.ratios import ratios
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.progress import progress_bar
 
 
@@ -138,7 +138,10 @@ def bootstrap(
         raise IdentificationError("The fit cannot be simulated any more: nothing can be drawn from it.")
     executor, size = checked_chunks(executor, chunk_size, 1)
     fits: dict[int, list[Array | None]] = {}
-    with caught() as stop, progress_bar(0.0, float(count), progress, "fitting", "simulated recordings") as report:
+    with (
+        catch_interrupt() as stop,
+        progress_bar(0.0, float(count), progress, "fitting", "simulated recordings") as report,
+    ):
 
         def keep(low: int, some: list[Array | None]) -> None:
             fits[low] = some
@@ -152,7 +155,7 @@ def bootstrap(
     failed, names = len(every) - len(done), tuple(_ratios(plant.parameters, fitted.x))
     table = np.array([values for values, _ in done]).reshape(len(done), len(plant.parameters))
     numbers = np.array([ratios for _, ratios in done]).reshape(len(done), len(names))
-    return stop.deliver(Bootstrap(plant.parameters.labels, table, failed, stop.met, names, numbers))
+    return stop.deliver(Bootstrap(plant.parameters.labels, table, failed, stop.received, names, numbers))
 
 
 def _ratios(parameters: Parameters, x: Array) -> dict[str, float]:

@@ -17,7 +17,7 @@ from hyperflex.identification.model.scale import Mask, in_common_factor
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.identification.uncertainty.whiteness import whiteness
-from hyperflex.interruption import caught, look, time_limit
+from hyperflex.interruption import catch_interrupt, look, time_limit
 
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
@@ -139,11 +139,11 @@ def fit_information(plant: Plant, windows: Sequence[Window], found: Fit) -> Info
     """Return what the windows tell; of a fit that is interrupted, then or before, what can be told within GRACE."""
     known = not_estimated(plant, found)
     if not found.interrupted:
-        with caught() as stop:
+        with catch_interrupt() as stop:
             known = estimate_covariance(plant, windows, found)
-        found.interrupted = stop.met
+        found.interrupted = stop.received
     if found.interrupted:
-        with caught(), time_limit(GRACE):
+        with catch_interrupt(), time_limit(GRACE):
             known = estimate_covariance(plant, windows, found)
     return known
 

@@ -10,7 +10,7 @@ from hyperflex.identification.fit.multiple_shooting import Report, with_entries
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, End, Interval, from_covariance
 from hyperflex.identification.uncertainty.profile import BETTER, Profile, profiled
 from hyperflex.identification.uncertainty.threshold import near_bounds, quantile
-from hyperflex.interruption import caught
+from hyperflex.interruption import catch_interrupt
 
 How = Literal["auto", "covariance", "profile"]
 HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
@@ -31,7 +31,7 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Repor
     labels = list(result)
     if how == "covariance":
         return result
-    with caught() as stop:
+    with catch_interrupt() as stop:
         chosen = _skewed_parameters(basis) if how == "auto" else list(range(len(labels)))
         chosen = [k for k in chosen if result[labels[k]].kind != "unknown"]
         length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)

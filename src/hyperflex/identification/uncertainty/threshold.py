@@ -40,7 +40,7 @@ def threshold(level: float, freedom: float, which: int, covariance: Array, above
 
     `freedom` is of the residual variance; covariance (P, P) as it would be without bounds; above (P,) the distances
     above the bounds, at the tested value and the others' estimates there, inf where there is no bound. The others stand
-    at their estimates, not at the truth: the level is met nearly, not exactly. About 1 ms a bound that is near.
+    at their estimates, not at the truth: the level is reached nearly, not exactly. About 1 ms a bound that is near.
     """
     usual = quantile(level, freedom)
     chosen = np.flatnonzero(near_bounds(covariance, above))

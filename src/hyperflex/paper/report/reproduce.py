@@ -54,7 +54,7 @@ def reproduce(
         message names.
     """
     chosen = [checks.choice("figure", name, (*FIGURES, "all")) for name in names]
-    wanted = [name for name in FIGURES if "all" in chosen or name in chosen]
+    figures = [name for name in FIGURES if "all" in chosen or name in chosen]
     check_folder(directory)
     paths: list[Path] = []
 
@@ -63,7 +63,7 @@ def reproduce(
         if written is not None:
             written(path)
 
-    parts = [(part, [name for name in wanted if name in part.items]) for part in PARTS]
+    parts = [(part, [name for name in figures if name in part.items]) for part in PARTS]
     done = [(part, write_part(part, own, Path(directory), progress, note)) for part, own in parts if own]
     texts = [
         sections_markdown(part.claims_title, [_verdict(part, each), *(s for s in each.sections if not s.pictures)])

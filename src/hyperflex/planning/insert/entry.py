@@ -183,12 +183,12 @@ def _at_level(level: float, a: Array, b: Array, da: Array, db: Array) -> tuple[f
 def entry_residuals(slot: Slot, entry: Entry) -> tuple[Array, Array]:
     """Return the residuals (m,), m, and their Jacobian (m, P): the offsets, and depth and other gaps if they fail."""
     residuals, jacobian = [*entry.offset], [*entry.doffset]
-    for value, wanted, change in (
+    for value, required, change in (
         (entry.depth, DEEPER * slot.depth, entry.ddepth),
         (entry.gap, BESIDE, entry.dgap),
     ):
-        if value < wanted:
-            residuals.append(value - wanted)
+        if value < required:
+            residuals.append(value - required)
             jacobian.append(change)
     return np.array(residuals), np.array(jacobian)
 

@@ -4,12 +4,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import obstacle_clearance
+from hyperflex.planning.clearance import obstacle_clearance, obstacle_gaps
 from hyperflex.planning.insert.slot import Slot, frame, nearest_passage
 from hyperflex.planning.search.contact_phase import starts_outside
 from hyperflex.planning.tip.outcome import TipOutcome, excess_torque, run_figures, sample_times, simulate_in_time
@@ -81,7 +82,7 @@ def evaluate_insert(
     `depth` (T,), m, is that of the tip.
     """
     t_enter, t = _time_at(run.t, depth, begin, 0.0), _time_at(run.t, depth, end, slot.depth)
-    touched = np.flatnonzero(np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0)
+    touched = _wall_touches(cast_setup, slot, run)
     left = begin + np.flatnonzero(np.append(depth[begin:], -1.0) <= 0.0)[0]
     last = min([int(left), *([] if slot.touching else touched[touched >= begin].tolist()), run.t.size - 1])
     deepest = float(depth[begin : last + 1].max())
@@ -108,6 +109,15 @@ def evaluate_insert(
         message=message or excess_torque(cast_setup, figures["torque"]),
         **figures,
     )
+
+
+def _wall_touches(cast_setup: CastSetup, slot: Slot, run: Trajectory) -> npt.NDArray[np.int64]:
+    """Return the samples at which a link is pushed that is as near to a wall of the slot as to any obstacle."""
+    row, link = np.nonzero(np.abs(np.asarray(run.contact_force)).sum(axis=2))
+    gaps = obstacle_gaps((*slot.walls, *cast_setup.obstacles), run.joints[row, link], run.joints[row, link + 1])
+    walls = len(slot.walls)
+    near = gaps[:walls].min(axis=0) <= gaps[walls:].min(axis=0, initial=np.inf)
+    return np.unique(row[near])
 
 
 def _time_at(t: Array, depth: Array, row: int, level: float) -> float:

@@ -5,7 +5,7 @@ from typing import Any
 
 from hyperflex import checks
 from hyperflex.control import swing_period
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Rope, checked_obstacles
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.insert.chance import SAMPLES, estimate_insert_probability
@@ -90,7 +90,7 @@ def plan_insert(
     known = check_insert_feasibility(cast_setup, slot, None)
     swings: list[TipCandidate] = []
     planner, found = None, dict[str, Any]()
-    with caught() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
+    with catch_interrupt() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
         if missing_length(cast_setup, slot) <= 0.0:
             swings = insert_candidates(cast_setup, slot, lambda: SWINGING * time_budget - clock.spent, threads)
             known = check_insert_feasibility(cast_setup, slot, swings)
@@ -104,8 +104,8 @@ def plan_insert(
                 found["success_probability"] = estimate_insert_probability(
                     cast_setup, slot, aim.strokes, aim.t, uncertainty, samples=samples, seed=seed, threads=threads
                 )
-    found |= {"seconds": clock.elapsed, "interrupted": stop.met}
+    found |= {"seconds": clock.elapsed, "interrupted": stop.received}
     if planner is None:
         return stop.deliver(InsertPlan(cast_setup, slot, known, message=known.message, **found))
-    nothing = "interrupted before any entry was found" if stop.met else "no swing brings the tip through it"
+    nothing = "interrupted before any entry was found" if stop.received else "no swing brings the tip through it"
     return stop.deliver(InsertPlan(cast_setup, slot, known, **planner.fields(nothing), **found))

@@ -106,7 +106,7 @@ class RobustRefinement:
         return some
 
     def evaluate_common(self, some: Sequence[RobustCandidate]) -> None:
-        """Evaluate each in the common scenarios that it has not met yet."""
+        """Evaluate each in the common scenarios that it has not been evaluated in yet."""
         for one in some:
             self.evaluate([one], self.common[len(one.values) : COMMON])
 
@@ -117,12 +117,12 @@ class RobustRefinement:
     def halve(self, found: Sequence[Candidate], seeded: Sequence[Candidate] = ()) -> None:
         """Compare candidates, those `seeded` among them, by successive halving."""
         runners = [RobustCandidate(candidate) for candidate in _pool(found, seeded)]
-        met = 0
+        done = 0
         for count in HALVING:
-            if met and self.left() <= 0.0:
+            if done and self.left() <= 0.0:
                 break
-            self.evaluate(runners, self.common[met : met + count])
-            met += count
+            self.evaluate(runners, self.common[done : done + count])
+            done += count
             runners.sort(key=lambda one: -one.mean)
             self.order = runners + self.order
             runners = runners[: max(1, len(runners) // 2)]

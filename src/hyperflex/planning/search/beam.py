@@ -16,6 +16,7 @@ from hyperflex.control import swing_period
 from hyperflex.model import Peg, Rope, divided
 from hyperflex.motion import Motion, arm_moves
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import samples_clear_of_arm
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.throw import MIN_STROKE, STROKE
@@ -24,9 +25,11 @@ from hyperflex.simulation import Deadline
 WIDTH, EACH = 12, 2  # swings of a side that are continued, and how many of them after the same strokes
 RESTS, MAX_REST = 5, 0.6  # rests that are tried after a stroke, and the longest of them, in periods
 SIZES = ((1.0, 1.0), (0.5, 0.9), (0.15, 0.5))  # of the strokes tried after each rest, relative to the usual stroke
-# Of a first look: six of ten targets were struck well enough with these alone, nine with all in 2.5 times the time
+# Of a first look, and every second one: six of ten targets were struck well enough with these alone, nine with all in
+# 2.5 times the time
 FULL = SIZES[:1]
 ENOUGH = 6  # strikes that are worth a try, after which a beam search may end
+BACK = 3  # strokes before the first strike from which a search begins again
 WATCHED = 0.7  # periods after a stroke in which a strike is looked for
 FINER = 3  # pieces of each link, as in the last verification
 MAX_DEVIATION = 0.005  # of the tip with shorter links after a stroke, in rope lengths
@@ -72,7 +75,7 @@ class _Continuation(NamedTuple):
 
 
 class BeamSearch:
-    """Beam search over the swings of a rope; it can be continued.
+    """Beam search over the swings of a rope; it can be continued, and begun again with other rests and strokes.
 
     Parameters
     ----------
@@ -101,10 +104,20 @@ class BeamSearch:
         self._sizes = sizes
         self._random, self._period = random, swing_period(cast_setup.rope)
         self._strikes: list[Strike] = []
+        self._moves: dict[tuple[float, float], Motion] = {}  # full strokes go to and fro between the same angles
         q, qd = (part[None] for part in cast_setup.start)
         self._swings = [
             _Swing(0.0, side, (), (), cast_setup.limits.start_angle(side), 0.0, 0.0, q, qd) for side in sides
         ]
+        self._levels = {0: self._swings}  # swings by their number of strokes, as they were first reached
+
+    def restart(self, sizes: Sequence[tuple[float, float]]) -> None:
+        """Begin again with strokes of other sizes, BACK strokes before the first strike: those before pump alone.
+
+        Where nothing was struck it begins in the middle of the strokes made.
+        """
+        strokes = [len(one.strokes) - BACK for one in self._strikes] or [len(self._levels) // 2]
+        self._sizes, self._swings = sizes, self._levels[max(0, min(strokes))]
 
     def ready(self, time: float, most: int) -> bool:
         """Whether any swing of less than `most` strokes ends before `time`, s."""
@@ -113,7 +126,7 @@ class BeamSearch:
     def extend(
         self, time: float, most: int, left: Callable[[], float] | None = None, enough: float = np.inf
     ) -> list[Strike]:
-        """Continue all swings that are ready until none is, or no time is left; return all strikes, best first.
+        """Continue all swings that are ready until none is, or no time is left; return new strikes, best first.
 
         Swings of at most `most` strokes end, and strikes come, before `time`, s. `left` returns the time that is left,
         s. It ends as well where ENOUGH new strikes score `enough`.
@@ -127,7 +140,9 @@ class BeamSearch:
             struck, onward = self._continue([one for one in self._swings if one.ready(time, most)], budget)
             self._strikes += struck
             self._swings = later + onward
-        return sorted((one for one in self._strikes if one.t < time), key=lambda one: -one.score)
+            for strokes in {len(one.strokes) for one in onward} - self._levels.keys():
+                self._levels[strokes] = [one for one in onward if len(one.strokes) == strokes]
+        return sorted((one for one in self._strikes[known:] if one.t < time), key=lambda one: -one.score)
 
     def _continue(self, swings: list[_Swing], budget: Deadline | None) -> tuple[list[Strike], list[_Swing]]:
         """Add a stroke to each swing; return the strikes, and the swings that are continued."""
@@ -146,7 +161,7 @@ class BeamSearch:
         batch = flights.run(arm, t[1:], keep=("q", "qd"), **how)
         q = np.concatenate([q[:, None], batch.q], axis=1)
         qd = np.concatenate([qd[:, None], batch.qd], axis=1)
-        seen = strikes.find_strikes(self.cast_setup, self.peg, motions, t, q, qd)
+        seen = strikes.find_strikes(self.cast_setup, self.peg, motions, t, q, qd, own_arm=False)
         ended = np.array([int(np.ceil(one.duration / step)) for one in tries])
         energy = self._energy(tries, q, qd, ended)
         struck: list[Strike] = []
@@ -164,9 +179,23 @@ class BeamSearch:
                 new = _Swing(float(energy[k]), swing.side, strokes, rests, end, stop, delay, *map(np.copy, some))
                 onward.append((k, new))
         likely = _best(onward, 2 * WIDTH)
-        confirmed = self._confirmed(flights, [k for k, _ in onward if k in likely], ended, q, how)
+        onward = self._clear_of_arm([each for each in onward if each[0] in likely], flights, t, q, ended)
+        confirmed = self._confirmed(flights, [k for k, _ in onward], ended, q, how)
         best = _best([each for each in onward if each[0] in confirmed], WIDTH)
         return struck, [one for k, one in onward if k in best]
+
+    def _clear_of_arm(
+        self, onward: list[tuple[int, _Swing]], flights: RolloutBatch, t: Array, q: Array, ended: Array
+    ) -> list[tuple[int, _Swing]]:
+        """Swings by their rows of q (M, T, n), with the samples before the rope comes too near its arm, if any."""
+        rows, arm = [k for k, _ in onward], self.cast_setup.arm
+        base = np.array([strikes.arm_tip(arm, flights.motions[k], t)[0] for k in rows]).reshape(len(rows), t.size, 2)
+        clear = samples_clear_of_arm(self.cast_setup.rope, arm, q[rows], base, self.cast_setup.clearance) - ended[rows]
+        return [
+            (k, one._replace(q=one.q[:count], qd=one.qd[:count]))
+            for (k, one), count in zip(onward, clear.tolist(), strict=True)
+            if count > 0
+        ]
 
     def _confirmed(
         self, flights: RolloutBatch, rows: list[int], ended: Array, q: Array, how: dict[str, Any]
@@ -204,10 +233,17 @@ class BeamSearch:
                 end = float(np.clip(swing.angle + sense * way, *limits.angles))
                 if sense * (end - swing.angle) > MIN_STROKE and end not in ends:
                     ends.add(end)
-                    (time,), ramp = limits.fastest_moves([end - swing.angle])
-                    motion = arm_moves([swing.angle, end], [0.0], [time], ramp)
-                    tries.append(_Continuation(swing, swing.delay + at * step, at, end, float(time), motion))
+                    motion = self._move(swing.angle, end)
+                    time = float(motion.breaks[-1])
+                    tries.append(_Continuation(swing, swing.delay + at * step, at, end, time, motion))
         return tries
+
+    def _move(self, start: float, end: float) -> Motion:
+        """Return the fastest move between two arm angles, rad; the same one where it was asked for before."""
+        if (start, end) not in self._moves:
+            (time,), ramp = self.cast_setup.limits.fastest_moves([end - start])
+            self._moves[start, end] = arm_moves([start, end], [0.0], [time], ramp)
+        return self._moves[start, end]
 
     def _energy(self, tries: list[_Continuation], q: Array, qd: Array, at: Array) -> Array:
         """Energy (M,), J, at samples `at` (M,), where the arm rests, of point masses at the links' centres of mass."""

@@ -16,7 +16,7 @@ from hyperflex.checks import Array
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import clear_samples
+from hyperflex.planning.clearance import clear_samples, samples_clear_of_arm
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.simulation import Deadline
 
@@ -35,7 +35,7 @@ class Strikes:
     `score` (M,): greater is better; below 0 without a strike. `energy_ratio` (M,): energy of turning about the peg over
     the energy that lifts the tail's centre of mass over the top. `tail_turns` (M,): length of the tail in turns about
     the peg. `t` (M,): last sample before the strike, s, NaN without a strike; `q`, rad, and `qd`, rad/s, (M, n): state
-    there. `clear` (M,): samples before the rope comes too near an obstacle, after which it cannot strike.
+    there. `clear` (M,): samples before the rope comes too near its arm or an obstacle, after which it cannot strike.
     """
 
     score: Array
@@ -70,13 +70,25 @@ def simulate_strikes(
     return find_strikes(cast_setup, peg, motions, t, batch.q, batch.qd)
 
 
-def find_strikes(cast_setup: CastSetup, peg: Peg, motions: Sequence[Motion], t: Array, q: Array, qd: Array) -> Strikes:
-    """Find the first strikes in samples q, qd (M, T, n) at times t (T,) of free swings under motions (M,)."""
-    base, base_velocity = (
-        np.stack(each) for each in zip(*(arm_tip(cast_setup.arm, motion, t) for motion in motions), strict=True)
-    )
+def find_strikes(
+    cast_setup: CastSetup,
+    peg: Peg,
+    motions: Sequence[Motion],
+    t: Array,
+    q: Array,
+    qd: Array,
+    own_arm: bool = True,
+) -> Strikes:
+    """Find the first strikes in samples q, qd (M, T, n) at times t (T,) of free swings under motions (M,).
+
+    A rope that comes too near an obstacle before, or with `own_arm` its arm or shaft, does not strike.
+    """
+    tips = {id(motion): arm_tip(cast_setup.arm, motion, t) for motion in {id(each): each for each in motions}.values()}
+    base, base_velocity = (np.stack(each) for each in zip(*(tips[id(motion)] for motion in motions), strict=True))
     at, link, least = first_contact(np.nan_to_num(q), base, cast_setup.rope.length, peg, cast_setup.rope.radius)
     clear = clear_samples([cast_setup.rope] * len(q), cast_setup.obstacles, q, base, cast_setup.clearance)
+    if own_arm:
+        clear = np.minimum(clear, samples_clear_of_arm(cast_setup.rope, cast_setup.arm, q, base, cast_setup.clearance))
     struck = (at > 0) & (at <= clear) & np.isfinite(q).all(axis=(1, 2))
     blocked = (at > 0) & ~struck & (clear < t.size)
     least += np.where(blocked, 1.0 - clear / np.maximum(at, 1), 0.0)

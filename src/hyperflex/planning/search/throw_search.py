@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -24,20 +24,29 @@ from hyperflex.simulation import Deadline
 
 MEMBERS, CONTACT_MEMBERS = 32, 16  # of a generation of free swings, and of one in contact
 KEPT = 4  # swings of a generation that may be tried in contact
-TRIED = 2  # swings that are tried in contact at once
-# Throws that wind, after which they are verified before more last moves are tried; with less of a score they slip, or
-# are folded flat on the way
-ENOUGH, SOUND = 4, MIN_TURNS
-# Tried after a strike: strokes still made, none or two, and then the last move's end, in half turns. Of 32 swings at
-# eight targets these wound 16; one stroke more, or a rest of 0.05 periods before the last move, another one
-MORE, ENDS = (0.5, 2.5), (-1.0, -0.5, 0.0, 0.5, 1.0)
+TRIED = 8  # swings that are tried in contact at once
+SOUND = MIN_TURNS  # score of throws that neither slip nor are folded flat on the way
+# Last moves: strokes still made after the strike, the move's end, in half turns towards the target's side, and the
+# rest before it, in periods, in which a short tail comes to rest before it must hold. Of 449 swings that struck 47
+# targets 100 wound soundly with any of fifteen moves without a rest: 53 with the first, 76 with the first two
+# and 95 with all eight of these. Which swings wind hardly depends on their scores
+LONG_REST = 2.0
+MOVES = (
+    ((2.5, 0.5, 0.0), (0.5, 1.0, 0.0)),
+    ((0.5, 0.5, 0.0), (0.5, 0.5, LONG_REST)),
+    ((1.5, 0.5, 0.0), (0.5, -0.5, LONG_REST)),
+    ((2.5, 1.0, 0.0), (0.5, -1.0, 0.0)),
+    ((0.5, 1.0, LONG_REST), (0.5, -1.0, LONG_REST)),
+    ((2.5, -0.5, 0.0), (1.5, -0.5, 0.0)),
+)
+AFTER = (0.5, 2.5)  # strokes still made after the strike by given throws
 SLOW_RUNS, MIN_BUDGET = 10.0, 0.5  # one run in so many takes very long; processor time of each in any case, s
 UNTIL = 2.0 * strikes.SAMPLE_TIME  # s after a strike, until which the arm rests that rested before it
 LATE = 0.5  # fraction of the time allowed
 CONFIRMED = 32  # swings at once that are simulated with shorter links too, and then kept
-# Where no throw tried winds: rest before the last move, periods, in which a short tail comes to rest before it must
-# hold; and after so many tries, pieces of each link in contact: coarse links miss some about a small peg, or when slack
-LONG_REST, MAX_FAILED, PIECES = 2.0, 3, 2
+# Where after so many tries no throw winds, pieces of each link in contact: coarse links miss some about a small peg, or
+# when slack
+MAX_FAILED, PIECES = 3, 2
 NARROW = 0.25  # step size of CMA-ES in contact, relative to that of free swings
 
 
@@ -46,8 +55,8 @@ class ThrowSearch:
     """A search for throws: over free swings by beam search and by CMA-ES, then by CMA-ES in contact with the peg.
 
     Swings and candidates are kept best first; `runs` counts the simulated runs. `holding_force`, N, is the pull that
-    the wound rope must bear; it is used where the candidates are verified. `left` returns the time that is left for the
-    search, s; None for no limit. `threads` is one a processor by default.
+    the wound rope must withstand; it is used where the candidates are verified. `left` returns the time that is left
+    for the search, s; None for no limit. `threads` is one a processor by default.
     """
 
     cast_setup: CastSetup
@@ -63,21 +72,12 @@ class ThrowSearch:
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
         self._beam: BeamSearch | None = None
-        self._begin()
-
-    def lengthen(self, factor: float) -> None:
-        """Begin anew with the time until the strike multiplied by `factor`; drops all swings and candidates."""
-        self.cast_setup = replace(self.cast_setup, time=factor * self.cast_setup.time)
-        self._begin()
-
-    def _begin(self) -> None:
+        self._restarts = 0  # of the beam search
         sides = free_sides(self.cast_setup, (self.peg, *self.cast_setup.obstacles))
         self.parametrizations = {side: ThrowParametrization(self.cast_setup, side) for side in sides}
         self._free: dict[int, Any] = {}  # made when it is needed: to import it takes seconds
-        self.swings.clear()
-        self.candidates.clear()
-        self._tried: list[Swing] = []
-        self._untried: list[tuple[int, list[Array]]] = []  # sides and points of swings that were tried in part
+        self._tried: list[Swing] = []  # in contact
+        self._made: list[int] = []  # how many of the MOVES each of them was tried with
         self._contact: tuple[int, Any] | None = None
         self._failed_tries = 0  # tries of last moves while no throw winds
         self._in_contact = self.cast_setup  # its links are those of runs in contact
@@ -102,17 +102,20 @@ class ThrowSearch:
         return self._beam is not None and self._beam.ready(self.cast_setup.time, most)
 
     def beam_search(self, enough: float = np.inf) -> float:
-        """Search free swings stroke by stroke; continues the last beam search if it can be, else begins one.
+        """Search free swings stroke by stroke; continues the last beam search if it can be, else begins again.
 
-        It ends where some swings score `enough`. The first one makes full strokes alone; where none of these scores
-        that, one with others follows at once. Returns the best score so far.
+        It ends where some swings score `enough`. The first one makes full strokes alone, as every second one after it
+        does; where none of its swings scores that, the next one follows at once. Returns the best score so far.
         """
         self._check()
         time, most = self.cast_setup.time, max(each.strokes for each in self.parametrizations.values())
         first = self._beam is None
-        if self._beam is None or not self.climbing:
-            sides, sizes = list(self.parametrizations), FULL if first else SIZES
-            self._beam = BeamSearch(self.cast_setup, self.peg, sides, self._random, self.threads, sizes)
+        if self._beam is None:
+            sides = list(self.parametrizations)
+            self._beam = BeamSearch(self.cast_setup, self.peg, sides, self._random, self.threads, FULL)
+        elif not self.climbing:
+            self._beam.restart((FULL, SIZES)[self._restarts % 2])
+            self._restarts += 1
         before = self._beam.runs
         found = self._beam.extend(time, most, self.left, enough)
         self.runs += self._beam.runs - before
@@ -130,7 +133,7 @@ class ThrowSearch:
 
         Returns the best score so far.
         """
-        some = distinct(sorted(found, key=lambda one: -one.score), (), CONFIRMED)
+        some = distinct(sorted(found, key=lambda one: -one.score), self.swings, CONFIRMED)
         if some:
             throws = [
                 self.parametrizations[one.side].throw(one.x).cut(self.cast_setup.time, self.cast_setup.limits)
@@ -186,38 +189,42 @@ class ThrowSearch:
         return not times or float(np.median(times)) > LATE * self.cast_setup.time
 
     def untried(self, score: float) -> bool:
-        """Whether a swing of such a score, or last moves of one, were not tried in contact yet."""
-        return bool(self._untried or distinct((one for one in self.swings if one.score >= score), self._tried, 1))
+        """Whether a swing of such a score was not tried in contact yet."""
+        return bool(self._fresh(score, 1))
+
+    def _fresh(self, score: float, count: int) -> list[Swing]:
+        """Return the best swings that were not tried in contact yet, `count` at most, of at least such a score."""
+        return distinct((one for one in self.swings if one.score >= score), self._tried, count)
 
     def try_last_moves(self) -> None:
-        """Simulate the best swings that were not tried yet in contact, with several last moves each.
+        """Simulate swings in contact with last moves: the best ones that were not tried yet, with the first of MOVES.
 
-        It ends where ENOUGH throws wind; the next call goes on with the last moves that are left. Where none of those
-        before winds, a long rest is tried as well, and after MAX_FAILED such tries shorter links for the same swings.
+        Where there are none, those tried with the fewest moves get the next ones. After MAX_FAILED tries in which no
+        throw winds all are tried again with shorter links.
         """
-        if not self._untried:
-            self._failed_tries += bool(self.candidates) and not any(one.turns >= MIN_TURNS for one in self.candidates)
-            if self._failed_tries == MAX_FAILED and self._in_contact is self.cast_setup:
-                self._in_contact = self.cast_setup.cut(PIECES)
-                self._tried.clear()
-            fresh = distinct(self.swings, self._tried, TRIED)
-            self._tried += fresh
-            moves = [(more, 0.0) for more in MORE]
-            if self._failed_tries:
-                moves.insert(0, (MORE[0], LONG_REST))
-            for more, rest in moves:
-                for side in self.parametrizations:
-                    some = [one for one in fresh if one.side == side]
-                    points = [np.append(one.x[:-LAST], [more, end, rest, 1.0]) for one in some for end in ENDS]
-                    self._untried += [(side, points)] if points else []
-        wound = self._sound
-        while self._untried and self._sound < wound + ENOUGH and (self.left is None or self.left() > 0.0):
-            self.evaluate(*self._untried.pop(0))
-
-    @property
-    def _sound(self) -> int:
-        """Number of candidates that wind, hold and do not fold."""
-        return sum(one.turns >= MIN_TURNS and one.score >= SOUND for one in self.candidates)
+        self._failed_tries += bool(self.candidates) and not any(one.turns >= MIN_TURNS for one in self.candidates)
+        if self._failed_tries == MAX_FAILED and self._in_contact is self.cast_setup:
+            self._in_contact = self.cast_setup.cut(PIECES)
+            self._tried, self._made = [], []
+        fresh = self._fresh(0.0, TRIED)
+        self._tried += fresh
+        self._made += [0] * len(fresh)
+        least = min(self._made, default=len(MOVES))
+        if least == len(MOVES):
+            return
+        rows = [k for k, made in enumerate(self._made) if made == least][:TRIED]
+        towards = 1.0 if self.peg.x >= self.cast_setup.arm.pivot[0] else -1.0
+        for side in self.parametrizations:
+            points = [
+                np.append(self._tried[k].x[:-LAST], [more, towards * end, rest, 1.0])
+                for k in rows
+                if self._tried[k].side == side
+                for more, end, rest in MOVES[least]
+            ]
+            if points:
+                self.evaluate(side, points)
+        for k in rows:
+            self._made[k] += 1
 
     def try_throws(self, throws: Sequence[Throw]) -> None:
         """Simulate given throws in contact: their strokes until they strike, and then some more of them."""
@@ -226,7 +233,7 @@ class ThrowSearch:
                 np.append(each.repeated(one)[:-LAST], [more, one.end / np.pi, 0.0, one.speed])
                 for one in throws
                 if one.side == side
-                for more in MORE
+                for more in AFTER
             ]
             if points:
                 self.evaluate(side, points)

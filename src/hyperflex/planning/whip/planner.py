@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Rope, checked_obstacles
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.search.contact_phase import check_start
@@ -100,7 +100,7 @@ def plan_whip(
     distance = pivot_distance(cast_setup, target)
     known = WhipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
     planner = None
-    with caught() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
+    with catch_interrupt() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
         if whip_map is None:
             whip_map = build_whip_map(cast_setup, threads=threads, left=lambda: MAPPING * time_budget - clock.spent)
         known = check_whip_feasibility(whip_map, target)
@@ -110,10 +110,10 @@ def plan_whip(
             planner = TipPlanner(task, left, seed, threads)
             planner.run(None if report is None else lambda: report(min(clock.spent, time_budget)))
             planner.verify()
-    found: dict[str, Any] = {"seconds": clock.elapsed, "interrupted": stop.met}
+    found: dict[str, Any] = {"seconds": clock.elapsed, "interrupted": stop.received}
     if planner is None:
         return stop.deliver(WhipPlan(cast_setup, target, known, message=known.message, **found))
-    nothing = "interrupted before any whip was found" if stop.met else "no peak of the tip's speed comes near it"
+    nothing = "interrupted before any whip was found" if stop.received else "no peak of the tip's speed comes near it"
     return stop.deliver(WhipPlan(cast_setup, target, known, **planner.fields(nothing), **found))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from hyperflex import checks
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.interfaces import RopeState
-from hyperflex.interruption import caught, interruptible
+from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, checked_obstacles, cuts
 from hyperflex.motion import hold_arm
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
@@ -19,7 +19,7 @@ from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fallback
-from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
+from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility, search_time
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.planning.wind.remedies import find_remedies
 from hyperflex.planning.wind.robust_phase import NOMINAL, refine_robustly
@@ -70,11 +70,11 @@ def plan_cast(
     side : {-1, 1}, optional
         Side on which the arm stands, left or right; needed with `state0`. By default the planner chooses.
     time_limit : float, optional
-        Time within which the rope must strike, s; by default five periods of its swing, and half as many again if
-        these do not seem to give it energy enough.
+        Time within which the rope must strike, s; by default five periods of its swing, and up to eleven where a
+        target is so high that strokes must swing the rope up for longer.
     holding_force : float
-        Pull that the wound rope must bear, N: by a rule in the feasibility check, and by a simulated tug when a throw
-        is verified. The success probability does not include it.
+        Pull that the wound rope must withstand, N: by a rule in the feasibility check, and by a simulated tug when a
+        throw is verified. The success probability does not include it.
     contact : float, optional
         Least angle of the target that the rope must cover, rad. By default none is asked for, but where the rope is
         long enough a full turn is sought until twice the time in which the first plan stood; with 0 it is not.
@@ -88,7 +88,7 @@ def plan_cast(
     time_budget : float
         Time by the clock for search, verifications and success probability, s, without compiling; on a busy machine,
         too. A plan that succeeds with a margin ends the search before: it slips by at most 0.4 of what is allowed, is
-        pulled with no more than the capstan equation lets it bear, its end hangs from the peg, it was not folded flat
+        pulled with no more than the capstan equation allows, its end hangs from the peg, it was not folded flat
         on the way, and winds alike with shorter links; one without ends it at twice the time in which the first plan
         stood. With an uncertainty, one that succeeds in all samples does.
     skip_feasibility : bool
@@ -163,16 +163,18 @@ def plan_cast(
         raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
     check_start(cast_setup)
     known = check_feasibility(cast_setup, target, holding_force=holding_force)
+    if time_limit is None:
+        cast_setup = replace(cast_setup, time=search_time(cast_setup, target))
     search = ThrowSearch(cast_setup, target, checks.count("seed", seed, least=0), threads, holding_force)
     if not search.parametrizations:
         known = replace(known, impossible=True, message="the rope begins in the target, or beside it in an obstacle")
     if known.impossible or not (known.feasible or skip_feasibility):
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:
-        free = {"longer": time_limit is None, "full_turn": contact is None, "clock": clock}
+        free = {"full_turn": contact is None, "clock": clock}
         search.try_throws([one.throw for one in start_from if one.throw is not None])
         plan = _search(search, known, uncertainty, time_budget, progress, on_plan, **free)
-    with caught() as stop:
+    with catch_interrupt() as stop:
         if not (plan.success or plan.interrupted):
             plan = replace(plan, remedies=find_remedies(cast_setup, target, holding_force=holding_force))
             plan = replace(plan, fallback=expected_fallback(plan, holding_force))
@@ -194,7 +196,7 @@ def plan_cast(
                 plan_for = partial(plan_cast, rope, arm, **given, progress=progress)
                 plan = plan_fallback(plan, search, time_budget, plan_for)
     plan = stop.partial if isinstance(stop.partial, CastPlan) else plan
-    if plan.interrupted or stop.met:
+    if plan.interrupted or stop.received:
         raise Interrupted(replace(plan, interrupted=True))
     return plan
 
@@ -214,7 +216,7 @@ def _search(
     probability = None
     if on_plan is not None:
         planner.hear = lambda: on_plan(planner.plan(known))
-    with caught() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
+    with catch_interrupt() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
         planner.run(report)
         if uncertainty is not None:
             refine_robustly(planner, uncertainty, report)
@@ -222,7 +224,7 @@ def _search(
                 given = (search.cast_setup, search.peg, throw, uncertainty)
                 seed, threads = search.seed, search.threads
                 probability = estimate_success_probability(*given, seed=seed, threads=threads, time_budget=left)
-    return replace(planner.plan(known, stop.met), success_probability=probability)
+    return replace(planner.plan(known, stop.received), success_probability=probability)
 
 
 def _swinging(cast_setup: CastSetup, state: RopeState) -> CastSetup:

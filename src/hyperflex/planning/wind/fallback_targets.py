@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.interruption import caught
+from hyperflex.interruption import catch_interrupt
 from hyperflex.model import Peg
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
@@ -30,8 +30,8 @@ PER_RING, THROWS = 8, 6  # targets of a ring, and throws tried on each
 def expected_fallback(plan: CastPlan, holding_force: float) -> FallbackTarget | None:
     """Return the nearest target expected to be feasible for a failed plan, by the feasibility check alone.
 
-    `holding_force` is the pull that the wound rope must bear, N. None if there is no such target, or if the plan is
-    unfinished (:attr:`CastPlan.unfinished`).
+    `holding_force` is the pull that the wound rope must withstand, N. None if there is no such target, or if the plan
+    is unfinished (:attr:`CastPlan.unfinished`).
     """
     return None if plan.unfinished else _expected(plan, holding_force)
 
@@ -64,13 +64,13 @@ def plan_fallback(
         near = replace(near, failed_plans=len(tried))
         if number == len(MARGINS) - 1:
             return replace(plan, fallback=near)
-        with caught() as stop:
+        with catch_interrupt() as stop:
             other: CastPlan | None = plan_for(near.target)
-        if stop.met:
+        if stop.received:
             other = stop.partial
         if other is not None and other.success:
             plan = replace(plan, fallback=replace(near, plan=other))
-        if stop.met or (other is not None and other.success):
+        if stop.received or (other is not None and other.success):
             return stop.deliver(plan)
         tried.append(near.target)
     return plan
@@ -117,7 +117,7 @@ def nearest_feasible(
 ) -> FallbackTarget | None:
     """Find the nearest place at which a peg passes the feasibility check; None if there is none.
 
-    `holding_force` is the pull that the wound rope must bear, N, `margin` the least :meth:`Feasibility.margin`.
+    `holding_force` is the pull that the wound rope must withstand, N, `margin` the least :meth:`Feasibility.margin`.
 
     Notes
     -----

@@ -16,19 +16,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.model import Peg, Rope
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import holds, named
+from hyperflex.planning.clearance import holds, named, obstacle_gaps
 from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.throw import KEEPING_STEP
 
 MARGIN = 0.05  # turns beyond MIN_TURNS that a plan aims at, since the tail still swings
 HANGING = 2.0  # radii of the target that the rope's end hangs from it, at least
 GAIN = 2.2  # by which one stroke widens a swing, in units of the arm tip's way over the length of an equal pendulum
+GROWN = 0.5  # part of it that a stroke adds on average from rest to level: ten strokes bring the paper's cable there
+SPARE, MOST_TIME = 2.0, 11.0  # periods beyond the pumping, and periods at most, that a search allows until the strike
 # How far out a rope's weight is (length of an equal pendulum over its own: 2/3 of a uniform rope, 1 of a bob), and to
 # which angle it can be swung then, rad. Beyond level it goes slack: a weight at its end jerks it when it is taut again
 OUTWARD, WIDEST = (2.0 / 3.0, 0.74), (2.3, 1.7)
 MIN_ENERGY = 0.2  # energy ratio at the strike
+STANDS = 73  # angles of the arm from which a straight way to the target is looked for
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ class Feasibility:
         Energy of the tail at the strike, over the energy that lifts its centre of mass over the target; at least
         MIN_ENERGY.
     holding_force : float
-        Greatest pull that the wound rope can bear, N: weight of the hanging end times e^(mu angle of contact).
+        Greatest pull that the wound rope can withstand, N: weight of the hanging end times e^(mu angle of contact).
     impossible : bool
         Whether geometry or the motor's torque rule the target out; then a search is never made.
     message : str
@@ -73,7 +78,7 @@ class Feasibility:
 
 
 def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0) -> Feasibility:
-    """Check whether a target is feasible; `holding_force` is the pull that the wound rope must bear, N.
+    """Check whether a target is feasible; `holding_force` is the pull that the wound rope must withstand, N.
 
     Notes
     -----
@@ -92,10 +97,12 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     room = (rope.total_length - far + axis) / (2.0 * math.pi * axis)
     needed = _needed(far, aside, axis, cast_setup.contact)
     energy = _energy(cast_setup, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
-    bears = _hold(cast_setup, peg, room, _contact(far, aside, axis), _straight(far, axis))
+    holding = _hold(cast_setup, peg, room, _contact(far, aside, axis), _straight(far, axis))
     impossible, message = _geometry(cast_setup, far, axis, room, needed)
     if inside := [each for each in cast_setup.obstacles if holds(each, peg.x, peg.y)]:
         impossible, message = True, f"the target lies in {named(inside[0])}"
+    elif not message and (blocked := _blocked(cast_setup, peg)):
+        message = f"out of reach: {blocked}"
     if (torque := _start_torque(cast_setup)) > cast_setup.limits.torque:
         impossible = True
         message = f"the motor is too weak: the rope that hangs from the arm asks {torque:.3g} N m of it at the start"
@@ -105,9 +112,9 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
         high = f"it is higher than the rope swings, {math.degrees(_widest(rope)):.0f} degrees from hanging"
         ratio = f"at the strike {energy:.2f} of what lifts the tail over it, {MIN_ENERGY:g} needed"
         message = f"out of reach: {why}: {high if energy < 0.0 else ratio}"
-    if not message and bears < asked:
-        message = f"out of reach: wound it bears {bears:.3g} N at most, {asked:g} N asked"
-    return Feasibility(room, needed, energy, bears, impossible, message)
+    if not message and holding < asked:
+        message = f"out of reach: its holding force is {holding:.3g} N at most, {asked:g} N asked"
+    return Feasibility(room, needed, energy, holding, impossible, message)
 
 
 def _geometry(cast_setup: CastSetup, far: float, axis: float, room: float, needed: float) -> tuple[bool, str]:
@@ -125,6 +132,30 @@ def _geometry(cast_setup: CastSetup, far: float, axis: float, room: float, neede
         left = f"rope for {max(room, 0.0):.2f} turns is left beyond the target"
         return False, f"out of reach: {left}, {needed:.2f} needed"
     return False, ""
+
+
+def _blocked(cast_setup: CastSetup, peg: Peg) -> str:
+    """Return which obstacle leaves a wound rope no room, and where, in words; "" if there is room.
+
+    It goes round the target, and straight to one of its sides from where the arm may stand.
+    """
+    obstacles, rope, arm = cast_setup.obstacles, cast_setup.rope, cast_setup.arm
+    if not obstacles:
+        return ""
+    centre: Array = np.array([[peg.x, peg.y]])
+    room = obstacle_gaps(obstacles, centre, centre)[:, 0] - peg.radius
+    beside, needed = int(room.argmin()), 2.0 * rope.radius + max(cast_setup.clearance, 0.0)
+    if room[beside] < needed:
+        left = f"leaves {1e3 * max(room[beside], 0.0):.3g} mm beside the target"
+        return f"{named(obstacles[beside])} {left}, the rope takes {1e3 * needed:.3g}"
+    tips = arm.tip(np.linspace(*cast_setup.limits.angles, STANDS))
+    ways = centre - tips
+    aside = (peg.radius + rope.radius) * np.stack([-ways[:, 1], ways[:, 0]], axis=-1) / np.hypot(*ways.T)[:, None]
+    ends = np.concatenate([centre + side * aside for side in (-1.0, 0.0, 1.0)])
+    gaps = obstacle_gaps(obstacles, np.tile(tips, (3, 1)), ends) - rope.radius
+    if gaps.min(axis=0).max() > 0.0:
+        return ""
+    return f"{named(obstacles[int((gaps <= 0.0).sum(axis=1).argmax())])} stands between the arm and the target"
 
 
 def _start_torque(cast_setup: CastSetup) -> float:
@@ -175,6 +206,21 @@ def _gain(cast_setup: CastSetup, *, fast: bool = False) -> float:
     return gain if fast else gain * min(1.0, 0.5 * swing_period(cast_setup.rope) / time)
 
 
+def search_time(cast_setup: CastSetup, peg: Peg) -> float:
+    """Time, s, until the strike that a search allows if nobody says: what strokes take to swing the rope up, and SPARE.
+
+    They swing it from rest to the target and a stroke's gain beyond it. At least the time of the set-up, and MOST_TIME
+    periods at most. Within the time of the set-up searches found strikes with energy enough on none of twelve targets
+    above level, with it on eleven.
+    """
+    arm, down, period = cast_setup.arm, np.array(cast_setup.rope.gravity), swing_period(cast_setup.rope)
+    x, y = peg.x - arm.pivot[0], peg.y - arm.pivot[1]
+    aside = math.atan2(abs(x * down[1] - y * down[0]), x * down[0] + y * down[1])
+    gain = _gain(cast_setup)
+    strokes = (aside + gain) / (GROWN * gain)
+    return max(cast_setup.time, min(KEEPING_STEP * strokes + SPARE, MOST_TIME) * period)
+
+
 def _widest(rope: Rope) -> float:
     """Angle to which a rope can be swung, rad."""
     return float(np.interp(_pendulum(rope) / rope.total_length, OUTWARD, WIDEST))
@@ -201,7 +247,7 @@ def _energy(cast_setup: CastSetup, far: float, aside: float, axis: float) -> flo
 
 
 def _hold(cast_setup: CastSetup, peg: Peg, room: float, contact: float, straight: float) -> float:
-    """Greatest pull that a wound rope bears, N, of all the turns that it has room for."""
+    """Greatest pull that a wound rope withstands, N, of all the turns that it has room for."""
     rope, axis = cast_setup.rope, peg.radius + cast_setup.rope.radius
     weight = math.hypot(*rope.gravity)
     # Mass beyond each joint over the length of rope there, from the tip on

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from hyperflex import checks
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
-from hyperflex.interruption import Caught, caught, interruptible
+from hyperflex.interruption import CaughtInterrupt, catch_interrupt, interruptible
 from hyperflex.model import Arm, Peg, Rope, checked_obstacles
 from hyperflex.planning.cast_setup import MotorLimits
 from hyperflex.planning.wind.cast_plan import CastPlan
@@ -95,7 +95,7 @@ def plan_each(
     executor: Executor | None,
     chunk_size: int | None,
     progress: bool,
-) -> tuple[dict[int, CastPlan], Caught]:
+) -> tuple[dict[int, CastPlan], CaughtInterrupt]:
     """Plan as :func:`plan_casts` does; returns plans by the targets' numbers, and the interrupt."""
     executor, size = checked_chunks(executor, chunk_size, CHUNK)
     options = {**options, "start_from": list(options.get("start_from", ()))}
@@ -104,7 +104,7 @@ def plan_each(
     alone = _apart(targets, NEAR * checks.instance("rope", rope, Rope).total_length)
     plans: dict[int, CastPlan] = {}
     todo: list[_Asked] = []
-    with caught() as stop, progress_bar(0, len(targets), progress, "planning", "targets") as report:
+    with catch_interrupt() as stop, progress_bar(0, len(targets), progress, "planning", "targets") as report:
 
         def done(low: int, found: list[CastPlan]) -> None:
             plans.update(zip((each.number for each in todo[low:]), found, strict=False))

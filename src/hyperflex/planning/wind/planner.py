@@ -14,11 +14,12 @@ from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
 from hyperflex.planning.search.throw_search import SOUND, ThrowSearch
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
-from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
+from hyperflex.planning.wind.feasibility import MIN_ENERGY, Feasibility, check_feasibility
 from hyperflex.planning.wind.verified import (
     Verified,
     covers,
     failure,
+    may_fall,
     promise,
     rank,
     steady,
@@ -28,14 +29,18 @@ from hyperflex.planning.wind.verified import (
 )
 from hyperflex.simulation import Deadline
 
-GENERATIONS = 5  # of free swings in a round
+GENERATIONS, BY_TURNS = 5, 3  # of free swings in a round by CMA-ES, which is every third one: beam search finds more
 MIN_GROWTH, IDLE_ROUNDS = 1.03, 2  # a round that gains less than this factor is idle; after so many contact is next
-PROMISING, WORTHY = 0.5, 0.5  # energy ratio of swings that need no more time, and of swings that are worth a try
+# Energy ratio of swings that are worth a try, relative to that of the feasibility check where this is below 1: of a
+# long tail nobody lifts all
+WORTHY = 0.5
 MIN_TAIL = 0.5  # turns of tail, at least, that a swing is taken to have for that
 NEARLY = 0.9  # score of a throw in contact that is worth being refined though all swings strike late
-# Fraction of the time after which swings that promise less may take longer, and throws that fold or lack a margin are
-# verified to the end: others are mostly found sooner. How much longer
-EARLY, LONGER = 0.1, 1.5
+# Fraction of the time until which throws without a margin are not verified to the end, nor others that wind by less
+# than so many turns more than are asked, or score less: better ones are mostly found sooner, and half of these fail. A
+# verification takes as long as fifty runs of the search
+EARLY, SPARE_TURNS, SPARE_SCORE = 0.15, 0.1, 0.25
+FOLDING = 0.5  # fraction of the time until which throws that slip, or fold flat, are not verified: one in five holds
 FREE = 0.2  # fraction of the time in which late swings are not tried in contact before they are worth it
 SWINGING = 0.5  # fraction of the time after which the search goes on in contact in any case
 RESTART = 12  # generations in contact from one candidate
@@ -58,7 +63,6 @@ STANDS = "a cast stands; one with a margin is sought"
 class CastPlanner:
     """Rounds of a search until a plan succeeds with a margin or the `time_budget` of the nominal search, s, is over.
 
-    `longer`: whether a cast may take LONGER times as long if the swings that the search allows promise too little.
     `full_turn`: whether a margin includes contact of a full turn where the rope is long enough. `hurry`: whether a plan
     without a margin ends the search as well, BETTER times after the first. `clock` tells the time spent, from now on by
     default.
@@ -69,21 +73,21 @@ class CastPlanner:
         search: ThrowSearch,
         time_budget: float,
         *,
-        longer: bool = False,
         full_turn: bool = True,
         hurry: bool = True,
         clock: Clock | None = None,
     ) -> None:
         self.search, self.time_budget, self.clock = search, time_budget, clock or Clock()
-        self.longer, self.hurry = longer, hurry
+        self.hurry = hurry
         search.left = lambda: min(SEARCHING * time_budget, self.until) - self.spent
         cast_setup = search.cast_setup
         self.finer = [cast_setup.cut(k) for k in FINER]
         self.rounds, self.verifying = 0, 1.0
-        tail = check_feasibility(cast_setup, search.peg).available_turns - HANGING_TAIL
+        known = check_feasibility(cast_setup, search.peg)
         full = check_feasibility(replace(cast_setup, contact=FULL_TURN), search.peg)
         self.contact = FULL_TURN if full_turn and full.available_turns >= full.needed_turns else 0.0
-        self.tail = float(np.clip(tail, MIN_TAIL, MAX_TAIL))
+        tail = float(np.clip(known.available_turns - HANGING_TAIL, MIN_TAIL, MAX_TAIL))
+        self.worthy = WORTHY * tail * float(np.clip(known.energy_ratio, MIN_ENERGY, 1.0))
         self.checked: list[Candidate] = []
         self.waiting: list[tuple[Verified, Candidate]] = []  # that succeed in two verifications without a margin
         self.verified: list[Verified] = []
@@ -114,11 +118,8 @@ class CastPlanner:
             self.verify_new()
         while not (self.late or self.done()):
             late = contact > 0 and self.search.late
-            settled = idle >= IDLE_ROUNDS * (2 if late and score < WORTHY * self.tail else 1)
-            if late and score < PROMISING * self.tail and self.longer and (settled or score < 0.0 or not self.early):
-                self.lengthen()
-                score, idle, contact = 0.0, 0, 0
-            elif (
+            settled = idle >= IDLE_ROUNDS * (2 if late and score < self.worthy else 1)
+            if (
                 contact % RESTART
                 and self.worth_refining(late)
                 and (settled or self.spent > SWINGING * self.time_budget)
@@ -153,7 +154,7 @@ class CastPlanner:
         self.search.try_last_moves()
         for _ in range(TRIES - 1):
             self.verify_new()
-            if self.stands or self.late or not self.search.untried(WORTHY * self.tail):
+            if self.stands or self.late or not self.search.untried(self.worthy):
                 return
             self.search.try_last_moves()
 
@@ -166,26 +167,20 @@ class CastPlanner:
         """Whether the best swings are to be tried in contact now."""
         if self.late:
             return not self.search.candidates
-        return score >= WORTHY * self.tail or settled or not self.search.late or self.spent > FREE * self.time_budget
+        return score >= self.worthy or settled or not self.search.late or self.spent > FREE * self.time_budget
 
     def worth_refining(self, late: bool) -> bool:
         """Whether a candidate is worth being refined: better swings help more if all strike late."""
         candidates = self.search.candidates
         return bool(candidates) and (not late or candidates[0].score >= NEARLY)
 
-    def lengthen(self) -> None:
-        """Begin anew with swings that take longer."""
-        self.longer, self.rounds = False, 0
-        self.search.lengthen(LONGER)
-        self.checked.clear()
-
     def swing(self) -> float:
-        """Make a round of free swings, by turns beam search and CMA-ES; return the best score so far.
+        """Make a round of free swings, one in BY_TURNS by CMA-ES, others by beam search; return the best score so far.
 
         A beam search that has found swings worth a try is gone on with in the next round.
         """
-        if self.search.climbing or self.rounds % 2 == 0:
-            score = self.search.beam_search(WORTHY * self.tail)
+        if self.search.climbing or (self.rounds + 1) % BY_TURNS:
+            score = self.search.beam_search(self.worthy)
             self.rounds += not self.search.climbing
             return score
         self.rounds += 1
@@ -246,9 +241,12 @@ class CastPlanner:
             self.check(self.search.candidates[:1])
 
     def fresh(self) -> list[Candidate]:
-        """Return confirmed candidates that wind, unlike those verified and each other; early on none that fold."""
-        least = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN)
-        score, some = SOUND if self.early or self.stands else LEAST, self.search.candidates
+        """Return confirmed candidates that wind, unlike those verified and each other; early on none that barely do."""
+        last = not self.stands and self.spent > FOLDING * self.time_budget
+        least, score = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN), LEAST if last else SOUND
+        if self.early and self.search.swings:  # not where given throws are tried before any swing
+            least, score = least + SPARE_TURNS, SOUND + SPARE_SCORE
+        some = self.search.candidates
         winding = (one for one in some if one.confirmed and one.turns >= least and one.score >= score)
         return distinct(winding, self.checked, max(1, self.search.workers // 2), ALIKE)
 
@@ -297,7 +295,7 @@ class CastPlanner:
         more = [self.finer_run(one, k) for k in range(len(known), 2)]
         finer = known + self.at_once(more, lambda found: found.success or not found.completed)
         worst = worst_of(first, finer)
-        if worst.success and not all(each.tip_hangs for each in (first, *finer)):
+        if worst.success and not all(map(may_fall, (first, *finer))):
             last = self.finer_run(one, 2)(lambda: False)
             worst = worst_of(first, [worst, last]) if last.success else last
         return first, worst

@@ -18,8 +18,8 @@ TOLERANCE = 0.01  # relative, of a factor
 def find_remedies(cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0) -> tuple[str, ...]:
     """Return in words the changes that would each make a target feasible; none if it is feasible.
 
-    `holding_force` is the pull that the wound rope must bear, N. The factor of each change is searched from 1 up in
-    steps of 5 % or less, then by bisection.
+    `holding_force` is the pull that the wound rope must withstand, N. The factor of each change is searched from 1 up
+    in steps of 5 % or less, then by bisection.
     """
     rope, arm, limits = cast_setup.rope, cast_setup.arm, cast_setup.limits
 

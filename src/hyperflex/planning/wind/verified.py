@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
-from hyperflex.planning.outcome import MAX_SLIP, CastOutcome
+from hyperflex.planning.outcome import MAX_SLIP, MIN_TURNS, CastOutcome
 from hyperflex.planning.throw import Throw
 
 SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
 LOAD_MARGIN = 1.0  # load ratio for which the same holds
+FALLING = 1.0  # turns that a rope loses, at most, whose end falls from the top of the peg
 BOTH = 2  # verifications that succeed for a plan that succeeds
 MAX_DIFFERENCE = 0.5  # turns between both verifications; above, one of them winds once more
 
@@ -14,9 +15,14 @@ Verified = tuple[Throw | None, CastOutcome | None, CastOutcome | None]  # throw,
 
 
 def steady(outcome: CastOutcome) -> bool:
-    """Whether a rope that holds does so with a margin, its end hangs, and it was not folded flat before."""
+    """Whether a rope that holds does so with a margin, its end may fall, and it was not folded flat before."""
     held = outcome.slip <= SLIP_MARGIN * MAX_SLIP and outcome.load_ratio <= LOAD_MARGIN
-    return held and outcome.tip_hangs and not outcome.folded
+    return held and may_fall(outcome) and not outcome.folded
+
+
+def may_fall(outcome: CastOutcome) -> bool:
+    """Whether the rope's end hangs, or it stays wound if an end that lies on top of the peg falls to the other side."""
+    return outcome.tip_hangs or abs(outcome.turns) >= MIN_TURNS + FALLING
 
 
 def succeeds(found: Verified) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.planning import ReachMap
-from hyperflex.report.strobe import GROUND, PEG, draw_obstacle
+from hyperflex.report.strobe import draw_obstacles
 from hyperflex.report.style import BLUE, GREY, INK, RED, legend, new_figure
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ def reach_figure(reach: ReachMap) -> "Figure":
     tall = float(np.clip(6.0 * height / width, 3.0, 8.0))
     with new_figure(max(5.6, min(9.0, tall * width / height) + 2.6), tall + 1.0) as figure:
         axis: Any = figure.subplots()
+        axis.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]])
         failed = ~(reach.wound | reach.infeasible) & (reach.status >= 0)
         _cells(axis, edges, reach.infeasible, _OUT, "not feasible, not searched")
         _cells(axis, edges, failed, _FAILED, "feasible, but no cast found in the time")
@@ -37,13 +38,9 @@ def reach_figure(reach: ReachMap) -> "Figure":
         for radius, colour, words in ((far, GREY, "the rope's end comes no farther"), (arm.length, BLUE, "arm's tip")):
             circle = [middle + radius * turn(angle) for middle, turn in zip(arm.pivot, (np.cos, np.sin), strict=True)]
             axis.plot(*circle, color=colour, ls="--", lw=1.1, label=words)
-        for obstacle in reach.cast_setup.obstacles:
-            draw_obstacle(axis, obstacle, 4.0 * far)
-        for kind in sorted({type(each).__name__.lower() for each in reach.cast_setup.obstacles}):
-            axis.plot([], [], "s", color=GROUND if kind == "ground" else PEG, ms=6.0, label=f"{kind}, an obstacle")
+        draw_obstacles(axis, reach.cast_setup.obstacles, 4.0 * far)
         axis.plot(*arm.pivot, "o", color=INK, ms=5.0, label="motor's shaft")
         axis.set(xlabel="x, m", ylabel="y, m (up)", aspect="equal", title=_title(reach))
-        axis.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]])
         legend(figure, axis, place="lower center", columns=2)
     return figure
 

@@ -25,6 +25,7 @@ from hyperflex.report.page import Picture, Section, TextTable
 from hyperflex.report.plan import (
     NOT_KNOWN,
     PlanReport,
+    clear_of,
     clearance_tiles,
     counted,
     searched,
@@ -105,7 +106,7 @@ class CastReport(PlanReport[CastPlan]):
             shown.append(
                 (
                     f"{least}{self.held.force:.2f}\u00a0N",
-                    "hold force: the pull that the wound rope bears before it slips",
+                    "hold force: the pull that the wound rope withstands before it slips",
                 )
             )
         return tuple(shown)
@@ -151,7 +152,9 @@ class CastReport(PlanReport[CastPlan]):
         plots = (Plot(f"turns, {way(self.plan)}", "", (Line("", turns),)),)
         strike = math.nan if self.plan.outcome is None else self.plan.outcome.strike_time
         marks = (strike,) if math.isfinite(strike) else ()
-        return {"title": "planned cast, simulated", "note": self.film_note(), "plots": plots, "marks": marks}
+        walls = self.plan.cast_setup.obstacles
+        words = {"title": "planned cast, simulated", "note": self.film_note()}
+        return {**words, "plots": plots, "marks": marks, "obstacles": walls}
 
     def film_note(self) -> Callable[[float], str]:
         """Return what the film says at a time, s: target, arm, turns, and at the end the hold."""
@@ -302,16 +305,16 @@ def _grazes(cast: CastOutcome) -> str:
 
 
 def _hold(held: HoldingForce) -> str:
-    bore = (
-        f"the rope bore {held.force:.2f} N and then slipped"
+    told = (
+        f"the rope withstood {held.force:.2f} N and then slipped"
         if held.tug.slipped
-        else f"the rope bore {held.force:.2f} N and had not slipped when the pull ended, so it holds more"
+        else f"the rope withstood {held.force:.2f} N and had not slipped when the pull ended, so it holds more"
     )
     return (
-        f"Hold force (mean over 0.1 s): pulled away from the target at 20 mm/s, {bore}. For comparison, the tail that "
+        f"Hold force (mean over 0.1 s): pulled away from the target at 20 mm/s, {told}. For comparison, the tail that "
         f"hangs beyond the target weighs {held.tail_weight:.3f} N; times e^(mu angle), with mu = {held.mu:g} and "
         f"{held.contact_angle:.1f} rad of contact, that is {held.capstan_force:.2f} N (Capstan equation). It leaves "
-        "out the weight of the rope on the target and of the rope between target and arm, which the pull bears as well."
+        "out the weight of the rope on the target and of the rope between target and arm, which the pull lifts as well."
     )
 
 
@@ -329,7 +332,7 @@ def _checks(plan: CastPlan) -> TextTable:
             contact, clear = f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}", f"{1e3 * cast.clearance:.1f} mm"
             good = "yes" if cast.success else "no"
             rows.append((name, str(cast.n_links), strike, turns, contact, slip, clear, good))
-    names = ("run", "links", "strikes", "turns", "contact", "slips", "clear of the arm", "winds and holds")
+    names = ("run", "links", "strikes", "turns", "contact", "slips", clear_of(plan.cast_setup), "winds and holds")
     return TextTable(names, tuple(rows))
 
 

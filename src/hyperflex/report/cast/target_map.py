@@ -8,6 +8,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.model import Peg
 from hyperflex.planning import CastPlan
+from hyperflex.report.strobe import draw_obstacles
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
 from hyperflex.report.units import length
 
@@ -29,12 +30,15 @@ def target_map(plan: CastPlan) -> "Figure":
     middle, half = 0.5 * (low + high), 0.5 * _MARGIN * (high - low)
     with new_figure(8.6, 6.4) as figure:
         axis: Any = figure.subplots()
+        axis.set(xlim=(middle - half)[0] + np.array([0.0, 2.0 * half[0]]), aspect="equal")
+        axis.set(ylim=(middle - half)[1] + np.array([0.0, 2.0 * half[1]]))
         _circle(axis, pivot, far, GREY, f"the rope's end comes no farther than {far:.3g} m")
         _circle(axis, pivot, arm.length, BLUE, "circle of the arm's tip")
         tip, end = _at_rest(plan)
         axis.plot(*np.stack([tip, end], axis=1), color="#d99a1c", lw=2.0, label="rope, hanging at rest")
         axis.plot(*np.stack([pivot, tip], axis=1), color=INK, lw=3.0, label="arm", solid_capstyle="round")
         axis.plot(*pivot, "o", color=INK, ms=5.0, label="motor's shaft")
+        draw_obstacles(axis, plan.cast_setup.obstacles, 8.0 * far)
         _peg(axis, plan.target, 2.0 * half[0], RED, "target")
         if plan.fallback is not None:
             _peg(
@@ -44,8 +48,6 @@ def target_map(plan: CastPlan) -> "Figure":
                 GREEN,
                 f"{_kind(plan)}, {length(plan.fallback.distance, small='cm')} away",
             )
-        axis.set(xlim=(middle - half)[0] + np.array([0.0, 2.0 * half[0]]), aspect="equal")
-        axis.set(ylim=(middle - half)[1] + np.array([0.0, 2.0 * half[1]]))
         axis.set(xlabel="x, m", ylabel="y, m (up)")
         legend(figure, axis, place="lower center", columns=2)
     return figure

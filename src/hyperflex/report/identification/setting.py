@@ -63,7 +63,7 @@ def fit_table(found: Identification) -> TextTable:
     free = {each.name for each in numbers(found)}
     rope = found.rope
     fixed = {name.replace("_", " "): there for name, there in present(rope).items() if name not in free}
-    held, none = ([name for name, there in fixed.items() if there is wanted] for wanted in (True, False))
+    held, none = ([name for name, there in fixed.items() if there is whether] for whether in (True, False))
     left = f"; {done['left_out']} left out, where too little is seen" if done["left_out"] else ""
     picked = f", every {done['decimation']}th sample" if done["decimation"] > 1 else ""
     rows = [

@@ -23,9 +23,9 @@ def entry_figure(plan: InsertPlan) -> "Figure":
     """Draw the rope at many instants until the tip is inside."""
     seen, run = plan.required(plan.outcome, "outcome"), plan.required(plan.run, "run")
     start, end = max(seen.t_enter - _BEFORE, run.t[0]), min(seen.t + _AFTER, run.t[-1])
-    red = "the walls, and obstacles" if plan.cast_setup.obstacles else "the walls"
-    title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); red: {red}"
-    return strobe_figure(run, start=float(start), end=float(end), count=48, title=title)
+    title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); red: the walls"
+    others = plan.cast_setup.obstacles
+    return strobe_figure(run, start=float(start), end=float(end), count=48, title=title, obstacles=others)
 
 
 def gap_figure(plan: InsertPlan) -> "Figure":

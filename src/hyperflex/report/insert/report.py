@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.planning import FRICTION_STD, LENGTH_STD, TIMING_STD, InsertOutcome, InsertPlan
 from hyperflex.report.insert.figures import course_figure, entry_figure, gap_figure
 from hyperflex.report.page import TextTable
-from hyperflex.report.plan import PlanReport, clearance_tiles, torque_tiles, torque_warning
+from hyperflex.report.plan import PlanReport, clear_of, clearance_tiles, torque_tiles, torque_warning
 from hyperflex.report.tip import stroke_count, stroke_note, stroke_story
 from hyperflex.report.units import length
 
@@ -111,6 +111,7 @@ class InsertReport(PlanReport[InsertPlan]):
             "note": self.film_note(),
             "speed": _SLOW,
             "marks": (inside,),
+            "obstacles": self.plan.cast_setup.obstacles,
         }
 
     def film_note(self) -> Callable[[float], str]:
@@ -131,7 +132,7 @@ def _checks(plan: InsertPlan) -> TextTable:
     rows = [
         _check(name, seen) for name, seen in (("as planned", plan.outcome), ("2.5 times the links", plan.finer_outcome))
     ]
-    names = ("run", "links", "inside", "depth", "speed", "clear of the walls", "clear of the arm")
+    names = ("run", "links", "inside", "depth", "speed", "clear of the walls", clear_of(plan.cast_setup))
     return TextTable(names, tuple(rows))
 
 

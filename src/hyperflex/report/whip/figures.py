@@ -27,9 +27,8 @@ def peak_figure(plan: WhipPlan) -> "Figure":
     run = plan.required(plan.run, "run")
     start, end = max(seen.t - _BEFORE, run.t[0]), min(seen.t + _AFTER, run.t[-1])
     title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); ring: the target"
-    return strobe_figure(
-        run, start=float(start), end=float(end), count=48, title=title, targets=plan.target.point[None]
-    )
+    place, walls = plan.target.point[None], plan.cast_setup.obstacles
+    return strobe_figure(run, start=float(start), end=float(end), count=48, title=title, targets=place, obstacles=walls)
 
 
 def passing_figure(plan: WhipPlan) -> "Figure":

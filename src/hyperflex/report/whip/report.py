@@ -18,7 +18,7 @@ from hyperflex.planning import (
     WhipPlan,
 )
 from hyperflex.report.page import TextTable
-from hyperflex.report.plan import PlanReport, clearance_tiles, torque_tiles, torque_warning
+from hyperflex.report.plan import PlanReport, clear_of, clearance_tiles, torque_tiles, torque_warning
 from hyperflex.report.tip import stroke_count, stroke_note, stroke_story
 from hyperflex.report.units import length
 from hyperflex.report.whip.figures import course_figure, passing_figure, peak_figure
@@ -123,14 +123,15 @@ class WhipReport(PlanReport[WhipPlan]):
         """Return title, notes and speed of the film, the target, and when the tip's speed peaks."""
         peak, target = self.plan.required(self.plan.outcome, "outcome").t, self.plan.target.point[None]
         note = self.film_note()
-        return {"title": "planned whip, simulated", "note": note, "speed": _SLOW, "targets": target, "marks": (peak,)}
+        shown = {"targets": target, "marks": (peak,), "obstacles": self.plan.cast_setup.obstacles}
+        return {"title": "planned whip, simulated", "note": note, "speed": _SLOW, **shown}
 
     def film_note(self) -> Callable[[float], str]:
         """Return what the film says at a time, s: target, arm, and from the peak on speed and miss."""
         seen, target = self.plan.required(self.plan.outcome, "outcome"), self.plan.target
 
         def note(t: float) -> str:
-            end = f"met at {seen.t:.2f} s: {seen.speed:.1f} m/s, {length(seen.miss, 2)} off"
+            end = f"passes it at {seen.t:.2f} s: {seen.speed:.1f} m/s, {length(seen.miss, 2)} off"
             if not self.plan.success:
                 end = f"FAILS: {self.plan.message}"
             place = f"target: x = {target.x:.3g} m, y = {target.y:.3g} m, {target.least_speed:.3g} m/s or more"
@@ -181,5 +182,5 @@ def _checks(plan: WhipPlan) -> TextTable:
         links = str(seen.n_links)
         peak, speed, clear = f"{seen.t:.3f} s", f"{seen.speed:.2f} m/s", f"{1e3 * seen.clearance:.1f} mm"
         rows.append((name, links, peak, speed, length(seen.miss, 2), off, clear))
-    names = ("run", "links", "peak", "speed", "misses by", "off the direction", "clear of the arm")
+    names = ("run", "links", "peak", "speed", "misses by", "off the direction", clear_of(plan.cast_setup))
     return TextTable(names, tuple(rows))

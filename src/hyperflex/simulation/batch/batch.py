@@ -275,7 +275,7 @@ class _Work:
         self.reached = np.zeros(count)
 
     def block(self, low: int, high: int) -> None:
-        """Run members low..high - 1 and keep what is wanted of them."""
+        """Run members low..high - 1 and keep what is asked of them."""
         n = self.members.links.shape[2]
         after = self.t[1 - self.first :].copy()  # times after the start
         y = np.full((high - low, after.size, 2 * n + 2), np.nan)

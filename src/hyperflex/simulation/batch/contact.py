@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.interruption import Caught, caught
+from hyperflex.interruption import CaughtInterrupt, catch_interrupt
 from hyperflex.model import Setup
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact.start import check_start
@@ -25,7 +25,7 @@ def run_members(
     time_budget: float | Deadline | None,
     threads: int,
     progress: bool,
-) -> tuple[dict[str, Array], list[str], Array, Caught]:
+) -> tuple[dict[str, Array], list[str], Array, CaughtInterrupt]:
     """Run all members with outputs at t (T,), s; Ctrl-C keeps those that are finished.
 
     `keep` names what to keep, with the dimensions of one sample: "link", "axis" or "peg".
@@ -38,7 +38,7 @@ def run_members(
         "ok", the name of the failure, INTERRUPTED or OUT_OF_TIME.
     reached : (M,) float64
         Time that each member reached, s.
-    interrupt : Caught
+    interrupt : CaughtInterrupt
     """
     for m, setup in enumerate(setups):
         check_start(setup, who=f"the rope of member {m}")
@@ -66,7 +66,7 @@ def run_blocks(
     progress: bool,
     time_budget: float | Deadline | None,
     stop: npt.NDArray[np.int64] | None = None,
-) -> Caught:
+) -> CaughtInterrupt:
     """Run a function for the members low..high - 1 of each block of `size`, until all `count` are done.
 
     After Ctrl-C, and once a Deadline is over, blocks that have not begun are left out, and `stop` (1,), if given, is
@@ -74,7 +74,7 @@ def run_blocks(
     """
     left = time_budget.left if isinstance(time_budget, Deadline) else None
     with (
-        caught() as interrupt,
+        catch_interrupt() as interrupt,
         ThreadPoolExecutor(threads) as pool,
         progress_bar(0, count, progress, unit="members") as report,
     ):
@@ -105,9 +105,9 @@ def run_blocks(
     return interrupt
 
 
-def unfinished(interrupt: Caught) -> str:
+def unfinished(interrupt: CaughtInterrupt) -> str:
     """Return the status of members that were left out or ended before they were done."""
-    return INTERRUPTED if interrupt.met else OUT_OF_TIME
+    return INTERRUPTED if interrupt.received else OUT_OF_TIME
 
 
 def _in_time(future: Future[None], left: Callable[[], float]) -> bool:

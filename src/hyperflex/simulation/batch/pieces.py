@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.executor import run_chunks
-from hyperflex.interruption import Caught, caught
+from hyperflex.interruption import CaughtInterrupt, catch_interrupt
 from hyperflex.model import Setup
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.time_budget import INTERRUPTED
@@ -18,7 +18,7 @@ LOST = "worker lost"  # status of members whose chunk killed each worker that ra
 
 def run_pieces(
     run: Callable[[list[Setup]], Any], setups: Sequence[Setup], executor: Executor, size: int, progress: bool
-) -> tuple[dict[str, Array], list[str], Array, Caught]:
+) -> tuple[dict[str, Array], list[str], Array, CaughtInterrupt]:
     """Run chunks of `size` members on an executor; Ctrl-C keeps those that are finished.
 
     `run` simulates the members of a list of set-ups; what it returns has values, status and reached of a batch.
@@ -31,12 +31,12 @@ def run_pieces(
         "ok", the name of the failure, INTERRUPTED or LOST.
     reached : (M,) float64
         Time that each member reached, s.
-    interrupt : Caught
+    interrupt : CaughtInterrupt
     """
     count = len(setups)
     found: dict[int, Any] = {}
     names, reached = [INTERRUPTED] * count, np.zeros(count)
-    with caught() as interrupt, progress_bar(0, count, progress, unit="members") as report:
+    with catch_interrupt() as interrupt, progress_bar(0, count, progress, unit="members") as report:
 
         def done(low: int, part: Any) -> None:
             found[low] = part
