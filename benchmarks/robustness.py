@@ -40,14 +40,14 @@ from tests.reference.random_ropes import Case, draw, draw_stuck
 RESULTS = Path(__file__).parent / "results"
 TIME_BUDGET = 120.0  # s of processor time for a run and its tighter ones by default
 ALLOWED_FAILURES, MOST = 0.01, 0.99  # parts of all: errors, and errors within USUAL tol growth
-ALLOWED_DRIFT = 1e-6  # rad in 10 s, of a joint whose dry friction bears more than it must
+ALLOWED_DRIFT = 1e-6  # rad in 10 s, of a joint whose dry friction withstands more than it must
 STICKING = 10  # one rope that should stick for so many others
 SLOWEST = 8
 SLOW = OutOfPatience.status
 TrackingTask = tuple[str, int, int, float]  # "rope" or "stuck", seed, number, time_budget
 ORDINARY = "at most 100 links, eta / (m l^2) within two decades of the paper's"
 PROMISE = """\
-A run has **met** its tolerance if, inside the horizon, it stays within `3 tol (1 + t / 20 ms) growth` of a run with
+A run is **accurate** if, inside the horizon, it stays within `3 tol (1 + t / 20 ms) growth` of a run with
 a hundredth of that tolerance; `growth` is that of two nudged runs, one in the angles and one in the rates. It is
 **wrong** if it does not and does not say so. **Unchecked**: it ended well, a tighter one did not, or not in time.
 **Failed**: it ended in an error, or took too long."""
@@ -83,7 +83,7 @@ def main() -> int:
         data = {"machine": about, "seed": options.seed, "rows": table(rows), "stuck": table(stuck)}
         files.write_text(Path(options.out) / "robustness.json", json.dumps(data, indent=None) + "\n")
         files.write_text(Path(options.out) / "robustness.md", page)
-    return int(not (passed(rows) and all(row["outcome"] == "met" for row in stuck)))
+    return int(not (passed(rows) and all(row["outcome"] == "accurate" for row in stuck)))
 
 
 def sweep(options: argparse.Namespace, numbers: range) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -158,7 +158,7 @@ def stay(case: Case, time_budget: float) -> dict[str, Any]:
         return {"number": case.number, "links": case.kind["links"], "outcome": "failed", "reason": error.status}
     finally:
         signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
-    outcome = "met" if turned <= ALLOWED_DRIFT else "wrong"
+    outcome = "accurate" if turned <= ALLOWED_DRIFT else "wrong"
     return {"number": case.number, "links": case.kind["links"], "outcome": outcome, "drift": turned}
 
 
@@ -168,7 +168,7 @@ def sticking(rows: list[dict[str, Any]]) -> str:
         return ""
     most = max((row["drift"] for row in rows if "drift" in row), default=math.nan)
     return (
-        f"{len(rows)} more ropes, bent and at rest, whose dry friction bears what their weight asks: {summary(rows)} "
+        f"{len(rows)} more ropes, bent and at rest, whose dry friction withstands their weight: {summary(rows)} "
         f"(drift of at most {ALLOWED_DRIFT:g} rad in 10 s); the greatest drift is {most:.2g} rad."
     )
 
@@ -209,15 +209,15 @@ def passed(rows: list[dict[str, Any]]) -> bool:
     The promise is wide, so that no rope breaks it by chance; that nearly all ropes stay far below it is asked too.
     """
     outcomes = Counter(row["outcome"] for row in rows)
-    ordinary = any(row["ordinary"] and row["outcome"] != "met" for row in rows)
+    ordinary = any(row["ordinary"] and row["outcome"] != "accurate" for row in rows)
     open_ones = outcomes["failed"] + outcomes["unchecked"]
-    near = np.mean([row["factor"] <= USUAL for row in rows if row["outcome"] in ("met", "wrong")])
+    near = np.mean([row["factor"] <= USUAL for row in rows if row["outcome"] in ("accurate", "wrong")])
     return outcomes["wrong"] == 0 and not ordinary and open_ones <= ALLOWED_FAILURES * len(rows) and near >= MOST
 
 
 def text(rows: list[dict[str, Any]], seed: int, numbers: range) -> str:
     """Results as Markdown, of ropes of these numbers as far as they are there."""
-    good = [row for row in rows if row["outcome"] in ("met", "wrong")]
+    good = [row for row in rows if row["outcome"] in ("accurate", "wrong")]
     missing = sorted(set(numbers) - {row["number"] for row in rows})
     ordinary = [row for row in rows if row["ordinary"]]
     factor, promise = (np.array([row[name] for row in good]) for name in ("factor", "promise"))

@@ -216,6 +216,7 @@ BAD_TABLES = {
     "header only": ("t,th1\n", InvalidInput, "no rows"),
     "no header": ("0.0,1.0\n0.1,1.1\n", InvalidInput, "has no header"),
     "unnamed": ("t,\n0.0,1.0\n", InvalidInput, "without a name"),
+    "brackets": ("[(\n0.0,1.0\n", InvalidInput, "header's number of cells"),
     "repeated": ("t,th1,th1\n0.0,1.0,1.0\n", InvalidInput, "same name.*'th1'"),
     "ragged": ("t,th1\n0.0\n0.1,1.1\n", InvalidInput, "line 2.*Mend"),
     "cut in a row": ("t,th1,th2\n0.0,1.0,2.0\n0.1,1.", InvalidInput, "line 3.*cut off"),

@@ -38,6 +38,9 @@ def test_a_message_is_joined_of_its_parts() -> None:
     assert str(InvalidInput("two", allowed="x.", fix="Do so.")) == "two. Allowed: x. Do so."  # no double full stop
     with pytest.raises(InvalidInput, match=r"^rope\.toml: two: got 1\. Allowed: one\.$"), located("rope.toml"):
         raise InvalidInput("two", got=1, allowed="one")
+    long = str(InvalidInput("name " * 9000, got="a" * 9000, allowed="b" * 9000, fix="c" * 9000 + " and look"))
+    assert len(long) < 2000
+    assert long.endswith("c and look.")
 
 
 def test_parts_of_messages_have_no_full_stop_and_advice_is_a_sentence() -> None:

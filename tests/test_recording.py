@@ -563,6 +563,16 @@ def test_mat_pieces_are_joined(tmp_path: Path, n: int) -> None:
         read_recording(tmp_path / "p.mat", unit="deg")
 
 
+def test_mat_files_that_are_not_packed_hold_the_same(tmp_path: Path) -> None:
+    packed = read_recording(mat(tmp_path, mat_content(2)))
+    others = {"name": "swing", "gains": np.array([1.0 + 2.0j]), "n": np.int16([[2]]), "empty": np.zeros((0, 0))}
+    scipy.io.savemat(tmp_path / "plain.mat", others | mat_content(2) | {"log": {"a": 1.0}}, do_compression=False)
+    plain = read_recording(tmp_path / "plain.mat")
+    np.testing.assert_array_equal(plain.t, packed.t)
+    np.testing.assert_array_equal(plain.data, packed.data)
+    np.testing.assert_array_equal(plain.rates, packed.rates)
+
+
 def without(key: str) -> dict[str, Any]:
     return {name: value for name, value in mat_content(2).items() if name != key}
 
@@ -613,6 +623,23 @@ def test_cut_and_altered_mat_files_are_named_as_damaged(tmp_path: Path) -> None:
     bad.write_bytes(b"MATLAB 7.3 MAT-file" + bytes(200))
     with pytest.raises(InvalidInput, match="-v7"):
         read_recording(bad)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [((9, 176), (10, 176)), ((9, 176), (9, 8)), ((9, 176), (9, 1 << 31)), ((5, 8, 2, 11), (5, 8, 2, 1 << 30))],
+    ids=["kind of numbers", "too few", "too many", "sizes"],
+)
+def test_elements_of_mat_files_are_checked(tmp_path: Path, old: tuple[int, ...], new: tuple[int, ...]) -> None:
+    """A kind of numbers that there is not, which scipy's reader crashes the interpreter over, and wrong sizes."""
+    content = mat_content(1) | {"Y_id": cell([np.zeros((2, 11))])}
+    scipy.io.savemat(tmp_path / "bad.mat", content)
+    raw = (tmp_path / "bad.mat").read_bytes()
+    words = [np.array(each, dtype="<u4").tobytes() for each in (old, new)]
+    assert words[0] in raw
+    (tmp_path / "bad.mat").write_bytes(raw.replace(*words))
+    with pytest.raises(FileProblem, match="damaged or cut off"):
+        read_recording(tmp_path / "bad.mat")
 
 
 # ---- the real files

@@ -114,19 +114,21 @@ def array(
     InvalidInput
         Naming the first bad element with its index.
     """
-    want = "any" if shape is None else "x".join("any" if k < 0 else str(k) for k in shape)
+    sizes = "x".join("any" if k < 0 else str(k) for k in shape or ())
+    want = "numbers" if shape is None else f"numbers, shape {sizes}" if shape else "a number"
     try:
         if np.asarray(value).dtype.kind not in "fiubO":  # numpy would read texts, drop imaginary parts, count times
             raise ValueError
         result = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError, RecursionError):
-        raise InvalidInput(f"{name} is not an array of numbers", got=value, allowed=f"numbers, shape {want}") from None
+        what = "an array of numbers" if shape != () else "a number"
+        raise InvalidInput(f"{name} is not {what}", got=value, allowed=want) from None
     if shape is None:
         shape = result.shape
     if scalar and result.ndim == 0 and -1 not in shape:
         result = np.full(shape, result)
     if result.ndim != len(shape) or any(w >= 0 and w != s for w, s in zip(shape, result.shape, strict=True)):
-        raise InvalidInput(f"{name} has the wrong shape", got=result.shape, allowed=f"shape {want}")
+        raise InvalidInput(f"{name} has the wrong shape", got=result.shape, allowed=f"shape {sizes}")
     bad = np.isinf(result) if gaps else ~np.isfinite(result)
     if infinite:
         bad &= result != np.inf
@@ -139,7 +141,7 @@ def array(
         index = tuple(int(k) for k in np.argwhere(bad)[0])
         also = " (NaN marks a gap)" if gaps else " (or inf)" if infinite else ""
         allowed = f"{_ALLOWED[sign]}, up to {LARGEST:g} in size{also}" + (f", in {unit}" if unit else "")
-        raise InvalidInput(f"{name}{list(index)} cannot be used", got=float(result[index]), allowed=allowed)
+        raise InvalidInput(f"{name}{list(index) or ''} cannot be used", got=float(result[index]), allowed=allowed)
     result.setflags(write=False)
     return result
 

@@ -27,11 +27,11 @@ class InvalidInput(HyperflexError, ValueError):
 
     def __init__(self, what: str, *, got: object = None, allowed: str = "", fix: str = "") -> None:
         self.what, self.got, self.allowed, self.fix = what, got, allowed, fix
-        parts = [what if got is None else f"{what}: got {_short(got)}"]
+        parts = [_bounded(what) if got is None else f"{_bounded(what)}: got {_short(got)}"]
         if allowed:
-            parts.append(f"Allowed: {allowed}")
+            parts.append(f"Allowed: {_bounded(allowed)}")
         if fix:
-            parts.append(fix)
+            parts.append(_bounded(fix))
         super().__init__(" ".join(part if part.endswith("?") else f"{part.rstrip('.')}." for part in parts))
 
 
@@ -104,6 +104,11 @@ class Interrupted(KeyboardInterrupt):
     def partial(self) -> Any:
         """What had been done by then, of the kind that the interrupted function returns; None if there is nothing."""
         return self._partial() if callable(self._partial) else self._partial
+
+
+def _bounded(text: str, head: int = 400, tail: int = 180) -> str:
+    """Return a text without its middle where it is long, as with a column's name out of a damaged file."""
+    return text if len(text) <= head + tail else f"{text[:head]} ... {text[-tail:]}"
 
 
 def _short(value: object, limit: int = 120) -> str:

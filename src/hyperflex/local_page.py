@@ -1,5 +1,6 @@
 """Pages for browsers of this machine: where they listen, and who may ask for them."""
 
+import os
 from collections.abc import Collection
 from urllib.parse import urlsplit
 
@@ -23,6 +24,9 @@ def may_ask(host: str | None, origin: str | None, names: Collection[str]) -> boo
     return host in names and (origin is None or urlsplit(origin).netloc in names)
 
 
-def cannot_listen(port: int, reason: str) -> InvalidInput:
-    """Return the error of a port that cannot be listened at, to be raised."""
-    return InvalidInput("no page can be shown at this port", got=port, allowed="a free one, or 0 for any", fix=reason)
+def cannot_listen(port: int, error: OSError | OverflowError, host: str = HOST) -> InvalidInput:
+    """Return the error of a place that cannot be listened at, to be raised."""
+    code = error.errno or 0 if isinstance(error, OSError) else 0
+    why = os.strerror(code).lower() if code > 0 else "the host is not known" if code else "there is no such port"
+    allowed = "an address of this machine, and a free port up to 65535, or 0 for any"
+    return InvalidInput(f"no page can be shown there: {why}", got=f"{host}, port {port}", allowed=allowed)

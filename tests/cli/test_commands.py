@@ -51,6 +51,16 @@ def test_wrong_usage_exits_with_2(hyperflex, arguments):
     assert f"See hyperflex {known}--help." in err
 
 
+def test_numbers_out_of_range_are_named_with_what_is_allowed(hyperflex, tmp_path):
+    for words, told in (
+        (("--cells", 0), "--cells is out of range: got '0'. Allowed: at least 1. See hyperflex reach-map --help."),
+        (("--workers=-1",), "--workers is out of range: got '-1'. Allowed: at least 1. See"),
+        (("--cells", 500), "--cells is out of range: got '500'. Allowed: at most 200. See"),
+    ):
+        code, _, err = hyperflex("reach-map", "-o", tmp_path / "map", *words)
+        assert (code, told in err) == (2, True), err
+
+
 def test_the_installed_program_keeps_standard_output_clean(tmp_path):
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=2)
     hf.Setup(rope, duration=0.1).to_toml(tmp_path / "swing.toml")

@@ -44,8 +44,13 @@ def test_it_says_which_rope_it_shows(hyperflex, seen, tmp_path):
         (("--folder", "missing"), "There is no folder"),
         (("missing.toml",), "missing.toml"),
         (("run.nc",), "hyperflex view run.nc"),
-        (("--host", "203.0.113.1"), "no page can be shown"),
-        (("--port", "99999"), "no page can be shown"),
+        (
+            ("--host", "203.0.113.1"),
+            "no page can be shown there: cannot assign requested address: got '203.0.113.1, port 0'. Allowed: an",
+        ),
+        (("--port", "99999"), "there is no such port: got '127.0.0.1, port 99999'"),
+        (("--port", "-1"), "there is no such port"),
+        (("--allow", "http://robot.lan:8080/"), "--allow is no host: got 'http://robot.lan:8080/'. Allowed: host:port"),
     ],
 )
 def test_it_refuses(hyperflex, seen, words, told):

@@ -61,6 +61,10 @@ def test_init_leaves_a_file_alone(hyperflex, tmp_path):
         (("--length", -1.0), "--length has the wrong sign: got -1.0. Allowed: a number, finite and > 0, in m."),
         (("--mass", -1.0), "in kg."),
         (("--motion", "dance"), "--motion"),
+        (("--peg", 0.8, -0.6, float("nan")), "hyperflex: RADIUS of --peg is not finite: got nan."),
+        (("--peg", 0.8, float("inf"), 0.03), "hyperflex: Y of --peg is not finite: got inf."),
+        (("--peg", 0.8, -0.6, -0.03), "hyperflex: RADIUS of --peg has the wrong sign: got -0.03."),
+        (("--peg", -0.1, -1.0, 0.05), "link 9 is 47.5 mm deep in it: got Peg(x=-0.1, y=-1.0, radius=0.05,"),
         (("--radius", 3.0), "thicker than it is long"),
     ],
 )

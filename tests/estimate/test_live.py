@@ -302,7 +302,7 @@ def test_the_page_is_for_this_machine_alone(pictures: list[Frame]) -> None:
             head = stream.read(200)
         assert b"Content-Type: image/jpeg" in head
         assert b"\xff\xd8\xff" in head  # a JPEG begins
-        with pytest.raises(InvalidInput, match="no page can be shown at this port"):
+        with pytest.raises(InvalidInput, match="no page can be shown there: address already in use"):
             PicturePage(page.port)
 
 

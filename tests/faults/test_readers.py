@@ -38,7 +38,7 @@ def of_file(write: Callable[[Path], object], suffix: str) -> Callable[[Path], by
     return content
 
 
-def mat(path: Path) -> None:
+def mat(path: Path, *, packed: bool = True) -> None:
     from scipy.io import savemat
 
     def cell(values: np.ndarray) -> np.ndarray:
@@ -48,7 +48,7 @@ def mat(path: Path) -> None:
 
     t, states = np.linspace(0.0, 0.1, 11)[None], np.zeros((2, 11))
     pieces = {"Time_id": t, "Y_id": states, "Time_vad": t + 0.11, "Y_vad": states}
-    savemat(path, {name: cell(values) for name, values in pieces.items()} | {"dt": 0.01}, do_compression=True)
+    savemat(path, {name: cell(values) for name, values in pieces.items()} | {"dt": 0.01}, do_compression=packed)
 
 
 def camera(path: Path) -> None:
@@ -59,6 +59,7 @@ KINDS: dict[str, tuple[Callable[[Path], bytes], str, Callable[[Path], object]]] 
     "recording.csv": (lambda _: CSV.encode(), ".csv", hf.read_recording),
     "recording.nc": (of_file(hf.Recording(T, np.zeros((6, 2))).to_netcdf, ".nc"), ".nc", hf.read_recording),
     "recording.mat": (of_file(mat, ".mat"), ".mat", hf.read_recording),
+    "plain.mat": (of_file(lambda path: mat(path, packed=False), ".mat"), ".mat", hf.read_recording),
     "recording.mcap": (
         of_file(lambda path: hf.write_mcap(hf.Recording(T, np.zeros((6, 2)), noise=0.1), path), ".mcap"),
         ".mcap",

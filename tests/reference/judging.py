@@ -45,9 +45,9 @@ EFFORT = 3e6  # links times steps that a Runge-Kutta run may cost
 class Verdict(NamedTuple):
     """What became of a run. Errors are the largest inside the horizon."""
 
-    outcome: str  # "met", "wrong", "failed" (with a reason) or "unchecked" (a tighter run failed)
+    outcome: str  # "accurate", "wrong", "failed" (with a reason) or "unchecked" (a tighter run failed)
     reason: str
-    promise: float  # error in units of what is promised; "met" up to 1
+    promise: float  # error in units of what is promised; "accurate" up to 1
     factor: float  # error in units of tol max(1, growth)
     error: float  # m
     growth: float
@@ -94,7 +94,7 @@ def _checked(setup: Setup, run: Trajectory, t: Real, seconds: float, seed: int) 
     event = timing(setup, tight, truth, promised, float(t[kept - 1]), seed)
     good, in_time = (error <= promised).all(), not event.promise > 1.0
     return Verdict(
-        "met" if good and in_time else "wrong",
+        "accurate" if good and in_time else "wrong",
         "" if in_time else "time of the event",
         float((error / promised).max()),
         float((error / (setup.tol * growth)).max()),

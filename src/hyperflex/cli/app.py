@@ -39,6 +39,7 @@ from hyperflex.interruption import handle_signals
 _PARSER_ERROR: Any = typer.BadParameter.__mro__[2]
 
 _NO_NUMBER = re.compile(r"Invalid value for '(?:-\w / )?(--[\w-]+)'.* valid (number|integer)")
+_OUT_OF_RANGE = re.compile(r"Invalid value for '(?:-\w / )?(--[\w-]+)': .* (greater|less) than or equal to ([\d.]+)")
 COMPLETE = "_HYPERFLEX_COMPLETE"  # set by a shell that asks what may follow
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -164,6 +165,9 @@ def _misused(error: Any, arguments: Sequence[str]) -> str:
     if found := _NO_NUMBER.search(message):
         kind = "a whole number" if found[2] == "integer" else "numbers"
         message = f"{found[1]} takes {kind}: got {_given(found[1], arguments)}"
+    elif found := _OUT_OF_RANGE.search(message):
+        side = "at least" if found[2] == "greater" else "at most"
+        message = f"{found[1]} is out of range: got {_given(found[1], arguments)}. Allowed: {side} {found[3]}"
     forms = {"--target": " Give two numbers: --target X Y.", "--peg": " Give three numbers: --peg X Y RADIUS."}
     form = next((words for option, words in forms.items() if option in message), "")
     named = arguments[0] if arguments and arguments[0] in _COMMANDS else ""

@@ -79,16 +79,18 @@ def with_options(message: str, options: Mapping[str, str]) -> str:
     """Return a message on arguments as one on options (``--time-unit`` by the argument's name) and tables of a file.
 
     ``name=value`` becomes ``--name value`` where there is such an option; a name stands for its option where the
-    message begins with it, or where it has an underscore and so is no word.
+    message begins with it, or where it has an underscore and so is no word. Values such as ``Peg(x=0.1)`` stay.
     """
     if not options:
         return files.toml_words(message)
 
     def option(found: re.Match[str]) -> str:
+        if found["name"] is None:
+            return found[0]
         value = found["value"].strip("'\"[]()").replace(", ", ",")
         return options[found["name"]] if value == "True" else f"{options[found['name']]} {value}"
 
-    message = re.sub(rf"\b(?P<name>{'|'.join(options)}){_VALUE}", option, message)
+    message = re.sub(rf"\b(?:[A-Z]\w*\([^()]*\)|(?P<name>{'|'.join(options)}){_VALUE})", option, message)
     plain = "|".join(name for name in options if "_" in name) or "$^"
     message = re.sub(rf"(?<![\w/.'-])({plain})(?![\w/']|\.\w)", lambda found: options[found[1]], message)
     message = re.sub(

@@ -33,7 +33,7 @@ def names_in(line: str) -> list[str]:
     """Return the column names of a header line; between spaces a unit in brackets belongs to the name before it."""
     mark = mark_of(line)
     if mark == " " and '"' not in line:
-        return _WORDS.findall(line)
+        return _WORDS.findall(line) or line.split()
     return cells(line, mark)
 
 

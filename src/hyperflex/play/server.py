@@ -57,7 +57,7 @@ class PlayServer:
     Raises
     ------
     InvalidInput
-        If it cannot listen there.
+        If it cannot listen there, or what `allow` names is more than hosts.
     """
 
     def __init__(
@@ -69,17 +69,22 @@ class PlayServer:
         host: str = HOST,
         allow: Sequence[str] = (),
     ) -> None:
+        for each in allow:
+            if urlsplit(f"//{each}").netloc != each:
+                fix = "Leave out http:// and what follows the port"
+                raise InvalidInput("allow is no host", got=each, allowed="host:port, as in robot.lan:8080", fix=fix)
         self.folder, self._news = folder, set[asyncio.Event]()
         self._given, self._asked, self._allow = session or Session(), (host, port), set(allow)
         self._loop, self._end = asyncio.new_event_loop(), asyncio.Event()
-        self._ready, self._problem = threading.Event(), ""
+        self._problem: OSError | OverflowError | None = None
+        self._ready = threading.Event()
         self.port, self.runner = 0, Runner(self._given, self._tell)
         self._thread = threading.Thread(target=self._serve, name="hyperflex play server", daemon=True)
         self._thread.start()
         self._ready.wait(_START)
         if self._problem:
             self.close()
-            raise cannot_listen(port, self._problem)
+            raise cannot_listen(port, self._problem, host)
         self._allow |= own_names(self.port)
         self.address = address(self.port, host)
 
@@ -130,7 +135,7 @@ class PlayServer:
                 max_size=LARGEST,
             )
         except (OSError, OverflowError) as error:
-            self._problem = str(error)
+            self._problem = error
             return
         self.port = int(next(iter(server.sockets)).getsockname()[1])
         self._ready.set()

@@ -5,10 +5,9 @@
 published preparation scripts write (github.com/dynamicslab/MultiArm-Pendulum, MIT licence).
 """
 
-import io
-import struct
+import math
 import zlib
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -20,8 +19,13 @@ from hyperflex.recording.declare import Raw
 
 _EXPORT = "Get the file again, or export the data as CSV"
 _KEYS = ("Time_id", "Time_vad", "Y_id", "Y_vad", "dt")
-# What scipy's reader raises on damaged files, found by cutting and altering real ones.
-_DAMAGE = (ValueError, TypeError, KeyError, IndexError, OSError, EOFError, MemoryError, OverflowError, AttributeError)
+# Elements of a MATLAB 5 file ("MAT-File Format", MathWorks): kinds of numbers by their code, matrices, packed ones
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_MATRIX, _PACKED = 14, 15
+_CELL, _ARRAYS, _COMPLEX = 1, range(6, 16), 0x0800  # classes of matrices, and a flag beside them
+_LARGEST = 1 << 29  # bytes of an element that is unpacked
+
+_Order = Literal["<", ">"]
 
 
 def read(path: PathLike) -> Raw:
@@ -49,7 +53,7 @@ def read(path: PathLike) -> Raw:
             raise InvalidInput(f"{path}: piece {k} has {t.size} times for {y.shape[1]} samples", fix=_EXPORT)
     t = np.concatenate([piece.ravel() for piece in times])
     joined = np.hstack(states).T
-    _check_step(path, t, content["dt"])
+    _check_step(path, t, _pieces(path, content, "dt")[0])
     n = rows // 2
     return Raw(
         t=t,
@@ -62,24 +66,77 @@ def read(path: PathLike) -> Raw:
     )
 
 
-def _load(path: PathLike) -> dict[str, Any]:
-    """Return the variables of a MATLAB 5 file."""
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
+def _load(path: PathLike) -> dict[str, Array]:
+    """Return the variables of a MATLAB 5 file: arrays of numbers and cells of them; None stands for what is neither."""
     raw = read_bytes(path, "MATLAB file")
     if raw[:1] == b"\x89" or b"MATLAB 7.3" in raw[:128]:
         raise InvalidInput(f"{path} is a MATLAB 7.3 file", allowed="MATLAB 5 files", fix="Save it with -v7 in MATLAB")
     if not raw.startswith(b"MATLAB 5.0 MAT-file"):
         raise InvalidInput(f"{path} is no MATLAB 5 file", got=raw[:20], fix="Check that the right file was given")
     try:
-        content: dict[str, Any] = loadmat(io.BytesIO(raw))
-    except (*_DAMAGE, MatReadError, NotImplementedError, zlib.error, struct.error) as error:
+        return _variables(raw)
+    except (ValueError, zlib.error) as error:
         raise FileProblem(f"The MATLAB file {path} cannot be read: it is damaged or cut off. Get it again.") from error
-    return content
 
 
-def _pieces(path: PathLike, content: dict[str, Any], key: str) -> list[Array]:
+def _variables(raw: bytes) -> dict[str, Array]:
+    """Return the variables by their names; ValueError or zlib.error where the file is damaged."""
+    order: _Order = "<" if raw[126:128] == b"IM" else ">"
+    found, at = {}, 128
+    while at < len(raw):
+        kind, body, at = _element(raw, at, order)
+        if kind == _PACKED:
+            stream = zlib.decompressobj()
+            kind, body, _ = _element(stream.decompress(body, _LARGEST), 0, order)
+            if not stream.eof:
+                raise ValueError("a packed element does not end")
+        if kind == _MATRIX:
+            name, value = _matrix(body, order, cells=True)
+            found[name] = value
+    return found
+
+
+def _element(data: bytes, at: int, order: _Order) -> tuple[int, bytes, int]:
+    """Return kind and content of the element that begins at a byte, and where the next one begins."""
+    kind, size = (int(each) for each in np.frombuffer(data, f"{order}u4", 2, at))
+    first, after = at + 8, at + 8 + size + (0 if kind == _PACKED else -size % 8)
+    if kind >> 16:  # up to four bytes that stand in the head itself
+        kind, size, first, after = kind & 0xFFFF, kind >> 16, at + 4, at + 8
+    body = data[first : first + size]
+    if len(body) != size or first + size > after:
+        raise ValueError("an element is longer than what holds it")
+    return kind, body, after
+
+
+def _matrix(data: bytes, order: _Order, *, cells: bool) -> tuple[str, Array]:
+    """Return name and value of a matrix: numbers or, with `cells`, a cell of them; an array of None for all else."""
+    if not data:
+        return "", np.empty((0, 0))
+    _, head, at = _element(data, 0, order)
+    flags = int(np.frombuffer(head, f"{order}u4", 1)[0])
+    _, sizes, at = _element(data, at, order)
+    _, word, at = _element(data, at, order)
+    name, kind = word.decode("ascii", "replace"), flags & 0xFF
+    if not (kind in _ARRAYS and not flags & _COMPLEX) and not (kind == _CELL and cells):
+        return name, np.array(None)
+    shape = np.frombuffer(sizes, f"{order}i4").tolist()
+    if min(shape, default=-1) < 0 or math.prod(shape) > len(data):
+        raise ValueError("a matrix is larger than what holds it")
+    if kind in _ARRAYS:
+        code, body, _ = _element(data, at, order)
+        if code not in _NUMBERS:
+            raise ValueError("numbers of no known kind")
+        return name, np.frombuffer(body, order + _NUMBERS[code]).astype(np.float64).reshape(shape, order="F")
+    value = np.empty(math.prod(shape), dtype=object)
+    for k in range(value.size):
+        code, body, at = _element(data, at, order)
+        if code != _MATRIX:
+            raise ValueError("a cell holds no matrix")
+        value[k] = _matrix(body, order, cells=False)[1]
+    return name, value.reshape(shape, order="F")
+
+
+def _pieces(path: PathLike, content: dict[str, Array], key: str) -> list[Array]:
     """Return the number arrays of one cell array."""
     cell: npt.NDArray[Any] = content[key]
     pieces = list(cell.ravel()) if cell.dtype == object else [cell]
@@ -88,7 +145,7 @@ def _pieces(path: PathLike, content: dict[str, Any], key: str) -> list[Array]:
     return [np.asarray(p, dtype=np.float64) for p in pieces]
 
 
-def _check_step(path: PathLike, t: Array, dt: npt.NDArray[Any]) -> None:
+def _check_step(path: PathLike, t: Array, dt: Array) -> None:
     """Refuse times whose usual step is not the file's own dt (another unit, or a damaged file)."""
     step = float(np.median(np.diff(t))) if t.size > 1 else 0.0
     if dt.size != 1 or not 0.99 * float(dt.ravel()[0]) < step < 1.01 * float(dt.ravel()[0]):

@@ -88,8 +88,10 @@ def init(
     quiet = yes or json or not (sys.stdin.isatty() and sys.stdout.isatty())
     given = {"length": length, "mass": mass, "radius": radius, "links": links, "arm": arm, "motion": motion}
     answers = {name: _answer(name, value, quiet) for name, value in (given | {"duration": duration}).items()}
+    for name, value in zip(("X", "Y", "RADIUS"), peg or (), strict=False):
+        checks.number(f"{name} of --peg", value, sign="positive" if name == "RADIUS" else "any", unit="m")
     text = _text(out, answers, peg)
-    _check(text, out)
+    _check(text)
     files.write_text(out, text)
     output.show(
         {"output": out, **answers, "peg": peg},
@@ -141,11 +143,12 @@ def _aligned(line: str) -> str:
     return f"{value:<28}# {comment}" if gap else line
 
 
-def _check(text: str, out: Path) -> None:
+def _check(text: str) -> None:
     """Refuse answers that do not fit each other, before anything is written."""
     from hyperflex.model import Setup
+    from hyperflex.simulation import check_outside
 
-    Setup.loads(text, str(out))
+    check_outside(Setup.loads(text))
 
 
 def _next(out: Path) -> str:

@@ -57,7 +57,7 @@ class PicturePage:
         try:
             self._server = ThreadingHTTPServer((HOST, port), Handler)
         except (OSError, OverflowError) as error:
-            raise cannot_listen(port, str(error)) from None
+            raise cannot_listen(port, error) from None
         self._server.daemon_threads = True
         self.port = int(self._server.server_address[1])
         self.address = address(self.port)
