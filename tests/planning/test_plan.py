@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +18,9 @@ from hyperflex.planning.search.contact_phase import WindingScores
 from hyperflex.planning.search.throw_search import MAX_FAILED, MOVES, TRIED, ThrowSearch
 from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
+from hyperflex.planning.wind.verified import failure, foreseen
 from tests.faults.interrupting import left_by
+from tests.planning.known import planned
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 ARM = hf.Arm(length=0.105)
@@ -140,6 +143,7 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
             slip=slip,
             load_ratio=0.5,
             tip_hangs=True,
+            touch_time=5.0,
             folded=False,
             message="" if good else "it slips",
             completed=True,
@@ -203,6 +207,7 @@ def hardened(
         "slip": 1e-3,
         "load_ratio": 0.5,
         "tip_hangs": True,
+        "touch_time": 5.0,
         "folded": False,
         "completed": True,
     }
@@ -348,7 +353,11 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
         ({"slip": 3e-3}, {}, False),  # 5 mm are allowed
         # on top of the peg, from where it may fall to either side
         ({"turns": 2.2}, {"turns": 2.2, "tip_hangs": False}, False),
-        ({"turns": 2.3}, {"turns": 2.3, "tip_hangs": False}, True),  # a turn more than are needed is left then
+        (
+            {"turns": 2.3},
+            {"turns": 2.3, "tip_hangs": False},
+            True,
+        ),  # a turn more than are needed is left then
         ({"folded": True}, {}, False),  # flat: what a real rope does then is left to chance
         ({}, {"load_ratio": 1.2}, False),  # pulled with more than the capstan equation lets it bear
         ({}, {"contact_angle": 5.0}, False),  # the rope is long enough for a full turn of contact
@@ -365,6 +374,7 @@ def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, seco
         "slip": 1e-3,
         "load_ratio": 0.8,
         "tip_hangs": True,
+        "touch_time": 5.0,
         "folded": False,
         "contact_angle": 11.0,
     }
@@ -382,6 +392,7 @@ def test_while_a_better_plan_is_sought_it_is_said_that_one_stands(monkeypatch: p
         "slip": 3e-3,
         "load_ratio": 0.8,
         "tip_hangs": True,
+        "touch_time": 5.0,
         "folded": False,
         "contact_angle": 11.0,
     }
@@ -407,7 +418,14 @@ def test_a_full_turn_that_nobody_asked_for_is_sought_for_as_long_again_as_the_fi
     search = SimpleNamespace(cast_setup=CastSetup(CABLE, ARM, hf.MotorLimits()), peg=EASY, candidates=[])
     work = cast_planner.CastPlanner(search, 60.0, clock=SimpleNamespace(spent=spent))  # type: ignore[arg-type]
     cast = SimpleNamespace(
-        success=True, turns=1.3, slip=1e-3, load_ratio=0.8, tip_hangs=True, folded=False, contact_angle=3.0
+        success=True,
+        turns=1.3,
+        slip=1e-3,
+        load_ratio=0.8,
+        tip_hangs=True,
+        touch_time=5.0,
+        folded=False,
+        contact_angle=3.0,
     )
     work.best, work.first = ("a throw", cast, cast), 3.0  # type: ignore[assignment]
     assert work.done() is enough
@@ -430,6 +448,7 @@ def test_each_better_plan_that_stands_is_told_and_may_end_the_search(
             "slip": 3e-3,
             "load_ratio": 0.5,
             "tip_hangs": True,
+            "touch_time": 5.0,
             "folded": False,
             "contact_angle": 3.0,
             "message": "",
@@ -469,7 +488,7 @@ def test_the_best_of_the_throws_that_two_verifications_bear_out_without_a_margin
     asked: list[str] = []
 
     def twice(self: cast_planner.CastPlanner, found: cast_planner.Candidate) -> object:
-        good = {"success": True, "slip": 1e-3, "load_ratio": 1.5, "tip_hangs": True, "folded": False}
+        good = {"success": True, "slip": 1e-3, "load_ratio": 1.5, "tip_hangs": True, "touch_time": 5.0, "folded": False}
         seen = SimpleNamespace(**(good | {"turns": 2.0, "contact_angle": 9.0} | told[found.throw.name]))  # type: ignore[attr-defined]
         return seen, seen if seen.success else None
 
@@ -496,6 +515,16 @@ def test_the_best_of_the_throws_that_two_verifications_bear_out_without_a_margin
     work.verify_new()
     assert (work.best[0].name, work.done()) == ("e", True)  # type: ignore[union-attr] # a margin in two is enough
     assert asked == ["d", "a", "c"]
+
+
+@pytest.mark.parametrize(("touch", "holds"), [(5.04, True), (5.3, False), (4.7, False)])
+def test_a_throw_that_touches_at_another_time_with_shorter_links_does_not_stand(touch: float, holds: bool) -> None:
+    first = planned().outcome
+    assert first is not None
+    first = replace(first, touch_time=5.0)
+    finer = foreseen(first, replace(first, touch_time=touch))
+    assert finer.success is holds
+    assert holds or ("sooner" if touch < 5.0 else "later") in failure(first, finer, False)
 
 
 def test_throws_that_barely_wind_are_verified_later() -> None:
@@ -533,6 +562,7 @@ def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypa
             "slip": 0.0,
             "load_ratio": 0.5,
             "tip_hangs": True,
+            "touch_time": 5.0,
             "folded": False,
             "contact_angle": 7.0,
             "completed": True,
@@ -584,7 +614,14 @@ def test_a_throw_that_ends_on_top_of_the_peg_is_verified_with_shorter_and_shorte
         links.add(pieces)
         turns = ends[min(pieces, 4) - 1]
         success, completed = turns is not None and turns > 1.25, turns is not None
-        more = {"slip": 1e-3, "load_ratio": 0.5, "contact_angle": 3.0, "tip_hangs": False, "folded": False}
+        more = {
+            "slip": 1e-3,
+            "load_ratio": 0.5,
+            "contact_angle": 3.0,
+            "tip_hangs": False,
+            "touch_time": 5.0,
+            "folded": False,
+        }
         return SimpleNamespace(success=success, turns=turns or 0.0, completed=completed, **more)
 
     monkeypatch.setattr(cast_planner, "verify_cast", verify_cast)
@@ -604,7 +641,14 @@ def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypa
     second, third = search.candidates[1:]
     work = cast_planner.CastPlanner(search, 1.0)
     failed = SimpleNamespace(
-        success=False, turns=0.4, slip=np.nan, load_ratio=np.nan, tip_hangs=True, folded=False, completed=True
+        success=False,
+        turns=0.4,
+        slip=np.nan,
+        load_ratio=np.nan,
+        tip_hangs=True,
+        touch_time=5.0,
+        folded=False,
+        completed=True,
     )
     monkeypatch.setattr(cast_planner, "verify_cast", lambda *_, **__: failed)
     assert work.fresh() == search.candidates[:1]  # one for two threads

@@ -19,6 +19,7 @@ from hyperflex.planning.wind.verified import (
     Verified,
     covers,
     failure,
+    foreseen,
     may_fall,
     promise,
     rank,
@@ -293,10 +294,11 @@ class CastPlanner:
         if first is None or not all(each.success for each in (first, *known)) or with_margin((None, first, second)):
             return first, second  # type: ignore[return-value] # there is a first one
         more = [self.finer_run(one, k) for k in range(len(known), 2)]
-        finer = known + self.at_once(more, lambda found: found.success or not found.completed)
+        found = self.at_once(more, lambda found: found.success or not found.completed)
+        finer = known + [foreseen(first, each) for each in found]
         worst = worst_of(first, finer)
         if worst.success and not all(map(may_fall, (first, *finer))):
-            last = self.finer_run(one, 2)(lambda: False)
+            last = foreseen(first, self.finer_run(one, 2)(lambda: False))
             worst = worst_of(first, [worst, last]) if last.success else last
         return first, worst
 
@@ -304,7 +306,7 @@ class CastPlanner:
         """Verify a throw on the rope as given and, beside that, with links of half the length where it has a margin."""
         runs = [lambda _: self.first_outcome(one), self.finer_run(one, 0)]
         first, second = self.at_once(runs, lambda found: found.success and steady(found))
-        return first, second if first.success and steady(first) else None
+        return first, foreseen(first, second) if first.success and steady(first) else None
 
     def finer_run(self, one: Candidate, k: int) -> Callable[[Callable[[], bool]], CastOutcome]:
         """Return what simulates a throw with shorter links unless it is told that this is for nothing."""
