@@ -518,13 +518,21 @@ def test_the_best_of_the_throws_that_two_verifications_bear_out_without_a_margin
 
 
 @pytest.mark.parametrize(("touch", "holds"), [(5.04, True), (5.3, False), (4.7, False)])
-def test_a_throw_that_touches_at_another_time_with_shorter_links_does_not_stand(touch: float, holds: bool) -> None:
+def test_a_throw_that_touches_at_another_time_with_shorter_links_does_not_stand(
+    monkeypatch: pytest.MonkeyPatch, touch: float, holds: bool
+) -> None:
     first = planned().outcome
     assert first is not None
     first = replace(first, touch_time=5.0)
     finer = foreseen(first, replace(first, touch_time=touch))
     assert finer.success is holds
     assert holds or ("sooner" if touch < 5.0 else "later") in failure(first, finer, False)
+    search, seen = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), [first, replace(first, touch_time=touch)]
+    work = cast_planner.CastPlanner(search, 60.0)
+    monkeypatch.setattr(work, "run_once", lambda cast_setup, *_: seen[cast_setup.rope.n_links > CABLE.n_links])
+    _, second = work.verify_twice(cast_planner.Candidate(2.0, 2.0, 1, np.zeros(3), None))  # type: ignore[arg-type]
+    assert second is not None
+    assert second.success is holds
 
 
 def test_throws_that_barely_wind_are_verified_later() -> None:
