@@ -3,6 +3,9 @@
 ``Time_id`` and ``Time_vad`` are cells of times (s), ``Y_id`` and ``Y_vad`` cells of arrays (2n, N): n absolute angles
 (rad, 0 upright) above n rates (rad/s); ``dt`` is the step (s). The pieces are joined again in order. This is what the
 published preparation scripts write (github.com/dynamicslab/MultiArm-Pendulum, MIT licence).
+
+The reader is our own, of numbers and cells alone: that of scipy.io ends Python (segmentation fault) on some damaged
+files, whose numbers are of an unknown kind.
 """
 
 import math
