@@ -274,7 +274,7 @@ class _Problem:
             basis = self._with_model_error(trial, tests)  # what stands if the next test is interrupted
         with catch_interrupt() as stop:
             if found.converged and not found.interrupted:
-                tests = (*tests, *link_test(trial.basis))
+                tests = (*tests, *link_test(trial.basis, tests))
                 basis = self._with_model_error(trial, tests)
                 scatter, covariance = scatter_test(trial.basis, trial.scores)
                 if scatter:

@@ -301,9 +301,14 @@ def _finer(tests: Sequence[ScoreTest], *, odd: bool) -> tuple[list[str], list[st
     """Return that links are too long: as the cause of an `odd` fit, or as a suspicion; not beside a better cause."""
     likely = (each for each in tests if each.name == LINKS and each.excess_gain >= LIKELY and each.gain > EQUAL)
     each = next(likely, None)
-    if each is None or any(other.believed and other.gain > each.gain + EQUAL for other in tests):
+    if each is None:
         return [], []
-    words = f"use more links: this looks like a rope of finer links (probability {100.0 * each.excess_gain:.3g} %)"
+    better = [other for other in tests if other.believed and other.gain > each.gain + EQUAL]
+    if any(other.name not in each.freed_with for other in better):
+        return [], []
+    beside = f" with {' and '.join(repr(name) for name in each.freed_with)} free as well" if each.freed_with else ""
+    words = f"use more links: this looks like a rope of finer links{beside}"
+    words += f" (probability {100.0 * each.excess_gain:.3g} %)"
     if odd and each.gain >= max(EXPLAINS, *(other.gain for other in tests)):
         return [f"{words}, which takes away {100.0 * each.gain:.3g} % of the residuals' sum of squares."], []
     off = f"a fit of so few to such a one is off by up to {percent(each.ratio_sensitivity)} of a value"

@@ -1,12 +1,13 @@
 """Test of whether links are too long for the rope that was recorded."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.diagnosis.score_tests import FEW_LINKS, ROUNDS, WINDOWS, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import FEW_LINKS, ROUNDS, WINDOWS, ScoreTest, fit_with, within
 from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameter
@@ -21,10 +22,11 @@ UNSURE, ELSE = 0.25, 2.0  # of the pattern's amplitude (1: finer links): its lea
 PIECES = 4  # that each link is cut into: errors go with a link's length squared, so that a 16th of them is left
 
 
-def link_test(basis: Basis) -> tuple[ScoreTest, ...]:
+def link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTest, ...]:
     """Return the test of a rope's links, or nothing where they cannot be cut, or where few leave no more than noise.
 
-    Links of a rope of many have to be alike; few may each have values of their own, with their mass in their middle.
+    Links of a rope of many have to be alike; few may each have values of their own, with their mass in their middle. If
+    one of the `others` explains much, what it leaves is tested: a fit with it free as well.
 
     Notes
     -----
@@ -33,6 +35,10 @@ def link_test(basis: Basis) -> tuple[ScoreTest, ...]:
     pattern. How much of it the residuals hold is 1 of the finer rope and 0 of a chain that has just these links; see
     :func:`_probability`.
     """
+    name = next((each.name for each in others if each.masks), "")
+    richer = fit_with(basis, name) if name else None
+    if richer is not None:
+        return tuple(within(each, basis.fit.x.size, [name]) for each in link_test(richer))
     plant, x, found = basis.plant, basis.fit.x, basis.fit
     n, parameters = plant.parameters.guess.n_links, plant.parameters.all
     few, own = n <= FEW_LINKS, any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")

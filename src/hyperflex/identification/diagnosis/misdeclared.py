@@ -46,13 +46,25 @@ MEANT = {
 
 
 def first_misdeclared(tests: Sequence[ScoreTest]) -> ScoreTest | None:
-    """Return what was declared or held, does not fit and matters, and explains most; None where all fits."""
-    return next((each for each in tests if each.believed and each.matters), None)
+    """Return what was declared or held, does not fit and matters, and explains most; None where all fits.
+
+    Beside what explains clearly more, though it would move ratios by no more than noise may, that is the cause.
+    """
+    first = next((each for each in tests if each.believed and each.matters), None)
+    if first is None:
+        return None
+    return next((each for each in tests if _covered(each) and each.gain > first.gain + EQUAL), first)
 
 
 def explaining(tests: Sequence[ScoreTest]) -> ScoreTest | None:
     """Return what explains most of a fit that is poor, though its ratios are not known well enough to move beyond."""
-    return next((each for each in tests if each.believed and each.name in TOLD and each.gain > EXPLAINS), None)
+    causes = (each for each in tests if each.believed and (each.name in TOLD or each.law or _covered(each)))
+    return next((each for each in causes if each.gain > EXPLAINS), None)
+
+
+def _covered(test: ScoreTest) -> bool:
+    """Whether something that was held is believed not to fit, though ratios move by no more than noise may."""
+    return test.covered and test.name not in (*TOLD, *DECLARED, DRIFT)
 
 
 def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
@@ -60,7 +72,8 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
     first = first_misdeclared(tests)
     if first is None:
         return []
-    equals = [each.name for each in tests if each.believed and each.matters and each.gain > first.gain - EQUAL]
+    others = [each for each in tests if each.believed and each.matters and each is not first]
+    equals = [first.name, *[each.name for each in others if each.gain > first.gain - EQUAL]]
     part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
     if first.freed_with:
         part += f" that is left with {' and '.join(repr(name) for name in first.freed_with)} free"
@@ -142,7 +155,8 @@ def slightly(tests: Sequence[ScoreTest], cause: ScoreTest | None = None) -> list
                 f"measure a length, or the frame rate, again; ratios would move by up to {percent(each.moved)}."
             )
         covered = each.covered and each.name not in (*TOLD, DRIFT)
-        if (each.suspected or covered) and (not each.freed_with or each.expected):
+        said_already = each is first or each is cause
+        if (each.suspected or covered) and (not each.freed_with or each.expected) and not said_already:
             said.append(
                 f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
                 f"residuals' sum of squares go away, and ratios move by up to {percent(each.moved)}. Standard "
@@ -160,16 +174,18 @@ def slightly(tests: Sequence[ScoreTest], cause: ScoreTest | None = None) -> list
 
 
 def seems(test: ScoreTest) -> str:
-    """Return what one of TOLD seems to be, in words."""
+    """Return what a cause seems to be, in words."""
     value, part = float(test.values[0]), f"{100.0 * test.gain:.3g} % of the residuals' sum of squares"
-    what = {
+    meant = {
         "gravity_angle": f"the zero of the angles seems off by {np.degrees(value):.2g} degrees",
         "delay": f"the motion seems {value:.2g} s off",
         "arm_inertia": f"the arm's inertia seems to be {value:.2g} kg m^2",
         CURL: f"the rope seems bent at rest, by {np.degrees(value):.2g} degrees a joint",
         "arm_friction": f"the arm's friction seems to be {value:.2g} N m s/rad",
-    }[test.name]
-    return f"{what}: without that, {part} go away. Put '{test.name}' into free."
+    }
+    if test.name not in meant:
+        return f"what is held does not fit: with '{test.name}' free, {part} go away. Put it into free."
+    return f"{meant[test.name]}: without that, {part} go away. Put '{test.name}' into free."
 
 
 def _lengths(tests: Sequence[ScoreTest]) -> list[str]:

@@ -173,14 +173,14 @@ def score_tests(basis: Basis, declared_std: float = 0.0, *, angles: bool = False
     tests, later, now = found, dict[str, ScoreTest](), basis
     for _ in range(HIDING):
         hiding = next((each.name for each in tests if each.masks), "")
-        richer = _freed(now, hiding) if hiding else None
+        richer = fit_with(now, hiding) if hiding else None
         if richer is None:
             break
         now = richer
         freed.append(hiding)
         tests = _refitted_tests(now, angles=angles)
         for each in tests:
-            each = _within(each, basis.fit.x.size, freed)
+            each = within(each, basis.fit.x.size, freed)
             if each.believed and (each.matters or each.slight) and not each.law:
                 later.setdefault(each.name, each)
     known = {each.name for each in found if each.believed}
@@ -190,7 +190,7 @@ def score_tests(basis: Basis, declared_std: float = 0.0, *, angles: bool = False
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 
-def _within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
+def within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
     """Return a test of a fit with more parameters, `freed`, as one of a fit with `size`."""
     test = replace(test, shift=test.shift[:size], added=test.added[:size, :size], rate=test.rate[:size])
     return replace(test, freed_with=tuple(freed))
@@ -305,7 +305,7 @@ def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
     return step
 
 
-def _freed(basis: Basis, name: str) -> Basis | None:
+def fit_with(basis: Basis, name: str) -> Basis | None:
     """Return a fit of some windows with `name` free as well, and its covariance; None where none converges."""
     plant, x, _ = extended(basis.plant, basis.fit.x, [name])
     windows, states = _some(basis)
