@@ -48,7 +48,7 @@ def plan_insert(
     Parameters
     ----------
     rope, arm, limits, clearance, obstacles, skip_feasibility, seed, threads, progress
-        As of :func:`hyperflex.plan_cast`.
+        As of :func:`hyperflex.plan_cast`. Obstacles are looked at until 0.15 s after the tip is there.
     slot : Slot
         Its gap must be three diameters of the rope wide or more.
     uncertainty : Uncertainty, optional
