@@ -16,6 +16,7 @@ from hyperflex.simulation import Sensitivities
 LEVELS = (0.0, 0.5, 1.0)  # of the depth asked, at which the rope shall be in the middle of the gap
 DEEPER = 1.1  # times the depth asked, that the tip shall reach
 MARGIN = 0.35  # of the gap beside the rope
+SLACK = 0.5  # part of the offset allowed, up to which it is left where depth or another gap fails
 SLOWER = 1.02  # times the speed asked that the tip shall be slower: finer links differ by less
 SAMPLE_TIME, CLOSELY = 0.01, 0.4  # s: between samples but for the last; those lie GRID apart
 SPARSE = 4  # samples of which one is looked at for the arm's clearance
@@ -28,19 +29,24 @@ class Entry(Aimed):
 
     `offset` (3,), m, is where the rope crosses the line of the walls with the tip at LEVELS of the depth asked; of a
     tube where the tip is at the last two of these, too: (5,). `depth`, m, is the greatest that the tip reaches. Its
-    `speed` at `t` is in m/s. `gap`, m, is the least distance from the walls of all the rope but what follows the tip
-    through. `doffset` (3 or 5, P), `ddepth` and `dgap` (P,) are their derivatives. `clearance`, m, is the least
-    distance of the rope from its own arm.
+    `speed` at `t` is in m/s. `gaps`, m, are least distances from the walls of all the rope but what follows the tip
+    through: of each time that it crosses the line of the walls (G,). `doffset` (3 or 5, P), `ddepth` (P,) and `dgaps`
+    (G, P) are their derivatives. `clearance`, m, is the least distance of the rope from its own arm.
     """
 
     offset: Array
     depth: float
-    gap: float
+    gaps: Array
     doffset: Array
     ddepth: Array
-    dgap: Array
+    dgaps: Array
     clearance: float
     speed: float
+
+    @property
+    def gap(self) -> float:
+        """The least of the gaps, m; infinite without any."""
+        return float(self.gaps.min(initial=np.inf))
 
 
 class _Run:
@@ -97,7 +103,7 @@ def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float)
     if slot.tube > 0.0:
         told += [_tip_at(run, level * slot.depth, begin, end) for level in LEVELS[1:]]
     doffset = np.array([each[3] for each in told])
-    gap, dgap = _least_gap(run, begin, end)
+    gaps, dgaps = _least_gaps(run, begin, end)
     return Entry(
         strokes,
         float(t[end] + (late - 1.0) * (t[end] - t[end - 1])),
@@ -105,11 +111,11 @@ def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float)
         position_std(doffset / np.sqrt(len(doffset))),
         offset=np.array([each[2] for each in told]),
         depth=float(depth[deepest]),
-        gap=gap,
+        gaps=gaps,
         doffset=doffset[:, :-2],
         speed=tip_speed(t, depth, run.offset[:, -1], end),
         ddepth=run.changes(deepest)[0][-1, :-2],
-        dgap=dgap[:-2],
+        dgaps=dgaps[:, :-2],
         clearance=float(
             sampled_clearance(
                 cast_setup.rope, cast_setup.arm, *(each[::SPARSE] for each in (derivatives.q, run.joints[:, 0]))
@@ -153,19 +159,25 @@ def _tip_at(run: _Run, level: float, begin: int, end: int) -> tuple[float, Array
     return _at_level(level, depth[row - 1 : row + 1], offset[row - 1 : row + 1], ddepth, doffset)
 
 
-def _least_gap(run: _Run, begin: int, end: int) -> tuple[float, Array]:
-    """Return the least gap until the row `end`, and its derivatives; what follows the tip from `begin` on is left out.
+def _least_gaps(run: _Run, begin: int, end: int) -> tuple[Array, Array]:
+    """Return the least gaps (G,) until the row `end`, and their derivatives (G, P + 2): one of each crossing.
 
-    It is infinite without any.
+    A crossing is what lies to one side of the gap's middle in samples without a pause. What follows the tip from
+    `begin` on is left out.
     """
     found = run.crossings
     other = np.flatnonzero((found.row <= end) & ~(found.tip & (found.row >= begin)))
-    if not other.size:
-        return np.inf, np.zeros(run.run.dq.shape[2])
-    k = int(other[found.gap[other].argmin()])
-    offset, doffset = run.at(k)
-    outwards = np.sign(offset) * (1.0 if abs(offset) > 0.5 * (run.slot.width + run.slot.wall) else -1.0)
-    return float(found.gap[k]), outwards * doffset
+    gaps, changes = [], []
+    for side in (1.0, -1.0):
+        some = other[np.copysign(1.0, found.offset[other]) == side]
+        for part in np.split(some, 1 + np.flatnonzero(np.diff(found.row[some]) > 1)):
+            if part.size:
+                k = int(part[found.gap[part].argmin()])
+                offset, doffset = run.at(k)
+                outwards = 1.0 if abs(offset) > 0.5 * (run.slot.width + run.slot.wall) else -1.0
+                gaps.append(float(found.gap[k]))
+                changes.append(side * outwards * doffset)
+    return np.array(gaps), np.array(changes).reshape(len(gaps), run.run.dq.shape[2])
 
 
 def _at_level(level: float, a: Array, b: Array, da: Array, db: Array) -> tuple[float, Array, float, Array]:
@@ -180,27 +192,32 @@ def _at_level(level: float, a: Array, b: Array, da: Array, db: Array) -> tuple[f
     return part, dpart, value, (1.0 - part) * db[0] + part * db[1] + (b[1] - b[0]) * dpart
 
 
-def entry_residuals(slot: Slot, entry: Entry) -> tuple[Array, Array]:
-    """Return the residuals (m,), m, and their Jacobian (m, P): the offsets, and depth and other gaps if they fail."""
-    residuals, jacobian = [*entry.offset], [*entry.doffset]
-    for value, required, change in (
-        (entry.depth, DEEPER * slot.depth, entry.ddepth),
-        (entry.gap, BESIDE, entry.dgap),
-    ):
-        if value < required:
-            residuals.append(value - required)
-            jacobian.append(change)
-    return np.array(residuals), np.array(jacobian)
+def entry_residuals(cast_setup: CastSetup, slot: Slot, entry: Entry) -> tuple[Array, Array]:
+    """Return the residuals (m,), m, and their Jacobian (m, P): the offsets, and depth and other gaps if they fail.
+
+    As long as one of these fails, offsets count only beyond SLACK of what is allowed.
+    """
+    lacks = [(entry.depth - DEEPER * slot.depth, entry.ddepth)]
+    lacks += [(gap - BESIDE, change) for gap, change in zip(entry.gaps.tolist(), entry.dgaps, strict=True)]
+    failing = [each for each in lacks if each[0] < 0.0]
+    slack = SLACK * _allowed_offset(cast_setup, slot) if failing else 0.0
+    beyond = np.maximum(np.abs(entry.offset) - slack, 0.0)
+    residuals = np.append(np.copysign(beyond, entry.offset), [value for value, _ in failing])
+    return residuals, np.array([*((beyond > 0.0)[:, None] * entry.doffset), *(change for _, change in failing)])
 
 
-def entry_shortfall(cast_setup: CastSetup, slot: Slot, entry: Entry) -> float:
-    """Return by how much an entry fails, m: in the gap beside the rope, its depth, other gaps, clearance and speed.
+def _allowed_offset(cast_setup: CastSetup, slot: Slot) -> float:
+    """Return how far from the middle of the gap the rope may go through, m.
 
     At least MARGIN of the gap beside a rope in its middle shall be left, where it may not touch the walls.
     """
-    room = 0.5 * slot.width - cast_setup.rope.radius
+    return (1.0 - (0.0 if slot.touching else MARGIN)) * (0.5 * slot.width - cast_setup.rope.radius)
+
+
+def entry_shortfall(cast_setup: CastSetup, slot: Slot, entry: Entry) -> float:
+    """Return by how much an entry fails, m: in the gap beside the rope, its depth, other gaps, clearance and speed."""
     return float(
-        max(0.0, np.abs(entry.offset).max() - (1.0 - (0.0 if slot.touching else MARGIN)) * room)
+        max(0.0, np.abs(entry.offset).max() - _allowed_offset(cast_setup, slot))
         + max(0.0, slot.depth - entry.depth)
         + max(0.0, -entry.gap)
         + max(0.0, cast_setup.clearance - entry.clearance)

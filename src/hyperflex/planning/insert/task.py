@@ -43,7 +43,7 @@ class InsertTask(TipTask[Entry]):
 
     def residuals(self, aim: Entry) -> tuple[Array, Array]:
         """Return the rope's offsets from the middle of the gap, and depth and other gaps if they fail."""
-        return entry_residuals(self.slot, aim)
+        return entry_residuals(self.cast_setup, self.slot, aim)
 
     def shortfall(self, aim: Entry) -> float:
         """Return by how much offsets, depth and gaps fail, m, 0 if they do not."""
