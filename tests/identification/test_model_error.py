@@ -157,13 +157,15 @@ def test_a_chain_of_just_four_links_is_not_told(drag: float) -> None:
     assert "more links" not in str(found)
     assert all(each.excess_gain < 0.5 for each in found.score_tests if each.name == "links")
     if drag > 0.0:  # which explains far more than stiffness, by which ratios would move more
-        assert found.grade.reasons[0].startswith("what is held does not fit: with 'drag' free, 97")
+        assert found.grade.reasons[0].startswith(
+            "resistance is of another kind or size, or changes: with 'drag' free, 97"
+        )
         assert str(found.grade.reasons).count("'drag'") == 1
 
 
 def test_links_and_drag_are_told_together() -> None:
     found = fit_of_four_links(40, 0.05, ["inertia:shared", "friction:shared"])
-    assert found.grade.reasons[0].startswith("what is held does not fit: with 'drag' free, 9")
+    assert found.grade.reasons[0].startswith("resistance is of another kind or size, or changes: with 'drag' free, 9")
     assert any("finer links with 'drag' free as well" in each for each in found.grade.reasons)
     (links,) = (each for each in found.score_tests if each.name == "links")
     assert links.shift.shape == (len(found._basis.fit.x),)  # type: ignore[union-attr]

@@ -169,11 +169,11 @@ def _wrong(found: Findings) -> list[str]:
 
 
 def _cause(found: Findings) -> ScoreTest | None:
-    """Return what explains most of an odd fit, where nothing else is said to be wrong."""
+    """Return what explains most of an odd fit, or one that tells no ratio, where nothing else is said to be wrong."""
     odd = _odd(found)
     links, _ = _finer(found.tests, odd=bool(odd))
     said = [*_impossible(found.rope), *links, *misdeclared(found.tests)]
-    return explaining(found.tests) if odd and not said else None
+    return explaining(found.tests) if (odd or found.unknown) and not said else None
 
 
 def _suspicions(found: Findings, *, wrong: bool) -> list[str]:

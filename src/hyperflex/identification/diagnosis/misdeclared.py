@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import CURL, EQUAL, EXPLAINS, SCALES, TAPER, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import CURL, EQUAL, EXPLAINS, SCALES, SURE, TAPER, ScoreTest
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 from hyperflex.identification.model.plant import ANGLES
 from hyperflex.identification.sentences import About, Sentence
@@ -46,20 +46,26 @@ MEANT = {
 
 
 def first_misdeclared(tests: Sequence[ScoreTest]) -> ScoreTest | None:
-    """Return what was declared or held, does not fit and matters, and explains most; None where all fits.
+    """Return what was declared or held, does not fit and matters, and explains most; None where all fits."""
+    return next((each for each in tests if each.believed and each.matters), None)
 
-    Beside what explains clearly more, though it would move ratios by no more than noise may, that is the cause.
-    """
-    first = next((each for each in tests if each.believed and each.matters), None)
-    if first is None:
-        return None
-    return next((each for each in tests if _covered(each) and each.gain > first.gain + EQUAL), first)
+
+def _cause_beside(first: ScoreTest, tests: Sequence[ScoreTest]) -> ScoreTest | None:
+    """Return what explains clearly more than `first`, though it would move ratios by no more than noise may."""
+    return next((each for each in _causes(tests) if each.gain > first.gain + EQUAL), None)
 
 
 def explaining(tests: Sequence[ScoreTest]) -> ScoreTest | None:
     """Return what explains most of a fit that is poor, though its ratios are not known well enough to move beyond."""
-    causes = (each for each in tests if each.believed and (each.name in TOLD or each.law or _covered(each)))
-    return next((each for each in causes if each.gain > EXPLAINS), None)
+    told = [each for each in tests if each.believed and each.name in TOLD]
+    causes = [each for each in (*_causes(tests), *told) if each.gain > EXPLAINS]
+    return max(causes, key=lambda each: each.gain, default=None)
+
+
+def _causes(tests: Sequence[ScoreTest]) -> list[ScoreTest]:
+    """Return what is held and surely does not fit, though ratios move by no more than noise may, or not at all."""
+    certain = (each for each in tests if each.believed and each.excess_gain > SURE)
+    return [each for each in certain if (each.law and not each.matters) or _covered(each)]
 
 
 def _covered(test: ScoreTest) -> bool:
@@ -68,12 +74,20 @@ def _covered(test: ScoreTest) -> bool:
 
 
 def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
-    """Return what was declared or held, does not fit and matters, in words; what explains most, with its equals."""
+    """Return what was declared or held, does not fit and matters, in words; what explains most, with its equals.
+
+    What explains clearly more comes before it, see :func:`seems`.
+    """
     first = first_misdeclared(tests)
     if first is None:
         return []
-    others = [each for each in tests if each.believed and each.matters and each is not first]
-    equals = [first.name, *[each.name for each in others if each.gain > first.gain - EQUAL]]
+    cause = _cause_beside(first, tests)
+    return [*([seems(cause)] if cause else []), _misfit(first, tests)]
+
+
+def _misfit(first: ScoreTest, tests: Sequence[ScoreTest]) -> str:
+    """Return that the `first` of what matters does not fit, and what explains as much, in words."""
+    equals = [each.name for each in tests if each.believed and abs(each.gain - first.gain) < EQUAL]
     part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
     if first.freed_with:
         part += f" that is left with {' and '.join(repr(name) for name in first.freed_with)} free"
@@ -115,7 +129,7 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
             f"what is held does not fit: with {names} free{alike}, {part} go away, and ratios move by up to "
             f"{percent(first.moved)}. Put it into free."
         )
-    return [said]
+    return said
 
 
 def _alike(first: ScoreTest, tests: Sequence[ScoreTest]) -> list[str]:
@@ -146,7 +160,11 @@ def slightly(tests: Sequence[ScoreTest], cause: ScoreTest | None = None) -> list
     Of what is told as the `cause` of a poor fit already, see :func:`seems`, nothing.
     """
     said, first = _lengths(tests), first_misdeclared(tests)
+    cause = cause or (first and _cause_beside(first, tests))
+    equals = [] if first is None else [each for each in tests if abs(each.gain - first.gain) < EQUAL]
     for each in tests:
+        if each is cause:
+            continue
         if each.slight and each.believed:
             names = " and ".join(repr(name) for name in each.freed_with)
             beside = f", if {names} {'is' if len(each.freed_with) == 1 else 'are'} free as well" if names else ""
@@ -155,8 +173,7 @@ def slightly(tests: Sequence[ScoreTest], cause: ScoreTest | None = None) -> list
                 f"measure a length, or the frame rate, again; ratios would move by up to {percent(each.moved)}."
             )
         covered = each.covered and each.name not in (*TOLD, DRIFT)
-        said_already = each is first or each is cause
-        if (each.suspected or covered) and (not each.freed_with or each.expected) and not said_already:
+        if (each.suspected or covered) and (not each.freed_with or each.expected):
             said.append(
                 f"{MEANT.get(each.name, repr(each.name))} may be off: if so, {100.0 * each.gain:.3g} % of the "
                 f"residuals' sum of squares go away, and ratios move by up to {percent(each.moved)}. Standard "
@@ -168,7 +185,8 @@ def slightly(tests: Sequence[ScoreTest], cause: ScoreTest | None = None) -> list
                 f"the clock seems to drift by {percent(0.5 * abs(float(each.values[0])))} over the recording: check "
                 f"the time stamps; ratios would move by up to {percent(each.moved)}. Standard deviations hold that."
             )
-        if each.believed and not each.matters and each.name in TOLD and each is not cause:
+        left_out = each.law and not each.covered and each.gain > EXPLAINS and each.excess_gain > SURE
+        if each.believed and not each.matters and (each.name in TOLD or (left_out and each not in equals)):
             said.append(seems(each))
     return said
 
@@ -184,7 +202,8 @@ def seems(test: ScoreTest) -> str:
         "arm_friction": f"the arm's friction seems to be {value:.2g} N m s/rad",
     }
     if test.name not in meant:
-        return f"what is held does not fit: with '{test.name}' free, {part} go away. Put it into free."
+        what = "resistance is of another kind or size, or changes" if test.law else "what is held does not fit"
+        return f"{what}: with '{test.name}' free, {part} go away. Put it into free."
     return f"{meant[test.name]}: without that, {part} go away. Put '{test.name}' into free."
 
 

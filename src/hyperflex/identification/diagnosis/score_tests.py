@@ -17,6 +17,7 @@ from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import RESISTANCES
 
 SUSPECT = 0.3  # part of the sum of squares, to first order, from which a refit is made: less than what is believed
+LAW = 0.15  # the same of a resistance, whose derivative where there is none of it tells less: drag's grows from there
 REFITS, ROUNDS, WINDOWS = 3, 40, 12  # refits at most, rounds of each, and windows, spread over the recording: for time
 FEW_LINKS = 4  # links, up to which each has its own value in a test: of more, values of neighbours act alike
 LAWS = tuple(each.name for each in RESISTANCES)
@@ -203,9 +204,10 @@ def _refitted_tests(basis: Basis, *, angles: bool) -> list[ScoreTest]:
     found.sort(key=lambda each: -each.gain)
     others = [k for k, each in enumerate(found) if each.name != SCALES]
     slips = [k for k in others[REFITS:] if found[k].name in ("gravity_angle", ANGLES)]  # that are easily mended
-    for k in [*others[:REFITS], *slips]:
+    laws = [k for k in others[REFITS:] if found[k].law][:1]
+    for k in [*others[:REFITS], *slips, *laws]:
         each = found[k]
-        if each.gain > SUSPECT or each.excess_gain > SURE:
+        if each.gain > (LAW if each.law else SUSPECT) or each.excess_gain > SURE:
             found[k] = _refitted(basis, each)
     return sorted(found, key=lambda each: -each.gain)
 
@@ -253,9 +255,7 @@ def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[Scor
         moved = x[own] + step / scale[own]
         shift = np.zeros(basis.fit.x.size)
         shift[free] = -across.T @ step / scale[free]
-        falling = np.flatnonzero(shift < 0.0)
-        above = x[falling] - plant.parameters.lower[falling]
-        shift *= min(1.0, float(np.min(above / -shift[falling], initial=1.0)))  # no resistance gets negative
+        shift = np.maximum(shift, plant.parameters.lower[: shift.size] - basis.fit.x)  # no resistance gets negative
         noise = basis.information.variance * basis.information.correlation
         chance = noise * max(1, int(np.count_nonzero(step)))
         excess_gain = max(0.0, 1.0 - chance / (gain * total)) if gain * total > 0.0 else 0.0
