@@ -10,8 +10,20 @@ import math
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
 from hyperflex.core.contact.joints import release_joints, update_joint_modes, update_joint_multipliers, write_joints
-from hyperflex.core.contact.point import add_contact_impulse, velocity
-from hyperflex.core.contact.sweep import KX, KY, SLOPE, TURN, TX, TY, VX, VY, changes, clear
+from hyperflex.core.contact.sweep import (
+    KX,
+    KY,
+    SLOPE,
+    TURN,
+    TX,
+    TY,
+    VX,
+    VY,
+    add_contact_impulse,
+    changes,
+    clear,
+    velocity,
+)
 from hyperflex.core.contact.turning_pegs import turn_pegs
 from hyperflex.core.jit import inlined, non_allocating
 
@@ -179,9 +191,10 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
         impulses.closed[c] = 0
     most = ROUNDS + joints.which.size
     for turn in range(most):
-        linearize(chain, motion, h)
+        if turn == 0 or h > 0.0:  # an impact is linear
+            linearize(chain, motion, h)
         violations = solve_round(chain, contacts, impulses, motion, joints, spin, penalty, True)
-        if violations == 0 and moved(motion) <= settled:
+        if violations == 0 and (h == 0.0 or moved(motion) <= settled):
             return turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
             motion.change[:] = 0.0
