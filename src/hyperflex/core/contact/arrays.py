@@ -31,6 +31,7 @@ class Impulses(NamedTuple):
     closed: Index  # how often each closed in this search
     penalty: Array  # (1,) kg, mass M with which the search starts, then that for the next one; 0: the usual one
     residual_power: float  # W, power that residual velocities may have
+    settled: float  # as ``modes.settled_change``
 
 
 class Joints(NamedTuple):
@@ -74,8 +75,8 @@ class Motion(NamedTuple):
 
 
 @kernel
-def new_impulses(most, residual_power):  # type: ignore[no-untyped-def]
-    """Impulses of at most so many contacts, whose residual velocities may have the power `residual_power`, W."""
+def new_impulses(most, residual_power, settled):  # type: ignore[no-untyped-def]
+    """Impulses of at most so many contacts; `residual_power` and `settled` as in Impulses."""
     ten = np.zeros((10, most))
     modes = np.zeros((3, most), np.int64)
     return Impulses(
@@ -94,6 +95,7 @@ def new_impulses(most, residual_power):  # type: ignore[no-untyped-def]
         modes[2],
         np.zeros(1),
         residual_power,
+        settled,
     )
 
 

@@ -36,6 +36,7 @@ SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
 ROUNDS = 12  # of one search, and one more a joint; one that takes longer goes in a circle more often than not
 SETTLED = 2e-5  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
 USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
+USUAL_TOL, LOOSEST = 1e-5, 100.0  # m; with a larger tolerance in proportion more, up to so many times as much
 SETTLING = 4  # rounds in which they settle anew
 AGAIN = 4  # times that a solution with a slight residual starts the search anew
 SLIGHT = 1e-5  # m/s, residual velocity of a solution
@@ -184,9 +185,15 @@ def solve_round(chain, contacts, impulses, motion, joints, spin, penalty, change
 
 
 @non_allocating
+def settled_change(tol):  # type: ignore[no-untyped-def]
+    """Relative change of the rates at which the centrifugal terms have settled, where positions may err by `tol`, m."""
+    return SETTLED * max(1.0, min(tol / USUAL_TOL, LOOSEST))
+
+
+@non_allocating
 def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type: ignore[no-untyped-def]
     """Find modes that obey the law for one M = `penalty`, kg; returns the rounds, negative if there are too many."""
-    settled = SETTLED * max(0.1, min(1.0, h / USUAL))
+    settled = impulses.settled * max(0.1, min(1.0, h / USUAL))
     for c in range(contacts.total[0]):
         impulses.closed[c] = 0
     most = ROUNDS + joints.which.size

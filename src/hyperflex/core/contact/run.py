@@ -213,8 +213,8 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
     clock, memory = state.clock, state.memory
     n, m = chain.length.size, pegs.x.size
     rate, longest = bounds.rate, bounds.step
-    workspace = new_contact_workspace(chain, pegs, rate, longest)
-    aside = new_contact_workspace(chain, pegs, rate, longest)
+    workspace = new_contact_workspace(chain, pegs, rate, longest, bounds.tol)
+    aside = new_contact_workspace(chain, pegs, rate, longest, bounds.tol)
     assign(workspace.spin.before, state.spin[1])
     nothing = new_contact_memory(n, m)
     part = segment(drive, clock[T])

@@ -11,7 +11,7 @@ from hyperflex.core.contact.air import Air, add_drag_impulses, new_air
 from hyperflex.core.contact.arrays import IMPULSE, OPEN, Impulses, Joints, Motion, new_impulses, new_joints, new_motion
 from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joint_positions, nearest, new_contacts, speeds
 from hyperflex.core.contact.joints import BEYOND, bend_clearance, bound_joint_rates, joint_impulses
-from hyperflex.core.contact.modes import solve
+from hyperflex.core.contact.modes import settled_change, solve
 from hyperflex.core.contact.trend import STEADY, foresight
 from hyperflex.core.contact.turning_pegs import Spin, new_spin, prepare_spin
 from hyperflex.core.jit import kernel, non_allocating
@@ -67,13 +67,13 @@ class ContactWorkspace(NamedTuple):
 
 
 @kernel
-def new_contact_workspace(chain, pegs, rate, longest):  # type: ignore[no-untyped-def]
-    """Working arrays for a chain, the Pegs `pegs` and steps up to `longest`, s; energy may appear at `rate`, W."""
+def new_contact_workspace(chain, pegs, rate, longest, tol):  # type: ignore[no-untyped-def]
+    """Working arrays for a chain, the Pegs `pegs`, and `rate`, `longest` step and `tol` as in ``bounds.Bounds``."""
     n = chain.length.size
     most = n * pegs.reach.size
     return ContactWorkspace(
         new_contacts(most),
-        new_impulses(most, RESIDUAL_SHARE * rate),
+        new_impulses(most, RESIDUAL_SHARE * rate, settled_change(tol)),
         new_motion(chain),
         new_joints(chain),
         new_spin(n, pegs),
