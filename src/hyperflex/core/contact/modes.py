@@ -25,7 +25,7 @@ from hyperflex.core.contact.sweep import (
     velocity,
 )
 from hyperflex.core.contact.turning_pegs import turn_pegs
-from hyperflex.core.jit import inlined, non_allocating
+from hyperflex.core.jit import absorbed, inlined, non_allocating
 
 STIFF = 1e3  # M in masses of the whole rope
 SOFTER, GROW, STIFFEST = 0.1, 10.0, 1e6  # where that is too stiff to find modes, and where too soft for small residuals
@@ -114,18 +114,18 @@ def linearize(chain, motion, h):  # type: ignore[no-untyped-def]
     along the mean velocity, l (n w + n' w') / 2: so what they do is the change of the energy, exactly.
     """
     n = motion.w.size
-    mean, frame, turned = motion.mean, motion.frame, motion.turned
+    mean, trig, frame, turned = motion.mean, motion.mean_trig, motion.frame, motion.turned
     for i in range(n):
         mean[i] = motion.q[i] + 0.25 * h * motion.change[i]
         motion.last[i] = motion.change[i]
-    sines(mean[:n], mean, n)
+    sines(mean, trig, 0)
     x, y = h * chain.gx, h * chain.gy
     for i in range(n):
         change = motion.change[i]
         rate = motion.w[i] + 0.5 * change
         cos, sinc = half_turn(0.5 * h * rate)
         sin = 0.5 * h * rate * sinc
-        nx, ny, dx, dy = mean[2 * n + i], mean[n + i], mean[n + i], -mean[2 * n + i]
+        nx, ny, dx, dy = trig[n + i], trig[i], trig[i], -trig[n + i]
         tilt, ahead = 0.25 * h * change * sinc, 0.5 * h * (rate + 0.5 * change)
         across, along = cos - ahead * sin, -(sin + ahead * cos)
         row = frame[i]
@@ -161,7 +161,7 @@ def moved(motion):  # type: ignore[no-untyped-def]
     return far / (1.0 + largest)
 
 
-@non_allocating
+@absorbed
 def solve_round(chain, contacts, impulses, motion, joints, spin, penalty, change):  # type: ignore[no-untyped-def]
     """Solve for the changes of the rates with the present modes; then as ``update_modes``, whose answer it returns."""
     write_modes(contacts, impulses, motion, joints, penalty)
@@ -190,7 +190,7 @@ def settled_change(tol):  # type: ignore[no-untyped-def]
     return SETTLED * max(1.0, min(tol / USUAL_TOL, LOOSEST))
 
 
-@non_allocating
+@absorbed
 def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type: ignore[no-untyped-def]
     """Find modes that obey the law for one M = `penalty`, kg; returns the rounds, negative if there are too many."""
     settled = impulses.settled * max(0.1, min(1.0, h / USUAL))
@@ -254,7 +254,7 @@ def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-
     return worst, given
 
 
-@non_allocating
+@absorbed
 def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: ignore[no-untyped-def]
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 

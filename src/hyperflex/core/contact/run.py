@@ -45,7 +45,7 @@ from hyperflex.core.contact.torque_peaks import watch_torque
 from hyperflex.core.contact.trend import growth, relative_error, save_trend
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.integrate.step_size import fitted
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.jit import absorbed, kernel, non_allocating
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
@@ -57,7 +57,7 @@ DEEPER = 5e-5  # m, penetration at which a step is tried again at half its lengt
 SINKING = 1.02  # times the greatest depth until then, which a step may have: what sinks slowly sinks at any step
 
 
-@non_allocating
+@absorbed
 def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-untyped-def]
     """Accept the step to ``workspace.out``."""
     watch_torque(state.torque, drive.arm_length, workspace, state.clock[T], h)
@@ -132,7 +132,7 @@ def longest_safe_step(chain, pegs, workspace):  # type: ignore[no-untyped-def]
     return SAFE * smallest / fastest if fastest > 0.0 else np.inf
 
 
-@non_allocating
+@absorbed
 def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothing, h, wanted, struck, had):  # type: ignore[no-untyped-def]
     """Try a step, and shorter ones, until one will do; it is left in `workspace`.
 

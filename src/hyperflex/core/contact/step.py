@@ -14,7 +14,7 @@ from hyperflex.core.contact.joints import BEYOND, bend_clearance, bound_joint_ra
 from hyperflex.core.contact.modes import settled_change, solve
 from hyperflex.core.contact.trend import STEADY, foresight
 from hyperflex.core.contact.turning_pegs import Spin, new_spin, prepare_spin
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.jit import absorbed, kernel, non_allocating
 
 FAST, FALL = 0.01, 50.0  # m/s, m/s^2; what closes faster than that, and than a step may make it, does so in an impact
 TOUCH = 1e-6  # m, gap that counts as touching there
@@ -241,7 +241,7 @@ def scale_pull(motion, h):  # type: ignore[no-untyped-def]
     motion.span[0] = h
 
 
-@non_allocating
+@absorbed
 def begin_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Prepare a step, with arguments as for :func:`try_step`, for :func:`finish_step`.
 
@@ -279,7 +279,7 @@ def begin_step(chain, drive, part, pegs, pull, t, h, y, memory, workspace, push,
     return least, torque
 
 
-@non_allocating
+@absorbed
 def finish_step(chain, workspace, torque, h):  # type: ignore[no-untyped-def]
     """Take the step that :func:`begin_step` prepared; returns the rounds, as :func:`try_step`."""
     motion, whole = workspace.motion, chain.tip_mass
