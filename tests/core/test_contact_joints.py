@@ -25,7 +25,7 @@ def taken(rope: hf.Rope, q: dense.Real, w: dense.Real, h: float) -> tuple[dense.
     """Rates (n,) after a step h from q, w, whether it was solved, and its account of energies."""
     setup, n = hf.Setup(rope), rope.n_links
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
-    workspace, pegs = new_contact_workspace(chain, setup.contacts(), 1e-6, STEP), setup.contacts()
+    workspace, pegs = new_contact_workspace(chain, setup.contacts(), 1e-6, STEP, 1e-5), setup.contacts()
     y = np.concatenate([q, w])
     memory = new_contact_memory(n, 0)
     call = chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, memory, workspace

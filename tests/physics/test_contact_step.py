@@ -49,7 +49,7 @@ def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(push: bool) 
     w -= np.linalg.pinv(change[inside]) @ (change[inside] @ w)  # along the peg
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
     memory = new_contact_memory(rope.n_links, 1)
-    workspace, pegs = new_contact_workspace(chain, setup.contacts(), 1e-6, 1e-4), setup.contacts()
+    workspace, pegs = new_contact_workspace(chain, setup.contacts(), 1e-6, 1e-4, 1e-5), setup.contacts()
     y = np.concatenate([q, w, np.zeros(2)])
     try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, memory, workspace, push, 0.0, True)
     after, change = gaps(rope, RADIUS, base, workspace.out[: rope.n_links])
@@ -80,7 +80,7 @@ def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> No
     setup = hf.Setup(rope, still, pegs=[hf.Peg(1.0, 1.0, 0.05)])
     chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
     pegs, memory = setup.contacts(), new_contact_memory(10, 1)
-    workspace, y = new_contact_workspace(chain, pegs, 1e-6, 1e-4), np.zeros(22)
+    workspace, y = new_contact_workspace(chain, pegs, 1e-6, 1e-4, 1e-5), np.zeros(22)
     memory.penalty[0], known = 1e-3 * rope.total_mass, []
     for _ in range(60):
         try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, memory, workspace, True, 0.0, True)

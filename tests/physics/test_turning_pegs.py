@@ -183,7 +183,7 @@ def test_a_peg_takes_the_angular_momentum_that_contacts_give_it(h: float) -> Non
     setup = hf.Setup(rope, still, q0=q0, pegs=[peg, hf.Peg(1.0, 1.0, 0.1)])
     pegs, n = setup.contacts(), rope.n_links
     chain, drive = Chain(*writable(setup.chain())), Drive(*writable(setup.drive()))
-    workspace, memory = new_contact_workspace(chain, pegs, 1e-6, 1e-4), new_contact_memory(n, 2)
+    workspace, memory = new_contact_workspace(chain, pegs, 1e-6, 1e-4, 1e-5), new_contact_memory(n, 2)
     workspace.spin.before[0] = 0.3
     y = np.concatenate([q0, np.full(n, 2.0)])
     try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, memory, workspace, True, 0.0, True)

@@ -67,13 +67,21 @@ def non_allocating(function: _F) -> _F:
     return _compiled(function, counts=False)
 
 
+def absorbed(function: _F) -> _F:
+    """Compile a kernel as :func:`non_allocating` does, and copy it into its callers.
+
+    A call hands arrays over word by word, and many of them cost more than what a small step of a long one does.
+    """
+    return _compiled(function, counts=False, forceinline=True)
+
+
 def summing(function: _F) -> _F:
     """Compile a kernel whose sums are taken in any order, so that they turn into SIMD code. It must call no sines."""
     return _compiled(function, more={"reassoc"})
 
 
-def _compiled(function: _F, counts: bool = True, more: AbstractSet[str] = frozenset()) -> _F:
-    options: dict[str, Any] = {"error_model": "numpy", "fastmath": _FASTMATH | more, "nogil": True}
+def _compiled(function: _F, counts: bool = True, more: AbstractSet[str] = frozenset(), **how: bool) -> _F:
+    options: dict[str, Any] = {"error_model": "numpy", "fastmath": _FASTMATH | more, "nogil": True, **how}
     if numba.config.DISABLE_JIT:
         return function
     KERNELS.append((function.__module__, function.__qualname__))

@@ -21,6 +21,7 @@ from hyperflex.model.rope import Rope
 from hyperflex.motion import Motion, from_spec, hold_arm, to_spec
 
 METHODS = ("extrapolation", "rk4")
+_STILL = hold_arm(0.0)
 PLAN = "plan"  # table in which a planner keeps what a run does not need
 PLANNING = (PLAN, "target", "slot", "limits")  # tables of a planner, which a run leaves alone
 DEFAULT_TOL = 1e-5  # m
@@ -179,7 +180,7 @@ class Setup:
 
     def drive(self) -> Drive:
         """Return the drive of the chain, as the kernels take it."""
-        source = self.torque or self.motion or hold_arm(0.0)
+        source = self.torque or self.motion or _STILL
         coef = source.coef
         if self.arm is not None and any(self.arm.pivot):
             coef = coef.copy()

@@ -31,6 +31,7 @@ class Impulses(NamedTuple):
     closed: Index  # how often each closed in this search
     penalty: Array  # (1,) kg, mass M with which the search starts, then that for the next one; 0: the usual one
     residual_power: float  # W, power that residual velocities may have
+    settled: float  # as ``modes.settled_change``
 
 
 class Joints(NamedTuple):
@@ -57,11 +58,13 @@ class Motion(NamedTuple):
     last: Array  # (n,) the change about which `frame` is linear
     q: Array  # (n,) angles in the middle of the step as the rates before make them; those of the contacts
     trig: Array  # (2 n,) their sines and cosines
-    mean: Array  # (3 n,) means of the angles before and after, their sines and cosines
+    mean: Array  # (n,) means of the angles before and after
+    mean_trig: Array  # (2 n,) their sines and cosines
     frame: Array  # (n, 8)
     joint: Array  # (n, 2)
     touch: Array  # (n, 12)
     weight: Array  # (n,) moment of the mass that a link bears about its motor-side joint, kg m
+    damping: Array  # (n,) 1/s, rate at which friction at a joint alone ends the turning of its links against each other
     speed: Array  # (2, n + 1) velocities of the joints at the rates before, in the middle's configuration
     place: Array  # (2, n)
     turned: Array  # (2, n + 1) what `place` lacks of the change of the joints' velocities in that configuration, m/s
@@ -74,8 +77,8 @@ class Motion(NamedTuple):
 
 
 @kernel
-def new_impulses(most, residual_power):  # type: ignore[no-untyped-def]
-    """Impulses of at most so many contacts, whose residual velocities may have the power `residual_power`, W."""
+def new_impulses(most, residual_power, settled):  # type: ignore[no-untyped-def]
+    """Impulses of at most so many contacts; `residual_power` and `settled` as in Impulses."""
     ten = np.zeros((10, most))
     modes = np.zeros((3, most), np.int64)
     return Impulses(
@@ -94,6 +97,7 @@ def new_impulses(most, residual_power):  # type: ignore[no-untyped-def]
         modes[2],
         np.zeros(1),
         residual_power,
+        settled,
     )
 
 
@@ -115,22 +119,25 @@ def new_joints(chain):  # type: ignore[no-untyped-def]
 def new_motion(chain):  # type: ignore[no-untyped-def]
     """Arrays for a chain."""
     n = chain.length.size
-    weight, beyond = np.zeros(n), chain.tip_mass
+    weight, damping, beyond = np.zeros(n), np.zeros(n), chain.tip_mass
     for way in range(n):
         i = n - 1 - way
         weight[i] = chain.length[i] * beyond + chain.mass[i] * chain.com[i]
         beyond += chain.mass[i]
+        damping[i] = chain.viscous[i] * (1.0 / chain.inertia[i] + (1.0 / chain.inertia[i - 1] if i > 0 else 0.0))
     return Motion(
         np.zeros(n),
         np.zeros(n),
         np.zeros(n),
         np.zeros(n),
         np.zeros(2 * n),
-        np.zeros(3 * n),
+        np.zeros(n),
+        np.zeros(2 * n),
         np.zeros((n, 8)),
         np.zeros((n, 2)),
         np.zeros((n, 12)),
         weight,
+        damping,
         np.zeros((2, n + 1)),
         np.zeros((2, n)),
         np.zeros((2, n + 1)),

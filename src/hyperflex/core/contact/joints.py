@@ -213,12 +213,12 @@ def bend_clearance(chain, q, w, angle, rate):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def implicitness(chain, i, h):  # type: ignore[no-untyped-def]
+def implicitness(motion, i, h):  # type: ignore[no-untyped-def]
     """Part of the change of its rate with which friction at joint i acts in a step: one half, of second order.
 
     More where links turn against each other by friction alone within the step: so much that this dies out.
     """
-    fastest = 2.0 * h * chain.viscous[i] * (1.0 / chain.inertia[i] + (1.0 / chain.inertia[i - 1] if i > 0 else 0.0))
+    fastest = 2.0 * h * motion.damping[i]
     return 0.5 if fastest <= 2.0 else 1.0 - 1.0 / fastest
 
 
@@ -229,7 +229,7 @@ def friction_impulse(chain, motion, trend, steady, base, h, i):  # type: ignore[
     What is more than one half of the change acts on its difference from h times the accelerations before, ``trend``,
     where modes were `steady`, 1.0, and from nothing else, 0.0.
     """
-    theta = implicitness(chain, i, h)
+    theta = implicitness(motion, i, h)
     rate = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
     foretold = steady * h * (trend[0, i] - (trend[0, i - 1] if i > 0 else base[0, 2]))
     slope, _ = joint_law.jacobian(joint_of(chain, i), 1.0, theta * h, 0.0)

@@ -10,10 +10,22 @@ import math
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
 from hyperflex.core.contact.joints import release_joints, update_joint_modes, update_joint_multipliers, write_joints
-from hyperflex.core.contact.point import add_contact_impulse, velocity
-from hyperflex.core.contact.sweep import KX, KY, SLOPE, TURN, TX, TY, VX, VY, changes, clear
+from hyperflex.core.contact.sweep import (
+    KX,
+    KY,
+    SLOPE,
+    TURN,
+    TX,
+    TY,
+    VX,
+    VY,
+    add_contact_impulse,
+    changes,
+    clear,
+    velocity,
+)
 from hyperflex.core.contact.turning_pegs import turn_pegs
-from hyperflex.core.jit import inlined, non_allocating
+from hyperflex.core.jit import absorbed, inlined, non_allocating
 
 STIFF = 1e3  # M in masses of the whole rope
 SOFTER, GROW, STIFFEST = 0.1, 10.0, 1e6  # where that is too stiff to find modes, and where too soft for small residuals
@@ -24,6 +36,7 @@ SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
 ROUNDS = 12  # of one search, and one more a joint; one that takes longer goes in a circle more often than not
 SETTLED = 2e-5  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
 USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
+USUAL_TOL, LOOSEST = 1e-5, 100.0  # m; with a larger tolerance in proportion more, up to so many times as much
 SETTLING = 4  # rounds in which they settle anew
 AGAIN = 4  # times that a solution with a slight residual starts the search anew
 SLIGHT = 1e-5  # m/s, residual velocity of a solution
@@ -101,18 +114,18 @@ def linearize(chain, motion, h):  # type: ignore[no-untyped-def]
     along the mean velocity, l (n w + n' w') / 2: so what they do is the change of the energy, exactly.
     """
     n = motion.w.size
-    mean, frame, turned = motion.mean, motion.frame, motion.turned
+    mean, trig, frame, turned = motion.mean, motion.mean_trig, motion.frame, motion.turned
     for i in range(n):
         mean[i] = motion.q[i] + 0.25 * h * motion.change[i]
         motion.last[i] = motion.change[i]
-    sines(mean[:n], mean, n)
+    sines(mean, trig, 0)
     x, y = h * chain.gx, h * chain.gy
     for i in range(n):
         change = motion.change[i]
         rate = motion.w[i] + 0.5 * change
         cos, sinc = half_turn(0.5 * h * rate)
         sin = 0.5 * h * rate * sinc
-        nx, ny, dx, dy = mean[2 * n + i], mean[n + i], mean[n + i], -mean[2 * n + i]
+        nx, ny, dx, dy = trig[n + i], trig[i], trig[i], -trig[n + i]
         tilt, ahead = 0.25 * h * change * sinc, 0.5 * h * (rate + 0.5 * change)
         across, along = cos - ahead * sin, -(sin + ahead * cos)
         row = frame[i]
@@ -148,7 +161,7 @@ def moved(motion):  # type: ignore[no-untyped-def]
     return far / (1.0 + largest)
 
 
-@non_allocating
+@absorbed
 def solve_round(chain, contacts, impulses, motion, joints, spin, penalty, change):  # type: ignore[no-untyped-def]
     """Solve for the changes of the rates with the present modes; then as ``update_modes``, whose answer it returns."""
     write_modes(contacts, impulses, motion, joints, penalty)
@@ -172,16 +185,23 @@ def solve_round(chain, contacts, impulses, motion, joints, spin, penalty, change
 
 
 @non_allocating
+def settled_change(tol):  # type: ignore[no-untyped-def]
+    """Relative change of the rates at which the centrifugal terms have settled, where positions may err by `tol`, m."""
+    return SETTLED * max(1.0, min(tol / USUAL_TOL, LOOSEST))
+
+
+@absorbed
 def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type: ignore[no-untyped-def]
     """Find modes that obey the law for one M = `penalty`, kg; returns the rounds, negative if there are too many."""
-    settled = SETTLED * max(0.1, min(1.0, h / USUAL))
+    settled = impulses.settled * max(0.1, min(1.0, h / USUAL))
     for c in range(contacts.total[0]):
         impulses.closed[c] = 0
     most = ROUNDS + joints.which.size
     for turn in range(most):
-        linearize(chain, motion, h)
+        if turn == 0 or h > 0.0:  # an impact is linear
+            linearize(chain, motion, h)
         violations = solve_round(chain, contacts, impulses, motion, joints, spin, penalty, True)
-        if violations == 0 and moved(motion) <= settled:
+        if violations == 0 and (h == 0.0 or moved(motion) <= settled):
             return turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
             motion.change[:] = 0.0
@@ -234,7 +254,7 @@ def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-
     return worst, given
 
 
-@non_allocating
+@absorbed
 def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: ignore[no-untyped-def]
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 

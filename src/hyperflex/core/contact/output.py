@@ -1,9 +1,10 @@
 """Outputs of a rollout with contact."""
 
 from hyperflex.core.assign import assign, assign_rows
+from hyperflex.core.contact.account import CONTACT, FRICTION, WORK, energy
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import INDEX, LOST, MOMENT, T, energy_allowance, energy_balanced
-from hyperflex.core.contact.step import CONTACT, FRICTION, WORK, energy, try_step
+from hyperflex.core.contact.step import try_step
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.jit import non_allocating
 

@@ -8,6 +8,7 @@ from hyperflex.core import status
 from hyperflex.core.assign import assign
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.contact.account import CONTACT, FRICTION, WORK, energy
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import (
     BEND,
@@ -33,10 +34,8 @@ from hyperflex.core.contact.gaps import find, joint_positions, new_contacts, spe
 from hyperflex.core.contact.joints import BEYOND, bend_clearance
 from hyperflex.core.contact.output import write
 from hyperflex.core.contact.step import (
-    CONTACT,
-    FRICTION,
-    WORK,
-    energy,
+    begin_step,
+    finish_step,
     new_contact_memory,
     new_contact_workspace,
     save_memory,
@@ -46,7 +45,7 @@ from hyperflex.core.contact.torque_peaks import watch_torque
 from hyperflex.core.contact.trend import growth, relative_error, save_trend
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.integrate.step_size import fitted
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.jit import absorbed, kernel, non_allocating
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
 BRIEF = 1e-9  # s, the shortest step to an impact
@@ -58,7 +57,7 @@ DEEPER = 5e-5  # m, penetration at which a step is tried again at half its lengt
 SINKING = 1.02  # times the greatest depth until then, which a step may have: what sinks slowly sinks at any step
 
 
-@non_allocating
+@absorbed
 def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-untyped-def]
     """Accept the step to ``workspace.out``."""
     watch_torque(state.torque, drive.arm_length, workspace, state.clock[T], h)
@@ -97,15 +96,15 @@ def clear_memory(memory):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def impact(chain, drive, part, pegs, pull, state, workspace, nothing):  # type: ignore[no-untyped-def]
-    """Let the links that touch a peg come to rest on it, or bounce, in no time; `nothing` is an empty ContactMemory.
+def impact(chain, drive, part, pegs, pull, state, workspace):  # type: ignore[no-untyped-def]
+    """Let the links that touch a peg come to rest on it, or bounce, in no time, in the last step's modes if they do.
 
     Newton's restitution with friction may give energy; where it does, nothing bounces.
     """
-    t, y = state.clock[T], state.y
-    least, rounds = try_step(chain, drive, part, pegs, pull, t, 0.0, y, nothing, workspace, True, 1.0, True)
+    t, y, memory = state.clock[T], state.y, state.memory
+    least, rounds = try_step(chain, drive, part, pegs, pull, t, 0.0, y, memory, workspace, True, 1.0, True)
     if pegs.bounce.any() and workspace.account[CONTACT] < 0.0:
-        least, rounds = try_step(chain, drive, part, pegs, pull, t, 0.0, y, nothing, workspace, True, 0.0, True)
+        least, rounds = try_step(chain, drive, part, pegs, pull, t, 0.0, y, memory, workspace, True, 0.0, True)
     accept_step(drive, state, workspace, 0.0, rounds, least)
     state.clock[IMPACTS] += 1.0
     state.clock[IMPACT_DUE] = 0.0
@@ -133,7 +132,7 @@ def longest_safe_step(chain, pegs, workspace):  # type: ignore[no-untyped-def]
     return SAFE * smallest / fastest if fastest > 0.0 else np.inf
 
 
-@non_allocating
+@absorbed
 def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothing, h, wanted, struck, had):  # type: ignore[no-untyped-def]
     """Try a step, and shorter ones, until one will do; it is left in `workspace`.
 
@@ -159,16 +158,17 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
     push, anew, back, stale = True, False, False, np.inf
     while True:
         begin = nothing if anew else state.memory
-        least, rounds = try_step(chain, drive, part, pegs, pull, t, h, y, begin, workspace, push, 0.0, struck)
+        least, torque = begin_step(chain, drive, part, pegs, pull, t, h, y, begin, workspace, push, 0.0, struck)
         touch = workspace.touch[0]
         if touch == 0.0:
-            impact(chain, drive, part, pegs, pull, state, workspace, nothing)
+            impact(chain, drive, part, pegs, pull, state, workspace)
             struck, had = True, math.nan
             continue
         if touch < 0.999 * h:
             h = max(touch, BRIEF)
             shortest = min(shortest, h)
             continue
+        rounds = finish_step(chain, workspace, torque, h)
         given = energy_allowance(bounds, h)
         if push and workspace.account[CONTACT] < -GENEROUS * given:
             push = False
@@ -213,8 +213,8 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
     clock, memory = state.clock, state.memory
     n, m = chain.length.size, pegs.x.size
     rate, longest = bounds.rate, bounds.step
-    workspace = new_contact_workspace(chain, pegs, rate, longest)
-    aside = new_contact_workspace(chain, pegs, rate, longest)
+    workspace = new_contact_workspace(chain, pegs, rate, longest, bounds.tol)
+    aside = new_contact_workspace(chain, pegs, rate, longest, bounds.tol)
     assign(workspace.spin.before, state.spin[1])
     nothing = new_contact_memory(n, m)
     part = segment(drive, clock[T])
@@ -227,7 +227,7 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
             part = segment(drive, t)
         struck = clock[IMPACT_DUE] == 1.0
         if struck:
-            impact(chain, drive, part, pegs, pull, state, workspace, nothing)
+            impact(chain, drive, part, pegs, pull, state, workspace)
             had = math.nan
         end = min(part.end, bounds.stop)
         wanted = min(clock[STEP], bounds.step)

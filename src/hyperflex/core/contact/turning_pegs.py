@@ -15,8 +15,7 @@ from hyperflex.core.assign import assign
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.arrays import OPEN, STICK
 from hyperflex.core.contact.gaps import Index
-from hyperflex.core.contact.point import add_contact_impulse, friction_ratio, velocity
-from hyperflex.core.contact.sweep import KX, TX, changes, clear
+from hyperflex.core.contact.sweep import KX, TX, add_contact_impulse, changes, clear, friction_ratio, velocity
 from hyperflex.core.jit import kernel, non_allocating
 
 

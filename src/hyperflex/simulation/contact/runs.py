@@ -129,6 +129,8 @@ class ContactRun:
 
     def _lock(self) -> None:
         """Set the rates of stuck joints to rest, as free flight needs; the proximal method leaves small ones."""
+        if not self.contact.memory.bent.any():
+            return
         run, base, n = self.run, np.empty(9), self.run.chain.length.size
         base_state(run.drive, segment(run.drive, run.time), run.time, base)
         for i in np.flatnonzero(self.contact.memory.bent == STICK):

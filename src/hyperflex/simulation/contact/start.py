@@ -47,6 +47,8 @@ def check_start(setup: Setup, t: float = 0.0, q: Array | None = None, who: str =
 
 def check_limits(setup: Setup, t: float = 0.0, q: Array | None = None, who: str = "the rope") -> None:
     """Refuse a start with a joint bent past its limit by more than PASSED; arguments as for :func:`check_outside`."""
+    if not setup.rope.limited:
+        return
     chain, drive, base = setup.chain(), setup.drive(), np.empty(9)
     base_state(drive, segment(drive, t), t, base)
     bend = np.diff(setup.start()[0] if q is None else q, prepend=base[4]) - chain.rest

@@ -53,6 +53,8 @@ def coast(setup: Setup, spin: Array, spans: Array) -> tuple[Array, Array]:
 
 def spin_energy(setup: Setup, rates: Array) -> Array:
     """Return the kinetic energy (...,), J, of pegs with rates (..., m), rad/s; what is fixed has none."""
+    if not setup.pegs_turn:
+        return np.zeros(rates.shape[:-1])
     inertia = setup.contacts().inertia
     turns = np.isfinite(inertia)
     return np.asarray(0.5 * (inertia[turns] * rates[..., turns] ** 2).sum(axis=-1))
