@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -16,13 +18,14 @@ from hyperflex.identification.uncertainty.noise import (
     correlated,
     correlations,
     expected_products,
+    noise_memory,
     partial_correlations,
 )
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.identification.uncertainty.whiteness import whiteness
 from hyperflex.identification.verdict import noise_not_modelled, not_noise, too_large
 from hyperflex.model import Rope
-from hyperflex.recording import Recording
+from hyperflex.recording import Recording, read_recording
 from hyperflex.simulation import simulate
 from tests.identification.linear import autoregressive, fitted, waves
 
@@ -90,17 +93,54 @@ def test_what_a_fit_leaves_of_noise_on_average() -> None:
     np.testing.assert_allclose(expected_products(pieces, most) @ own, wanted, rtol=1e-12)  # rounding
 
 
-def slow(random: np.random.Generator, windows: int) -> list[Piece]:
+def slow(random: np.random.Generator, windows: int, missing: float = 0.0) -> list[Piece]:
     """A wandering error of the model and white noise, in each window less what five curves of either channel absorb."""
+    gaps = np.random.default_rng(1)
     m, pieces = 150, []
     t = np.linspace(-1.0, 1.0, m)
     curves = np.column_stack([np.vander(t, 4), np.sin(9.0 * t)])
-    basis = np.linalg.qr(np.kron(curves, np.eye(2)))[0]
     for _ in range(windows):
         noise = np.cumsum(random.standard_normal((m, 2)), axis=0) + random.standard_normal((m, 2))
-        left = noise.ravel() - basis @ (basis.T @ noise.ravel())
-        pieces.append(Piece(left.reshape(m, 2), np.ones((m, 2)), basis.reshape(m, 2, -1)))
+        seen = (gaps.random((m, 2)) >= missing).astype(np.float64)
+        basis = np.linalg.qr(np.kron(curves, np.eye(2)) * seen.reshape(-1, 1))[0]
+        left = (seen * noise).ravel()
+        left -= basis @ (basis.T @ left)
+        pieces.append(Piece(left.reshape(m, 2), seen, basis.reshape(m, 2, -1)))
     return pieces
+
+
+@pytest.mark.parametrize("missing", [2e-3, 0.2, 0.4])
+def test_gaps_in_slow_residuals_do_not_change_their_noise(missing: float) -> None:
+    """The deviation of a parameter that acts slowly, for residuals of size 1, with gaps and without.
+
+    A line through a gap has no white noise, of which a hundredth is in these residuals: some per cent.
+    """
+    line = np.linspace(-1.0, 1.0, 150)[:, None]
+    said = []
+    for part in (0.0, missing):
+        memory, agrees = noise_memory(slow(np.random.default_rng(0), 20, part))
+        assert agrees
+        said.append(float(np.sqrt((line * correlated(memory, line)).sum())))
+    assert said[1] == pytest.approx(said[0], rel=0.1)
+
+
+def test_gaps_cost_a_real_recording_as_much_as_they_hide(data_dir: Path) -> None:
+    """A double pendulum with residuals far from white: one sample missing, then a fifth of all."""
+    path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"
+    seen = read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 16.0).angles()
+    guess = Rope(length=[0.0917, 0.0701], mass=0.1, friction=1e-5)
+    one = seen.data.copy()
+    one[1000, 0] = np.nan
+    fifth = np.where(np.random.default_rng(3).random(seen.data.shape) < 0.2, np.nan, seen.data)
+    total, noise = [], []
+    for data in (seen.data, one, fifth):
+        found = identify(Recording(seen.t, data), guess, ["inertia", "com", "friction"], intervals=None)
+        total.append(found.ratio_std["J/p1"])
+        noise.append(np.sqrt(found.ratio_std["J/p1"] ** 2 - found.ratio_model_std["J/p1"] ** 2))
+    for std in (total, noise):
+        np.testing.assert_allclose(std[1], std[0], rtol=0.05)
+        assert (std[2] > 0.95 * std[0]).all()
+        assert (std[2] < 1.2 * std[0]).all()  # a fifth of white noise's samples would cost 12 %
 
 
 def test_errors_of_the_model_that_the_fit_nearly_absorbs_do_not_run_away() -> None:

@@ -296,7 +296,7 @@ def test_ratios_leave_out_what_was_held_and_join_what_is_alike(swing, markers):
 
 def test_the_set_up_is_told(swing, markers):
     recording, found = markers
-    told = dict(recording_table(recording).rows)
+    told = dict(recording_table(recording, found).rows)
     assert told["samples"] == "60, every 30 ms (33.33 a second)"
     assert told["gaps"].startswith("6 missing")
     assert told["noise of a sample"] == "1 mm as given"
@@ -304,10 +304,15 @@ def test_the_set_up_is_told(swing, markers):
     assert fitted["held as given"] == "length, mass, com, inertia"
     assert fitted["without"] == "dry friction, stiffness, rest angle, drag, max bend"
     assert fitted["origin"] == "fitted as well"
+    assert fitted["markers at"] == "0.2, 0.4, 0.6 m along the rope"
+    assert told["contents"] == "3 markers: positions in m, x right, y up"
+    assert "markers at" not in told
+    at_joints = dict(recording_table(recording, swing[1]).rows)  # a result without places along the rope
+    assert at_joints["markers at"] == "the joints, the first at the pivot"
     assert "hyperflex" in fitted["versions"]
     assert "friction" in lead(recording, found, found.rope)
     uneven = Recording(np.cumsum(np.linspace(0.01, 0.05, 20)), np.linspace(0.0, 1.0, 20)[:, None])
-    assert dict(recording_table(uneven).rows)["samples"].endswith("uneven: 12.11 to 50 ms")
+    assert dict(recording_table(uneven, found).rows)["samples"].endswith("uneven: 12.11 to 50 ms")
     table = rope_table(swing[1].rope, swing[1])
     assert table.header == ("link", "length, mm", "mass, g", "com*, mm", "inertia*, kg mm²", "friction*, mN m s/rad")
 

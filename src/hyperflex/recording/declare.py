@@ -12,7 +12,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, located
-from hyperflex.recording.recording import Kind, Recording, per_sample, unwrap
+from hyperflex.recording.recording import CONVENTION, Kind, Recording, per_sample, unwrap
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
 RADIANS = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "turn": 2.0 * math.pi}
@@ -187,7 +187,7 @@ def _markers(raw: Raw, declared: Mapping[str, object], noise: Array | None) -> C
         factor = METRES[unit]
     flip = np.where(np.arange(raw.data.shape[1]) % 2 == 1, -1.0 if y_axis == "down" else 1.0, 1.0)
     noise = None if noise is None else noise * factor
-    text = f"positions in m, x right, y up, markers at the joints, the first at the pivot; read in {unit}, y {y_axis}"
+    text = f"{CONVENTION['markers']}; read in {unit}, y {y_axis}"
     if unit == "px":
         text += f", {factor:g} m per pixel"
     return raw.data * factor * flip, noise, None, text

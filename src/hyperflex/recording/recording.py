@@ -18,7 +18,7 @@ VARIABLE: dict[Kind, str] = {"angles": "angle", "markers": "position"}  # of a N
 UNIT = {"angles": "rad", "markers": "m"}
 CONVENTION = {
     "angles": "absolute link angles in rad, 0 hanging, positive towards +x",
-    "markers": "positions in m, x right, y up, markers at the joints, the first at the pivot",
+    "markers": "positions in m, x right, y up",
 }
 
 

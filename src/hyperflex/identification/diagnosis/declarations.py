@@ -29,7 +29,7 @@ TURNS = 0.7  # rad: six turns read as degrees, the farthest that a free double p
 GAIN, LEAST_GAIN = 0.3, 0.005  # logarithms of factors of angles, or of the arm's length: tried, and told
 AS_GOOD = 1.1  # times the residual of another explanation: one that leaves no more explains as well
 SPRING = 1.25  # the same of a spring's: a real pendulum read 10 % too large left 1.16, a double one with springs 1.5
-RIGHT_ANGLE = 10.0  # degrees by which a gravity may miss one that was turned by 90
+RIGHT_ANGLE = 10.0  # degrees by which a gravity may miss one that was turned by 90 or 180
 ZERO = 0.09  # rad, 5 degrees: between what is no slip and the 10 degrees that were tried
 STRAIGHT, LEAST_SCALE = 0.95, 0.02  # quantile of distances that is a straight rope's; part by which scales may be off
 SKEWED = ("gravity_scale", "gravity_angle")  # a wrong clock or scale, a camera that is not level
@@ -198,7 +198,7 @@ def explained(
         most = min(most, left(recording, (named,))[0])
     if named in (ANGLES, "delay"):  # a short fit does not free the one, and takes the other from a grid
         most = min(most, declared * float(np.sqrt(1.0 - gain)))
-    tried = [(left(other)[0], words) for words, other in (*slips(recording, pivot), *_rescaled(recording, left))]
+    tried = [(_upright(other, left), words) for words, other in (*slips(recording, pivot), *_rescaled(recording, left))]
     tried += _driven(recording, left)
     least, words = min(tried, default=(np.inf, ""))
     if named in SKEWED:
@@ -215,6 +215,17 @@ def explained(
     before = f"{100.0 * declared:.2g} % of the motion" if declared < 0.995 else "all of the motion"
     part = f"{100.0 * least:.2g} % of the motion"
     return f"it fits as if {words}: a short fit leaves {part} then, and {before} as declared."
+
+
+def _upright(recording: Recording, left: ShortFit) -> float:
+    """Return what a short fit leaves; inf if a free direction of gravity turns by more than 45 degrees.
+
+    It makes all zeros of the angles explain as much, each with another direction.
+    """
+    if "gravity_angle" not in left.free:
+        return left(recording)[0]
+    part, (angle,) = left(recording, ("gravity_angle",))
+    return part if np.cos(angle) > np.sqrt(0.5) else np.inf
 
 
 def _zeros(recording: Recording, left: ShortFit, declared: float) -> Iterator[tuple[float, str]]:
@@ -269,6 +280,8 @@ def _skew(clock: float, angle: float) -> str:
     turned = f"gravity were turned by {angle:.3g} degrees"
     if abs(abs(angle) - 90.0) < RIGHT_ANGLE:
         turned += " (0 level, or x and y swapped)"
+    elif abs(abs(angle) - 180.0) < RIGHT_ANGLE:
+        turned += " (0 pointing up, or y the other way)"
     timed = f"times were to be multiplied by {clock:.3g} (or lengths divided by {clock**2:.3g})"
     words = [turned] * (abs(angle) > 1.0) + [timed] * (abs(clock - 1.0) > 0.01)
     return " and ".join(words or [turned])

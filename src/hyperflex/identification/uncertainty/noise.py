@@ -16,9 +16,8 @@ AGREES = 0.05  # by which autocorrelations may miss those of the residuals befor
 ROUNDS = 20  # of Gauss and Newton's steps
 SETTLED = 1e-9  # sum of squared misses of autocorrelations below which nothing is left to gain
 HARDLY = 0.01  # part of that sum which a step must gain for another to be worth its while
-SMOOTH = 0.8  # autocorrelation of neighbours from which gaps leave too little for an autoregression
+SMOOTH = 0.8  # autocorrelation of neighbours from which a line bridges a gap well
 STEP = 1e-6  # of differences
-FLOOR = 1e-6  # least spectral density, over the greatest
 
 
 @dataclass(frozen=True)
@@ -103,24 +102,35 @@ def correlations(terms: Array, count: int) -> Array:
 def noise_memory(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     """Return the autocorrelations (longest,) of the residuals' noise by lag, and whether they explain the residuals.
 
-    Those of an autoregression. Where smooth residuals have gaps they are the residuals' own over the pairs that there
-    are, tapered linearly (Newey and West 1987, doi:10.2307/1913610): what an autoregression of many terms tells of such
-    residuals hangs on differences that gaps blur.
+    Those of an autoregression. Gaps of smooth residuals are bridged for it by straight lines: what its many terms tell
+    of such residuals hangs on differences of neighbours, which gaps blur.
     """
     longest = max(piece.residual.shape[0] for piece in pieces)
+    if longest > 1 and min(piece.seen.min() for piece in pieces) == 0.0 and _autocorrelations(pieces)[1] > SMOOTH:
+        pieces = [_bridged(piece) for piece in pieces]
     terms, agrees = autoregression(pieces)
-    if min(piece.seen.min() for piece in pieces) == 0.0 and longest > 1:
-        own = _autocorrelations(pieces)
-        if own[1] > SMOOTH:
-            return _positive(own * (1.0 - np.arange(longest) / longest)), True
     return correlations(terms, longest), agrees
 
 
-def _positive(memory: Array) -> Array:
-    """Return autocorrelations (m,) without the negative part of their spectrum, so that their matrix has a root."""
-    spectrum = np.fft.hfft(np.append(memory, 0.0), 2 * memory.size)
-    found = np.fft.irfft(np.maximum(spectrum, FLOOR * spectrum.max()), 2 * memory.size)[: memory.size]
-    return np.asarray(found / found[0])
+def _bridged(piece: Piece) -> Piece:
+    """Return a window with a straight line through each gap of a channel; gaps at its ends stay.
+
+    The fit's directions are bridged as well, each then scaled to the length it had: they absorb no more than before.
+    """
+    both = np.concatenate([piece.residual[:, :, None], piece.basis], axis=2)
+    seen = piece.seen.copy()
+    for c in range(seen.shape[1]):
+        known = np.flatnonzero(piece.seen[:, c])
+        if known.size > 1:
+            inside = np.arange(known[0], known[-1] + 1)
+            after = np.maximum(np.searchsorted(known, inside), 1)
+            low, high = known[after - 1], known[after]
+            part = ((inside - low) / (high - low))[:, None]
+            both[inside, c] = (1.0 - part) * both[low, c] + part * both[high, c]
+            seen[inside, c] = 1.0
+    basis = both[:, :, 1:]
+    before, now = np.sqrt((piece.basis**2).sum(axis=(0, 1))), np.sqrt((basis**2).sum(axis=(0, 1)))
+    return Piece(both[:, :, 0], seen, basis * np.divide(before, now, out=np.zeros_like(now), where=now > 0.0))
 
 
 def correlated(memory: Array, values: Array) -> Array:

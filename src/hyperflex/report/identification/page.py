@@ -73,7 +73,7 @@ def identification_page(
         _prediction(view),
         _residuals(view),
         _history(found),
-        Section("Recording", table=recording_table(recording)),
+        Section("Recording", table=recording_table(recording, found)),
         Section("How it was fitted", table=fit_table(found)),
         _rope(found),
         *([_all(view)] if many else []),

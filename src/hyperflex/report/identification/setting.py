@@ -20,8 +20,9 @@ _LOSS = {
 }
 
 
-def recording_table(recording: Recording) -> TextTable:
+def recording_table(recording: Recording, found: Identification) -> TextTable:
     """Return what was measured."""
+    joints = recording.kind == "markers" and "arc_lengths" not in found.settings
     steps = np.diff(recording.t)
     usual = float(np.median(steps))
     even = (
@@ -34,6 +35,7 @@ def recording_table(recording: Recording) -> TextTable:
         ("recording", recording.name or "without a name"),
         ("source", recording.source or "not said"),
         ("contents", f"{_kind(recording)}: {recording.convention}"),
+        *([("markers at", "the joints, the first at the pivot")] if joints else []),
         ("samples", f"{recording.t.size}, every {1e3 * usual:.4g} ms ({1.0 / usual:.4g} a second){even}"),
         ("time", f"{recording.t[0]:.6g} to {recording.t[-1]:.6g} s"),
         ("gaps", f"{recording.gaps} missing values ({share:.2g} %)" if recording.gaps else "none"),
