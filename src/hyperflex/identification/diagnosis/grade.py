@@ -17,6 +17,7 @@ from hyperflex.identification.diagnosis.misdeclared import (
     untested,
 )
 from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, MOVES, ScoreTest
+from hyperflex.identification.diagnosis.uneven import uneven
 from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.excitation import unlike_lengths
 from hyperflex.identification.model.parameters import lumped
@@ -182,7 +183,12 @@ def _suspicions(found: Findings, *, wrong: bool) -> list[str]:
     _, differ = _disagreeing(found.scatter)
     suspicion = [found.noise] if found.noise else []
     suspicion += [] if wrong else _unlike(found.rope)
-    suspicion += [*coarse, *_turned(found.turned), *slightly(found.tests, _cause(found))]
+    suspicion += [
+        *coarse,
+        *_turned(found.turned),
+        *slightly(found.tests, _cause(found)),
+        *uneven(found.tests, _cause(found)),
+    ]
     suspicion += [*differ, *untested(found.tests)]
     if found.hardly:
         others = "all else is known better" if found.identifiable else "all other ratios are known better"

@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import CURL, EQUAL, EXPLAINS, SCALES, TAPER, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, SCALES, ScoreTest
+from hyperflex.identification.diagnosis.tested_words import CURL, TAPER
+from hyperflex.identification.diagnosis.uneven import is_uneven, uneven_words
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 from hyperflex.identification.model.plant import ANGLES
 from hyperflex.identification.sentences import About, Sentence
@@ -107,6 +109,8 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
             f"the rope's mass changes along it: {part} go away if that of its tip is {np.exp(value):.3g} times that of "
             f"its begin{alike}. Give the guess such masses, or put '{TAPER}' into free."
         )
+    elif is_uneven(first):
+        said = uneven_words(first)
     elif first.name == "delay":
         said = f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free."
     else:
@@ -183,6 +187,8 @@ def seems(test: ScoreTest) -> str:
         CURL: f"the rope seems bent at rest, by {np.degrees(value):.2g} degrees a joint",
         "arm_friction": f"the arm's friction seems to be {value:.2g} N m s/rad",
     }
+    if is_uneven(test):
+        return uneven_words(test)
     if test.name not in meant:
         return f"what is held does not fit: with '{test.name}' free, {part} go away. Put it into free."
     return f"{meant[test.name]}: without that, {part} go away. Put '{test.name}' into free."

@@ -16,7 +16,7 @@ from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import ARM, Parameter, Parameters
-from hyperflex.model import Arm, Rope, Setup, divided
+from hyperflex.model import Arm, Rope, Setup, divided, parse_label
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.sensors import Angles, MotorTorque, PostureSensor
 from hyperflex.simulation import (
@@ -257,6 +257,12 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
     for word in words:
         if word in (ANGLES, TORQUE, ARM_LENGTH):
             groups.append([Parameter(word, (), word, 1.0, 1.0, "factor")])
+            continue
+        label = parse_label(word.removesuffix(":pivot"))
+        if word.endswith(":pivot") and label is not None:
+            if getattr(rope, label.name)[0] > 0.0:
+                every = tuple(range(rope.n_links))
+                groups.append([Parameter(label.name, every, word, 1.0, 1.0, "pivot")])
             continue
         try:
             arm = None if plant.motor is None else plant.arm
