@@ -103,3 +103,22 @@ def test_inner_is_one_value_of_all_links_but_the_first() -> None:
         parse(Rope(length=[1.0], mass=0.1), ["friction:inner"])
     with pytest.raises(InvalidInput, match="the same thing twice"):
         parse(ROPE, ["friction[1]", "friction:inner"])
+
+
+@pytest.mark.parametrize("stiffness", [2e-3, 1e-2])
+def test_an_elastic_rope_on_a_hinge(stiffness: float) -> None:
+    """Told was "use more links", or that masses change: `stiffness:shared` puts a spring into the hinge, too."""
+    rope = ROPE.replace(stiffness=np.r_[0.0, np.full(N - 1, stiffness)])
+    recording = recorded(rope, 5)
+    chosen = identify(recording, GUESS)
+    assert chosen.settings["free"] == [*SHARED, "stiffness:inner"]
+    assert chosen.grade.name == "usable for ratios"
+    assert away(chosen, rope) < 3.0
+    assert chosen.residual_rms_all < 1.05 * NOISE
+    found = identify(recording, GUESS, SHARED)
+    assert "'stiffness:inner'" in " ".join(found.grade.reasons[:2])
+
+
+def test_a_spring_in_every_joint_is_one_value_of_all() -> None:
+    rope = ROPE.replace(stiffness=2e-3)
+    assert identify(recorded(rope, 5), GUESS).settings["free"] == [*SHARED, "stiffness:shared"]

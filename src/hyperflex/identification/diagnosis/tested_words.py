@@ -8,6 +8,7 @@ from hyperflex.model import DAMPING, RESISTANCES
 
 FEW_LINKS = 4  # links, up to which each has its own value in a test: of more, values of neighbours act alike
 TAPER, CURL = "mass:taper", "rest_angle:shared"  # of ropes of many links: growth of the mass along it, bend at rest
+INNER = "stiffness:inner"  # springs in all joints but the first, as in an elastic rope that hangs on a hinge
 
 
 def words_for_tests(plant: Plant, *, angles: bool) -> list[list[str]]:
@@ -16,6 +17,7 @@ def words_for_tests(plant: Plant, *, angles: bool) -> list[list[str]]:
     many = rope.n_links > FEW_LINKS
     whole = ["gravity_angle", "gravity_scale", *[ANGLES] * angles] if np.any(rope.gravity) else []
     resistances = [each.name + (":shared" if many else "") for each in RESISTANCES if each.name not in names]
+    resistances += [INNER] * (many and not rope.stiffness.any())
     masses = ["tip_mass", TAPER] if many else ["mass", "com", "inertia"]
     masses += [CURL] * (many and ("stiffness" in names or bool(rope.stiffness.any())))
     delay = ["delay"] * (plant.motion is not None) + ["arm_inertia", "arm_friction"] * (plant.motor is not None)
