@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, SCALES, ScoreTest
-from hyperflex.identification.diagnosis.tested_words import CURL, TAPER
+from hyperflex.identification.diagnosis.tested_words import ARCS, CURL, TAPER
 from hyperflex.identification.diagnosis.uneven import is_uneven, uneven_words
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 from hyperflex.identification.model.plant import ANGLES
@@ -21,6 +21,7 @@ TOLD = (
     "arm_inertia",
     "arm_friction",
     CURL,
+    ARCS,
 )  # believed, these are told with their value even where they hardly matter
 DECLARED = ("gravity_scale", "gravity_angle", "delay", ANGLES)  # what stands for a recording that is not as declared
 UNDETECTABLE_CLOCK = (
@@ -44,6 +45,7 @@ MEANT = {
     "gravity_angle": "the zero of the angles",
     "delay": "the motion",
     ANGLES: "the angles' scale",
+    ARCS: "where the markers are",
 }
 
 
@@ -111,6 +113,12 @@ def misdeclared(tests: Sequence[ScoreTest]) -> list[str]:
         )
     elif is_uneven(first):
         said = uneven_words(first)
+    elif first.name == ARCS:
+        said = (
+            f"where the markers are does not fit: {part} go away if they are {_places(first)} along the rope{alike}, "
+            f"or if a length is as far off, and ratios move by up to {percent(first.moved)}. Measure arc_lengths and "
+            f"lengths again, or put '{ARCS}' into free."
+        )
     elif first.name == "delay":
         said = f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free."
     else:
@@ -184,6 +192,7 @@ def seems(test: ScoreTest) -> str:
         "gravity_angle": f"the zero of the angles seems off by {np.degrees(value):.2g} degrees",
         "delay": f"the motion seems {value:.2g} s off",
         "arm_inertia": f"the arm's inertia seems to be {value:.2g} kg m^2",
+        ARCS: f"the markers seem to be {_places(test)} along the rope",
         CURL: f"the rope seems bent at rest, by {np.degrees(value):.2g} degrees a joint",
         "arm_friction": f"the arm's friction seems to be {value:.2g} N m s/rad",
     }
@@ -192,6 +201,10 @@ def seems(test: ScoreTest) -> str:
     if test.name not in meant:
         return f"what is held does not fit: with '{test.name}' free, {part} go away. Put it into free."
     return f"{meant[test.name]}: without that, {part} go away. Put '{test.name}' into free."
+
+
+def _places(test: ScoreTest) -> str:
+    return f"{', '.join(f'{1e3 * each:.4g}' for each in test.values)} mm"
 
 
 def _lengths(tests: Sequence[ScoreTest]) -> list[str]:

@@ -5,9 +5,11 @@ import numpy as np
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import ANGLES, Plant
 from hyperflex.model import DAMPING, RESISTANCES
+from hyperflex.sensors import Markers
 
 FEW_LINKS = 4  # links, up to which each has its own value in a test: of more, values of neighbours act alike
 TAPER, CURL = "mass:taper", "rest_angle:shared"  # of ropes of many links: growth of the mass along it, bend at rest
+ARCS = "arc"  # where markers are along the rope
 INNER = "stiffness:inner"  # springs in all joints but the first, as in an elastic rope that hangs on a hinge
 
 
@@ -23,7 +25,8 @@ def words_for_tests(plant: Plant, *, angles: bool) -> list[list[str]]:
     delay = ["delay"] * (plant.motion is not None) + ["arm_inertia", "arm_friction"] * (plant.motor is not None)
     lengths = [["length"]] if not many and rope.n_links > 1 and names.isdisjoint({"length", "com", "inertia"}) else []
     words = [each for each in [*whole, *delay, *resistances, *masses] if each.partition(":")[0] not in names]
-    return [[*words, *_uneven(plant.parameters)], *lengths]
+    places = [ARCS] * (isinstance(plant.sensor, Markers) and names.isdisjoint({ARCS, "length"}))
+    return [[*words, *_uneven(plant.parameters), *places], *lengths]
 
 
 def _uneven(parameters: Parameters) -> list[str]:

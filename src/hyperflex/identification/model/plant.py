@@ -18,7 +18,7 @@ from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import ARM, Parameter, Parameters
 from hyperflex.model import Arm, Rope, Setup, divided, parse_label
 from hyperflex.motion import Motion, hold_arm
-from hyperflex.sensors import Angles, MotorTorque, PostureSensor
+from hyperflex.sensors import Angles, Markers, MotorTorque, PostureSensor
 from hyperflex.simulation import (
     ParameterDirections,
     finish_rollout,
@@ -254,6 +254,7 @@ def pivot_places(motion: Motion | None, arm: Arm | None, t: Array) -> Array:
 def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:
     """Return the model at x (P,) with more free parameters, its x, and these word by word; words that fail are out."""
     rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), []
+    arcs = plant.sensor.arc_lengths if isinstance(plant.sensor, Markers) else None
     for word in words:
         if word in (ANGLES, TORQUE, ARM_LENGTH):
             groups.append([Parameter(word, (), word, 1.0, 1.0, "factor")])
@@ -266,7 +267,7 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
             continue
         try:
             arm = None if plant.motor is None else plant.arm
-            groups.append(parse(rope, [word], moved=plant.motion is not None, arm=arm))
+            groups.append(parse(rope, [word], arcs, moved=plant.motion is not None, arm=arm))
         except InvalidInput:  # a mass of 0 has no logarithm, say
             continue
     extra = [each for group in groups for each in group]
