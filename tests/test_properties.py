@@ -95,7 +95,7 @@ def test_it_can_be_free(each: Property) -> None:
         up, down = (getattr(parameters.rope(x + d * np.eye(3)[k]), each.name) for d in (step, -step))
         np.testing.assert_allclose(part[each.name], (up - down) / (2.0 * step), rtol=1e-8, atol=1e-12)
     assert [parse_label(label) for label in parameters.labels] == [(each.name, k, "") for k in range(3)]
-    for law in ("shared", "factor", "taper"):
+    for law in ("shared", "inner", "factor", "taper"):
         assert len(parse(ROPE, [f"{each.name}:{law}"])) == 1
 
 

@@ -221,3 +221,15 @@ def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more() ->
     assert "use more links" not in said(replace(links, gain=0.02))
     assert "use more links" not in said(bent, links)
     assert "the rope seems bent at rest, by 5.7 degrees a joint" in said(bent, links)
+
+
+@pytest.mark.parametrize(("noise", "told"), [(2e-3, False), (1.2e-3, False), (6e-4, True), (None, False)])
+def test_a_fit_that_leaves_far_more_than_the_declared_noise(noise: float | None, told: bool) -> None:
+    run = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8])
+    data = run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
+    free = ["inertia", "com", "friction"]
+    found = hf.identify(hf.Recording(T, data, noise=noise), PAIR, free, intervals=None)
+    assert any("nothing that was tested explains it" in each for each in found.grade.reasons) is told
+    slow = hf.identify(hf.Recording(1.03 * T, data, noise=noise), PAIR, free, intervals=None)
+    assert slow.grade.reasons[0].startswith("times or lengths are not as declared")
+    assert not any("nothing that was tested explains it" in each for each in slow.grade.reasons)

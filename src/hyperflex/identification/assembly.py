@@ -30,6 +30,7 @@ from hyperflex.identification.verdict import (
     poor_torque,
     too_large,
     too_small,
+    unexplained,
     verdict,
 )
 from hyperflex.model import Rope
@@ -73,7 +74,7 @@ def assemble_result(
         too_large(information.variance, information.freedom) if declared else "",
         *(each.remark for each in (intervals or {}).values()),
     ]
-    said = too_small(windows, residuals, found.loss) if declared else ""
+    said = (too_small(windows, residuals, found.loss) or _unexplained(basis, tests)) if declared else ""
     if intervals is not None:
         intervals = intervals | of_ratios(known, ratio_std, information.freedom)
     findings = replace(
@@ -108,6 +109,12 @@ def assemble_result(
     )
     object.__setattr__(result, "_basis", basis)
     return result.with_remark(held_words(result.held), last=True)
+
+
+def _unexplained(basis: Basis, tests: Sequence[ScoreTest]) -> str:
+    """Return that far more than the declared noise is left, where no test finds a cause; nothing without tests."""
+    silent = not tests or any(each.believed for each in tests)
+    return "" if silent else unexplained(basis.information.variance)
 
 
 def _findings(basis: Basis, rope: Rope, tests: Sequence[ScoreTest], settings: dict[str, Any]) -> Findings:

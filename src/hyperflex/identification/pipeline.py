@@ -87,9 +87,9 @@ def identify(
         ``rest_angle``, ``drag``; for the whole ``tip_mass``, ``gravity_angle`` (rad; for a camera that is not level),
         ``delay`` (s, of `motion` in the recording's time; at most a window's length), ``arc`` (m; each marker's place);
         with a measured torque ``arm_inertia`` and ``arm_friction`` (of the shaft). ``friction[2]`` frees one link,
-        ``friction:shared`` one value for all, ``friction:factor`` one factor on all guesses, ``friction:taper`` the
-        logarithm by which it grows along the rope, 0 at its middle. With a free length, com and inertia of links that
-        are uniform in the guess follow, unless they are free too.
+        ``friction:shared`` one value for all, ``friction:inner`` one for all but the first, ``friction:factor`` one
+        factor on all guesses, ``friction:taper`` the logarithm by which it grows along the rope, 0 at its middle. With
+        a free length, com and inertia of links that are uniform in the guess follow, unless they are free too.
     window : float, s, optional
         Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope; less
         where links turn fast, more where frames are few.

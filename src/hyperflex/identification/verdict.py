@@ -107,6 +107,17 @@ def too_large(variance: float, freedom: float) -> str:
     )
 
 
+def unexplained(variance: float) -> str:
+    """Return a doubt where the `variance` of residuals is several times the declared noise's, and no cause is found."""
+    if variance <= UNEXPLAINED:
+        return ""
+    return (
+        f"the fit leaves {np.sqrt(variance):.2g} times as much as the declared noise, and nothing that was tested "
+        "explains it: more noise is there, or the model leaves something out, and ratios may be off by more than their "
+        "intervals say. Check the noise's value and unit, and whether another model predicts better (compare_models)."
+    )
+
+
 def too_small(windows: Sequence[Window], residuals: Array, loss: Loss) -> str:
     """Return a warning where residuals (m, C), rad or m, are far smaller than the declared noise."""
     rms, _, noise = _sizes(windows, residuals, 0, loss)
@@ -265,6 +276,7 @@ WHITE_POOR = 0.2  # part of the motion, where what stays is white, so that it is
 TORQUE_POOR = (
     0.2  # part of a torque that may stay unexplained: torque sensors, and currents in place of them, are not better
 )
+UNEXPLAINED = 4.0  # times the declared noise's variance: twice as much is no slip of whoever declared it
 QUIET = 0.5  # times the declared noise: what stays below shows that less noise was there
 NOISY = 1.5  # times the declared noise: what stays below is as good as the recording, however little moves
 

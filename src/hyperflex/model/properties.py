@@ -119,11 +119,14 @@ class Ratio(NamedTuple):
 RATIOS = {"J/p1": Ratio("inertia about the joint", "m"), "p/p1": Ratio("first moment about the joint", "")}
 RATIOS |= {f"{each.symbol}/p1": Ratio(each.words, each.ratio) for each in RESISTANCES}
 
-_LABEL = re.compile(r"(?P<name>[A-Za-z_]+)(?:\[(?P<place>\d+)\])?(?::(?P<law>shared|factor|taper))?\Z")
+_LABEL = re.compile(r"(?P<name>[A-Za-z_]+)(?:\[(?P<place>\d+)\])?(?::(?P<law>shared|inner|factor|taper))?\Z")
 
 
 class Label(NamedTuple):
-    """A number of a property: ``friction[2]`` of one link, ``friction:shared`` of all; factor and taper: their laws."""
+    """A number of a property: ``friction[2]`` of one link, ``friction:shared`` of all, ``friction:inner`` of all but 0.
+
+    Factor and taper are laws along all of them.
+    """
 
     name: str
     place: int | None

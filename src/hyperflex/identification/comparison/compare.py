@@ -42,7 +42,7 @@ class Candidate:
 
     def starting_guess(self, other: "Candidate", rope: Rope) -> Rope:
         """Return the guess of `other` with the values fitted here, of `rope`; laws keep their guess."""
-        labels = [label for word in self.free if (label := parse_label(word)) and label.law in ("", "shared")]
+        labels = [label for word in self.free if (label := parse_label(word)) and label.law in ("", "shared", "inner")]
         names = {label.name for label in labels if FREE_PROPERTIES[label.name].owner in ("link", "rope")} - set(GRAVITY)
         return other.guess.replace(**{name: getattr(rope, name) for name in sorted(names)})
 

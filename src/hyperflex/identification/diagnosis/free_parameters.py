@@ -5,7 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import EQUAL, FEW_LINKS, LAWS, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, LAWS, ScoreTest
+from hyperflex.identification.diagnosis.tested_words import FEW_LINKS
+from hyperflex.identification.diagnosis.uneven import is_uneven
 from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter, WindowScores
 from hyperflex.identification.model.plant import ANGLES
 from hyperflex.identification.uncertainty.covariance import Basis
@@ -49,13 +51,17 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
     usual = ", ".join(trial.free)
     for _ in range(MOST):
         slips = [each.gain for each in trial.tests if each.believed and each.name in (DRIFT, ANGLES)]
-        asked = [each for each in trial.tests if _asked(each) and each.gain > max(slips, default=0.0) + EQUAL]
+        asked = [
+            each
+            for each in trial.tests
+            if _asked(each, trial.free, guess) and each.gain > max(slips, default=0.0) + EQUAL
+        ]
         if not asked or not trial.basis.fit.converged or trial.basis.fit.interrupted:
             break
         equals = [each for each in asked if each.gain > asked[0].gain - EQUAL]
         chosen = min(equals, key=lambda each: ALLOWED.index(each.name.partition(":")[0]))
         with catch_interrupt() as stop:
-            richer = fit([*trial.free, chosen.name])
+            richer = fit(_with_word(trial.free, chosen.name))
         if stop.received or richer.basis.fit.interrupted:
             trial.basis.fit.interrupted = True  # what has converged and was tested is worth more
             break
@@ -67,6 +73,17 @@ def choose_parameters(fit: Callable[[Sequence[str]], Trial], guess: Rope) -> tup
     return trial, f"Free were {usual} by default{added}; name others with free."
 
 
-def _asked(test: ScoreTest) -> bool:
+def _asked(test: ScoreTest, free: Sequence[str], guess: Rope) -> bool:
     name = test.name.partition(":")[0]
+    if is_uneven(test) and not (f"{name}:shared" in free and np.all(getattr(guess, name) > 0.0)):
+        return False  # of a factor on a guess that is not alike, or on nothing
     return test.believed and name in ALLOWED and not test.freed_with and (name != "com" or test.matters)
+
+
+def _with_word(free: Sequence[str], word: str) -> list[str]:
+    """Return `free` with a word more; what was one value of all gives way to what it is made of then."""
+    name, _, law = word.partition(":")
+    parts = {"taper": [f"{name}:factor", word], "pivot": [f"{name}[0]", f"{name}:inner"]}.get(law)
+    if parts is None or f"{name}:shared" not in free:
+        return [*free, word]
+    return [*[each for each in free if each != f"{name}:shared"], *parts]

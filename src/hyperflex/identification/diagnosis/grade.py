@@ -17,6 +17,8 @@ from hyperflex.identification.diagnosis.misdeclared import (
     untested,
 )
 from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, MOVES, ScoreTest
+from hyperflex.identification.diagnosis.tested_words import as_free
+from hyperflex.identification.diagnosis.uneven import uneven
 from hyperflex.identification.diagnosis.window_tests import Scatter
 from hyperflex.identification.excitation import unlike_lengths
 from hyperflex.identification.model.parameters import lumped
@@ -182,7 +184,12 @@ def _suspicions(found: Findings, *, wrong: bool) -> list[str]:
     _, differ = _disagreeing(found.scatter)
     suspicion = [found.noise] if found.noise else []
     suspicion += [] if wrong else _unlike(found.rope)
-    suspicion += [*coarse, *_turned(found.turned), *slightly(found.tests, _cause(found))]
+    suspicion += [
+        *coarse,
+        *_turned(found.turned),
+        *slightly(found.tests, _cause(found)),
+        *uneven(found.tests, _cause(found)),
+    ]
     suspicion += [*differ, *untested(found.tests)]
     if found.hardly:
         others = "all else is known better" if found.identifiable else "all other ratios are known better"
@@ -306,7 +313,7 @@ def _finer(tests: Sequence[ScoreTest], *, odd: bool) -> tuple[list[str], list[st
     better = [other for other in tests if other.believed and other.gain > each.gain + EQUAL]
     if any(other.name not in each.freed_with for other in better):
         return [], []
-    beside = f" with {' and '.join(repr(name) for name in each.freed_with)} free as well" if each.freed_with else ""
+    beside = f" with {as_free(*each.freed_with)} free as well" if each.freed_with else ""
     words = f"use more links: this looks like a rope of finer links{beside}"
     words += f" (probability {100.0 * each.excess_gain:.3g} %)"
     if odd and each.gain >= max(EXPLAINS, *(other.gain for other in tests)):
@@ -330,7 +337,7 @@ def _doubts(found: Findings) -> list[str]:
         size = f"up to {100.0 * part:.2g} %" if part < 1.0 else "as much as it is"
         words = (
             "friction is a model error: it stands for all that brakes, and would change by "
-            f"{size} if '{name}' were free as well."
+            f"{size} if {as_free(name)} were free as well."
             f"{' Ratios of moments and inertias hardly move.' if found.moved < MOVES else ''}"
         )
         said.append(Sentence(words, About.FRICTION))

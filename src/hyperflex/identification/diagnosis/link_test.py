@@ -7,7 +7,8 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.diagnosis.score_tests import FEW_LINKS, ROUNDS, WINDOWS, ScoreTest, fit_with, within
+from hyperflex.identification.diagnosis.score_tests import ROUNDS, WINDOWS, ScoreTest, fit_with, within
+from hyperflex.identification.diagnosis.tested_words import FEW_LINKS
 from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameter

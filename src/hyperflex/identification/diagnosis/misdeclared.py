@@ -4,7 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hyperflex.identification.diagnosis.score_tests import CURL, EQUAL, EXPLAINS, SCALES, SURE, TAPER, ScoreTest
+from hyperflex.identification.diagnosis.score_tests import EQUAL, EXPLAINS, SCALES, SURE, ScoreTest
+from hyperflex.identification.diagnosis.tested_words import ARCS, CURL, TAPER, as_free
+from hyperflex.identification.diagnosis.uneven import is_uneven, uneven_words
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 from hyperflex.identification.model.plant import ANGLES
 from hyperflex.identification.sentences import About, Sentence
@@ -19,6 +21,7 @@ TOLD = (
     "arm_inertia",
     "arm_friction",
     CURL,
+    ARCS,
 )  # believed, these are told with their value even where they hardly matter
 DECLARED = ("gravity_scale", "gravity_angle", "delay", ANGLES)  # what stands for a recording that is not as declared
 UNDETECTABLE_CLOCK = (
@@ -42,6 +45,7 @@ MEANT = {
     "gravity_angle": "the zero of the angles",
     "delay": "the motion",
     ANGLES: "the angles' scale",
+    ARCS: "where the markers are",
 }
 
 
@@ -90,7 +94,7 @@ def _misfit(first: ScoreTest, tests: Sequence[ScoreTest]) -> str:
     equals = [each.name for each in tests if each.believed and abs(each.gain - first.gain) < EQUAL]
     part = f"{100.0 * first.gain:.3g} % of the residuals' sum of squares"
     if first.freed_with:
-        part += f" that is left with {' and '.join(repr(name) for name in first.freed_with)} free"
+        part += f" that is left with {as_free(*first.freed_with)} free"
     value = float(first.values[0])
     alike = "".join(f", or with {words}" for words in _alike(first, tests))
     if first.name == "gravity_scale":
@@ -120,6 +124,14 @@ def _misfit(first: ScoreTest, tests: Sequence[ScoreTest]) -> str:
         said = (
             f"the rope's mass changes along it: {part} go away if that of its tip is {np.exp(value):.3g} times that of "
             f"its begin{alike}. Give the guess such masses, or put '{TAPER}' into free."
+        )
+    elif is_uneven(first):
+        said = uneven_words(first)
+    elif first.name == ARCS:
+        said = (
+            f"where the markers are does not fit: {part} go away if they are {_places(first)} along the rope{alike}, "
+            f"or if a length is as far off, and ratios move by up to {percent(first.moved)}. Measure arc_lengths and "
+            f"lengths again, or put '{ARCS}' into free."
         )
     elif first.name == "delay":
         said = f"the motion is {value:.3g} s off: without that, {part} go away. Put 'delay' into free."
@@ -166,7 +178,7 @@ def slightly(tests: Sequence[ScoreTest], cause: ScoreTest | None = None) -> list
         if each is cause:
             continue
         if each.slight and each.believed:
-            names = " and ".join(repr(name) for name in each.freed_with)
+            names = as_free(*each.freed_with)
             beside = f", if {names} {'is' if len(each.freed_with) == 1 else 'are'} free as well" if names else ""
             said.append(
                 f"lengths seem {100.0 * abs(float(each.values[0]) - 1.0):.2g} % off, or times half of that{beside}: "
@@ -185,7 +197,9 @@ def slightly(tests: Sequence[ScoreTest], cause: ScoreTest | None = None) -> list
                 f"the clock seems to drift by {percent(0.5 * abs(float(each.values[0])))} over the recording: check "
                 f"the time stamps; ratios would move by up to {percent(each.moved)}. Standard deviations hold that."
             )
-        left_out = each.law and not each.covered and each.gain > EXPLAINS and each.excess_gain > SURE
+        left_out = (
+            each.law and not (each.covered or is_uneven(each)) and each.gain > EXPLAINS and each.excess_gain > SURE
+        )
         if each.believed and not each.matters and (each.name in TOLD or (left_out and each not in equals)):
             said.append(seems(each))
     return said
@@ -198,13 +212,20 @@ def seems(test: ScoreTest) -> str:
         "gravity_angle": f"the zero of the angles seems off by {np.degrees(value):.2g} degrees",
         "delay": f"the motion seems {value:.2g} s off",
         "arm_inertia": f"the arm's inertia seems to be {value:.2g} kg m^2",
+        ARCS: f"the markers seem to be {_places(test)} along the rope",
         CURL: f"the rope seems bent at rest, by {np.degrees(value):.2g} degrees a joint",
         "arm_friction": f"the arm's friction seems to be {value:.2g} N m s/rad",
     }
+    if is_uneven(test):
+        return uneven_words(test)
     if test.name not in meant:
         what = "resistance is of another kind or size, or changes" if test.law else "what is held does not fit"
         return f"{what}: with '{test.name}' free, {part} go away. Put it into free."
     return f"{meant[test.name]}: without that, {part} go away. Put '{test.name}' into free."
+
+
+def _places(test: ScoreTest) -> str:
+    return f"{', '.join(f'{1e3 * each:.4g}' for each in test.values)} mm"
 
 
 def _lengths(tests: Sequence[ScoreTest]) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.diagnosis.link_test import LINKS
 from hyperflex.identification.diagnosis.score_tests import LAWS, SCALES, SLIGHT, ScoreTest
+from hyperflex.identification.diagnosis.uneven import uneven_shift
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 from hyperflex.identification.model.parameters import Parameters, lumped
 from hyperflex.identification.model.plant import scale_words
@@ -54,7 +55,8 @@ def with_model_error(
         asked = white or each.law or each.believed or each.suspected or each.name == DRIFT  # which has a std of its own
         counts = asked and each.excess_gain > ASKED and not (each.slight and each.freed_with)
         if counts or each.name == LINKS:  # whose excess_gain is a probability
-            model += each.excess_gain * (np.outer(each.shift, each.shift) + (each.added if each.law else 0.0))
+            shift = uneven_shift(each, basis.plant.parameters, x)
+            model += each.excess_gain * (np.outer(shift, shift) + (each.added if each.law else 0.0))
             counted = counted or each.name == "gravity_scale"
     if not white:
         model += np.diag(np.maximum(_law_errors(basis, tests)[0] ** 2 - np.diag(model), 0.0))
@@ -89,7 +91,9 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, told: 
     if not rate.any():
         return rate, known
     for k, free in enumerate(parameters.all):
-        power = CLOCK_POWER.get(free.kind.unit, 0.0) if free.name in LAWS and free.law != "taper" else 0.0
+        power = (
+            CLOCK_POWER.get(free.kind.unit, 0.0) if free.name in LAWS and free.law not in ("taper", "pivot") else 0.0
+        )
         rate[k, 1] += power * free.value(float(x[k])) / free.derivative(float(x[k]))
     rate[:, 1] -= rate[:, 3]  # where times are multiplied by a, gravity is by 1 / a^2, torque by a^2
     std = np.where(rate.any(axis=0), std, 0.0)
@@ -137,7 +141,8 @@ def _law_errors(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[Array, list[s
     sizes, names = np.zeros(x.size), [""] * x.size
     for each in tests:
         if each.law and each.shift.size:
-            size = np.sqrt(each.shift**2 + np.maximum(np.diag(each.added), 0.0)) * own
+            shift = uneven_shift(each, parameters, x)
+            size = np.sqrt(shift**2 + np.maximum(np.diag(each.added), 0.0)) * own
             names = [each.name if more else name for more, name in zip(size > sizes, names, strict=True)]
             sizes = np.maximum(sizes, size)
     return sizes, names

@@ -7,6 +7,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.identification.diagnosis.tested_words import words_for_tests
 from hyperflex.identification.fit.multiple_shooting import Fit, fit, linearise
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.plant import ANGLES, Plant, extended, scale_words
@@ -19,7 +20,6 @@ from hyperflex.model import RESISTANCES
 SUSPECT = 0.3  # part of the sum of squares, to first order, from which a refit is made: less than what is believed
 LAW = 0.15  # the same of a resistance, whose derivative where there is none of it tells less: drag's grows from there
 REFITS, ROUNDS, WINDOWS = 3, 40, 12  # refits at most, rounds of each, and windows, spread over the recording: for time
-FEW_LINKS = 4  # links, up to which each has its own value in a test: of more, values of neighbours act alike
 LAWS = tuple(each.name for each in RESISTANCES)
 SURE = 0.93  # part of a gain, 1 - 1 / chi^2: chi^2 = 14, one in 6000 right fits
 EXPLAINS = 0.5  # part of the sum of squares: what takes away most of it is believed whatever the noise
@@ -29,7 +29,6 @@ COVERED = 2.0  # standard deviations: the 95 % intervals reach so far, and hold 
 TURNED = 0.03  # rad, of gravity: 1.7 degrees, more than a camera is off that was levelled by eye
 FARTHEST = 6.0  # factor of gravity: a frame rate off by two makes it four; beyond, something else is wrong
 MISREAD, SCALED = 2.0, 0.02  # factor of angles: beyond, something else is wrong; its logarithm: encoders are better
-TAPER, CURL = "mass:taper", "rest_angle:shared"  # of ropes of many links: growth of the mass along it, bend at rest
 SCALES = "scales"  # factors on the links' lengths, on gravity, which a clock makes, the arm's length and the torque
 HIDING = 2  # refits that are tested again, each with one thing more freed: the triple pendulum needs two, drag and dry
 SLIGHT = 0.01  # relative, of lengths: a ruler errs by so much; the triple pendulum seems 0.0067 off with drag free
@@ -199,7 +198,7 @@ def within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
 
 def _refitted_tests(basis: Basis, *, angles: bool) -> list[ScoreTest]:
     """Return the tests of a fit, the greatest gain first; those that explain much with what a refit says."""
-    found = [each for words in _words(basis.plant, angles=angles) for each in _tested(basis, words)]
+    found = [each for words in words_for_tests(basis.plant, angles=angles) for each in _tested(basis, words)]
     found += _tested(basis, list(scale_words(basis.plant).values()), SCALES)
     found.sort(key=lambda each: -each.gain)
     others = [k for k, each in enumerate(found) if each.name != SCALES]
@@ -210,20 +209,6 @@ def _refitted_tests(basis: Basis, *, angles: bool) -> list[ScoreTest]:
         if each.gain > (LAW if each.law else SUSPECT) or each.excess_gain > SURE:
             found[k] = _refitted(basis, each)
     return sorted(found, key=lambda each: -each.gain)
-
-
-def _words(plant: Plant, *, angles: bool) -> list[list[str]]:
-    """Return words for what is held, those that are tested in one linearisation together."""
-    rope, names = plant.parameters.guess, {each.name for each in plant.parameters.all}
-    many = rope.n_links > FEW_LINKS
-    whole = ["gravity_angle", "gravity_scale", *[ANGLES] * angles] if np.any(rope.gravity) else []
-    resistances = [each.name + (":shared" if many else "") for each in RESISTANCES if each.name not in names]
-    masses = ["tip_mass", TAPER] if many else ["mass", "com", "inertia"]
-    masses += [CURL] * (many and ("stiffness" in names or bool(rope.stiffness.any())))
-    delay = ["delay"] * (plant.motion is not None) + ["arm_inertia", "arm_friction"] * (plant.motor is not None)
-    lengths = [["length"]] if not many and rope.n_links > 1 and names.isdisjoint({"length", "com", "inertia"}) else []
-    words = [each for each in [*whole, *delay, *resistances, *masses] if each.partition(":")[0] not in names]
-    return [words, *lengths]
 
 
 def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[ScoreTest]:

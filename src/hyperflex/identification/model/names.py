@@ -39,7 +39,8 @@ def parse(
                 "free has an unknown name",
                 got=word,
                 allowed=f"{', '.join(FREE_PROPERTIES)}; 'friction[2]' for one link, 'friction:shared' for one value of "
-                "all links, 'friction:factor' and 'friction:taper' for laws along the rope",
+                "all links, 'friction:inner' for one of all but the first, 'friction:factor' and 'friction:taper' for "
+                "laws along the rope",
             )
         result += _one(guess, label, arc_lengths, moved, arm)
     _refuse_twice(result, free)
@@ -86,8 +87,11 @@ def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm:
             raise InvalidInput(f"{name}:{law} is free but starts from 0", allowed=f"a guess of {name} that is not 0")
         return [Parameter(name, everyone, f"{name}:{law}", 1.0 if law == "factor" else 0.0, 1.0, law)]  # type: ignore[arg-type]
     starts, sizes = getattr(guess, name), scales(guess, name)
-    if law == "shared":
-        return [Parameter(name, everyone, f"{name}:shared", float(starts.mean()), float(sizes.mean()))]
+    if law == "inner" and n < 2:
+        raise InvalidInput(f"{name}:inner is free, but there is one link", allowed=f"{name}")
+    if law in ("shared", "inner"):
+        own = slice(law == "inner", None)
+        return [Parameter(name, everyone[own], f"{name}:{law}", float(starts[own].mean()), float(sizes[own].mean()))]
     chosen = everyone if place is None else (place,)
     return [Parameter(name, (k,), f"{name}[{k}]", float(starts[k]), float(sizes[k])) for k in chosen]
 

@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PROPERTIES, Form, Property, Rope, growth, stretched
 
-Law = Literal["own", "factor", "taper"]
+Law = Literal["own", "factor", "taper", "pivot"]
 Part = dict[str, Array]
 
 ARM = tuple(each.name for each in PROPERTIES.values() if each.owner == "arm")
@@ -25,8 +25,9 @@ class Parameter:
     """One free number.
 
     The fit works on x: the logarithm of the value (``log``), or the value over `scale`, kept >= 0 where its form
-    is ``nonnegative``. Of a law along the rope x is the logarithm of a factor on all links' guesses (``factor``) or of
-    its growth from the motor to the tip (``taper``).
+    is ``nonnegative``. Of a law along the rope x is the logarithm of a factor on all links' guesses (``factor``), of
+    its growth from the motor to the tip (``taper``) or of a factor on the first joint's alone (``pivot``). Tapers and
+    pivots multiply what others of the name make.
     """
 
     name: str
@@ -46,7 +47,7 @@ class Parameter:
         """How the fitter sees it."""
         if self.law == "own":
             return self.kind.form or "linear"
-        return "log" if self.law == "factor" else "linear"
+        return "linear" if self.law == "taper" else "log"
 
     @property
     def first(self) -> float:
@@ -140,7 +141,7 @@ class Parameters:
                 if parameter.law == "own":
                     column[list(parameter.links)] = value
                 else:
-                    column *= value if parameter.law == "factor" else np.exp(each * self.middle)
+                    column *= np.exp(each * self.shape(parameter.law))
         if "length" in columns:
             longer = stretched(self.guess, columns["length"])
             for name in LED:
@@ -154,6 +155,11 @@ class Parameters:
             return self.rope(x)
         except InvalidInput:
             return None
+
+    def shape(self, law: str) -> Array:
+        """Return what a law multiplies the links' values by (n,), as logarithms by its x."""
+        one = np.ones(self.guess.n_links)
+        return {"taper": self.middle, "pivot": np.where(np.arange(one.size) == 0, 1.0, 0.0)}.get(law, one)
 
     def parts(self, x: Array, rope: Rope) -> list[tuple[int, Part]]:
         """Return which parameters move the rope, and by how much each property changes with their x.
@@ -177,10 +183,11 @@ class Parameters:
         if parameter.kind.owner != "link":
             return {name: np.array([parameter.derivative(x)])}
         if parameter.law != "own":
-            change = getattr(rope, name) * (1.0 if parameter.law == "factor" else self.middle)
+            change = getattr(rope, name) * self.shape(parameter.law)
         else:
-            change = np.zeros(rope.n_links)
-            change[list(parameter.links)] = parameter.derivative(x)
+            change, links, value = np.zeros(rope.n_links), list(parameter.links), parameter.value(x)
+            uneven = getattr(rope, name)[links] / value if value != 0.0 else 1.0  # by a taper or a pivot
+            change[links] = parameter.derivative(x) * uneven
         return {name: change} | (self._follow(rope, change) if name == "length" else {})
 
     def _follow(self, rope: Rope, change: Array) -> Part:

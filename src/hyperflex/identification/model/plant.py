@@ -16,9 +16,9 @@ from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import ARM, Parameter, Parameters
-from hyperflex.model import Arm, Rope, Setup, divided
+from hyperflex.model import Arm, Rope, Setup, divided, parse_label
 from hyperflex.motion import Motion, hold_arm
-from hyperflex.sensors import Angles, MotorTorque, PostureSensor
+from hyperflex.sensors import Angles, Markers, MotorTorque, PostureSensor
 from hyperflex.simulation import (
     ParameterDirections,
     finish_rollout,
@@ -254,13 +254,20 @@ def pivot_places(motion: Motion | None, arm: Arm | None, t: Array) -> Array:
 def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:
     """Return the model at x (P,) with more free parameters, its x, and these word by word; words that fail are out."""
     rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), []
+    arcs = plant.sensor.arc_lengths if isinstance(plant.sensor, Markers) else None
     for word in words:
         if word in (ANGLES, TORQUE, ARM_LENGTH):
             groups.append([Parameter(word, (), word, 1.0, 1.0, "factor")])
             continue
+        label = parse_label(word.removesuffix(":pivot"))
+        if word.endswith(":pivot") and label is not None:
+            if getattr(rope, label.name)[0] > 0.0:
+                every = tuple(range(rope.n_links))
+                groups.append([Parameter(label.name, every, word, 1.0, 1.0, "pivot")])
+            continue
         try:
             arm = None if plant.motor is None else plant.arm
-            groups.append(parse(rope, [word], moved=plant.motion is not None, arm=arm))
+            groups.append(parse(rope, [word], arcs, moved=plant.motion is not None, arm=arm))
         except InvalidInput:  # a mass of 0 has no logarithm, say
             continue
     extra = [each for group in groups for each in group]

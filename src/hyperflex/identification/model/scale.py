@@ -55,7 +55,7 @@ def in_common_factor(parameters: Parameters, x: Array, unknown: Array) -> Mask:
     """
     if common_factor(parameters, x, unknown) is None:
         return np.zeros(len(parameters), dtype=bool)
-    return np.array([p.kind.power == 1 and p.law != "taper" for p in parameters.all])
+    return np.array([p.kind.power == 1 and p.law not in ("taper", "pivot") for p in parameters.all])
 
 
 def _scaled(rope: Rope) -> Array:

@@ -124,5 +124,6 @@ def _finite(label: str, stds: Mapping[str, Any]) -> bool:
     std = stds.get(label, stds.get(parts.name) if parts else None)
     if std is None:
         return True
-    each = std if np.ndim(std) == 0 else std[(parts.place or 0) if parts else 0]
+    last = parts is not None and parts.law == "inner"  # the first link's is held
+    each = std if np.ndim(std) == 0 else std[-1 if last else (parts.place or 0) if parts else 0]
     return not isinstance(each, str) and bool(np.isfinite(each))

@@ -30,7 +30,11 @@ class Number:
     @property
     def words(self) -> str:
         """What it is."""
-        whose = {"shared": ", of each link alike", "factor": ", factor on the guess of all links"}
+        whose = {
+            "shared": ", of each link alike",
+            "inner": ", of each link but the first alike",
+            "factor": ", factor on the guess of all links",
+        }
         words, owner = PROPERTIES[self.name].words, PROPERTIES[self.name].owner
         if self.law == "taper":
             return f"{words}, at the tip over that at the motor (as far as it departs from the guess)"
@@ -47,7 +51,7 @@ def numbers(found: Identification) -> tuple[Number, ...]:
 def _number(found: Identification, label: str) -> Number:
     name, place, law = parse_label(label) or Label(label, None, "")
     key = label if law in ("factor", "taper") else name
-    index = () if found.values[key].ndim == 0 else (place or 0,)
+    index = () if found.values[key].ndim == 0 else (-1 if law == "inner" else place or 0,)
     value, std = float(found.values[key][index]), float(found.std[key][index])
     low, high = _interval(found, label, value, std)
     if not np.isfinite(std):
@@ -103,7 +107,8 @@ def _start(each: Number, found: Identification, guess: Rope) -> float | None:
     if owner == "motion" or each.name == "gravity_angle":
         return float(found.settings.get(f"{each.name}_from", 0.0))
     own = np.atleast_1d(getattr(guess, each.name))
-    return float(own.mean() if each.law == "shared" else own[each.place or 0])
+    alike = {"shared": own, "inner": own[1:]}.get(each.law)
+    return float(own[each.place or 0] if alike is None else alike.mean())
 
 
 def ties(found: Identification, least: float = 0.95, most: int = 5) -> tuple[str, ...]:

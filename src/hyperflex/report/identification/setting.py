@@ -103,7 +103,7 @@ def _told(word: str) -> str:
     name, _, law = word.partition(":")
     name, _, place = name.partition("[")
     whose = {"shared": " (one value for all links)", "factor": " (one factor for all links)"}
-    laws = whose | {"taper": " (its growth along the rope)"}
+    laws = whose | {"taper": " (its growth along the rope)", "inner": " (one value for all links but the first)"}
     where = f" of {'marker' if name == 'arc' else 'link'} {place[:-1]}" if place else ""
     return name.replace("_", " ") + where + laws.get(law, "")
 

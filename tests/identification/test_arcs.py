@@ -1,0 +1,43 @@
+"""Places of markers along the rope that are not as declared."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benchmarks.wrong_input import DOUBLE, FREE, noisy, swing
+
+from hyperflex.identification import Identification, identify
+from hyperflex.model import Rope
+from hyperflex.recording import Recording
+
+T, Q = swing(DOUBLE, [0.9, 0.6])
+PLACES = np.stack([DOUBLE.joints(each, np.zeros(2))[1:].ravel() for each in Q])  # of the elbow and the tip
+GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
+
+
+def found(off: float, seed: int, guess: Rope = GUESS) -> Identification:
+    recording = Recording(T, noisy(PLACES, 3e-4, seed), kind="markers")
+    return identify(recording, guess, FREE, arc_lengths=[0.3 + off, 0.55], origin=(0.0, 0.0))
+
+
+@pytest.mark.parametrize("off", [0.003, 0.006])
+def test_one_that_is_elsewhere_is_told(off: float) -> None:
+    """With the elbow's 1 or 2 % off, ratios were by more than four standard deviations, and nothing was suspected."""
+    grade = found(off, 1).grade
+    assert grade.name == "do not use"
+    assert grade.reasons[0].startswith("where the markers are does not fit")
+    assert "'arc'" in grade.reasons[0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_those_that_are_as_declared_are_not(seed: int) -> None:
+    result = found(0.0, seed)
+    assert result.grade.name == "usable for ratios"
+    assert not any("where" in each and "marker" in each for each in result.grade.reasons)
+
+
+def test_one_that_moves_no_ratio_explains_a_poor_fit() -> None:
+    """An elbow's marker before the elbow acts like a scale of its own place."""
+    grade = found(-0.004, 1).grade
+    assert grade.name == "do not use"
+    assert grade.reasons[0].startswith("the markers seem to be 300, 550 mm along the rope")
