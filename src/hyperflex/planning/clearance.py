@@ -92,12 +92,17 @@ def samples_clear_of_arm(rope: Rope, arm: Arm, q: Array, base: Array, clearance:
     length = rope.length.astype(np.float32)
     x = x[..., None] + np.cumsum(length * np.sin(angles), axis=2)
     y = y[..., None] - np.cumsum(length * np.cos(angles), axis=2)
-    close = (x * x + y * y)[..., hangs:].min(axis=2, initial=np.inf) < room**2  # joints that do not hang from the tip
-    for k in np.flatnonzero(close.any(axis=1)):
-        rows = np.flatnonzero(close[k])
-        near = rows[sampled_clearance(rope, arm, q[k, rows], base[k, rows]) <= clearance]
-        clear[k] = near[0] if near.size else clear[k]
-    return clear
+    close = x * x + y * y < room**2  # links by their ends
+    close[..., :hangs] = close[..., hangs:].any(axis=2, keepdims=True)  # those that hang from the tip are always close
+    member, sample, link = rows = np.nonzero(close)
+    end = np.stack([x[rows], y[rows]], axis=1)
+    begin = end - length[link, None] * np.stack([np.sin(angles[rows]), -np.cos(angles[rows])], axis=1)
+    pivot, tips = np.zeros(2), base[member, sample] - np.array(arm.pivot)
+    bar = np.where(link < hangs, np.inf, _segment_distance(begin, end, pivot, tips) - arm.radius)
+    gap = np.minimum(_distance(pivot, begin, end) - arm.shaft_radius, bar) - rope.radius
+    near = np.zeros(close.shape[:2], dtype=bool)
+    near[member[gap <= clearance], sample[gap <= clearance]] = True
+    return np.where(near.any(axis=1), near.argmax(axis=1), clear)
 
 
 def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Array:
