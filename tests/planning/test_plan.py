@@ -18,7 +18,7 @@ from hyperflex.planning.search.contact_phase import WindingScores
 from hyperflex.planning.search.throw_search import MAX_FAILED, MOVES, TRIED, ThrowSearch
 from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
-from hyperflex.planning.wind.verified import failure, foreseen
+from hyperflex.planning.wind.verified import failure, foreseen, succeeds, with_margin
 from tests.faults.interrupting import left_by
 from tests.planning.known import planned
 
@@ -535,6 +535,53 @@ def test_a_throw_that_touches_at_another_time_with_shorter_links_does_not_stand(
     assert second.success is holds
 
 
+def test_a_throw_without_a_margin_is_simulated_once_with_links_of_each_length(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its first two runs are not made again where a third tells whether it stands."""
+    outcome = planned().outcome
+    assert outcome is not None
+    work = cast_planner.CastPlanner(ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), 60.0)
+    links: list[int] = []
+
+    def run_once(cast_setup: CastSetup, *_: object) -> object:
+        links.append(cast_setup.rope.n_links)
+        return replace(outcome, slip=3e-3, tip_hangs=True)
+
+    monkeypatch.setattr(work, "run_once", run_once)
+    one = cast_planner.Candidate(2.0, 2.0, 1, np.zeros(3), None)  # type: ignore[arg-type]
+    first, second = work.verify_twice(one)
+    assert not with_margin((None, first, second))
+    assert succeeds((None, *work.verify(one, (None, first, second))))
+    assert sorted(links) == [CABLE.n_links, 2 * CABLE.n_links, 3 * CABLE.n_links]
+
+
+def test_where_no_plan_stands_a_throw_without_a_margin_is_verified_before_others_are_looked_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
+    size = 2 * search.parametrizations[1].strokes + 4
+    search.candidates = [
+        cast_planner.Candidate(3.0 - k, 2.0, 1, np.full(size, float(k)), SimpleNamespace(name=name, count=2), True)  # type: ignore[arg-type]
+        for k, name in enumerate("ab")
+    ]
+    outcome = planned().outcome
+    assert outcome is not None
+    outcome, asked = replace(outcome, slip=3e-3), []
+
+    def twice(found: cast_planner.Candidate) -> object:
+        asked.append(f"look at {found.throw.name}")  # type: ignore[attr-defined]
+        return outcome, outcome
+
+    def verify(found: cast_planner.Candidate, seen: object) -> object:
+        asked.append(f"verify {found.throw.name}")  # type: ignore[attr-defined]
+        return outcome, replace(outcome, message="it slips")
+
+    work = cast_planner.CastPlanner(search, 60.0, clock=SimpleNamespace(spent=10.0))  # type: ignore[arg-type]
+    monkeypatch.setattr(work, "verify_twice", twice)
+    monkeypatch.setattr(work, "verify", verify)
+    work.verify_new()
+    assert asked[:3] == ["look at a", "verify a", "look at b"]
+
+
 def test_throws_that_barely_wind_are_verified_later() -> None:
     search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=20)
     x, throw = np.zeros(2 * search.parametrizations[1].strokes + 4), SimpleNamespace(count=2)
@@ -547,7 +594,7 @@ def test_throws_that_barely_wind_are_verified_later() -> None:
     work = cast_planner.CastPlanner(search, 60.0, clock=spent)  # type: ignore[arg-type]
     assert [one.x[0] for one in work.fresh()] == [0.0, 1.0, 2.0]  # given throws
     search.swings = [Swing(1.0, 1, x, 5.0)]
-    for time, count in ((0.0, 1), (10.0, 3), (31.0, 4)):
+    for time, count in ((0.0, 1), (4.0, 3), (7.0, 4)):
         spent.spent = time
         assert [one.x[0] for one in work.fresh()] == list(range(count))
 

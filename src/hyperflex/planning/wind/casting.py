@@ -77,7 +77,7 @@ def plan_cast(
         throw is verified. The success probability does not include it.
     contact : float, optional
         Least angle of the target that the rope must cover, rad. By default none is asked for, but where the rope is
-        long enough a full turn is sought until twice the time in which the first plan stood; with 0 it is not.
+        long enough a full turn is sought until 1.5 times the time in which the first plan stood; with 0 it is not.
     clearance : float
         Least distance of the rope from its own arm, the motor's shaft and obstacles, m, as of :class:`CastSetup`.
     obstacles : sequence of Peg, Wall, Ground
@@ -89,8 +89,8 @@ def plan_cast(
         Time by the clock for search, verifications and success probability, s, without compiling; on a busy machine,
         too. A plan that succeeds with a margin ends the search before: it slips by at most 0.4 of what is allowed, is
         pulled with no more than the capstan equation allows, its end hangs from the peg, or may fall from its top and
-        lose a turn, it was not folded flat on the way, and winds alike with shorter links. One without ends it at twice
-        the time in which the first plan stood. With an uncertainty, one that succeeds in all samples does.
+        lose a turn, it was not folded flat on the way, and winds alike with shorter links. One without ends it at 1.5
+        times the time in which the first plan stood. With an uncertainty, one that succeeds in all samples does.
     skip_feasibility : bool
         Search even for a target that the feasibility check calls out of reach.
     fallback : bool

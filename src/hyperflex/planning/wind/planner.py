@@ -23,7 +23,6 @@ from hyperflex.planning.wind.verified import (
     may_fall,
     promise,
     rank,
-    steady,
     succeeds,
     with_margin,
     worst_of,
@@ -39,9 +38,10 @@ MIN_TAIL = 0.5  # turns of tail, at least, that a swing is taken to have for tha
 NEARLY = 0.9  # score of a throw in contact that is worth being refined though all swings strike late
 # Fraction of the time until which throws without a margin are not verified to the end, nor others that wind by less
 # than so many turns more than are asked, or score less: of throws with these to spare 37 of 46 held when verified as
-# given, of others 13 of 33. A verification takes as long as fifty runs of the search
-EARLY, SPARE_TURNS, SPARE_SCORE = 0.15, 0.1, 0.25
-FOLDING = 0.5  # fraction of the time until which throws that slip, or fold flat, are not verified: 11 of 28 held
+# given, of others 13 of 33. A verification takes as long as fifty runs of the search. EARLY is there for the time of
+# the first plan
+EARLY, SPARE_TURNS, SPARE_SCORE = 0.05, 0.1, 0.25
+FOLDING = 0.1  # fraction of the time until which throws that slip, or fold flat, are not verified: 11 of 28 held
 FREE = 0.2  # fraction of the time in which late swings are not tried in contact before they are worth it
 SWINGING = 0.5  # fraction of the time after which the search goes on in contact in any case
 RESTART = 12  # generations in contact from one candidate
@@ -54,8 +54,9 @@ SEARCHING = 0.85  # fraction of the time after which only verifications are begu
 LONGEST = 0.25  # fraction of the time that a first verification may take, or half of what is left
 LOOK = 1.0  # s; steps of a run between two looks at the clock may take as long on a busy machine
 TRIES = 3  # looks at new candidates at most between two generations
-# A margin, and a full turn of contact that nobody asked for, are sought until so many times the time of the first plan
-BETTER = 2.0
+# A margin, and a full turn of contact that nobody asked for, are sought until so many times the time of the first plan;
+# chosen for the time of all
+BETTER = 1.5
 FULL_TURN = 2.0 * np.pi  # rad of contact that a search goes on for where the rope is long enough, if none is asked for
 
 STANDS = "a cast stands; one with a margin is sought"
@@ -212,9 +213,15 @@ class CastPlanner:
             if not (some := self.fresh()):
                 break
             self.look(some)
+            if not self.stands:
+                self.verify_waiting()
         if self.stands:
             known = rank(self.best, self.contact)[:-1]
             self.waiting = [each for each in self.waiting if promise(each[0], self.contact)[:-1] > known]
+        self.verify_waiting()
+
+    def verify_waiting(self) -> None:
+        """Verify the best throw that has no margin with shorter links, unless it is early."""
         if self.waiting and not (self.early or self.done()):
             seen, one = self.waiting.pop(0)
             self.check([one], [seen])
@@ -290,42 +297,32 @@ class CastPlanner:
         returned, or the one whose turns differ most: unpredictable throws differ with the length of the links.
         """
         first, second = seen[1:] if seen else self.verify_twice(one)
-        known = [] if second is None else [second]
-        if first is None or not all(each.success for each in (first, *known)) or with_margin((None, first, second)):
+        if first is None or second is None or not second.success or with_margin((None, first, second)):
             return first, second  # type: ignore[return-value] # there is a first one
-        more = [self.finer_run(one, k) for k in range(len(known), 2)]
-        found = self.at_once(more, lambda found: found.success or not found.completed)
-        finer = known + [foreseen(first, each) for each in found]
+        finer = [second, foreseen(first, self.run_once(self.finer[1], one, self.left))]
         worst = worst_of(first, finer)
         if worst.success and not all(map(may_fall, (first, *finer))):
-            last = foreseen(first, self.finer_run(one, 2)(lambda: False))
+            last = foreseen(first, self.run_once(self.finer[2], one, self.left))
             worst = worst_of(first, [worst, last]) if last.success else last
         return first, worst
 
     def verify_twice(self, one: Candidate) -> tuple[CastOutcome, CastOutcome | None]:
-        """Verify a throw on the rope as given and, beside that, with links of half the length where it has a margin."""
-        runs = [lambda _: self.first_outcome(one), self.finer_run(one, 0)]
-        first, second = self.at_once(runs, lambda found: found.success and steady(found))
-        return first, foreseen(first, second) if first.success and steady(first) else None
+        """Verify a throw on the rope as given and, beside that, with links of half the length unless that fails."""
+        failed: list[CastOutcome] = []
 
-    def finer_run(self, one: Candidate, k: int) -> Callable[[Callable[[], bool]], CastOutcome]:
-        """Return what simulates a throw with shorter links unless it is told that this is for nothing."""
-        return lambda refuted: self.run_once(self.finer[k], one, lambda: -1.0 if refuted() else self.left())
-
-    def at_once(
-        self, runs: Sequence[Callable[[Callable[[], bool]], CastOutcome]], good: Callable[[CastOutcome], bool]
-    ) -> list[CastOutcome]:
-        """Return the outcomes of runs, on two threads where there are; one that is not good ends those after it."""
-        failed = [len(runs)]
-
-        def run(k: int) -> CastOutcome:
-            seen = runs[k](lambda: min(failed) < k)
-            if not good(seen):
-                failed.append(k)
-            return seen
+        def begin() -> CastOutcome:
+            found = self.first_outcome(one)
+            if not found.success:
+                failed.append(found)
+            return found
 
         with ThreadPoolExecutor(min(2, self.search.workers)) as pool:
-            return list(pool.map(run, range(len(runs))))
+            runs = (
+                pool.submit(begin),
+                pool.submit(self.run_once, self.finer[0], one, lambda: -1.0 if failed else self.left()),
+            )
+        first, second = (run.result() for run in runs)
+        return first, foreseen(first, second) if first.success else None
 
     def first_outcome(self, found: Candidate) -> CastOutcome:
         """Verify a throw on the rope as given, in a part of the time."""
