@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.diagnosis.link_test import LINKS
 from hyperflex.identification.diagnosis.score_tests import LAWS, SCALES, SLIGHT, ScoreTest
-from hyperflex.identification.diagnosis.uneven import uneven_shift
+from hyperflex.identification.diagnosis.uneven import is_uneven, uneven_shift
 from hyperflex.identification.diagnosis.window_tests import DRIFT
 from hyperflex.identification.model.parameters import Parameters, lumped
 from hyperflex.identification.model.plant import scale_words
@@ -50,7 +50,7 @@ def with_model_error(
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
     counted = False
     for each in tests:
-        if each.name == SCALES:
+        if each.name == SCALES or (is_uneven(each) and not each.believed):
             continue
         asked = white or each.law or each.believed or each.suspected or each.name == DRIFT  # which has a std of its own
         counts = asked and each.excess_gain > ASKED and not (each.slight and each.freed_with)
@@ -134,13 +134,14 @@ def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str]:
 def _law_errors(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[Array, list[str]]:
     """Return by how much free resistances, of x (P,), may change if another one is free too, and which one it is.
 
-    The size of the shift, with the standard deviation that comes on top since both are hard to tell apart.
+    The size of the shift, with the standard deviation that comes on top since both are hard to tell apart. One that
+    differs along the rope counts only if that is believed: what little is known of it would leave nothing known.
     """
     parameters, x = basis.plant.parameters, basis.fit.x
     own = np.array([p.name in LAWS and p.kind.unit != "N m/rad" for p in parameters.all]) & (x > parameters.lower)
     sizes, names = np.zeros(x.size), [""] * x.size
     for each in tests:
-        if each.law and each.shift.size:
+        if each.law and each.shift.size and (each.believed or not is_uneven(each)):
             shift = uneven_shift(each, parameters, x)
             size = np.sqrt(shift**2 + np.maximum(np.diag(each.added), 0.0)) * own
             names = [each.name if more else name for more, name in zip(size > sizes, names, strict=True)]
