@@ -38,6 +38,7 @@ SWAPPED = 0.2  # logarithm of a distance over a length: far beyond UNEVEN, and l
 INTERVALS = 3  # that are named, for a line
 BEYOND, MANY = 5.0, 20  # standard errors, and distances at least
 LENGTHS_AGREE = 0.03  # markers are glued on and tracked to about this part of a link
+UNEXPLAINED = 4.0  # times the declared noise's variance: twice as much is no slip of whoever declared it
 
 
 def verdict(parameters: Parameters, information: Information, spreads: dict[str, Array]) -> list[str]:
@@ -276,7 +277,6 @@ WHITE_POOR = 0.2  # part of the motion, where what stays is white, so that it is
 TORQUE_POOR = (
     0.2  # part of a torque that may stay unexplained: torque sensors, and currents in place of them, are not better
 )
-UNEXPLAINED = 4.0  # times the declared noise's variance: twice as much is no slip of whoever declared it
 QUIET = 0.5  # times the declared noise: what stays below shows that less noise was there
 NOISY = 1.5  # times the declared noise: what stays below is as good as the recording, however little moves
 
