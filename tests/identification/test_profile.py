@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import brentq, lsq_linear
+from scipy.optimize import brentq, least_squares, lsq_linear
 from scipy.stats import f, norm
 
 from hyperflex import files
@@ -18,8 +18,10 @@ from hyperflex.identification import Identification, identify, profile
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.model.plant import PredictedChannels
+from hyperflex.identification.uncertainty import coordinate as _coordinate
 from hyperflex.identification.uncertainty import interval_method as _intervals
 from hyperflex.identification.uncertainty import profile as _profile
+from hyperflex.identification.uncertainty.coordinate import ParameterCoordinate, RatioCoordinate
 from hyperflex.identification.uncertainty.interval_method import all_intervals, skewed
 from hyperflex.identification.uncertainty.profile import profiled
 from hyperflex.identification.uncertainty.threshold import _draws, _rise, quantile, threshold
@@ -110,7 +112,7 @@ def test_a_linear_problem_has_the_interval_of_its_covariance() -> None:
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     plain = all_intervals(basis, "covariance")
     for k, (label, one) in enumerate(plain.items()):
-        found = profiled(basis, k, 0.95, points=3)
+        found = profiled(basis, ParameterCoordinate(basis, k), 0.95, points=3)
         width = one.high - one.low
         assert (found.low, found.high) == pytest.approx((one.low, one.high), abs=0.005 * width)  # CLOSE
         assert found.ends == ("crossed", "crossed")
@@ -135,7 +137,10 @@ def test_profiles_are_of_noise_alone_and_intervals_of_all(rounds: int, monkeypat
     basis = replace(plain, information=replace(information, **errors))
     by_std = all_intervals(basis, "covariance")
     for k, (label, one) in enumerate(all_intervals(basis, "profile").items()):
-        alone, same = profiled(basis, k, 0.95), profiled(plain, k, 0.95)
+        alone, same = (
+            profiled(basis, ParameterCoordinate(basis, k), 0.95),
+            profiled(plain, ParameterCoordinate(plain, k), 0.95),
+        )
         assert (alone.low, alone.high) == (same.low, same.high)
         assert one.high - one.low == pytest.approx(np.sqrt(6.0) * (alone.high - alone.low), rel=0.01)  # 1 + 1 + 2^2
         assert one.high - one.low == pytest.approx(by_std[label].high - by_std[label].low, rel=0.01)
@@ -146,7 +151,7 @@ def test_an_estimate_at_its_bound_or_near_it_has_it_as_its_end(at: bool) -> None
     plant = waves(60, truth=np.array([0.0, 10.0]))
     draws = (fitted(plant, np.random.default_rng(k).standard_normal((60, 1))) for k in range(99))
     basis = next(b for b in draws if (b.fit.x[0] == 0.0) == at and b.fit.x[0] ** 2 < b.information.covariance[0, 0])
-    one = profiled(basis, 0, 0.95)
+    one = profiled(basis, ParameterCoordinate(basis, 0), 0.95)
     assert (one.low, one.ends) == (0.0, ("bound", "crossed"))
     assert one.high > 0.0
 
@@ -162,7 +167,7 @@ def test_what_is_tied_to_a_parameter_beside_its_bound_is_skewed() -> None:
 def test_coloured_noise_widens_a_profile_as_it_does_the_covariance() -> None:
     basis = fitted(waves(120), autoregressive(np.random.default_rng(4), (120, 1), 0.8))
     assert basis.information.memory[1:].any()
-    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(basis, 0, 0.95)
+    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(basis, ParameterCoordinate(basis, 0), 0.95)
     assert (found.low, found.high) == pytest.approx((one.low, one.high), abs=0.005 * (one.high - one.low))
 
 
@@ -200,7 +205,7 @@ def test_a_better_optimum_on_the_way_is_told() -> None:
         windows=basis.windows,
         fit=fit(dipped, basis.windows, plain.fit.x, plain.fit.states, held=[0], enough=1e-9),
     )
-    one = profiled(stuck, 0, 0.95)
+    one = profiled(stuck, ParameterCoordinate(stuck, 0), 0.95)
     assert one.gain > 1.0
     assert one.better is not None
     first = dipped.parameters.all[0]
@@ -209,7 +214,7 @@ def test_a_better_optimum_on_the_way_is_told() -> None:
     told = all_intervals(stuck, "profile")["inertia[0]"].remark
     assert "not the best one" in told
     assert "profile(found, 'inertia[0]').better" in told
-    honest = profiled(plain, 0, 0.95)
+    honest = profiled(plain, ParameterCoordinate(plain, 0), 0.95)
     assert honest.gain < 0.01  # what the fit left, in residual variances
     assert honest.better is None
 
@@ -217,7 +222,7 @@ def test_a_better_optimum_on_the_way_is_told() -> None:
 def test_a_profile_that_is_too_dear_leaves_the_covariance_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     monkeypatch.setattr(_profile, "MOST_ROUNDS", 0)
-    one, plain = profiled(basis, 0, 0.95), all_intervals(basis, "covariance")["inertia[0]"]
+    one, plain = profiled(basis, ParameterCoordinate(basis, 0), 0.95), all_intervals(basis, "covariance")["inertia[0]"]
     assert (one.low, one.high, one.kind) == (plain.low, plain.high, "covariance")
     found = all_intervals(basis, "profile")["inertia[0]"]
     assert (found.kind, found.low) == ("covariance", plain.low)
@@ -246,7 +251,7 @@ def test_robust_losses_profile_what_their_covariance_says() -> None:
     random = np.random.default_rng(4)
     noise = random.standard_normal((300, 1)) * np.where(random.uniform(size=(300, 1)) < 0.05, 10.0, 1.0)
     basis = fitted(waves(300), noise, "huber")
-    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(basis, 0, 0.95)
+    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(basis, ParameterCoordinate(basis, 0), 0.95)
     assert Loss("huber", 2.0, fixed=True).scaled([noise.ravel()]).scale == 2.0  # costs along it are of one kind
     # Huber's formula takes the mean of psi', the profile each residual's own: alike to some 1 / sqrt(300)
     assert found.high - found.low == pytest.approx(one.high - one.low, rel=0.15)
@@ -289,7 +294,74 @@ def test_what_cannot_be_known_has_no_limits() -> None:
         found.ratios["J/p1"] - 1.5 * found.ratio_std["J/p1"],
     )
     assert low[0] < found.intervals["J/p1[0]"].low < high[0]
+    one = profile(found, "J/p1[0]")  # known all the same, though the rope's scale is not
+    assert one.ends == ("crossed", "crossed")
+    std = RatioCoordinate(found.basis, "J/p1", 0).std  # of noise alone, as the profile
+    half = std * np.sqrt(quantile(0.95, found.basis.information.freedom))
+    middle = found.ratios["J/p1"][0]
+    assert (one.low, one.high) == pytest.approx((middle - half, middle + half), abs=0.02 * half)
     assert "p/p1[0]" not in found.intervals  # 1 by definition
+
+
+def test_ends_of_a_ratio_are_those_of_least_squares_with_the_ratio_held() -> None:
+    """By another way: scipy's least squares over state and parameters, the ratio put in by elimination."""
+    rope = Rope(length=[0.3, 0.25], mass=[0.1, 0.05], com=[0.14, 0.12], inertia=[8e-4, 3e-4], friction=[2e-4, 1e-4])
+    t = np.arange(31) / 15.0
+    run = simulate(rope, duration=t[-1], t_eval=t, q0=[0.9, 1.1], tol=1e-9)
+    data = run.q + 0.05 * np.random.default_rng(3).standard_normal(run.q.shape)
+    found = swung(Recording(t, data), rope, ["inertia", "friction"], intervals=None)
+    one = profile(found, "J/p1[1]", points=1)
+    assert one.ends == ("crossed", "crossed")
+    p1 = rope.mass[0] * rope.com[0] + rope.length[0] * rope.mass[1]
+    moment = rope.mass[1] * rope.com[1] ** 2
+
+    def squares(ratio: float) -> float:
+        def residual(z: Array) -> Array:
+            first, second = 1e-4 * z[4], ratio * p1 - moment
+            tried = rope.replace(inertia=[first, second], friction=1e-4 * z[5:])
+            ahead = simulate(tried, duration=t[-1], t_eval=t, q0=z[:2], qd0=z[2:4], tol=1e-9)
+            return np.asarray((ahead.q - data).ravel())
+
+        begun = np.concatenate([run.q[0], [0.0, 0.0], [8.0], [2.0, 1.0]])
+        least = np.append(np.full(4, -np.inf), np.zeros(3))
+        return float(2.0 * least_squares(residual, begun, x_scale="jac", diff_step=1e-5, bounds=(least, np.inf)).cost)
+
+    best = float((found.residuals**2).sum())
+    unit = found.basis.information.variance * RatioCoordinate(found.basis, "J/p1", 1).widening  # of white residuals: 1
+    weight = found.basis.windows[0].weight.max()
+    for end in (one.low, one.high):
+        rise = (squares(end) - best) * weight**2 / unit
+        limit = float(np.interp(end, one.values, one.limit))
+        assert np.sqrt(rise) == pytest.approx(np.sqrt(limit), abs=0.03)  # CLOSE, and both fits' own ends
+    assert one.low < found.ratios["J/p1"][1] < one.high
+
+
+@pytest.mark.parametrize("name", ["J/p1", "c/p1"])
+def test_profiles_of_ratios_do_not_depend_on_how_hard_they_are_drawn(
+    recording: Recording, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = swung(recording, PAPER, ["mass:factor", *FREE], intervals=None)
+    ends = []
+    for weight in (30.0, 7.0):
+        monkeypatch.setattr(_coordinate, "WEIGHT", weight)
+        one = profile(found, f"{name}[2]")
+        assert one.ends[1] == "crossed"
+        ends.append(one.high)
+    std = RatioCoordinate(found.basis, name, 2).std
+    assert ends[1] == pytest.approx(ends[0], abs=0.02 * std)  # CLOSE, twice
+
+
+def test_a_ratio_whose_parameter_is_at_its_bound_ends_there(found: Identification) -> None:
+    """The inertia of the paper's rope is 0: J of the last link has no less than its mass and centre of mass give."""
+    assert found.values["inertia"][0] == 0.0
+    one, inertia = profile(found, "J/p1[4]"), profile(found, "inertia:shared")
+    assert one.ends == ("bound", "crossed")
+    assert one.low == pytest.approx(found.ratios["J/p1"][4], rel=1e-9)
+    p1 = PAPER.mass[0] * PAPER.com[0] + PAPER.length[0] * PAPER.mass[1:].sum()
+    assert one.high == pytest.approx(one.low + inertia.high / p1, rel=1e-3)  # nothing else that is free moves it
+    assert np.interp(one.high, one.values, one.limit) == pytest.approx(
+        np.interp(inertia.high, inertia.values, inertia.limit), rel=0.02
+    )
 
 
 # ---- what a result tells
@@ -315,8 +387,10 @@ def test_intervals_are_found_as_asked(recording: Recording) -> None:
 
 
 def test_refusals(found: Identification) -> None:
-    with pytest.raises(InvalidInput, match=r"no such parameter.*inertia:shared"):
+    with pytest.raises(InvalidInput, match=r"no such parameter.*inertia:shared.*J/p1\[0\]"):
         profile(found, "inertia")
+    with pytest.raises(InvalidInput, match=r"no such ratio moved.*p/p1\[1\]"):
+        profile(found, "p/p1[1]")  # masses and centres of mass were held
     for level in (0.0, 1.0, np.nan):
         with pytest.raises(InvalidInput, match="level"):
             profile(found, FREE[0], level)

@@ -44,7 +44,7 @@ class Fit:
     states: list[Array]
     residuals: list[Array]
     loss: Loss = field(default_factory=Loss)
-    prior_cost: float = 0.0  # of the states: sum of squares of the prior's residuals
+    prior_cost: float = 0.0  # sum of squares of the residuals of the states' prior, and of a target
     converged: bool = False
     interrupted: bool = False
     history: list[dict[str, float]] = field(default_factory=list)
@@ -57,6 +57,29 @@ class Fit:
     def window_cost(self, window: Window, state: Array, residual: Array) -> float:
         """Return the cost of a window from `state` (2n,) with residual (m C,)."""
         return self.loss.cost(residual) + window.prior_cost(state)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A value that a function of x (P,) is drawn to: one residual more, the difference times `weight`.
+
+    Where all residuals together are least, those of the data are the least of all x with the function's value there,
+    whatever the weight is: a point of the function's profile likelihood.
+    """
+
+    function: Callable[[Array], float]
+    gradient: Callable[[Array], Array]
+    value: float
+    weight: float
+
+    def residual(self, x: Array) -> float:
+        """Return the weighted difference."""
+        return self.weight * (self.function(x) - self.value)
+
+    def linear(self, x: Array) -> "Linear":
+        """Return its linear model: one row, without a state."""
+        row = self.weight * self.gradient(x)
+        return Linear(np.zeros((1, 0)), row[None, :], np.array([self.residual(x)]))
 
 
 @dataclass(frozen=True)
@@ -112,8 +135,11 @@ def fit(
     enough: float | None = None,
     report: Report | None = None,
     held: Sequence[int] = (),
+    target: Target | None = None,
 ) -> Fit:
     """Fit parameters and all states together, or the states alone, from first guesses; parameters `held` stay.
+
+    A `target` counts as one residual more.
 
     It ends with a round that gains less than the part `enough` of the cost; by default less than parameters move by
     chance.
@@ -129,7 +155,7 @@ def fit(
     residuals = _residuals(plant, windows, x, states)
     if residuals is None:
         raise InvalidInput("the rope cannot be simulated from the guess", fix="Give a guess nearer to the real one")
-    best = Fit(x, states, residuals, loss, _prior_cost(windows, states))
+    best = Fit(x, states, residuals, loss, _prior_cost(windows, x, states, target))
     count = sum(window.values for window in windows)
     lower = np.empty(0) if states_only else plant.parameters.lower
     least = min(1e-4, ENOUGH / count) if enough is None else enough
@@ -142,13 +168,15 @@ def fit(
                 linearise(plant, *each, best.loss)
                 for each in zip(windows, [best.x] * len(windows), best.states, best.residuals, strict=True)
             ]
+            if target is not None:
+                linear.append(target.linear(best.x))
             for each in linear:
                 each.shared[:, list(held)] = 0.0
             if states_only:
                 linear = [Linear(each.state, each.shared[:, :0], each.residual, each.known) for each in linear]
             linear = [each.compact() for each in linear]
             promised = _predicted_decrease(best, linear, lower)
-            damping, free = _improve(plant, windows, best, linear, lower, damping)
+            damping, free = _improve(plant, windows, best, linear, lower, damping, target)
             gain = (before - best.cost) / before if before > 0.0 else 0.0
             best.history.append({"round": number, "cost": best.cost, "gain": gain, "damping": damping})
             if report is not None:
@@ -205,8 +233,9 @@ def _residuals(plant: Plant, windows: Sequence[Window], x: Array, states: Sequen
     return result
 
 
-def _prior_cost(windows: Sequence[Window], states: Sequence[Array]) -> float:
-    return sum(window.prior_cost(state) for window, state in zip(windows, states, strict=True))
+def _prior_cost(windows: Sequence[Window], x: Array, states: Sequence[Array], target: Target | None) -> float:
+    own = 0.0 if target is None else target.residual(x) ** 2
+    return own + sum(window.prior_cost(state) for window, state in zip(windows, states, strict=True))
 
 
 def _step(at: Fit, linear: Sequence[Linear], lower: Array, damping: float) -> tuple[Array, list[Array]]:
@@ -248,7 +277,13 @@ def _predicted_decrease(at: Fit, linear: Sequence[Linear], lower: Array) -> floa
 
 
 def _improve(
-    plant: Plant, windows: Sequence[Window], best: Fit, linear: Sequence[Linear], lower: Array, damping: float
+    plant: Plant,
+    windows: Sequence[Window],
+    best: Fit,
+    linear: Sequence[Linear],
+    lower: Array,
+    damping: float,
+    target: Target | None,
 ) -> tuple[float, bool]:
     """Take one accepted step (or none, when no damping helps); `best` is changed in place.
 
@@ -258,10 +293,10 @@ def _improve(
     while damping < MOST_DAMPING:
         shared, moves = _step(best, linear, lower, damping)
         x = best.x + shared if lower.size else best.x
-        states = [state + move for state, move in zip(best.states, moves, strict=True)]
+        states = [state + move for state, move in zip(best.states, moves[: len(windows)], strict=True)]
         residuals = _residuals(plant, windows, x, states)
         if residuals is not None:
-            tried = Fit(x, states, residuals, best.loss, _prior_cost(windows, states))
+            tried = Fit(x, states, residuals, best.loss, _prior_cost(windows, x, states, target))
             if tried.cost <= before:
                 best.x, best.states, best.residuals, best.prior_cost = x, states, residuals, tried.prior_cost
                 free = damping <= SHORT and any(each.known for each in linear)

@@ -7,6 +7,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.fit.multiple_shooting import Report, with_entries
+from hyperflex.identification.uncertainty.coordinate import ParameterCoordinate
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, End, Interval, from_covariance
 from hyperflex.identification.uncertainty.profile import BETTER, Profile, profiled
 from hyperflex.identification.uncertainty.threshold import near_bounds, quantile
@@ -37,7 +38,8 @@ def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Repor
         length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
         for number, k in enumerate(chosen):
             at = {"phase": "profile", "parameter": labels[k], "window": length, "stage": number, "stages": len(chosen)}
-            found = profiled(basis, k, level, report=None if report is None else with_entries(report, at))
+            along = ParameterCoordinate(basis, k)
+            found = profiled(basis, along, level, report=None if report is None else with_entries(report, at))
             if found.kind == "profile":
                 interval = Interval(found.low, found.high, found.kind, found.ends, level)
                 result[labels[k]] = _with_model_error(basis, k, interval)
