@@ -15,7 +15,7 @@ from hyperflex.planning import CastSetup, MotorLimits, SuccessProbability, Uncer
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.candidates import Swing
 from hyperflex.planning.search.contact_phase import WindingScores
-from hyperflex.planning.search.throw_search import MAX_FAILED, MOVES, TRIED, ThrowSearch
+from hyperflex.planning.search.throw_search import LATER, MAX_FAILED, MOVES, TRIED, ThrowSearch
 from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
 from hyperflex.planning.wind.verified import failure, foreseen, succeeds, with_margin
@@ -100,7 +100,7 @@ def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(ThrowSearch, "beam_search", swing)
     monkeypatch.setattr(ThrowSearch, "evolve_swings", swing)
-    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: None)
+    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self, **_: None)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify_twice", verified)
     found = left_by(lambda: hf.plan_cast(CABLE, ARM, EASY))
     assert found.interrupted
@@ -406,7 +406,7 @@ def test_while_a_better_plan_is_sought_it_is_said_that_one_stands(monkeypatch: p
         return 1.0
 
     monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
-    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: None)
+    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self, **_: None)
     work.run(lambda spent, words: told.append(words))
     assert told == ["planning", *3 * [cast_planner.STANDS]]
 
@@ -758,7 +758,8 @@ def test_many_swings_are_tried_with_a_few_last_moves_before_some_with_more(monke
     search.swings = [Swing(1.0 - 0.1 * k, 1, x + 0.2 * k, 5.0) for k in range(TRIED + 1)]
     search.swings.append(Swing(-0.2, 1, x - 0.2, 5.0))  # with shorter links it does not strike
 
-    def evaluate(side: int, points: list[np.ndarray]) -> None:
+    def evaluate(side: int, points: list[np.ndarray], until: float) -> None:
+        assert until == 5.0 + LATER
         tried.append([(round((point[0] - x[0]) / 0.2), *point[-4:-1].tolist()) for point in points])
 
     monkeypatch.setattr(search, "evaluate", evaluate)
@@ -776,12 +777,42 @@ def test_many_swings_are_tried_with_a_few_last_moves_before_some_with_more(monke
     assert {point[1:] for some in tried for point in some} == {move for some in moves for move in some}
 
 
+def test_swings_that_were_tried_get_other_moves_though_there_are_fresh_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), hf.Peg(0.9, -0.4, 0.03), threads=1)
+    x, tried = search.parametrizations[1].centre(), []
+    monkeypatch.setattr(search, "evaluate", lambda _, points, until: tried.append([p[-4:-1].tolist() for p in points]))
+    search.swings = [Swing(1.0, 1, x, 5.0)]
+    search.try_last_moves()
+    search.swings.append(Swing(0.9, 1, x + 0.2, 5.0))
+    search.try_last_moves(fresh=False)
+    assert tried == [list(map(list, MOVES[0])), list(map(list, MOVES[1]))]
+    assert search.untried(0.0)
+
+
+@pytest.mark.parametrize(("winds", "calls"), [(False, [True, False]), (True, [True])])
+def test_other_moves_are_tried_while_no_throw_winds(
+    winds: bool, calls: list[bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    work, told = cast_planner.CastPlanner(search, 1e3), list[bool]()
+
+    def tries(self: ThrowSearch, *, fresh: bool = True) -> None:
+        told.append(fresh)
+        if winds:
+            self.candidates = [cast_planner.Candidate(0.5, 1.5, 1, np.zeros(3), None)]  # type: ignore[arg-type]
+
+    monkeypatch.setattr(ThrowSearch, "try_last_moves", tries)
+    monkeypatch.setattr(cast_planner.CastPlanner, "verify_new", lambda self: None)
+    work.try_worthy()
+    assert told == calls
+
+
 def test_last_moves_end_towards_the_targets_side(monkeypatch: pytest.MonkeyPatch) -> None:
     ends = {}
     for x in (-0.9, 0.9):
         search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), hf.Peg(x, -0.4, 0.03), threads=1)
         search.swings = [Swing(1.0, 1, search.parametrizations[1].centre(), 5.0)]
-        monkeypatch.setattr(search, "evaluate", lambda _, points, x=x: ends.update({x: [p[-3] for p in points]}))
+        monkeypatch.setattr(search, "evaluate", lambda _, points, until, x=x: ends.update({x: [p[-3] for p in points]}))
         search.try_last_moves()
     assert ends[-0.9] == [-end for end in ends[0.9]]
 
@@ -798,7 +829,7 @@ def test_where_no_throw_winds_shorter_links_are_tried() -> None:
         return WindingScores(np.zeros(len(throws)), np.full(len(throws), 0.3))
 
     found = strikes.Strikes(*np.zeros((3, 99)), np.full(99, 5.0), *np.zeros((2, 99, 1)), np.full(99, 9))
-    search._wind, search._strikes = wind, lambda cast_setup, throws: found  # type: ignore[method-assign,assignment]
+    search._wind, search._strikes = wind, lambda cast_setup, throws, until: found  # type: ignore[method-assign,assignment]
     for _ in range(MAX_FAILED + 3):
         search.try_last_moves()
     assert links == MAX_FAILED * [CABLE.n_links] + 3 * [2 * CABLE.n_links]
@@ -821,7 +852,9 @@ def test_late_swings_are_tried_beside_the_peg_once_they_are_worth_it(
 
     monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
 
-    def tries_best(self: ThrowSearch) -> None:
+    def tries_best(self: ThrowSearch, *, fresh: bool = True) -> None:
+        if not fresh:
+            return
         tried.append(self.swings[0].score)
         self._tried = self.swings[:1]
 

@@ -198,7 +198,7 @@ def test_an_interrupt_leaves_the_best_throw_that_was_not_verified(tmp_path, monk
         return 1.0
 
     monkeypatch.setattr(ThrowSearch, "evolve_swings", swing)
-    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self: None)
+    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self, **_: None)
     plan = left_by(lambda: hf.plan_cast(cast_setup().rope, cast_setup().arm, PEG))
     assert plan.interrupted
     assert (plan.throw, plan.outcome) == (WINDS, None)

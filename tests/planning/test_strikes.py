@@ -10,7 +10,15 @@ from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastSetup, MotorLimits
 from hyperflex.planning.clearance import sampled_clearance, samples_clear_of_arm
 from hyperflex.planning.search.contact_phase import TIME_BUDGET
-from hyperflex.planning.search.strikes import NEAR, NEVER, find_strikes, first_contact, tail_energy
+from hyperflex.planning.search.strikes import (
+    FOLDED,
+    NEAR,
+    NEVER,
+    find_strikes,
+    first_contact,
+    simulate_strikes,
+    tail_energy,
+)
 from hyperflex.planning.search.throw_search import MIN_BUDGET, ThrowSearch
 from hyperflex.planning.throw import ThrowParametrization
 from tests.planning.known import simulated_strikes
@@ -81,6 +89,40 @@ def test_a_swing_that_goes_through_its_arm_does_not_strike() -> None:
     assert np.isnan(strike[0.0][0])
     assert strike[0.0][1] < NEVER
     assert strike[-np.inf][0] > 0.0
+
+
+def test_a_swing_that_was_folded_flat_before_its_strike_is_worth_less() -> None:
+    """What a rope does after it was folded depends on its contact with itself."""
+    t = 0.02 * np.arange(1.0, 21.0)
+    rope, n = hf.Rope.uniform(1.2, 0.06, 12, 0.003), 12
+    cast_setup, motion = CastSetup(rope, hf.Arm(length=0.2), MotorLimits()), hf.hold_arm(0.0)
+    q = np.repeat(np.linspace(-0.8, 0.6, t.size)[None, :, None], n, axis=2)
+    folded, afterwards = q.copy(), q.copy()
+    folded[0, 2, -1] += 3.1  # the last link upon the one before
+    afterwards[0, -1, -1] += 3.1
+    found = [
+        find_strikes(cast_setup, hf.Peg(0.2, -1.0, 0.02), [motion], t, each, np.full_like(each, 5.0))
+        for each in (q, folded, afterwards)
+    ]
+    assert 0.1 < found[0].t[0] < 0.35
+    assert found[1].score[0] == pytest.approx(FOLDED * found[0].score[0])
+    assert found[2].score[0] == found[0].score[0] > 0.0
+
+
+def test_strikes_are_looked_for_until_a_time() -> None:
+    throws = ThrowParametrization(CAST_SETUP, 1)
+    motion, peg = (
+        throws.throw(throws.centre()).motion(CAST_SETUP.limits),
+        hf.Peg(1.36 * np.sin(0.66), -1.36 * np.cos(0.66), 0.04),
+    )
+    whole = simulate_strikes(CAST_SETUP, peg, [motion])
+    t = float(whole.t[0])
+    assert 1.0 < t < CAST_SETUP.time - 1.0
+    same, none = (simulate_strikes(CAST_SETUP, peg, [motion], until=until) for until in (t + 0.1, t - 0.1))
+    assert same.t[0] == t
+    np.testing.assert_allclose(same.q, whole.q, atol=1e-6)  # steps end at other times
+    assert np.isnan(none.t[0])
+    assert none.score[0] <= NEVER
 
 
 def test_a_side_on_which_the_rope_starts_inside_the_peg_is_left_out() -> None:

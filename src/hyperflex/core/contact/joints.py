@@ -37,6 +37,7 @@ BEYOND = 2e-4  # rad, past a limit at which a step is tried again at half its le
 CLOSING = 1e-9  # rad/s, by which a rate must pass its bound to be held
 SLOW = 1e-8  # rad/s, below which a joint with dry friction sticks at first
 RELAXED = 0.99  # of the last step's torque is where the next step starts
+NEAR = 0.1  # rad, gap to a limit that no joint closes in a step
 SOON = 0.01  # s, for which the present rate counts in what is left of a gap
 
 
@@ -119,6 +120,16 @@ def initial_joint_mode(last, rate, lower, upper, bound):  # type: ignore[no-unty
     if mode in (STICK, BACK) and lower >= 0.0:
         return LOWER
     return mode
+
+
+@non_allocating
+def joints_in_play(joints, h):  # type: ignore[no-untyped-def]
+    """Number of joints that may change their mode in a step `h`, s: with dry friction, or near a limit."""
+    of, count = joints.of, 0
+    near = NEAR / h if h > 0.0 else ANY
+    for i in joints.which:
+        count += of[BOUND, i] > 0.0 or min(of[HIGHEST, i], -of[LOWEST, i]) < near
+    return count
 
 
 @non_allocating

@@ -9,7 +9,13 @@ import math
 
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
-from hyperflex.core.contact.joints import release_joints, update_joint_modes, update_joint_multipliers, write_joints
+from hyperflex.core.contact.joints import (
+    joints_in_play,
+    release_joints,
+    update_joint_modes,
+    update_joint_multipliers,
+    write_joints,
+)
 from hyperflex.core.contact.sweep import (
     KX,
     KY,
@@ -33,7 +39,7 @@ TRIES = 16  # searches, of which each starts from the last that found modes
 LEAST = 1.4  # growth of M; where none is found for less, the search ends
 CLOSING = 1e-9  # m/s, at which an open contact closes
 SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
-ROUNDS = 12  # of one search, and one more a joint; one that takes longer goes in a circle more often than not
+ROUNDS = 12  # of a search, and one more a joint in play; one that takes longer goes in a circle more often than not
 SETTLED = 2e-5  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
 USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
 USUAL_TOL, LOOSEST = 1e-5, 100.0  # m; with a larger tolerance in proportion more, up to so many times as much
@@ -196,7 +202,7 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
     settled = impulses.settled * max(0.1, min(1.0, h / USUAL))
     for c in range(contacts.total[0]):
         impulses.closed[c] = 0
-    most = ROUNDS + joints.which.size
+    most = ROUNDS + joints_in_play(joints, h)
     for turn in range(most):
         if turn == 0 or h > 0.0:  # an impact is linear
             linearize(chain, motion, h)

@@ -32,6 +32,7 @@ class Candidate(NamedTuple):
     x: Array
     throw: Throw
     confirmed: bool = False  # whether score and turns take a run with shorter links into account
+    t: float = np.inf  # s, of the strike
 
 
 Point = TypeVar("Point", Swing, Candidate)

@@ -18,6 +18,7 @@ from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import clear_samples, samples_clear_of_arm
 from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.verification import limit_bend
 from hyperflex.simulation import Deadline
 
 SAMPLE_TIME = 0.02  # s
@@ -25,6 +26,7 @@ COARSE_TOL = 1e-4  # m, of swings in a search; with 1e-3, no more than a quarter
 NEAR = 0.02  # m, gap below which the rope counts as striking
 MAX_RATIO, MAX_TAIL = 2.0, 2.0  # energy ratio, and turns of tail, above which more does not count
 HANGING_TAIL = 0.7  # turns of tail that hang from the peg in the end and do not wind
+FOLDED = 0.3  # part of its score that a swing keeps in which the rope was folded flat before the strike
 NEVER = -1.0  # score of a swing without a strike, less its distance in metres
 
 
@@ -56,14 +58,16 @@ def simulate_strikes(
     peg: Peg,
     motions: Sequence[Motion],
     *,
+    until: float = np.inf,
     time_budget: Deadline | None = None,
     threads: int | None = None,
 ) -> Strikes:
     """Simulate free swings from the start at t = 0 under each motion (M,), and find their first strikes on a peg.
 
-    Swings that are not done when the time is over do not strike.
+    Strikes are looked for `until` a time, s, at most. Swings that are not done when the time is over do not strike.
     """
-    t: Array = SAMPLE_TIME * np.arange(1.0, round(cast_setup.time / SAMPLE_TIME) + 1.0)
+    count = max(2, int(np.ceil(min(cast_setup.time, until) / SAMPLE_TIME - 0.5)))
+    t: Array = SAMPLE_TIME * np.arange(1.0, count + 1.0)
     swings = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(motions), [], motions)
     how: dict[str, Any] = {"tol": COARSE_TOL, "keep": ("q", "qd"), "time_budget": time_budget, "threads": threads}
     batch = swings.run(cast_setup.arm, t, **how)
@@ -96,7 +100,8 @@ def find_strikes(
     state, joint = (q[rows, at], qd[rows, at]), (base[rows, at], base_velocity[rows, at])
     ratio, left = tail_energy(cast_setup, peg, state, joint, link)
     tail = np.clip(left - HANGING_TAIL, 0.0, MAX_TAIL)
-    score = np.where(struck, np.minimum(ratio, MAX_RATIO) * tail, NEVER - least)
+    share = np.where(samples_unfolded(cast_setup.rope, q) < at, FOLDED, 1.0)
+    score = np.where(struck, share * np.minimum(ratio, MAX_RATIO) * tail, NEVER - least)
     return Strikes(
         np.nan_to_num(score, nan=2.0 * NEVER),
         np.where(struck, ratio, 0.0),
@@ -106,6 +111,16 @@ def find_strikes(
         qd[rows, at - 1],
         clear,
     )
+
+
+def samples_unfolded(rope: Rope, q: Array) -> npt.NDArray[np.int64]:
+    """Return after how many samples (M,) a rope at angles q (M, T, n) is first folded flat; T if it is not.
+
+    What it does then depends on its contact with itself, which free swings do not simulate.
+    """
+    bent: npt.NDArray[np.bool_] = np.abs(np.diff(q, axis=2)) > limit_bend(rope).max_bend[1:]
+    folded = np.asarray(bent.any(axis=2))
+    return np.asarray(np.where(folded.any(axis=1), folded.argmax(axis=1), q.shape[1]))
 
 
 def arm_tip(arm: Arm, motion: Motion, t: Array) -> tuple[Array, Array]:

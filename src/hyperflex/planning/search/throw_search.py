@@ -43,7 +43,8 @@ AFTER = (0.5, 2.5)  # strokes still made after the strike by given throws
 SLOW_RUNS, MIN_BUDGET = 10.0, 0.5  # one run in so many takes very long; processor time of each in any case, s
 UNTIL = 2.0 * strikes.SAMPLE_TIME  # s after a strike, until which the arm rests that rested before it
 LATE = 0.5  # fraction of the time allowed
-CONFIRMED = 32  # swings at once that are simulated with shorter links too, and then kept
+LATER = 1.0  # s after a known strike, until which the same swing with other links, or a varied one, is to strike
+CONFIRMED = 12  # swings at once that are simulated with shorter links too, and then kept
 # Where after so many tries no throw winds, pieces of each link in contact: coarse links miss some about a small peg, or
 # when slack
 MAX_FAILED, PIECES = 3, 2
@@ -78,7 +79,7 @@ class ThrowSearch:
         self._free: dict[int, Any] = {}  # made when it is needed: to import it takes seconds
         self._tried: list[Swing] = []  # in contact
         self._made: list[int] = []  # how many of the MOVES each of them was tried with
-        self._contact: tuple[int, Any] | None = None
+        self._contact: tuple[int, Any, float] | None = None
         self._failed_tries = 0  # tries of last moves while no throw winds
         self._in_contact = self.cast_setup  # its links are those of runs in contact
 
@@ -139,7 +140,7 @@ class ThrowSearch:
                 self.parametrizations[one.side].throw(one.x).cut(self.cast_setup.time, self.cast_setup.limits)
                 for one in some
             ]
-            again = self._strikes(self._finer, throws).score
+            again = self._strikes(self._finer, throws, until=max(one.t for one in some) + LATER).score
             self.runs += len(some)
             for one, score in zip(some, again, strict=True):
                 self.swings.append(one._replace(score=min(one.score, float(score))))
@@ -154,10 +155,12 @@ class ThrowSearch:
                 fix="Move the target away from the arm",
             )
 
-    def _strikes(self, cast_setup: CastSetup, throws: list[Throw], threads: int | None = None) -> strikes.Strikes:
+    def _strikes(
+        self, cast_setup: CastSetup, throws: list[Throw], threads: int | None = None, until: float = np.inf
+    ) -> strikes.Strikes:
         motions = [throw.motion(cast_setup.limits) for throw in throws]
         budget = None if self.left is None else Deadline(np.inf, self.left)
-        given: dict[str, Any] = {"time_budget": budget, "threads": threads or self.threads}
+        given: dict[str, Any] = {"time_budget": budget, "threads": threads or self.threads, "until": until}
         return strikes.simulate_strikes(cast_setup, self.peg, motions, **given)
 
     def evolve_swings(self) -> float:
@@ -188,6 +191,11 @@ class ThrowSearch:
         times = [one.t for one in self.swings[:KEPT]]
         return not times or float(np.median(times)) > LATE * self.cast_setup.time
 
+    @property
+    def winds(self) -> bool:
+        """Whether a throw in contact winds."""
+        return any(one.turns >= MIN_TURNS for one in self.candidates)
+
     def untried(self, score: float) -> bool:
         """Whether a swing of such a score was not tried in contact yet."""
         return bool(self._fresh(score, 1))
@@ -196,23 +204,24 @@ class ThrowSearch:
         """Return the best swings that were not tried in contact yet, `count` at most, of at least such a score."""
         return distinct((one for one in self.swings if one.score >= score), self._tried, count)
 
-    def try_last_moves(self) -> None:
+    def try_last_moves(self, *, fresh: bool = True) -> None:
         """Simulate swings in contact with last moves: the best ones that were not tried yet, with the first of MOVES.
 
-        Where there are none, those tried with the fewest moves get the next ones. After MAX_FAILED tries in which no
-        throw winds all are tried again with shorter links.
+        Where there are none, or without `fresh` ones, those tried with the fewest moves get the next ones. After
+        MAX_FAILED tries in which no throw winds all are tried again with shorter links.
         """
-        self._failed_tries += bool(self.candidates) and not any(one.turns >= MIN_TURNS for one in self.candidates)
+        self._failed_tries += bool(self.candidates) and not self.winds
         if self._failed_tries == MAX_FAILED and self._in_contact is self.cast_setup:
             self._in_contact = self.cast_setup.cut(PIECES)
             self._tried, self._made = [], []
-        fresh = self._fresh(0.0, TRIED)
-        self._tried += fresh
-        self._made += [0] * len(fresh)
+        some = self._fresh(0.0, TRIED) if fresh else []
+        self._tried += some
+        self._made += [0] * len(some)
         least = min(self._made, default=len(MOVES))
         if least == len(MOVES):
             return
-        rows = [k for k, made in enumerate(self._made) if made == least][:TRIED]
+        rows = [k for k, made in enumerate(self._made) if made == least]
+        rows = sorted(rows, key=lambda k: -self._tried[k].score)[:TRIED]
         towards = 1.0 if self.peg.x >= self.cast_setup.arm.pivot[0] else -1.0
         for side in self.parametrizations:
             points = [
@@ -222,7 +231,7 @@ class ThrowSearch:
                 for more, end, rest in MOVES[least]
             ]
             if points:
-                self.evaluate(side, points)
+                self.evaluate(side, points, max(self._tried[k].t for k in rows) + LATER)
         for k in rows:
             self._made[k] += 1
 
@@ -242,10 +251,10 @@ class ThrowSearch:
         """Simulate one generation of throws in contact, about the best candidate."""
         if self._contact is None:
             best = self.candidates[0]
-            self._contact = best.side, self._cma_es(best.x, NARROW, CONTACT_MEMBERS, best.side)
-        side, optimizer = self._contact
+            self._contact = best.side, self._cma_es(best.x, NARROW, CONTACT_MEMBERS, best.side), best.t + LATER
+        side, optimizer, until = self._contact
         points = optimizer.ask()
-        optimizer.tell(points, list(-self.evaluate(side, points)))
+        optimizer.tell(points, list(-self.evaluate(side, points, until)))
 
     def restart(self) -> None:
         """Let the next :meth:`evolve_throws` begin from the best candidate at that time."""
@@ -278,10 +287,13 @@ class ThrowSearch:
         each = SLOW_RUNS * max(self.left(), 0.0) * self.workers / members
         return Deadline(float(np.clip(each, MIN_BUDGET, TIME_BUDGET)), self.left)
 
-    def evaluate(self, side: int, points: list[Array]) -> Array:
-        """Simulate points (M) in contact, keep those that strike as candidates, and return their scores (M,)."""
+    def evaluate(self, side: int, points: list[Array], until: float = np.inf) -> Array:
+        """Simulate points (M) in contact, keep those that strike as candidates, and return their scores (M,).
+
+        Strikes come `until` a time, s, at most.
+        """
         throws = [self.parametrizations[side].throw(x) for x in points]
-        found = self._first_strikes(points, throws)
+        found = self._first_strikes(points, throws, until)
         score = found.score.copy()
         struck = np.flatnonzero(np.isfinite(found.t))
         self.runs += len(points)
@@ -290,7 +302,9 @@ class ThrowSearch:
             ended = self._wind(self._in_contact, cut, found.select(struck.tolist()))
             score[struck] = ended.score
             for k, throw, value, turns in zip(struck, cut, ended.score, ended.turns, strict=True):
-                self.candidates.append(Candidate(float(value), float(turns), side, np.asarray(points[k]), throw))
+                self.candidates.append(
+                    Candidate(float(value), float(turns), side, np.asarray(points[k]), throw, t=float(found.t[k]))
+                )
             self.candidates.sort(key=lambda one: -one.score)
         score[~np.isfinite(found.t)] = np.minimum(score[~np.isfinite(found.t)], 0.0)
         return score
@@ -304,10 +318,10 @@ class ThrowSearch:
         given: dict[str, Any] = {"arm": cast_setup.arm, "clearance": cast_setup.clearance}
         return simulate_contact(batch, struck.t, **given, time_budget=budget, threads=self.threads)
 
-    def _first_strikes(self, points: list[Array], throws: list[Throw]) -> strikes.Strikes:
+    def _first_strikes(self, points: list[Array], throws: list[Throw], until: float) -> strikes.Strikes:
         """Strikes of throws before their last moves; throws that differ in these alone are simulated once."""
         keys = [x[:-LAST].tobytes() for x in points]
         order = list(dict.fromkeys(keys))
         self.runs += len(order)
         some = [throws[keys.index(key)].cut(self.cast_setup.time, self.cast_setup.limits) for key in order]
-        return self._strikes(self._in_contact, some).select([order.index(key) for key in keys])
+        return self._strikes(self._in_contact, some, until=until).select([order.index(key) for key in keys])

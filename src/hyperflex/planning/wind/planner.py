@@ -152,13 +152,15 @@ class CastPlanner:
         return self.spent <= EARLY * self.time_budget
 
     def try_worthy(self) -> None:
-        """Try the best swings in contact, and others that are worth it until a plan stands."""
+        """Try the best swings in contact, and others that are worth it until a plan stands; then with other moves."""
         self.search.try_last_moves()
         for _ in range(TRIES - 1):
             self.verify_new()
             if self.stands or self.late or not self.search.untried(self.worthy):
-                return
+                break
             self.search.try_last_moves()
+        if not (self.stands or self.late or self.search.winds):
+            self.search.try_last_moves(fresh=False)
 
     @property
     def late(self) -> bool:
