@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -136,3 +137,26 @@ def test_a_rope_that_meets_no_peg_moves_as_without() -> None:
     # Both within ten times the tolerance a step.
     np.testing.assert_allclose(beside.tip, alone.tip, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(beside.contact_force, 0.0)
+
+
+def depth(run: hf.Trajectory, peg: hf.Peg) -> float:
+    """How deep the last sample's links lie in a peg, m."""
+    steps = run.setup.rope.length[:, None] * np.stack([np.sin(run.q[-1]), -np.cos(run.q[-1])], axis=1)
+    begin = np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])[:-1] - [peg.x, peg.y]
+    part = np.clip(-(begin * steps).sum(axis=1) / (steps**2).sum(axis=1), 0.0, 1.0)
+    gap = np.hypot(*(begin + part[:, None] * steps).T).min()
+    return float(peg.radius + run.setup.rope.radius - gap)
+
+
+@pytest.mark.parametrize("deep", [5.6e-5, 8e-5])
+def test_a_rope_that_starts_too_deep_is_pushed_out_in_usual_steps(deep: float) -> None:
+    """So a run starts that goes on from a coarse one. It may be given little energy, however short the steps are."""
+    rope, peg = hf.Rope.uniform(1.0, 0.06, 40, 0.003, friction=2e-4), hf.Peg(0.4, -0.15, 0.04, 0.3)
+    fallen = hf.simulate(hf.Setup(rope, q0=[1.6] * 40, duration=2.0, pegs=(peg,), tol=1e-3, contact_step=1e-3))
+    higher = replace(peg, y=peg.y + deep)
+    start = replace(fallen.setup, q0=fallen.q[-1], qd0=fallen.qd[-1], pegs=(higher,))
+    begun = replace(start, duration=0.2)
+    assert hf.simulate(begun).attrs["contact_steps"] < 1000  # 40,000 where each was as short as can be
+    left = [depth(hf.simulate(replace(start, duration=span)), higher) for span in (0.2, 6.0)]
+    assert left[1] < left[0] < 1.05 * deep
+    assert left[1] < 4e-5

@@ -183,7 +183,11 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
         good = energy_balanced(surplus, given) and rounds > 0 and h <= longest
         good = good and (least > -DEEPER or -least <= SINKING * clock[DEEPEST])
         good = good and (error <= REJECTED_ERROR or h <= RESOLVED * bounds.step)
-        good = good and gives_little(bounds, clock, workspace, h)
+        little = gives_little(bounds, clock, workspace, h)
+        if push and not little:  # a shorter step would be pushed out with as much power
+            push = False
+            continue
+        good = good and little
         good = good and (workspace.bend[0] > -BEYOND or -workspace.bend[0] <= SINKING * clock[BEND])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
             return h, wanted, least, touch, rounds, surplus, has, good, error
