@@ -183,7 +183,7 @@ def test_a_swing_of_a_search_strikes_when_it_was_found_to() -> None:
 
 
 def test_a_search_that_has_ended_begins_again_some_strokes_before_the_first_strike() -> None:
-    work = ThrowSearch(CAST_SETUP, LEVEL, seed=3)
+    work = ThrowSearch(CAST_SETUP, LEVEL, seed=2)
     score = work.beam_search()
     assert score == work.swings[0].score
     assert all(one.t < CAST_SETUP.time for one in work.swings)
@@ -317,3 +317,13 @@ def test_the_time_of_a_small_swing_is_the_unit_of_rests() -> None:
     assert throw.strokes[:2] == pytest.approx([np.pi / 2, np.pi])
     assert throw.rests[:3] == pytest.approx([0.5 * swing_period(CABLE), 0.0, 0.7 * swing_period(CABLE)])
     assert np.array_equal(x[2 : genes.strokes], genes.centre()[2 : genes.strokes])
+
+
+def test_swings_are_not_continued_after_the_rope_was_folded_flat(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it does then depends on its contact with itself."""
+    search = BeamSearch(CAST_SETUP, LEVEL, [1], np.random.default_rng(0), 1)
+    search.extend(8.0, 1)
+    assert search.ready(8.0, 2)
+    monkeypatch.setattr(strikes, "samples_unfolded", lambda rope, q: np.zeros(len(q), dtype=np.int64))
+    search.extend(8.0, 2)
+    assert not search.ready(8.0, 3)

@@ -164,6 +164,7 @@ class BeamSearch:
         seen = strikes.find_strikes(self.cast_setup, self.peg, motions, t, q, qd, own_arm=False)
         ended = np.array([int(np.ceil(one.duration / step)) for one in tries])
         energy = self._energy(tries, q, qd, ended)
+        unfolded = strikes.samples_unfolded(rope, q)
         struck: list[Strike] = []
         onward: list[tuple[int, _Swing]] = []
         for k, (swing, rest, _, end, time, _) in enumerate(tries):
@@ -173,6 +174,7 @@ class BeamSearch:
                 struck.append(Strike(float(seen.score[k]), swing.side, strokes, rests, at, float(seen.t[k]) - time))
             first = int(ended[k])
             last = int(seen.clear[k]) if np.isnan(seen.t[k]) else round(float(seen.t[k]) / step) + 1
+            last = min(last, int(unfolded[k]))
             some = q[k, first:last], qd[k, first:last]
             if first < last and all(np.isfinite(each).all() for each in some):
                 delay, stop = float(t[first]) - time, swing.end + rest + time
