@@ -11,8 +11,8 @@ rule (half turns as the tip passes below the shaft), both until the rope strikes
 and rests. Each is run with links 2.5 times as many, half the library's step beside pegs and a fifth of its tolerance;
 the planner's own verifications take the library's. Wound is a rope that makes 1.25 turns from the arm's tip to its end,
 held one that slips by less than 5 mm in 2 s after that. A slow pull at the arm's end then tells what it bears. All
-simulated; targets are judged while the next are planned, at the lowest priority, so that the planner has all cores.
-Rows are kept in casting.jsonl: the same command goes on where it stopped.
+simulated; BLOCK targets are planned one after the other, on all cores, and then judged. Rows are kept in casting.jsonl:
+the same command goes on where it stopped.
 
 Anyone can take part: the ropes, the arm, the motor's limits and the targets are in ``cast_setup`` and ``targets``,
 which need nothing but numpy's generator; the judge is ``hyperflex.planning.verify_cast`` on
@@ -24,11 +24,8 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
-import sys
-import threading
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -87,7 +84,7 @@ TIME_BUDGET, TENFOLD = 60.0, 10.0  # s
 LEAST, GREATEST, MU = 0.02, 0.05, 0.3  # m, m
 GOAL = {"nominal": 0.85, "weighted": 0.90, "tapered": 0.90, "cord": 0.90, "long": 0.90}
 HALF_TURN = 0.73  # s
-JUDGES = 2  # targets that are judged at once
+BLOCK, JUDGES = 12, 2  # targets that are planned before they are judged, and judged at once
 LONGEST = 300.0  # s of processor time for a judging run; one that takes more counts as a cast that fails
 
 
@@ -169,33 +166,25 @@ def read(log: Path | None, kind: str, time_budget: float) -> dict[int, dict[str,
 
 
 def done(rope: str, numbers: list[int], time_budget: float, ours_alone: bool, seed: int) -> Iterator[dict[str, Any]]:
-    """A row for each target as it is judged: with what time the planner leaves, while the next is planned."""
-    with ThreadPoolExecutor(JUDGES, initializer=yielding) as judge:
-        waiting: list[Future[dict[str, Any]]] = []
-        for number in numbers:
-            peg, known = target(number, rope, seed), cast_setup(rope)
+    """A row for each target as it is judged."""
+    known = cast_setup(rope)
+    for begin in range(0, len(numbers), BLOCK):
+        planned = []
+        for number in numbers[begin : begin + BLOCK]:
             told: list[float] = []  # s, when plans stood
             plan = plan_cast(
                 known.rope,
                 known.arm,
-                peg,
+                target(number, rope, seed),
                 time_budget=time_budget,
                 skip_feasibility=True,
                 seed=number,
                 on_plan=lambda found, told=told: told.append(found.seconds),  # type: ignore[misc]
             )
-            waiting.append(judge.submit(entry, number, rope, plan, ours_alone, told[0] if told else None))
-            for one in [one for one in waiting if one.done()]:
-                waiting.remove(one)
+            planned.append((number, rope, plan, ours_alone, told[0] if told else None))
+        with ThreadPoolExecutor(JUDGES) as judge:
+            for one in as_completed([judge.submit(entry, *each) for each in planned]):
                 yield one.result()
-        for one in as_completed(waiting):
-            yield one.result()
-
-
-def yielding() -> None:
-    """Let this thread run only when no other thread would (on Linux, where threads have priorities of their own)."""
-    if sys.platform == "linux":
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)
 
 
 def entry(number: int, rope: str, plan: CastPlan, ours_alone: bool, first: float | None) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def plan_cast(
         throw is verified. The success probability does not include it.
     contact : float, optional
         Least angle of the target that the rope must cover, rad. By default none is asked for, but where the rope is
-        long enough a full turn is sought until 1.5 times the time in which the first plan stood; with 0 it is not.
+        long enough a full turn is sought until 1.25 times the time in which the first plan stood; with 0 it is not.
     clearance : float
         Least distance of the rope from its own arm, the motor's shaft and obstacles, m, as of :class:`CastSetup`.
     obstacles : sequence of Peg, Wall, Ground
