@@ -11,7 +11,9 @@ from hyperflex.identification.uncertainty.covariance import SIGNED, Basis, End, 
 from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratios
 from hyperflex.identification.uncertainty.threshold import quantile
 
-WEIGHT = 30.0  # of a target, in 1 / std: the data hold a ratio back from it by a thousandth of its way
+# Of a target, in 1 / std: the data hold a ratio back from it by a millionth of its way; where another parameter is at
+# its bound they may do so a thousand times more than the standard deviation says
+WEIGHT = 1000.0
 TRIED = 2  # steps, each half of the one before, with which a start is to bring a ratio a quarter of its way
 
 
@@ -52,12 +54,15 @@ class Coordinate(ABC):
         """Return where a fit with the coordinate at `at` begins (P,), from a point x (P,) of the curve."""
 
     @abstractmethod
-    def held(self, at: float, unit: float) -> dict[str, Any]:
-        """Return the options of ``fit`` that hold it at `at`; `unit` is the rise of the squares one std away."""
+    def held(self, at: float, unit: float, firmness: float) -> dict[str, Any]:
+        """Return the options of ``fit`` that hold it at `at`, a ratio so many times more firmly than usual.
+
+        `unit` is the rise of the squares one std away.
+        """
 
     @abstractmethod
     def limits(self, x: Array) -> tuple[int, Array, Array]:
-        """Return for ``threshold``: its number, the covariance (P, P), and the distances (P,) of x above the bounds."""
+        """Return for ``threshold``: its number, the covariance (k, k), and the distances (k,) of x above the bounds."""
 
     @abstractmethod
     def by_std(self, level: float) -> Interval:
@@ -94,7 +99,7 @@ class ParameterCoordinate(Coordinate):
         begun[self.which] = at
         return begun
 
-    def held(self, at: float, unit: float) -> dict[str, Any]:
+    def held(self, at: float, unit: float, firmness: float) -> dict[str, Any]:
         """Return what holds it where the fit begins."""
         return {"held": (self.which,)}
 
@@ -124,17 +129,18 @@ class RatioCoordinate(Coordinate):
         self.widening = variance / float(slope @ information.plain @ slope) if known else 1.0
         self.freedom = information.freedom
         self.bound = -np.inf if name in SIGNED else 0.0
-        # Beside bounds: the ratio stands for the parameter that moves it most
-        moves = np.abs(slope) * np.sqrt(np.maximum(np.diag(information.covariance), 0.0))
-        self.which = int(moves.argmax())
-        instead = np.eye(x.size)
-        instead[self.which] = slope
-        self.covariance = instead @ information.covariance @ instead.T
-        self.least = -np.inf
-        if slope[self.which] > 0.0 and np.isfinite(self.lower[self.which]):
-            lowest = x.copy()
-            lowest[self.which] = self.lower[self.which]
-            self.least = self.at(lowest) if self.parameters.possible(lowest) is not None else -np.inf
+        self.least = self._least(slope, x)
+
+    def _least(self, slope: Array, x: Array) -> float:
+        """Return the least ratio that bounds allow, in so far as it is known: of a resistance, or of one parameter."""
+        if self.name not in ("J/p1", *SIGNED):
+            return 0.0
+        movers = np.flatnonzero(slope)
+        if movers.size != 1 or slope[movers[0]] < 0.0 or not np.isfinite(self.lower[movers[0]]):
+            return -np.inf
+        lowest = x.copy()
+        lowest[movers[0]] = self.lower[movers[0]]
+        return self.at(lowest) if self.parameters.possible(lowest) is not None else -np.inf
 
     def at(self, x: Array) -> float:
         """Return the ratio."""
@@ -159,16 +165,18 @@ class RatioCoordinate(Coordinate):
             part *= 0.5
         return x
 
-    def held(self, at: float, unit: float) -> dict[str, Any]:
+    def held(self, at: float, unit: float, firmness: float) -> dict[str, Any]:
         """Return the target that draws it to `at`: it lies beyond by as much as the data hold the ratio back."""
-        beyond = at + (at - self.origin) / WEIGHT**2
-        return {"target": Target(self.at, self.gradient, beyond, WEIGHT * float(np.sqrt(unit)) / self.std)}
+        weight = firmness * WEIGHT
+        beyond = at + (at - self.origin) / weight**2
+        return {"target": Target(self.at, self.gradient, beyond, weight * float(np.sqrt(unit)) / self.std)}
 
     def limits(self, x: Array) -> tuple[int, Array, Array]:
-        """Return the number of the parameter that it stands for, the covariance, and the distances above the bounds."""
-        above = x - self.lower
-        above[self.which] = self.at(x) - self.least
-        return self.which, self.covariance, above
+        """Return the number, the variance (1, 1) and the distance (1,) of the ratio alone above its bound.
+
+        Other parameters' bounds do not count: where all share an unknown factor they are not in a ratio's way.
+        """
+        return 0, np.array([[self.std**2]]), np.array([self.at(x) - self.least])
 
     def by_std(self, level: float) -> Interval:
         """Return its interval of noise from the standard deviation."""

@@ -19,7 +19,13 @@ from hyperflex.model import Rope
 
 FINISH = 1e-2  # gain of a round, in units of the residual variance, below which a point of the profile has settled
 CLOSE = 0.01  # std to which an end is found
-REACHED = 0.1  # part of the way that a ratio may stay short of its aim before a bound is said to be in the way
+LOOSE = 0.1  # std, and part of the way to it; an end that is not known so well after all TRIES is not told
+REACHED = 0.1  # part of the way that a ratio may stay short of its aim
+FIRMNESS = (
+    1.0,
+    10.0,
+    100.0,
+)  # with which it is drawn there, one after the other, before a bound is said to be in its way
 LONGEST = 3.0  # factor by which a step may grow
 TRIES = 25  # points on either side
 MOST_ROUNDS = 100  # of all fits on one side; usual are ten
@@ -40,8 +46,9 @@ class Profile:
         The interval, SI units, inf where the data set no limit; its confidence level. Of noise alone:
         ``Identification.intervals`` add errors of the model and of the lengths.
     ends : tuple of str
-        Of either end: ``crossed`` where the curve crosses the limit, ``bound`` where a parameter's bound comes first,
-        ``open`` where neither was found (no limit in the data, or the rope cannot be simulated there).
+        Of either end: ``crossed`` where the curve crosses the limit, ``bound`` where a bound of the parameter, or of
+        those that move the ratio, comes first, ``open`` where neither was found (no limit in the data, or the rope
+        cannot be simulated there).
     values, rise, limit : (K,) array
         The curve: values of the parameter or ratio (SI units, increasing), rise of the least sum of squares over the
         residual variance, and the rise at which a value is refused.
@@ -125,7 +132,9 @@ def profile(
     }
     if name not in moved:
         raise InvalidInput(
-            "no such parameter was free, and no such ratio moved", got=name, allowed=", ".join([*labels, *moved])
+            "no such parameter was free, and no free one moves such a ratio",
+            got=name,
+            allowed=", ".join([*labels, *moved]),
         )
     return profiled(basis, RatioCoordinate(basis, *moved[name]), level, points, progress)
 
@@ -193,17 +202,33 @@ class _ProfileSearch:
         x = self.along.aimed(start.x, value)
         move = x - start.x
         states = [s + f @ move for s, f in zip(start.states, self.basis.information.follow, strict=True)]
-        held = self.along.held(value, self.unit)
         for begin in (states, start.states):
+            found = self._drawn(x, begin, value)
+            if found is not None:
+                self.points.append(found)
+                return found
+        return None
+
+    def _drawn(self, x: Array, states: list[Array], value: float) -> _Point | None:
+        """Return the fit from there with the coordinate at `value`, as firmly held as it takes; None on failure."""
+        best: _Point | None = None
+        for firmness in FIRMNESS:
             if self.budget <= 0:
                 raise _BudgetExceeded
-            found = self._reached(x, begin, held)
+            held = self.along.held(value, self.unit, firmness)
+            found = self._reached(x, states, held)
             if found is None:
-                continue
+                break
             drawn = held["target"].residual(found.x) ** 2 if "target" in held else 0.0
-            self.points.append(self._point(found.x, found.states, found.cost - drawn))
-            return self.points[-1]
-        return None
+            best, x, states = self._point(found.x, found.states, found.cost - drawn), found.x, found.states
+            if not self.short(best, value):
+                break
+        return best
+
+    def short(self, point: _Point, value: float) -> bool:
+        """Whether a point stays short of the value that it was drawn to, seen from the optimum."""
+        origin = self.points[0].at
+        return bool((value - point.at) * np.sign(value - origin) > REACHED * abs(value - origin))
 
     def _reached(self, x: Array, states: list[Array], held: dict[str, Any]) -> Fit | None:
         """Return the fit from there, or None where it cannot be simulated or is far from any of interest."""
@@ -214,7 +239,7 @@ class _ProfileSearch:
             taken += 1
             if self.report is not None:
                 self.report(entry)
-            if taken >= PROMISING and (entry["cost"] - self.least) / self.unit > HOPELESS:
+            if "target" not in held and taken >= PROMISING and (entry["cost"] - self.least) / self.unit > HOPELESS:
                 raise _HopelessError
 
         try:
@@ -242,13 +267,16 @@ class _ProfileSearch:
                 continue
             if abs(tried.excess) < CLOSE:
                 return tried.at, "crossed"
-            short = sign * (value - tried.at) > REACHED * abs(value - origin)
+            short = self.short(tried, value)
             inside, outside = (tried, outside) if tried.excess < 0.0 else (inside, tried)
             if (value == bound or short) and tried is inside:
                 return bound if value == bound else tried.at, "bound"
             value = self._next(origin, inside, outside, step)
         if outside is None:
             return sign * np.inf, "open"
+        known = LOOSE * min(self.along.std, abs(outside.at - origin))
+        if outside.excess > LOOSE and abs(outside.at - inside.at) > known:
+            raise _BudgetExceeded
         return outside.at, "crossed"
 
     def _next(self, origin: float, inside: _Point, outside: _Point | None, step: float) -> float:
