@@ -327,3 +327,12 @@ def test_swings_are_not_continued_after_the_rope_was_folded_flat(monkeypatch: py
     monkeypatch.setattr(strikes, "samples_unfolded", lambda rope, q: np.zeros(len(q), dtype=np.int64))
     search.extend(8.0, 2)
     assert not search.ready(8.0, 3)
+
+
+def test_a_rope_with_limits_of_its_own_is_searched() -> None:
+    """A bend at one of its joints would be past the limits of links a third as long, on which swings are confirmed."""
+    rope = hf.Rope.uniform(1.5, 0.06, 24, 0.003, friction=2e-3).with_bend_radius(0.06)
+    search = BeamSearch(
+        CastSetup(rope, hf.Arm(length=0.5), MotorLimits(), 8.0), LEVEL, [1], np.random.default_rng(1), 2
+    )
+    assert search.extend(8.0, 9) or search.runs > 50

@@ -16,6 +16,7 @@ from hyperflex.planning.search.strikes import (
     NEVER,
     find_strikes,
     first_contact,
+    samples_unfolded,
     simulate_strikes,
     tail_energy,
 )
@@ -107,6 +108,15 @@ def test_a_swing_that_was_folded_flat_before_its_strike_is_worth_less() -> None:
     assert 0.1 < found[0].t[0] < 0.35
     assert found[1].score[0] == pytest.approx(FOLDED * found[0].score[0])
     assert found[2].score[0] == found[0].score[0] > 0.0
+
+
+def test_bends_count_from_rest() -> None:
+    """A rope that hangs as it was made is folded nowhere, however it was made."""
+    rope = hf.Rope.uniform(1.2, 0.06, 12, 0.003).replace(rest_angle=np.append(0.0, np.full(11, 0.3)), max_bend=0.25)
+    at_rest = np.cumsum(rope.rest_angle)
+    straight = np.zeros(12)
+    assert samples_unfolded(rope, np.array([[at_rest, at_rest, straight]])).tolist() == [2]
+    assert samples_unfolded(rope, np.array([[at_rest, at_rest, at_rest]])).tolist() == [3]
 
 
 def test_strikes_are_looked_for_until_a_time() -> None:

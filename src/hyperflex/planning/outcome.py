@@ -29,9 +29,6 @@ MIN_TURNS = 1.25  # turns of a wound rope, from the arm's tip to the rope's end
 SETTLING_TIME = 1.0  # s from the arm's stop to the watch
 WATCH_TIME = 2.0  # s for which the rope must hold
 MAX_SLIP = 5e-3  # m, in the watch
-# s between the first touches of a throw's runs with links as given and with shorter ones. Those of throws that succeed
-# agree to a sample or two; of two plans that failed in other runs one had 0.3 s between them
-MAX_DELAY = 0.05
 SAMPLE_TIME = 0.01  # s
 BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
 FREE = Clearance(np.inf, 0.0, "")  # of the arm, where obstacles alone are looked at

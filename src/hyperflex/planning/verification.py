@@ -4,7 +4,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
+from hyperflex.checks import Array
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, Wall, refine_rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
@@ -59,11 +61,15 @@ def greatest_bend(run: Trajectory) -> float:
     return float(np.abs(np.diff(run.q, axis=1)).max(initial=0.0))
 
 
+def at_limits(rope: Rope, q: Array, within: float = 0.0) -> npt.NDArray[np.bool_]:
+    """Return at which angles q (..., n), rad, a joint but the first is past its limit, or `within` so little of it."""
+    bend: Array = np.abs(np.diff(q, axis=-1) - rope.rest_angle[1:])
+    return np.asarray((bend > rope.max_bend[1:] - within).any(axis=-1))
+
+
 def folded_flat(run: Trajectory) -> bool:
     """Return whether a joint of a run with joint limits reached one."""
-    rope = run.setup.rope
-    bend = np.abs(np.diff(run.q, axis=1) - rope.rest_angle[1:])
-    return bool(run.attrs.get("limit_passed", 0.0) > 0.0 or (bend > rope.max_bend[1:] - FOLD).any())
+    return bool(run.attrs.get("limit_passed", 0.0) > 0.0 or at_limits(run.setup.rope, run.q, FOLD).any())
 
 
 def motor_torques(run: Trajectory) -> tuple[float, float]:

@@ -211,19 +211,21 @@ class _ProfileSearch:
 
     def _drawn(self, x: Array, states: list[Array], value: float) -> _Point | None:
         """Return the fit from there with the coordinate at `value`, as firmly held as it takes; None on failure."""
-        best: _Point | None = None
+        point, found = None, None
         for firmness in FIRMNESS:
             if self.budget <= 0:
                 raise _BudgetExceeded
             held = self.along.held(value, self.unit, firmness)
             found = self._reached(x, states, held)
             if found is None:
-                break
-            drawn = held["target"].residual(found.x) ** 2 if "target" in held else 0.0
-            best, x, states = self._point(found.x, found.states, found.cost - drawn), found.x, found.states
-            if not self.short(best, value):
-                break
-        return best
+                return None
+            if "target" not in held:
+                return self._point(found.x, found.states, found.cost)
+            x, states = found.x, found.states
+            point = self._point(x, states, found.cost - held["target"].residual(x) ** 2)
+            if found.converged and not self.short(point, value):
+                return point
+        return point if found is not None and found.converged else None
 
     def short(self, point: _Point, value: float) -> bool:
         """Whether a point stays short of the value that it was drawn to, seen from the optimum."""

@@ -206,7 +206,8 @@ class BeamSearch:
         if not rows:
             return set()
         rope = self.cast_setup.rope
-        finer, some, last = divided(rope, FINER), flights.select(rows), ended[rows]
+        # Without limits of its own: a joint of the given rope bends further than one between shorter links may
+        finer, some, last = divided(rope.replace(max_bend=np.inf), FINER), flights.select(rows), ended[rows]
         some = replace(
             some,
             ropes=[finer] * len(rows),

@@ -15,7 +15,7 @@ from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gap
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.strikes import arm_tip
-from hyperflex.planning.verification import limit_bend
+from hyperflex.planning.verification import at_limits, limit_bend
 from hyperflex.simulation import Batch, Deadline, check_outside
 from hyperflex.winding import slid
 
@@ -122,7 +122,7 @@ def _simulate_contact(
             ended.score[k] -= SLIP_COST * _slip(some, int(k), further.q[k], late, arm)
         found.score[on], found.turns[on] = ended.score, ended.turns
     for k in np.flatnonzero(found.score > PLAIN):
-        if (np.abs(np.diff(run.q[k], axis=1)) > limit_bend(batch.ropes[int(k)]).max_bend[1:]).any():
+        if at_limits(limit_bend(batch.ropes[int(k)]), run.q[k]).any():
             found.score[k] = PLAIN + FOLDED * (found.score[k] - PLAIN)
     return found
 

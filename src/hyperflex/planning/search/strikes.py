@@ -18,7 +18,7 @@ from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import clear_samples, samples_clear_of_arm
 from hyperflex.planning.search.rollouts import RolloutBatch
-from hyperflex.planning.verification import limit_bend
+from hyperflex.planning.verification import at_limits, limit_bend
 from hyperflex.simulation import Deadline
 
 SAMPLE_TIME = 0.02  # s
@@ -118,8 +118,7 @@ def samples_unfolded(rope: Rope, q: Array) -> npt.NDArray[np.int64]:
 
     What it does then depends on its contact with itself, which free swings do not simulate.
     """
-    bent: npt.NDArray[np.bool_] = np.abs(np.diff(q, axis=2)) > limit_bend(rope).max_bend[1:]
-    folded = np.asarray(bent.any(axis=2))
+    folded = at_limits(limit_bend(rope), q)
     return np.asarray(np.where(folded.any(axis=1), folded.argmax(axis=1), q.shape[1]))
 
 
