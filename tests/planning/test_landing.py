@@ -24,7 +24,6 @@ from hyperflex.planning.search.contact_phase import (
     PASSING,
     PLAIN,
     SLIP_COST,
-    TOGETHER,
     score_winding,
     simulate_contact,
 )
@@ -51,18 +50,19 @@ def test_turns_count_if_they_stay() -> None:
     undone = np.where(t < 3.9, -2.0 * np.ones_like(t), -0.2)
     failed = np.where(t < 1.0, 1.0, np.nan)
     many = 9.0 * np.ones_like(t)
-    found = score_winding(t, np.stack([stays, undone, failed, many]), np.full(4, t[-1]), np.array([0.0, 1.0, 0.0, 0.0]))
-    assert found.turns == pytest.approx([2.3, 0.2, 0.0, 9.0])
-    assert found.score == pytest.approx(
-        [2.3 + PASSING * 2.3, 0.2 + PASSING * 2.0 - LATE_COST, -1.0, MAX_TURNS + PASSING * MAX_TURNS]
-    )
+    found = [score_winding(t, turns, t[-1], begin) for turns, begin in ((stays, 0.0), (undone, 1.0), (failed, 0.0))]
+    assert found == [
+        pytest.approx((2.3 + PASSING * 2.3, 2.3)),
+        pytest.approx((0.2 + PASSING * 2.0 - LATE_COST, 0.2)),
+        (-1.0, 0.0),
+    ]
+    assert score_winding(t, many, t[-1], 0.0) == pytest.approx((MAX_TURNS + PASSING * MAX_TURNS, 9.0))
 
 
 def test_each_run_is_judged_over_its_own_span() -> None:
     t = np.arange(0.0, 4.0, 0.01)
     later = np.where(t < 2.0, 1.5, 0.0)  # undone after 2 s: beyond the first one's span
-    found = score_winding(t, np.stack([later, later]), np.array([1.9, t[-1]]), np.zeros(2))
-    assert found.turns == pytest.approx([1.5, 0.0])
+    assert [score_winding(t, later, span, 0.0)[1] for span in (1.9, t[-1])] == pytest.approx([1.5, 0.0])
     assert LAST < 1.9
 
 
@@ -117,7 +117,7 @@ def test_throws_are_judged_alike_alone_and_together() -> None:
     state = strike.t, strike.q, strike.qd
     throws = [WINDS.cut(float(strike.t[0]), CAST_SETUP.limits), still.cut(float(strike.t[0]), CAST_SETUP.limits)]
     stops = [float(throw.stops(CAST_SETUP.limits) - strike.t[0]) for throw in throws]
-    assert abs(stops[0] - stops[1]) > TOGETHER
+    assert abs(stops[0] - stops[1]) > 0.5
     both = contact_scores(CAST_SETUP, PEG, throws, state)
     for k, throw in enumerate(throws):
         alone = contact_scores(CAST_SETUP, PEG, [throw], tuple(values[k : k + 1] for values in state))
@@ -142,13 +142,11 @@ def test_a_rope_that_slips_in_the_end_is_worth_less() -> None:
 def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two turns until 1 s after its stop, none from then on; the other stops half a second later. Runs are made up."""
 
-    def run(flights: RolloutBatch, t: np.ndarray, *_: object) -> SimpleNamespace:
-        stops = np.array([motion.breaks[-1] for motion in flights.motions])
-        turns = np.where(t < stops[:, None] + 1.0, 2.0, 0.0)
-        still = np.zeros((*turns.shape, CABLE.n_links))
-        return SimpleNamespace(values={"turns": turns[..., None]}, q=still, qd=still)
+    def run_on(one: RolloutBatch, since: float, until: float, *_: object) -> tuple[object, ...]:
+        t = np.arange(since + 0.02, until + 0.01, 0.02)
+        return t, np.where(t < float(one.motions[0].breaks[-1]) + 1.0, 2.0, 0.0), np.zeros((t.size, CABLE.n_links)), one
 
-    monkeypatch.setattr(contact_phase, "_run", run)
+    monkeypatch.setattr(contact_phase, "_run_on", run_on)
     motions = [hf.arm_moves([0.0, 1.0], [0.0], [0.6]), hf.arm_moves([0.0, 1.0], [0.4], [0.69])]
     assert motions[1].breaks[-1] - motions[0].breaks[-1] > 0.4
     both = RolloutBatch([CABLE] * 2, [PEG] * 2, motions, np.zeros((2, 1)), np.zeros((2, 1)))
@@ -160,15 +158,18 @@ def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypa
 def test_of_two_throws_that_wind_the_one_that_folds_scores_less(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs are made up: two turns that stay, and a joint that bends by 3 rad, more than a rope so thick can."""
 
-    def run(flights: RolloutBatch, t: np.ndarray, *_: object) -> SimpleNamespace:
-        q = np.zeros((len(flights), t.size, CABLE.n_links))
-        q[1, 5, 7:] = 3.0
-        return SimpleNamespace(values={"turns": np.full((len(flights), t.size, 1), 2.0)}, q=q, qd=q)
+    def run_on(one: RolloutBatch, since: float, until: float, *_: object) -> tuple[object, ...]:
+        t = np.arange(since + 0.02, until + 0.01, 0.02)
+        q = np.zeros((t.size, CABLE.n_links))
+        q[5, 7:] = 3.0 * (one.q[0, 0] > 0.0)
+        return t, np.full(t.size, 2.0), q, one
 
-    monkeypatch.setattr(contact_phase, "_run", run)
+    monkeypatch.setattr(contact_phase, "_run_on", run_on)
     monkeypatch.setattr(contact_phase, "_slip", lambda *_: 0.0)
     motions = 2 * [hf.arm_moves([0.0, 1.0], [0.0], [0.6])]
-    both = RolloutBatch([CABLE] * 2, [PEG] * 2, motions, *np.zeros((2, 2, CABLE.n_links)))
+    starts = np.zeros((2, CABLE.n_links))
+    starts[1, 0] = 0.1  # marks the one that folds
+    both = RolloutBatch([CABLE] * 2, [PEG] * 2, motions, starts, np.zeros_like(starts))
     found = simulate_contact(both, np.zeros(2), arm=CAST_SETUP.arm)
     whole = 2.0 + PASSING * 2.0
     assert found.turns.tolist() == [2.0, 2.0]

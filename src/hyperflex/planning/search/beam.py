@@ -6,6 +6,7 @@ energy are continued in turn, if they are nearly the same with shorter links: a 
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ from hyperflex.motion import Motion, arm_moves
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import samples_clear_of_arm
 from hyperflex.planning.search import strikes
-from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
 from hyperflex.planning.throw import MIN_STROKE, STROKE
 from hyperflex.simulation import Deadline
 
@@ -150,18 +151,10 @@ class BeamSearch:
         if not tries:
             return [], []
         self.runs += len(tries)
-        step, rope, arm = strikes.SAMPLE_TIME, self.cast_setup.rope, self.cast_setup.arm
+        step, rope = strikes.SAMPLE_TIME, self.cast_setup.rope
         span = max(one.duration for one in tries) + WATCHED * self._period
         t = step * np.arange(np.ceil(span / step) + 1.0)
-        q = np.stack([one.swing.q[one.at] for one in tries])
-        qd = np.stack([one.swing.qd[one.at] for one in tries])
-        motions = [one.motion for one in tries]
-        flights = RolloutBatch([rope] * len(tries), [self.peg] * len(tries), motions, q, qd)
-        how: dict[str, Any] = {"tol": strikes.COARSE_TOL, "time_budget": budget, "threads": self.threads}
-        batch = flights.run(arm, t[1:], keep=("q", "qd"), **how)
-        q = np.concatenate([q[:, None], batch.q], axis=1)
-        qd = np.concatenate([qd[:, None], batch.qd], axis=1)
-        seen = strikes.find_strikes(self.cast_setup, self.peg, motions, t, q, qd, own_arm=False)
+        flights, q, qd, seen = self._flown(tries, t, budget)
         ended = np.array([int(np.ceil(one.duration / step)) for one in tries])
         energy = self._energy(tries, q, qd, ended)
         unfolded = strikes.samples_unfolded(rope, q)
@@ -182,9 +175,35 @@ class BeamSearch:
                 onward.append((k, new))
         likely = _best(onward, 2 * WIDTH)
         onward = self._clear_of_arm([each for each in onward if each[0] in likely], flights, t, q, ended)
-        confirmed = self._confirmed(flights, [k for k, _ in onward], ended, q, how)
+        confirmed = self._confirmed(flights, [k for k, _ in onward], ended, q, budget)
         best = _best([each for each in onward if each[0] in confirmed], WIDTH)
         return struck, [one for k, one in onward if k in best]
+
+    def _flown(
+        self, tries: list[_Continuation], t: Array, budget: Deadline | None
+    ) -> tuple[RolloutBatch, Array, Array, strikes.Strikes]:
+        """Simulate continuations (M,) to times t (T,), s; return them, q and qd (M, T, n), and their strikes.
+
+        An equal part of them on each thread, what is computed from its samples, too.
+        """
+        rope, arm = self.cast_setup.rope, self.cast_setup.arm
+        q = np.stack([one.swing.q[one.at] for one in tries])
+        qd = np.stack([one.swing.qd[one.at] for one in tries])
+        whole = RolloutBatch([rope] * len(tries), [self.peg] * len(tries), [one.motion for one in tries], q, qd)
+
+        def part(rows: Sequence[int]) -> tuple[Array, Array, strikes.Strikes]:
+            some = whole.select(rows)
+            given: dict[str, Any] = {"keep": ("q", "qd"), "time_budget": budget, "threads": 1}
+            batch = some.run(arm, t[1:], tol=strikes.COARSE_TOL, **given)
+            q = np.concatenate([some.q[:, None], batch.q], axis=1)
+            qd = np.concatenate([some.qd[:, None], batch.qd], axis=1)
+            return q, qd, strikes.find_strikes(self.cast_setup, self.peg, some.motions, t, q, qd, own_arm=False)
+
+        shares = np.array_split(np.arange(len(tries)), min(len(tries), usable_threads(self.threads)))
+        parts = [rows.tolist() for rows in shares]
+        with ThreadPoolExecutor(len(parts)) as pool:
+            q_parts, qd_parts, seen = zip(*pool.map(part, parts), strict=True)
+        return whole, np.concatenate(q_parts), np.concatenate(qd_parts), strikes.joined(seen)
 
     def _clear_of_arm(
         self, onward: list[tuple[int, _Swing]], flights: RolloutBatch, t: Array, q: Array, ended: Array
@@ -200,7 +219,7 @@ class BeamSearch:
         ]
 
     def _confirmed(
-        self, flights: RolloutBatch, rows: list[int], ended: Array, q: Array, how: dict[str, Any]
+        self, flights: RolloutBatch, rows: list[int], ended: Array, q: Array, budget: Deadline | None
     ) -> set[int]:
         """Rows of q (M, T, n) whose tip at sample `ended` (M,) is nearly the same with shorter links, run alike."""
         if not rows:
@@ -215,6 +234,7 @@ class BeamSearch:
             qd=np.repeat(some.qd, FINER, axis=1),
         )
         t = strikes.SAMPLE_TIME * np.arange(1.0, last.max() + 1.0)
+        how: dict[str, Any] = {"tol": strikes.COARSE_TOL, "time_budget": budget, "threads": self.threads}
         batch = some.run(self.cast_setup.arm, t, keep=("q",), **how)
         self.runs += len(rows)
         there = _tip(finer, batch.q[np.arange(len(rows)), last - 1])

@@ -1,5 +1,6 @@
 """Batch rollouts of ropes that each have a peg and a motion of their own, in free flight or in contact."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -68,3 +69,8 @@ class RolloutBatch:
             t_eval=t,
             **options,
         )
+
+
+def usable_threads(threads: int | None) -> int:
+    """Return a number of threads, by default one a processor."""
+    return threads or os.cpu_count() or 1

@@ -53,6 +53,11 @@ class Strikes:
         return Strikes(*(getattr(self, one.name)[list(rows)] for one in fields(self)))
 
 
+def joined(parts: Sequence[Strikes]) -> Strikes:
+    """Return the strikes of several batches as those of one."""
+    return Strikes(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Strikes)))
+
+
 def simulate_strikes(
     cast_setup: CastSetup,
     peg: Peg,

@@ -1,6 +1,5 @@
 """The search for a throw: first over free swings with promising strikes, then over the last moves in contact."""
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from hyperflex.planning.search.beam import FINER, FULL, SIZES, BeamSearch, Strik
 from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, unconfirmed
 from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, free_sides, simulate_contact
 from hyperflex.planning.search.evolution import CmaEs
-from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
 from hyperflex.planning.throw import LAST, Throw, ThrowParametrization
 from hyperflex.simulation import Deadline
 
@@ -94,7 +93,7 @@ class ThrowSearch:
     @property
     def workers(self) -> int:
         """Number of threads."""
-        return self.threads or os.cpu_count() or 1
+        return usable_threads(self.threads)
 
     @property
     def climbing(self) -> bool:
