@@ -298,8 +298,12 @@ def test_throws_that_differ_in_the_last_move_alone_are_flown_once(monkeypatch: p
     points = [some, other, third]
     work = ThrowSearch(CAST_SETUP, hf.Peg(1.36 * np.sin(0.66), -1.36 * np.cos(0.66), 0.04))  # struck by steady pumping
     before = work.runs
-    found = work._first_strikes(points, [work.parametrizations[1].throw(x) for x in points], np.inf)
+    throws = [work.parametrizations[1].throw(x) for x in points]
+    found = work._first_strikes([(1, x) for x in points], throws, np.inf)
     assert work.runs - before == 2
+    again = work._first_strikes([(1, x) for x in points], throws, np.inf)
+    assert work.runs - before == 2 + np.isnan(found.t[::2]).sum()  # those that struck are known
+    assert np.array_equal(again.q, found.q)
     assert found.t[0] == found.t[1]
     assert np.array_equal(found.q[0], found.q[1])
     apart = simulated_strikes(

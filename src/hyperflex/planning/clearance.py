@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
+from hyperflex.core.batch import proximity
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Wall
 from hyperflex.trajectory import Trajectory, interpolated
 
@@ -78,31 +79,22 @@ def clear_samples(
     return np.array([each.argmax() if each.any() else each.size for each in near])
 
 
-def samples_clear_of_arm(rope: Rope, arm: Arm, q: Array, base: Array, clearance: float) -> npt.NDArray[np.int64]:
+def samples_clear_of_arm(
+    rope: Rope, arm: Arm, q: Array, base: Array, clearance: float, until: npt.NDArray[np.int64] | None = None
+) -> npt.NDArray[np.int64]:
     """Return after how many samples (M,) a rope at angles q (M, T, n) comes too near arm or shaft; T if it does not.
 
     `base` (M, T, 2), m, are places of the arm's tip, `clearance`, m, is the distance that it keeps; none if -inf.
+    Samples from `until` (M,) on are not looked at.
     """
     clear = np.full(len(q), q.shape[1])
     if clearance == -np.inf:
         return clear
     hangs = int(np.searchsorted(np.cumsum(rope.length), _hanging(rope, arm), side="right")) + 1
-    room = max(arm.length + arm.radius, arm.shaft_radius) + rope.radius + clearance + float(rope.length.max())
-    angles, (x, y) = np.nan_to_num(q).astype(np.float32), np.moveaxis(base - np.array(arm.pivot), 2, 0)
-    length = rope.length.astype(np.float32)
-    x = x[..., None] + np.cumsum(length * np.sin(angles), axis=2)
-    y = y[..., None] - np.cumsum(length * np.cos(angles), axis=2)
-    close = x * x + y * y < room**2  # links by their ends
-    close[..., :hangs] = close[..., hangs:].any(axis=2, keepdims=True)  # those that hang from the tip are always close
-    member, sample, link = rows = np.nonzero(close)
-    end = np.stack([x[rows], y[rows]], axis=1)
-    begin = end - length[link, None] * np.stack([np.sin(angles[rows]), -np.cos(angles[rows])], axis=1)
-    pivot, tips = np.zeros(2), base[member, sample] - np.array(arm.pivot)
-    bar = np.where(link < hangs, np.inf, _segment_distance(begin, end, pivot, tips) - arm.radius)
-    gap = np.minimum(_distance(pivot, begin, end) - arm.shaft_radius, bar) - rope.radius
-    near = np.zeros(close.shape[:2], dtype=bool)
-    near[member[gap <= clearance], sample[gap <= clearance]] = True
-    return np.where(near.any(axis=1), near.argmax(axis=1), clear)
+    least = (arm.shaft_radius + rope.radius + clearance, arm.radius + rope.radius + clearance)
+    tips, last = base - np.array(arm.pivot), clear.copy() if until is None else until
+    proximity.samples_apart(np.ascontiguousarray(q), tips, rope.length, *least, hangs, last, clear)
+    return clear
 
 
 def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Array:

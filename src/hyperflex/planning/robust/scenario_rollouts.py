@@ -96,13 +96,13 @@ def first_strikes(
     span = max(time - batch.since, stop + AFTER_STOP, MIN_FLIGHT)
     t, q, qd = free_flight(batch, arm, span, threads=threads)
     base = np.stack([strikes.arm_tip(arm, motion, t)[0] for motion in batch.motions])
-    lengths = np.stack([rope.length for rope in batch.ropes])[:, None]
+    lengths = np.stack([rope.length for rope in batch.ropes])
     good = np.isfinite(q).all(axis=(1, 2))
     at, gap = np.zeros(len(batch), dtype=np.int64), np.zeros(len(batch))
     for peg in dict.fromkeys((peg.x, peg.y, peg.radius) for peg in batch.pegs):
         same = [m for m, one in enumerate(batch.pegs) if (one.x, one.y, one.radius) == peg]
         at[same], _, gap[same] = strikes.first_contact(
-            np.nan_to_num(q[same]), base[same], lengths[same], Peg(*peg), batch.ropes[0].radius
+            q[same], base[same], lengths[same], Peg(*peg), batch.ropes[0].radius
         )
     good &= at <= clear_samples(batch.ropes, batch.obstacles, q, base, 0.0)
     rows, hit = np.arange(len(batch)), (at > 0) & good

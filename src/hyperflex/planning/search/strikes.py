@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
+from hyperflex.core.batch import proximity
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
@@ -37,7 +38,7 @@ class Strikes:
     `score` (M,): greater is better; below 0 without a strike. `energy_ratio` (M,): energy of turning about the peg over
     the energy that lifts the tail's centre of mass over the top. `tail_turns` (M,): length of the tail in turns about
     the peg. `t` (M,): last sample before the strike, s, NaN without a strike; `q`, rad, and `qd`, rad/s, (M, n): state
-    there. `clear` (M,): samples before the rope comes too near its arm or an obstacle, after which it cannot strike.
+    there. `clear` (M,): samples before the rope comes too near an obstacle, or its arm before the strike.
     """
 
     score: Array
@@ -94,10 +95,12 @@ def find_strikes(
     """
     tips = {id(motion): arm_tip(cast_setup.arm, motion, t) for motion in {id(each): each for each in motions}.values()}
     base, base_velocity = (np.stack(each) for each in zip(*(tips[id(motion)] for motion in motions), strict=True))
-    at, link, least = first_contact(np.nan_to_num(q), base, cast_setup.rope.length, peg, cast_setup.rope.radius)
+    at, link, least = first_contact(q, base, cast_setup.rope.length, peg, cast_setup.rope.radius)
     clear = clear_samples([cast_setup.rope] * len(q), cast_setup.obstacles, q, base, cast_setup.clearance)
     if own_arm:
-        clear = np.minimum(clear, samples_clear_of_arm(cast_setup.rope, cast_setup.arm, q, base, cast_setup.clearance))
+        before = np.where(at > 0, at, t.size)
+        given = cast_setup.rope, cast_setup.arm, q, base, cast_setup.clearance
+        clear = np.minimum(clear, samples_clear_of_arm(*given, before))
     struck = (at > 0) & (at <= clear) & np.isfinite(q).all(axis=(1, 2))
     blocked = (at > 0) & ~struck & (clear < t.size)
     least += np.where(blocked, 1.0 - clear / np.maximum(at, 1), 0.0)
@@ -134,32 +137,19 @@ def arm_tip(arm: Arm, motion: Motion, t: Array) -> tuple[Array, Array]:
     return position, np.stack([np.cos(angle), np.sin(angle)], axis=-1) * (arm.length * rate)[:, None]
 
 
-def first_contact(q: Array, base: Array, length: Array, peg: Peg, rope_radius: float) -> tuple[Array, Array, Array]:
-    """Return sample and link of the first strike on a peg, and the smallest gap, m, (M,) each; sample 0: no strike.
+def first_contact(
+    q: Array, base: Array, length: Array, peg: Peg, rope_radius: float
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Array]:
+    """Return sample and link of the first strike on a peg, and the smallest gap until then, m, (M,) each.
 
-    `q` (M, T, n) are angles, rad, `base` (M, T, 2) positions of the rope's first joint, m, `length` (n,) or (M, 1, n)
-    those of the links, m, and `rope_radius` is in m.
+    Sample 0 means no strike. `q` (M, T, n) are angles, rad, `base` (M, T, 2) positions of the rope's first joint, m,
+    `length` (n,) or (M, n) those of the links, m, and `rope_radius` is in m.
     """
-    single = np.float32  # good to a micrometre, in half the time
-    links, far = np.moveaxis(q.astype(single), 2, 0), (np.array([peg.x, peg.y]) - base).astype(single)
-    sin, cos = np.sin(links, order="C"), np.cos(links, order="C")
-    x, y = far[..., 0], far[..., 1]  # from a link's motor-side joint to the peg
-    gap, beside = np.empty_like(sin), np.empty_like(sin)
-    each = np.moveaxis(np.broadcast_to(length.astype(single), (len(q), 1, q.shape[2])), 2, 0)
-    for i, (s, c, long) in enumerate(zip(sin, cos, each, strict=True)):
-        along = x * s - y * c
-        beside[i] = np.where((along > 0.0) & (along < long), x * c + y * s, 0.0)
-        along = np.clip(along, 0.0, long)
-        gap[i] = np.sqrt((x - along * s) ** 2 + (y + along * c) ** 2)
-        x, y = x - long * s, y + long * c
-    gap -= peg.radius + rope_radius
-    near: npt.NDArray[np.bool_] = np.asarray((gap < NEAR).any(axis=0))
-    hit = near & np.logical_or.accumulate(~near, axis=1)  # a rope that hangs beside the peg leaves it before it strikes
-    hit[:, 1:] |= (gap[..., 1:] < 0.0).any(axis=0)  # or swings into it
-    hit[:, 1:] |= (beside[..., 1:] * beside[..., :-1] < 0.0).any(axis=0)  # through it between two samples
-    at = np.where(hit.any(axis=1), hit.argmax(axis=1), 0)
-    link = gap[:, np.arange(len(q)), at].argmin(axis=0)
-    return at, link, np.maximum(gap.min(axis=(0, 2)), 0.0)
+    at, link, least = np.zeros(len(q), np.int64), np.zeros(len(q), np.int64), np.zeros(len(q))
+    lengths = np.ascontiguousarray(np.broadcast_to(length, (len(q), q.shape[2])), dtype=np.float64)
+    place = peg.x, peg.y, peg.radius + rope_radius, NEAR
+    proximity.first_contacts(np.ascontiguousarray(q), np.ascontiguousarray(base), lengths, *place, at, link, least)
+    return at, link, least
 
 
 def mass_points(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
@@ -179,7 +169,7 @@ def mass_points(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -
 
 
 def tail_energy(
-    cast_setup: CastSetup, peg: Peg, state: tuple[Array, Array], base: tuple[Array, Array], link: Array
+    cast_setup: CastSetup, peg: Peg, state: tuple[Array, Array], base: tuple[Array, Array], link: npt.NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """Return the energy ratio and the turns of tail (M,) of strikes with link `link` (M,); see :class:`Strikes`.
 

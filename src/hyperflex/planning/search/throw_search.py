@@ -80,6 +80,7 @@ class ThrowSearch:
         self._made: list[int] = []  # how many of the MOVES each of them was tried with
         self._contact: tuple[int, Any, float] | None = None
         self._failed_tries = 0  # tries of last moves while no throw winds
+        self._struck: dict[tuple[int, bytes], strikes.Strikes] = {}  # of swings, by side and point
         self._in_contact = self.cast_setup  # its links are those of runs in contact
 
     def _cma_es(self, centre: Array, size: float, members: int, side: int) -> Any:
@@ -212,7 +213,7 @@ class ThrowSearch:
         self._failed_tries += bool(self.candidates) and not self.winds
         if self._failed_tries == MAX_FAILED and self._in_contact is self.cast_setup:
             self._in_contact = self.cast_setup.cut(PIECES)
-            self._tried, self._made = [], []
+            self._tried, self._made, self._struck = [], [], {}
         some = self._fresh(0.0, TRIED) if fresh else []
         self._tried += some
         self._made += [0] * len(some)
@@ -222,29 +223,26 @@ class ThrowSearch:
         rows = [k for k, made in enumerate(self._made) if made == least]
         rows = sorted(rows, key=lambda k: -self._tried[k].score)[:TRIED]
         towards = 1.0 if self.peg.x >= self.cast_setup.arm.pivot[0] else -1.0
-        for side in self.parametrizations:
-            points = [
-                np.append(self._tried[k].x[:-LAST], [more, towards * end, rest, 1.0])
-                for k in rows
-                if self._tried[k].side == side
-                for more, end, rest in MOVES[least]
-            ]
-            if points:
-                self.evaluate(side, points, max(self._tried[k].t for k in rows) + LATER)
+        points = [
+            (self._tried[k].side, np.append(self._tried[k].x[:-LAST], [more, towards * end, rest, 1.0]))
+            for k in rows
+            for more, end, rest in MOVES[least]
+        ]
+        self.evaluate(points, max(self._tried[k].t for k in rows) + LATER)
         for k in rows:
             self._made[k] += 1
 
     def try_throws(self, throws: Sequence[Throw]) -> None:
         """Simulate given throws in contact: their strokes until they strike, and then some more of them."""
-        for side, each in self.parametrizations.items():
-            points = [
-                np.append(each.repeated(one)[:-LAST], [more, one.end / np.pi, 0.0, one.speed])
-                for one in throws
-                if one.side == side
-                for more in AFTER
-            ]
-            if points:
-                self.evaluate(side, points)
+        points = [
+            (side, np.append(each.repeated(one)[:-LAST], [more, one.end / np.pi, 0.0, one.speed]))
+            for side, each in self.parametrizations.items()
+            for one in throws
+            if one.side == side
+            for more in AFTER
+        ]
+        if points:
+            self.evaluate(points)
 
     def evolve_throws(self) -> None:
         """Simulate one generation of throws in contact, about the best candidate."""
@@ -253,7 +251,7 @@ class ThrowSearch:
             self._contact = best.side, self._cma_es(best.x, NARROW, CONTACT_MEMBERS, best.side), best.t + LATER
         side, optimizer, until = self._contact
         points = optimizer.ask()
-        optimizer.tell(points, list(-self.evaluate(side, points, until)))
+        optimizer.tell(points, list(-self.evaluate([(side, x) for x in points], until)))
 
     def restart(self) -> None:
         """Let the next :meth:`evolve_throws` begin from the best candidate at that time."""
@@ -286,12 +284,12 @@ class ThrowSearch:
         each = SLOW_RUNS * max(self.left(), 0.0) * self.workers / members
         return Deadline(float(np.clip(each, MIN_BUDGET, TIME_BUDGET)), self.left)
 
-    def evaluate(self, side: int, points: list[Array], until: float = np.inf) -> Array:
-        """Simulate points (M) in contact, keep those that strike as candidates, and return their scores (M,).
+    def evaluate(self, points: Sequence[tuple[int, Array]], until: float = np.inf) -> Array:
+        """Simulate points (M), each after its side, in contact; keep those that strike as candidates; return scores.
 
         Strikes come `until` a time, s, at most.
         """
-        throws = [self.parametrizations[side].throw(x) for x in points]
+        throws = [self.parametrizations[side].throw(x) for side, x in points]
         found = self._first_strikes(points, throws, until)
         score = found.score.copy()
         struck = np.flatnonzero(np.isfinite(found.t))
@@ -301,8 +299,9 @@ class ThrowSearch:
             ended = self._wind(self._in_contact, cut, found.select(struck.tolist()))
             score[struck] = ended.score
             for k, throw, value, turns in zip(struck, cut, ended.score, ended.turns, strict=True):
+                side, x = points[int(k)]
                 self.candidates.append(
-                    Candidate(float(value), float(turns), side, np.asarray(points[k]), throw, t=float(found.t[k]))
+                    Candidate(float(value), float(turns), side, np.asarray(x), throw, t=float(found.t[k]))
                 )
             self.candidates.sort(key=lambda one: -one.score)
         score[~np.isfinite(found.t)] = np.minimum(score[~np.isfinite(found.t)], 0.0)
@@ -317,10 +316,18 @@ class ThrowSearch:
         given: dict[str, Any] = {"arm": cast_setup.arm, "clearance": cast_setup.clearance}
         return simulate_contact(batch, struck.t, **given, time_budget=budget, threads=self.threads)
 
-    def _first_strikes(self, points: list[Array], throws: list[Throw], until: float) -> strikes.Strikes:
-        """Strikes of throws before their last moves; throws that differ in these alone are simulated once."""
-        keys = [x[:-LAST].tobytes() for x in points]
-        order = list(dict.fromkeys(keys))
-        self.runs += len(order)
-        some = [throws[keys.index(key)].cut(self.cast_setup.time, self.cast_setup.limits) for key in order]
-        return self._strikes(self._in_contact, some, until=until).select([order.index(key) for key in keys])
+    def _first_strikes(self, points: Sequence[tuple[int, Array]], throws: list[Throw], until: float) -> strikes.Strikes:
+        """Strikes of throws before their last moves; throws that differ in these alone are simulated once.
+
+        Those that struck are known from then on.
+        """
+        keys = [(side, x[:-LAST].tobytes()) for side, x in points]
+        new = [key for key in dict.fromkeys(keys) if key not in self._struck]
+        found: dict[tuple[int, bytes], strikes.Strikes] = {}
+        if new:
+            self.runs += len(new)
+            some = [throws[keys.index(key)].cut(self.cast_setup.time, self.cast_setup.limits) for key in new]
+            seen = self._strikes(self._in_contact, some, until=until)
+            found = {key: seen.select([k]) for k, key in enumerate(new)}
+            self._struck |= {key: each for key, each in found.items() if np.isfinite(each.t[0])}
+        return strikes.joined([found.get(key) or self._struck[key] for key in keys])

@@ -105,10 +105,8 @@ def searches_near_by(search: ThrowSearch) -> Iterator[ThrowSearch]:
             if check_feasibility(cast_setup, peg).impossible:
                 continue
             beside = ThrowSearch(cast_setup, peg, search.seed, search.threads, search.holding_force)
-            for side in beside.parametrizations:
-                points = [one.x for one in best if one.side == side]
-                if points:
-                    beside.evaluate(side, points)
+            if points := [(one.side, one.x) for one in best if one.side in beside.parametrizations]:
+                beside.evaluate(points)
             yield beside
 
 

@@ -295,16 +295,27 @@ class CastPlanner:
     def verify(self, one: Candidate, seen: Verified | None = None) -> tuple[CastOutcome, CastOutcome | None]:
         """Verify a throw on the rope as given and with links of half the length; without a margin with shorter ones.
 
-        `seen` are the first two outcomes if these are known. Of those with shorter links the one that fails is
-        returned, or the one whose turns differ most: unpredictable throws differ with the length of the links.
+        `seen` are the first two outcomes if these are known; the last run is made beside the third where both are
+        needed. Of those with shorter links the one that fails is returned, or the one whose turns differ most:
+        unpredictable throws differ with the length of the links.
         """
         first, second = seen[1:] if seen else self.verify_twice(one)
         if first is None or second is None or not second.success or with_margin((None, first, second)):
             return first, second  # type: ignore[return-value] # there is a first one
-        finer = [second, foreseen(first, self.run_once(self.finer[1], one, self.left))]
-        worst = worst_of(first, finer)
-        if worst.success and not all(map(may_fall, (first, *finer))):
-            last = foreseen(first, self.run_once(self.finer[2], one, self.left))
+        failed: list[CastOutcome] = []
+
+        def left() -> float:
+            return -1.0 if failed else self.left()
+
+        with ThreadPoolExecutor(1) as pool:
+            last_too = self.search.workers > 1 and not all(map(may_fall, (first, second)))
+            beside = pool.submit(self.run_once, self.finer[2], one, left) if last_too else None
+            third = foreseen(first, self.run_once(self.finer[1], one, self.left))
+            worst = worst_of(first, [second, third])
+            if not worst.success:
+                failed.append(worst)
+        if worst.success and not all(map(may_fall, (first, second, third))):
+            last = foreseen(first, beside.result() if beside else self.run_once(self.finer[2], one, self.left))
             worst = worst_of(first, [worst, last]) if last.success else last
         return first, worst
 
