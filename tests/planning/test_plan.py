@@ -19,6 +19,7 @@ from hyperflex.planning.search.throw_search import LATER, MAX_FAILED, MOVES, TRI
 from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
 from hyperflex.planning.wind.verified import failure, foreseen, succeeds, with_margin
+from hyperflex.simulation import Deadline
 from tests.faults.interrupting import left_by
 from tests.planning.known import planned
 
@@ -652,7 +653,7 @@ def test_poor_throws_are_refined_only_where_swings_do_not_lack_time(
     [
         ([1.6, 1.5, 1.6, 1.8], 1.8, 5),  # the one that differs most
         ([1.6, 1.7, 1.0, 1.6], 1.0, 3),  # one turn fewer: it fails
-        ([1.6, 1.5, None, 1.6], 1.5, 5),  # no time for the third: the others tell
+        ([1.6, 1.5, None, 1.6], 0.0, 3),  # no time for the third, and so for the last
         ([1.6, 1.5, 1.6, None], 0.0, 5),  # none for the last, which an end on top of the peg needs
         ([1.6, None, 1.5, 1.5], 0.0, 2),
         ([1.6, 0.4, 1.5, 1.5], 0.4, 2),  # the first that fails
@@ -662,12 +663,12 @@ def test_poor_throws_are_refined_only_where_swings_do_not_lack_time(
 def test_a_throw_that_ends_on_top_of_the_peg_is_verified_with_shorter_and_shorter_links(
     monkeypatch: pytest.MonkeyPatch, ends: list[float | None], told: float, most: int
 ) -> None:
-    search, links = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), set()
+    search, links = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1), set()
 
-    def verify_cast(cast_setup: CastSetup, *_: object, **__: object) -> object:
-        pieces = cast_setup.rope.n_links // CABLE.n_links
-        links.add(pieces)
-        turns = ends[min(pieces, 4) - 1]
+    def verify_cast(cast_setup: CastSetup, *_: object, time_budget: Deadline, **__: object) -> object:
+        pieces, ended = cast_setup.rope.n_links // CABLE.n_links, time_budget.left() < 0.0
+        links.update(() if ended else (pieces,))
+        turns = None if ended else ends[min(pieces, 4) - 1]
         success, completed = turns is not None and turns > 1.25, turns is not None
         more = {
             "slip": 1e-3,
@@ -758,9 +759,9 @@ def test_many_swings_are_tried_with_a_few_last_moves_before_some_with_more(monke
     search.swings = [Swing(1.0 - 0.1 * k, 1, x + 0.2 * k, 5.0) for k in range(TRIED + 1)]
     search.swings.append(Swing(-0.2, 1, x - 0.2, 5.0))  # with shorter links it does not strike
 
-    def evaluate(side: int, points: list[np.ndarray], until: float) -> None:
+    def evaluate(points: list[tuple[int, np.ndarray]], until: float) -> None:
         assert until == 5.0 + LATER
-        tried.append([(round((point[0] - x[0]) / 0.2), *point[-4:-1].tolist()) for point in points])
+        tried.append([(round((point[0] - x[0]) / 0.2), *point[-4:-1].tolist()) for _, point in points])
 
     monkeypatch.setattr(search, "evaluate", evaluate)
     for _ in range(4):
@@ -780,7 +781,7 @@ def test_many_swings_are_tried_with_a_few_last_moves_before_some_with_more(monke
 def test_swings_that_were_tried_get_other_moves_though_there_are_fresh_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), hf.Peg(0.9, -0.4, 0.03), threads=1)
     x, tried = search.parametrizations[1].centre(), []
-    monkeypatch.setattr(search, "evaluate", lambda _, points, until: tried.append([p[-4:-1].tolist() for p in points]))
+    monkeypatch.setattr(search, "evaluate", lambda points, until: tried.append([p[-4:-1].tolist() for _, p in points]))
     search.swings = [Swing(1.0, 1, x, 5.0)]
     search.try_last_moves()
     search.swings.append(Swing(0.9, 1, x + 0.2, 5.0))
@@ -812,7 +813,7 @@ def test_last_moves_end_towards_the_targets_side(monkeypatch: pytest.MonkeyPatch
     for x in (-0.9, 0.9):
         search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), hf.Peg(x, -0.4, 0.03), threads=1)
         search.swings = [Swing(1.0, 1, search.parametrizations[1].centre(), 5.0)]
-        monkeypatch.setattr(search, "evaluate", lambda _, points, until, x=x: ends.update({x: [p[-3] for p in points]}))
+        monkeypatch.setattr(search, "evaluate", lambda points, until, x=x: ends.update({x: [p[-3] for _, p in points]}))
         search.try_last_moves()
     assert ends[-0.9] == [-end for end in ends[0.9]]
 

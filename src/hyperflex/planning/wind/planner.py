@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -121,11 +122,8 @@ class CastPlanner:
         while not (self.late or self.done()):
             late = contact > 0 and self.search.late
             settled = idle >= IDLE_ROUNDS * (2 if late and score < self.worthy else 1)
-            if (
-                contact % RESTART
-                and self.worth_refining(late)
-                and (settled or self.spent > SWINGING * self.time_budget)
-            ):
+            refine = contact % RESTART > 0 and self.worth_refining(late)
+            if refine and (settled or self.spent > SWINGING * self.time_budget):
                 self.search.evolve_throws()
                 contact += 1
             else:
@@ -188,12 +186,7 @@ class CastPlanner:
             self.rounds += not self.search.climbing
             return score
         self.rounds += 1
-        score = 0.0
-        for _ in range(GENERATIONS):
-            score = max(score, self.search.evolve_swings())
-            if self.late:
-                break
-        return score
+        return max((self.search.evolve_swings() for _ in range(GENERATIONS) if not self.late), default=0.0)
 
     def done(self) -> bool:
         """Whether a plan succeeds with a margin, and covers a full turn where the rope is long enough.
@@ -302,45 +295,40 @@ class CastPlanner:
         first, second = seen[1:] if seen else self.verify_twice(one)
         if first is None or second is None or not second.success or with_margin((None, first, second)):
             return first, second  # type: ignore[return-value] # there is a first one
-        failed: list[CastOutcome] = []
 
-        def left() -> float:
-            return -1.0 if failed else self.left()
-
-        with ThreadPoolExecutor(1) as pool:
-            last_too = self.search.workers > 1 and not all(map(may_fall, (first, second)))
-            beside = pool.submit(self.run_once, self.finer[2], one, left) if last_too else None
-            third = foreseen(first, self.run_once(self.finer[1], one, self.left))
-            worst = worst_of(first, [second, third])
-            if not worst.success:
-                failed.append(worst)
-        if worst.success and not all(map(may_fall, (first, second, third))):
-            last = foreseen(first, beside.result() if beside else self.run_once(self.finer[2], one, self.left))
+        third = partial(self.run_once, self.finer[1], one, self.left)
+        alone = all(map(may_fall, (first, second)))  # if not, the last one is needed where the third succeeds
+        found, last = (third(), None) if alone else self.beside(third, self.finer[2], one)
+        finer = [second, foreseen(first, found)]
+        worst = worst_of(first, finer)
+        if worst.success and not all(map(may_fall, (first, *finer))):
+            last = foreseen(first, last or self.run_once(self.finer[2], one, self.left))
             worst = worst_of(first, [worst, last]) if last.success else last
         return first, worst
 
     def verify_twice(self, one: Candidate) -> tuple[CastOutcome, CastOutcome | None]:
         """Verify a throw on the rope as given and, beside that, with links of half the length unless that fails."""
+        until = self.spent + max(LONGEST * self.time_budget, 0.5 * self.left())
+        given = self.search.cast_setup, one, lambda: min(until - self.spent, self.left())
+        first, second = self.beside(partial(self.run_once, *given), self.finer[0], one)
+        return first, foreseen(first, second) if first.success else None
+
+    def beside(
+        self, begin: Callable[[], CastOutcome], cut: CastSetup, one: Candidate
+    ) -> tuple[CastOutcome, CastOutcome]:
+        """Verify a throw, and beside that with links cut, which ends where the first run fails."""
         failed: list[CastOutcome] = []
 
-        def begin() -> CastOutcome:
-            found = self.first_outcome(one)
+        def first() -> CastOutcome:
+            found = begin()
             if not found.success:
                 failed.append(found)
             return found
 
         with ThreadPoolExecutor(min(2, self.search.workers)) as pool:
-            runs = (
-                pool.submit(begin),
-                pool.submit(self.run_once, self.finer[0], one, lambda: -1.0 if failed else self.left()),
-            )
-        first, second = (run.result() for run in runs)
-        return first, foreseen(first, second) if first.success else None
-
-    def first_outcome(self, found: Candidate) -> CastOutcome:
-        """Verify a throw on the rope as given, in a part of the time."""
-        until = self.spent + max(LONGEST * self.time_budget, 0.5 * self.left())
-        return self.run_once(self.search.cast_setup, found, lambda: min(until - self.spent, self.left()))
+            here = pool.submit(first)
+            there = pool.submit(self.run_once, cut, one, lambda: -1.0 if failed else self.left())
+        return here.result(), there.result()
 
     def run_once(self, cast_setup: CastSetup, found: Candidate, left: Callable[[], float]) -> CastOutcome:
         """Simulate a throw on a rope, and a tug at its end, in the time that is `left`, s."""
