@@ -16,14 +16,18 @@ from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import contact_phase, rollouts
 from hyperflex.planning.search.contact_phase import (
     ARM_COST,
+    CHECK_TIME,
     FOLDED,
     LAST,
     LATE_COST,
     MAX_TURNS,
     MIN_HOPE,
+    MIN_SWEEP,
     PASSING,
     PLAIN,
+    SETTLING_TIME,
     SLIP_COST,
+    SWEEP_TIME,
     score_winding,
     simulate_contact,
 )
@@ -174,6 +178,26 @@ def test_of_two_throws_that_wind_the_one_that_folds_scores_less(monkeypatch: pyt
     whole = 2.0 + PASSING * 2.0
     assert found.turns.tolist() == [2.0, 2.0]
     assert found.score == pytest.approx([whole, PLAIN + FOLDED * (whole - PLAIN)])
+
+
+@pytest.mark.parametrize(("turns", "spans"), [(0.9 * MIN_SWEEP, 1), (1.1 * MIN_SWEEP, 2), (1.0, 3)])
+def test_a_rope_that_does_not_sweep_round_the_peg_is_not_simulated_further(
+    monkeypatch: pytest.MonkeyPatch, turns: float, spans: int
+) -> None:
+    """Nor is one with few turns after the stop. Runs are made up, and bend nothing."""
+    seen: list[float] = []
+
+    def run_on(one: RolloutBatch, since: float, until: float, *_: object) -> tuple[object, ...]:
+        t = np.arange(since + 0.02, until + 0.01, 0.02)
+        seen.append(until)
+        return t, np.full(t.size, turns), np.zeros((t.size, CABLE.n_links)), one
+
+    monkeypatch.setattr(contact_phase, "_run_on", run_on)
+    one = RolloutBatch([CABLE], [PEG], [hf.arm_moves([0.0, 1.0], [0.0], [0.6])], *np.zeros((2, 1, CABLE.n_links)))
+    stop = float(one.motions[0].breaks[-1])
+    simulate_contact(one, np.zeros(1), arm=CAST_SETUP.arm)
+    ends = [SWEEP_TIME * np.sqrt(2.0 / 9.81), stop + CHECK_TIME, stop + SETTLING_TIME]
+    assert seen == pytest.approx(ends[:spans], rel=1e-3)
 
 
 @pytest.mark.parametrize(("clearance", "stays"), [(-np.inf, True), (0.0, True), (1.0, False)])

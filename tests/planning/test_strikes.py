@@ -73,7 +73,18 @@ def test_samples_clear_of_the_arm_are_those_before_the_first_that_is_not() -> No
         near = np.array([sampled_clearance(far, arm, *each) <= clearance for each in zip(q, base, strict=True)])
         assert found.tolist() == np.where(near.any(axis=1), near.argmax(axis=1), 60).tolist()
         assert (found < 60).sum() > 5
+    until = np.maximum(found - 1, 0)  # looked at no longer than to one sample before
+    assert samples_clear_of_arm(far, arm, q, base, clearance, until).tolist() == 40 * [60]
     assert samples_clear_of_arm(far, arm, q, base, -np.inf).tolist() == 40 * [60]
+
+
+def test_a_flight_that_failed_strikes_nothing_from_there_on() -> None:
+    angle = np.array([-0.5, -0.4, np.nan, np.nan])  # a rod beside the peg, and angles that nobody knows
+    at, _, least = first_contact(
+        angle[None, :, None], np.zeros((1, 4, 2)), np.array([1.0]), hf.Peg(0.0, -0.8, 0.01), 0.0
+    )
+    assert at.tolist() == [0]
+    assert least[0] == pytest.approx(0.8 * np.sin(0.4) - 0.01)
 
 
 def test_a_swing_that_goes_through_its_arm_does_not_strike() -> None:

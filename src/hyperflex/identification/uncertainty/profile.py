@@ -21,11 +21,8 @@ FINISH = 1e-2  # gain of a round, in units of the residual variance, below which
 CLOSE = 0.01  # std to which an end is found
 LOOSE = 0.1  # std, and part of the way to it; an end that is not known so well after all TRIES is not told
 REACHED = 0.1  # part of the way that a ratio may stay short of its aim
-FIRMNESS = (
-    1.0,
-    10.0,
-    100.0,
-)  # with which it is drawn there, one after the other, before a bound is said to be in its way
+# Firmness with which a ratio is drawn there, one after the other, before a bound is said to be in its way
+FIRMNESS = (1.0, 10.0, 100.0)
 LONGEST = 3.0  # factor by which a step may grow
 TRIES = 25  # points on either side
 MOST_ROUNDS = 100  # of all fits on one side; usual are ten
