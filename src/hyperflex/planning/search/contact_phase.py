@@ -58,6 +58,7 @@ def simulate_contact(
     *,
     arm: Arm,
     clearance: float = -np.inf,
+    sweeping: bool = False,
     time_budget: float | Deadline = TIME_BUDGET,
     threads: int | None = None,
 ) -> WindingScores:
@@ -65,11 +66,12 @@ def simulate_contact(
 
     A strike that begins later, at `begin` (M,), s, lowers the score. A rope that comes within `clearance`, m, of its
     arm or shaft, or an obstacle, counts as one that comes undone, whose score is lower the longer it is there.
+    With `sweeping` runs end that make fewer than MIN_SWEEP turns until SWEEP_TIME: for a search, which loses few.
     `time_budget` is the processor time of each run, s, or a deadline; a run that takes more has failed.
     """
 
     def one(k: int) -> tuple[float, float]:
-        return _simulate_one(batch.select([k]), float(begin[k]), arm, clearance, time_budget)
+        return _simulate_one(batch.select([k]), float(begin[k]), arm, clearance, sweeping, time_budget)
 
     with ThreadPoolExecutor(usable_threads(threads)) as pool:
         found = list(pool.map(one, range(len(batch))))
@@ -77,20 +79,20 @@ def simulate_contact(
 
 
 def _simulate_one(
-    one: RolloutBatch, begin: float, arm: Arm, clearance: float, time_budget: float | Deadline
+    one: RolloutBatch, begin: float, arm: Arm, clearance: float, sweeping: bool, time_budget: float | Deadline
 ) -> tuple[float, float]:
     """Score and turns of one rope, as of :func:`simulate_contact`.
 
-    A run that makes fewer than MIN_SWEEP turns until SWEEP_TIME ends there, and so does one with fewer than MIN_HOPE
-    turns CHECK_TIME after the stop; both count MIN_HOPE turns at most. So does one that came too near the arm until
-    then, but its score is that of MIN_TURNS at most, less what the arm costs.
+    A run that must be `sweeping` and is not ends there, and so does one with fewer than MIN_HOPE turns CHECK_TIME after
+    the stop; both count MIN_HOPE turns at most. So does one that came too near the arm until then, but its score is
+    that of MIN_TURNS at most, less what the arm costs.
     """
     rope = one.ropes[0]
     stop = max(float(one.motions[0].breaks[-1]), 0.5)
     check = stop + CHECK_TIME
-    sweep = min(SWEEP_TIME * np.sqrt(rope.total_length / max(np.hypot(*rope.gravity), 1e-9)), check)
-    t, turns, q, now = _run_on(one, 0.0, sweep, arm, time_budget)
-    hopeful = bool(np.abs(turns).max() >= MIN_SWEEP) and _clear_of_peg(now, arm)
+    sweep = SWEEP_TIME * np.sqrt(rope.total_length / max(np.hypot(*rope.gravity), 1e-9)) if sweeping else check
+    t, turns, q, now = _run_on(one, 0.0, min(sweep, check), arm, time_budget)
+    hopeful = not sweeping or (bool(np.abs(turns).max() >= MIN_SWEEP) and _clear_of_peg(now, arm))
     if hopeful and check > t[-1]:
         further, *seen, now = _run_on(now, t[-1], check, arm, time_budget)
         t, turns, q = (np.concatenate(each) for each in zip((t, turns, q), (further, *seen), strict=True))

@@ -313,7 +313,7 @@ class ThrowSearch:
         count, budget = len(motions), self.run_budget(len(motions))
         ropes, pegs, walls = [cast_setup.rope] * count, [self.peg] * count, cast_setup.obstacles
         batch = RolloutBatch(ropes, pegs, motions, struck.q, struck.qd, obstacles=walls)
-        given: dict[str, Any] = {"arm": cast_setup.arm, "clearance": cast_setup.clearance}
+        given: dict[str, Any] = {"arm": cast_setup.arm, "clearance": cast_setup.clearance, "sweeping": True}
         return simulate_contact(batch, struck.t, **given, time_budget=budget, threads=self.threads)
 
     def _first_strikes(self, points: Sequence[tuple[int, Array]], throws: list[Throw], until: float) -> strikes.Strikes:
