@@ -4,6 +4,7 @@ python -m benchmarks.casting                     the paper's cable and arm, 60 t
 python -m benchmarks.casting --rope weighted     the same with 20 g at the tip; or tapered, cord, long: ropes of ROPES
 python -m benchmarks.casting --rope cord --seed 99 --ours   targets that nobody has seen
 python -m benchmarks.casting --count 5 --out -   a look; nothing is written
+python -m benchmarks.casting --plans FOLDER      and keep the plans, for benchmarks.casts_mujoco
 python -m benchmarks.casting --outside           targets called out of reach, each searched ten times as long
 
 For each target: a plan of ours (60 s at most), the paper's motion (half turns with rests of 0.53 s) and its timing
@@ -132,6 +133,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the targets ({SEED})")
     parser.add_argument("--outside", action="store_true", help="targets called out of reach, ten times the time budget")
     parser.add_argument("--ours", action="store_true", help="our plans alone, without the paper's two ways")
+    parser.add_argument("--plans", type=Path, help="folder for plans that stand, as benchmarks.casts_mujoco reads them")
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
     about = machine.describe()
@@ -145,7 +147,7 @@ def main() -> None:
     lines.told(rows, planned=True)
     missing = [n for n in numbers if n not in known]
     alone = options.outside or options.ours or options.rope not in TIP
-    for found in done(options.rope, missing, time_budget, ours_alone=alone, seed=options.seed):
+    for found in done(options.rope, missing, time_budget, ours_alone=alone, seed=options.seed, plans=options.plans):
         rows.append(found)
         print(line(found), flush=True)
         if log is not None:
@@ -165,7 +167,9 @@ def read(log: Path | None, kind: str, time_budget: float) -> dict[int, dict[str,
     return {row["number"]: row for row in lines.read(log) if (row["kind"], row["time_budget"]) == (kind, time_budget)}
 
 
-def done(rope: str, numbers: list[int], time_budget: float, ours_alone: bool, seed: int) -> Iterator[dict[str, Any]]:
+def done(
+    rope: str, numbers: list[int], time_budget: float, ours_alone: bool, seed: int, plans: Path | None
+) -> Iterator[dict[str, Any]]:
     """A row for each target as it is judged."""
     known = cast_setup(rope)
     for begin in range(0, len(numbers), BLOCK):
@@ -182,6 +186,9 @@ def done(rope: str, numbers: list[int], time_budget: float, ours_alone: bool, se
                 on_plan=lambda found, told=told: told.append(found.seconds),  # type: ignore[misc]
             )
             planned.append((number, rope, plan, ours_alone, told[0] if told else None))
+            if plans is not None and plan.success:
+                plans.mkdir(parents=True, exist_ok=True)
+                plan.to_toml(plans / f"{rope}-{seed}-{number}.toml")
         with ThreadPoolExecutor(JUDGES) as judge:
             for one in as_completed([judge.submit(entry, *each) for each in planned]):
                 yield one.result()
