@@ -93,12 +93,14 @@ def cast_setup(rope: str, finer: float = 1.0) -> CastSetup:
     """A rope of ROPES on its arm, as so many times its links.
 
     It bends with the same friction per length whatever their number, and the hinge at the arm keeps its own, as
-    :func:`hyperflex.model.divided` has it.
+    :func:`hyperflex.model.divided` has it. The mass per length is a line along the rope, the same one whatever their
+    number: through the taper's two values at the middles of its first and last link when it is cut into ``kind.links``.
     """
     kind = ROPES[rope]
     links = round(finer * kind.links)
     cable = hf.Rope.uniform(kind.length, kind.mass, links, kind.radius, tip_mass=kind.tip)
-    share = 2.0 * np.linspace(1.0, kind.taper, links) / (1.0 + kind.taper)
+    part = ((np.arange(links) + 0.5) * kind.links / links - 0.5) / (kind.links - 1)  # of the way, at links' middles
+    share = 2.0 * (1.0 + (kind.taper - 1.0) * part) / (1.0 + kind.taper)
     friction = np.full(links, kind.friction * finer)
     friction[0] = kind.friction
     cable = cable.replace(friction=friction, mass=share * cable.mass, inertia=share * cable.inertia)
