@@ -14,6 +14,8 @@ FAR = 1e9  # m, what nothing comes near
 def first_contacts(q, base, length, x0, y0, reach, near, at, link, least):  # type: ignore[no-untyped-def]
     """Set sample `at` and `link` of the first strike on a peg, and the `least` gap until then, m, (M,) each.
 
+    Sample 0 means no strike; the link is the nearest one of that sample then.
+
     Parameters
     ----------
     q, base : (M, T, n), (M, T, 2) float64
@@ -25,8 +27,6 @@ def first_contacts(q, base, length, x0, y0, reach, near, at, link, least):  # ty
     near : float
         Gap, m, below which a rope that was farther away before strikes. One at any gap does so if a link passes the
         peg, or overlaps it, at a sample after the first.
-
-    Sample 0 means no strike; the link is the nearest one of that sample then.
     """
     n = q.shape[2]
     sin, cos, beside = np.empty(n), np.empty(n), np.empty(n)
