@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,7 +12,8 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.errors import SimulationError
+from hyperflex import interruption
+from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.planning import Uncertainty, WhipMap, build_whip_map, estimate_success_probability
 from hyperflex.planning.outcome import require_holding_force
 from hyperflex.planning.robust import scenario_rollouts
@@ -94,6 +97,31 @@ def test_no_block_of_a_batch_begins_when_the_time_is_over() -> None:
     begun: list[int] = []
     run_blocks(lambda low, high: begun.append(low), 1, 4, 1, False, OVER)
     assert begun == []
+
+
+def test_blocks_that_a_thread_waits_for_end_at_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Signals are the main thread's: others hear of them by looking."""
+    stop = np.zeros(1, dtype=np.int64)
+
+    def look() -> None:
+        raise KeyboardInterrupt
+
+    def block(_low: int, _high: int) -> None:
+        began = time.monotonic()
+        while not stop[0] and time.monotonic() < began + 20.0:
+            time.sleep(0.01)
+
+    monkeypatch.setattr(interruption, "look", look)
+    with ThreadPoolExecutor(1) as pool:
+        stopped = pool.submit(run_blocks, block, 1, 2, 1, False, None, stop).result()
+    assert stopped.received
+    assert stop[0] == 1
+
+
+@pytest.mark.parametrize("threads", [0, -1, 2000])
+def test_threads_that_cannot_be_used_are_refused(threads: int) -> None:
+    with pytest.raises(InvalidInput, match="threads"):
+        ThrowSearch(cast_setup(), PEG, threads=threads).beam_search()
 
 
 def test_free_swings_of_a_search_do_not_outlast_it() -> None:

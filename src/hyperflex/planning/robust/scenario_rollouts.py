@@ -90,7 +90,7 @@ def first_strikes(
     q, qd : (M, n) float64
         State there, rad and rad/s.
     gap : (M,) float64
-        Smallest gap, m.
+        Smallest gap until then, m.
     """
     stop = max(float(motion.breaks[-1]) for motion in batch.motions)
     span = max(time - batch.since, stop + AFTER_STOP, MIN_FLIGHT)

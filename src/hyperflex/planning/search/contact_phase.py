@@ -67,7 +67,8 @@ def simulate_contact(
     A strike that begins later, at `begin` (M,), s, lowers the score. A rope that comes within `clearance`, m, of its
     arm or shaft, or an obstacle, counts as one that comes undone, whose score is lower the longer it is there.
     With `sweeping` runs end that make fewer than MIN_SWEEP turns until SWEEP_TIME: for a search, which loses few.
-    `time_budget` is the processor time of each run, s, or a deadline; a run that takes more has failed.
+    `time_budget` is the processor time of each of a run's up to three parts, s, or a deadline; one that takes more has
+    failed.
     """
 
     def one(k: int) -> tuple[float, float]:
@@ -83,22 +84,24 @@ def _simulate_one(
 ) -> tuple[float, float]:
     """Score and turns of one rope, as of :func:`simulate_contact`.
 
-    A run that must be `sweeping` and is not ends there, and so does one with fewer than MIN_HOPE turns CHECK_TIME after
-    the stop; both count MIN_HOPE turns at most. So does one that came too near the arm until then, but its score is
-    that of MIN_TURNS at most, less what the arm costs.
+    A run that must be `sweeping` and is not ends there and counts no turns that stay. One with fewer than MIN_HOPE
+    turns CHECK_TIME after the stop ends there and counts MIN_HOPE at most. So does one that came too near the arm until
+    then, but its score is that of MIN_TURNS at most, less what the arm costs.
     """
     rope = one.ropes[0]
     stop = max(float(one.motions[0].breaks[-1]), 0.5)
     check = stop + CHECK_TIME
     sweep = SWEEP_TIME * np.sqrt(rope.total_length / max(np.hypot(*rope.gravity), 1e-9)) if sweeping else check
     t, turns, q, now = _run_on(one, 0.0, min(sweep, check), arm, time_budget)
-    hopeful = not sweeping or (bool(np.abs(turns).max() >= MIN_SWEEP) and _clear_of_peg(now, arm))
-    if hopeful and check > t[-1]:
+    hopeful = not sweeping or bool(np.abs(turns).max() >= MIN_SWEEP)
+    if hopeful and t[-1] < check - 1e-9 and _clear_of_peg(now, arm):
         further, *seen, now = _run_on(now, t[-1], check, arm, time_budget)
         t, turns, q = (np.concatenate(each) for each in zip((t, turns, q), (further, *seen), strict=True))
     hopeful = hopeful and bool(abs(turns[-1]) >= MIN_HOPE) and _clear_of_peg(now, arm)
     score, stay = score_winding(t, turns, min(check, t[-1]), begin, last=LAST_CHECK)
-    if not hopeful:
+    if t[-1] < check - 1e-9:  # nobody saw its turns stay
+        score, stay = score - min(stay, MAX_TURNS), 0.0
+    elif not hopeful:
         score, stay = score - max(min(stay, MAX_TURNS) - MIN_HOPE, 0.0), min(stay, MIN_HOPE)
     elif (near := _time_near_arm(one, q, t, arm, clearance)) > 0.0:
         score -= max(min(stay, MAX_TURNS) - MIN_TURNS, 0.0) + ARM_COST * (1.0 + near / (near + ARM_TIME))

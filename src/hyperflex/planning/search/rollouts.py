@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Obstacle, Peg, Rope
@@ -72,5 +73,7 @@ class RolloutBatch:
 
 
 def usable_threads(threads: int | None) -> int:
-    """Return a number of threads, by default one a processor."""
-    return threads or os.cpu_count() or 1
+    """Return a number of threads, by default one a processor; raises InvalidInput if it cannot be used."""
+    if threads is None:
+        return os.cpu_count() or 1
+    return checks.count("threads", threads, most=checks.MOST_THREADS)

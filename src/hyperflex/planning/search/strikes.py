@@ -146,7 +146,7 @@ def first_contact(
     `length` (n,) or (M, n) those of the links, m, and `rope_radius` is in m.
     """
     at, link, least = np.zeros(len(q), np.int64), np.zeros(len(q), np.int64), np.zeros(len(q))
-    lengths = np.ascontiguousarray(np.broadcast_to(length, (len(q), q.shape[2])), dtype=np.float64)
+    lengths = np.array(np.broadcast_to(length, (len(q), q.shape[2])), dtype=np.float64, order="C")
     place = peg.x, peg.y, peg.radius + rope_radius, NEAR
     proximity.first_contacts(np.ascontiguousarray(q), np.ascontiguousarray(base), lengths, *place, at, link, least)
     return at, link, least

@@ -296,10 +296,12 @@ class CastPlanner:
         if first is None or second is None or not second.success or with_margin((None, first, second)):
             return first, second  # type: ignore[return-value] # there is a first one
 
-        third = partial(self.run_once, self.finer[1], one, self.left)
+        def third() -> CastOutcome:
+            return foreseen(first, self.run_once(self.finer[1], one, self.left))
+
         alone = all(map(may_fall, (first, second)))  # if not, the last one is needed where the third succeeds
         found, last = (third(), None) if alone else self.beside(third, self.finer[2], one)
-        finer = [second, foreseen(first, found)]
+        finer = [second, found]
         worst = worst_of(first, finer)
         if worst.success and not all(map(may_fall, (first, *finer))):
             last = foreseen(first, last or self.run_once(self.finer[2], one, self.left))

@@ -6,6 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 import numpy as np
 import numpy.typing as npt
 
+from hyperflex import interruption
 from hyperflex.checks import Array
 from hyperflex.interruption import CaughtInterrupt, catch_interrupt
 from hyperflex.model import Setup
@@ -91,7 +92,7 @@ def run_blocks(
         try:
             futures += (pool.submit(block, *span) for span in spans)
             for (_, high), future in zip(spans, futures, strict=True):
-                if left is not None and not _in_time(future, left):
+                if not _in_time(future, left):
                     end()
                     left = None
                 if future.cancelled():
@@ -110,9 +111,10 @@ def unfinished(interrupt: CaughtInterrupt) -> str:
     return INTERRUPTED if interrupt.received else OUT_OF_TIME
 
 
-def _in_time(future: Future[None], left: Callable[[], float]) -> bool:
-    """Wait for a block until no time is left, s; return whether it is done."""
-    while not future.done() and (seconds := left()) >= 0.0:
+def _in_time(future: Future[None], left: Callable[[], float] | None) -> bool:
+    """Wait for a block until no time is left, s; return whether it is done. Signals are seen in any thread."""
+    while not future.done() and (seconds := 1.0 if left is None else left()) >= 0.0:
+        interruption.look()
         wait([future], timeout=min(max(seconds, 1e-3), 1.0))
     return future.done()
 
