@@ -4,7 +4,7 @@ python -m benchmarks.casting                     the paper's cable and arm, 60 t
 python -m benchmarks.casting --rope weighted     the same with 20 g at the tip; or tapered, cord, long: ropes of ROPES
 python -m benchmarks.casting --rope cord --seed 99 --ours   targets that nobody has seen
 python -m benchmarks.casting --count 5 --out -   a look; nothing is written
-python -m benchmarks.casting --plans FOLDER      and keep the plans, for benchmarks.casts_mujoco
+python -m benchmarks.casting --plans FOLDER      and keep what is planned now, for benchmarks.casts_mujoco
 python -m benchmarks.casting --outside           targets called out of reach, each searched ten times as long
 
 For each target: a plan of ours (60 s at most), the paper's motion (half turns with rests of 0.53 s) and its timing
@@ -135,7 +135,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the targets ({SEED})")
     parser.add_argument("--outside", action="store_true", help="targets called out of reach, ten times the time budget")
     parser.add_argument("--ours", action="store_true", help="our plans alone, without the paper's two ways")
-    parser.add_argument("--plans", type=Path, help="folder for plans that stand, as benchmarks.casts_mujoco reads them")
+    parser.add_argument(
+        "--plans", type=Path, help="folder for plans of this call that stand, as benchmarks.casts_mujoco reads them"
+    )
     parser.add_argument("--out", default=str(RESULTS), help="folder, or - for none")
     options = parser.parse_args()
     about = machine.describe()

@@ -85,6 +85,10 @@ def test_a_flight_that_failed_strikes_nothing_from_there_on() -> None:
     )
     assert at.tolist() == [0]
     assert least[0] == pytest.approx(0.8 * np.sin(0.4) - 0.01)
+    t, none = np.array([0.02, 0.04]), np.full((1, 2, CABLE.n_links), np.nan)
+    lost = find_strikes(CAST_SETUP, hf.Peg(0.5, -1.0, 0.03), [hf.hold_arm(0.0)], t, none, none)
+    assert np.isnan(lost.t[0])
+    assert lost.score[0] == pytest.approx(NEVER - CABLE.total_length)
 
 
 def test_a_swing_that_goes_through_its_arm_does_not_strike() -> None:

@@ -1,1 +1,1 @@
-"""Batch rollouts in SIMD lanes."""
+"""Batch rollouts in SIMD lanes, and where their samples come near something."""

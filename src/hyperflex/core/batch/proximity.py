@@ -7,14 +7,13 @@ import numpy as np
 from hyperflex.core.chain.articulated_body import sincos
 from hyperflex.core.jit import kernel, non_allocating
 
-FAR = 1e9  # m, what nothing comes near
-
 
 @kernel
 def first_contacts(q, base, length, x0, y0, reach, near, at, link, least):  # type: ignore[no-untyped-def]
     """Set sample `at` and `link` of the first strike on a peg, and the `least` gap until then, m, (M,) each.
 
-    Sample 0 means no strike; the link is the nearest one of that sample then.
+    Sample 0 means no strike; the link is the nearest one of that sample then. Of angles that are all NaN the gap is
+    infinite.
 
     Parameters
     ----------
@@ -31,14 +30,14 @@ def first_contacts(q, base, length, x0, y0, reach, near, at, link, least):  # ty
     n = q.shape[2]
     sin, cos, beside = np.empty(n), np.empty(n), np.empty(n)
     for m in range(q.shape[0]):
-        at[m], least[m] = 0, FAR
+        at[m], least[m] = 0, np.inf
         away = False
         beside[:] = 0.0
         for t in range(q.shape[1]):
             for i in range(n):
                 sin[i], cos[i] = sincos(q[m, t, i])
             x, y = x0 - base[m, t, 0], y0 - base[m, t, 1]
-            square, closest, passes = FAR * FAR, 0, False
+            square, closest, passes = np.inf, 0, False
             for i in range(n):
                 along, across = x * sin[i] - y * cos[i], x * cos[i] + y * sin[i]
                 side = across if 0.0 < along < length[m, i] else 0.0

@@ -109,9 +109,8 @@ def find_strikes(
     ratio, left = tail_energy(cast_setup, peg, state, joint, link)
     tail = np.clip(left - HANGING_TAIL, 0.0, MAX_TAIL)
     share = np.where(samples_unfolded(cast_setup.rope, q) < at, FOLDED, 1.0)
-    score = np.where(struck, share * np.minimum(ratio, MAX_RATIO) * tail, NEVER - least)
     return Strikes(
-        np.nan_to_num(score, nan=2.0 * NEVER),
+        np.where(struck, share * np.minimum(ratio, MAX_RATIO) * tail, NEVER - least),
         np.where(struck, ratio, 0.0),
         np.where(struck, left, 0.0),
         np.where(struck, t[at - 1], np.nan),
@@ -143,13 +142,14 @@ def first_contact(
     """Return sample and link of the first strike on a peg, and the smallest gap until then, m, (M,) each.
 
     Sample 0 means no strike. `q` (M, T, n) are angles, rad, `base` (M, T, 2) positions of the rope's first joint, m,
-    `length` (n,) or (M, n) those of the links, m, and `rope_radius` is in m.
+    `length` (n,) or (M, n) those of the links, m, and `rope_radius` is in m. Of a flight that failed before its first
+    sample the gap is not known: it is given as the rope's length.
     """
     at, link, least = np.zeros(len(q), np.int64), np.zeros(len(q), np.int64), np.zeros(len(q))
     lengths = np.array(np.broadcast_to(length, (len(q), q.shape[2])), dtype=np.float64, order="C")
     place = peg.x, peg.y, peg.radius + rope_radius, NEAR
     proximity.first_contacts(np.ascontiguousarray(q), np.ascontiguousarray(base), lengths, *place, at, link, least)
-    return at, link, least
+    return at, link, np.where(np.isfinite(least), least, lengths.sum(axis=1))
 
 
 def mass_points(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
