@@ -126,8 +126,11 @@ def test_a_motor_that_turns_little_makes_each_stroke_once() -> None:
 
 
 def test_swings_left_to_chance_are_not_continued(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert searched(FAR, 3.0)._swings
+    """Where all are, those are that differ least with shorter links, up to a bound."""
+    most = len(searched(FAR, 3.0)._swings)
     monkeypatch.setattr(beam, "MAX_DEVIATION", 0.0)
+    assert 0 < len(searched(FAR, 3.0)._swings) < most
+    monkeypatch.setattr(beam, "MAX_LEAST", 0.0)
     assert not searched(FAR, 3.0)._swings
 
 
@@ -231,6 +234,26 @@ def landings(work: ThrowSearch, count: int = 6) -> list[Candidate]:
         throw = replace(genes.throw(x), count=3)
         made.append(Candidate(3.0 - 0.1 * k, 2.5 - 0.1 * k, 1, x, throw))
     return made
+
+
+def test_swing_after_swing_is_refined_until_a_throw_winds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first one is again where all of them were in vain, or where it winds."""
+    seen: list[float] = []
+
+    def evaluate(self: ThrowSearch, points: list, until: float) -> np.ndarray:
+        seen.append(float(np.mean([x[0] for _, x in points])))
+        return np.zeros(len(points))
+
+    monkeypatch.setattr(ThrowSearch, "evaluate", evaluate)
+    for turns, order in ((0.5, (0, 1, 2, 0)), (2.0, (0, 0, 0, 0))):
+        work = ThrowSearch(CAST_SETUP, LEVEL)
+        work.candidates = [one._replace(turns=turns) for one in landings(work)[:6]]
+        seen.clear()
+        for _ in order:
+            work.evolve_throws()
+            work.restart()
+        first = work.candidates[0].x[0]
+        assert seen == pytest.approx([first - 2.0 * APART * k for k in order], abs=0.5 * APART)
 
 
 def test_throws_that_do_not_wind_with_shorter_links_lose_and_so_do_those_of_the_same_swing(

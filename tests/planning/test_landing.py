@@ -20,6 +20,7 @@ from hyperflex.planning.search.contact_phase import (
     FOLDED,
     LAST,
     LATE_COST,
+    LOOK_TIME,
     MAX_TURNS,
     MIN_HOPE,
     MIN_SWEEP,
@@ -28,6 +29,7 @@ from hyperflex.planning.search.contact_phase import (
     SETTLING_TIME,
     SLIP_COST,
     SWEEP_TIME,
+    _time_near_arm,
     score_winding,
     simulate_contact,
 )
@@ -146,7 +148,8 @@ def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypa
 
     def run_on(one: RolloutBatch, since: float, until: float, *_: object) -> tuple[object, ...]:
         t = np.arange(since + 0.02, until + 0.01, 0.02)
-        return t, np.where(t < float(one.motions[0].breaks[-1]) + 1.0, 2.0, 0.0), np.zeros((t.size, CABLE.n_links)), one
+        turns = np.where(t < float(one.motions[0].breaks[-1]) + 1.0, 2.0, 0.0)
+        return t, turns, *np.zeros((2, t.size, CABLE.n_links)), one
 
     monkeypatch.setattr(contact_phase, "_run_on", run_on)
     motions = [hf.arm_moves([0.0, 1.0], [0.0], [0.6]), hf.arm_moves([0.0, 1.0], [0.4], [0.69])]
@@ -164,7 +167,7 @@ def test_of_two_throws_that_wind_the_one_that_folds_scores_less(monkeypatch: pyt
         t = np.arange(since + 0.02, until + 0.01, 0.02)
         q = np.zeros((t.size, CABLE.n_links))
         q[5, 7:] = 3.0 * (one.q[0, 0] > 0.0)
-        return t, np.full(t.size, 2.0), q, one
+        return t, np.full(t.size, 2.0), q, np.zeros_like(q), one
 
     monkeypatch.setattr(contact_phase, "_run_on", run_on)
     monkeypatch.setattr(contact_phase, "_slip", lambda *_: 0.0)
@@ -199,7 +202,7 @@ def test_a_rope_that_does_not_sweep_round_the_peg_is_not_simulated_further(
     def run_on(one: RolloutBatch, since: float, until: float, *_: object) -> tuple[object, ...]:
         t = np.arange(since + 0.02, until + 0.01, 0.02)
         seen.append(until)
-        return t, np.full(t.size, turns), np.zeros((t.size, CABLE.n_links)), one
+        return t, np.full(t.size, turns), *np.zeros((2, t.size, CABLE.n_links)), one
 
     monkeypatch.setattr(contact_phase, "_run_on", run_on)
     one = RolloutBatch([CABLE], [PEG], [hf.arm_moves([0.0, 1.0], [0.0], [0.6])], *np.zeros((2, 1, CABLE.n_links)))
@@ -265,3 +268,13 @@ def test_a_batch_that_ctrl_c_cut_short_is_no_result(monkeypatch: pytest.MonkeyPa
     }
     with pytest.raises(KeyboardInterrupt):
         work[what]()
+
+
+def test_a_tip_that_passes_the_arm_between_two_samples_is_seen() -> None:
+    """A straight rope that turns by half a radian from one sample to the next, from the arm's tip past the shaft."""
+    rope, t = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, radius=0.0025), np.array([0.02, 0.04])
+    arm = hf.Arm(length=0.2)
+    q = np.repeat([[0.5 * np.pi - 0.25], [0.5 * np.pi + 0.25]], 10, axis=1)
+    one = RolloutBatch([rope], [PEG], [hf.hold_arm(-0.5 * np.pi)], q[:1], np.full((1, 10), 25.0))
+    assert _time_near_arm(one, q, np.full_like(q, 25.0), t, arm, 0.0) == pytest.approx(LOOK_TIME)
+    assert _time_near_arm(one, q[[0, 0]], np.zeros_like(q), t, arm, 0.0) == 0.0

@@ -35,6 +35,12 @@ def test_the_energy_is_that_of_rods(far: float, aside: float) -> None:
     assert check_feasibility(CAST_SETUP, at(far, aside)).energy_ratio == pytest.approx(share * drop / lift, rel=0.04)
 
 
+def test_a_target_below_leaves_no_room_to_swing() -> None:
+    """Of two targets the one right below gets much less energy, which grows with the square of what a stroke adds."""
+    beside, below = (check_feasibility(CAST_SETUP, at(1.0, aside)).energy_ratio for aside in (0.1, 0.0))
+    assert below < 0.3 * beside
+
+
 @pytest.mark.parametrize(
     ("peg", "told"),
     [

@@ -33,7 +33,9 @@ ENOUGH = 6  # strikes that are worth a try, after which a beam search may end
 BACK = 3  # strokes before the first strike from which a search begins again
 WATCHED = 0.7  # periods after a stroke in which a strike is looked for
 FINER = 3  # pieces of each link, as in the last verification
-MAX_DEVIATION = 0.005  # of the tip with shorter links after a stroke, in rope lengths
+# Of the tip with shorter links after a stroke, in rope lengths, and twice the least of all swings, up to the second: of
+# a cord that a fast arm throws none was within the first after two strokes, and none of its swings was continued
+MAX_DEVIATION, MAX_LEAST = 0.005, 0.02
 
 
 class Strike(NamedTuple):
@@ -221,7 +223,10 @@ class BeamSearch:
     def _confirmed(
         self, flights: RolloutBatch, rows: list[int], ended: Array, q: Array, budget: Deadline | None
     ) -> set[int]:
-        """Rows of q (M, T, n) whose tip at sample `ended` (M,) is nearly the same with shorter links, run alike."""
+        """Rows of q (M, T, n) whose tip at sample `ended` (M,) is nearly the same with shorter links, run alike.
+
+        Where none is, those that differ least.
+        """
         if not rows:
             return set()
         rope = self.cast_setup.rope
@@ -239,7 +244,8 @@ class BeamSearch:
         self.runs += len(rows)
         there = _tip(finer, batch.q[np.arange(len(rows)), last - 1])
         away = np.hypot(*(there - _tip(rope, q[rows, last])).T) / rope.total_length
-        return {k for k, off in zip(rows, away, strict=True) if off < MAX_DEVIATION}
+        most = max(MAX_DEVIATION, min(2.0 * float(np.nanmin(away, initial=np.inf)), MAX_LEAST))
+        return {k for k, off in zip(rows, away, strict=True) if off < most}
 
     def _continuations(self, swing: _Swing) -> list[_Continuation]:
         """Return the strokes that are tried after a swing, within its samples."""

@@ -18,10 +18,11 @@ from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
 from hyperflex.planning.search.strikes import arm_tip
 from hyperflex.planning.verification import at_limits, limit_bend
 from hyperflex.simulation import Deadline, check_outside
+from hyperflex.trajectory import interpolated
 from hyperflex.winding import slid
 
 COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search; coarser ones of wound ropes took longer, not less
-SAMPLE_TIME = 0.02  # s
+SAMPLE_TIME, LOOK_TIME = 0.02, 0.005  # s, of samples, and of looks at arm and obstacles: a tip passes at 20 m/s
 SETTLING_TIME = 2.5  # s simulated after the arm's stop
 CHECK_TIME, MIN_HOPE = 0.9, 0.75  # s after the stop at which a run is looked at; with fewer turns it ends there
 # The same after the strike, in units of sqrt(length / g), where no sample until then has more turns: of 2,423 runs of
@@ -92,22 +93,22 @@ def _simulate_one(
     stop = max(float(one.motions[0].breaks[-1]), 0.5)
     check = stop + CHECK_TIME
     sweep = SWEEP_TIME * np.sqrt(rope.total_length / max(np.hypot(*rope.gravity), 1e-9)) if sweeping else check
-    t, turns, q, now = _run_on(one, 0.0, min(sweep, check), arm, time_budget)
+    t, turns, q, qd, now = _run_on(one, 0.0, min(sweep, check), arm, time_budget)
     hopeful = not sweeping or bool(np.abs(turns).max() >= MIN_SWEEP)
     if hopeful and t[-1] < check - 1e-9 and _clear_of_peg(now, arm):
         further, *seen, now = _run_on(now, t[-1], check, arm, time_budget)
-        t, turns, q = (np.concatenate(each) for each in zip((t, turns, q), (further, *seen), strict=True))
+        t, turns, q, qd = (np.concatenate(each) for each in zip((t, turns, q, qd), (further, *seen), strict=True))
     hopeful = hopeful and bool(abs(turns[-1]) >= MIN_HOPE) and _clear_of_peg(now, arm)
     score, stay = score_winding(t, turns, min(check, t[-1]), begin, last=LAST_CHECK)
     if t[-1] < check - 1e-9:  # nobody saw its turns stay
         score, stay = score - min(stay, MAX_TURNS), 0.0
     elif not hopeful:
         score, stay = score - max(min(stay, MAX_TURNS) - MIN_HOPE, 0.0), min(stay, MIN_HOPE)
-    elif (near := _time_near_arm(one, q, t, arm, clearance)) > 0.0:
+    elif (near := _time_near_arm(one, q, qd, t, arm, clearance)) > 0.0:
         score -= max(min(stay, MAX_TURNS) - MIN_TURNS, 0.0) + ARM_COST * (1.0 + near / (near + ARM_TIME))
         stay = min(stay, MIN_HOPE)
     else:
-        further, whole, settled, _ = _run_on(now, t[-1], stop + SETTLING_TIME, arm, time_budget)
+        further, whole, settled, *_ = _run_on(now, t[-1], stop + SETTLING_TIME, arm, time_budget)
         ended = np.append(t, further), np.append(turns, whole)
         score, stay = score_winding(*ended, stop + SETTLING_TIME, begin)
         if stay >= MIN_TURNS:
@@ -122,15 +123,19 @@ def _clear_of_peg(one: RolloutBatch, arm: Arm) -> bool:
     return starts_outside(Setup(one.ropes[0], one.motions[0], arm, pegs=(one.pegs[0],)), 0.0, one.q[0])
 
 
-def _time_near_arm(one: RolloutBatch, q: Array, t: Array, arm: Arm, clearance: float) -> float:
-    """Time, s, that a rope at angles q (T, n) at times t (T,), s, is too near arm or obstacles at samples."""
-    rope, near = one.ropes[0], np.zeros(t.size, dtype=bool)
-    base = arm_tip(arm, one.motions[0], t)[0]
+def _time_near_arm(one: RolloutBatch, q: Array, qd: Array, t: Array, arm: Arm, clearance: float) -> float:
+    """Time, s, that a rope is too near arm or obstacles, by looks LOOK_TIME apart.
+
+    Angles q (T, n), rad, and rates qd (T, n), rad/s, at times t (T,), s, are interpolated.
+    """
+    looks: Array = np.linspace(t[0], t[-1], round((t[-1] - t[0]) / LOOK_TIME) + 1)
+    rope, near, q = one.ropes[0], np.zeros(looks.size, dtype=bool), interpolated(t, q, qd, looks)
+    base = arm_tip(arm, one.motions[0], looks)[0]
     if clearance > -np.inf:
         near |= sampled_clearance(rope, arm, q, base) <= clearance
     if one.obstacles:
         near |= sampled_obstacle_gaps(rope, one.obstacles, q, base) <= max(clearance, 0.0)
-    return SAMPLE_TIME * int(near.sum())
+    return LOOK_TIME * int(near.sum())
 
 
 def starts_outside(setup: Setup, *start: Any) -> bool:
@@ -159,10 +164,11 @@ def check_start(cast_setup: CastSetup) -> None:
 
 def _run_on(
     one: RolloutBatch, since: float, until: float, arm: Arm, time_budget: float | Deadline
-) -> tuple[Array, Array, Array, RolloutBatch]:
+) -> tuple[Array, Array, Array, Array, RolloutBatch]:
     """Simulate a rope coarsely from a time `since` to a time `until`, s.
 
-    Returns the times of its samples (T,), s, its turns (T,), its angles (T, n), rad, and the rollout that goes on.
+    Returns the times of its samples (T,), s, its turns (T,), its angles, rad, and rates, rad/s, (T, n), and the rollout
+    that goes on.
     """
     t: Array = SAMPLE_TIME * np.arange(1.0, np.ceil((until - since) / SAMPLE_TIME - 1e-9) + 1.0)
     run = one.run(
@@ -177,7 +183,7 @@ def _run_on(
         threads=1,
     )
     onward = replace(one, motions=[one.motions[0].shifted(-t[-1])], q=run.q[:, -1], qd=run.qd[:, -1])
-    return since + t, run.values["turns"][0, :, 0], run.q[0], onward
+    return since + t, run.values["turns"][0, :, 0], run.q[0], run.qd[0], onward
 
 
 def _slip(one: RolloutBatch, q: Array, t: Array, arm: Arm) -> float:

@@ -14,7 +14,7 @@ from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.beam import FINER, FULL, SIZES, BeamSearch, Strike
-from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, unconfirmed
+from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, same_swing, unconfirmed
 from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, free_sides, simulate_contact
 from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
@@ -79,6 +79,7 @@ class ThrowSearch:
         self._tried: list[Swing] = []  # in contact
         self._made: list[int] = []  # how many of the MOVES each of them was tried with
         self._contact: tuple[int, Any, float] | None = None
+        self._centres: list[Candidate] = []  # from which evolutions in contact began
         self._failed_tries = 0  # tries of last moves while no throw winds
         self._struck: dict[tuple[int, bytes], strikes.Strikes] = {}  # of swings, by side and point
         self._in_contact = self.cast_setup  # its links are those of runs in contact
@@ -245,16 +246,26 @@ class ThrowSearch:
             self.evaluate(points)
 
     def evolve_throws(self) -> None:
-        """Simulate one generation of throws in contact, about the best candidate."""
+        """Simulate one generation of throws in contact, about the best candidate where this is not known to be vain."""
         if self._contact is None:
-            best = self.candidates[0]
+            best = self._unrefined()
             self._contact = best.side, self._cma_es(best.x, NARROW, CONTACT_MEMBERS, best.side), best.t + LATER
         side, optimizer, until = self._contact
         points = optimizer.ask()
         optimizer.tell(points, list(-self.evaluate([(side, x) for x in points], until)))
 
+    def _unrefined(self) -> Candidate:
+        """Return the best candidate that winds, or whose swing no evolution began from; else the best one."""
+        some = (one for one in self.candidates if one.turns >= MIN_TURNS or not self._refined(one))
+        best = next(some, self.candidates[0])
+        self._centres.append(best)
+        return best
+
+    def _refined(self, one: Candidate) -> bool:
+        return any(same_swing(one, other) for other in self._centres)
+
     def restart(self) -> None:
-        """Let the next :meth:`evolve_throws` begin from the best candidate at that time."""
+        """Let the next :meth:`evolve_throws` begin from another candidate."""
         self._contact = None
 
     def confirm(self) -> None:
