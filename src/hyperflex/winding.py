@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -95,35 +96,32 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
         If the run had no such peg.
     """
     _own(run, peg)
-    away = run.joints - np.array([peg.x, peg.y])
+    rope, away = run.setup.rope, run.joints - np.array([peg.x, peg.y])
     angles = swept(away)
-    _, out, gap = _closest(run.setup.rope, peg, run.q, run.joints)
+    arc, contact, before, after, tail = np.repeat([0.0, 0.0, np.nan, np.nan, np.nan], run.t.size).reshape(5, -1)
+    reach = peg.radius + rope.radius + TOUCH + float(rope.length.max())
+    near = np.flatnonzero((away**2).sum(axis=-1).min(axis=1) <= reach**2)  # samples at which a link may touch
+    _, out, gap = _closest(rope, peg, run.q[near], run.joints[near])
     touching = gap < TOUCH
-    any_touch = touching.any(axis=1)
+    some = touching.any(axis=1)
+    near, touching, gap, out = near[some], touching[some], gap[some], out[some]
     first = touching.argmax(axis=1)
     last = touching.shape[1] - 1 - touching[:, ::-1].argmax(axis=1)
-    rows = np.arange(run.t.size)
-    through = np.cumsum(np.concatenate([np.zeros((run.t.size, 1)), angles], axis=1), axis=1)
+    rows = np.arange(near.size)
+    through = np.cumsum(np.concatenate([np.zeros((near.size, 1)), angles[near]], axis=1), axis=1)
     middle = 0.5 * (through[:, :-1] + through[:, 1:])
+    arc[near] = middle[rows, last] - middle[rows, first]
     between = np.arange(gap.shape[1])
-    on = np.asarray((gap < LIFTED * run.setup.rope.length) & (between >= first[:, None]) & (between <= last[:, None]))
-    on &= np.asarray(any_touch)[:, None]
-    covered = np.abs(np.where(on[:, 1:] & on[:, :-1], swept(out), 0.0).sum(axis=1))
-    rope, force = run.setup.rope, _joint_forces(run)
-    along = np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
+    on = np.asarray((gap < LIFTED * rope.length) & (between >= first[:, None]) & (between <= last[:, None]))
+    contact[near] = np.abs(np.where(on[:, 1:] & on[:, :-1], swept(out), 0.0).sum(axis=1))
+    force, q = _joint_forces(run, near), run.q[near]
+    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
     inner, outer = np.maximum(first - 1, 0), np.minimum(last + 1, rope.n_links - 1)
-    before, after = (
-        -(force[rows, k] * along[rows, link]).sum(axis=-1) for k, link in ((first, inner), (last + 1, outer))
-    )
+    before[near] = -(force[rows, first] * along[rows, inner]).sum(axis=-1)
+    after[near] = -(force[rows, last + 1] * along[rows, outer]).sum(axis=-1)
     beyond = rope.tip_mass + np.append(np.cumsum(rope.mass[::-1])[::-1], 0.0)
-    return Winding(
-        turns=angles.sum(axis=1) / (2.0 * np.pi),
-        arc=np.where(any_touch, middle[rows, last] - middle[rows, first], 0.0),
-        contact=covered,
-        before=np.where(any_touch, before, np.nan),
-        after=np.where(any_touch, after, np.nan),
-        tail=np.where(any_touch, np.hypot(*rope.gravity) * beyond[last + 1], np.nan),
-    )
+    tail[near] = np.hypot(*rope.gravity) * beyond[last + 1]
+    return Winding(angles.sum(axis=1) / (2.0 * np.pi), arc, contact, before, after, tail)
 
 
 def turns(run: Trajectory, peg: Peg) -> Array:
@@ -145,28 +143,28 @@ def rope_tension(run: Trajectory) -> Array:
     run : Trajectory
         With a prescribed arm or a fixed end. Beside pegs, accelerations and forces are means over the step.
     """
-    force = _joint_forces(checks.instance("run", run, Trajectory))
+    force = _joint_forces(checks.instance("run", run, Trajectory), np.arange(run.t.size))
     return np.asarray(np.hypot(force[..., 0], force[..., 1]))
 
 
-def _joint_forces(run: Trajectory) -> Array:
-    """Force on what is beyond each joint from what is before it (T, n + 1, 2), N, the tip last."""
-    rope, drive = run.setup.rope, run.setup.drive()
+def _joint_forces(run: Trajectory, rows: npt.NDArray[np.intp]) -> Array:
+    """Force at samples `rows` (k,) on what is beyond each joint from what is before it (k, n + 1, 2), N, tip last."""
+    rope, drive, q, rate = run.setup.rope, run.setup.drive(), run.q[rows], run.qd[rows]
     if run.setup.torque_driven:
-        base = np.gradient(run.base_velocity, run.t, axis=0)
+        base = np.gradient(run.base_velocity, run.t, axis=0)[rows]
     else:
-        motion, base = np.empty(9), np.empty((run.t.size, 2))
-        for k, t in enumerate(run.t):
+        motion, base = np.empty(9), np.empty((rows.size, 2))
+        for k, t in enumerate(run.t[rows]):
             base_state(drive, segment(drive, t), t, motion)
             base[k] = motion[:2]
-    across = np.stack([np.cos(run.q), np.sin(run.q)], axis=-1)
-    along = np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
-    bend = run.qdd[..., None] * across - (run.qd**2)[..., None] * along
+    across = np.stack([np.cos(q), np.sin(q)], axis=-1)
+    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
+    bend = run.qdd[rows, :, None] * across - (rate**2)[..., None] * along
     joints = np.cumsum(np.concatenate([base[:, None], rope.length[:, None] * bend], axis=1), axis=1)
     centres = joints[:, :-1] + rope.com[:, None] * bend
     needed = rope.mass[:, None] * (centres - rope.gravity)
     if run.contact_force is not None:
-        needed = needed - run.contact_force
+        needed = needed - run.contact_force[rows]
     end = rope.tip_mass * (joints[:, -1:] - rope.gravity) - np.array(run.setup.tip_force)
     return np.asarray(np.cumsum(np.concatenate([end, needed[:, ::-1]], axis=1), axis=1)[:, ::-1])
 

@@ -8,7 +8,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastSetup, MotorLimits
-from hyperflex.planning.clearance import sampled_clearance, samples_clear_of_arm
+from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps, samples_clear_of_arm
 from hyperflex.planning.search.contact_phase import TIME_BUDGET
 from hyperflex.planning.search.strikes import (
     FOLDED,
@@ -60,6 +60,22 @@ def test_a_rope_that_hangs_beside_the_peg_leaves_it_before_it_strikes() -> None:
     assert at.tolist() == [5]
     at, _, _ = first_contact(angle[None, :5, None], base[:, :5], np.array([1.0]), peg, 0.0)
     assert at.tolist() == [0]
+
+
+def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg() -> None:
+    """A wall where the arm is, of its thickness, and a peg for the shaft; links that hang from the arm left out."""
+    random, arm = np.random.default_rng(6), hf.Arm(length=0.2, pivot=(0.1, -0.2), radius=0.004, shaft_radius=0.012)
+    rope = hf.Rope.uniform(1.2, 0.06, 12, 0.003)
+    pivot, shaft = np.array(arm.pivot), hf.Peg(*arm.pivot, arm.shaft_radius)
+    for _ in range(40):
+        angle, q = random.uniform(-np.pi, np.pi), random.uniform(-np.pi, np.pi, (1, 12))
+        tip = pivot + 0.2 * np.array([np.sin(angle), -np.cos(angle)])
+        whole = float(sampled_obstacle_gaps(rope, [shaft], q, tip[None])[0])
+        begin = tip + 0.1 * np.array([np.sin(q[0, 0]), -np.cos(q[0, 0])])  # one link hangs from it
+        rest = hf.Rope.uniform(1.1, 0.055, 11, 0.003)
+        wall = hf.Wall(*arm.pivot, *tip)
+        away = float(sampled_obstacle_gaps(rest, [wall], q[:, 1:], begin[None])[0]) - arm.radius
+        assert sampled_clearance(rope, arm, q, tip[None])[0] == pytest.approx(min(whole, away), abs=1e-12)
 
 
 def test_samples_clear_of_the_arm_are_those_before_the_first_that_is_not() -> None:

@@ -90,7 +90,7 @@ def samples_clear_of_arm(
     clear = np.full(len(q), q.shape[1])
     if clearance == -np.inf:
         return clear
-    hangs = int(np.searchsorted(np.cumsum(rope.length), _hanging(rope, arm), side="right")) + 1
+    hangs = _hangs(rope, arm)
     least = (arm.shaft_radius + rope.radius + clearance, arm.radius + rope.radius + clearance)
     tips, last = base - np.array(arm.pivot), clear.copy() if until is None else until
     proximity.samples_apart(np.ascontiguousarray(q), tips, rope.length, *least, hangs, last, clear)
@@ -141,7 +141,6 @@ def least_gap(
     speed = FASTER * speed[:rows]
     way = np.diff(run.t[:rows])[:, None] * np.maximum(speed[1:], speed[:-1])
     least = 0.5 * (gap[1:] + gap[:-1] - way[:, None]).min(axis=1)  # of each link in each interval, at least
-    off = _errors(run, rows)
     bound = least.min(axis=1)
     for row in np.argsort(bound):
         if bound[row] >= best[0]:
@@ -152,7 +151,7 @@ def least_gap(
         q = interpolated(run.t[sides], run.q[sides, links], run.qd[sides, links], times)
         base = interpolated(run.t[sides], run.base[sides], run.base_velocity[sides], times)
         between = gaps(q, base, near)
-        low = np.maximum(between - off[row, near], run.setup.rope.radius)  # a touch, but no depth that none saw
+        low = np.maximum(between - _errors(run, row)[near], run.setup.rope.radius)  # a touch, no unseen depth
         best = min(best, _least(times, np.minimum(between, low)))
     return best[0] - run.setup.rope.radius - 0.5 * FINE, *best[1:]
 
@@ -180,21 +179,19 @@ def _speeds(run: Trajectory, rate: Array, pivot: Array) -> Array:
     return np.asarray(np.maximum(speed[:, 1:], speed[:, :-1]))
 
 
-def _errors(run: Trajectory, rows: int) -> Array:
-    """Greatest errors of cubic interpolation (rows - 1, n), m, of each link where a blow lies between two samples.
+def _errors(run: Trajectory, row: int) -> Array:
+    """Greatest errors of cubic interpolation (n,), m, of each link where a blow lies between sample `row` and the next.
 
     A jump of a velocity by v in an interval dt moves what is interpolated by dt v / 8 at most. It is what the
     accelerations at both samples leave of the change of a velocity. Without contact there are no blows.
     """
     if run.contact_loss is None:
-        return np.zeros((rows - 1, run.q.shape[1]))
-    dt = np.diff(run.t[:rows])[:, None]
-    jump = np.diff(run.qd[:rows], axis=0) - 0.5 * dt * (run.qdd[1:rows] + run.qdd[: rows - 1])
+        return np.zeros(run.q.shape[1])
+    dt, q = run.t[row + 1] - run.t[row], run.q[row + 1]
+    jump = run.qd[row + 1] - run.qd[row] - 0.5 * dt * (run.qdd[row + 1] + run.qdd[row])
     spin = run.setup.rope.length * jump
-    ends = np.cumsum(spin[..., None] * np.stack([np.cos(run.q[1:rows]), np.sin(run.q[1:rows])], axis=-1), axis=1)
-    joints = np.hypot(ends[..., 0], ends[..., 1])
-    before = np.column_stack([np.zeros(rows - 1), joints[:, :-1]])
-    return np.asarray(dt * np.maximum(joints, before) / 8.0)
+    joints = np.hypot(np.cumsum(spin * np.cos(q)), np.cumsum(spin * np.sin(q)))
+    return np.asarray(dt * np.maximum(joints, np.append(0.0, joints[:-1])) / 8.0)
 
 
 def _gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: npt.NDArray[np.int64]) -> Array:
@@ -202,18 +199,18 @@ def _gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: npt.NDArray[np.int6
 
     Angles q (T, m), rad, are those of the first m links, `tip` (T, 2), m, the arm's.
     """
-    (begin, end), tip = _links(rope, q, tip, links), tip[:, None]
-    pivot = np.broadcast_to(np.array(arm.pivot), tip.shape)
-    shaft = _distance(pivot, begin, end)
-    bar = _segment_distance(begin, end, pivot, tip)
-    hangs = (np.cumsum(rope.length) - rope.length)[links] <= _hanging(rope, arm)
-    bar = np.where(hangs, np.inf, bar)
-    return np.stack([shaft - arm.shaft_radius, bar - arm.radius], axis=1)
+    gap = np.empty((len(q), 2, links.size))
+    proximity.arm_gaps(
+        np.ascontiguousarray(q), tip - np.array(arm.pivot), rope.length[: q.shape[1]], links, _hangs(rope, arm), gap
+    )
+    gap -= np.array([[arm.shaft_radius], [arm.radius]])
+    return gap
 
 
-def _hanging(rope: Rope, arm: Arm) -> float:
-    """Length of rope beyond the arm's tip, m, whose links hang from it and do not count as too near."""
-    return max(LENGTHS * arm.length, RADII * (rope.radius + arm.radius))
+def _hangs(rope: Rope, arm: Arm) -> int:
+    """Number of links that hang from the arm's tip, and do not count as too near the arm."""
+    length = max(LENGTHS * arm.length, RADII * (rope.radius + arm.radius))
+    return int(np.searchsorted(np.cumsum(rope.length), length, side="right")) + 1
 
 
 def _links(rope: Rope, q: Array, base: Array, links: npt.NDArray[np.int64]) -> tuple[Array, Array]:

@@ -99,6 +99,34 @@ def samples_apart(q, tip, length, shaft, bar, hangs, until, count):  # type: ign
                 break
 
 
+@kernel
+def arm_gaps(q, tip, length, links, hangs, gap):  # type: ignore[no-untyped-def]
+    """Set the distances of links' axes from the shaft's centre, and from the arm's axis, m: `gap` (T, 2, k).
+
+    Parameters
+    ----------
+    q, tip : (T, m), (T, 2) float64
+        Angles of the first m links, rad, and the arm's tip, from which they hang, m from the shaft's centre.
+    length : (m,) float64
+        Of the links, m.
+    links : (k,) int64
+        Numbers of the links to measure, increasing, < m.
+    hangs : int
+        Links that hang from the arm's tip: infinitely far from its axis.
+    """
+    for t in range(q.shape[0]):
+        tx, ty = tip[t, 0], tip[t, 1]
+        x, y, k = tx, ty, 0
+        for i in range(q.shape[1]):
+            sin, cos = sincos(q[t, i])
+            ex, ey = x + length[i] * sin, y - length[i] * cos
+            if k < links.size and links[k] == i:
+                gap[t, 0, k] = from_segment(0.0, 0.0, x, y, ex, ey)
+                gap[t, 1, k] = np.inf if i < hangs else between_segments(x, y, ex, ey, 0.0, 0.0, tx, ty)
+                k += 1
+            x, y = ex, ey
+
+
 @non_allocating
 def from_segment(x, y, x0, y0, x1, y1):  # type: ignore[no-untyped-def]
     """Distance of the point (x, y) from the segment from (x0, y0) to (x1, y1)."""
