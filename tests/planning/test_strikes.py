@@ -14,8 +14,10 @@ from hyperflex.planning.search.strikes import (
     FOLDED,
     NEAR,
     NEVER,
+    Strikes,
     find_strikes,
     first_contact,
+    moved_to,
     samples_unfolded,
     simulate_strikes,
     tail_energy,
@@ -238,3 +240,39 @@ def test_what_strikes_nothing_is_told_by_its_distance() -> None:
     )
     assert np.isnan(found.t[0])
     assert found.score[0] < -1.0
+
+
+def test_a_state_is_moved_to_other_links_along_the_rope() -> None:
+    """Their joints lie on the rope's own links, and move as they do; as a check, by finite differences."""
+    random = np.random.default_rng(8)
+    rope, other = (hf.Rope.uniform(1.2, 0.06, count, 0.003) for count in (36, 8))
+    q = np.cumsum(random.normal(0.0, 0.3, (5, 36)), axis=1) + 7.0
+    qd = np.cumsum(random.normal(0.0, 2.0, (5, 36)), axis=1)
+
+    def moved(q: np.ndarray) -> Strikes:
+        given = Strikes(*np.zeros((4, 5)), q, qd, np.zeros(5, np.int64))
+        return moved_to(given, rope, other)
+
+    found, small = moved(q), 1e-6
+    assert (moved(q + small * qd).q - moved(q - small * qd).q) / (2.0 * small) == pytest.approx(found.qd, abs=1e-5)
+    first = (np.exp(1j * q[:, :4]).sum(axis=1) + 0.5 * np.exp(1j * q[:, 4])) / 30.0  # to its second joint, 0.15 m along
+    assert np.exp(1j * found.q[:, 0]) * np.abs(first) == pytest.approx(first, abs=1e-12)
+    middle = q[:, ((np.arange(8) + 0.5) * 4.5).astype(int)]
+    assert np.abs(found.q - middle).max() < np.pi  # on the same turn
+
+
+def test_links_cut_and_put_together_again_are_as_before() -> None:
+    q, qd = np.random.default_rng(9).normal(0.0, 4.0, (2, 3, CAST_SETUP.rope.n_links))
+    finer = CAST_SETUP.cut(3).rope
+    given = Strikes(*np.zeros((4, 3)), np.repeat(q, 3, axis=1), np.repeat(qd, 3, axis=1), np.zeros(3, np.int64))
+    found = moved_to(given, finer, CAST_SETUP.rope)
+    assert found.q == pytest.approx(q, abs=1e-12)
+    assert found.qd == pytest.approx(qd, abs=1e-9)
+    assert moved_to(given, finer, finer) is given
+
+
+def test_a_link_that_is_folded_has_the_direction_of_its_middle() -> None:
+    rope, other = hf.Rope.uniform(1.0, 0.05, 4, 0.003), hf.Rope.uniform(1.0, 0.05, 1, 0.003)
+    q, qd = np.array([[0.0, 0.0, np.pi, np.pi]]), np.array([[1.0, 2.0, 3.0, 4.0]])
+    found = moved_to(Strikes(*np.zeros((4, 1)), q, qd, np.zeros(1, np.int64)), rope, other)
+    assert (found.q[0, 0], found.qd[0, 0]) == (np.pi, 3.0)

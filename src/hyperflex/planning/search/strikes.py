@@ -6,7 +6,7 @@ mass over the top.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ NEAR = 0.02  # m, gap below which the rope counts as striking
 MAX_RATIO, MAX_TAIL = 2.0, 2.0  # energy ratio, and turns of tail, above which more does not count
 HANGING_TAIL = 0.7  # turns of tail that hang from the peg in the end and do not wind
 FOLDED = 0.3  # part of its score that a swing keeps in which the rope was folded flat before the strike
+SHORT = 0.2  # of a link's length; less between its joints tells no direction
 NEVER = -1.0  # score of a swing without a strike, less its distance in metres
 
 
@@ -57,6 +58,33 @@ class Strikes:
 def joined(parts: Sequence[Strikes]) -> Strikes:
     """Return the strikes of several batches as those of one."""
     return Strikes(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Strikes)))
+
+
+def moved_to(strikes: Strikes, rope: Rope, other: Rope) -> Strikes:
+    """Return strikes of a rope as those of the same rope with `other` links, whose joints lie on its own links.
+
+    The angle and rate of a link are those of the straight way between its joints; of one whose joints meet, as where
+    the rope is folded, those of the rope's link in its middle.
+    """
+    if other.n_links == rope.n_links:
+        return strikes
+    ends, joints = (np.append(0.0, np.cumsum(each.length)) for each in (rope, other))
+    middle = np.minimum(np.searchsorted(ends, 0.5 * (joints[1:] + joints[:-1]), side="right") - 1, rope.n_links - 1)
+    q, qd = np.empty((2, len(strikes.t), other.n_links))
+    for k, (angle, rate) in enumerate(zip(strikes.q, strikes.qd, strict=True)):
+        along, across = np.array([np.sin(angle), -np.cos(angle)]), np.array([np.cos(angle), np.sin(angle)])
+        place, speed = (
+            np.array([np.interp(joints, ends, np.append(0.0, np.cumsum(rope.length * each))) for each in parts])
+            for parts in (along, across * rate)
+        )
+        way, turn = np.diff(place, axis=1), np.diff(speed, axis=1)
+        near, far = angle[middle], np.hypot(*way)
+        off = np.arctan2(way[0], -way[1]) - near
+        straight = far > SHORT * other.length
+        q[k] = near + np.where(straight, (off + np.pi) % (2.0 * np.pi) - np.pi, 0.0)
+        turned = (way[0] * turn[1] - way[1] * turn[0]) / np.maximum(far, 1e-12) ** 2
+        qd[k] = np.where(straight, turned, rate[middle])
+    return replace(strikes, q=q, qd=qd)
 
 
 def simulate_strikes(

@@ -81,7 +81,7 @@ class ThrowSearch:
         self._contact: tuple[int, Any, float] | None = None
         self._centres: list[Candidate] = []  # from which evolutions in contact began
         self._failed_tries = 0  # tries of last moves while no throw winds
-        self._struck: dict[tuple[int, bytes], strikes.Strikes] = {}  # of swings, by side and point
+        self._struck: dict[tuple[int, bytes], strikes.Strikes] = {}  # of swings with shorter links, by side and point
         self._in_contact = self.cast_setup  # its links are those of runs in contact
 
     def _cma_es(self, centre: Array, size: float, members: int, side: int) -> Any:
@@ -141,10 +141,14 @@ class ThrowSearch:
                 self.parametrizations[one.side].throw(one.x).cut(self.cast_setup.time, self.cast_setup.limits)
                 for one in some
             ]
-            again = self._strikes(self._finer, throws, until=max(one.t for one in some) + LATER).score
+            again = self._strikes(self._finer, throws, until=max(one.t for one in some) + LATER)
             self.runs += len(some)
-            for one, score in zip(some, again, strict=True):
-                self.swings.append(one._replace(score=min(one.score, float(score))))
+            for k, one in enumerate(some):
+                t = float(again.t[k])
+                if np.isfinite(t):
+                    self._struck[_key(one.side, one.x)] = again.select([k])
+                    one = one._replace(t=t)
+                self.swings.append(one._replace(score=min(one.score, float(again.score[k]))))
             self.swings.sort(key=lambda one: -one.score)
         return self.swings[0].score if self.swings else strikes.NEVER
 
@@ -214,7 +218,7 @@ class ThrowSearch:
         self._failed_tries += bool(self.candidates) and not self.winds
         if self._failed_tries == MAX_FAILED and self._in_contact is self.cast_setup:
             self._in_contact = self.cast_setup.cut(PIECES)
-            self._tried, self._made, self._struck = [], [], {}
+            self._tried, self._made = [], []
         some = self._fresh(0.0, TRIED) if fresh else []
         self._tried += some
         self._made += [0] * len(some)
@@ -272,8 +276,13 @@ class ThrowSearch:
         """Simulate the best throws that wind with shorter links, until the best one winds with these too."""
         while (self.left is None or self.left() > 0.0) and (some := unconfirmed(self.candidates)):
             throws = [one.throw for one in some]
-            found = self._strikes(self._finer, throws)
-            self.runs += 2 * len(some)
+            known = [self._struck.get(_key(one.side, one.x)) for one in some]
+            new = [k for k, each in enumerate(known) if each is None]
+            if new:
+                seen = self._strikes(self._finer, [throws[k] for k in new])
+                known = [seen.select([new.index(k)]) if each is None else each for k, each in enumerate(known)]
+            found = strikes.joined([each for each in known if each is not None])
+            self.runs += len(new) + len(some)
             score, turns = np.full(len(some), strikes.NEVER), np.zeros(len(some))
             struck = np.flatnonzero(np.isfinite(found.t))
             if struck.size:
@@ -330,15 +339,22 @@ class ThrowSearch:
     def _first_strikes(self, points: Sequence[tuple[int, Array]], throws: list[Throw], until: float) -> strikes.Strikes:
         """Strikes of throws before their last moves; throws that differ in these alone are simulated once.
 
-        Those that struck are known from then on.
+        Those that struck with shorter links are known, and taken from there.
         """
-        keys = [(side, x[:-LAST].tobytes()) for side, x in points]
-        new = [key for key in dict.fromkeys(keys) if key not in self._struck]
-        found: dict[tuple[int, bytes], strikes.Strikes] = {}
+        keys = [_key(side, x) for side, x in points]
+        rope = self._in_contact.rope
+        found = {
+            key: strikes.moved_to(self._struck[key], self._finer.rope, rope) for key in keys if key in self._struck
+        }
+        new = [key for key in dict.fromkeys(keys) if key not in found]
         if new:
             self.runs += len(new)
             some = [throws[keys.index(key)].cut(self.cast_setup.time, self.cast_setup.limits) for key in new]
             seen = self._strikes(self._in_contact, some, until=until)
-            found = {key: seen.select([k]) for k, key in enumerate(new)}
-            self._struck |= {key: each for key, each in found.items() if np.isfinite(each.t[0])}
-        return strikes.joined([found.get(key) or self._struck[key] for key in keys])
+            found |= {key: seen.select([k]) for k, key in enumerate(new)}
+        return strikes.joined([found[key] for key in keys])
+
+
+def _key(side: int, x: Array) -> tuple[int, bytes]:
+    """What tells a throw's swing, without its last move, from others."""
+    return side, x[:-LAST].tobytes()
