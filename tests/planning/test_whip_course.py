@@ -64,7 +64,7 @@ def test_compiling_uses_up_no_patience(known: WhipMap, monkeypatch: pytest.Monke
     assert (work.clock.spent, work.clock.elapsed) == (0.0, 60.0)
     now[0] += 1.5
     assert work.clock.spent == 1.5
-    assert work.add(None, None)
+    assert work._add(iter([None, None]), None)  # the time is over
 
 
 def test_ctrl_c_while_the_map_is_made_is_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,6 +142,28 @@ def test_whips_are_verified_until_one_stands(
     assert best.aim is work.aims[taken]
     assert len(looked) == looks
     assert bool(best.message) == (not stands[taken])
+
+
+@pytest.mark.parametrize(("good", "tried"), [(2, 3), (4, 6), (99, 7)])
+def test_more_whips_are_aimed_where_those_verified_fail(
+    known: WhipMap, monkeypatch: pytest.MonkeyPatch, good: int, tried: int
+) -> None:
+    """PLANS at a time, until one succeeds or all swings were aimed."""
+    aims, looked = seen_as(*[(0.0, 0.001 * k) for k in range(7)]), []
+    work = course(known)
+    monkeypatch.setattr(work, "_aimed", lambda: iter(aims))
+
+    def verify(_: WhipTask, aim: Any, __: object) -> Verified:
+        looked.append(aim)
+        return Verified(aim, None, None, "" if good < 7 and aim is aims[good] else "it misses")
+
+    monkeypatch.setattr(WhipTask, "verify", verify)
+    work.run(None)
+    assert len(work.aims) == tried
+    assert list(map(id, looked)) == list(map(id, aims[: min(good + 1, 7)]))
+    assert work.succeeds == (good < 7)
+    assert work.best is not None
+    assert work.best.aim is aims[good if good < 7 else 0]
 
 
 @pytest.mark.parametrize("after", [0, 1])

@@ -98,7 +98,6 @@ def plan_insert(
             task = InsertTask(cast_setup, slot, swings)
             planner = TipPlanner(task, max(0.0, time_budget - clock.spent), seed, threads)
             planner.run(None if report is None else lambda: report(min(clock.spent, time_budget)))
-            planner.verify()
             if planner.best is not None and not planner.best.message and clock.spent < time_budget:
                 aim = planner.best.aim
                 found["success_probability"] = estimate_insert_probability(

@@ -1,7 +1,7 @@
 """The planner of tasks of the tip: swings are aimed one after the other, and the best ones are verified."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from hyperflex.planning.time_budget import Clock, OutOfTime
@@ -12,7 +12,7 @@ from hyperflex.simulation import Deadline
 
 SEARCHING = 0.8  # fraction of the time after which plans are only verified
 READY, GENERATIONS = 0.06, 16  # m, cost below which a swing is aimed; generations of a search before
-PLANS = 3  # plans that do what is asked, of which the least uncertain one that succeeds is taken
+PLANS = 3  # plans that do what is asked, of which the least uncertain one that succeeds is taken; if none, the next
 
 
 class TipPlanner:
@@ -23,6 +23,7 @@ class TipPlanner:
         self.clock = Clock()
         self.end = Deadline(math.inf, lambda: self.time_budget - self.clock.spent)
         self.aims: list[Aimed] = []
+        self._seen: list[Aimed] = []  # that were verified
         self._best: Verified | None = None
         self._unverified = "interrupted before it was verified"
 
@@ -31,28 +32,47 @@ class TipPlanner:
         return SEARCHING * self.time_budget - self.clock.spent
 
     def run(self, report: Callable[[], None] | None) -> None:
-        """Aim until there are enough plans, or no time is left; `report` is called after each."""
+        """Aim and verify until a plan succeeds, all swings were aimed, or no time is left; `report` is called often."""
+        aimed = self._aimed()
+        while self._add(aimed, report):
+            self.verify()
+            if self.succeeds or self.left() < 0.0:
+                return
+        self.verify()
+
+    def _aimed(self) -> Iterator[Aimed | None]:
+        """Aim one swing after the other, the cheapest first; those that are far from what is asked after a search."""
         candidates = self.task.candidates()
         for found in candidates[: self.task.direct]:
-            if self.add(aim_strokes(self.task, found, self.left), report):
-                return
+            yield aim_strokes(self.task, found, self.left)
         for number, found in enumerate(candidates):
             search = StrokeSearch(self.task, found, self.seed + number, self.threads)
             for _ in range(GENERATIONS):
                 if search.best.cost < READY or self.left() < 0.0:
                     break
                 search.step()
-            if self.add(aim_strokes(self.task, search.best, self.left), report):
-                return
+            yield aim_strokes(self.task, search.best, self.left)
 
-    def add(self, aim: Aimed | None, report: Callable[[], None] | None) -> bool:
-        """Keep a plan; return whether there are enough, or no time is left."""
-        if aim is not None:
-            self.aims.append(aim)
-            self.aims.sort(key=self.rank)
-        if report is not None:
-            report()
-        return self.left() < 0.0 or sum(self.rank(one)[0] == 0.0 for one in self.aims) >= PLANS
+    def _add(self, aimed: Iterator[Aimed | None], report: Callable[[], None] | None) -> bool:
+        """Keep plans until enough do what is asked, or no time is left; return False where there are no more."""
+        for aim in aimed:
+            if aim is not None:
+                self.aims.append(aim)
+                self.aims.sort(key=self.rank)
+            if report is not None:
+                report()
+            if self.left() < 0.0 or sum(self.rank(one)[0] == 0.0 for one in self._unseen()) >= PLANS:
+                return True
+        return False
+
+    def _unseen(self) -> list[Aimed]:
+        """Plans that were not verified yet, the best first."""
+        return [one for one in self.aims if not any(one is other for other in self._seen)]
+
+    @property
+    def succeeds(self) -> bool:
+        """Whether the best plan was verified and succeeds."""
+        return self._best is not None and not self._best.message
 
     def rank(self, aim: Aimed) -> tuple[float, float]:
         """By how much a plan fails, then how uncertain it is; less is better."""
@@ -61,19 +81,20 @@ class TipPlanner:
     def verify(self) -> None:
         """Verify the best plan, and while none succeeds those after it that do what is asked by the search.
 
-        The best is then the first that succeeds, else the first.
+        Those verified before are left out. The best is then the first that succeeds, else the first of all.
         """
-        for number, aim in enumerate(self.aims[:PLANS]):
-            if number and self.rank(aim)[0] > 0.0:
+        for aim in self._unseen()[:PLANS]:
+            if self._best is not None and self.rank(aim)[0] > 0.0:
                 break
             try:
-                seen = self.task.verify(aim, self.end)
+                found = self.task.verify(aim, self.end)
             except OutOfTime:
                 self._unverified = "the time budget ended before it was verified"
                 break
-            if number == 0 or not seen.message:
-                self._best = seen
-            if not seen.message:
+            self._seen.append(aim)
+            if self._best is None or not found.message:
+                self._best = found
+            if not found.message:
                 break
 
     def fields(self, nothing: str) -> dict[str, Any]:

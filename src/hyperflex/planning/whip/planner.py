@@ -109,7 +109,6 @@ def plan_whip(
             task = WhipTask(replace(whip_map, cast_setup=cast_setup), target)
             planner = TipPlanner(task, left, seed, threads)
             planner.run(None if report is None else lambda: report(min(clock.spent, time_budget)))
-            planner.verify()
     found: dict[str, Any] = {"seconds": clock.elapsed, "interrupted": stop.received}
     if planner is None:
         return stop.deliver(WhipPlan(cast_setup, target, known, message=known.message, **found))
