@@ -362,6 +362,22 @@ def test_throws_of_a_swing_that_was_kept_go_on_from_its_strike_with_shorter_link
     assert work.candidates[0].confirmed
 
 
+def test_a_strike_that_puts_the_rope_into_the_target_is_simulated_anew() -> None:
+    """Links that are longer than those it is known for may reach into it."""
+    work = ThrowSearch(CAST_SETUP, LEVEL, seed=2)
+    work.beam_search()
+    one = next(one for one in work.swings if one.score > 0.5)
+    key, throw = (one.side, one.x[:-LAST].tobytes()), work.parametrizations[one.side].throw(one.x)
+    base, _ = strikes.arm_tip(CAST_SETUP.arm, throw.motion(CAST_SETUP.limits), np.array([one.t]))
+    x, y = np.array([LEVEL.x, LEVEL.y]) - base[0]
+    through = np.full((1, 3 * CABLE.n_links), np.arctan2(x, -y))
+    work._struck[key] = replace(work._struck[key], q=through)
+    before = work.runs
+    found = work._first_strikes([(one.side, one.x)], [throw], np.inf)
+    assert work.runs == before + 1
+    assert found.t == pytest.approx(simulated_strikes(CAST_SETUP, LEVEL, [throw]).t)
+
+
 def test_the_time_of_a_small_swing_is_the_unit_of_rests() -> None:
     genes = ThrowParametrization(CAST_SETUP, 1)
     x = genes.point([np.pi / 2, np.pi], [0.5 * swing_period(CABLE), 0.0], 0.7 * swing_period(CABLE))

@@ -11,6 +11,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import sampled_obstacle_gaps
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.beam import FINER, FULL, SIZES, BeamSearch, Strike
@@ -276,7 +277,7 @@ class ThrowSearch:
         """Simulate the best throws that wind with shorter links, until the best one winds with these too."""
         while (self.left is None or self.left() > 0.0) and (some := unconfirmed(self.candidates)):
             throws = [one.throw for one in some]
-            known = [self._struck.get(_key(one.side, one.x)) for one in some]
+            known = [self._known(one) for one in some]
             new = [k for k, each in enumerate(known) if each is None]
             if new:
                 seen = self._strikes(self._finer, [throws[k] for k in new])
@@ -290,6 +291,11 @@ class ThrowSearch:
                 score[struck], turns[struck] = again.score, again.turns
             for one, value, left in zip(some, score, turns, strict=True):
                 self.correct(one, float(left), float(value))
+
+    def _known(self, one: Candidate) -> strikes.Strikes | None:
+        """The strike with shorter links from which a throw was simulated in contact; None if it was another one."""
+        known = self._struck.get(_key(one.side, one.x))
+        return known if known is not None and known.t[0] == one.t else None
 
     def correct(self, one: Candidate, turns: float, score: float) -> None:
         """Correct a candidate by a better run; if it does not wind then, restart from another one."""
@@ -339,13 +345,15 @@ class ThrowSearch:
     def _first_strikes(self, points: Sequence[tuple[int, Array]], throws: list[Throw], until: float) -> strikes.Strikes:
         """Strikes of throws before their last moves; throws that differ in these alone are simulated once.
 
-        Those that struck with shorter links are known, and taken from there.
+        Those that struck with shorter links are known, and taken from there where the rope is clear of the target.
         """
         keys = [_key(side, x) for side, x in points]
-        rope = self._in_contact.rope
-        found = {
-            key: strikes.moved_to(self._struck[key], self._finer.rope, rope) for key in keys if key in self._struck
-        }
+        found: dict[tuple[int, bytes], strikes.Strikes] = {}
+        for key, throw in dict(zip(keys, throws, strict=True)).items():
+            if key in self._struck:
+                moved = strikes.moved_to(self._struck[key], self._finer.rope, self._in_contact.rope)
+                if self._clear(throw, moved):
+                    found[key] = moved
         new = [key for key in dict.fromkeys(keys) if key not in found]
         if new:
             self.runs += len(new)
@@ -353,6 +361,12 @@ class ThrowSearch:
             seen = self._strikes(self._in_contact, some, until=until)
             found |= {key: seen.select([k]) for k, key in enumerate(new)}
         return strikes.joined([found[key] for key in keys])
+
+    def _clear(self, throw: Throw, struck: strikes.Strikes) -> bool:
+        """Whether the rope is clear of the target, and of obstacles, at a strike of a throw."""
+        base, _ = strikes.arm_tip(self.cast_setup.arm, throw.motion(self.cast_setup.limits), struck.t)
+        walls = (self.peg, *self.cast_setup.obstacles)
+        return float(sampled_obstacle_gaps(self._in_contact.rope, walls, struck.q, base)[0]) > 0.0
 
 
 def _key(side: int, x: Array) -> tuple[int, bytes]:
