@@ -16,6 +16,7 @@ from hyperflex.planning.search import beam, strikes
 from hyperflex.planning.search.beam import BACK, SIZES, BeamSearch
 from hyperflex.planning.search.candidates import APART, SCREENED, SHARED, Candidate, Swing, corrected
 from hyperflex.planning.search.contact_phase import WindingScores
+from hyperflex.planning.search.known_strikes import moved_to
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.throw import LAST, ThrowParametrization
@@ -351,7 +352,7 @@ def test_throws_of_a_swing_that_was_kept_go_on_from_its_strike_with_shorter_link
     throw, before = work.parametrizations[one.side].throw(x), work.runs
     found = work._first_strikes([(one.side, x)], [throw], np.inf)
     finer = simulated_strikes(CAST_SETUP.cut(beam.FINER), LEVEL, [throw.cut(CAST_SETUP.time, CAST_SETUP.limits)])
-    known = strikes.moved_to(finer, CAST_SETUP.cut(beam.FINER).rope, CABLE)
+    known = moved_to(finer, CAST_SETUP.cut(beam.FINER).rope, CABLE)
     assert (work.runs, found.t[0]) == (before, one.t)
     assert found.q == pytest.approx(known.q, abs=1e-9)
     assert found.qd == pytest.approx(known.qd, abs=1e-7)
@@ -367,15 +368,67 @@ def test_a_strike_that_puts_the_rope_into_the_target_is_simulated_anew() -> None
     work = ThrowSearch(CAST_SETUP, LEVEL, seed=2)
     work.beam_search()
     one = next(one for one in work.swings if one.score > 0.5)
-    key, throw = (one.side, one.x[:-LAST].tobytes()), work.parametrizations[one.side].throw(one.x)
+    throw = work.parametrizations[one.side].throw(one.x)
     base, _ = strikes.arm_tip(CAST_SETUP.arm, throw.motion(CAST_SETUP.limits), np.array([one.t]))
     x, y = np.array([LEVEL.x, LEVEL.y]) - base[0]
-    through = np.full((1, 3 * CABLE.n_links), np.arctan2(x, -y))
-    work._struck[key] = replace(work._struck[key], q=through)
+    known = work._known.find(one.side, one.x, one.t)
+    assert known is not None
+    assert work._known.find(one.side, one.x, one.t + 0.02) is None  # another strike
+    assert work._known.find(-one.side, one.x, one.t) is None
+    work._known.add(one.side, one.x, replace(known, q=np.full((1, 3 * CABLE.n_links), np.arctan2(x, -y))))
     before = work.runs
     found = work._first_strikes([(one.side, one.x)], [throw], np.inf)
     assert work.runs == before + 1
     assert found.t == pytest.approx(simulated_strikes(CAST_SETUP, LEVEL, [throw]).t)
+
+
+def test_a_strike_past_the_limits_of_longer_links_is_simulated_anew() -> None:
+    """Joints of short links at their limits add up to more than a longer link's limit."""
+    stiff = replace(CAST_SETUP, rope=CABLE.with_bend_radius(0.1))
+    work = ThrowSearch(stiff, LEVEL)
+    side, x = 1, work.parametrizations[1].centre()
+    throw = work.parametrizations[side].throw(x)
+    finer = work._known.finer.rope
+    bend = np.where(np.arange(finer.n_links) < 9, 0.99 * finer.max_bend[1], 0.0)
+    bend[0] = 0.0
+    struck = struck_at(1.0)
+    work._known.add(side, x, replace(struck, q=-np.cumsum(bend)[None]))
+    assert work._known.on_links(stiff, side, x, throw) is None
+    work._known.add(side, x, replace(struck, q=-0.2 * np.cumsum(bend)[None]))
+    found = work._known.on_links(stiff, side, x, throw)
+    assert found is not None
+    assert found.q.shape == (1, CABLE.n_links)
+
+
+def test_known_strikes_serve_other_links_in_contact_as_well() -> None:
+    """Those that are cut in two where no throw winds."""
+    work = ThrowSearch(CAST_SETUP, LEVEL, seed=2)
+    work.beam_search()
+    one = next(one for one in work.swings if one.score > 0.5)
+    work._in_contact = CAST_SETUP.cut(2)
+    before = work.runs
+    found = work._first_strikes([(one.side, one.x)], [work.parametrizations[one.side].throw(one.x)], np.inf)
+    assert (work.runs, found.q.shape[1]) == (before, 2 * CABLE.n_links)
+
+
+def test_known_and_new_throws_are_looked_at_again_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each goes on from its own strike."""
+    work, seen = ThrowSearch(CAST_SETUP, LEVEL), []
+    work.candidates = [one._replace(t=1.0) for one in landings(work)]
+    known = work.candidates[2]
+    work._known.add(known.side, known.x, struck_at(1.0))
+
+    def flown(self: ThrowSearch, cast_setup: CastSetup, throws: list, **_: object) -> strikes.Strikes:
+        return struck_at(*(2.0 + k for k in range(len(throws))))
+
+    def wind(cast_setup: CastSetup, throws: list, struck: strikes.Strikes) -> WindingScores:
+        seen.append(struck.t.tolist())
+        return WindingScores(np.full(len(throws), 2.0), np.full(len(throws), 2.0))
+
+    monkeypatch.setattr(ThrowSearch, "_strikes", flown)
+    monkeypatch.setattr(work, "_wind", wind)
+    work.confirm()
+    assert seen[0] == [2.0, 1.0, 3.0]
 
 
 def test_the_time_of_a_small_swing_is_the_unit_of_rests() -> None:

@@ -10,6 +10,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastSetup, MotorLimits
 from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps, samples_clear_of_arm
 from hyperflex.planning.search.contact_phase import TIME_BUDGET
+from hyperflex.planning.search.known_strikes import moved_to
 from hyperflex.planning.search.strikes import (
     FOLDED,
     NEAR,
@@ -17,7 +18,6 @@ from hyperflex.planning.search.strikes import (
     Strikes,
     find_strikes,
     first_contact,
-    moved_to,
     samples_unfolded,
     simulate_strikes,
     tail_energy,

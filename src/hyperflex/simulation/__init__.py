@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from hyperflex.simulation.batch.batch import Batch, simulate_batch
     from hyperflex.simulation.batch.stepper import BatchState, BatchStepper
     from hyperflex.simulation.commands import arm_polynomials, set_commands, setup_for, state_directions
-    from hyperflex.simulation.contact.start import check_outside
+    from hyperflex.simulation.contact.start import check_limits, check_outside
     from hyperflex.simulation.events import Event, angle_reached, phase_reached, tip_crosses, tip_speed_peak
     from hyperflex.simulation.lyapunov import Predictability, predictability
     from hyperflex.simulation.rollouts import (

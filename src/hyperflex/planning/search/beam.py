@@ -33,8 +33,8 @@ ENOUGH = 6  # strikes that are worth a try, after which a beam search may end
 BACK = 3  # strokes before the first strike from which a search begins again
 WATCHED = 0.7  # periods after a stroke in which a strike is looked for
 FINER = 3  # pieces of each link, as in the last verification
-# Of the tip with shorter links after a stroke, in rope lengths, and twice the least of all swings, up to the second: of
-# a cord that a fast arm throws none was within the first after two strokes, and none of its swings was continued
+# Of the tip with shorter links after a stroke, in rope lengths: up to the first, and to twice the least of all swings
+# where that is less than the second. Of a cord on a fast arm none was within the first after two strokes
 MAX_DEVIATION, MAX_LEAST = 0.005, 0.02
 
 
@@ -225,7 +225,7 @@ class BeamSearch:
     ) -> set[int]:
         """Rows of q (M, T, n) whose tip at sample `ended` (M,) is nearly the same with shorter links, run alike.
 
-        Where none is, those that differ least.
+        Up to MAX_DEVIATION, or twice what the row differs that differs least, but by less than MAX_LEAST.
         """
         if not rows:
             return set()

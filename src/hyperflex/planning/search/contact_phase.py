@@ -22,7 +22,7 @@ from hyperflex.trajectory import interpolated
 from hyperflex.winding import slid
 
 COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search; coarser ones of wound ropes took longer, not less
-SAMPLE_TIME, LOOK_TIME = 0.02, 0.005  # s, of samples, and of looks at arm and obstacles: a tip passes at 20 m/s
+SAMPLE_TIME, LOOK_TIME = 0.02, 0.005  # s, of samples; of looks at arm and obstacles, which a tip may pass in 20 ms
 SETTLING_TIME = 2.5  # s simulated after the arm's stop
 CHECK_TIME, MIN_HOPE = 0.9, 0.75  # s after the stop at which a run is looked at; with fewer turns it ends there
 # The same after the strike, in units of sqrt(length / g), where no sample until then has more turns: of 2,423 runs of

@@ -6,7 +6,7 @@ mass over the top.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ NEAR = 0.02  # m, gap below which the rope counts as striking
 MAX_RATIO, MAX_TAIL = 2.0, 2.0  # energy ratio, and turns of tail, above which more does not count
 HANGING_TAIL = 0.7  # turns of tail that hang from the peg in the end and do not wind
 FOLDED = 0.3  # part of its score that a swing keeps in which the rope was folded flat before the strike
-SHORT = 0.2  # of a link's length; a place that is nearer to its first joint tells it no direction
 NEVER = -1.0  # score of a swing without a strike, less its distance in metres
 
 
@@ -58,38 +57,6 @@ class Strikes:
 def joined(parts: Sequence[Strikes]) -> Strikes:
     """Return the strikes of several batches as those of one."""
     return Strikes(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(Strikes)))
-
-
-def moved_to(strikes: Strikes, rope: Rope, other: Rope) -> Strikes:
-    """Return strikes of a rope as those of the same rope with `other` links.
-
-    Each link points from its own first joint to the place on the rope where it is to end, so that it stays beside it.
-    Where that is too near to tell a direction, as where the rope is folded, it has that of the rope's link there.
-    """
-    if other.n_links == rope.n_links:
-        return strikes
-    ends, joints = (np.append(0.0, np.cumsum(each.length)) for each in (rope, other))
-    middle = np.minimum(np.searchsorted(ends, 0.5 * (joints[1:] + joints[:-1]), side="right") - 1, rope.n_links - 1)
-    along = np.stack([np.sin(strikes.q), -np.cos(strikes.q)])
-    across = np.stack([np.cos(strikes.q), np.sin(strikes.q)]) * strikes.qd
-    q, qd = np.empty((2, len(strikes.t), other.n_links))
-    places, speeds = (
-        np.apply_along_axis(lambda row: np.interp(joints, ends, np.append(0.0, row)), -1, part.cumsum(axis=-1))
-        for part in (rope.length * along, rope.length * across)
-    )
-    place, speed = np.zeros((2, 2, len(strikes.t)))
-    for i, length in enumerate(other.length):
-        near, rate = strikes.q[:, middle[i]], strikes.qd[:, middle[i]]
-        (x, y), (vx, vy) = places[..., i + 1] - place, speeds[..., i + 1] - speed
-        square = x**2 + y**2
-        straight = square > (SHORT * length) ** 2
-        off = (np.arctan2(x, -y) - near + np.pi) % (2.0 * np.pi) - np.pi
-        q[:, i] = near + np.where(straight, off, 0.0)
-        qd[:, i] = np.where(straight, (x * vy - y * vx) / np.maximum(square, 1e-300), rate)
-        sin, cos = np.sin(q[:, i]), np.cos(q[:, i])
-        place = place + length * np.stack([sin, -cos])
-        speed = speed + length * qd[:, i] * np.stack([cos, sin])
-    return replace(strikes, q=q, qd=qd)
 
 
 def simulate_strikes(

@@ -11,13 +11,13 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import sampled_obstacle_gaps
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.beam import FINER, FULL, SIZES, BeamSearch, Strike
 from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, same_swing, unconfirmed
 from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, free_sides, simulate_contact
 from hyperflex.planning.search.evolution import CmaEs
+from hyperflex.planning.search.known_strikes import KnownStrikes, strokes_of
 from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
 from hyperflex.planning.throw import LAST, Throw, ThrowParametrization
 from hyperflex.simulation import Deadline
@@ -82,16 +82,11 @@ class ThrowSearch:
         self._contact: tuple[int, Any, float] | None = None
         self._centres: list[Candidate] = []  # from which evolutions in contact began
         self._failed_tries = 0  # tries of last moves while no throw winds
-        self._struck: dict[tuple[int, bytes], strikes.Strikes] = {}  # of swings with shorter links, by side and point
+        self._known = KnownStrikes(self.cast_setup.cut(FINER), self.peg)
         self._in_contact = self.cast_setup  # its links are those of runs in contact
 
     def _cma_es(self, centre: Array, size: float, members: int, side: int) -> Any:
         return CmaEs(centre, size, self.parametrizations[side].spreads(), members, self._random)
-
-    @property
-    def _finer(self) -> CastSetup:
-        """The same with shorter links."""
-        return self.cast_setup.cut(FINER)
 
     @property
     def workers(self) -> int:
@@ -142,12 +137,12 @@ class ThrowSearch:
                 self.parametrizations[one.side].throw(one.x).cut(self.cast_setup.time, self.cast_setup.limits)
                 for one in some
             ]
-            again = self._strikes(self._finer, throws, until=max(one.t for one in some) + LATER)
+            again = self._strikes(self._known.finer, throws, until=max(one.t for one in some) + LATER)
             self.runs += len(some)
             for k, one in enumerate(some):
                 t = float(again.t[k])
                 if np.isfinite(t):
-                    self._struck[_key(one.side, one.x)] = again.select([k])
+                    self._known.add(one.side, one.x, again.select([k]))
                     one = one._replace(t=t)
                 self.swings.append(one._replace(score=min(one.score, float(again.score[k]))))
             self.swings.sort(key=lambda one: -one.score)
@@ -219,7 +214,7 @@ class ThrowSearch:
         self._failed_tries += bool(self.candidates) and not self.winds
         if self._failed_tries == MAX_FAILED and self._in_contact is self.cast_setup:
             self._in_contact = self.cast_setup.cut(PIECES)
-            self._tried, self._made = [], []
+            self._tried, self._made, self._centres = [], [], []
         some = self._fresh(0.0, TRIED) if fresh else []
         self._tried += some
         self._made += [0] * len(some)
@@ -260,42 +255,37 @@ class ThrowSearch:
         optimizer.tell(points, list(-self.evaluate([(side, x) for x in points], until)))
 
     def _unrefined(self) -> Candidate:
-        """Return the best candidate that winds, or whose swing no evolution began from; else the best one."""
-        some = (one for one in self.candidates if one.turns >= MIN_TURNS or not self._refined(one))
-        best = next(some, self.candidates[0])
-        self._centres.append(best)
-        return best
-
-    def _refined(self, one: Candidate) -> bool:
-        return any(same_swing(one, other) for other in self._centres)
+        """Return the best candidate that winds or whose swing no evolution began from; after all from the best on."""
+        for one in self.candidates:
+            if one.turns >= MIN_TURNS or not any(same_swing(one, other) for other in self._centres):
+                break
+        else:
+            one, self._centres = self.candidates[0], []
+        self._centres.append(one)
+        return one
 
     def restart(self) -> None:
-        """Let the next :meth:`evolve_throws` begin from another candidate."""
+        """Let the next :meth:`evolve_throws` begin anew, from another candidate where none winds."""
         self._contact = None
 
     def confirm(self) -> None:
         """Simulate the best throws that wind with shorter links, until the best one winds with these too."""
         while (self.left is None or self.left() > 0.0) and (some := unconfirmed(self.candidates)):
             throws = [one.throw for one in some]
-            known = [self._known(one) for one in some]
+            known = [self._known.find(one.side, one.x, one.t) for one in some]
             new = [k for k, each in enumerate(known) if each is None]
             if new:
-                seen = self._strikes(self._finer, [throws[k] for k in new])
+                seen = self._strikes(self._known.finer, [throws[k] for k in new])
                 known = [seen.select([new.index(k)]) if each is None else each for k, each in enumerate(known)]
             found = strikes.joined([each for each in known if each is not None])
             self.runs += len(new) + len(some)
             score, turns = np.full(len(some), strikes.NEVER), np.zeros(len(some))
             struck = np.flatnonzero(np.isfinite(found.t))
             if struck.size:
-                again = self._wind(self._finer, [throws[k] for k in struck], found.select(struck.tolist()))
+                again = self._wind(self._known.finer, [throws[k] for k in struck], found.select(struck.tolist()))
                 score[struck], turns[struck] = again.score, again.turns
             for one, value, left in zip(some, score, turns, strict=True):
                 self.correct(one, float(left), float(value))
-
-    def _known(self, one: Candidate) -> strikes.Strikes | None:
-        """The strike with shorter links from which a throw was simulated in contact; None if it was another one."""
-        known = self._struck.get(_key(one.side, one.x))
-        return known if known is not None and known.t[0] == one.t else None
 
     def correct(self, one: Candidate, turns: float, score: float) -> None:
         """Correct a candidate by a better run; if it does not wind then, restart from another one."""
@@ -343,32 +333,18 @@ class ThrowSearch:
         return simulate_contact(batch, struck.t, **given, time_budget=budget, threads=self.threads)
 
     def _first_strikes(self, points: Sequence[tuple[int, Array]], throws: list[Throw], until: float) -> strikes.Strikes:
-        """Strikes of throws before their last moves; throws that differ in these alone are simulated once.
-
-        Those that struck with shorter links are known, and taken from there where the rope is clear of the target.
-        """
-        keys = [_key(side, x) for side, x in points]
+        """Strikes of throws before their last moves, on the links of contact: known ones, others simulated once."""
+        keys = [strokes_of(side, x) for side, x in points]
         found: dict[tuple[int, bytes], strikes.Strikes] = {}
-        for key, throw in dict(zip(keys, throws, strict=True)).items():
-            if key in self._struck:
-                moved = strikes.moved_to(self._struck[key], self._finer.rope, self._in_contact.rope)
-                if self._clear(throw, moved):
-                    found[key] = moved
-        new = [key for key in dict.fromkeys(keys) if key not in found]
+        new: dict[tuple[int, bytes], Throw] = {}
+        for key, (side, x), throw in zip(keys, points, throws, strict=True):
+            if key not in found and key not in new:
+                if (known := self._known.on_links(self._in_contact, side, x, throw)) is not None:
+                    found[key] = known
+                else:
+                    new[key] = throw.cut(self.cast_setup.time, self.cast_setup.limits)
         if new:
             self.runs += len(new)
-            some = [throws[keys.index(key)].cut(self.cast_setup.time, self.cast_setup.limits) for key in new]
-            seen = self._strikes(self._in_contact, some, until=until)
+            seen = self._strikes(self._in_contact, list(new.values()), until=until)
             found |= {key: seen.select([k]) for k, key in enumerate(new)}
         return strikes.joined([found[key] for key in keys])
-
-    def _clear(self, throw: Throw, struck: strikes.Strikes) -> bool:
-        """Whether the rope is clear of the target, and of obstacles, at a strike of a throw."""
-        base, _ = strikes.arm_tip(self.cast_setup.arm, throw.motion(self.cast_setup.limits), struck.t)
-        walls = (self.peg, *self.cast_setup.obstacles)
-        return float(sampled_obstacle_gaps(self._in_contact.rope, walls, struck.q, base)[0]) > 0.0
-
-
-def _key(side: int, x: Array) -> tuple[int, bytes]:
-    """What tells a throw's swing, without its last move, from others."""
-    return side, x[:-LAST].tobytes()
