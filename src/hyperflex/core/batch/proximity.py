@@ -1,4 +1,4 @@
-"""The first samples of flights at which ropes come near a peg, or near their own arm."""
+"""How near ropes come to a peg, or to their own arm, at samples of flights; and which samples are the first to be."""
 
 import math
 

@@ -29,7 +29,7 @@ HANGING = 2.0  # radii of the target that the rope's end hangs from it, at least
 GAIN = 2.2  # by which one stroke widens a swing, in units of the arm tip's way over the length of an equal pendulum
 GROWN = 0.5  # part of it that a stroke adds on average from rest to level: ten strokes bring the paper's cable there
 # Part of it that the first stroke of a rope at rest adds. It counts where the target is below and leaves the rope less
-# than so many rad to swing beside it: of 15 such targets a search of 50 s wound 2, of 18 others within 16 degrees all
+# than so many rad to swing beside it: of 15 such targets 2 were wound in a minute or less, of 18 others beside it all
 FROM_REST, SWINGING_ROOM = 0.5, 0.05
 SPARE, MOST_TIME = 2.0, 11.0  # periods beyond the pumping, and periods at most, that a search allows until the strike
 # How far out a rope's weight is (length of an equal pendulum over its own: 2/3 of a uniform rope, 1 of a bob), and to
