@@ -181,6 +181,35 @@ def test_of_two_throws_that_wind_the_one_that_folds_scores_less(monkeypatch: pyt
     assert found.score == pytest.approx([whole, PLAIN + FOLDED * (whole - PLAIN)])
 
 
+@pytest.mark.parametrize(("folds", "spans"), [(0, 0), (1, 1), (2, 2), (3, 3)])
+def test_a_rope_that_folds_flat_is_not_simulated_on_where_that_is_not_asked_for(
+    monkeypatch: pytest.MonkeyPatch, folds: int, spans: int
+) -> None:
+    """It folds before the run (0), in its first or second span, or after both. Runs are made up: two turns stay."""
+    seen: list[float] = []
+
+    def run_on(one: RolloutBatch, since: float, until: float, *_: object) -> tuple[object, ...]:
+        t = np.arange(since + 0.02, until + 0.01, 0.02)
+        seen.append(until)
+        q = np.zeros((t.size, CABLE.n_links))
+        q[-1, 7:] = 3.0 * (len(seen) == folds)
+        return t, np.full(t.size, 2.0), q, np.zeros_like(q), one
+
+    monkeypatch.setattr(contact_phase, "_run_on", run_on)
+    monkeypatch.setattr(contact_phase, "_slip", lambda *_: 0.0)
+    start = np.zeros((1, CABLE.n_links))
+    start[0, 7:] = 3.0 * (folds == 0)
+    one = RolloutBatch([CABLE], [PEG], [hf.arm_moves([0.0, 1.0], [0.0], [0.6])], start, np.zeros_like(start))
+    kept, simulated_on = (
+        simulate_contact(one, np.zeros(1), arm=CAST_SETUP.arm, sweeping=True, folding=folding)
+        for folding in (False, True)
+    )
+    assert len(seen) == spans + 3
+    assert simulated_on.turns[0] == 2.0
+    assert kept.turns[0] == (2.0 if folds == 3 else MIN_HOPE if folds == 2 else 0.0)
+    assert folds == 3 or kept.score[0] < simulated_on.score[0]
+
+
 @pytest.mark.parametrize("duration", [0.6, 0.78, 0.8])
 def test_a_stop_at_any_time_is_looked_at_once(duration: float) -> None:
     """Also where the look falls on a sample."""

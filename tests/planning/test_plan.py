@@ -412,6 +412,46 @@ def test_while_a_better_plan_is_sought_it_is_said_that_one_stands(monkeypatch: p
     assert told == ["planning", *3 * [cast_planner.STANDS]]
 
 
+def test_a_search_without_a_plan_begins_anew_while_another_one_has_time_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After ANEW of the time each, and not where a plan stands; time passes in rounds of free swings alone."""
+    clock = SimpleNamespace(spent=0.0)
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY)
+    work, began = cast_planner.CastPlanner(search, 100.0, clock=clock, hurry=False), []  # type: ignore[arg-type]
+
+    def swing(self: cast_planner.CastPlanner) -> float:
+        clock.spent += 1.0
+        return 0.0
+
+    monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
+    monkeypatch.setattr(cast_planner.CastPlanner, "contact_due", lambda *_: False)
+    monkeypatch.setattr(ThrowSearch, "begin_anew", lambda self: began.append(clock.spent))
+    work.run(None)
+    assert began == [16.0, 32.0, 48.0, 64.0]
+    began.clear()
+    clock.spent, good = 0.0, SimpleNamespace(success=True, turns=2.3, slip=3e-3, load_ratio=0.8, tip_hangs=True)
+    good.folded, good.contact_angle = False, 11.0
+    work.best = ("a throw", good, good)  # type: ignore[assignment]
+    work.run(None)
+    assert not began
+
+
+def test_a_search_that_begins_anew_forgets_what_it_found_and_draws_other_numbers() -> None:
+    """But for the strikes that it knows, and the number of runs."""
+    search, swings = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1), []
+    for _ in range(2):
+        search.beam_search(0.1)
+        swings.append([one.x for one in search.swings])
+        search.candidates.append("a throw")  # type: ignore[arg-type]
+        runs = search.runs
+        search.begin_anew()
+        assert search.runs == runs > 0
+        assert not (search.swings)
+        assert not (search.candidates)
+        assert not (search.untried(-np.inf))
+        assert not (search.climbing)
+    assert not any(np.array_equal(x, y) for x in swings[0] for y in swings[1])
+
+
 @pytest.mark.parametrize(("spent", "enough"), [(3.7, False), (3.8, True)])
 def test_a_full_turn_that_nobody_asked_for_is_sought_for_a_quarter_more_than_the_first_plan_took(
     spent: float, enough: bool
@@ -595,7 +635,7 @@ def test_throws_that_barely_wind_are_verified_later() -> None:
     work = cast_planner.CastPlanner(search, 60.0, clock=spent)  # type: ignore[arg-type]
     assert [one.x[0] for one in work.fresh()] == [0.0, 1.0, 2.0]  # given throws
     search.swings = [Swing(1.0, 1, x, 5.0)]
-    for time, count in ((0.0, 1), (4.0, 3), (7.0, 4)):
+    for time, count in ((0.0, 1), (4.0, 3), (31.0, 4)):
         spent.spent = time
         assert [one.x[0] for one in work.fresh()] == list(range(count))
 

@@ -9,7 +9,7 @@ import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastSetup, MotorLimits
 from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps, samples_clear_of_arm
-from hyperflex.planning.search.contact_phase import TIME_BUDGET
+from hyperflex.planning.search.contact_phase import MIN_BUDGET, TIME_BUDGET, run_budget
 from hyperflex.planning.search.known_strikes import moved_to
 from hyperflex.planning.search.strikes import (
     FOLDED,
@@ -22,7 +22,7 @@ from hyperflex.planning.search.strikes import (
     simulate_strikes,
     tail_energy,
 )
-from hyperflex.planning.search.throw_search import MIN_BUDGET, ThrowSearch
+from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.throw import ThrowParametrization
 from tests.planning.known import simulated_strikes
 
@@ -187,11 +187,10 @@ def test_a_rod_beside_the_peg_that_swings_through_it_strikes() -> None:
 
 
 def test_a_search_that_is_nearly_over_gives_no_run_much_time() -> None:
-    search = ThrowSearch(CAST_SETUP, hf.Peg(0.9, -0.9, 0.03), threads=2)
-    assert search.run_budget(60) == TIME_BUDGET  # without an end
+    """On two threads."""
+    assert run_budget(None, 2 / 60) == TIME_BUDGET  # without an end
     for left, members, each in ((60.0, 60, TIME_BUDGET), (6.0, 60, 2.0), (0.0, 60, MIN_BUDGET), (-5.0, 4, MIN_BUDGET)):
-        search.left = lambda left=left: left  # type: ignore[misc]
-        given = search.run_budget(members)
+        given = run_budget(lambda left=left: left, 2 / members)  # type: ignore[misc]
         assert given.processor == pytest.approx(each)  # type: ignore[union-attr]
         assert given.left() == left  # type: ignore[union-attr]
 

@@ -19,7 +19,7 @@ from hyperflex.planning.outcome import require_holding_force
 from hyperflex.planning.robust import scenario_rollouts
 from hyperflex.planning.search.beam import BeamSearch
 from hyperflex.planning.search.candidates import Candidate
-from hyperflex.planning.search.contact_phase import WindingScores, simulate_contact
+from hyperflex.planning.search.contact_phase import WindingScores, run_budget, simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import OutOfTime
@@ -81,9 +81,7 @@ def test_a_time_that_is_over_before_the_search_ends_it(monkeypatch: pytest.Monke
 
 
 def test_runs_of_a_search_do_not_outlast_it() -> None:
-    search = ThrowSearch(cast_setup(), PEG)
-    search.left = lambda: -1.0
-    budget = search.run_budget(16)
+    budget = run_budget(lambda: -1.0, 2 / 16)
     assert isinstance(budget, Deadline)
     assert budget.left() == -1.0
     strike = simulated_strikes(cast_setup(), PEG, [WINDS])

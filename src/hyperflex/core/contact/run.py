@@ -32,6 +32,7 @@ from hyperflex.core.contact.bounds import (
 )
 from hyperflex.core.contact.gaps import find, joint_positions, new_contacts, speeds
 from hyperflex.core.contact.joints import BEYOND, bend_clearance
+from hyperflex.core.contact.modes import USUAL_TOL
 from hyperflex.core.contact.output import write
 from hyperflex.core.contact.step import (
     begin_step,
@@ -48,6 +49,7 @@ from hyperflex.core.integrate.step_size import fitted
 from hyperflex.core.jit import absorbed, kernel, non_allocating
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
+COARSEST = 2.0**5  # times as long it is at most, in proportion to a tolerance above the usual one
 BRIEF = 1e-9  # s, the shortest step to an impact
 RESOLVED = 0.12  # of the longest step: errors of positions shorten none that is shorter
 REJECTED_ERROR = 4.0  # relative error of a step that is tried again at half its length
@@ -154,7 +156,8 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
     good : bool, False where the shortest step had to be taken as it was
     """
     y, clock, t, trig = state.y, state.clock, state.clock[T], workspace.ahead_trig
-    shortest = min(SHORTEST * bounds.step, h)
+    coarse = max(1.0, min(bounds.tol / USUAL_TOL, COARSEST))
+    shortest = min(coarse * SHORTEST * bounds.step, h)
     push, anew, back, stale = True, False, False, np.inf
     while True:
         begin = nothing if anew else state.memory

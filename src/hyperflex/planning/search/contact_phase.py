@@ -1,6 +1,6 @@
 """The contact phase of throws: coarse runs beside the peg from shortly before the strike, and their score."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,6 +30,7 @@ CHECK_TIME, MIN_HOPE = 0.9, 0.75  # s after the stop at which a run is looked at
 SWEEP_TIME, MIN_SWEEP = 1.3, 0.65
 SLIP, SLIP_COST = 0.02, 1.0  # m of slip from CHECK_TIME on that cost half of so many turns; more costs more
 TIME_BUDGET = 6.0  # s of processor time for a run; most take a hundredth of it
+SLOW_RUNS, MIN_BUDGET = 10.0, 0.5  # one run in so many takes very long; processor time of each in any case, s
 LAST, LAST_CHECK = 0.8, 0.3  # s at the end of a run for which the turns must stay; the same at CHECK_TIME
 MAX_TURNS = 3.0  # turns above which more do not count
 PASSING = 0.25  # weight of a turn that is undone again
@@ -60,6 +61,7 @@ def simulate_contact(
     arm: Arm,
     clearance: float = -np.inf,
     sweeping: bool = False,
+    folding: bool = True,
     time_budget: float | Deadline = TIME_BUDGET,
     threads: int | None = None,
 ) -> WindingScores:
@@ -68,20 +70,37 @@ def simulate_contact(
     A strike that begins later, at `begin` (M,), s, lowers the score. A rope that comes within `clearance`, m, of its
     arm or shaft, or an obstacle, counts as one that comes undone, whose score is lower the longer it is there.
     With `sweeping` runs end that make fewer than MIN_SWEEP turns until SWEEP_TIME: for a search, which loses few.
+    Without `folding` ropes that are folded flat are not simulated on, and make no turns that stay.
     `time_budget` is the processor time of each of a run's up to three parts, s, or a deadline; one that takes more has
     failed.
     """
 
     def one(k: int) -> tuple[float, float]:
-        return _simulate_one(batch.select([k]), float(begin[k]), arm, clearance, sweeping, time_budget)
+        return _simulate_one(batch.select([k]), float(begin[k]), arm, clearance, sweeping, folding, time_budget)
 
     with ThreadPoolExecutor(usable_threads(threads)) as pool:
         found = list(pool.map(one, range(len(batch))))
     return WindingScores(*np.array(found).reshape(-1, 2).T)
 
 
+def run_budget(left: Callable[[], float] | None, share: float) -> float | Deadline:
+    """Time for each of some runs, s: one in SLOW_RUNS may take all that is `left`, s, and none more than TIME_BUDGET.
+
+    `share` is the number of threads over that of the runs.
+    """
+    if left is None:
+        return TIME_BUDGET
+    return Deadline(float(np.clip(SLOW_RUNS * max(left(), 0.0) * share, MIN_BUDGET, TIME_BUDGET)), left)
+
+
 def _simulate_one(
-    one: RolloutBatch, begin: float, arm: Arm, clearance: float, sweeping: bool, time_budget: float | Deadline
+    one: RolloutBatch,
+    begin: float,
+    arm: Arm,
+    clearance: float,
+    sweeping: bool,
+    folding: bool,
+    time_budget: float | Deadline,
 ) -> tuple[float, float]:
     """Score and turns of one rope, as of :func:`simulate_contact`.
 
@@ -89,16 +108,20 @@ def _simulate_one(
     turns CHECK_TIME after the stop ends there and counts MIN_HOPE at most. So does one that came too near the arm until
     then, but its score is that of MIN_TURNS at most, less what the arm costs.
     """
-    rope = one.ropes[0]
+    rope, limited = one.ropes[0], limit_bend(one.ropes[0])
+    if not folding and at_limits(limited, one.q).any():
+        return 0.0, 0.0  # as one that strikes and makes no turn
     stop = max(float(one.motions[0].breaks[-1]), 0.5)
     check = stop + CHECK_TIME
     sweep = SWEEP_TIME * np.sqrt(rope.total_length / max(np.hypot(*rope.gravity), 1e-9)) if sweeping else check
     t, turns, q, qd, now = _run_on(one, 0.0, min(sweep, check), arm, time_budget)
     hopeful = not sweeping or bool(np.abs(turns).max() >= MIN_SWEEP)
+    hopeful = hopeful and (folding or not at_limits(limited, q).any())
     if hopeful and t[-1] < check - 1e-9 and _clear_of_peg(now, arm):
         further, *seen, now = _run_on(now, t[-1], check, arm, time_budget)
         t, turns, q, qd = (np.concatenate(each) for each in zip((t, turns, q, qd), (further, *seen), strict=True))
-    hopeful = hopeful and bool(abs(turns[-1]) >= MIN_HOPE) and _clear_of_peg(now, arm)
+    folded = bool(at_limits(limited, q).any())
+    hopeful = hopeful and bool(abs(turns[-1]) >= MIN_HOPE) and _clear_of_peg(now, arm) and (folding or not folded)
     score, stay = score_winding(t, turns, min(check, t[-1]), begin, last=LAST_CHECK)
     if t[-1] < check - 1e-9:  # nobody saw its turns stay
         score, stay = score - min(stay, MAX_TURNS), 0.0
@@ -113,7 +136,7 @@ def _simulate_one(
         score, stay = score_winding(*ended, stop + SETTLING_TIME, begin)
         if stay >= MIN_TURNS:
             score -= SLIP_COST * _slip(now, settled, further - t[-1], arm)
-    if score > PLAIN and at_limits(limit_bend(rope), q).any():
+    if score > PLAIN and folded:
         score = PLAIN + FOLDED * (score - PLAIN)
     return score, stay
 

@@ -15,7 +15,7 @@ from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.beam import FINER, FULL, SIZES, BeamSearch, Strike
 from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, same_swing, unconfirmed
-from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, free_sides, simulate_contact
+from hyperflex.planning.search.contact_phase import WindingScores, free_sides, run_budget, simulate_contact
 from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.known_strikes import KnownStrikes, strokes_of
 from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
@@ -40,7 +40,6 @@ MOVES = (
     ((2.5, -0.5, 0.0), (1.5, -0.5, 0.0)),
 )
 AFTER = (0.5, 2.5)  # strokes still made after the strike by given throws
-SLOW_RUNS, MIN_BUDGET = 10.0, 0.5  # one run in so many takes very long; processor time of each in any case, s
 UNTIL = 2.0 * strikes.SAMPLE_TIME  # s after a strike, until which the arm rests that rested before it
 LATE = 0.5  # fraction of the time allowed
 LATER = 1.0  # s after a known strike, until which the same swing with other links, or a varied one, is to strike
@@ -57,7 +56,8 @@ class ThrowSearch:
 
     Swings and candidates are kept best first; `runs` counts the simulated runs. `holding_force`, N, is the pull that
     the wound rope must withstand; it is used where the candidates are verified. `left` returns the time that is left
-    for the search, s; None for no limit. `threads` is one a processor by default.
+    for the search, s; None for no limit. `threads` is one a processor by default. `folding`: whether ropes that are
+    folded flat are simulated on in contact.
     """
 
     cast_setup: CastSetup
@@ -69,20 +69,26 @@ class ThrowSearch:
     candidates: list[Candidate] = field(default_factory=list, init=False)
     runs: int = field(default=0, init=False)
     left: Callable[[], float] | None = field(default=None, init=False)
+    folding: bool = field(default=True, init=False)
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
-        self._beam: BeamSearch | None = None
-        self._restarts = 0  # of the beam search
         sides = free_sides(self.cast_setup, (self.peg, *self.cast_setup.obstacles))
         self.parametrizations = {side: ThrowParametrization(self.cast_setup, side) for side in sides}
+        self._known = KnownStrikes(self.cast_setup.cut(FINER), self.peg)
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget swings and candidates, and search on with other random numbers."""
+        self.swings, self.candidates = [], []
+        self._beam: BeamSearch | None = None
+        self._restarts = 0  # of the beam search
         self._free: dict[int, Any] = {}  # made when it is needed: to import it takes seconds
         self._tried: list[Swing] = []  # in contact
         self._made: list[int] = []  # how many of the MOVES each of them was tried with
         self._contact: tuple[int, Any, float] | None = None
         self._centres: list[Candidate] = []  # from which evolutions in contact began
         self._failed_tries = 0  # tries of last moves while no throw winds
-        self._known = KnownStrikes(self.cast_setup.cut(FINER), self.peg)
         self._in_contact = self.cast_setup  # its links are those of runs in contact
 
     def _cma_es(self, centre: Array, size: float, members: int, side: int) -> Any:
@@ -293,13 +299,6 @@ class ThrowSearch:
         if turns < MIN_TURNS:
             self.restart()
 
-    def run_budget(self, members: int) -> float | Deadline:
-        """Time for each of so many runs, s: one in SLOW_RUNS may take all that is left, and none takes longer."""
-        if self.left is None:
-            return TIME_BUDGET
-        each = SLOW_RUNS * max(self.left(), 0.0) * self.workers / members
-        return Deadline(float(np.clip(each, MIN_BUDGET, TIME_BUDGET)), self.left)
-
     def evaluate(self, points: Sequence[tuple[int, Array]], until: float = np.inf) -> Array:
         """Simulate points (M), each after its side, in contact; keep those that strike as candidates; return scores.
 
@@ -326,11 +325,12 @@ class ThrowSearch:
     def _wind(self, cast_setup: CastSetup, throws: list[Throw], struck: strikes.Strikes) -> WindingScores:
         """Simulate throws (M), which are already cut, in contact from their strikes."""
         motions = [throw.motion(cast_setup.limits).shifted(-t) for throw, t in zip(throws, struck.t, strict=True)]
-        count, budget = len(motions), self.run_budget(len(motions))
+        count, budget = len(motions), run_budget(self.left, self.workers / len(motions))
         ropes, pegs, walls = [cast_setup.rope] * count, [self.peg] * count, cast_setup.obstacles
         batch = RolloutBatch(ropes, pegs, motions, struck.q, struck.qd, obstacles=walls)
         given: dict[str, Any] = {"arm": cast_setup.arm, "clearance": cast_setup.clearance, "sweeping": True}
-        return simulate_contact(batch, struck.t, **given, time_budget=budget, threads=self.threads)
+        given |= {"folding": self.folding, "time_budget": budget, "threads": self.threads}
+        return simulate_contact(batch, struck.t, **given)
 
     def _first_strikes(self, points: Sequence[tuple[int, Array]], throws: list[Throw], until: float) -> strikes.Strikes:
         """Strikes of throws before their last moves, on the links of contact: known ones, others simulated once."""

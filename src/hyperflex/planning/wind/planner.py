@@ -18,6 +18,7 @@ from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.feasibility import MIN_ENERGY, Feasibility, check_feasibility
 from hyperflex.planning.wind.verified import (
     Verified,
+    both,
     covers,
     failure,
     foreseen,
@@ -32,17 +33,18 @@ from hyperflex.simulation import Deadline
 
 GENERATIONS, BY_TURNS = 5, 3  # of free swings in a round by CMA-ES, which is every third one: beam search finds more
 MIN_GROWTH, IDLE_ROUNDS = 1.03, 2  # a round that gains less than this factor is idle; after so many contact is next
-# Energy ratio of swings that are worth a try, relative to that of the feasibility check where this is below 1: of a
-# long tail nobody lifts all
-WORTHY = 0.5
+WORTHY = 0.5  # energy ratio of swings that are worth a try, relative to the feasibility check's where that is below 1
 MIN_TAIL = 0.5  # turns of tail, at least, that a swing is taken to have for that
 NEARLY = 0.9  # score of a throw in contact that is worth being refined though all swings strike late
 # Fraction of the time until which throws without a margin are not verified to the end, nor others that wind by less
 # than so many turns more than are asked, or score less: of throws with these to spare 37 of 46 held when verified as
-# given, of others 13 of 33. A verification takes as long as fifty runs of the search. With EARLY at 0.05 in place
-# of 0.15, and FOLDING at 0.1 in place of 0.5, first plans at three of six targets stood sooner
+# given, of others 13 of 33. A verification takes as long as fifty runs of the search
 EARLY, SPARE_TURNS, SPARE_SCORE = 0.05, 0.1, 0.25
-FOLDING = 0.1  # fraction of the time until which throws that slip, or fold flat, are not verified: 11 of 28 held
+# Fraction of the time until which throws that slip are not verified, 11 of 28 held, nor ropes folded flat simulated on
+FOLDING = 0.5
+# Fraction of the time after which a search without a plan, if another one has time enough, begins anew with other
+# random numbers: five found nothing in 40 s of one thread; with other seeds the same targets took 7 to 16 s
+ANEW = 0.15
 FREE = 0.2  # fraction of the time in which late swings are not tried in contact before they are worth it
 SWINGING = 0.5  # fraction of the time after which the search goes on in contact in any case
 RESTART = 12  # generations in contact from one candidate
@@ -116,10 +118,14 @@ class CastPlanner:
 
     def run(self, report: Callable[..., None] | None) -> None:
         """Search until a plan succeeds with a margin or the time is over; `report` gets the time spent and words."""
-        score, idle, contact = 0.0, 0, 0
+        score, idle, contact, begun, each = 0.0, 0, 0, self.spent, ANEW * self.time_budget
         if self.search.candidates:
             self.verify_new()
         while not (self.late or self.done()):
+            if not self.stands and begun + each < self.spent < SEARCHING * self.time_budget - each:
+                self.search.begin_anew()
+                score, idle, contact, begun, self.rounds = 0.0, 0, 0, self.spent, 0
+            self.search.folding = not self.stands and self.spent > FOLDING * self.time_budget
             late = contact > 0 and self.search.late
             settled = idle >= IDLE_ROUNDS * (2 if late and score < self.worthy else 1)
             refine = contact % RESTART > 0 and self.worth_refining(late)
@@ -319,18 +325,11 @@ class CastPlanner:
         self, begin: Callable[[], CastOutcome], cut: CastSetup, one: Candidate
     ) -> tuple[CastOutcome, CastOutcome]:
         """Verify a throw, and beside that with links cut, which ends where the first run fails."""
-        failed: list[CastOutcome] = []
 
-        def first() -> CastOutcome:
-            found = begin()
-            if not found.success:
-                failed.append(found)
-            return found
+        def other(failed: Callable[[], bool]) -> CastOutcome:
+            return self.run_once(cut, one, lambda: -1.0 if failed() else self.left())
 
-        with ThreadPoolExecutor(min(2, self.search.workers)) as pool:
-            here = pool.submit(first)
-            there = pool.submit(self.run_once, cut, one, lambda: -1.0 if failed else self.left())
-        return here.result(), there.result()
+        return both(begin, other, self.search.workers)
 
     def run_once(self, cast_setup: CastSetup, found: Candidate, left: Callable[[], float]) -> CastOutcome:
         """Simulate a throw on a rope, and a tug at its end, in the time that is `left`, s."""

@@ -1,6 +1,7 @@
 """Verified throws: which of two is better, whether one stands, has a margin and covers enough, and why one fails."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 from hyperflex.planning.outcome import MAX_SLIP, MIN_TURNS, CastOutcome
@@ -31,6 +32,23 @@ def foreseen(first: CastOutcome, finer: CastOutcome) -> CastOutcome:
         return finer
     how = f"touches the peg {abs(delay):.2f} s {'later' if delay > 0.0 else 'sooner'}"
     return replace(finer, message=f"it {how}, {MAX_DELAY:g} allowed: the swing is left to chance")
+
+
+def both(
+    begin: Callable[[], CastOutcome], other: Callable[[Callable[[], bool]], CastOutcome], threads: int
+) -> tuple[CastOutcome, CastOutcome]:
+    """Return the outcomes of two runs beside each other; `other` is given what tells it whether the first failed."""
+    failed: list[CastOutcome] = []
+
+    def first() -> CastOutcome:
+        found = begin()
+        if not found.success:
+            failed.append(found)
+        return found
+
+    with ThreadPoolExecutor(min(2, threads)) as pool:
+        here, there = pool.submit(first), pool.submit(other, lambda: bool(failed))
+    return here.result(), there.result()
 
 
 def may_fall(outcome: CastOutcome) -> bool:
