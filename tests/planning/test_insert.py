@@ -220,7 +220,7 @@ def test_a_floor_that_the_rope_would_touch_is_kept_clear_of() -> None:
     seen = verify_insert(who, SLOT, motion, near())
     assert seen is None or "touches the ground" in seen.message
     free, blocked = (
-        InsertTask(each, SLOT, []).score([planned().strokes], 1)[0][0] for each in (planned().cast_setup, who)
+        InsertTask(each, SLOT, []).score([planned().strokes], 1, np.inf)[0][0] for each in (planned().cast_setup, who)
     )
     assert free < 0.1 < blocked
 

@@ -49,7 +49,7 @@ def test_compiling_uses_up_no_patience(known: WhipMap, monkeypatch: pytest.Monke
     now, tried = [0.0], []
     monkeypatch.setattr(time_budget.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(
-        WhipMap, "candidates", lambda *_: [SimpleNamespace(cost=0.0, strokes=planned_whip().strokes)] * 3
+        WhipMap, "candidates", lambda *_: [SimpleNamespace(cost=0.0, t=1.0, strokes=planned_whip().strokes)] * 3
     )
 
     def slow(*_: object) -> None:

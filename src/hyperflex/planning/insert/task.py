@@ -1,11 +1,14 @@
 """The insertion as a task of the tip: the rope in the middle of a slot from the tip's entry to the depth asked."""
 
 import math
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.control import swing_period
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.insert.chance import FINER, PLACE, finer_rope
@@ -13,17 +16,24 @@ from hyperflex.planning.insert.entry import Entry, entry_residuals, entry_shortf
 from hyperflex.planning.insert.outcome import InsertOutcome, verify_insert
 from hyperflex.planning.insert.search import score_entries
 from hyperflex.planning.insert.slot import Slot
+from hyperflex.planning.tip.aim import WINDOW
 from hyperflex.planning.tip.strokes import Strokes
-from hyperflex.planning.tip.task import TipCandidate, TipTask, Verified
+from hyperflex.planning.tip.task import AFTER, NEVER, TipCandidate, TipTask, Verified
 from hyperflex.simulation import Deadline
 
+# Chosen on slots 3, 9 and 20 of the benchmark, which searches about swings of two or three strokes did not enter.
+DIRECT, READY = 8, 0.02  # swings aimed before any search; m, cost at which a search ends
+ROUNDS = 4  # of a search that goes on
+FREE = 4  # strokes: their 8 parameters are more than three offsets, the depth and a gap or two; 5 or 6 find no more
+MORE = 2  # strokes that are added where a search goes on
+LATE = 0.2  # swing periods before an entry, after which a stroke does not reach the tip
 TIGHTER = 5.0  # times, by which the tolerance of the second verification is less
 
 
 class InsertTask(TipTask[Entry]):
     """Bring the tip through a slot, from swings that nearly do."""
 
-    close, direct = 2e-3, 32
+    close, direct, ready, rounds = 2e-3, DIRECT, READY, ROUNDS
 
     def __init__(self, cast_setup: CastSetup, slot: Slot, swings: list[TipCandidate]) -> None:
         self.cast_setup, self.slot, self.swings = cast_setup, slot, swings
@@ -33,9 +43,29 @@ class InsertTask(TipTask[Entry]):
         """Return the swings, the cheapest first."""
         return self.swings
 
-    def score(self, strokes: list[Strokes], threads: int | None) -> tuple[Array, Array]:
+    def score(self, strokes: list[Strokes], threads: int | None, until: float) -> tuple[Array, Array]:
         """Return cost, m, and time, s, of the cheapest entry of each swing."""
-        return score_entries(self.cast_setup, self.slot, strokes, threads)
+        sooner = replace(self.cast_setup, time=min(self.cast_setup.time, until))
+        return score_entries(sooner, self.slot, strokes, threads)
+
+    def starts(self) -> Iterator[TipCandidate]:
+        """Yield the cheapest swing of each side and number of strokes, then the second of each, and so on."""
+        alike, number = Counter[tuple[int, int]](), list[int]()
+        for each in self.swings:
+            cut = each.strokes.cut(each.t + WINDOW, self.cast_setup.limits)
+            alike[kind := (cut.side, cut.ends.size)] += 1
+            number.append(alike[kind])
+        for k in np.argsort(number, kind="stable").tolist():
+            yield self.swings[k]
+
+    def freed(self, found: TipCandidate, number: int) -> TipCandidate:
+        """Return a swing with strokes enough to vary all that an entry is asked for, and with more each time."""
+        limits, late = self.cast_setup.limits, LATE * swing_period(self.cast_setup.rope)
+        cut = found.strokes.cut(found.t + WINDOW, limits)
+        more = cut.with_more(FREE + number * MORE, found.t - late, limits)
+        (cost,), (t,) = self.score([more], 1, found.t + AFTER)
+        self.runs += 1
+        return TipCandidate(float(cost), float(t), more) if cost < NEVER else found._replace(strokes=cut)
 
     def find(self, strokes: Strokes, near: float) -> Entry | None:
         """Return the way through the slot that ends next to time `near`, s."""

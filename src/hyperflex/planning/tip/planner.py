@@ -2,16 +2,17 @@
 
 import math
 from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import Any
 
 from hyperflex.planning.time_budget import Clock, OutOfTime
 from hyperflex.planning.tip.aim import aim_strokes
 from hyperflex.planning.tip.swings import StrokeSearch
-from hyperflex.planning.tip.task import Aimed, TipTask, Verified
+from hyperflex.planning.tip.task import Aimed, TipCandidate, TipTask, Verified
 from hyperflex.simulation import Deadline
 
 SEARCHING = 0.8  # fraction of the time after which plans are only verified
-READY, GENERATIONS = 0.06, 16  # m, cost below which a swing is aimed; generations of a search before
+STALLED = 0.9  # of the cost: a search that leaves more does not go on, else the same one does so again and again
 PLANS = 3  # plans that do what is asked, of which the least uncertain one that succeeds is taken; if none, the next
 
 
@@ -41,17 +42,24 @@ class TipPlanner:
         self.verify()
 
     def _aimed(self) -> Iterator[Aimed | None]:
-        """Aim one swing after the other, the cheapest first; those that are far from what is asked after a search."""
-        candidates = self.task.candidates()
-        for found in candidates[: self.task.direct]:
+        """Aim one swing after the other, the cheapest first, then what searches about them find.
+
+        After each search begun the cheapest one of those before it goes on, and one more swing is aimed as it is.
+        """
+        candidates, begun, count = iter(self.task.candidates()), list[tuple[TipCandidate, int]](), 0
+        for found in islice(candidates, self.task.direct):
             yield aim_strokes(self.task, found, self.left)
-        for number, found in enumerate(candidates):
-            search = StrokeSearch(self.task, found, self.seed + number, self.threads)
-            for _ in range(GENERATIONS):
-                if search.best.cost < READY or self.left() < 0.0:
-                    break
-                search.step()
-            yield aim_strokes(self.task, search.best, self.left)
+        for start in self.task.starts():
+            begun.sort(key=lambda each: each[0].cost)
+            for found, number in [(start, 0), *begun[:1]]:
+                search = StrokeSearch(self.task, self.task.freed(found, number), self.seed + count, self.threads)
+                best, count = search.run(self.left), count + 1
+                yield aim_strokes(self.task, best, self.left)
+                begun = [each for each in begun if each[0] is not found]
+                if self.task.ready <= best.cost < STALLED * found.cost and number + 1 < self.task.rounds:
+                    begun.append((best, number + 1))
+            for other in islice(candidates, 1):
+                yield aim_strokes(self.task, other, self.left)
 
     def _add(self, aimed: Iterator[Aimed | None], report: Callable[[], None] | None) -> bool:
         """Keep plans until enough do what is asked, or no time is left; return False where there are no more."""

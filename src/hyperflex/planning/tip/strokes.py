@@ -11,6 +11,7 @@ from hyperflex.planning.throw import Moves
 
 MIN_STROKE = 0.05  # rad
 MIN_REST = 1e-3  # s; there is always one, so that it can vary
+SHORT_STROKE = 0.07  # rad, of strokes that are added: they hardly change a swing; longer than MIN_STROKE, so they vary
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,28 @@ class Strokes(Moves):
         """Return the strokes that start before time t, s, at least one."""
         count = max(1, int((self.starts(limits) < t).sum()))
         return Strokes(self.side, self.ends[:count], self.rests[:count])
+
+    def with_more(self, count: int, t: float, limits: MotorLimits) -> "Strokes":
+        """Return `count` strokes or fewer: short ones are added in the middle of the longest rests until time t, s.
+
+        Each goes the other way than the stroke before it, the first the other way than that after it, unless that after
+        it got too short. None is added in a rest that is not twice as long as it.
+        """
+        strokes, (duration,) = self, limits.fastest_moves([SHORT_STROKE])[0].tolist()
+        while strokes.ends.size < count:
+            angles, (rests, _, _) = strokes.angles(limits), strokes.timing(limits)
+            rests = np.append(rests, t - strokes.stops(limits))
+            k = int(rests.argmax())
+            if rests[k] < 2.0 * duration:
+                break
+            before = max(k, 1)
+            way = -SHORT_STROKE * np.sign(angles[before] - angles[before - 1])
+            if np.abs(angles[k + 1 : k + 2] - angles[k] - way).min(initial=np.inf) < MIN_STROKE:
+                way = -way
+            rests = np.insert(rests, k, 0.5 * (rests[k] - duration))
+            rests[k + 1] = rests[k]
+            strokes = Strokes(self.side, np.insert(strokes.ends, k, angles[k] + way), rests[:-1])
+        return strokes
 
     def varied(self, change: Array) -> "Strokes":
         """Return strokes whose `parameters` differ by `change` (2 k,)."""

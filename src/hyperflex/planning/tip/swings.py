@@ -10,14 +10,14 @@ from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.tip.strokes import Strokes
-from hyperflex.planning.tip.task import TipCandidate, TipTask
+from hyperflex.planning.tip.task import AFTER, Left, TipCandidate, TipTask
 from hyperflex.simulation import Batch
 
 COARSE_TOL = 1e-3  # m: of swings in a search
 SEED = 1
 STROKES, STEPS = (0.3, 1.1), (0.35, 0.65)  # half turns; periods from stroke to stroke: means of random swings
 SPREAD_ENDS, SPREAD_RESTS = 0.15, 0.06  # half turns, periods: standard deviations in a random swing
-MEMBERS = 16  # of a generation
+MEMBERS, GENERATIONS = 16, 16  # of a generation; of a search before what it found is aimed
 NARROW = 0.3  # step size of CMA-ES about a swing, relative to the standard deviations of random swings
 
 
@@ -57,18 +57,26 @@ class StrokeSearch:
 
     def __init__(self, task: TipTask[Any], begin: TipCandidate, seed: int = 0, threads: int | None = None) -> None:
         self.task, self.threads = task, threads
-        self.best = begin
+        self.best, self._until = begin, begin.t + AFTER
         k = begin.strokes.ends.size
         self._scale = np.repeat([np.pi, swing_period(task.cast_setup.rope)], k)
         spread = np.repeat([SPREAD_ENDS, SPREAD_RESTS], k)
         random = np.random.default_rng([SEED, seed])
         self._optimizer = CmaEs(begin.strokes.parameters / self._scale, NARROW, spread, MEMBERS, random)
 
+    def run(self, left: Left) -> TipCandidate:
+        """Simulate GENERATIONS unless a swing is ready before or no time is left; return the best so far."""
+        for _ in range(GENERATIONS):
+            if self.best.cost < self.task.ready or left() < 0.0:
+                break
+            self.step()
+        return self.best
+
     def step(self) -> float:
         """Simulate one generation; return the least cost so far, m."""
         points = self._optimizer.ask()
         strokes = [self._strokes(x) for x in points]
-        cost, t = self.task.score(strokes, self.threads)
+        cost, t = self.task.score(strokes, self.threads, self._until)
         self._optimizer.tell(points, list(cost))
         self.task.runs += len(points)
         k = int(cost.argmin())

@@ -1,7 +1,7 @@
 """A task of the tip: what its planner asks of it, and what it answers."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -10,6 +10,7 @@ from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.simulation import Deadline
 
+AFTER = 0.3  # s, after the time at which a swing does nearly what is asked: until then searches about it simulate
 NEVER = 10.0  # m, cost of a swing after which the tip does nothing of what is asked
 
 
@@ -50,13 +51,16 @@ class Verified(NamedTuple):
 class TipTask(ABC, Generic[AimedT]):
     """What the tip is to do, and how near some strokes come to it.
 
-    Residuals below `close`, m, are small enough. The `direct` first candidates are aimed as they are. `runs` counts the
-    runs that were simulated since.
+    Residuals below `close`, m, are small enough. The `direct` first candidates are aimed before any search. A search
+    ends at a cost below `ready`, m; the cheapest ones go on, in up to `rounds`. `runs` counts the runs that were
+    simulated since.
     """
 
     cast_setup: CastSetup
     close: float
     direct: int
+    ready: float
+    rounds: int
     runs = 0
 
     @abstractmethod
@@ -64,8 +68,16 @@ class TipTask(ABC, Generic[AimedT]):
         """Return swings to begin with, the cheapest first."""
 
     @abstractmethod
-    def score(self, strokes: list[Strokes], threads: int | None) -> tuple[Array, Array]:
-        """Simulate free swings (M) coarsely; return the cost (M,), m, and the time, s, of each."""
+    def score(self, strokes: list[Strokes], threads: int | None, until: float) -> tuple[Array, Array]:
+        """Simulate free swings (M) coarsely until a time, s; return the cost (M,), m, and the time, s, of each."""
+
+    def starts(self) -> Iterator[TipCandidate]:
+        """Yield swings that searches begin with."""
+        yield from self.candidates()
+
+    def freed(self, found: TipCandidate, number: int) -> TipCandidate:
+        """Return what a search about a swing begins with; `number` tells how many went before."""
+        return found
 
     @abstractmethod
     def find(self, strokes: Strokes, near: float) -> AimedT | None:

@@ -26,7 +26,7 @@ FINER = 2  # pieces of each link in the second verification
 class WhipTask(TipTask[AimedPeak]):
     """Whip a target, from the swings of a map."""
 
-    close, direct = 2e-4, 8
+    close, direct, ready, rounds = 2e-4, 8, 0.06, 1
 
     def __init__(self, whip_map: WhipMap, target: TipTarget) -> None:
         self.whip_map, self.target, self.cast_setup = whip_map, target, whip_map.cast_setup
@@ -36,9 +36,10 @@ class WhipTask(TipTask[AimedPeak]):
         """Return the cheapest peak of each swing of the map, the cheapest first."""
         return self.whip_map.candidates(self.target)
 
-    def score(self, strokes: list[Strokes], threads: int | None) -> tuple[Array, Array]:
+    def score(self, strokes: list[Strokes], threads: int | None, until: float) -> tuple[Array, Array]:
         """Return cost, m, and time, s, of the cheapest peak of each swing."""
-        peaks = simulate_peaks(self.cast_setup, strokes, threads)
+        sooner = replace(self.cast_setup, time=min(self.cast_setup.time, until))
+        peaks = simulate_peaks(sooner, strokes, threads)
         each = np.append(peak_costs(self.target, peaks), NEVER)
         best = cheapest_peaks(each[:-1], peaks.row, len(strokes))
         return each[best], np.append(peaks.t, np.nan)[best]
