@@ -412,8 +412,7 @@ def test_while_a_better_plan_is_sought_it_is_said_that_one_stands(monkeypatch: p
     assert told == ["planning", *3 * [cast_planner.STANDS]]
 
 
-def test_a_search_without_a_plan_begins_anew_while_another_one_has_time_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After ANEW of the time each, and not where a plan stands; time passes in rounds of free swings alone."""
+def test_a_search_with_a_plan_does_not_begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = SimpleNamespace(spent=0.0)
     search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY)
     work, began = cast_planner.CastPlanner(search, 100.0, clock=clock, hurry=False), []  # type: ignore[arg-type]
@@ -425,10 +424,7 @@ def test_a_search_without_a_plan_begins_anew_while_another_one_has_time_enough(m
     monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
     monkeypatch.setattr(cast_planner.CastPlanner, "contact_due", lambda *_: False)
     monkeypatch.setattr(ThrowSearch, "begin_anew", lambda self: began.append(clock.spent))
-    work.run(None)
-    assert began == [16.0, 32.0, 48.0, 64.0]
-    began.clear()
-    clock.spent, good = 0.0, SimpleNamespace(success=True, turns=2.3, slip=3e-3, load_ratio=0.8, tip_hangs=True)
+    good = SimpleNamespace(success=True, turns=2.3, slip=3e-3, load_ratio=0.8, tip_hangs=True)
     good.folded, good.contact_angle = False, 11.0
     work.best = ("a throw", good, good)  # type: ignore[assignment]
     work.run(None)
@@ -450,6 +446,25 @@ def test_a_search_that_begins_anew_forgets_what_it_found_and_draws_other_numbers
         assert not (search.untried(-np.inf))
         assert not (search.climbing)
     assert not any(np.array_equal(x, y) for x in swings[0] for y in swings[1])
+
+
+@pytest.mark.parametrize(("longer", "times"), [(1.0, [16.0, 32.0, 48.0, 64.0]), (1.5, [34.0]), (2.2, [])])
+def test_a_search_for_a_later_strike_begins_anew_later(
+    monkeypatch: pytest.MonkeyPatch, longer: float, times: list[float]
+) -> None:
+    """By the square of the time until the strike, over the usual one."""
+    clock, usual = SimpleNamespace(spent=0.0), CastSetup(CABLE, ARM, hf.MotorLimits())
+    search, began = ThrowSearch(replace(usual, time=longer * usual.time), EASY), []
+
+    def swing(self: cast_planner.CastPlanner) -> float:
+        clock.spent += 1.0
+        return 0.0
+
+    monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
+    monkeypatch.setattr(cast_planner.CastPlanner, "contact_due", lambda *_: False)
+    monkeypatch.setattr(ThrowSearch, "begin_anew", lambda self: began.append(clock.spent))
+    cast_planner.CastPlanner(search, 100.0, clock=clock, hurry=False).run(None)  # type: ignore[arg-type]
+    assert began == times
 
 
 @pytest.mark.parametrize(("spent", "enough"), [(3.7, False), (3.8, True)])
