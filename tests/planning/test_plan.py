@@ -15,7 +15,8 @@ from hyperflex.planning import CastSetup, MotorLimits, SuccessProbability, Uncer
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.candidates import Swing
 from hyperflex.planning.search.contact_phase import WindingScores
-from hyperflex.planning.search.throw_search import LATER, MAX_FAILED, MOVES, TRIED, ThrowSearch
+from hyperflex.planning.search.throw_search import LATER, MAX_FAILED, TRIED, ThrowSearch
+from hyperflex.planning.throw import MOVES
 from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
 from hyperflex.planning.wind.verified import failure, foreseen, succeeds, with_margin
@@ -144,6 +145,7 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
             slip=slip,
             load_ratio=0.5,
             tip_hangs=True,
+            clearance=0.1,
             touch_time=5.0,
             folded=False,
             message="" if good else "it slips",
@@ -208,6 +210,7 @@ def hardened(
         "slip": 1e-3,
         "load_ratio": 0.5,
         "tip_hangs": True,
+        "clearance": 0.1,
         "touch_time": 5.0,
         "folded": False,
         "completed": True,
@@ -360,6 +363,8 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
             True,
         ),  # a turn more than are needed is left then
         ({"folded": True}, {}, False),  # flat: what a real rope does then is left to chance
+        ({"clearance": 1e-3}, {}, False),  # with shorter links it may go through its arm
+        ({"clearance": -0.1}, {"clearance": -0.1}, True),  # as it may
         ({}, {"load_ratio": 1.2}, False),  # pulled with more than the capstan equation lets it bear
         ({}, {"contact_angle": 5.0}, False),  # the rope is long enough for a full turn of contact
         ({}, {"turns": 1.3}, False),  # one turn fewer with finer links: left to chance
@@ -375,6 +380,7 @@ def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, seco
         "slip": 1e-3,
         "load_ratio": 0.8,
         "tip_hangs": True,
+        "clearance": 0.1,
         "touch_time": 5.0,
         "folded": False,
         "contact_angle": 11.0,
@@ -393,6 +399,7 @@ def test_while_a_better_plan_is_sought_it_is_said_that_one_stands(monkeypatch: p
         "slip": 3e-3,
         "load_ratio": 0.8,
         "tip_hangs": True,
+        "clearance": 0.1,
         "touch_time": 5.0,
         "folded": False,
         "contact_angle": 11.0,
@@ -424,7 +431,7 @@ def test_a_search_with_a_plan_does_not_begin_anew(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
     monkeypatch.setattr(cast_planner.CastPlanner, "contact_due", lambda *_: False)
     monkeypatch.setattr(ThrowSearch, "begin_anew", lambda self: began.append(clock.spent))
-    good = SimpleNamespace(success=True, turns=2.3, slip=3e-3, load_ratio=0.8, tip_hangs=True)
+    good = SimpleNamespace(success=True, turns=2.3, slip=3e-3, load_ratio=0.8, tip_hangs=True, clearance=1.0)
     good.folded, good.contact_angle = False, 11.0
     work.best = ("a throw", good, good)  # type: ignore[assignment]
     work.run(None)
@@ -432,20 +439,40 @@ def test_a_search_with_a_plan_does_not_begin_anew(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_search_that_begins_anew_forgets_what_it_found_and_draws_other_numbers() -> None:
-    """But for the strikes that it knows, and the number of runs."""
-    search, swings = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1), []
+    """But for the number of runs; the best candidates are taken back when it is over."""
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    swings: list[list[np.ndarray]] = []
+    found = []
     for _ in range(2):
         search.beam_search(0.1)
+        search.try_last_moves()
         swings.append([one.x for one in search.swings])
-        search.candidates.append("a throw")  # type: ignore[arg-type]
+        found.append(search.candidates[0])
         runs = search.runs
         search.begin_anew()
         assert search.runs == runs > 0
-        assert not (search.swings)
-        assert not (search.candidates)
-        assert not (search.untried(-np.inf))
-        assert not (search.climbing)
+        assert (search.swings, search.candidates, search.climbing) == ([], [], False)
+        search.swings = [Swing(1.0, 1, swings[-1][0], 5.0)]
+        assert search.untried(0.0)  # again
+        search.swings.clear()
     assert not any(np.array_equal(x, y) for x in swings[0] for y in swings[1])
+    search.remember()
+    assert all(any(one.x is each.x for each in search.candidates) for one in found)
+    scores = [one.score for one in search.candidates]
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_where_ropes_may_fold_flat_all_swings_are_tried_again() -> None:
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    search.beam_search(0.1)
+    search.swings = search.swings[:1]
+    search.try_last_moves()
+    for allow, again in ((False, False), (True, True)):
+        search.allow_folding(allow)
+        assert search.untried(-np.inf) is again
+    search.try_last_moves()
+    search.allow_folding(True)
+    assert not search.untried(-np.inf)
 
 
 @pytest.mark.parametrize(("longer", "times"), [(1.0, [16.0, 32.0, 48.0, 64.0]), (1.5, [34.0]), (2.2, [])])
@@ -479,6 +506,7 @@ def test_a_full_turn_that_nobody_asked_for_is_sought_for_a_quarter_more_than_the
         slip=1e-3,
         load_ratio=0.8,
         tip_hangs=True,
+        clearance=0.1,
         touch_time=5.0,
         folded=False,
         contact_angle=3.0,
@@ -504,6 +532,7 @@ def test_each_better_plan_that_stands_is_told_and_may_end_the_search(
             "slip": 3e-3,
             "load_ratio": 0.5,
             "tip_hangs": True,
+            "clearance": 0.1,
             "touch_time": 5.0,
             "folded": False,
             "contact_angle": 3.0,
@@ -544,7 +573,15 @@ def test_the_best_of_the_throws_that_two_verifications_bear_out_without_a_margin
     asked: list[str] = []
 
     def twice(self: cast_planner.CastPlanner, found: cast_planner.Candidate) -> object:
-        good = {"success": True, "slip": 1e-3, "load_ratio": 1.5, "tip_hangs": True, "touch_time": 5.0, "folded": False}
+        good = {
+            "success": True,
+            "slip": 1e-3,
+            "load_ratio": 1.5,
+            "tip_hangs": True,
+            "touch_time": 5.0,
+            "folded": False,
+            "clearance": 1.0,
+        }
         seen = SimpleNamespace(**(good | {"turns": 2.0, "contact_angle": 9.0} | told[found.throw.name]))  # type: ignore[attr-defined]
         return seen, seen if seen.success else None
 
@@ -673,6 +710,7 @@ def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypa
             "slip": 0.0,
             "load_ratio": 0.5,
             "tip_hangs": True,
+            "clearance": 0.1,
             "touch_time": 5.0,
             "folded": False,
             "contact_angle": 7.0,
@@ -733,6 +771,7 @@ def test_a_throw_that_ends_on_top_of_the_peg_is_verified_with_shorter_and_shorte
             "load_ratio": 0.5,
             "contact_angle": 3.0,
             "tip_hangs": False,
+            "clearance": 0.1,
             "touch_time": 5.0,
             "folded": False,
         }
@@ -761,6 +800,7 @@ def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypa
         slip=np.nan,
         load_ratio=np.nan,
         tip_hangs=True,
+        clearance=0.1,
         touch_time=5.0,
         folded=False,
         completed=True,

@@ -50,6 +50,21 @@ class Moves(ABC):
         return float(rests.sum() + durations.sum())
 
 
+# Last moves: strokes still made after the strike, the move's end, in half turns towards the target's side, and the
+# rest before it, in periods, in which a short tail comes to rest before it must hold. Of 461 swings that struck 43
+# targets 100 wound soundly with any of fifteen moves without a rest: 53 with the first, 63 with the first two and 95
+# with all eight of these. Which swings wind hardly depends on their scores
+LONG_REST = 2.0
+MOVES = (
+    ((2.5, 0.5, 0.0), (0.5, 1.0, 0.0)),
+    ((0.5, 0.5, 0.0), (0.5, 0.5, LONG_REST)),
+    ((1.5, 0.5, 0.0), (0.5, -0.5, LONG_REST)),
+    ((2.5, 1.0, 0.0), (0.5, -1.0, 0.0)),
+    ((0.5, 1.0, LONG_REST), (0.5, -1.0, LONG_REST)),
+    ((2.5, -0.5, 0.0), (1.5, -0.5, 0.0)),
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Throw(Moves):
     """Strokes with rests before them, and a last move.

@@ -49,7 +49,7 @@ from hyperflex.core.integrate.step_size import fitted
 from hyperflex.core.jit import absorbed, kernel, non_allocating
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
-COARSEST = 2.0**5  # times as long it is at most, in proportion to a tolerance above the usual one
+COARSEST = 2.0**5  # times as long it is at most, in proportion to a tolerance above the usual one, where that is safe
 BRIEF = 1e-9  # s, the shortest step to an impact
 RESOLVED = 0.12  # of the longest step: errors of positions shorten none that is shorter
 REJECTED_ERROR = 4.0  # relative error of a step that is tried again at half its length
@@ -157,7 +157,7 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
     """
     y, clock, t, trig = state.y, state.clock, state.clock[T], workspace.ahead_trig
     coarse = max(1.0, min(bounds.tol / USUAL_TOL, COARSEST))
-    shortest = min(coarse * SHORTEST * bounds.step, h)
+    finest, shortest = SHORTEST * bounds.step, min(coarse * SHORTEST * bounds.step, h)
     push, anew, back, stale = True, False, False, np.inf
     while True:
         begin = nothing if anew else state.memory
@@ -177,6 +177,8 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
             push = False
             continue
         longest = longest_safe_step(chain, pegs, workspace)
+        if h > longest:  # a peg may be passed: no tolerance allows that
+            shortest = min(finest, shortest)
         error = relative_error(chain, bounds, state.memory, workspace, h)
         if math.isnan(had):
             had = energy(chain, y, workspace.base[0], trig) + turning_energy(workspace.spin, workspace.spin.before)

@@ -1,6 +1,6 @@
 """The contact phase of throws: coarse runs beside the peg from shortly before the strike, and their score."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,14 +9,14 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Obstacle, Setup
+from hyperflex.model import Arm, Obstacle, Peg, Setup
 from hyperflex.motion import hold_arm
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
 from hyperflex.planning.search.strikes import arm_tip
-from hyperflex.planning.verification import at_limits, limit_bend
+from hyperflex.planning.verification import FOLD, at_limits, limit_bend
 from hyperflex.simulation import Deadline, check_outside
 from hyperflex.trajectory import interpolated
 from hyperflex.winding import slid
@@ -70,7 +70,8 @@ def simulate_contact(
     A strike that begins later, at `begin` (M,), s, lowers the score. A rope that comes within `clearance`, m, of its
     arm or shaft, or an obstacle, counts as one that comes undone, whose score is lower the longer it is there.
     With `sweeping` runs end that make fewer than MIN_SWEEP turns until SWEEP_TIME: for a search, which loses few.
-    Without `folding` ropes that are folded flat are not simulated on, and make no turns that stay.
+    Without `folding` ropes that are folded flat are not simulated on, and count MIN_HOPE turns at most where they fold
+    before the last part.
     `time_budget` is the processor time of each of a run's up to three parts, s, or a deadline; one that takes more has
     failed.
     """
@@ -109,18 +110,18 @@ def _simulate_one(
     then, but its score is that of MIN_TURNS at most, less what the arm costs.
     """
     rope, limited = one.ropes[0], limit_bend(one.ropes[0])
-    if not folding and at_limits(limited, one.q).any():
-        return 0.0, 0.0  # as one that strikes and makes no turn
+    if not folding and at_limits(limited, one.q, -FOLD).any():
+        return -LATE_COST * begin, 0.0  # as one that strikes and makes no turn
     stop = max(float(one.motions[0].breaks[-1]), 0.5)
     check = stop + CHECK_TIME
     sweep = SWEEP_TIME * np.sqrt(rope.total_length / max(np.hypot(*rope.gravity), 1e-9)) if sweeping else check
     t, turns, q, qd, now = _run_on(one, 0.0, min(sweep, check), arm, time_budget)
     hopeful = not sweeping or bool(np.abs(turns).max() >= MIN_SWEEP)
-    hopeful = hopeful and (folding or not at_limits(limited, q).any())
+    hopeful = hopeful and (folding or not at_limits(limited, q, -FOLD).any())
     if hopeful and t[-1] < check - 1e-9 and _clear_of_peg(now, arm):
         further, *seen, now = _run_on(now, t[-1], check, arm, time_budget)
         t, turns, q, qd = (np.concatenate(each) for each in zip((t, turns, q, qd), (further, *seen), strict=True))
-    folded = bool(at_limits(limited, q).any())
+    folded = bool(at_limits(limited, q, -FOLD).any())
     hopeful = hopeful and bool(abs(turns[-1]) >= MIN_HOPE) and _clear_of_peg(now, arm) and (folding or not folded)
     score, stay = score_winding(t, turns, min(check, t[-1]), begin, last=LAST_CHECK)
     if t[-1] < check - 1e-9:  # nobody saw its turns stay
@@ -176,6 +177,13 @@ def free_sides(cast_setup: CastSetup, pegs: Sequence[Obstacle]) -> list[int]:
     (q, _), angle = cast_setup.start, cast_setup.limits.start_angle
     starts = [Setup(cast_setup.rope, hold_arm(angle(side)), cast_setup.arm, pegs=tuple(pegs)) for side in may]
     return [side for side, start in zip(may, starts, strict=True) if starts_outside(start, 0.0, q)]
+
+
+def check_sides(sides: Collection[int], peg: Peg) -> None:
+    """Raise InvalidInput if there are no sides on which the arm may stand at first, as of :func:`free_sides`."""
+    if not sides:
+        fix = "Move the target away from the arm"
+        raise InvalidInput("the rope starts inside the target on either side of the arm", got=peg, fix=fix)
 
 
 def check_start(cast_setup: CastSetup) -> None:

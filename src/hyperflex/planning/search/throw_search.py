@@ -8,37 +8,22 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
-from hyperflex.planning.search import strikes
+from hyperflex.planning.search import contact_phase, strikes
 from hyperflex.planning.search.beam import FINER, FULL, SIZES, BeamSearch, Strike
 from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, same_swing, unconfirmed
-from hyperflex.planning.search.contact_phase import WindingScores, free_sides, run_budget, simulate_contact
 from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.known_strikes import KnownStrikes, strokes_of
 from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
-from hyperflex.planning.throw import LAST, Throw, ThrowParametrization
+from hyperflex.planning.throw import LAST, MOVES, Throw, ThrowParametrization
 from hyperflex.simulation import Deadline
 
 MEMBERS, CONTACT_MEMBERS = 32, 16  # of a generation of free swings, and of one in contact
 KEPT = 4  # swings of a generation that may be tried in contact
 TRIED = 8  # swings that are tried in contact at once
 SOUND = MIN_TURNS  # score of throws that neither slip nor are folded flat on the way
-# Last moves: strokes still made after the strike, the move's end, in half turns towards the target's side, and the
-# rest before it, in periods, in which a short tail comes to rest before it must hold. Of 461 swings that struck 43
-# targets 100 wound soundly with any of fifteen moves without a rest: 53 with the first, 63 with the first two and 95
-# with all eight of these. Which swings wind hardly depends on their scores
-LONG_REST = 2.0
-MOVES = (
-    ((2.5, 0.5, 0.0), (0.5, 1.0, 0.0)),
-    ((0.5, 0.5, 0.0), (0.5, 0.5, LONG_REST)),
-    ((1.5, 0.5, 0.0), (0.5, -0.5, LONG_REST)),
-    ((2.5, 1.0, 0.0), (0.5, -1.0, 0.0)),
-    ((0.5, 1.0, LONG_REST), (0.5, -1.0, LONG_REST)),
-    ((2.5, -0.5, 0.0), (1.5, -0.5, 0.0)),
-)
 AFTER = (0.5, 2.5)  # strokes still made after the strike by given throws
 UNTIL = 2.0 * strikes.SAMPLE_TIME  # s after a strike, until which the arm rests that rested before it
 LATE = 0.5  # fraction of the time allowed
@@ -47,6 +32,7 @@ CONFIRMED = 12  # swings at once that are simulated with shorter links too, and 
 # Where after so many tries no throw winds, pieces of each link in contact: coarse links miss some about a small peg, or
 # when slack
 MAX_FAILED, PIECES = 3, 2
+REMEMBERED = 16  # best candidates of a search that are taken back after others
 NARROW = 0.25  # step size of CMA-ES in contact, relative to that of free swings
 
 
@@ -69,27 +55,43 @@ class ThrowSearch:
     candidates: list[Candidate] = field(default_factory=list, init=False)
     runs: int = field(default=0, init=False)
     left: Callable[[], float] | None = field(default=None, init=False)
-    folding: bool = field(default=True, init=False)
+    folding: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
-        sides = free_sides(self.cast_setup, (self.peg, *self.cast_setup.obstacles))
+        sides = contact_phase.free_sides(self.cast_setup, (self.peg, *self.cast_setup.obstacles))
         self.parametrizations = {side: ThrowParametrization(self.cast_setup, side) for side in sides}
         self._known = KnownStrikes(self.cast_setup.cut(FINER), self.peg)
+        self._in_contact = self.cast_setup  # its links are those of runs in contact
+        self._forgotten: list[Candidate] = []
         self.begin_anew()
 
     def begin_anew(self) -> None:
         """Forget swings and candidates, and search on with other random numbers."""
+        self._forgotten += self.candidates[:REMEMBERED]
         self.swings, self.candidates = [], []
         self._beam: BeamSearch | None = None
         self._restarts = 0  # of the beam search
         self._free: dict[int, Any] = {}  # made when it is needed: to import it takes seconds
+        self._contact: tuple[int, Any, float] | None = None
+        self._failed_tries = 0  # tries of last moves while no throw winds
+        self._try_again()
+
+    def _try_again(self) -> None:
         self._tried: list[Swing] = []  # in contact
         self._made: list[int] = []  # how many of the MOVES each of them was tried with
-        self._contact: tuple[int, Any, float] | None = None
         self._centres: list[Candidate] = []  # from which evolutions in contact began
-        self._failed_tries = 0  # tries of last moves while no throw winds
-        self._in_contact = self.cast_setup  # its links are those of runs in contact
+
+    def remember(self) -> None:
+        """Take back the best candidates that were forgotten."""
+        self.candidates = sorted([*self.candidates, *self._forgotten], key=lambda one: -one.score)
+        self._forgotten = []
+
+    def allow_folding(self, allow: bool) -> None:
+        """Whether ropes folded flat are simulated on in contact; where that is new all swings are tried again."""
+        if allow and not self.folding:
+            self._try_again()
+        self.folding = allow
 
     def _cma_es(self, centre: Array, size: float, members: int, side: int) -> Any:
         return CmaEs(centre, size, self.parametrizations[side].spreads(), members, self._random)
@@ -111,7 +113,7 @@ class ThrowSearch:
         It ends where some swings score `enough`. The first one makes full strokes alone, as every second one after it
         does; where none of its swings scores that, the next one follows at once. Returns the best score so far.
         """
-        self._check()
+        contact_phase.check_sides(self.parametrizations, self.peg)
         time, most = self.cast_setup.time, max(each.strokes for each in self.parametrizations.values())
         first = self._beam is None
         if self._beam is None:
@@ -154,14 +156,6 @@ class ThrowSearch:
             self.swings.sort(key=lambda one: -one.score)
         return self.swings[0].score if self.swings else strikes.NEVER
 
-    def _check(self) -> None:
-        if not self.parametrizations:
-            raise InvalidInput(
-                "the rope starts inside the target on either side of the arm",
-                got=self.peg,
-                fix="Move the target away from the arm",
-            )
-
     def _strikes(
         self, cast_setup: CastSetup, throws: list[Throw], threads: int | None = None, until: float = np.inf
     ) -> strikes.Strikes:
@@ -172,7 +166,7 @@ class ThrowSearch:
 
     def evolve_swings(self) -> float:
         """Simulate one generation of free swings from each side; return the best score so far."""
-        self._check()
+        contact_phase.check_sides(self.parametrizations, self.peg)
         for side in self.parametrizations.keys() - self._free.keys():
             self._free[side] = self._cma_es(self.parametrizations[side].centre(), 1.0, MEMBERS, side)
         asked = {side: optimizer.ask() for side, optimizer in self._free.items()}
@@ -220,7 +214,7 @@ class ThrowSearch:
         self._failed_tries += bool(self.candidates) and not self.winds
         if self._failed_tries == MAX_FAILED and self._in_contact is self.cast_setup:
             self._in_contact = self.cast_setup.cut(PIECES)
-            self._tried, self._made, self._centres = [], [], []
+            self._try_again()
         some = self._fresh(0.0, TRIED) if fresh else []
         self._tried += some
         self._made += [0] * len(some)
@@ -296,7 +290,7 @@ class ThrowSearch:
     def correct(self, one: Candidate, turns: float, score: float) -> None:
         """Correct a candidate by a better run; if it does not wind then, restart from another one."""
         self.candidates = corrected(self.candidates, one, turns, score)
-        if turns < MIN_TURNS:
+        if turns < MIN_TURNS and any(one.x is each.x for each in self.candidates):
             self.restart()
 
     def evaluate(self, points: Sequence[tuple[int, Array]], until: float = np.inf) -> Array:
@@ -322,15 +316,15 @@ class ThrowSearch:
         score[~np.isfinite(found.t)] = np.minimum(score[~np.isfinite(found.t)], 0.0)
         return score
 
-    def _wind(self, cast_setup: CastSetup, throws: list[Throw], struck: strikes.Strikes) -> WindingScores:
+    def _wind(self, cast_setup: CastSetup, throws: list[Throw], struck: strikes.Strikes) -> contact_phase.WindingScores:
         """Simulate throws (M), which are already cut, in contact from their strikes."""
         motions = [throw.motion(cast_setup.limits).shifted(-t) for throw, t in zip(throws, struck.t, strict=True)]
-        count, budget = len(motions), run_budget(self.left, self.workers / len(motions))
+        count, budget = len(motions), contact_phase.run_budget(self.left, self.workers / len(motions))
         ropes, pegs, walls = [cast_setup.rope] * count, [self.peg] * count, cast_setup.obstacles
         batch = RolloutBatch(ropes, pegs, motions, struck.q, struck.qd, obstacles=walls)
         given: dict[str, Any] = {"arm": cast_setup.arm, "clearance": cast_setup.clearance, "sweeping": True}
         given |= {"folding": self.folding, "time_budget": budget, "threads": self.threads}
-        return simulate_contact(batch, struck.t, **given)
+        return contact_phase.simulate_contact(batch, struck.t, **given)
 
     def _first_strikes(self, points: Sequence[tuple[int, Array]], throws: list[Throw], until: float) -> strikes.Strikes:
         """Strikes of throws before their last moves, on the links of contact: known ones, others simulated once."""

@@ -41,10 +41,10 @@ NEARLY = 0.9  # score of a throw in contact that is worth being refined though a
 # given, of others 13 of 33. A verification takes as long as fifty runs of the search
 EARLY, SPARE_TURNS, SPARE_SCORE = 0.05, 0.1, 0.25
 FOLDING = 0.5  # fraction of the time until which throws that slip are not verified, nor ropes folded flat simulated on
-# Fraction of the time after which a search without a plan begins anew with other random numbers, if another one has
-# time enough: five found nothing in 40 s of one thread; with other seeds the same targets took 7 to 16 s. It grows with
-# the square of the time until the strike: of six targets for which that is doubled 4 were planned in 77 s so, 2 with it
-ANEW = 0.15
+# Fraction of the time, s at least, after which a search without a plan begins anew with other random numbers: five
+# found nothing in 40 s of one thread, with other seeds they took 7 to 16. Both grow with the square of the time until
+# the strike: of six targets for which that is doubled 4 were planned in 100 s without beginning anew, 2 with it
+ANEW, SHORT = 0.15, 5.0
 FREE = 0.2  # fraction of the time in which late swings are not tried in contact before they are worth it
 SWINGING = 0.5  # fraction of the time after which the search goes on in contact in any case
 RESTART = 12  # generations in contact from one candidate
@@ -119,14 +119,14 @@ class CastPlanner:
     def run(self, report: Callable[..., None] | None) -> None:
         """Search until a plan succeeds with a margin or the time is over; `report` gets the time spent and words."""
         score, idle, contact, begun, cast_setup = 0.0, 0, 0, self.spent, self.search.cast_setup
-        each = ANEW * self.time_budget * max(1.0, cast_setup.time / replace(cast_setup, time=0.0).time) ** 2
+        each = max(ANEW * self.time_budget, SHORT) * max(1.0, cast_setup.time / replace(cast_setup, time=0.0).time) ** 2
         if self.search.candidates:
             self.verify_new()
         while not (self.late or self.done()):
-            if not self.stands and begun + each < self.spent < SEARCHING * self.time_budget - each:
+            if not (self.stands or self.waiting) and begun + each < self.spent < SEARCHING * self.time_budget - each:
                 self.search.begin_anew()
                 score, idle, contact, begun, self.rounds = 0.0, 0, 0, self.spent, 0
-            self.search.folding = not self.stands and self.spent > FOLDING * self.time_budget
+            self.search.allow_folding(not self.stands and self.spent > FOLDING * self.time_budget)
             late = contact > 0 and self.search.late
             settled = idle >= IDLE_ROUNDS * (2 if late and score < self.worthy else 1)
             refine = contact % RESTART > 0 and self.worth_refining(late)
@@ -142,8 +142,8 @@ class CastPlanner:
                 contact = 1
             self.verify_new()
             if report is not None:
-                words = STANDS if self.stands else "planning"
-                report(min(self.spent, self.time_budget), words)
+                report(min(self.spent, self.time_budget), STANDS if self.stands else "planning")
+        self.search.remember()
         self.verify_best()
 
     @property
