@@ -97,7 +97,7 @@ def plan_cast(
         If the plan fails, plan for the nearest targets until a plan succeeds: with the throws found so far, then three
         times at most, each with the same time budget. Without, the fallback is only expected to be feasible.
     seed : int
-        Of the search: with the same seed, and time enough, the same plan.
+        Of the search: with the same seed the same plan, where it is found before the clock lets the search begin anew.
     threads : int, optional
         One a processor by default.
     progress : bool
