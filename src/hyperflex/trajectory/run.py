@@ -205,11 +205,10 @@ class Trajectory:
         """Joint positions (T, n+1, 2), m; the last one is the tip."""
         return _read_only(self.setup.rope.joints(self.q, self.base))
 
-    @cached_property
+    @property
     def tip(self) -> Array:
         """Tip position (T, 2), m."""
-        sin, cos = (np.einsum("ti,i->t", way(self.q), self.setup.rope.length) for way in (np.sin, np.cos))
-        return _read_only(self.base + np.stack([sin, -cos], axis=-1))
+        return self.joints[:, -1]
 
     @cached_property
     def tip_velocity(self) -> Array:
