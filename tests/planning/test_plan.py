@@ -419,10 +419,8 @@ def test_while_a_better_plan_is_sought_it_is_said_that_one_stands(monkeypatch: p
     assert told == ["planning", *3 * [cast_planner.STANDS]]
 
 
-def test_a_search_with_a_plan_does_not_begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = SimpleNamespace(spent=0.0)
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY)
-    work, began = cast_planner.CastPlanner(search, 100.0, clock=clock, hurry=False), []  # type: ignore[arg-type]
+def pass_time_in_swings(monkeypatch: pytest.MonkeyPatch, clock: SimpleNamespace, began: list[float]) -> None:
+    """Let a planner make free swings alone, of a second each, and tell when its search begins anew."""
 
     def swing(self: cast_planner.CastPlanner) -> float:
         clock.spent += 1.0
@@ -431,6 +429,13 @@ def test_a_search_with_a_plan_does_not_begin_anew(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
     monkeypatch.setattr(cast_planner.CastPlanner, "contact_due", lambda *_: False)
     monkeypatch.setattr(ThrowSearch, "begin_anew", lambda self: began.append(clock.spent))
+
+
+def test_a_search_with_a_plan_does_not_begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimpleNamespace(spent=0.0)
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY)
+    work, began = cast_planner.CastPlanner(search, 100.0, clock=clock, hurry=False), []  # type: ignore[arg-type]
+    pass_time_in_swings(monkeypatch, clock, began)
     good = SimpleNamespace(success=True, turns=2.3, slip=3e-3, load_ratio=0.8, tip_hangs=True, clearance=1.0)
     good.folded, good.contact_angle = False, 11.0
     work.best = ("a throw", good, good)  # type: ignore[assignment]
@@ -482,14 +487,7 @@ def test_a_search_for_a_later_strike_begins_anew_later(
     """By the square of the time until the strike, over the usual one."""
     clock, usual = SimpleNamespace(spent=0.0), CastSetup(CABLE, ARM, hf.MotorLimits())
     search, began = ThrowSearch(replace(usual, time=longer * usual.time), EASY), []
-
-    def swing(self: cast_planner.CastPlanner) -> float:
-        clock.spent += 1.0
-        return 0.0
-
-    monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)
-    monkeypatch.setattr(cast_planner.CastPlanner, "contact_due", lambda *_: False)
-    monkeypatch.setattr(ThrowSearch, "begin_anew", lambda self: began.append(clock.spent))
+    pass_time_in_swings(monkeypatch, clock, began)
     cast_planner.CastPlanner(search, 100.0, clock=clock, hurry=False).run(None)  # type: ignore[arg-type]
     assert began == times
 

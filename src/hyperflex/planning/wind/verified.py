@@ -10,7 +10,7 @@ from hyperflex.planning.throw import Throw
 SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
 LOAD_MARGIN = 1.0  # load ratio for which the same holds
 # m, distance from arm, shaft or obstacle below which another cast is sought: with a fifth of the link's length one of
-# 0.2 mm was -0.9 mm, and the judge of two plans of 216 saw the rope go through the arm
+# 0.2 mm was -0.9 mm, and the judge of two plans of 215 saw the rope go through the arm
 NARROW = 3e-3
 FALLING = 1.0  # turns that a rope loses, at most, whose end falls from the top of the peg
 # s between the first touches of a throw's runs with links as given and with shorter ones. Those of throws that succeed
