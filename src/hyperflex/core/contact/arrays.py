@@ -31,7 +31,7 @@ class Impulses(NamedTuple):
     closed: Index  # how often each closed in this search
     penalty: Array  # (1,) kg, mass M with which the search starts, then that for the next one; 0: the usual one
     residual_power: float  # W, power that residual velocities may have
-    settled: float  # as ``modes.settled_change``
+    loose: float  # as ``modes.looseness``
 
 
 class Joints(NamedTuple):
@@ -77,8 +77,8 @@ class Motion(NamedTuple):
 
 
 @kernel
-def new_impulses(most, residual_power, settled):  # type: ignore[no-untyped-def]
-    """Impulses of at most so many contacts; `residual_power` and `settled` as in Impulses."""
+def new_impulses(most, residual_power, loose):  # type: ignore[no-untyped-def]
+    """Impulses of at most so many contacts; `residual_power` and `loose` as in Impulses."""
     ten = np.zeros((10, most))
     modes = np.zeros((3, most), np.int64)
     return Impulses(
@@ -97,7 +97,7 @@ def new_impulses(most, residual_power, settled):  # type: ignore[no-untyped-def]
         modes[2],
         np.zeros(1),
         residual_power,
-        settled,
+        loose,
     )
 
 

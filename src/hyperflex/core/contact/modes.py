@@ -40,13 +40,17 @@ LEAST = 1.4  # growth of M; where none is found for less, the search ends
 CLOSING = 1e-9  # m/s, at which an open contact closes
 SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
 ROUNDS = 12  # of a search, and one more a joint in play; one that takes longer goes in a circle more often than not
+# Rounds in a row with no fewer violations than before, after which a search ends; until then it changes the modes of
+# every second contact alone, in turn: changed all at once, neighbours go to and fro together
+STALLED = 4
+NONE, ALL, EVEN = range(3)  # contacts whose modes a round changes; EVEN + 1 are the odd ones
 SETTLED = 2e-5  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
 USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
-USUAL_TOL, LOOSEST = 1e-5, 100.0  # m; with a larger tolerance in proportion more, up to so many times as much
+USUAL_TOL, LOOSEST = 1e-5, 100.0  # m; with a larger tolerance in proportion more is left, up to so many times as much
 SETTLING = 4  # rounds in which they settle anew
 AGAIN = 4  # times that a solution with a slight residual starts the search anew
-SLIGHT = 1e-5  # m/s, residual velocity of a solution
-RECOVERING = 1.3  # growth of M from one step to the next, after one that took a softer one
+SLIGHT = 1e-5  # m/s, residual velocity of a solution, at USUAL_TOL
+RECOVERING = 3.0  # growth of M from the first search of a step that found modes to that of the next step
 INSTANT = 1e-6  # s, an impact may give as much as a step of this length
 
 
@@ -69,12 +73,12 @@ def write_modes(contacts, impulses, motion, joints, penalty):  # type: ignore[no
 
 @non_allocating
 def update_modes(contacts, impulses, motion, joints, spin, penalty, change):  # type: ignore[no-untyped-def]
-    """Read velocities and impulses off the changes of the rates; with `change`, change the modes that break the law.
+    """Read velocities and impulses off the changes of the rates; change the modes that break the law.
 
     What slips sticks again where P0 - M v is back inside the cone, by the same measure by which what sticks leaves it:
-    were it asked whether the velocity turns, P0 outside the cone would let neither hold. Returns how many broke it.
+    were it asked whether the velocity turns, P0 outside the cone would let neither hold. `change` tells of which contacts: NONE, ALL, EVEN or EVEN + 1. Returns how many broke it.
     """
-    violations = update_joint_modes(motion, joints, penalty, change)
+    violations = update_joint_modes(motion, joints, penalty, change != NONE)
     for c in range(contacts.total[0]):
         vn, vt = velocity(contacts, motion, c)
         vt -= spin.reach[contacts.peg[c]] * spin.after[contacts.peg[c]]
@@ -105,7 +109,7 @@ def update_modes(contacts, impulses, motion, joints, spin, penalty, change):  # 
                 elif mu > 0.0 and -sense * pt < bound:
                     new_mode = STICK
         if new_mode != mode:
-            if change:
+            if change == ALL or change == EVEN + c % 2:
                 impulses.mode[c] = new_mode
                 impulses.closed[c] += int(mode == OPEN)
             violations += 1
@@ -191,28 +195,34 @@ def solve_round(chain, contacts, impulses, motion, joints, spin, penalty, change
 
 
 @non_allocating
-def settled_change(tol):  # type: ignore[no-untyped-def]
-    """Relative change of the rates at which the centrifugal terms have settled, where positions may err by `tol`, m."""
-    return SETTLED * max(1.0, min(tol / USUAL_TOL, LOOSEST))
+def looseness(tol):  # type: ignore[no-untyped-def]
+    """How many times as much as usual a solution may leave, where positions may err by `tol`, m."""
+    return max(1.0, min(tol / USUAL_TOL, LOOSEST))
 
 
 @absorbed
 def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type: ignore[no-untyped-def]
     """Find modes that obey the law for one M = `penalty`, kg; returns the rounds, negative if there are too many."""
-    settled = impulses.settled * max(0.1, min(1.0, h / USUAL))
+    settled = SETTLED * impulses.loose * max(0.1, min(1.0, h / USUAL))
     for c in range(contacts.total[0]):
         impulses.closed[c] = 0
     most = ROUNDS + joints_in_play(joints, h)
+    fewest, stalled = contacts.total[0] + motion.w.size + 1, 0
     for turn in range(most):
         if turn == 0 or h > 0.0:  # an impact is linear
             linearize(chain, motion, h)
-        violations = solve_round(chain, contacts, impulses, motion, joints, spin, penalty, True)
+        change = ALL if stalled == 0 else EVEN + turn % 2
+        violations = solve_round(chain, contacts, impulses, motion, joints, spin, penalty, change)
         if violations == 0 and (h == 0.0 or moved(motion) <= settled):
             return turn + 1
         if not (abs(motion.load[0]) + abs(motion.load[1]) < math.inf):
             motion.change[:] = 0.0
             motion.pull[:] = 0.0
             return -(turn + 1)
+        stalled = 0 if violations < fewest else stalled + 1
+        if stalled == STALLED:
+            return -(turn + 1)
+        fewest = violations if violations > 0 else fewest
     return -most
 
 
@@ -267,7 +277,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
     always, and each solution starts the search for a stiffer one, half as far on where that fails; so it goes until the
     residual (P - P0) / M is slight. The last solution that was found holds: its impulses obey Coulomb's law, its
-    velocities up to the residual. The next step starts with the M that did, and a little more.
+    velocities up to the residual. The next step starts with the first M that did, and a little more.
 
     Parameters
     ----------
@@ -277,11 +287,12 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
 
     Returns
     -------
-    int : rounds, negative if the law is not obeyed to within SLIGHT.
+    int : rounds, negative if the law is not obeyed to within SLIGHT, or more where `impulses` are loose.
     """
     store(contacts, impulses, joints)
     penalty = impulses.penalty[0] if impulses.penalty[0] > 0.0 else STIFF * whole
-    last, residual, given = 0.0, math.inf, math.inf
+    first, last, residual, given = 0.0, 0.0, math.inf, math.inf
+    slight = SLIGHT * impulses.loose
     total, again, rounds = 0, AGAIN, 0
     for _ in range(TRIES):
         rounds = search(chain, contacts, impulses, motion, joints, spin, h, penalty)
@@ -296,7 +307,8 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
             penalty = math.sqrt(penalty * last)
             continue
         (residual, given), last = update_multipliers(contacts, impulses, joints, penalty), penalty
-        if residual > SLIGHT:
+        first = penalty if first == 0.0 else first
+        if residual > slight:
             penalty = min(GROW * penalty, STIFFEST * whole)
             continue
         again -= 1
@@ -312,6 +324,6 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
         motion.change[:] = 0.0
         for _ in range(SETTLING):
             linearize(chain, motion, h)
-            solve_round(chain, contacts, impulses, motion, joints, spin, last if last > 0.0 else penalty, False)
-    impulses.penalty[0] = min(RECOVERING * last, STIFF * whole)
-    return total if residual <= SLIGHT else -total
+            solve_round(chain, contacts, impulses, motion, joints, spin, last if last > 0.0 else penalty, 0)
+    impulses.penalty[0] = min(RECOVERING * first, STIFF * whole)
+    return total if residual <= slight else -total

@@ -11,7 +11,7 @@ from hyperflex.core.contact.air import Air, add_drag_impulses, new_air
 from hyperflex.core.contact.arrays import IMPULSE, OPEN, Impulses, Joints, Motion, new_impulses, new_joints, new_motion
 from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joint_positions, nearest, new_contacts, speeds
 from hyperflex.core.contact.joints import BEYOND, bend_clearance, bound_joint_rates, joint_impulses
-from hyperflex.core.contact.modes import settled_change, solve
+from hyperflex.core.contact.modes import looseness, solve
 from hyperflex.core.contact.trend import STEADY, foresight
 from hyperflex.core.contact.turning_pegs import Spin, new_spin, prepare_spin
 from hyperflex.core.jit import absorbed, kernel, non_allocating
@@ -73,7 +73,7 @@ def new_contact_workspace(chain, pegs, rate, longest, tol):  # type: ignore[no-u
     most = n * pegs.reach.size
     return ContactWorkspace(
         new_contacts(most),
-        new_impulses(most, RESIDUAL_SHARE * rate, settled_change(tol)),
+        new_impulses(most, RESIDUAL_SHARE * rate, looseness(tol)),
         new_motion(chain),
         new_joints(chain),
         new_spin(n, pegs),
