@@ -76,7 +76,8 @@ def update_modes(contacts, impulses, motion, joints, spin, penalty, change):  # 
     """Read velocities and impulses off the changes of the rates; change the modes that break the law.
 
     What slips sticks again where P0 - M v is back inside the cone, by the same measure by which what sticks leaves it:
-    were it asked whether the velocity turns, P0 outside the cone would let neither hold. `change` tells of which contacts: NONE, ALL, EVEN or EVEN + 1. Returns how many broke it.
+    were it asked whether the velocity turns, P0 outside the cone would let neither hold. `change` tells of which
+    contacts: NONE, ALL, EVEN or EVEN + 1. Returns how many broke it.
     """
     violations = update_joint_modes(motion, joints, penalty, change != NONE)
     for c in range(contacts.total[0]):
