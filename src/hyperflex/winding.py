@@ -101,7 +101,7 @@ def measure_winding(run: Trajectory, peg: Peg) -> Winding:
     arc, contact, before, after, tail = np.repeat([0.0, 0.0, np.nan, np.nan, np.nan], run.t.size).reshape(5, -1)
     reach = peg.radius + rope.radius + TOUCH + float(rope.length.max())
     near = np.flatnonzero((away**2).sum(axis=-1).min(axis=1) <= reach**2)  # samples at which a link may touch
-    _, out, gap = _closest(rope, peg, run.q[near], run.joints[near])
+    _, out, gap = closest_points(rope, peg, run.q[near], run.joints[near])
     touching = gap < TOUCH
     some = touching.any(axis=1)
     near, touching, gap, out = near[some], touching[some], gap[some], out[some]
@@ -208,7 +208,7 @@ def slid(rope: Rope, peg: Peg, q: Array, joints: Array, turned: Array | float = 
 
     `turned` (T,), rad, is the peg's own angle; without it the way is that of the rope round the axle.
     """
-    place, away, gap = _closest(rope, peg, q, joints)
+    place, away, gap = closest_points(rope, peg, q, joints)
     along = np.stack([np.sin(q[0]), -np.cos(q[0])], axis=-1)
     sense = np.sign(away[0, :, 0] * along[:, 1] - away[0, :, 1] * along[:, 0])
     angle = np.unwrap(np.arctan2(away[..., 1], away[..., 0]), axis=0)
@@ -297,7 +297,7 @@ def _pull(run: Trajectory) -> Array:
 def _slack(run: Trajectory, peg: Peg) -> float:
     """Length of the rope from the motor to where it first lies on a peg at the end, less the straight way there, m."""
     rope = run.setup.rope
-    place, _, gap = (value[0] for value in _closest(rope, peg, run.q[-1:], run.joints[-1:]))
+    place, _, gap = (value[0] for value in closest_points(rope, peg, run.q[-1:], run.joints[-1:]))
     if not (gap < TOUCH).any():
         return 0.0
     i = int((gap < TOUCH).argmax())
@@ -313,7 +313,7 @@ def _own(run: Trajectory, peg: Peg) -> int:
     return pegs.index(peg)
 
 
-def _closest(rope: Rope, peg: Peg, q: Array, joints: Array) -> tuple[Array, Array, Array]:
+def closest_points(rope: Rope, peg: Peg, q: Array, joints: Array) -> tuple[Array, Array, Array]:
     """Place of the point of each link closest to a peg's centre (T, n), m; from there to it (T, n, 2), m; gap, m."""
     along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
     to_peg = np.array([peg.x, peg.y]) - joints[:, :-1]

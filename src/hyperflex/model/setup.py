@@ -23,7 +23,7 @@ from hyperflex.motion import Motion, from_spec, hold_arm, to_spec
 METHODS = ("extrapolation", "rk4")
 _STILL = hold_arm(0.0)
 PLAN = "plan"  # table in which a planner keeps what a run does not need
-PLANNING = (PLAN, "target", "slot", "limits")  # tables of a planner, which a run leaves alone
+PLANNING = (PLAN, "target", "slot", "limits", "behind")  # tables of a planner, which a run leaves alone
 DEFAULT_TOL = 1e-5  # m
 DEFAULT_CONTACT_STEP = 2e-4  # s
 

@@ -10,8 +10,9 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Obstacle, Rope, checked_obstacles, divided
+from hyperflex.model import Arm, Obstacle, Peg, Rope, checked_obstacles, divided
 from hyperflex.planning.clearance import named, obstacle_gaps
+from hyperflex.planning.routing import checked_behind
 
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
 MIN_LINKS, MIN_TIME = 4, 0.1  # links, s
@@ -102,6 +103,9 @@ class CastSetup:
         Side on which the arm stands at first, left or right; 0 lets the planner choose.
     obstacles : sequence of Peg, Wall, Ground
         That the rope must not touch: it keeps `clearance` from them in verified runs. The arm must not reach them.
+    behind : sequence of Peg
+        Fixed pegs behind which the rope is to run on its way from the arm to the target of a cast: in the end it
+        touches each of them between the arm and its first touch of the target. The arm must not reach them.
     q0, qd0 : (n,) tuples of float
         Link angles, rad, and rates, rad/s, of a rope that swings at first; then `side` is -1 or 1. Empty: it hangs.
 
@@ -109,7 +113,8 @@ class CastSetup:
     ------
     InvalidInput
         If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, the time is too short or
-        too long, clearance or contact is below 0, the arm reaches an obstacle, or side or start are not as above.
+        too long, clearance or contact is below 0, the arm reaches an obstacle or a peg, pegs `behind` are not fixed
+        pegs, or side or start are not as above.
     """
 
     rope: Rope
@@ -120,6 +125,7 @@ class CastSetup:
     contact: float = 0.0
     side: int = 0
     obstacles: tuple[Obstacle, ...] = ()
+    behind: tuple[Peg, ...] = ()
     q0: tuple[float, ...] = ()
     qd0: tuple[float, ...] = ()
 
@@ -148,13 +154,14 @@ class CastSetup:
         contact = checks.number("contact", self.contact, sign="nonnegative", unit="rad")
         object.__setattr__(self, "contact", contact)
         object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles, "obstacles"))
+        object.__setattr__(self, "behind", checked_behind(self.behind))
         self._check_obstacles()
         self._check_start()
 
     def _check_obstacles(self) -> None:
         """Refuse what the turning arm would hit."""
         pivot: Array = np.array([self.arm.pivot])
-        for each in self.obstacles:
+        for each in (*self.behind, *self.obstacles):
             room = float(obstacle_gaps((each,), pivot, pivot)[0, 0]) - self.arm.length - self.arm.radius
             if room <= 0.0:
                 what = f"the turning arm hits {named(each)}"
@@ -176,6 +183,10 @@ class CastSetup:
             return np.array(self.q0), np.array(self.qd0)
         return np.full(self.rope.n_links, self.rope.hanging_angle), np.zeros(self.rope.n_links)
 
+    def beside(self, target: Peg) -> tuple[Obstacle, ...]:
+        """Return all that the rope may come upon: the target, pegs that it is to run behind, and obstacles."""
+        return (target, *self.behind, *self.obstacles)
+
     def start_on(self, rope: Rope) -> tuple[Array, Array]:
         """Return the start of the same rope cut into shorter links (m,)."""
         middle = np.cumsum(rope.length) - 0.5 * rope.length
@@ -187,3 +198,10 @@ class CastSetup:
         """Return the same with each link of the rope cut into pieces."""
         q0, qd0 = (tuple(np.repeat(each, pieces)) for each in (self.q0, self.qd0))
         return replace(self, rope=divided(self.rope, pieces), q0=q0, qd0=qd0)
+
+
+def refuse_behind(cast_setup: CastSetup, what: str) -> None:
+    """Raise InvalidInput where the rope is to run behind pegs, for `what` does not take these."""
+    if cast_setup.behind:
+        got = f"{len(cast_setup.behind)} pegs"
+        raise InvalidInput(f"{what} takes no pegs that the rope is to run behind", got=got, fix="Leave out behind")

@@ -12,7 +12,8 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import Clearance
+from hyperflex.planning.clearance import Clearance, named
+from hyperflex.planning.routing import runs_behind
 from hyperflex.planning.verification import (
     clearances,
     folded_flat,
@@ -77,6 +78,9 @@ class CastOutcome:
     tip_hangs : bool
         Whether the rope's end is lower than the peg's centre all through the watch. One that lies on top of the peg may
         fall to either side.
+    runs_behind : tuple of bool
+        Whether the rope runs behind each of the set-up's pegs `behind`: all through the watch it touches the peg
+        between the arm and its first touch of the target.
     run : Trajectory or None
         The run; None if the simulation failed, or if the outcome was read from a file.
     """
@@ -97,6 +101,7 @@ class CastOutcome:
     message: str
     n_links: int
     tip_hangs: bool = True
+    runs_behind: tuple[bool, ...] = ()
     run: Trajectory | None = None
 
     @property
@@ -171,6 +176,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
     max_bend, near = greatest_bend(run), clearances(cast_setup, run)
     covered = float(wound.contact[watched].min())
     above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
+    led = runs_behind(run.setup.rope, peg, cast_setup.behind, run.q[watched], run.joints[watched])
     message = ""
     if not touched.any():
         message = "the rope does not touch the peg"
@@ -183,6 +189,8 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         )
     elif refused := refusal(cast_setup, max_bend, near):
         message = refused
+    elif not all(led):
+        message = f"the rope does not run behind {named(cast_setup.behind[led.index(False)])}"
     elif covered < cast_setup.contact:
         asked = f"{np.degrees(cast_setup.contact):.0f} are asked"
         message = f"it covers {np.degrees(covered):.0f} degrees of the peg, and {asked}"
@@ -207,6 +215,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         message=message,
         n_links=run.q.shape[1],
         tip_hangs=bool((above[watched] < 0.0).all()),
+        runs_behind=led,
         run=run,
     )
 

@@ -30,6 +30,7 @@ HEAD = """# A planned {kind}. SI units: m, kg, s, N, N m, J; angles in rad, an a
 # them in simulation (plan.outcome; with shorter links, plan.finer_outcome). A plan that succeeds has no message.
 
 """
+OF_OBSTACLES = {"obstacles", "behind"}  # fields that hold obstacles, in a file by their kind
 SUCCEEDED, INFEASIBLE, NOT_FOUND, FAILED, NOT_VERIFIED, INTERRUPTED = range(6)  # status of a plan
 
 
@@ -198,8 +199,8 @@ def to_table(value: Any) -> Any:
     if not is_dataclass(value):
         return value
     parts = {field.name: getattr(value, field.name) for field in fields(value)}
-    if "obstacles" in parts:
-        parts["obstacles"] = obstacle_tables(parts["obstacles"])
+    for name in OF_OBSTACLES & parts.keys():
+        parts[name] = obstacle_tables(parts[name])
     return {name: to_table(part) for name, part in parts.items() if not (part is None or isinstance(part, Trajectory))}
 
 
@@ -208,8 +209,7 @@ def from_table(kind: type[T], table: Mapping[str, Any]) -> T:
     if kind is Rope:
         return Rope.from_table(table)  # type: ignore[return-value]
     hints = get_type_hints(kind)
-    if "obstacles" in hints:
-        table = {**table, "obstacles": obstacles_of(table.get("obstacles", {}))}
+    table = {**table, **{name: obstacles_of(table.get(name, {})) for name in OF_OBSTACLES & hints.keys()}}
     return kind(**{name: _from_value(hints.get(name), value) for name, value in table.items()})
 
 

@@ -43,8 +43,10 @@ def verified_setup(
 ) -> Setup:
     """Return what is simulated to verify a motion of `duration`, s, from rest; `tol` in m and `contact_step` in s.
 
-    Links are refined near `pegs`. The set-up's obstacles, which are not to be touched, are there as well.
+    Links are refined near `pegs`, and near those that the rope is to run behind. The set-up's obstacles, which are not
+    to be touched, are there as well.
     """
+    pegs = (*pegs, *cast_setup.behind)
     rope = limit_bend(refine_rope(cast_setup.rope, pegs, arm=cast_setup.arm))
     arm = cast_setup.arm
     setup = Setup(

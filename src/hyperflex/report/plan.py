@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
-from hyperflex.model import Peg, Wall
+from hyperflex.model import Obstacle, Peg, Wall
 from hyperflex.motion import Motion
 from hyperflex.planning import (
     RATE,
@@ -135,10 +135,12 @@ class PlanReport(ABC, Generic[PlanT]):
         """Return the player of the run, if there is one, and what :meth:`draw` drew, with captions."""
         run, captions = self.plan.run, self.captions
         violet = " Violet: obstacles, which the rope must not touch." if self.plan.cast_setup.obstacles else ""
-        films = {} if run is None else {"film": Film(player_html(run, **self.film()), captions["film"] + violet)}
+        words = " Red as well: pegs that the rope is to run behind." if self.plan.cast_setup.behind else ""
+        words += violet
+        films = {} if run is None else {"film": Film(player_html(run, **self.film()), captions["film"] + words)}
         shown = {kind: caption for kind, caption in captions.items() if kind in drawn}
         return films | {
-            kind: Picture(drawn[kind].read_bytes(), caption + violet * (kind in STROBES), chart=kind not in STROBES)
+            kind: Picture(drawn[kind].read_bytes(), caption + words * (kind in STROBES), chart=kind not in STROBES)
             for kind, caption in shown.items()
         }
 
@@ -190,17 +192,24 @@ def _rope_and_arm(setup: CastSetup) -> str:
 
 
 def _obstacles(setup: CastSetup) -> str:
-    """Return the obstacles in a sentence, after a space; "" without any."""
-    words = []
-    for each in setup.obstacles:
-        place = f"({each.x:.4g}, {each.y:.4g})"
-        if isinstance(each, Peg):
-            words.append(f"a peg at {place} m, radius {length(each.radius)}")
-        elif isinstance(each, Wall):
-            words.append(f"a wall from {place} to ({each.x2:.4g}, {each.y2:.4g}) m")
-        else:
-            words.append(f"a ground through {place} m")
-    return f" Obstacles, which the rope must not touch: {'; '.join(words)}." if words else ""
+    """Return pegs to run behind and obstacles in a sentence each, after a space; "" without any."""
+    told = ""
+    for head, some in (
+        ("Behind these the rope is to run on its way from the arm to the target", setup.behind),
+        ("Obstacles, which the rope must not touch", setup.obstacles),
+    ):
+        if some:
+            told += f" {head}: {'; '.join(map(_in_words, some))}."
+    return told
+
+
+def _in_words(each: Obstacle) -> str:
+    place = f"({each.x:.4g}, {each.y:.4g})"
+    if isinstance(each, Peg):
+        return f"a peg at {place} m, radius {length(each.radius)}"
+    if isinstance(each, Wall):
+        return f"a wall from {place} to ({each.x2:.4g}, {each.y2:.4g}) m"
+    return f"a ground through {place} m"
 
 
 def clear_of(setup: CastSetup) -> str:

@@ -64,7 +64,8 @@ def cast(
     """Plan how the arm casts its rope round a peg, winds it and holds.
 
     The target is given by options, or as the first of [pegs] in the set-up file. All other pegs, [walls] and [grounds]
-    there are obstacles, which the rope must not touch.
+    there are obstacles, which the rope must not touch. A table [behind], with the keys of [pegs], holds pegs that the
+    rope is to run behind: in the end it touches each of them between the arm and the target.
 
     A rope is wound with 1.25 turns or more, counted from the arm's tip to its end, and holds if it slips by less than
     5 mm in 2 s. How much of the target it covers is told beside the turns; where the rope is long enough, the search
@@ -103,6 +104,7 @@ def cast(
             contact=task.contact,
             clearance=task.clearance,
             obstacles=[each for each in task.obstacles if each is not first],
+            behind=task.behind,
             uncertainty=uncertainty,
             time_budget=time_budget,
             skip_feasibility=skip_feasibility,

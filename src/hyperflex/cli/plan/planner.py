@@ -90,7 +90,8 @@ _WRITTEN = {
 class Task(NamedTuple):
     """What is planned with: rope, arm, limits of the motor, obstacles, and [target] and [slot] of a set-up file.
 
-    And `clearance`, m, and `contact`, rad or None, which an earlier plan's file says where no option does.
+    And `clearance`, m, and `contact`, rad or None, which an earlier plan's file says where no option does, and the pegs
+    of [behind], which the rope of a cast is to run behind.
     """
 
     rope: Rope
@@ -101,6 +102,7 @@ class Task(NamedTuple):
     slot: Mapping[str, Any]
     clearance: float
     contact: float | None
+    behind: tuple[Peg, ...]
 
 
 def read_task(
@@ -140,7 +142,21 @@ def read_task(
     if arm_length is not None:
         arm = replace(arm, length=arm_length)
     places = (content.get("target", {}), content.get("slot", {}))
-    return Task(read.rope, arm, MotorLimits(**given), read.pegs, *places, again["clearance"] or 0.0, again["contact"])
+    asked_again = again["clearance"] or 0.0, again["contact"]
+    return Task(read.rope, arm, MotorLimits(**given), read.pegs, *places, *asked_again, _behind(content))
+
+
+def _behind(content: Mapping[str, Any]) -> tuple[Peg, ...]:
+    """Return the pegs of the table [behind] of a set-up file, whose keys are those of [pegs]."""
+    from hyperflex.model import Peg, obstacles_of
+
+    table = content.get("behind", {})
+    if not isinstance(table, Mapping):
+        raise InvalidInput("behind is not a table", got=table, allowed="[behind], with the keys of [pegs]")
+    if not table:
+        return ()
+    checks.keys("the table [behind]", table, [field.name for field in fields(Peg)])
+    return tuple(each for each in obstacles_of({"pegs": table}) if isinstance(each, Peg))
 
 
 def _of_plan(path: Path, again: dict[str, float | None]) -> dict[str, Any]:
@@ -149,7 +165,7 @@ def _of_plan(path: Path, again: dict[str, float | None]) -> dict[str, Any]:
     What the file says beside it is the verified run, whose rope is cut for the target of then. Of clearance and contact
     what was asked then is put into `again`, where no option gives them, and told on standard error.
     """
-    from hyperflex.model import Setup
+    from hyperflex.model import Setup, obstacle_tables
     from hyperflex.planning import CastPlan, InsertPlan, read_plan
 
     plan = read_plan(path)
@@ -166,6 +182,7 @@ def _of_plan(path: Path, again: dict[str, float | None]) -> dict[str, Any]:
     setup = Setup(known.rope, None, known.arm, pegs=pegs)
     tables: dict[str, Any] = tomllib.loads(setup.dumps())
     tables["limits"] = {field.name: getattr(known.limits, field.name) for field in fields(known.limits)}
+    tables |= {"behind": obstacle_tables(known.behind).get("pegs", {})}
     name = "slot" if isinstance(plan, InsertPlan) else "target"
     return tables if cast else tables | {name: {f.name: getattr(plan.target, f.name) for f in fields(plan.target)}}
 

@@ -73,6 +73,7 @@ def reach_map(
                 holding_force=holding_force,
                 clearance=task.clearance,
                 obstacles=[each for each in task.obstacles if each is not first],
+                behind=task.behind,
                 seed=seed,
                 threads=1,
                 executor=executor,

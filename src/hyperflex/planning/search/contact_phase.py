@@ -14,12 +14,13 @@ from hyperflex.motion import hold_arm
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps
 from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.routing import way_gaps
 from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
 from hyperflex.planning.search.strikes import arm_tip
 from hyperflex.planning.verification import FOLD, at_limits, limit_bend
 from hyperflex.simulation import Deadline, check_outside
 from hyperflex.trajectory import interpolated
-from hyperflex.winding import slid
+from hyperflex.winding import TOUCH, slid
 
 COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search; coarser ones of wound ropes took longer, not less
 SAMPLE_TIME, LOOK_TIME = 0.02, 0.005  # s, of samples; of looks at arm and obstacles, which a tip may pass in 20 ms
@@ -37,6 +38,8 @@ PASSING = 0.25  # weight of a turn that is undone again
 LATE_COST = 0.02  # turns that a second of delay costs
 # Turns that a rope costs that comes too near its arm, and up to as many more the longer it is there; half of these in s
 ARM_COST, ARM_TIME = 0.5, 0.3
+# The same for a rope that does not run behind a peg in the end, and as many more the farther off; half of these in m
+WAY_COST, WAY_GAP = 0.5, 0.05
 # A rope that is folded flat keeps of its score PLAIN and FOLDED of the rest: others come first. Coarse ropes have no
 # joint limits: where throws fold when verified they bent by 2.1 times the limit or more, else by half of it at most
 PLAIN, FOLDED = 1.0, 0.1
@@ -137,6 +140,9 @@ def _simulate_one(
         score, stay = score_winding(*ended, stop + SETTLING_TIME, begin)
         if stay >= MIN_TURNS:
             score -= SLIP_COST * _slip(now, settled, further - t[-1], arm)
+        if (apart := _way_apart(now, settled, further - t[-1], arm)) > TOUCH:
+            score -= max(min(stay, MAX_TURNS) - MIN_TURNS, 0.0) + WAY_COST * (1.0 + apart / (apart + WAY_GAP))
+            stay = min(stay, MIN_HOPE)
     if score > PLAIN and folded:
         score = PLAIN + FOLDED * (score - PLAIN)
     return score, stay
@@ -144,7 +150,7 @@ def _simulate_one(
 
 def _clear_of_peg(one: RolloutBatch, arm: Arm) -> bool:
     """Whether a rope keeps clear of its peg at the start: a coarse run may leave it too deep."""
-    return starts_outside(Setup(one.ropes[0], one.motions[0], arm, pegs=(one.pegs[0],)), 0.0, one.q[0])
+    return starts_outside(Setup(one.ropes[0], one.motions[0], arm, pegs=(one.pegs[0], *one.behind)), 0.0, one.q[0])
 
 
 def _time_near_arm(one: RolloutBatch, q: Array, qd: Array, t: Array, arm: Arm, clearance: float) -> float:
@@ -187,10 +193,11 @@ def check_sides(sides: Collection[int], peg: Peg) -> None:
 
 
 def check_start(cast_setup: CastSetup) -> None:
-    """Raise InvalidInput if the rope begins in an obstacle on all sides."""
-    if not free_sides(cast_setup, cast_setup.obstacles):
-        fix = "Move it; the rope hangs from the arm, which points to one side"
-        raise InvalidInput("the rope begins in an obstacle, whatever the arm's side", fix=fix)
+    """Raise InvalidInput if the rope begins in an obstacle, or a peg that it is to run behind, on all sides."""
+    for what, some in (("an obstacle", cast_setup.obstacles), ("a peg that it is to run behind", cast_setup.behind)):
+        if not free_sides(cast_setup, some):
+            fix = "Move it; the rope hangs from the arm, which points to one side"
+            raise InvalidInput(f"the rope begins in {what}, whatever the arm's side", fix=fix)
 
 
 def _run_on(
@@ -208,7 +215,7 @@ def _run_on(
         tol=COARSE_TOL,
         contact_step=COARSE_STEP,
         refine=False,
-        pegs=one.pegs,
+        pegs=[(peg, *one.behind) for peg in one.pegs],
         keep=("turns", "q", "qd"),
         time_budget=time_budget,
         threads=1,
@@ -219,12 +226,26 @@ def _run_on(
 
 def _slip(one: RolloutBatch, q: Array, t: Array, arm: Arm) -> float:
     """Slip of a rope in samples q (T, n) at times t (T,), s: 1/2 for SLIP metres, and 1 for a rope that comes off."""
+    way = float(np.abs(slid(one.ropes[0], one.pegs[0], q, _joints(one, q, t, arm))).max())
+    return way / (way + SLIP) if np.isfinite(way) else 1.0
+
+
+def _way_apart(one: RolloutBatch, q: Array, t: Array, arm: Arm) -> float:
+    """Greatest distance, m, of a rope's way to its target from a peg to run behind, in the last LAST seconds.
+
+    Samples q (T, n), rad, at times t (T,), s. 0 without such pegs.
+    """
+    some = t >= t[-1] - LAST
+    joints = _joints(one, q[some], t[some], arm)
+    return float(way_gaps(one.ropes[0], one.pegs[0], one.behind, q[some], joints).max(initial=0.0))
+
+
+def _joints(one: RolloutBatch, q: Array, t: Array, arm: Arm) -> Array:
+    """Joints (T, n + 1, 2), m, of a rope in samples q (T, n), rad, at times t (T,), s."""
     rope = one.ropes[0]
     links = rope.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
     base = arm_tip(arm, one.motions[0], t)[0][:, None]
-    joints = np.concatenate([base, base + np.cumsum(links, axis=1)], axis=1)
-    way = float(np.abs(slid(rope, one.pegs[0], q, joints)).max())
-    return way / (way + SLIP) if np.isfinite(way) else 1.0
+    return np.concatenate([base, base + np.cumsum(links, axis=1)], axis=1)
 
 
 def score_winding(t: Array, turns: Array, span: float, begin: float, *, last: float = LAST) -> tuple[float, float]:

@@ -45,7 +45,7 @@ class KnownStrikes:
             return None
         moved = moved_to(known, self.finer.rope, cast_setup.rope)
         motion = throw.cut(cast_setup.time, cast_setup.limits).motion(cast_setup.limits)
-        setup = Setup(cast_setup.rope, motion, cast_setup.arm, pegs=(self.peg, *cast_setup.obstacles))
+        setup = Setup(cast_setup.rope, motion, cast_setup.arm, pegs=cast_setup.beside(self.peg))
         try:
             for check in (check_outside, check_limits):
                 check(setup, float(moved.t[0]), moved.q[0])

@@ -21,8 +21,8 @@ class RolloutBatch:
     """A batch of M rollouts, each with a rope, a peg and a motion of its own.
 
     Motions begin with the rollout, at t = 0; without contact `pegs` may be empty. `q`, rad, and `qd`, rad/s, (M, n) are
-    those at the start, `since`, s, the time of the throw there. `obstacles`, not to be touched, are not
-    simulated.
+    those at the start, `since`, s, the time of the throw there. In contact there are the pegs `behind`, too, which
+    the rope is to run behind; `obstacles`, not to be touched, are not simulated.
     """
 
     ropes: Sequence[Rope]
@@ -32,6 +32,7 @@ class RolloutBatch:
     qd: Array
     since: float = 0.0
     obstacles: tuple[Obstacle, ...] = ()
+    behind: tuple[Peg, ...] = ()
 
     @classmethod
     def from_start(

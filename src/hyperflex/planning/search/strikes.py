@@ -1,4 +1,4 @@
-"""Free swings in batch: the first strike of the rope on the peg, and the energy of its tail there.
+"""Free swings in batch: the first strike of the rope on a peg, and the energy of its tail there.
 
 No contact is simulated, so a swing costs some milliseconds. The score is a heuristic: at the strike the tail is taken
 as a rigid body that turns about the peg, and its energy of turning is compared with the energy that lifts its centre of
@@ -70,7 +70,8 @@ def simulate_strikes(
 ) -> Strikes:
     """Simulate free swings from the start at t = 0 under each motion (M,), and find their first strikes on a peg.
 
-    Strikes are looked for `until` a time, s, at most. Swings that are not done when the time is over do not strike.
+    Or on one that the rope is to run behind, as of :func:`find_strikes`. Strikes are looked for `until` a time, s, at
+    most. Swings that are not done when the time is over do not strike.
     """
     count = max(2, int(np.ceil(min(cast_setup.time, until) / SAMPLE_TIME - 0.5)))
     t: Array = SAMPLE_TIME * np.arange(1.0, count + 1.0)
@@ -91,11 +92,16 @@ def find_strikes(
 ) -> Strikes:
     """Find the first strikes in samples q, qd (M, T, n) at times t (T,) of free swings under motions (M,).
 
-    A rope that comes too near an obstacle before, or with `own_arm` its arm or shaft, does not strike.
+    On the peg or on one that the rope is to run behind, whichever comes first: energies are about that one, turns about
+    `peg`, of what reaches beyond it. A rope that comes too near an obstacle before, or with `own_arm` its arm or shaft,
+    does not strike.
     """
     tips = {id(motion): arm_tip(cast_setup.arm, motion, t) for motion in {id(each): each for each in motions}.values()}
     base, base_velocity = (np.stack(each) for each in zip(*(tips[id(motion)] for motion in motions), strict=True))
-    at, link, least = first_contact(q, base, cast_setup.rope.length, peg, cast_setup.rope.radius)
+    rows, pegs = np.arange(len(motions)), (peg, *cast_setup.behind)
+    seen = [first_contact(q, base, cast_setup.rope.length, each, cast_setup.rope.radius) for each in pegs]
+    which = np.stack([np.where(at > 0, at, t.size) for at, *_ in seen]).argmin(axis=0)
+    at, link, least = (np.stack(part)[which, rows] for part in zip(*seen, strict=True))
     clear = clear_samples([cast_setup.rope] * len(q), cast_setup.obstacles, q, base, cast_setup.clearance)
     if own_arm:
         before = np.where(at > 0, at, t.size)
@@ -104,9 +110,10 @@ def find_strikes(
     struck = (at > 0) & (at <= clear) & np.isfinite(q).all(axis=(1, 2))
     blocked = (at > 0) & ~struck & (clear < t.size)
     least += np.where(blocked, 1.0 - clear / np.maximum(at, 1), 0.0)
-    rows, at = np.arange(len(motions)), np.where(struck, at, 1)
+    at = np.where(struck, at, 1)
     state, joint = (q[rows, at], qd[rows, at]), (base[rows, at], base_velocity[rows, at])
-    ratio, left = tail_energy(cast_setup, peg, state, joint, link)
+    energies = [_tail(cast_setup, each, peg, state, joint, link) for each in pegs]
+    ratio, left = (np.stack(part)[which, rows] for part in zip(*energies, strict=True))
     tail = np.clip(left - HANGING_TAIL, 0.0, MAX_TAIL)
     share = np.where(samples_unfolded(cast_setup.rope, q) < at, FOLDED, 1.0)
     return Strikes(
@@ -118,6 +125,23 @@ def find_strikes(
         qd[rows, at - 1],
         clear,
     )
+
+
+def _tail(
+    cast_setup: CastSetup,
+    struck: Peg,
+    target: Peg,
+    state: tuple[Array, Array],
+    base: tuple[Array, Array],
+    link: npt.NDArray[np.int64],
+) -> tuple[Array, Array]:
+    """As of :func:`tail_energy`, about the peg that is struck; turns are those about the target beyond it."""
+    ratio, left = tail_energy(cast_setup, struck, state, base, link)
+    if struck is target:
+        return ratio, left
+    radius, axis = cast_setup.rope.radius, struck.radius + cast_setup.rope.radius
+    beyond = 2.0 * np.pi * axis * left - np.hypot(target.x - struck.x, target.y - struck.y)
+    return ratio, np.maximum(beyond, 0.0) / (2.0 * np.pi * (target.radius + radius))
 
 
 def samples_unfolded(rope: Rope, q: Array) -> npt.NDArray[np.int64]:

@@ -59,7 +59,7 @@ class ThrowSearch:
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
-        sides = contact_phase.free_sides(self.cast_setup, (self.peg, *self.cast_setup.obstacles))
+        sides = contact_phase.free_sides(self.cast_setup, self.cast_setup.beside(self.peg))
         self.parametrizations = {side: ThrowParametrization(self.cast_setup, side) for side in sides}
         self._known = KnownStrikes(self.cast_setup.cut(FINER), self.peg)
         self._in_contact = self.cast_setup  # its links are those of runs in contact
@@ -321,7 +321,7 @@ class ThrowSearch:
         motions = [throw.motion(cast_setup.limits).shifted(-t) for throw, t in zip(throws, struck.t, strict=True)]
         count, budget = len(motions), contact_phase.run_budget(self.left, self.workers / len(motions))
         ropes, pegs, walls = [cast_setup.rope] * count, [self.peg] * count, cast_setup.obstacles
-        batch = RolloutBatch(ropes, pegs, motions, struck.q, struck.qd, obstacles=walls)
+        batch = RolloutBatch(ropes, pegs, motions, struck.q, struck.qd, obstacles=walls, behind=cast_setup.behind)
         given: dict[str, Any] = {"arm": cast_setup.arm, "clearance": cast_setup.clearance, "sweeping": True}
         given |= {"folding": self.folding, "time_budget": budget, "threads": self.threads}
         return contact_phase.simulate_contact(batch, struck.t, **given)

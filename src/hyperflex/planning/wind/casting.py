@@ -11,9 +11,10 @@ from hyperflex.interfaces import RopeState
 from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, checked_obstacles, cuts
 from hyperflex.motion import hold_arm
-from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.cast_setup import CastSetup, MotorLimits, refuse_behind
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
 from hyperflex.planning.robust.uncertainty import Uncertainty
+from hyperflex.planning.routing import checked_behind
 from hyperflex.planning.search.contact_phase import check_start
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import Clock
@@ -44,6 +45,7 @@ def plan_cast(
     contact: float | None = None,
     clearance: float = 0.0,
     obstacles: Sequence[Obstacle] = (),
+    behind: Sequence[Peg] = (),
     uncertainty: Uncertainty | None = None,
     time_budget: float = TIME_BUDGET,
     skip_feasibility: bool = False,
@@ -82,6 +84,9 @@ def plan_cast(
         Least distance of the rope from its own arm, the motor's shaft and obstacles, m, as of :class:`CastSetup`.
     obstacles : sequence of Peg, Wall, Ground
         That the rope must not touch on its way to the target and while it is watched: a wall, the floor, a person.
+    behind : sequence of Peg
+        That the rope is to run behind on its way from the arm to the target: in the end it touches each of them between
+        the arm and its first touch of the target. It may touch them before. Not with an uncertainty.
     uncertainty : Uncertainty, optional
         Of rope, target and motor. With it the plan is the throw that succeeds in most of the sampled scenarios, and its
         success probability is estimated from others.
@@ -151,14 +156,15 @@ def plan_cast(
     fallback, skip_feasibility = checks.flag("fallback", fallback), checks.flag("skip_feasibility", skip_feasibility)
     time = 0.0 if time_limit is None else checks.number("time_limit", time_limit, sign="nonnegative", unit="s")
     motor = MotorLimits() if limits is None else limits
-    obstacles = checked_obstacles(obstacles, "obstacles")
-    cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0, obstacles)
+    obstacles, behind = checked_obstacles(obstacles, "obstacles"), checked_behind(behind)
+    cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0, obstacles, behind)
+    if uncertainty is not None:
+        refuse_behind(cast_setup, "a plan with an uncertainty")
     if state0 is not None:
         cast_setup = _swinging(cast_setup, state0)
-    Setup(
-        cast_setup.rope, arm=cast_setup.arm, pegs=(target, *cast_setup.obstacles)
-    )  # refuses, before any search, what cannot touch a peg
-    cuts(cast_setup.rope, (target,), arm=cast_setup.arm)  # or not be wound round it
+    # Refuses, before any search, what cannot touch a peg
+    Setup(cast_setup.rope, arm=cast_setup.arm, pegs=cast_setup.beside(target))
+    cuts(cast_setup.rope, (target, *behind), arm=cast_setup.arm)  # or not be wound round it
     if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
         raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
     check_start(cast_setup)
@@ -190,6 +196,7 @@ def plan_cast(
                     "contact": contact,
                     "clearance": clearance,
                     "obstacles": obstacles,
+                    "behind": behind,
                     "uncertainty": uncertainty,
                 }
                 given |= {"time_budget": time_budget, "seed": seed, "threads": threads}

@@ -93,13 +93,13 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     asked = checks.number("holding_force", holding_force, sign="nonnegative", unit="N")
     rope = cast_setup.rope
     far, aside = _place(cast_setup, peg)
-    axis = peg.radius + rope.radius
-    room = (rope.total_length - far + axis) / (2.0 * math.pi * axis)
-    needed = _needed(far, aside, axis, cast_setup.contact)
+    axis, way = peg.radius + rope.radius, _way(cast_setup, peg, far)
+    room = (rope.total_length - way + axis) / (2.0 * math.pi * axis)
+    needed = _needed(way, aside, axis, cast_setup.contact)
     energy = _energy(cast_setup, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
-    holding = _hold(cast_setup, peg, room, _contact(far, aside, axis), _straight(far, axis))
-    impossible, message = _geometry(cast_setup, far, axis, room, needed)
-    if inside := [each for each in cast_setup.obstacles if holds(each, peg.x, peg.y)]:
+    holding = _hold(cast_setup, peg, room, _contact(way, aside, axis), _straight(way, axis))
+    impossible, message = _geometry(cast_setup, far, way, axis, room, needed)
+    if inside := [each for each in (*cast_setup.behind, *cast_setup.obstacles) if holds(each, peg.x, peg.y)]:
         impossible, message = True, f"the target lies in {named(inside[0])}"
     elif not message and (blocked := _blocked(cast_setup, peg)):
         message = f"out of reach: {blocked}"
@@ -117,14 +117,16 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     return Feasibility(room, needed, energy, holding, impossible, message)
 
 
-def _geometry(cast_setup: CastSetup, far: float, axis: float, room: float, needed: float) -> tuple[bool, str]:
+def _geometry(
+    cast_setup: CastSetup, far: float, way: float, axis: float, room: float, needed: float
+) -> tuple[bool, str]:
     """Return whether geometry alone rules the target out, and a message; empty if nothing is wrong."""
-    short = far - axis - cast_setup.rope.total_length - cast_setup.arm.length
+    short = way - axis - cast_setup.rope.total_length - cast_setup.arm.length
     if short > 0.0:
         return True, f"out of reach: the rope ends {short:.2f} m short of the target"
     if far - axis <= cast_setup.arm.length:
         return True, "inside the arm's circle: the arm would strike the target"
-    most = _most(cast_setup, far, axis)
+    most = _most(cast_setup, way, axis)
     if most < MIN_TURNS:
         reason = f"with all of the rope round the target it makes {most:.2f} turns, {MIN_TURNS:g} asked"
         return True, f"out of reach: {reason}"
@@ -137,9 +139,9 @@ def _geometry(cast_setup: CastSetup, far: float, axis: float, room: float, neede
 def _blocked(cast_setup: CastSetup, peg: Peg) -> str:
     """Return which obstacle leaves a wound rope no room, and where, in words; "" if there is room.
 
-    It goes round the target, and straight to one of its sides from where the arm may stand.
+    It goes round the target, and straight to one of its sides from where the arm may stand, unless behind pegs.
     """
-    obstacles, rope, arm = cast_setup.obstacles, cast_setup.rope, cast_setup.arm
+    obstacles, rope, arm = (*cast_setup.behind, *cast_setup.obstacles), cast_setup.rope, cast_setup.arm
     if not obstacles:
         return ""
     centre: Array = np.array([[peg.x, peg.y]])
@@ -148,6 +150,8 @@ def _blocked(cast_setup: CastSetup, peg: Peg) -> str:
     if room[beside] < needed:
         left = f"leaves {1e3 * max(room[beside], 0.0):.3g} mm beside the target"
         return f"{named(obstacles[beside])} {left}, the rope takes {1e3 * needed:.3g}"
+    if cast_setup.behind:  # its way is not straight
+        return ""
     tips = arm.tip(np.linspace(*cast_setup.limits.angles, ARM_ANGLES))
     ways = centre - tips
     aside = (peg.radius + rope.radius) * np.stack([-ways[:, 1], ways[:, 0]], axis=-1) / np.hypot(*ways.T)[:, None]
@@ -223,6 +227,15 @@ def _place(cast_setup: CastSetup, peg: Peg) -> tuple[float, float]:
     down, (x0, y0) = np.array(cast_setup.rope.gravity), cast_setup.arm.pivot
     x, y = peg.x - x0, peg.y - y0
     return math.hypot(x, y), math.atan2(abs(x * down[1] - y * down[0]), x * down[0] + y * down[1])
+
+
+def _way(cast_setup: CastSetup, peg: Peg, far: float) -> float:
+    """Least way from the shaft to a target at distance `far`, all in m, by any one of the pegs to run behind."""
+    (x0, y0), ways = cast_setup.arm.pivot, [far]
+    for each in cast_setup.behind:
+        past = math.hypot(each.x - x0, each.y - y0) + math.hypot(peg.x - each.x, peg.y - each.y)
+        ways.append(past - 2.0 * (each.radius + cast_setup.rope.radius))
+    return max(ways)
 
 
 def _widest(rope: Rope) -> float:

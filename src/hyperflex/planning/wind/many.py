@@ -11,6 +11,7 @@ from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.interruption import CaughtInterrupt, catch_interrupt, interruptible
 from hyperflex.model import Arm, Peg, Rope, checked_obstacles
 from hyperflex.planning.cast_setup import MotorLimits
+from hyperflex.planning.routing import checked_behind
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.casting import plan_cast
 from hyperflex.progress import progress_bar
@@ -101,6 +102,8 @@ def plan_each(
     options = {**options, "start_from": list(options.get("start_from", ()))}
     if "obstacles" in options:
         options = {**options, "obstacles": checked_obstacles(options["obstacles"], "obstacles")}
+    if "behind" in options:
+        options = {**options, "behind": checked_behind(options["behind"])}
     alone = _apart(targets, NEAR * checks.instance("rope", rope, Rope).total_length)
     plans: dict[int, CastPlan] = {}
     todo: list[_Asked] = []

@@ -15,7 +15,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope, Setup, checked_obstacles
-from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.cast_setup import CastSetup, MotorLimits, refuse_behind
 from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.many import plan_each
@@ -166,7 +166,7 @@ def build_reach_map(
     Raises
     ------
     InvalidInput
-        If an argument is out of range or of another class.
+        If an argument is out of range or of another class, or there are pegs `behind`.
     WorkerLost
         If targets kill the workers of the executor.
     Interrupted
@@ -188,9 +188,11 @@ def build_reach_map(
     """
     if "obstacles" in options:
         options["obstacles"] = checked_obstacles(options["obstacles"], "obstacles")
-    known = {name: options[name] for name in ("clearance", "side", "obstacles") if options.get(name) is not None}
+    named = ("clearance", "side", "obstacles", "behind")
+    known = {name: options[name] for name in named if options.get(name) is not None}
     known |= {"time": options.get("time_limit") or 0.0, "contact": options.get("contact") or 0.0}
     cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, **known)
+    refuse_behind(cast_setup, "a reach map")
     middle, far = cast_setup.arm.pivot, cast_setup.arm.length + cast_setup.rope.total_length
     count = checks.count("cells", cells)
     steps = (np.arange(count) + 0.5) * far / count

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Rope
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.wind.feasibility import check_feasibility
@@ -24,7 +25,14 @@ def find_remedies(cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0
     rope, arm, limits = cast_setup.rope, cast_setup.arm, cast_setup.limits
 
     def least(changed: Callable[[float], tuple[CastSetup, Peg]], most: float = MAX_FACTOR) -> float:
-        return _least(lambda factor: check_feasibility(*changed(factor), holding_force=holding_force).feasible, most)
+        def good(factor: float) -> bool:
+            try:
+                known = changed(factor)
+            except InvalidInput:  # no set-up: a longer arm hits an obstacle, say
+                return False
+            return check_feasibility(*known, holding_force=holding_force).feasible
+
+        return _least(good, most)
 
     factors = {
         "speed": least(lambda f: (replace(cast_setup, limits=_faster(limits, f, 1.0)), peg), MAX_SPEED_FACTOR),

@@ -22,7 +22,8 @@ def strike_figure(plan: CastPlan) -> "Figure":
     run = plan.required(plan.run, "run")
     middle = _strike(plan) if np.isfinite(_strike(plan)) else _stop(plan) - _AFTER
     start, end = max(middle - _BEFORE, run.t[0]), min(middle + _AFTER, run.t[-1])
-    title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); red: the target"
+    red = "the target, and pegs before it" if plan.cast_setup.behind else "the target"
+    title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); red: {red}"
     walls = plan.cast_setup.obstacles
     return strobe_figure(run, start=float(start), end=float(end), count=56, title=title, obstacles=walls)
 

@@ -1,0 +1,196 @@
+"""Casts behind pegs: the rope's way from the arm to its target, strikes on these pegs, files, and a planned cast."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hyperflex as hf
+from hyperflex.cli.plan.planner import read_task
+from hyperflex.errors import InvalidInput
+from hyperflex.planning import Uncertainty, build_whip_map, check_feasibility, read_plan, verify_cast
+from hyperflex.planning.outcome import MIN_TURNS, evaluate_cast
+from hyperflex.planning.routing import runs_behind, way_gaps
+from hyperflex.planning.search.contact_phase import MIN_HOPE, simulate_contact
+from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.verification import verified_setup
+from hyperflex.report.plan import _obstacles
+from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
+
+CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=30, radius=0.003, friction=2e-4)
+ARM, TARGET, BEFORE = hf.Arm(length=0.2), hf.Peg(-0.5, -0.7, 0.03), hf.Peg(-0.25, -0.35, 0.03)
+
+ROD = hf.Rope.uniform(length=1.0, mass=0.1, n_links=5, radius=0.01)
+STRAIGHT = np.zeros((3, 5)), np.zeros((3, 2))  # three samples of a rope that hangs straight down
+
+
+def beside(down: float, gap: float = 0.0) -> hf.Peg:
+    """Return a peg at the side of a rope that hangs straight down, `gap`, m, from its surface."""
+    return hf.Peg(0.03 + ROD.radius + gap, -down, 0.03)
+
+
+def laid(*pegs: hf.Peg, target: hf.Peg) -> tuple[bool, ...]:
+    return runs_behind(ROD, target, pegs, STRAIGHT[0], ROD.joints(*STRAIGHT))
+
+
+def test_a_rope_runs_behind_what_it_touches_between_arm_and_target() -> None:
+    assert laid(beside(0.3), target=beside(0.7)) == (True,)
+    assert laid(beside(0.7), target=beside(0.3)) == (False,)  # beyond the target
+    assert laid(beside(0.3, gap=0.001), target=beside(0.7)) == (False,)
+    assert laid(beside(0.3), beside(0.5, gap=0.01), beside(0.1), target=beside(0.7)) == (True, False, True)
+    assert laid(target=beside(0.7)) == ()
+
+
+def test_the_place_along_the_rope_counts_within_a_link_too() -> None:
+    assert laid(beside(0.45), target=beside(0.55)) == (True,)  # both beside the third link
+    assert laid(beside(0.55), target=beside(0.45)) == (False,)
+
+
+def test_a_touch_that_does_not_last_is_none() -> None:
+    q = np.zeros((3, 5))
+    q[1] = -0.01  # away from the peg
+    joints = ROD.joints(q, np.zeros((3, 2)))
+    assert runs_behind(ROD, beside(0.7), [beside(0.3)], q, joints) == (False,)
+    gaps = way_gaps(ROD, beside(0.7), [beside(0.3)], q, joints)[:, 0]
+    np.testing.assert_allclose(gaps[[0, 2]], 0.0, atol=1e-12)
+    assert gaps[1] == pytest.approx(0.3 * 0.01, rel=0.2)  # where the target is not touched, the way ends at the tip
+
+
+def test_a_cast_that_does_not_run_behind_a_peg_fails_and_says_which() -> None:
+    run = planned().run
+    assert run is not None
+    stop = float(planned().motion.breaks[-1])  # type: ignore[union-attr]
+    taut = run.joints[-1, 0] + 0.5 * (np.array([PEG.x, PEG.y]) - run.joints[-1, 0])
+    lies = run.joints[-1][np.hypot(*(run.joints[-1] - taut).T).argmin()]
+    for aside, behind in ((0.0, True), (0.1, False)):  # m; the rope sways by 1 cm
+        peg = hf.Peg(float(lies[0]) + aside, float(lies[1]), 0.03)
+        seen = evaluate_cast(replace(cast_setup(), behind=[peg]), PEG, run, stop)
+        assert seen.runs_behind == (behind,)
+        assert seen.success == behind
+        place = f"({peg.x:.4g}, {peg.y:.4g}) m"
+        assert seen.message == ("" if behind else f"the rope does not run behind the peg at {place}")
+
+
+def test_pegs_to_run_behind_are_simulated_and_links_cut_near_them() -> None:
+    before = hf.Peg(-0.4, -0.5, 0.01)
+    setup = verified_setup(replace(cast_setup(), behind=[before]), hf.hold_arm(0.0), 1.0, (PEG,))
+    assert setup.pegs == (PEG, before)
+    assert setup.rope.n_links > verified_setup(cast_setup(), hf.hold_arm(0.0), 1.0, (PEG,)).rope.n_links
+
+
+def test_a_swing_strikes_the_peg_that_it_meets_first() -> None:
+    free = simulated_strikes(cast_setup(), PEG, [WINDS])
+    before, never = hf.Peg(0.5 * PEG.x, 0.5 * PEG.y, 0.03), hf.Peg(0.0, 1.9, 0.03)
+    alone = simulated_strikes(cast_setup(), before, [WINDS])
+    assert alone.t[0] < free.t[0]
+    first = simulated_strikes(replace(cast_setup(), behind=[before]), PEG, [WINDS])
+    assert (first.t[0], first.energy_ratio[0]) == (alone.t[0], alone.energy_ratio[0])
+    np.testing.assert_array_equal(first.q, alone.q)
+    axis, away = 0.03 + CABLE.radius, np.hypot(PEG.x - before.x, PEG.y - before.y)
+    left = (2.0 * np.pi * axis * alone.tail_turns[0] - away) / (2.0 * np.pi * (PEG.radius + CABLE.radius))
+    assert first.tail_turns[0] == pytest.approx(left, rel=1e-12)
+    same = simulated_strikes(replace(cast_setup(), behind=[never]), PEG, [WINDS])
+    assert (same.t[0], same.score[0], same.tail_turns[0]) == (free.t[0], free.score[0], free.tail_turns[0])
+
+
+def test_turns_of_a_throw_that_misses_a_peg_do_not_count() -> None:
+    free = simulated_strikes(cast_setup(), PEG, [WINDS])
+    motion = WINDS.motion(cast_setup().limits).shifted(-free.t[0])
+    one = RolloutBatch([CABLE], [PEG], [motion], free.q, free.qd)
+    on = simulate_contact(one, free.t, arm=cast_setup().arm)
+    near, far = (
+        simulate_contact(replace(one, behind=(hf.Peg(0.3, y, 0.03),)), free.t, arm=cast_setup().arm) for y in (0.5, 1.5)
+    )
+    assert on.turns[0] >= MIN_TURNS
+    assert far.turns[0] == near.turns[0] == MIN_HOPE
+    assert 0.0 < far.score[0] < near.score[0] < on.score[0]
+
+
+def test_pegs_to_run_behind_go_with_a_plan_through_its_files(tmp_path: Path) -> None:
+    pegs = (BEFORE, hf.Peg(-0.4, -0.5, 0.01, 0.2))
+    known = replace(planned(), cast_setup=replace(cast_setup(), behind=pegs, obstacles=[hf.Ground(0.0, -2.5)]))
+    known = replace(known, outcome=replace(known.outcome, runs_behind=(True, False)))
+    known.to_toml(tmp_path / "cast.toml")
+    again = read_plan(tmp_path / "cast.toml")
+    assert again.cast_setup == known.cast_setup
+    assert again.outcome.runs_behind == (True, False)
+    assert hf.Setup.from_toml(tmp_path / "cast.toml").pegs == (PEG, *pegs, hf.Ground(0.0, -2.5))
+    task = read_task(tmp_path / "cast.toml", None, None, {}, None)
+    assert (task.behind, task.obstacles) == (pegs, (PEG, hf.Ground(0.0, -2.5)))
+    said = _obstacles(known.cast_setup)
+    assert "run on its way from the arm to the target: a peg at (-0.25, -0.35) m, radius" in said
+
+
+def test_a_setup_file_tells_what_to_run_behind(tmp_path: Path) -> None:
+    path = tmp_path / "setup.toml"
+    text = hf.Setup(CORD, arm=ARM, pegs=[TARGET]).dumps()
+    path.write_text(text + "\n[behind]\nx = -0.25\ny = -0.35\nradius = 0.03\n", "utf-8")
+    assert read_task(path, None, None, {}, None).behind == (BEFORE,)
+    assert hf.Setup.from_toml(path).pegs == (TARGET,)  # a run leaves it alone
+    path.write_text(text + "\n[behind]\nx = -0.25\nspeed = 1.0\n", "utf-8")
+    with pytest.raises(InvalidInput, match="speed"):
+        read_task(path, None, None, {}, None)
+
+
+def test_what_cannot_be_run_behind_is_refused() -> None:
+    who = replace(cast_setup(), behind=[BEFORE])
+    for each in (hf.Wall(-0.3, -0.3, -0.3, -0.5), hf.Peg(-0.3, -0.4, 0.03, inertia=1e-4)):
+        with pytest.raises(InvalidInput, match="led behind fixed pegs alone"):
+            replace(cast_setup(), behind=[each])
+    with pytest.raises(InvalidInput, match="behind holds something else"):
+        hf.plan_cast(CORD, ARM, TARGET, behind=BEFORE)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="turning arm hits the peg"):
+        hf.plan_cast(CORD, ARM, TARGET, behind=[hf.Peg(0.1, 0.1, 0.01)])
+    with pytest.raises(InvalidInput, match="begins in a peg that it is to run behind"):
+        hf.plan_cast(CORD, ARM, TARGET, behind=[hf.Peg(side, -0.5, 0.03) for side in (-0.2, 0.2)])
+    asked = {"behind": [BEFORE], "uncertainty": Uncertainty()}
+    for words, call in (
+        ("a plan with an uncertainty", lambda: hf.plan_cast(CORD, ARM, TARGET, **asked)),
+        ("an uncertainty", lambda: Uncertainty().sample(1, who, PEG)),
+        ("a reach map", lambda: hf.build_reach_map(CORD, ARM, x=[0.5], y=[-0.7], behind=[BEFORE])),
+        ("a plan that is followed", lambda: hf.follow_plan(replace(planned(), cast_setup=who), None)),  # type: ignore[arg-type]
+        ("a whip", lambda: build_whip_map(who, swings=1)),
+    ):
+        with pytest.raises(InvalidInput, match=f"^{words} takes no pegs that the rope is to run behind"):
+            call()
+
+
+def test_the_way_round_counts_as_the_way_to_the_target() -> None:
+    who = replace(cast_setup(), rope=CORD, arm=ARM)
+    straight, beside_it = (
+        check_feasibility(replace(who, behind=[peg]), TARGET) for peg in (BEFORE, hf.Peg(-0.45, -0.1, 0.02))
+    )
+    assert straight.available_turns == pytest.approx(check_feasibility(who, TARGET).available_turns)
+    way = np.hypot(0.45, 0.1) + np.hypot(0.05, 0.6) - np.hypot(0.5, 0.7) - 2.0 * 0.023
+    assert straight.available_turns - beside_it.available_turns == pytest.approx(way / (2.0 * np.pi * 0.033))
+    assert check_feasibility(replace(who, behind=[TARGET]), TARGET).message.startswith("the target lies in the peg")
+    tight = check_feasibility(replace(who, behind=[hf.Peg(-0.46, -0.65, 0.03)]), TARGET).message
+    assert "beside the target, the rope takes 6" in tight
+    far = hf.plan_cast(CORD, ARM, hf.Peg(-0.5, -1.0, 0.03), behind=[hf.Peg(-0.5, 0.0, 0.03)])
+    assert far.status == 1
+    assert not any("arm" in each for each in far.remedies)  # a longer one would hit the peg
+
+
+def test_a_cast_behind_a_peg_is_found_and_touches_both() -> None:
+    plan = hf.plan_cast(
+        CORD, ARM, TARGET, behind=[BEFORE], contact=0.0, on_plan=lambda plan: True, time_budget=300.0, threads=1
+    )
+    assert plan.success, plan.message
+    assert plan.outcome.runs_behind == plan.finer_outcome.runs_behind == (True,)
+    run = plan.run
+    assert run.setup.pegs == (TARGET, BEFORE)
+    share = np.linspace(0.0, 1.0, 51)[:, None]
+    links = zip(run.joints[-1, :-1], run.joints[-1, 1:], strict=True)
+    points = np.concatenate([a * (1.0 - share) + b * share for a, b in links])
+    at = []
+    for peg in (BEFORE, TARGET):
+        gap = np.hypot(*(points - [peg.x, peg.y]).T) - peg.radius - CORD.radius
+        assert abs(gap.min()) < 2e-4
+        at.append(int((gap < 2e-4).argmax()))
+    assert at[0] < at[1]
+    finer = verify_cast(plan.cast_setup.cut(2), TARGET, plan.motion, tol=0.2 * hf.model.DEFAULT_TOL, contact_step=1e-4)
+    assert finer.success, finer.message
+    assert finer.runs_behind == (True,)
