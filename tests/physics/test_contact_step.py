@@ -11,7 +11,8 @@ import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
-from hyperflex.core.contact.modes import STIFF
+from hyperflex.core.contact.arrays import OPEN
+from hyperflex.core.contact.modes import ALL, EVEN, LOOSEST, NONE, STIFF, USUAL_TOL, looseness, update_modes
 from hyperflex.core.contact.step import new_contact_memory, new_contact_workspace, save_memory, try_step
 from tests.reference.wrapping import laid
 
@@ -88,3 +89,28 @@ def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> No
         known.append(memory.penalty[0])
     assert np.all(np.diff(known) >= 0.0)
     assert known[-1] == pytest.approx(STIFF * rope.total_mass, rel=1e-12)
+
+
+@pytest.mark.parametrize(("which", "first", "by"), [(NONE, 0, 1), (ALL, 0, 1), (EVEN, 0, 2), (EVEN + 1, 1, 2)])
+def test_a_round_changes_all_contacts_that_break_the_law_or_every_second_one(which: int, first: int, by: int) -> None:
+    length = TOP + math.pi * RADIUS + 0.15
+    rope = hf.Rope.uniform(length, 0.05, round(length / 0.01), friction=1e-5, gravity=(0.0, 9.81))
+    q = laid(rope.length, (-RADIUS, TOP), RADIUS, math.pi)
+    still = hf.moving_pivot([0.0, 1.0], [-RADIUS] * 2, [TOP] * 2)
+    setup = hf.Setup(rope, still, q0=q, pegs=[hf.Peg(0.0, 0.0, RADIUS, 0.3)])
+    chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
+    pegs, memory = setup.contacts(), new_contact_memory(rope.n_links, 1)
+    workspace, y = new_contact_workspace(chain, pegs, 1e-6, 1e-4, 1e-5), np.concatenate([q, np.zeros(rope.n_links + 2)])
+    try_step(chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, STEP, y, memory, workspace, True, 0.0, True)
+    impulses, count = workspace.impulses, int(workspace.contacts.total[0])
+    assert count > 10
+    impulses.mode[:count], impulses.target[:count] = OPEN, -1.0  # all are open, and close faster than they may
+    given = workspace.contacts, impulses, workspace.motion, workspace.joints, workspace.spin
+    assert update_modes(*given, rope.total_mass, which) == count
+    changed = np.flatnonzero(impulses.mode[:count] != OPEN)
+    np.testing.assert_array_equal(changed, [] if which == NONE else np.arange(first, count, by))
+
+
+def test_a_solution_may_leave_more_in_proportion_to_the_tolerance() -> None:
+    tolerances = np.array([1e-8, 1e-5, 1e-4, 1.0])
+    np.testing.assert_allclose([looseness(tol) for tol in tolerances], [1.0, 1.0, 1e-4 / USUAL_TOL, LOOSEST])
