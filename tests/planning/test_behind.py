@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.cli.app import run
 from hyperflex.cli.plan.planner import read_task
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import Uncertainty, build_whip_map, check_feasibility, read_plan, verify_cast
 from hyperflex.planning.outcome import MIN_TURNS, evaluate_cast
 from hyperflex.planning.routing import runs_behind, way_gaps
-from hyperflex.planning.search.contact_phase import MIN_HOPE, simulate_contact
+from hyperflex.planning.search.contact_phase import MIN_HOPE, WAY_COST, _way_apart, _way_cost, simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.verification import verified_setup
 from hyperflex.report.plan import _obstacles
@@ -109,6 +110,21 @@ def test_turns_of_a_throw_that_misses_a_peg_do_not_count() -> None:
     assert 0.0 < far.score[0] < near.score[0] < on.score[0]
 
 
+def test_a_run_that_ends_in_nothing_scores_as_one_that_is_far_from_the_peg() -> None:
+    one = RolloutBatch([CABLE], [PEG], [WINDS.motion(cast_setup().limits)], *np.zeros((2, 1, 50)), behind=(BEFORE,))
+    t, q = np.linspace(0.0, 1.0, 5), np.full((5, 50), np.nan)
+    assert _way_apart(one, q, t, ARM) == np.inf
+    assert _way_cost(np.inf) == 2.0 * WAY_COST > _way_cost(1.0) > _way_cost(0.01) > WAY_COST
+
+
+@pytest.mark.parametrize("asked", [("whip", "--target", -0.5, -0.7), ("insert", "--slot", -0.5, -0.7)])
+def test_commands_that_do_not_know_these_pegs_refuse_them(asked: tuple[object, ...], tmp_path: Path, capsys) -> None:
+    path = tmp_path / "setup.toml"
+    path.write_text(hf.Setup(CORD, arm=ARM).dumps() + "\n[behind]\nx = -0.25\ny = -0.35\nradius = 0.03\n", "utf-8")
+    assert run([str(each) for each in (*asked, path, "--output", tmp_path / "out")]) == 2
+    assert "takes no pegs that the rope is to run behind" in " ".join(capsys.readouterr().err.split())
+
+
 def test_pegs_to_run_behind_go_with_a_plan_through_its_files(tmp_path: Path) -> None:
     pegs = (BEFORE, hf.Peg(-0.4, -0.5, 0.01, 0.2))
     known = replace(planned(), cast_setup=replace(cast_setup(), behind=pegs, obstacles=[hf.Ground(0.0, -2.5)]))
@@ -146,9 +162,17 @@ def test_what_cannot_be_run_behind_is_refused() -> None:
         hf.plan_cast(CORD, ARM, TARGET, behind=[hf.Peg(0.1, 0.1, 0.01)])
     with pytest.raises(InvalidInput, match="begins in a peg that it is to run behind"):
         hf.plan_cast(CORD, ARM, TARGET, behind=[hf.Peg(side, -0.5, 0.03) for side in (-0.2, 0.2)])
+    with pytest.raises(InvalidInput, match="is given twice"):
+        replace(who, behind=[BEFORE, BEFORE])
+    with pytest.raises(InvalidInput, match="is an obstacle, too"):
+        replace(who, obstacles=[BEFORE])
+    blocked = {"behind": [hf.Peg(-0.2, -0.5, 0.03)], "obstacles": [hf.Peg(0.2, -0.5, 0.03)]}
+    with pytest.raises(InvalidInput, match="begins in an obstacle or a peg that it is to run behind"):
+        hf.plan_cast(CORD, ARM, TARGET, **blocked)
     asked = {"behind": [BEFORE], "uncertainty": Uncertainty()}
     for words, call in (
         ("a plan with an uncertainty", lambda: hf.plan_cast(CORD, ARM, TARGET, **asked)),
+        ("a holding force", lambda: hf.plan_cast(CORD, ARM, TARGET, behind=[BEFORE], holding_force=1.0)),
         ("an uncertainty", lambda: Uncertainty().sample(1, who, PEG)),
         ("a reach map", lambda: hf.build_reach_map(CORD, ARM, x=[0.5], y=[-0.7], behind=[BEFORE])),
         ("a plan that is followed", lambda: hf.follow_plan(replace(planned(), cast_setup=who), None)),  # type: ignore[arg-type]
@@ -169,6 +193,8 @@ def test_the_way_round_counts_as_the_way_to_the_target() -> None:
     assert check_feasibility(replace(who, behind=[TARGET]), TARGET).message.startswith("the target lies in the peg")
     tight = check_feasibility(replace(who, behind=[hf.Peg(-0.46, -0.65, 0.03)]), TARGET).message
     assert "beside the target, the rope takes 6" in tight
+    wide = replace(who, behind=[hf.Peg(-0.43, -0.62, 0.03)], clearance=0.1)  # from obstacles alone, not from these
+    assert check_feasibility(wide, TARGET).message == check_feasibility(replace(wide, clearance=0.0), TARGET).message
     far = hf.plan_cast(CORD, ARM, hf.Peg(-0.5, -1.0, 0.03), behind=[hf.Peg(-0.5, 0.0, 0.03)])
     assert far.status == 1
     assert not any("arm" in each for each in far.remedies)  # a longer one would hit the peg
@@ -180,10 +206,10 @@ def test_a_cast_behind_a_peg_is_found_and_touches_both() -> None:
     )
     assert plan.success, plan.message
     assert plan.outcome.runs_behind == plan.finer_outcome.runs_behind == (True,)
-    run = plan.run
-    assert run.setup.pegs == (TARGET, BEFORE)
+    seen = plan.run
+    assert seen.setup.pegs == (TARGET, BEFORE)
     share = np.linspace(0.0, 1.0, 51)[:, None]
-    links = zip(run.joints[-1, :-1], run.joints[-1, 1:], strict=True)
+    links = zip(seen.joints[-1, :-1], seen.joints[-1, 1:], strict=True)
     points = np.concatenate([a * (1.0 - share) + b * share for a, b in links])
     at = []
     for peg in (BEFORE, TARGET):

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from hyperflex.planning.robust.posterior import RopePosterior
     from hyperflex.planning.robust.scenario_rollouts import SuccessProbability, estimate_success_probability
     from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty, scaled_rope
+    from hyperflex.planning.routing import checked_behind, refuse_behind
     from hyperflex.planning.throw import Throw
     from hyperflex.planning.tip.aim import FRICTION_STD, LENGTH_STD, TIMING_STD
     from hyperflex.planning.tip.strokes import Strokes

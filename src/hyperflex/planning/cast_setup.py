@@ -159,7 +159,12 @@ class CastSetup:
         self._check_start()
 
     def _check_obstacles(self) -> None:
-        """Refuse what the turning arm would hit."""
+        """Refuse what the turning arm would hit, and pegs that are to be touched and not to be touched."""
+        for k, peg in enumerate(self.behind):
+            if peg in self.obstacles or peg in self.behind[:k]:
+                how = "given twice" if peg in self.behind[:k] else "an obstacle, too"
+                fix = "Give it once, in behind alone"
+                raise InvalidInput(f"a peg that the rope is to run behind is {how}", got=peg, fix=fix)
         pivot: Array = np.array([self.arm.pivot])
         for each in (*self.behind, *self.obstacles):
             room = float(obstacle_gaps((each,), pivot, pivot)[0, 0]) - self.arm.length - self.arm.radius
@@ -198,10 +203,3 @@ class CastSetup:
         """Return the same with each link of the rope cut into pieces."""
         q0, qd0 = (tuple(np.repeat(each, pieces)) for each in (self.q0, self.qd0))
         return replace(self, rope=divided(self.rope, pieces), q0=q0, qd0=qd0)
-
-
-def refuse_behind(cast_setup: CastSetup, what: str) -> None:
-    """Raise InvalidInput where the rope is to run behind pegs, for `what` does not take these."""
-    if cast_setup.behind:
-        got = f"{len(cast_setup.behind)} pegs"
-        raise InvalidInput(f"{what} takes no pegs that the rope is to run behind", got=got, fix="Leave out behind")

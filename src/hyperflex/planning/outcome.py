@@ -80,7 +80,7 @@ class CastOutcome:
         fall to either side.
     runs_behind : tuple of bool
         Whether the rope runs behind each of the set-up's pegs `behind`: all through the watch it touches the peg
-        between the arm and its first touch of the target.
+        between the arm and its first touch of the target. Empty where the simulation failed.
     run : Trajectory or None
         The run; None if the simulation failed, or if the outcome was read from a file.
     """

@@ -20,6 +20,13 @@ def checked_behind(pegs: object) -> tuple[Peg, ...]:
     return tuple(each for each in given if isinstance(each, Peg))
 
 
+def refuse_behind(pegs: Sequence[Peg], what: str) -> None:
+    """Raise InvalidInput where there are pegs that the rope is to run behind, for `what` does not take these."""
+    if pegs:
+        words = f"{what} takes no pegs that the rope is to run behind"
+        raise InvalidInput(words, got=f"{len(pegs)} pegs", fix="Leave out behind")
+
+
 def way_gaps(rope: Rope, target: Peg, behind: Sequence[Peg], q: Array, joints: Array) -> Array:
     """Return how far the rope's way to a target is from each of w pegs (T, w), m; infinite where it has no such way.
 

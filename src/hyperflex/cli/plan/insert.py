@@ -79,12 +79,13 @@ def insert(
 
     The exit code is 4 if no way through the slot was found; the best is written all the same, with the reason.
     """
-    from hyperflex.planning import Slot, plan_insert
+    from hyperflex.planning import Slot, plan_insert, refuse_behind
     from hyperflex.report import InsertReport, check_folder
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits, clearance)
+    refuse_behind(task.behind, "an insertion")
     table = {name: value for name, value in task.slot.items() if value != math.inf}
     may_touch = checks.flag("slot touching", table.pop("touching", False)) or touching
     options = {"direction": direction, "width": width, "depth": depth, "wall": wall, "tube": tube}

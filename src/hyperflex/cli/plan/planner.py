@@ -149,6 +149,7 @@ def read_task(
 def _behind(content: Mapping[str, Any]) -> tuple[Peg, ...]:
     """Return the pegs of the table [behind] of a set-up file, whose keys are those of [pegs]."""
     from hyperflex.model import Peg, obstacles_of
+    from hyperflex.planning import checked_behind
 
     table = content.get("behind", {})
     if not isinstance(table, Mapping):
@@ -156,7 +157,7 @@ def _behind(content: Mapping[str, Any]) -> tuple[Peg, ...]:
     if not table:
         return ()
     checks.keys("the table [behind]", table, [field.name for field in fields(Peg)])
-    return tuple(each for each in obstacles_of({"pegs": table}) if isinstance(each, Peg))
+    return checked_behind(obstacles_of({"pegs": table}))
 
 
 def _of_plan(path: Path, again: dict[str, float | None]) -> dict[str, Any]:

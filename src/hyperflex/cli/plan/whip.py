@@ -65,12 +65,13 @@ def whip(
 
     The exit code is 4 if no whip that meets the target was found; the best is written all the same, with the reason.
     """
-    from hyperflex.planning import plan_whip
+    from hyperflex.planning import plan_whip, refuse_behind
     from hyperflex.report import WhipReport, check_folder
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits, clearance)
+    refuse_behind(task.behind, "a whip")
     options = {"direction": direction, "angle_tolerance": angle_tolerance, "least_speed": least_speed}
     asked = planner.asked("target", task.target, _TARGET, target, options)
     angle = asked.get("direction")

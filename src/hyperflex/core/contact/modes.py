@@ -40,8 +40,8 @@ LEAST = 1.4  # growth of M; where none is found for less, the search ends
 CLOSING = 1e-9  # m/s, at which an open contact closes
 SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
 ROUNDS = 12  # of a search, and one more a joint in play; one that takes longer goes in a circle more often than not
-# Rounds in a row with no fewer violations than before, after which a search ends; until then it changes the modes of
-# every second contact alone, in turn: changed all at once, neighbours go to and fro together
+# Rounds in a row with no fewer violations than before, and one more a joint in play, after which a search ends. Until
+# then it changes the modes of every second contact alone, in turn: changed at once, neighbours go to and fro together
 STALLED = 4
 NONE, ALL, EVEN = range(3)  # contacts whose modes a round changes; EVEN + 1 are the odd ones
 SETTLED = 2e-5  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
@@ -203,11 +203,12 @@ def looseness(tol):  # type: ignore[no-untyped-def]
 
 @absorbed
 def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type: ignore[no-untyped-def]
-    """Find modes that obey the law for one M = `penalty`, kg; returns the rounds, negative if there are too many."""
+    """Find modes that obey the law for one M = `penalty`, kg; returns the rounds, negative if none are found."""
     settled = SETTLED * impulses.loose * max(0.1, min(1.0, h / USUAL))
     for c in range(contacts.total[0]):
         impulses.closed[c] = 0
-    most = ROUNDS + joints_in_play(joints, h)
+    more = joints_in_play(joints, h)
+    most = ROUNDS + more
     fewest, stalled = contacts.total[0] + motion.w.size + 1, 0
     for turn in range(most):
         if turn == 0 or h > 0.0:  # an impact is linear
@@ -221,7 +222,7 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
             motion.pull[:] = 0.0
             return -(turn + 1)
         stalled = 0 if violations < fewest else stalled + 1
-        if stalled == STALLED:
+        if stalled == STALLED + more:
             return -(turn + 1)
         fewest = violations if violations > 0 else fewest
     return -most
@@ -278,7 +279,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
     always, and each solution starts the search for a stiffer one, half as far on where that fails; so it goes until the
     residual (P - P0) / M is slight. The last solution that was found holds: its impulses obey Coulomb's law, its
-    velocities up to the residual. The next step starts with the first M that did, and a little more.
+    velocities up to the residual. The next step starts with RECOVERING times the first M that did.
 
     Parameters
     ----------
@@ -325,6 +326,6 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
         motion.change[:] = 0.0
         for _ in range(SETTLING):
             linearize(chain, motion, h)
-            solve_round(chain, contacts, impulses, motion, joints, spin, last if last > 0.0 else penalty, 0)
+            solve_round(chain, contacts, impulses, motion, joints, spin, last if last > 0.0 else penalty, NONE)
     impulses.penalty[0] = min(RECOVERING * first, STIFF * whole)
     return total if residual <= slight else -total

@@ -13,12 +13,13 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import Motor, RopeState, StateSource
 from hyperflex.interruption import interruptible
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import CastSetup, refuse_behind
+from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.feedback.matching import Goal, features, match
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.robust.refinement import robust_values
 from hyperflex.planning.robust.scenario_rollouts import free_flight, winding_scores
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
+from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.strikes import arm_tip
 from hyperflex.planning.throw import MIN_SPEED, Throw
@@ -167,7 +168,7 @@ def follow_plan(
     cast_setup, throw = plan.cast_setup, plan.required(plan.throw, "throw")
     if cast_setup.obstacles:
         raise InvalidInput("casts past obstacles are not followed", got=f"{len(cast_setup.obstacles)} obstacles")
-    refuse_behind(cast_setup, "a plan that is followed")
+    refuse_behind(cast_setup.behind, "a plan that is followed")
     pause = checks.number("decision_time", decision_time, sign="nonnegative", unit="s")
     known = uncertainty or Uncertainty()
     samples = known.sample(SAMPLES, cast_setup, plan.target, seed=[checks.count("seed", seed, least=0), 1])

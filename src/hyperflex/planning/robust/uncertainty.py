@@ -12,8 +12,9 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DAMPING, Peg, Rope
 from hyperflex.motion import Motion, arm_moves, lagged
-from hyperflex.planning.cast_setup import CastSetup, refuse_behind
+from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.robust.posterior import RopePosterior
+from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.throw import MIN_REST, Throw
 
 if TYPE_CHECKING:
@@ -167,7 +168,7 @@ class Uncertainty:
 
         Scenario number m of a `seed`, an integer or several, is the same for any `count`.
         """
-        refuse_behind(cast_setup, "an uncertainty")
+        refuse_behind(cast_setup.behind, "an uncertainty")
         stem = [seed] if isinstance(seed, int) else list(seed)
         rngs = [np.random.default_rng([*stem, m]) for m in range(checks.count("samples", count))]
         return [self._sample(rng, cast_setup, peg) for rng in rngs]

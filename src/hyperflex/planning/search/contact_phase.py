@@ -141,7 +141,7 @@ def _simulate_one(
         if stay >= MIN_TURNS:
             score -= SLIP_COST * _slip(now, settled, further - t[-1], arm)
         if (apart := _way_apart(now, settled, further - t[-1], arm)) > TOUCH:
-            score -= max(min(stay, MAX_TURNS) - MIN_TURNS, 0.0) + WAY_COST * (1.0 + apart / (apart + WAY_GAP))
+            score -= max(min(stay, MAX_TURNS) - MIN_TURNS, 0.0) + _way_cost(apart)
             stay = min(stay, MIN_HOPE)
     if score > PLAIN and folded:
         score = PLAIN + FOLDED * (score - PLAIN)
@@ -194,7 +194,9 @@ def check_sides(sides: Collection[int], peg: Peg) -> None:
 
 def check_start(cast_setup: CastSetup) -> None:
     """Raise InvalidInput if the rope begins in an obstacle, or a peg that it is to run behind, on all sides."""
-    for what, some in (("an obstacle", cast_setup.obstacles), ("a peg that it is to run behind", cast_setup.behind)):
+    either = (*cast_setup.behind, *cast_setup.obstacles)
+    some_pegs, both = "a peg that it is to run behind", "an obstacle or a peg that it is to run behind"
+    for what, some in (("an obstacle", cast_setup.obstacles), (some_pegs, cast_setup.behind), (both, either)):
         if not free_sides(cast_setup, some):
             fix = "Move it; the rope hangs from the arm, which points to one side"
             raise InvalidInput(f"the rope begins in {what}, whatever the arm's side", fix=fix)
@@ -235,9 +237,16 @@ def _way_apart(one: RolloutBatch, q: Array, t: Array, arm: Arm) -> float:
 
     Samples q (T, n), rad, at times t (T,), s. 0 without such pegs.
     """
+    if not one.behind:
+        return 0.0
     some = t >= t[-1] - LAST
     joints = _joints(one, q[some], t[some], arm)
     return float(way_gaps(one.ropes[0], one.pegs[0], one.behind, q[some], joints).max(initial=0.0))
+
+
+def _way_cost(apart: float) -> float:
+    """Turns that a rope costs that does not run behind a peg but `apart` from it, m; inf where it is nowhere."""
+    return WAY_COST * (1.0 + (apart / (apart + WAY_GAP) if np.isfinite(apart) else 1.0))
 
 
 def _joints(one: RolloutBatch, q: Array, t: Array, arm: Arm) -> Array:

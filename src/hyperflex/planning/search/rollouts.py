@@ -40,7 +40,7 @@ class RolloutBatch:
     ) -> "RolloutBatch":
         """Return rollouts of ropes (M,) from the start of a cast set-up."""
         q, qd = (np.tile(part, (len(ropes), 1)) for part in cast_setup.start)
-        return cls(ropes, pegs, motions, q, qd, obstacles=cast_setup.obstacles)
+        return cls(ropes, pegs, motions, q, qd, obstacles=cast_setup.obstacles, behind=cast_setup.behind)
 
     @classmethod
     def from_state(

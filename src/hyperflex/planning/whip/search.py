@@ -8,8 +8,9 @@ import numpy as np
 
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.planning.cast_setup import CastSetup, refuse_behind
+from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import clear_samples, holds, named
+from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.swings import random_swings, simulate_swings
 from hyperflex.planning.tip.task import TipCandidate
@@ -128,7 +129,7 @@ def build_whip_map(
     InvalidInput
         If the time of the set-up is too short for a peak.
     """
-    refuse_behind(cast_setup, "a whip")
+    refuse_behind(cast_setup.behind, "a whip")
     if cast_setup.time < MIN_TIME:
         raise InvalidInput(
             "time_limit is too short for any whip",

@@ -11,10 +11,10 @@ from hyperflex.interfaces import RopeState
 from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, checked_obstacles, cuts
 from hyperflex.motion import hold_arm
-from hyperflex.planning.cast_setup import CastSetup, MotorLimits, refuse_behind
+from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
 from hyperflex.planning.robust.uncertainty import Uncertainty
-from hyperflex.planning.routing import checked_behind
+from hyperflex.planning.routing import checked_behind, refuse_behind
 from hyperflex.planning.search.contact_phase import check_start
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import Clock
@@ -159,7 +159,7 @@ def plan_cast(
     obstacles, behind = checked_obstacles(obstacles, "obstacles"), checked_behind(behind)
     cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0, obstacles, behind)
     if uncertainty is not None:
-        refuse_behind(cast_setup, "a plan with an uncertainty")
+        refuse_behind(cast_setup.behind, "a plan with an uncertainty")
     if state0 is not None:
         cast_setup = _swinging(cast_setup, state0)
     # Refuses, before any search, what cannot touch a peg

@@ -22,6 +22,7 @@ from hyperflex.model import Peg, Rope
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import holds, named, obstacle_gaps
 from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.throw import KEEPING_STEP
 
 MARGIN = 0.05  # turns beyond MIN_TURNS that a plan aims at, since the tail still swings
@@ -91,6 +92,8 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     target's side by the target itself, on the other side by that and what one stroke adds.
     """
     asked = checks.number("holding_force", holding_force, sign="nonnegative", unit="N")
+    if asked > 0.0:
+        refuse_behind(cast_setup.behind, "a holding force")
     rope = cast_setup.rope
     far, aside = _place(cast_setup, peg)
     axis, way = peg.radius + rope.radius, _way(cast_setup, peg, far)
@@ -127,7 +130,7 @@ def _geometry(
     if far - axis <= cast_setup.arm.length:
         return True, "inside the arm's circle: the arm would strike the target"
     most = _most(cast_setup, way, axis)
-    if most < MIN_TURNS:
+    if most < MIN_TURNS and not cast_setup.behind:  # round a peg it comes to the target from another side
         reason = f"with all of the rope round the target it makes {most:.2f} turns, {MIN_TURNS:g} asked"
         return True, f"out of reach: {reason}"
     if room < needed:
@@ -146,7 +149,9 @@ def _blocked(cast_setup: CastSetup, peg: Peg) -> str:
         return ""
     centre: Array = np.array([[peg.x, peg.y]])
     room = obstacle_gaps(obstacles, centre, centre)[:, 0] - peg.radius
-    beside, needed = int(room.argmin()), 2.0 * rope.radius + max(cast_setup.clearance, 0.0)
+    free = np.where(np.arange(len(obstacles)) < len(cast_setup.behind), 0.0, max(cast_setup.clearance, 0.0))
+    beside = int((room - free).argmin())
+    needed = 2.0 * rope.radius + free[beside]
     if room[beside] < needed:
         left = f"leaves {1e3 * max(room[beside], 0.0):.3g} mm beside the target"
         return f"{named(obstacles[beside])} {left}, the rope takes {1e3 * needed:.3g}"

@@ -15,8 +15,9 @@ from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope, Setup, checked_obstacles
-from hyperflex.planning.cast_setup import CastSetup, MotorLimits, refuse_behind
+from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED
+from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.many import plan_each
 
@@ -192,7 +193,7 @@ def build_reach_map(
     known = {name: options[name] for name in named if options.get(name) is not None}
     known |= {"time": options.get("time_limit") or 0.0, "contact": options.get("contact") or 0.0}
     cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, **known)
-    refuse_behind(cast_setup, "a reach map")
+    refuse_behind(cast_setup.behind, "a reach map")
     middle, far = cast_setup.arm.pivot, cast_setup.arm.length + cast_setup.rope.total_length
     count = checks.count("cells", cells)
     steps = (np.arange(count) + 0.5) * far / count

@@ -39,8 +39,8 @@ def target_map(plan: CastPlan) -> "Figure":
         axis.plot(*np.stack([pivot, tip], axis=1), color=INK, lw=3.0, label="arm", solid_capstyle="round")
         axis.plot(*pivot, "o", color=INK, ms=5.0, label="motor's shaft")
         draw_obstacles(axis, plan.cast_setup.obstacles, 8.0 * far)
-        for each in plan.cast_setup.behind:
-            _peg(axis, each, 2.0 * half[0], INK, "peg that the rope is to run behind")
+        for k, each in enumerate(plan.cast_setup.behind):
+            _peg(axis, each, 2.0 * half[0], INK, "" if k else "peg that the rope is to run behind")
         _peg(axis, plan.target, 2.0 * half[0], RED, "target")
         if plan.fallback is not None:
             _peg(
