@@ -43,6 +43,7 @@ ROUNDS = 12  # of a search, and one more a joint in play; one that takes longer 
 # Rounds in a row with no fewer violations than before, and one more a joint in play, after which a search ends. Until
 # then it changes the modes of every second contact alone, in turn: changed at once, neighbours go to and fro together
 STALLED = 4
+HASTY = 2e-5  # s, step from which on it does so; nothing else is tried after an impact or a shorter step
 NONE, ALL, EVEN = range(3)  # contacts whose modes a round changes; EVEN + 1 are the odd ones
 SETTLED = 2e-5  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
 USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
@@ -213,7 +214,7 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
     for turn in range(most):
         if turn == 0 or h > 0.0:  # an impact is linear
             linearize(chain, motion, h)
-        change = ALL if stalled == 0 else EVEN + turn % 2
+        change = ALL if stalled == 0 or h < HASTY else EVEN + turn % 2
         violations = solve_round(chain, contacts, impulses, motion, joints, spin, penalty, change)
         if violations == 0 and (h == 0.0 or moved(motion) <= settled):
             return turn + 1
@@ -222,7 +223,7 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
             motion.pull[:] = 0.0
             return -(turn + 1)
         stalled = 0 if violations < fewest else stalled + 1
-        if stalled == STALLED + more:
+        if stalled == STALLED + more and h >= HASTY:
             return -(turn + 1)
         fewest = violations if violations > 0 else fewest
     return -most
