@@ -51,7 +51,7 @@ USUAL_TOL, LOOSEST = 1e-5, 100.0  # m; with a larger tolerance in proportion mor
 SETTLING = 4  # rounds in which they settle anew
 AGAIN = 4  # times that a solution with a slight residual starts the search anew
 SLIGHT = 1e-5  # m/s, residual velocity of a solution, at USUAL_TOL
-RECOVERING = 3.0  # growth of M from the first search of a step that found modes to that of the next step
+RECOVERING = 1.3  # growth of M from one step to the next, after one that took a softer one
 INSTANT = 1e-6  # s, an impact may give as much as a step of this length
 
 
@@ -280,7 +280,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
     always, and each solution starts the search for a stiffer one, half as far on where that fails; so it goes until the
     residual (P - P0) / M is slight. The last solution that was found holds: its impulses obey Coulomb's law, its
-    velocities up to the residual. The next step starts with RECOVERING times the first M that did.
+    velocities up to the residual. The next step starts with the M that did, and a little more.
 
     Parameters
     ----------
@@ -294,7 +294,7 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     """
     store(contacts, impulses, joints)
     penalty = impulses.penalty[0] if impulses.penalty[0] > 0.0 else STIFF * whole
-    first, last, residual, given = 0.0, 0.0, math.inf, math.inf
+    last, residual, given = 0.0, math.inf, math.inf
     slight = SLIGHT * impulses.loose
     total, again, rounds = 0, AGAIN, 0
     for _ in range(TRIES):
@@ -310,7 +310,6 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
             penalty = math.sqrt(penalty * last)
             continue
         (residual, given), last = update_multipliers(contacts, impulses, joints, penalty), penalty
-        first = penalty if first == 0.0 else first
         if residual > slight:
             penalty = min(GROW * penalty, STIFFEST * whole)
             continue
@@ -328,5 +327,5 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
         for _ in range(SETTLING):
             linearize(chain, motion, h)
             solve_round(chain, contacts, impulses, motion, joints, spin, last if last > 0.0 else penalty, NONE)
-    impulses.penalty[0] = min(RECOVERING * first, STIFF * whole)
+    impulses.penalty[0] = min(RECOVERING * last, STIFF * whole)
     return total if residual <= slight else -total
