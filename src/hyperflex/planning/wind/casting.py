@@ -86,7 +86,8 @@ def plan_cast(
         That the rope must not touch on its way to the target and while it is watched: a wall, the floor, a person.
     behind : sequence of Peg
         That the rope is to run behind on its way from the arm to the target: in the end it touches each of them between
-        the arm and its first touch of the target. It may touch them before. Not with an uncertainty.
+        the arm and its first touch of the target. It may touch them before. Neither with an uncertainty nor with a
+        holding force.
     uncertainty : Uncertainty, optional
         Of rope, target and motor. With it the plan is the throw that succeeds in most of the sampled scenarios, and its
         success probability is estimated from others.

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from hyperflex.model import DEFAULT_CONTACT_STEP
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS, CastOutcome, require_holding_force, verify_cast
 from hyperflex.planning.search.candidates import Candidate, distinct, same_swing
@@ -303,21 +304,21 @@ class CastPlanner:
             return first, second  # type: ignore[return-value] # there is a first one
 
         def third() -> CastOutcome:
-            return foreseen(first, self.run_once(self.finer[1], one, self.left))
+            return foreseen(first, self.run_once(self.finer[1], one, self.left, FINER_STEP))
 
         alone = all(map(may_fall, (first, second)))  # if not, the last one is needed where the third succeeds
         found, last = (third(), None) if alone else self.beside(third, self.finer[2], one)
         finer = [second, found]
         worst = worst_of(first, finer)
         if worst.success and not all(map(may_fall, (first, *finer))):
-            last = foreseen(first, last or self.run_once(self.finer[2], one, self.left))
+            last = foreseen(first, last or self.run_once(self.finer[2], one, self.left, FINER_STEP))
             worst = worst_of(first, [worst, last]) if last.success else last
         return first, worst
 
     def verify_twice(self, one: Candidate) -> tuple[CastOutcome, CastOutcome | None]:
         """Verify a throw on the rope as given and, beside that, with links of half the length unless that fails."""
         until = self.spent + max(LONGEST * self.time_budget, 0.5 * self.left())
-        given = self.search.cast_setup, one, lambda: min(until - self.spent, self.left())
+        given = self.search.cast_setup, one, lambda: min(until - self.spent, self.left()), DEFAULT_CONTACT_STEP
         first, second = self.beside(partial(self.run_once, *given), self.finer[0], one)
         return first, foreseen(first, second) if first.success else None
 
@@ -327,15 +328,14 @@ class CastPlanner:
         """Verify a throw, and beside that with links cut, which ends where the first run fails."""
 
         def other(failed: Callable[[], bool]) -> CastOutcome:
-            return self.run_once(cut, one, lambda: -1.0 if failed() else self.left())
+            return self.run_once(cut, one, lambda: -1.0 if failed() else self.left(), FINER_STEP)
 
         return both(begin, other, self.search.workers)
 
-    def run_once(self, cast_setup: CastSetup, found: Candidate, left: Callable[[], float]) -> CastOutcome:
-        """Simulate a throw on a rope, and a tug at its end, in the time that is `left`, s."""
-        peg, budget, motion = self.search.peg, Deadline(np.inf, left), found.throw.motion(cast_setup.limits)
-        step = {} if cast_setup is self.search.cast_setup else {"contact_step": FINER_STEP}
-        outcome = verify_cast(cast_setup, peg, motion, **step, time_budget=budget)
+    def run_once(self, cast_setup: CastSetup, one: Candidate, left: Callable[[], float], step: float) -> CastOutcome:
+        """Simulate a throw on a rope with a contact `step`, s, and a tug at its end, in the time that is `left`, s."""
+        peg, budget, motion = self.search.peg, Deadline(np.inf, left), one.throw.motion(cast_setup.limits)
+        outcome = verify_cast(cast_setup, peg, motion, contact_step=step, time_budget=budget)
         return require_holding_force(outcome, peg, self.search.holding_force, budget)
 
     def plan(self, known: Feasibility, interrupted: bool = False) -> CastPlan:
