@@ -199,11 +199,12 @@ def _obstacles(setup: CastSetup) -> str:
         ("Obstacles, which the rope must not touch", setup.obstacles),
     ):
         if some:
-            told += f" {head}: {'; '.join(map(_in_words, some))}."
+            told += f" {head}: {'; '.join(map(in_words, some))}."
     return told
 
 
-def _in_words(each: Obstacle) -> str:
+def in_words(each: Obstacle) -> str:
+    """Return an obstacle in words, by its kind, place and size."""
     place = f"({each.x:.4g}, {each.y:.4g})"
     if isinstance(each, Peg):
         return f"a peg at {place} m, radius {length(each.radius)}"

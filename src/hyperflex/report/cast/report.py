@@ -28,6 +28,7 @@ from hyperflex.report.plan import (
     clear_of,
     clearance_tiles,
     counted,
+    in_words,
     searched,
     torque_tiles,
     torque_warning,
@@ -293,8 +294,15 @@ def _outcome(plan: CastPlan, cast: CastOutcome) -> str:
         f"its end, so straight parts and the hanging tail count beside what lies on the target "
         f"({math.degrees(cast.contact_angle):.0f} degrees), and a tail that swings "
         f"changes it. In the last {WATCH_TIME:g} s the rope slips on the target by {1e3 * cast.slip:.2g} mm; "
-        f"{1e3 * MAX_SLIP:g} mm are allowed."
+        f"{1e3 * MAX_SLIP:g} mm are allowed.{_led(plan, cast)}"
     )
+
+
+def _led(plan: CastPlan, cast: CastOutcome) -> str:
+    """Return a sentence about the pegs that the rope is to run behind, after a space; "" without any."""
+    pegs = zip(plan.cast_setup.behind, cast.runs_behind, strict=False)
+    told = [f"{'behind' if led else 'not behind'} {in_words(peg)}" for peg, led in pegs]
+    return f" On its way from the arm it runs {', and '.join(told)}." if told else ""
 
 
 def _grazes(cast: CastOutcome) -> str:
