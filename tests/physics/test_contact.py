@@ -177,3 +177,11 @@ def test_a_rope_that_starts_too_deep_is_pushed_out_in_usual_steps(deep: float) -
     left = [depth(hf.simulate(replace(start, duration=span)), higher) for span in (0.2, 6.0)]
     assert left[1] < left[0] < 1.05 * deep
     assert left[1] < 4e-5
+
+
+@pytest.mark.parametrize(("number", "duration"), [(205, 1.26), (554, 1.42), (578, 0.82)])
+def test_samples_within_hard_steps_keep_the_energy(number: int, duration: float) -> None:
+    """One whose search must begin as the whole step began (205), or ended (554), or that pushes nothing out (578)."""
+    _, rope, how = draw(number, duration)
+    run = hf.simulate(rope, refine=False, **how)
+    assert rise(run.energy_error) < 1e-5  # as the steps do; straight between their ends these were off by 0.02 to 14 mJ

@@ -34,8 +34,10 @@ from hyperflex.core.contact.turning_pegs import turn_pegs
 from hyperflex.core.jit import absorbed, inlined, non_allocating
 
 STIFF = 1e3  # M in masses of the whole rope
-SOFTER, GROW, STIFFEST = 0.1, 10.0, 1e6  # where that is too stiff to find modes, and where too soft for small residuals
-TRIES = 16  # searches, of which each starts from the last that found modes
+# Of M where that is too stiff to find modes; its growth at most where it is too soft for small residuals, and its most
+SOFTER, GROW, STIFFEST = 0.01, 10.0, 1e6
+TRIES = 24  # searches, of which each starts from the last that found modes
+STALE = 0.7  # of a residual, which the next one at the same M is to fall below; else stiffer ones are tried in turn
 LEAST = 1.4  # growth of M; where none is found for less, the search ends
 CLOSING = 1e-9  # m/s, at which an open contact closes
 SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
@@ -49,7 +51,7 @@ SETTLED = 2e-5  # relative change of the rates at which the centrifugal terms ha
 USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
 USUAL_TOL, LOOSEST = 1e-5, 100.0  # m; with a larger tolerance in proportion more is left, up to so many times as much
 SETTLING = 4  # rounds in which they settle anew
-AGAIN = 4  # times that a solution with a slight residual starts the search anew
+AGAIN = 8  # times that a solution with a slight residual starts the search anew
 SLIGHT = 1e-5  # m/s, residual velocity of a solution, at USUAL_TOL
 RECOVERING = 1.3  # growth of M from one step to the next, after one that took a softer one
 INSTANT = 1e-6  # s, an impact may give as much as a step of this length
@@ -253,13 +255,16 @@ def restore(contacts, impulses, joints):  # type: ignore[no-untyped-def]
 def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-untyped-def]
     """Store a solution for M = `penalty`, kg, and let the next one start from it.
 
-    Returns its residual, m/s, and the energy that the residual stands for, J.
+    Returns its residual, m/s, the energy that the residual stands for, J, and the M for the next search, kg: stiffer by
+    GROW, or until M times the residual is what contacts bear. More would open one after the other.
     """
     store(contacts, impulses, joints)
     worst, given = update_joint_multipliers(joints, penalty)
+    squares = borne = 0.0
     for c in range(contacts.total[0]):
         pn, pt = impulses.normal[c], impulses.tangent[c]
         if impulses.mode[c] != OPEN:
+            squares, borne = squares + pn * pn, borne + abs(pn)
             left = abs(pn - impulses.normal0[c]) / penalty
             worst, given = max(worst, left), given + left * abs(pn)
         if impulses.mode[c] == STICK:
@@ -270,17 +275,21 @@ def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-
             left = max(0.0, -sense * (impulses.vt[c] + impulses.tangent_target[c]))
             worst, given = max(worst, left), given + left * abs(pt)
         impulses.normal0[c], impulses.tangent0[c] = pn, pt
-    return worst, given
+    if borne * GROW * penalty * worst <= squares:  # as the mean of what they bear, each weighed by itself
+        return worst, given, GROW * penalty
+    return worst, given, max(penalty, squares / (borne * worst))
 
 
 @absorbed
 def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: ignore[no-untyped-def]
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 
-    Where no modes are found for the stiff M, the search begins anew with a soft one, for which they are found nearly
-    always, and each solution starts the search for a stiffer one, half as far on where that fails; so it goes until the
-    residual (P - P0) / M is slight. The last solution that was found holds: its impulses obey Coulomb's law, its
-    velocities up to the residual. The next step starts with the M that did, and a little more.
+    Where no modes are found for the stiff M, the search begins anew with a softer one, for which they are found nearly
+    always, and each solution starts the next search, for an M as stiff as :func:`update_multipliers` tells; so it goes
+    until the residual (P - P0) / M is slight. Where a stiffer M fails the search stays at the last one, as long as the
+    residual falls there; then it climbs all the same, half as far on where that fails. The last solution that was found
+    holds: its impulses obey Coulomb's law, its velocities up to the residual. The next step starts with the M that did,
+    and a little more.
 
     Parameters
     ----------
@@ -295,28 +304,34 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     store(contacts, impulses, joints)
     penalty = impulses.penalty[0] if impulses.penalty[0] > 0.0 else STIFF * whole
     last, residual, given = 0.0, math.inf, math.inf
-    slight = SLIGHT * impulses.loose
-    total, again, rounds = 0, AGAIN, 0
+    slight, most = SLIGHT * impulses.loose, STIFFEST * whole
+    total, again, rounds, climbs = 0, AGAIN, 0, False
     for _ in range(TRIES):
         rounds = search(chain, contacts, impulses, motion, joints, spin, h, penalty)
         total += abs(rounds)
         if rounds < 0:
             restore(contacts, impulses, joints)
             if last == 0.0:
-                penalty = SOFTER * min(whole, penalty)
-                continue
-            if penalty < LEAST * last:
+                penalty *= SOFTER
+            elif climbs and penalty < LEAST * last:
                 break
-            penalty = math.sqrt(penalty * last)
+            elif climbs:
+                penalty = math.sqrt(penalty * last)
+            elif penalty > last:
+                penalty = most = last
+            else:  # none are found any more where some were
+                penalty, climbs = math.sqrt(GROW) * last, True
             continue
-        (residual, given), last = update_multipliers(contacts, impulses, joints, penalty), penalty
-        if residual > slight:
-            penalty = min(GROW * penalty, STIFFEST * whole)
+        before, last = residual, penalty
+        residual, given, stiffer = update_multipliers(contacts, impulses, joints, penalty)
+        if residual <= slight:
+            again -= 1
+            if given <= impulses.residual_power * max(h, INSTANT) or again < 0:
+                break
+            penalty = max(penalty, min(stiffer, STIFF * whole, most))
             continue
-        again -= 1
-        if given <= impulses.residual_power * max(h, INSTANT) or again < 0:
-            break
-        penalty = max(penalty, min(GROW * penalty, STIFF * whole))
+        climbs = climbs or (penalty >= most and residual > STALE * before)
+        penalty = min(GROW * penalty, STIFFEST * whole) if climbs else min(stiffer, most)
     if rounds < 0:
         restore(contacts, impulses, joints)
         if last == 0.0:  # nothing was found at all: let go

@@ -225,7 +225,7 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
     workspace = new_contact_workspace(chain, pegs, rate, longest, bounds.tol)
     aside = new_contact_workspace(chain, pegs, rate, longest, bounds.tol)
     assign(workspace.spin.before, state.spin[1])
-    nothing = new_contact_memory(n, m)
+    nothing, found = new_contact_memory(n, m), new_contact_memory(n, m)
     part = segment(drive, clock[T])
     had = math.nan  # energy before the step, where it is known
     for _ in range(bounds.budget):
@@ -255,7 +255,8 @@ def run(chain, drive, pegs, pull, bounds, state, t_out, y_out, seen_out):  # typ
         if clock[INDEX] < t_out.size:
             account = workspace.account
             had = has - surplus + account[FRICTION] + account[CONTACT] - account[WORK]
-            write(chain, drive, part, pegs, pull, bounds, state, workspace, aside, h, had, t_out, y_out, seen_out)
+            rest = aside, h, had, t_out, y_out, seen_out
+            write(chain, drive, part, pegs, pull, bounds, state, workspace, found, *rest)
         had = has
         accept_step(drive, state, workspace, h, rounds, least)
         clock[IMPACT_DUE] = 1.0 if touch <= 1.001 * h else 0.0

@@ -6,6 +6,7 @@ import numpy as np
 
 from hyperflex import winding
 from hyperflex.planning import MIN_TURNS, SETTLING_TIME, CastPlan, HoldingForce
+from hyperflex.report.plan import in_words
 from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure, note
 from hyperflex.report.time_course import ArmMoves, event_note, room_above, time_course
@@ -91,6 +92,14 @@ def sense(plan: CastPlan) -> float:
 def way(plan: CastPlan) -> str:
     """Return the sense in which the rope winds, in a word."""
     return "clockwise" if sense(plan) < 0.0 else "counterclockwise"
+
+
+def led(plan: CastPlan) -> str:
+    """Return a sentence about the pegs that the rope is to run behind, after a space; "" without any."""
+    runs = () if plan.outcome is None else plan.outcome.runs_behind
+    pegs = zip(plan.cast_setup.behind, runs, strict=False)
+    told = [f"{'behind' if there else 'not behind'} {in_words(peg)}" for peg, there in pegs]
+    return f" On its way from the arm it runs {', and '.join(told)}." if told else ""
 
 
 def _strike(plan: CastPlan) -> float:

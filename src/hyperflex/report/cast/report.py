@@ -19,7 +19,7 @@ from hyperflex.planning import (
     FallbackTarget,
     HoldingForce,
 )
-from hyperflex.report.cast.figures import course_figure, sense, strike_figure, tug_figure, way
+from hyperflex.report.cast.figures import course_figure, led, sense, strike_figure, tug_figure, way
 from hyperflex.report.cast.target_map import target_map, target_map_caption
 from hyperflex.report.page import Picture, Section, TextTable
 from hyperflex.report.plan import (
@@ -28,7 +28,6 @@ from hyperflex.report.plan import (
     clear_of,
     clearance_tiles,
     counted,
-    in_words,
     searched,
     torque_tiles,
     torque_warning,
@@ -294,15 +293,8 @@ def _outcome(plan: CastPlan, cast: CastOutcome) -> str:
         f"its end, so straight parts and the hanging tail count beside what lies on the target "
         f"({math.degrees(cast.contact_angle):.0f} degrees), and a tail that swings "
         f"changes it. In the last {WATCH_TIME:g} s the rope slips on the target by {1e3 * cast.slip:.2g} mm; "
-        f"{1e3 * MAX_SLIP:g} mm are allowed.{_led(plan, cast)}"
+        f"{1e3 * MAX_SLIP:g} mm are allowed.{led(plan)}"
     )
-
-
-def _led(plan: CastPlan, cast: CastOutcome) -> str:
-    """Return a sentence about the pegs that the rope is to run behind, after a space; "" without any."""
-    pegs = zip(plan.cast_setup.behind, cast.runs_behind, strict=False)
-    told = [f"{'behind' if led else 'not behind'} {in_words(peg)}" for peg, led in pegs]
-    return f" On its way from the arm it runs {', and '.join(told)}." if told else ""
 
 
 def _grazes(cast: CastOutcome) -> str:
