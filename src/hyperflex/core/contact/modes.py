@@ -34,10 +34,10 @@ from hyperflex.core.contact.turning_pegs import turn_pegs
 from hyperflex.core.jit import absorbed, inlined, non_allocating
 
 STIFF = 1e3  # M in masses of the whole rope
-# Of M where that is too stiff to find modes; its growth at most where it is too soft for small residuals, and its most
-SOFTER, GROW, STIFFEST = 0.01, 10.0, 1e6
+SOFTER = 0.01  # of an M for which no modes are found, where none were found before
+GROW, STIFFEST = 10.0, 1e6  # most that M grows from one search to the next; the stiffest, in masses of the rope
 TRIES = 24  # searches, of which each starts from the last that found modes
-STALE = 0.7  # of a residual, which the next one at the same M is to fall below; else stiffer ones are tried in turn
+STALE = 0.7  # of a residual, below which the next one at the same M is to fall; else stiffer ones are tried in turn
 LEAST = 1.4  # growth of M; where none is found for less, the search ends
 CLOSING = 1e-9  # m/s, at which an open contact closes
 SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
@@ -255,8 +255,9 @@ def restore(contacts, impulses, joints):  # type: ignore[no-untyped-def]
 def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-untyped-def]
     """Store a solution for M = `penalty`, kg, and let the next one start from it.
 
-    Returns its residual, m/s, the energy that the residual stands for, J, and the M for the next search, kg: stiffer by
-    GROW, or until M times the residual is what contacts bear. More would open one after the other.
+    Returns its residual, m/s, the energy that the residual stands for, J, and the M for the next search, kg. That is
+    stiffer by GROW, or less where contacts leave much: M times the residual is then the mean of their impulses, weighed
+    by themselves. Where it is more the next round takes most contacts for open.
     """
     store(contacts, impulses, joints)
     worst, given = update_joint_multipliers(joints, penalty)
@@ -275,7 +276,7 @@ def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-
             left = max(0.0, -sense * (impulses.vt[c] + impulses.tangent_target[c]))
             worst, given = max(worst, left), given + left * abs(pt)
         impulses.normal0[c], impulses.tangent0[c] = pn, pt
-    if borne * GROW * penalty * worst <= squares:  # as the mean of what they bear, each weighed by itself
+    if borne * GROW * penalty * worst <= squares:
         return worst, given, GROW * penalty
     return worst, given, max(penalty, squares / (borne * worst))
 
@@ -286,10 +287,10 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
 
     Where no modes are found for the stiff M, the search begins anew with a softer one, for which they are found nearly
     always, and each solution starts the next search, for an M as stiff as :func:`update_multipliers` tells; so it goes
-    until the residual (P - P0) / M is slight. Where a stiffer M fails the search stays at the last one, as long as the
-    residual falls there; then it climbs all the same, half as far on where that fails. The last solution that was found
-    holds: its impulses obey Coulomb's law, its velocities up to the residual. The next step starts with the M that did,
-    and a little more.
+    until the residual (P - P0) / M is slight. Where a stiffer M fails the last one is taken once more, from the P0 that
+    it had; unless its residual falls M grows by GROW from then on, half as far on where that fails. The last solution
+    that was found holds: its impulses obey Coulomb's law, its velocities up to the residual. The next step starts with
+    the M that did, and a little more.
 
     Parameters
     ----------

@@ -16,9 +16,9 @@ def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, found
     """Take the part x of the step of `workspace` to `aside`; returns the energy from nowhere, J.
 
     The rates are off the straight line between the ends of a step by a term of second order, and their energy with
-    them, so a sample within a step is a shorter step. It begins with what the whole step `found`, a ContactMemory, or
-    where that does not keep the energy as the whole step did; or it does not push the rope out of a peg. `had` is the
-    energy before it, J.
+    them, so a sample within a step is a shorter step. Three are tried until one keeps the energy: from the modes and
+    forces that the whole step `found`, a ContactMemory; from those before it; and without pushing the rope out of a
+    peg, as the whole step may have been taken. `had` is the energy before it, J.
     """
     surplus = math.inf
     for attempt in range(3):
@@ -75,7 +75,8 @@ def write_sample(workspace, h, x, state, k, y_out, seen_out):  # type: ignore[no
 def write(chain, drive, part, pegs, pull, bounds, state, workspace, found, aside, h, had, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
     """Write the outputs within the step to ``workspace.out``, which had the energy `had` before it, J.
 
-    `found` is room for a ContactMemory.
+    A sample is a partial step; where that does not keep the energy, and is further off than the straight line between
+    the ends of the step, it lies on that line. `found` is room for a ContactMemory.
     """
     clock, allowed, saved = state.clock, energy_allowance(bounds, h), False
     while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= clock[T] + h:

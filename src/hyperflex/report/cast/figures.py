@@ -94,7 +94,7 @@ def way(plan: CastPlan) -> str:
     return "clockwise" if sense(plan) < 0.0 else "counterclockwise"
 
 
-def led(plan: CastPlan) -> str:
+def behind_sentence(plan: CastPlan) -> str:
     """Return a sentence about the pegs that the rope is to run behind, after a space; "" without any."""
     runs = () if plan.outcome is None else plan.outcome.runs_behind
     pegs = zip(plan.cast_setup.behind, runs, strict=False)

@@ -19,7 +19,7 @@ from hyperflex.planning import (
     FallbackTarget,
     HoldingForce,
 )
-from hyperflex.report.cast.figures import course_figure, led, sense, strike_figure, tug_figure, way
+from hyperflex.report.cast.figures import behind_sentence, course_figure, sense, strike_figure, tug_figure, way
 from hyperflex.report.cast.target_map import target_map, target_map_caption
 from hyperflex.report.page import Picture, Section, TextTable
 from hyperflex.report.plan import (
@@ -293,7 +293,7 @@ def _outcome(plan: CastPlan, cast: CastOutcome) -> str:
         f"its end, so straight parts and the hanging tail count beside what lies on the target "
         f"({math.degrees(cast.contact_angle):.0f} degrees), and a tail that swings "
         f"changes it. In the last {WATCH_TIME:g} s the rope slips on the target by {1e3 * cast.slip:.2g} mm; "
-        f"{1e3 * MAX_SLIP:g} mm are allowed.{led(plan)}"
+        f"{1e3 * MAX_SLIP:g} mm are allowed.{behind_sentence(plan)}"
     )
 
 
