@@ -5,52 +5,113 @@ import math
 from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.contact.account import CONTACT, FRICTION, WORK, energy
 from hyperflex.core.contact.arrays import OPEN
-from hyperflex.core.contact.bounds import INDEX, LOST, MOMENT, T, energy_allowance, energy_balanced
-from hyperflex.core.contact.step import save_memory, try_step
+from hyperflex.core.contact.bounds import (
+    IMPACT_DUE,
+    INDEX,
+    LOST,
+    MOMENT,
+    ContactState,
+    T,
+    energy_allowance,
+    energy_balanced,
+)
+from hyperflex.core.contact.step import ContactMemory, save_memory, try_step
+from hyperflex.core.contact.step_control import choose_step, complete_step, impact
 from hyperflex.core.contact.turning_pegs import turning_energy
-from hyperflex.core.jit import non_allocating
+from hyperflex.core.jit import kernel, non_allocating
+
+MOST = 1000  # steps of its own to a sample
+
+
+@kernel
+def new_branch(state):  # type: ignore[no-untyped-def]
+    """A ContactState of the same shapes, for :func:`branch_off`."""
+    memory = state.memory
+    return ContactState(
+        state.y.copy(),
+        state.clock.copy(),
+        state.spin.copy(),
+        ContactMemory(
+            memory.normal.copy(),
+            memory.tangent.copy(),
+            memory.mode.copy(),
+            memory.penalty.copy(),
+            memory.torque.copy(),
+            memory.bent.copy(),
+        ),
+        state.torque.copy(),
+    )
 
 
 @non_allocating
-def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, found, aside, h, x, had):  # type: ignore[no-untyped-def]
-    """Take the part x of the step of `workspace` to `aside`; returns the energy from nowhere, J.
+def copy_before(workspace, aside):  # type: ignore[no-untyped-def]
+    """Copy what a step begins with beside the state, from the workspace of one to that of another."""
+    assign_rows(aside.trend, workspace.trend)
+    assign(aside.pace, workspace.pace)
+    assign_rows(aside.motion.pull, workspace.motion.pull)
+    aside.motion.span[0] = workspace.motion.span[0]
+    assign(aside.spin.before, workspace.spin.before)
+
+
+@non_allocating
+def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, h, x, had):  # type: ignore[no-untyped-def]
+    """Take the part x of the step of `workspace` to `aside`; returns whether that keeps the energy.
 
     The rates are off the straight line between the ends of a step by a term of second order, and their energy with
-    them, so a sample within a step is a shorter step. Three are tried until one keeps the energy: from the modes and
-    forces that the whole step `found`, a ContactMemory; from those before it; and without pushing the rope out of a
-    peg, as the whole step may have been taken. `had` is the energy before it, J.
+    them, so a sample within a step is a shorter step: from the modes and forces that the whole step found. `had` is the
+    energy before it, J.
     """
-    surplus = math.inf
-    for attempt in range(3):
-        assign_rows(aside.trend, workspace.trend)
-        assign(aside.pace, workspace.pace)
-        assign_rows(aside.motion.pull, workspace.motion.pull)
-        aside.motion.span[0] = workspace.motion.span[0]
-        assign(aside.spin.before, workspace.spin.before)
-        begin, push, t = state.memory if attempt == 1 else found, attempt < 2, state.clock[T]
-        try_step(chain, drive, part, pegs, pull, t, x * h, state.y, begin, aside, push, 0.0, True)
-        taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]
-        has = energy(chain, aside.out, aside.base[2], aside.ahead_trig) + turning_energy(aside.spin, aside.spin.after)
-        surplus = has - had + taken
-        if energy_balanced(surplus, energy_allowance(bounds, h)):
-            break
-    return surplus
+    copy_before(workspace, aside)
+    found = branch.memory
+    save_memory(found, workspace.contacts, workspace.impulses, workspace.joints, h)
+    try_step(chain, drive, part, pegs, pull, state.clock[T], x * h, state.y, found, aside, True, 0.0, True)
+    taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]
+    has = energy(chain, aside.out, aside.base[2], aside.ahead_trig) + turning_energy(aside.spin, aside.spin.after)
+    return energy_balanced(has - had + taken, energy_allowance(bounds, h))
 
 
 @non_allocating
-def straight_surplus(chain, state, workspace, aside, h, x, had):  # type: ignore[no-untyped-def]
-    """Energy from nowhere, J, of the sample that :func:`write_sample` writes at the part x of the step of `workspace`.
+def branch_off(chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, nothing, end):  # type: ignore[no-untyped-def]
+    """Go from before the step of `workspace` to the time `end`, s, by steps chosen as those of a run, in `branch`.
 
-    `aside` holds the base there, of :func:`partial_step`.
+    Returns whether it gets there. The run itself goes on from the end of its step.
     """
-    y, change, out, spin = state.y, workspace.motion.change, aside.out, workspace.spin
-    n = change.size
-    for i in range(n):
-        out[i] = y[i] + x * h * (y[n + i] + 0.5 * x * change[i])
-        out[n + i] = y[n + i] + x * change[i]
-    taken = workspace.account[FRICTION] + workspace.account[CONTACT] - workspace.account[WORK]
-    turning = (1.0 - x) * turning_energy(spin, spin.before) + x * turning_energy(spin, spin.after)
-    return energy(chain, out, aside.base[2], aside.ahead_trig) + turning - had + x * taken
+    copy_before(workspace, aside)
+    assign(branch.y, state.y)
+    assign(branch.clock, state.clock)
+    assign_rows(branch.spin, state.spin)
+    assign_rows(branch.torque, state.torque)
+    memory, saved = branch.memory, state.memory
+    assign_rows(memory.normal, saved.normal)
+    assign_rows(memory.tangent, saved.tangent)
+    assign_rows(memory.mode, saved.mode)
+    assign(memory.penalty, saved.penalty)
+    assign(memory.torque, saved.torque)
+    assign(memory.bent, saved.bent)
+    struck = True
+    for _ in range(MOST):
+        if branch.clock[IMPACT_DUE] == 1.0:
+            impact(chain, drive, part, pegs, pull, branch, aside)
+            struck = True
+        chosen = choose_step(chain, drive, part, pegs, pull, bounds, branch, aside, nothing, end, struck, math.nan)
+        if not (abs(chosen[5]) < math.inf):
+            return False
+        complete_step(drive, bounds, branch, aside, chosen, end)
+        if branch.clock[T] >= end:
+            return True
+        struck = False
+    return False
+
+
+@non_allocating
+def write_state(state, n, k, y_out, seen_out):  # type: ignore[no-untyped-def]
+    """Write a ContactState of n links as output k."""
+    for i in range(state.y.size):
+        y_out[k, i] = state.y[i]
+    seen_out[k, 3 * n + 3] = state.clock[LOST]
+    m = state.spin.shape[1]
+    for p in range(m):
+        seen_out[k, 3 * n + 4 + p], seen_out[k, 3 * n + 4 + m + p] = state.spin[0, p], state.spin[1, p]
 
 
 @non_allocating
@@ -72,13 +133,16 @@ def write_sample(workspace, h, x, state, k, y_out, seen_out):  # type: ignore[no
 
 
 @non_allocating
-def write(chain, drive, part, pegs, pull, bounds, state, workspace, found, aside, h, had, t_out, y_out, seen_out):  # type: ignore[no-untyped-def]
+def write(  # type: ignore[no-untyped-def]
+    chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, nothing, h, had, t_out, y_out, seen_out
+):
     """Write the outputs within the step to ``workspace.out``, which had the energy `had` before it, J.
 
-    A sample is a partial step; where that does not keep the energy, and is further off than the straight line between
-    the ends of the step, it lies on that line. `found` is room for a ContactMemory.
+    A sample is a partial step; where that does not keep the energy it is reached by steps of its own, in `aside` and
+    `branch`, a workspace and a state, and `nothing` is as for :func:`choose_step`. Where these fail, too, it lies on
+    the straight line between the ends of the step.
     """
-    clock, allowed, saved = state.clock, energy_allowance(bounds, h), False
+    clock = state.clock
     while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= clock[T] + h:
         k = int(clock[INDEX])
         x = (t_out[k] - clock[T]) / h
@@ -86,18 +150,15 @@ def write(chain, drive, part, pegs, pull, bounds, state, workspace, found, aside
             x = 0.0
         elif (1.0 - x) * h <= MOMENT:
             x = 1.0
-        straight = x == 0.0 or x == 1.0
-        if not (straight or saved):
-            save_memory(found, workspace.contacts, workspace.impulses, workspace.joints, h)
-            saved = True
-        if not straight:
-            surplus = partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, found, aside, h, x, had)
-            if not energy_balanced(surplus, allowed):
-                straight = not (abs(surplus) < abs(straight_surplus(chain, state, workspace, aside, h, x, had)))
-        if straight:
+        given = chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch
+        if x == 0.0 or x == 1.0:
             write_sample(workspace, h, x, state, k, y_out, seen_out)
-        else:
+        elif partial_step(*given, h, x, had):
             write_sample(aside, x * h, 1.0, state, k, y_out, seen_out)
+        elif branch_off(*given, nothing, t_out[k]):
+            write_state(branch, chain.length.size, k, y_out, seen_out)
+        else:
+            write_sample(workspace, h, x, state, k, y_out, seen_out)
         step_means(workspace, h, seen_out[k])
         clock[INDEX] += 1
 

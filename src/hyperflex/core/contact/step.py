@@ -20,7 +20,9 @@ FAST, FALL = 0.01, 50.0  # m/s, m/s^2; what closes faster than that, and than a 
 TOUCH = 1e-6  # m, gap that counts as touching there
 FREE = 1e9  # m/s, target of a link that nothing holds
 RECOVERY, PUSH = 1e-3, 5e-7  # m/s, W; at most so fast, and with so little power, a rope is pushed out of a peg
-DEEP = 2e-5  # m, penetration from which on it takes the power that it needs
+# m; what is less deep stays as it is: neighbours pushed at speeds of their own let contacts change modes in every
+# step, for which half of all rounds were made. From DEEP on it takes the power that it needs
+SHALLOW, DEEP = 2e-6, 2e-5
 RELAXED = 0.99  # of the last step's forces is where the next step starts: what nothing asks for dies out
 SLIGHT_FORCE = 1e-6  # N
 RESIDUAL_SHARE = 0.25  # part of the power allowed from nowhere that the residual velocities of contacts may have
@@ -160,9 +162,10 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
                 impulses.target[c] = FREE
                 continue
         bend, impulses.tangent_target[c] = second_order(chain, pegs, workspace, h, c)
-        out = RECOVERY if push else 0.0
-        if contacts.gap[c] > -DEEP:
-            out = min(out, PUSH / (abs(memory.normal[i, p]) + SLIGHT_FORCE))
+        out, depth = RECOVERY if push else 0.0, -contacts.gap[c]
+        if depth < DEEP:
+            limit = PUSH / (abs(memory.normal[i, p]) + SLIGHT_FORCE)
+            out = min(out, limit) * max(0.0, (depth - SHALLOW) / (DEEP - SHALLOW))
         impulses.target[c] = max(contacts.gap[c] / h, -out) + bend / h
     return least
 
