@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.core.contact.torque_peaks import CELL, COLUMNS, FIRST, PARTS, PEAK, SUM, add_impulse
+from hyperflex.core.chain.torque_peaks import CELL, COLUMNS, FIRST, PARTS, PEAK, SUM, add_impulse
 
 WINDOW = 5e-4  # s
 

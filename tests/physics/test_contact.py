@@ -179,13 +179,13 @@ def test_a_rope_that_starts_too_deep_is_pushed_out_in_usual_steps(deep: float) -
     assert left[1] < 4e-5
 
 
-@pytest.mark.parametrize(("number", "duration"), [(205, 1.26), (554, 1.42), (578, 0.82)])
+@pytest.mark.parametrize(("number", "duration"), [(205, 1.6), (521, 0.62), (655, 1.7)])
 def test_samples_within_hard_steps_keep_the_energy(number: int, duration: float) -> None:
-    """One whose search must begin as the whole step began (205), or ended (554), or that pushes nothing out (578).
+    """Where one shorter step does not, a sample is reached by several.
 
-    Throws are chaotic: of which kind a sample is changes with the kernels. When these were chosen each failed without
-    its way.
+    Straight between the ends of a step the energy of these was off by 94, 0.04 and 0.13 mJ. Throws are chaotic: of
+    which a sample lies in a hard step changes with the kernels.
     """
     _, rope, how = draw(number, duration)
     run = hf.simulate(rope, refine=False, **how)
-    assert rise(run.energy_error) < 1e-5  # as the steps do; straight between their ends these were off by 0.02 to 14 mJ
+    assert rise(run.energy_error) < 1e-6  # as the steps do

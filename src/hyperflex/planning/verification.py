@@ -78,7 +78,7 @@ def motor_torques(run: Trajectory) -> tuple[float, float]:
     """Return the greatest motor torque of a run as a mean over 5 ms, and its greatest peak, a mean over 0.5 ms; N m.
 
     Samples tell what is smooth, where nothing is touched. Means over steps in contact tell the rest
-    (``core.contact.torque_peaks``): a sample there is a mean over part of a step, which may begin with a blow.
+    (``core.chain.torque_peaks``): a sample there is a mean over part of a step, which may begin with a blow.
 
     Their windows slide by a tenth of their length. The arm's own torque is added to the rope's where that is greatest,
     which need not be where their sum is.

@@ -38,7 +38,7 @@ class ContactState(NamedTuple):
     clock: Array  # (CLOCK,)
     spin: Array  # (2, m) angles, rad, and rates, rad/s, of the pegs; 0 of fixed ones
     memory: ContactMemory
-    torque: Array  # (k, COLUMNS) windows of ``torque_peaks``
+    torque: Array  # (k, COLUMNS) windows of ``chain.torque_peaks``
 
 
 @non_allocating

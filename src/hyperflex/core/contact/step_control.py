@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from hyperflex.core.chain.torque_peaks import watch_torque
 from hyperflex.core.contact.account import CONTACT, FRICTION, WORK, energy
 from hyperflex.core.contact.bounds import (
     BEND,
@@ -27,7 +28,6 @@ from hyperflex.core.contact.bounds import (
 from hyperflex.core.contact.joints import BEYOND
 from hyperflex.core.contact.modes import USUAL_TOL
 from hyperflex.core.contact.step import begin_step, finish_step, save_memory, try_step
-from hyperflex.core.contact.torque_peaks import watch_torque
 from hyperflex.core.contact.trend import growth, relative_error, save_trend
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.integrate.step_size import fitted
@@ -47,7 +47,9 @@ SINKING = 1.02  # times the greatest depth until then, which a step may have: wh
 @absorbed
 def accept_step(drive, state, workspace, h, rounds, least):  # type: ignore[no-untyped-def]
     """Accept the step to ``workspace.out``."""
-    watch_torque(state.torque, drive.arm_length, workspace, state.clock[T], h)
+    load, angle = workspace.motion.load, workspace.base[1, 4]
+    about_shaft = load[2] + drive.arm_length * (math.cos(angle) * load[0] + math.sin(angle) * load[1])
+    watch_torque(state.torque, about_shaft, state.clock[T], h)
     y, clock, account = state.y, state.clock, workspace.account
     n = workspace.motion.w.size
     for i in range(2 * n):

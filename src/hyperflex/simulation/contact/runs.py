@@ -15,11 +15,11 @@ from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import energies
 from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.chain.torque_peaks import COLUMNS, PEAK, WHEN, WINDOWS
 from hyperflex.core.contact import bounds as at
 from hyperflex.core.contact import run as core
 from hyperflex.core.contact.arrays import STICK
 from hyperflex.core.contact.step import new_contact_memory
-from hyperflex.core.contact.torque_peaks import COLUMNS, PEAK, WHEN, WINDOWS
 from hyperflex.core.integrate.progress import INDEX, MARK, T
 from hyperflex.interruption import deferred, look
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refine_rope

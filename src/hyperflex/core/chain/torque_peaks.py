@@ -12,13 +12,12 @@ COLUMNS = FIRST + CELLS
 
 
 @non_allocating
-def watch_torque(peaks, arm_length, workspace, t, h):  # type: ignore[no-untyped-def]
+def watch_torque(peaks, impulse, t, h):  # type: ignore[no-untyped-def]
     """Add a step from t, s, of length h, s, to sliding windows (k, COLUMNS), which begin anew after free flight.
 
-    ``PEAK`` is the mean torque about the shaft of greatest size, N m, with the motor's sign; ``WHEN`` is its time.
+    `impulse` is that of the torque about the shaft, N m s. ``PEAK`` is the mean torque of greatest size, N m, with the
+    motor's sign; ``WHEN`` is its time.
     """
-    load, angle = workspace.motion.load, workspace.base[1, 4]
-    impulse = load[2] + arm_length * (math.cos(angle) * load[0] + math.sin(angle) * load[1])
     for k, window in enumerate(WINDOWS):
         add_impulse(peaks[k], window / PARTS, impulse, t, h)
 
