@@ -13,6 +13,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import FileProblem, InvalidInput
 from tests.exchange import bags
+from tests.faults.bounds import bounded
 
 START = 1_700_000_000_123_456_789  # ns
 STAMPS = START + np.cumsum(np.random.default_rng(1).integers(10**6, 10**7, 9))  # too few for rates to be tested
@@ -75,4 +76,12 @@ def test_an_incomplete_bag_is_refused(tmp_path: Path) -> None:
         hf.read_recording(bag)
     (bag / "metadata.yaml").unlink()
     with pytest.raises(FileProblem, match="is a folder"):
+        hf.read_recording(bag)
+
+
+def test_nested_brackets_in_a_bag_are_not_read(tmp_path: Path) -> None:
+    """The YAML reader takes 2.5 s of processor time until it gives up."""
+    bag = bags.write(tmp_path / "bag", {"/joint_states": (bags.JOINT_STATE, [])})
+    (bag / "metadata.yaml").write_bytes(b"[" * 3000)
+    with bounded(1.0), pytest.raises(FileProblem, match="damaged"):
         hf.read_recording(bag)

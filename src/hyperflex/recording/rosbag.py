@@ -1,5 +1,6 @@
 """ROS 2 bags, folders or single files: joint states, poses and points."""
 
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ KINDS |= {f"geometry_msgs/msg/{name}": "markers" for name in ("PoseArray", "Pose
 # What the rosbags package raises on damaged bags, found by altering sound ones, beside its own errors.
 _DAMAGE: tuple[type[Exception], ...] = (ValueError, LookupError, TypeError, AttributeError, OSError, EOFError)
 _DAMAGE += (OverflowError, MemoryError, RuntimeError, AssertionError, SyntaxError)
+MOST_NESTED = 100  # brackets of metadata.yaml in each other; with 3,000 the YAML reader gives up after 2.5 s
 
 
 def is_bag(path: Path) -> bool:
@@ -31,6 +33,7 @@ def read(path: PathLike, selection: Selection) -> Raw:
     apsw = extras.load("apsw", "ros", "ROS bags")
     known = stores.get_typestore(stores.Stores.ROS2_HUMBLE)  # of bags that do not say what their messages are
     try:
+        _check_nesting(as_path(path, "bag"))
         with bags.AnyReader([as_path(path, "bag")], default_typestore=known) as reader:
             return _read(path, reader, selection)
     except (InvalidInput, FileProblem):
@@ -38,6 +41,15 @@ def read(path: PathLike, selection: Selection) -> Raw:
     except (*_DAMAGE, *bags.anyreader.ReaderErrors, bags.AnyReaderError, apsw.Error) as error:
         told = f"The bag {path} cannot be read: it is damaged, cut off or incomplete. Get it again."
         raise FileProblem(told) from error
+
+
+def _check_nesting(path: Path) -> None:
+    """Raise ValueError if the brackets of a bag's metadata are nested deeper than any bag's."""
+    depth = 0
+    for bracket in re.findall(rb"[][{}]", (path / "metadata.yaml").read_bytes()) if is_bag(path) else ():
+        depth += 1 if bracket in b"[{" else -1
+        if depth > MOST_NESTED:
+            raise ValueError("nested too deep")
 
 
 def _read(path: PathLike, reader: Any, selection: Selection) -> Raw:
