@@ -20,7 +20,7 @@ from hyperflex.core.contact.step_control import choose_step, complete_step, impa
 from hyperflex.core.contact.turning_pegs import turning_energy
 from hyperflex.core.jit import kernel, non_allocating
 
-MOST = 1000  # steps of its own to a sample
+MOST_STEPS = 100  # of its own to a sample
 
 
 @kernel
@@ -74,7 +74,7 @@ def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside
 def branch_off(chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, nothing, end):  # type: ignore[no-untyped-def]
     """Go from before the step of `workspace` to the time `end`, s, by steps chosen as those of a run, in `branch`.
 
-    Returns whether it gets there. The run itself goes on from the end of its step.
+    Returns whether it gets there with its energy kept. The run itself goes on from the end of its step.
     """
     copy_before(workspace, aside)
     assign(branch.y, state.y)
@@ -89,12 +89,13 @@ def branch_off(chain, drive, part, pegs, pull, bounds, state, workspace, aside, 
     assign(memory.torque, saved.torque)
     assign(memory.bent, saved.bent)
     struck = True
-    for _ in range(MOST):
+    for _ in range(MOST_STEPS):
         if branch.clock[IMPACT_DUE] == 1.0:
             impact(chain, drive, part, pegs, pull, branch, aside)
             struck = True
         chosen = choose_step(chain, drive, part, pegs, pull, bounds, branch, aside, nothing, end, struck, math.nan)
-        if not (abs(chosen[5]) < math.inf):
+        _, _, _, _, _, surplus, _, good, _ = chosen
+        if not (good and abs(surplus) < math.inf):
             return False
         complete_step(drive, bounds, branch, aside, chosen, end)
         if branch.clock[T] >= end:

@@ -46,7 +46,7 @@ def empty(memory):  # type: ignore[no-untyped-def]
 def take_steps(  # type: ignore[no-untyped-def]
     chain, drive, pegs, pull, bounds, state, workspace, aside, branch, nothing, t_out, y_out, seen_out
 ):
-    """Take the steps of :func:`run`, in arrays that it has made: a loop that makes some counts references."""
+    """Take the steps of :func:`run`, apart: a function that makes arrays counts references to all that it handles."""
     clock, memory, account = state.clock, state.memory, workspace.account
     part = segment(drive, clock[T])
     had = math.nan  # energy before the step, where it is known

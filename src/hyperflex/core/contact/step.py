@@ -126,10 +126,11 @@ def velocity_before(contacts, motion, c):  # type: ignore[no-untyped-def]
 def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # type: ignore[no-untyped-def]
     """Find the links that may touch in a step and how fast each may close; returns the smallest gap, m.
 
-    A gap may be closed, not more. Without `push` what is inside a peg stays as deep as it is. `bounce` is the part of
-    the restitution that takes place in an impact. Where an impact was made already (`struck`), a link that touches is
-    held by the step, however it moves: only links further away may be left free. What was held in the last step
-    (`memory`) is never left free: it may be pressed on, and would sink.
+    A gap may be closed, not more. Without `push`, or where it is SHALLOW, what is inside a peg stays as deep as it
+    is, and up to DEEP it is pushed out the more the deeper. `bounce` is the part of the restitution that takes
+    place in an impact. Where an impact was made already (`struck`), a link that touches is held by the step,
+    however it moves: only links further away may be left free. What was held in the last step (`memory`) is never
+    left free: it may be pressed on, and would sink.
     """
     contacts, impulses, motion = workspace.contacts, workspace.impulses, workspace.motion
     n = motion.w.size

@@ -116,7 +116,7 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
 
     Parameters
     ----------
-    chain, drive, part, pegs, pull, bounds, state, workspace : as for :func:`run` and :func:`try_step`
+    chain, drive, part, pegs, pull, bounds, state, workspace : as for ``run.run`` and :func:`try_step`
     nothing : ContactMemory, empty
     end : s, time that no step goes beyond
     struck : bool, an impact was made already at this instant
