@@ -9,7 +9,8 @@ import hyperflex as hf
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
 from hyperflex.core.contact.joints import ANY, NEAR, joints_in_play
-from hyperflex.core.contact.step import new_contact_memory, new_contact_workspace, save_memory, try_step
+from hyperflex.core.contact.step import new_contact_workspace, try_step
+from hyperflex.core.contact.warm_start import new_contact_memory, save_memory
 from tests.reference import dense
 from tests.reference.joint_impulses import rates_after
 

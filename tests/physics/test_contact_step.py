@@ -11,12 +11,18 @@ import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
+from hyperflex.core.chain.torque_peaks import COLUMNS, WINDOWS
+from hyperflex.core.contact import bounds as at
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.modes import ALL, EVEN, LOOSEST, NONE, STIFF, USUAL_TOL, looseness, update_modes
-from hyperflex.core.contact.step import new_contact_memory, new_contact_workspace, save_memory, try_step
+from hyperflex.core.contact.output import branch_off, new_branch
+from hyperflex.core.contact.step import new_contact_workspace, try_step
+from hyperflex.core.contact.step_control import choose_step, complete_step
+from hyperflex.core.contact.warm_start import new_contact_memory, save_memory
 from tests.reference.wrapping import laid
 
 RADIUS, TOP, STEP = 0.05, 0.4, 1e-4  # m, m, s
+PART = 0.05  # of a step: 51 of the shortest steps
 
 
 def gaps(rope: hf.Rope, radius: float, base: Array, q: Array) -> tuple[Array, Array]:
@@ -77,6 +83,50 @@ def test_a_sample_beside_a_peg_does_not_depend_on_the_others() -> None:
     assert many.contact_loss[-1] > 0.0
     np.testing.assert_array_equal(few.q, many.q[::8])
     np.testing.assert_array_equal(few.contact_force, many.contact_force[::8])
+
+
+@pytest.mark.parametrize(("rate", "kept"), [(1e-4, True), (-1.0, False)])
+def test_the_way_to_a_sample_leaves_a_run_as_it_is(rate: float, kept: bool) -> None:
+    """A cable slides over a peg that turns. Where energy must vanish no step will do: none is forced."""
+    length = TOP + math.pi * RADIUS + 0.15
+    rope = hf.Rope.uniform(length, 0.05, round(length / 0.01), friction=1e-5, gravity=(0.0, 9.81))
+    q, n = laid(rope.length, (-RADIUS, TOP), RADIUS, math.pi), rope.n_links
+    still = hf.moving_pivot([0.0, 1.0], [-RADIUS] * 2, [TOP] * 2)
+    setup = hf.Setup(rope, still, q0=q, pegs=[hf.Peg(0.0, 0.0, RADIUS, 0.3, inertia=1e-5)])
+    chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
+    pegs, clock, spin = setup.contacts(), np.zeros(at.CLOCK), np.array([[0.0], [3.0]])
+    clock[at.STEP] = STEP
+    y, torque = np.concatenate([q, np.zeros(n + 2)]), np.zeros((len(WINDOWS), COLUMNS))
+    state = at.ContactState(y, clock, spin, new_contact_memory(n, 1), torque)
+    workspace, aside = (new_contact_workspace(chain, pegs, 1e-4, STEP, 1e-5) for _ in range(2))
+    workspace.spin.before[:] = spin[1]
+    bounds, nothing = at.Bounds(1.0, STEP, 1e-5, 1e-4, np.inf, np.inf, 100), new_contact_memory(n, 1)
+    given = chain, drive, segment(drive, 0.0), pegs, np.zeros(2)
+    for _ in range(50):
+        chosen = choose_step(*given, bounds, state, workspace, nothing, 1.0, False, math.nan)
+        complete_step(drive, bounds, state, workspace, chosen, 1.0)
+    chosen = choose_step(*given, bounds, state, workspace, nothing, 1.0, False, math.nan)
+    assert chosen.good
+    assert spin[1, 0] != 3.0
+    before, branch, end = copied((state, workspace)), new_branch(state), clock[at.T] + PART * chosen.h
+    branched = branch_off(*given, bounds._replace(rate=rate), state, workspace, aside, branch, nothing, False, end)
+    assert branched == kept
+    for one, other in zip(copied((state, workspace)), before, strict=True):
+        np.testing.assert_array_equal(one, other)
+    if kept:
+        assert branch.clock[at.T] == end
+        spun = spin[:, 0] + PART * chosen.h * np.array([spin[1, 0], 0.0])
+        spun[1] += PART * (workspace.spin.after[0] - spin[1, 0])
+        np.testing.assert_allclose(branch.spin[:, 0], spun, rtol=0.0, atol=1e-3)
+        part = y[:n] + PART * (workspace.out[:n] - y[:n])
+        np.testing.assert_allclose(branch.y[:n], part, rtol=0.0, atol=np.abs(workspace.out[:n] - y[:n]).max())
+
+
+def copied(value: object) -> list[Array]:
+    """Copies of all arrays in nested tuples."""
+    if isinstance(value, tuple):
+        return [array for each in value for array in copied(each)]
+    return [np.array(value)]
 
 
 def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> None:

@@ -231,15 +231,15 @@ class Rope:
         return float(np.arctan2(gx, -gy)) if (gx or gy) else 0.0
 
     def joints(self, q: Array, base: Array) -> Array:
-        """Return the joints' positions (..., n + 1, 2), m, the tip last, at link angles q (..., n), rad.
-
-        `base` (..., 2) is the position of the first joint, m.
-        """
+        """Return the joints (..., n + 1, 2), m, from `base` (..., 2) to the tip, at link angles q (..., n), rad."""
         shape = checks.array("q", q, None, gaps=True).shape[:-1]
         q = checks.array("q", q, (*shape, self.n_links), unit="rad", gaps=True)
         base = checks.array("base", base, (*shape, 2), unit="m", gaps=True)
-        links = self.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
-        return np.cumsum(np.concatenate([base[..., None, :], links], axis=-2), axis=-2)
+        places = np.empty((*shape, self.n_links + 1, 2))
+        places[..., 0, :] = base
+        np.multiply(self.length, np.sin(q), out=places[..., 1:, 0])
+        np.multiply(-self.length, np.cos(q), out=places[..., 1:, 1])
+        return np.cumsum(places, axis=-2, out=places)
 
     def replace(self, **changes: Any) -> "Rope":
         """Return a rope with the fields named in `changes` replaced; com and inertia stay unless named."""

@@ -5,8 +5,8 @@ from hyperflex.core.contact.air import drag_work
 from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.joints import friction_impulse, joint_losses
 from hyperflex.core.contact.sweep import TX, TY
-from hyperflex.core.contact.trend import STEADY
 from hyperflex.core.contact.turning_pegs import lost_in_bearings
+from hyperflex.core.contact.warm_start import STEADY
 from hyperflex.core.jit import non_allocating
 
 # of ContactWorkspace.account, J: lost in joints, air, axles; in contacts, limits; put in

@@ -11,6 +11,7 @@ from hyperflex.core.jit import kernel
 # Modes. AHEAD, BACK: the rope slips along the tangent, or against it; a joint turns in the positive sense, or against
 # it. UPPER, LOWER: a joint is held at a limit.
 OPEN, STICK, AHEAD, BACK, UPPER, LOWER = range(6)
+UNHELD = 1e9  # m/s, target of a link that nothing holds
 
 
 class Impulses(NamedTuple):

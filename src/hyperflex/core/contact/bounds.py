@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.contact.step import ContactMemory
+from hyperflex.core.contact.warm_start import ContactMemory
 from hyperflex.core.jit import non_allocating
 
 MOMENT = 1e-8  # s; forces of shorter steps are not kept for the next: they would be mostly rounding
@@ -38,7 +38,7 @@ class ContactState(NamedTuple):
     clock: Array  # (CLOCK,)
     spin: Array  # (2, m) angles, rad, and rates, rad/s, of the pegs; 0 of fixed ones
     memory: ContactMemory
-    torque: Array  # (k, COLUMNS) windows of ``chain.torque_peaks``
+    torque: Array  # (k, COLUMNS) windows of ``core.chain.torque_peaks``
 
 
 @non_allocating

@@ -1,4 +1,4 @@
-"""Outputs of a rollout with contact."""
+"""Dense output with contact: a sample within a step is reached by a shorter step, or by several."""
 
 import math
 
@@ -15,9 +15,10 @@ from hyperflex.core.contact.bounds import (
     energy_allowance,
     energy_balanced,
 )
-from hyperflex.core.contact.step import ContactMemory, save_memory, try_step
+from hyperflex.core.contact.step import try_step
 from hyperflex.core.contact.step_control import choose_step, complete_step, impact
 from hyperflex.core.contact.turning_pegs import turning_energy
+from hyperflex.core.contact.warm_start import copy_memory, new_contact_memory, save_memory
 from hyperflex.core.jit import kernel, non_allocating
 
 MOST_STEPS = 100  # of its own to a sample
@@ -26,26 +27,16 @@ MOST_STEPS = 100  # of its own to a sample
 @kernel
 def new_branch(state):  # type: ignore[no-untyped-def]
     """A ContactState of the same shapes, for :func:`branch_off`."""
-    memory = state.memory
-    return ContactState(
-        state.y.copy(),
-        state.clock.copy(),
-        state.spin.copy(),
-        ContactMemory(
-            memory.normal.copy(),
-            memory.tangent.copy(),
-            memory.mode.copy(),
-            memory.penalty.copy(),
-            memory.torque.copy(),
-            memory.bent.copy(),
-        ),
-        state.torque.copy(),
-    )
+    memory = new_contact_memory(*state.memory.normal.shape)
+    return ContactState(state.y.copy(), state.clock.copy(), state.spin.copy(), memory, state.torque.copy())
 
 
 @non_allocating
 def copy_before(workspace, aside):  # type: ignore[no-untyped-def]
-    """Copy what a step begins with beside the state, from the workspace of one to that of another."""
+    """Copy what a step begins with beside the state, from its workspace to another.
+
+    Of ``motion.pull`` that is what the step itself found, the best guess at hand: what it began with is gone.
+    """
     assign_rows(aside.trend, workspace.trend)
     assign(aside.pace, workspace.pace)
     assign_rows(aside.motion.pull, workspace.motion.pull)
@@ -54,51 +45,44 @@ def copy_before(workspace, aside):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, h, x, had):  # type: ignore[no-untyped-def]
-    """Take the part x of the step of `workspace` to `aside`; returns whether that keeps the energy.
+def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, chosen, x):  # type: ignore[no-untyped-def]
+    """Take the part x of the step `chosen`, in `workspace`, to `aside`; returns whether that keeps the energy.
 
     The rates are off the straight line between the ends of a step by a term of second order, and their energy with
-    them, so a sample within a step is a shorter step: from the modes and forces that the whole step found. `had` is the
-    energy before it, J.
+    them, so a sample within a step is a shorter step: from the modes and forces that the whole step found, which go to
+    ``branch.memory``.
     """
     copy_before(workspace, aside)
-    found = branch.memory
+    found, h = branch.memory, chosen.h
     save_memory(found, workspace.contacts, workspace.impulses, workspace.joints, h)
-    try_step(chain, drive, part, pegs, pull, state.clock[T], x * h, state.y, found, aside, True, 0.0, True)
+    try_step(chain, drive, part, pegs, pull, state.clock[T], x * h, state.y, found, aside, chosen.push, 0.0, True)
     taken = aside.account[FRICTION] + aside.account[CONTACT] - aside.account[WORK]
     has = energy(chain, aside.out, aside.base[2], aside.ahead_trig) + turning_energy(aside.spin, aside.spin.after)
-    return energy_balanced(has - had + taken, energy_allowance(bounds, h))
+    return energy_balanced(has - chosen.had + taken, energy_allowance(bounds, h))
 
 
 @non_allocating
-def branch_off(chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, nothing, end):  # type: ignore[no-untyped-def]
+def branch_off(chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, nothing, struck, end):  # type: ignore[no-untyped-def]
     """Go from before the step of `workspace` to the time `end`, s, by steps chosen as those of a run, in `branch`.
 
-    Returns whether it gets there with its energy kept. The run itself goes on from the end of its step.
+    Returns whether it gets there with its energy kept. The run itself goes on from the end of its step. `struck` tells
+    whether an impact was made where the step begins.
     """
     copy_before(workspace, aside)
     assign(branch.y, state.y)
     assign(branch.clock, state.clock)
     assign_rows(branch.spin, state.spin)
     assign_rows(branch.torque, state.torque)
-    memory, saved = branch.memory, state.memory
-    assign_rows(memory.normal, saved.normal)
-    assign_rows(memory.tangent, saved.tangent)
-    assign_rows(memory.mode, saved.mode)
-    assign(memory.penalty, saved.penalty)
-    assign(memory.torque, saved.torque)
-    assign(memory.bent, saved.bent)
-    struck = True
+    copy_memory(state.memory, branch.memory)
     for _ in range(MOST_STEPS):
         if branch.clock[IMPACT_DUE] == 1.0:
             impact(chain, drive, part, pegs, pull, branch, aside)
             struck = True
         chosen = choose_step(chain, drive, part, pegs, pull, bounds, branch, aside, nothing, end, struck, math.nan)
-        _, _, _, _, _, surplus, _, good, _ = chosen
-        if not (good and abs(surplus) < math.inf):
+        if not (chosen.good and abs(chosen.surplus) < math.inf):
             return False
         complete_step(drive, bounds, branch, aside, chosen, end)
-        if branch.clock[T] >= end:
+        if branch.clock[T] >= end - MOMENT:
             return True
         struck = False
     return False
@@ -135,15 +119,15 @@ def write_sample(workspace, h, x, state, k, y_out, seen_out):  # type: ignore[no
 
 @non_allocating
 def write(  # type: ignore[no-untyped-def]
-    chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, nothing, h, had, t_out, y_out, seen_out
+    chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, nothing, chosen, t_out, y_out, seen_out
 ):
-    """Write the outputs within the step to ``workspace.out``, which had the energy `had` before it, J.
+    """Write the outputs within the step `chosen` to ``workspace.out``.
 
     A sample is a partial step; where that does not keep the energy it is reached by steps of its own, in `aside` and
     `branch`, a workspace and a state, and `nothing` is as for :func:`choose_step`. Where these fail, too, it lies on
-    the straight line between the ends of the step.
+    the straight line between the ends of the step. Accelerations and forces are the means over the whole step.
     """
-    clock = state.clock
+    clock, h = state.clock, chosen.h
     while clock[INDEX] < t_out.size and t_out[int(clock[INDEX])] <= clock[T] + h:
         k = int(clock[INDEX])
         x = (t_out[k] - clock[T]) / h
@@ -151,12 +135,12 @@ def write(  # type: ignore[no-untyped-def]
             x = 0.0
         elif (1.0 - x) * h <= MOMENT:
             x = 1.0
-        given = chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch
+        step = chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch
         if x == 0.0 or x == 1.0:
             write_sample(workspace, h, x, state, k, y_out, seen_out)
-        elif partial_step(*given, h, x, had):
+        elif partial_step(*step, chosen, x):
             write_sample(aside, x * h, 1.0, state, k, y_out, seen_out)
-        elif branch_off(*given, nothing, t_out[k]):
+        elif branch_off(*step, nothing, chosen.struck, t_out[k]):
             write_state(branch, chain.length.size, k, y_out, seen_out)
         else:
             write_sample(workspace, h, x, state, k, y_out, seen_out)

@@ -1,4 +1,4 @@
-"""Run loop with contact: steps that end at touchdown, impacts, and an energy check."""
+"""Run loop with contact: impacts, steps, outputs between their ends, and where the rope leaves."""
 
 import math
 
@@ -8,38 +8,14 @@ from hyperflex.core import status
 from hyperflex.core.assign import assign
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.chain.drive import base_state, segment
-from hyperflex.core.contact.account import CONTACT, FRICTION, WORK
-from hyperflex.core.contact.arrays import OPEN
 from hyperflex.core.contact.bounds import IMPACT_DUE, INDEX, T
 from hyperflex.core.contact.gaps import find, joint_positions, new_contacts, speeds
 from hyperflex.core.contact.joints import bend_clearance
 from hyperflex.core.contact.output import new_branch, write
-from hyperflex.core.contact.step import new_contact_memory, new_contact_workspace
+from hyperflex.core.contact.step import new_contact_workspace
 from hyperflex.core.contact.step_control import choose_step, complete_step, impact
+from hyperflex.core.contact.warm_start import clear_memory, is_empty, new_contact_memory
 from hyperflex.core.jit import kernel, non_allocating
-
-
-@non_allocating
-def clear_memory(memory):  # type: ignore[no-untyped-def]
-    """Clear the modes and forces of the last step."""
-    memory.penalty[0] = 0.0
-    for i in range(memory.mode.shape[0]):
-        for p in range(memory.mode.shape[1]):
-            memory.normal[i, p] = memory.tangent[i, p] = 0.0
-            memory.mode[i, p] = OPEN
-        memory.torque[i], memory.bent[i] = 0.0, OPEN
-
-
-@non_allocating
-def empty(memory):  # type: ignore[no-untyped-def]
-    """Whether nothing was held in the last step."""
-    for i in range(memory.mode.shape[0]):
-        if memory.bent[i] != OPEN:
-            return False
-        for p in range(memory.mode.shape[1]):
-            if memory.mode[i, p] != OPEN:
-                return False
-    return True
 
 
 @non_allocating
@@ -47,7 +23,7 @@ def take_steps(  # type: ignore[no-untyped-def]
     chain, drive, pegs, pull, bounds, state, workspace, aside, branch, nothing, t_out, y_out, seen_out
 ):
     """Take the steps of :func:`run`, apart: a function that makes arrays counts references to all that it handles."""
-    clock, memory, account = state.clock, state.memory, workspace.account
+    clock, memory = state.clock, state.memory
     part = segment(drive, clock[T])
     had = math.nan  # energy before the step, where it is known
     for _ in range(bounds.budget):
@@ -62,19 +38,17 @@ def take_steps(  # type: ignore[no-untyped-def]
             had = math.nan
         end = min(part.end, bounds.stop)
         chosen = choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothing, end, struck, had)
-        h, _, least, _, _, surplus, has, _, _ = chosen
-        if not (abs(surplus) < math.inf):
-            if not empty(memory):  # begin anew, from nothing
+        if not (abs(chosen.surplus) < math.inf):
+            if not is_empty(memory):  # begin anew, from nothing
                 clear_memory(memory)
                 continue
             return status.NOT_FINITE
         if clock[INDEX] < t_out.size:
-            had = has - surplus + account[FRICTION] + account[CONTACT] - account[WORK]
-            rest = nothing, h, had, t_out, y_out, seen_out
+            rest = nothing, chosen, t_out, y_out, seen_out
             write(chain, drive, part, pegs, pull, bounds, state, workspace, aside, branch, *rest)
-        had = has
+        had = chosen.has
         complete_step(drive, bounds, state, workspace, chosen, end)
-        if least > bounds.clear and workspace.bend[1] > bounds.slack and clock[T] < bounds.stop:
+        if chosen.least > bounds.clear and workspace.bend[1] > bounds.slack and clock[T] < bounds.stop:
             return status.LEFT
     return status.RUNNING if clock[T] < bounds.stop else status.OK
 

@@ -8,38 +8,26 @@ from hyperflex.core.chain.articulated_body import Array, sines
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.contact.account import account_step
 from hyperflex.core.contact.air import Air, add_drag_impulses, new_air
-from hyperflex.core.contact.arrays import IMPULSE, OPEN, Impulses, Joints, Motion, new_impulses, new_joints, new_motion
-from hyperflex.core.contact.gaps import NOWHERE, Contacts, Index, find, joint_positions, nearest, new_contacts, speeds
+from hyperflex.core.contact.arrays import OPEN, UNHELD, Impulses, Joints, Motion, new_impulses, new_joints, new_motion
+from hyperflex.core.contact.gaps import NOWHERE, Contacts, find, joint_positions, nearest, new_contacts, speeds
 from hyperflex.core.contact.joints import BEYOND, bend_clearance, bound_joint_rates, joint_impulses
 from hyperflex.core.contact.modes import looseness, solve
-from hyperflex.core.contact.trend import STEADY, foresight
 from hyperflex.core.contact.turning_pegs import Spin, new_spin, prepare_spin
+from hyperflex.core.contact.warm_start import STEADY, foresight, warm_start
 from hyperflex.core.jit import absorbed, kernel, non_allocating
 
 FAST, FALL = 0.01, 50.0  # m/s, m/s^2; what closes faster than that, and than a step may make it, does so in an impact
 TOUCH = 1e-6  # m, gap that counts as touching there
-FREE = 1e9  # m/s, target of a link that nothing holds
 RECOVERY, PUSH = 1e-3, 5e-7  # m/s, W; at most so fast, and with so little power, a rope is pushed out of a peg
 # m; what is less deep stays as it is: neighbours pushed at speeds of their own let contacts change modes in every
-# step, for which half of all rounds were made. From DEEP on it takes the power that it needs
+# step, for which half of all rounds were made. From there to DEEP it is pushed out in proportion to its depth, with
+# no more power than PUSH; from DEEP on at RECOVERY
 SHALLOW, DEEP = 2e-6, 2e-5
-RELAXED = 0.99  # of the last step's forces is where the next step starts: what nothing asks for dies out
 SLIGHT_FORCE = 1e-6  # N
 RESIDUAL_SHARE = 0.25  # part of the power allowed from nowhere that the residual velocities of contacts may have
 NEAR = 1e-4  # m, gap below which a link is watched even at rest
 BEND = 2e-5  # m, by which a gap may change more than its rate says
 FASTER = 2.0  # how many times faster than before a step links may be after it
-
-
-class ContactMemory(NamedTuple):
-    """Contact forces and modes of the last step, the warm start of the next; by link and peg or by joint."""
-
-    normal: Array  # (n, m) N
-    tangent: Array
-    mode: Index
-    penalty: Array  # (1,) kg, as in Impulses
-    torque: Array  # (n,) N m, of the joints' dry friction and limits
-    bent: Index  # (n,) their modes
 
 
 class ContactWorkspace(NamedTuple):
@@ -98,19 +86,6 @@ def new_contact_workspace(chain, pegs, rate, longest, tol):  # type: ignore[no-u
     )
 
 
-@kernel
-def new_contact_memory(n, pegs):  # type: ignore[no-untyped-def]
-    """An empty memory."""
-    return ContactMemory(
-        np.zeros((n, pegs)),
-        np.zeros((n, pegs)),
-        np.zeros((n, pegs), np.int64),
-        np.zeros(1),
-        np.zeros(n),
-        np.zeros(n, np.int64),
-    )
-
-
 @non_allocating
 def velocity_before(contacts, motion, c):  # type: ignore[no-untyped-def]
     """Velocity of the point of contact c before the step, m/s: along its normal, and along its tangent."""
@@ -151,7 +126,7 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
         impulses.tangent_target[c] = 0.0
         if h == 0.0:
             rebound = bounce * pegs.bounce[p] * closing if closing < -workspace.fast else 0.0
-            impulses.target[c] = rebound if contacts.gap[c] <= 2.0 * TOUCH else FREE
+            impulses.target[c] = rebound if contacts.gap[c] <= 2.0 * TOUCH else UNHELD
             continue
         held, fast = memory.mode[i, p] != OPEN, workspace.fast
         if held and pegs.bounce[p] == 0.0:
@@ -160,7 +135,7 @@ def find_contacts(chain, pegs, memory, workspace, h, push, bounce, struck):  # t
         if closing < -fast and (away > TOUCH or not struck):
             workspace.touch[0] = min(workspace.touch[0], 0.0 if away <= TOUCH else -away / closing)
             if not held:
-                impulses.target[c] = FREE
+                impulses.target[c] = UNHELD
                 continue
         bend, impulses.tangent_target[c] = second_order(chain, pegs, workspace, h, c)
         out, depth = RECOVERY if push else 0.0, -contacts.gap[c]
@@ -205,33 +180,6 @@ def second_order(chain, pegs, workspace, h, c):  # type: ignore[no-untyped-def]
     lever = s * motion.w[i]
     wx, wy = speed[0, i] + lever * trig[n + i], speed[1, i] + lever * trig[i]
     return max(-BEND, min(gap - contacts.gap[c] - h * closing, BEND)), 0.5 * ((wy * nx - wx * ny) - sliding)
-
-
-@non_allocating
-def warm_start(memory, contacts, impulses, h):  # type: ignore[no-untyped-def]
-    """Warm start: modes and forces of the last step."""
-    impulses.penalty[0] = memory.penalty[0]
-    for c in range(contacts.total[0]):
-        i, p = contacts.link[c], contacts.peg[c]
-        impulses.mode[c] = memory.mode[i, p] if impulses.target[c] < FREE else OPEN
-        impulses.normal0[c] = RELAXED * h * memory.normal[i, p]
-        impulses.tangent0[c] = RELAXED * h * memory.tangent[i, p]
-
-
-@non_allocating
-def save_memory(memory, contacts, impulses, joints, h):  # type: ignore[no-untyped-def]
-    """Save modes and forces for the next step; `joints` are the Joints."""
-    for i in joints.which:
-        memory.torque[i], memory.bent[i] = joints.of[IMPULSE, i] / h, joints.mode[i]
-    memory.penalty[0] = impulses.penalty[0]
-    for i in range(memory.mode.shape[0]):
-        for p in range(memory.mode.shape[1]):
-            memory.normal[i, p] = memory.tangent[i, p] = 0.0
-            memory.mode[i, p] = OPEN
-    for c in range(contacts.total[0]):
-        i, p = contacts.link[c], contacts.peg[c]
-        memory.mode[i, p] = impulses.mode[c]
-        memory.normal[i, p], memory.tangent[i, p] = impulses.normal[c] / h, impulses.tangent[c] / h
 
 
 @non_allocating

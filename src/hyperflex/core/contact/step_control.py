@@ -1,6 +1,7 @@
 """Step-size control with contact: a step is tried, and shorter ones, until its energy, depth and errors will do."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,10 +28,10 @@ from hyperflex.core.contact.bounds import (
 )
 from hyperflex.core.contact.joints import BEYOND
 from hyperflex.core.contact.modes import USUAL_TOL
-from hyperflex.core.contact.step import begin_step, finish_step, save_memory, try_step
-from hyperflex.core.contact.trend import growth, relative_error, save_trend
+from hyperflex.core.contact.step import begin_step, finish_step, try_step
 from hyperflex.core.contact.turning_pegs import turning_energy
-from hyperflex.core.integrate.step_size import fitted
+from hyperflex.core.contact.warm_start import foresight, keeps_modes, save_memory, save_trend
+from hyperflex.core.integrate.step_size import allowed, fitted, lasting
 from hyperflex.core.jit import absorbed, non_allocating
 
 SHORTEST = 2.0**-10  # of the step, the shortest that is tried
@@ -41,7 +42,26 @@ REJECTED_ERROR = 4.0  # relative error of a step that is tried again at half its
 SAFE = 0.5  # of the smallest reach of a peg that links near one may move in a step
 GENEROUS = 100.0  # how many times more energy than may appear contacts may give a rope that they push out
 DEEPER = 5e-5  # m, penetration at which a step is tried again at half its length
+GROWTH = 1.5
+EASY = 0.2  # relative error of a step, below which steps grow
 SINKING = 1.02  # times the greatest depth until then, which a step may have: what sinks slowly sinks at any step
+
+
+class Chosen(NamedTuple):
+    """The step that :func:`choose_step` left in a workspace."""
+
+    h: float  # s
+    wanted: float  # s, for which it was chosen; longer where touchdown or the end of a run cut it
+    least: float  # m, smallest gap
+    touch: float  # s, until a link touches
+    rounds: int  # of the search; negative if it failed
+    surplus: float  # J, energy from nowhere
+    had: float  # J, energy before it
+    has: float  # J, and after it
+    good: bool  # False where the shortest step had to be taken as it was
+    error: float  # of positions, relative to what is allowed
+    push: bool  # whether contacts might push the rope out
+    struck: bool  # whether an impact was made at the instant at which it begins
 
 
 @absorbed
@@ -111,6 +131,40 @@ def longest_safe_step(chain, pegs, workspace):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
+def step_error(chain, workspace, h):  # type: ignore[no-untyped-def]
+    """Error that a step makes in the velocity of any joint, m/s, where no mode changed for three steps; else 0.0.
+
+    A twelfth of the difference from what the last two steps foretell.
+    """
+    motion, trend, pace = workspace.motion, workspace.trend, workspace.pace
+    further = foresight(pace, h)
+    if further == 0.0:
+        return 0.0
+    n = motion.w.size
+    x = y = worst = 0.0
+    for i in range(n):
+        off = motion.change[i] - h * (trend[0, i] + further * (trend[0, i] - trend[1, i]))
+        x += chain.length[i] * motion.trig[n + i] * off
+        y += chain.length[i] * motion.trig[i] * off
+        worst = max(worst, x * x + y * y)
+    return math.sqrt(worst) / 12.0
+
+
+@non_allocating
+def relative_error(chain, bounds, memory, workspace, h):  # type: ignore[no-untyped-def]
+    """Error of a step in units of what is allowed, as in free flight; 0.0 where modes change."""
+    if not keeps_modes(memory, workspace.contacts, workspace.impulses, workspace.joints):
+        return 0.0
+    return step_error(chain, workspace, h) * lasting(h) / allowed(bounds.tol, h, 0.0)
+
+
+@non_allocating
+def growth(error):  # type: ignore[no-untyped-def]
+    """Factor from a step with a relative error to the next one."""
+    return GROWTH if error < EASY else 1.0 if error < 1.0 else 1.0 / GROWTH
+
+
+@non_allocating
 def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothing, end, struck, had):  # type: ignore[no-untyped-def]
     """Try a step, and shorter ones, until one will do; it is left in `workspace`.
 
@@ -124,13 +178,7 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
 
     Returns
     -------
-    h, wanted : s
-    least : m, smallest gap
-    touch : s, until a link touches
-    rounds : int, of the search; negative if it failed
-    surplus, has : J, energy from nowhere, and energy after the step
-    good : bool, False where the shortest step had to be taken as it was
-    error : float, of positions, relative to what is allowed
+    Chosen
     """
     y, clock, t, trig = state.y, state.clock, state.clock[T], workspace.ahead_trig
     wanted = min(clock[STEP], bounds.step)
@@ -174,7 +222,7 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
         good = good and little
         good = good and (workspace.bend[0] > -BEYOND or -workspace.bend[0] <= SINKING * clock[BEND])
         if good or back or (h <= shortest and (surplus <= stale if anew else rounds > 0)):
-            return h, wanted, least, touch, rounds, surplus, has, good, error
+            return Chosen(h, wanted, least, touch, rounds, surplus, had, has, good, error, push, struck)
         if h <= shortest:  # the last resort: a search from nothing, unless that gives more energy
             anew, back, stale = not anew, anew, surplus
             continue
@@ -186,13 +234,12 @@ def choose_step(chain, drive, part, pegs, pull, bounds, state, workspace, nothin
 @non_allocating
 def complete_step(drive, bounds, state, workspace, chosen, end):  # type: ignore[no-untyped-def]
     """Accept what :func:`choose_step` returned, and set the clock for the next step; none goes beyond `end`, s."""
-    h, wanted, least, touch, rounds, surplus, _, good, error = chosen
-    clock = state.clock
+    clock, h = state.clock, chosen.h
     t = clock[T]
-    if not good:
+    if not chosen.good:
         clock[FORCED] += 1.0
-    clock[ENERGY_GAIN] += surplus
-    accept_step(drive, state, workspace, h, rounds, least)
-    clock[IMPACT_DUE] = 1.0 if touch <= 1.001 * h else 0.0
+    clock[ENERGY_GAIN] += chosen.surplus
+    accept_step(drive, state, workspace, h, chosen.rounds, chosen.least)
+    clock[IMPACT_DUE] = 1.0 if chosen.touch <= 1.001 * h else 0.0
     clock[T] = end if h >= end - t else t + h
-    clock[STEP] = max(wanted * growth(error), min(wanted, RESOLVED * bounds.step))
+    clock[STEP] = max(chosen.wanted * growth(chosen.error), min(chosen.wanted, RESOLVED * bounds.step))

@@ -19,7 +19,7 @@ from hyperflex.core.chain.torque_peaks import COLUMNS, PEAK, WHEN, WINDOWS
 from hyperflex.core.contact import bounds as at
 from hyperflex.core.contact import run as core
 from hyperflex.core.contact.arrays import STICK
-from hyperflex.core.contact.step import new_contact_memory
+from hyperflex.core.contact.warm_start import new_contact_memory
 from hyperflex.core.integrate.progress import INDEX, MARK, T
 from hyperflex.interruption import deferred, look
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refine_rope
@@ -38,7 +38,7 @@ CLEAR = 0.03  # m, gap at which a rope that was in contact has left, where it is
 APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/rad
 BUDGET = 250  # steps between two looks at progress and Ctrl-C; some take milliseconds
 STEP = "contact_step"
-# in a state's checkpoint, in the order of ``contact.step.ContactMemory``
+# in a state's checkpoint, in the order of ``contact.warm_start.ContactMemory``
 KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_penalty", "joint_torque", "joint_mode")
 
 
