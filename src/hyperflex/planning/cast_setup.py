@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -143,11 +144,10 @@ class CastSetup:
         time = checks.number("time", self.time, sign="nonnegative", unit="s")
         if 0.0 < time < MIN_TIME:
             raise InvalidInput("time is too short for any cast", got=time, allowed=f"{MIN_TIME:g} s or more, or 0")
-        period = swing_period(self.rope)
-        if time > MAX_PERIODS * period:
-            allowed = f"up to {MAX_PERIODS:g} periods of its swing, {MAX_PERIODS * period:.4g} s"
+        if time > MAX_PERIODS * self.period:
+            allowed = f"up to {MAX_PERIODS:g} periods of its swing, {MAX_PERIODS * self.period:.4g} s"
             raise InvalidInput("time is longer than anybody swings a rope before a cast", got=time, allowed=allowed)
-        object.__setattr__(self, "time", time or PERIODS * period)
+        object.__setattr__(self, "time", time or PERIODS * self.period)
         if self.clearance != -math.inf:
             clearance = checks.number("clearance", self.clearance, sign="nonnegative", unit="m")
             object.__setattr__(self, "clearance", clearance)
@@ -180,6 +180,11 @@ class CastSetup:
         for name, unit in (("q0", "rad"), ("qd0", "rad/s")):
             value = checks.array(name, getattr(self, name), shape, unit=unit) if self.q0 or self.qd0 else ()
             object.__setattr__(self, name, tuple(map(float, value)))
+
+    @cached_property
+    def period(self) -> float:
+        """Period of a small swing of the rope, s; see :func:`hyperflex.control.swing_period`."""
+        return swing_period(self.rope)
 
     @property
     def start(self) -> tuple[Array, Array]:

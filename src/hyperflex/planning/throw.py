@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.control import swing_period
 from hyperflex.motion import Motion, arm_moves
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 
@@ -155,7 +154,7 @@ class ThrowParametrization:
     @cached_property
     def period(self) -> float:
         """Period of a small swing, s."""
-        return swing_period(self.cast_setup.rope)
+        return self.cast_setup.period
 
     @cached_property
     def stroke_time(self) -> float:

@@ -73,7 +73,9 @@ def short(std: float) -> str:
     return f"{std:.{max(decimals, 0)}f}" if decimals <= 7 else f"{std:.1e}"
 
 
-def length(value: float, digits: int = 3, small: str = "mm") -> str:
-    """Return a length, m, with so many digits, in m from 1 m on and below it in mm or cm."""
+def length(value: float, digits: int = 3, small: str = "mm", least: float = 0.0) -> str:
+    """Return a length, m, with so many digits, in m from 1 m on and below it in mm or cm; below `least`, m, "less"."""
+    if abs(value) < least:
+        return f"less than {length(least, digits, small)}"
     size, name = (1.0, "m") if abs(value) >= 1.0 else ({"mm": 1e3, "cm": 1e2}[small], small)
     return f"{float(f'{size * value:.{digits}g}'):g} {name}"

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.control import swing_period
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.insert.chance import FINER, PLACE, finer_rope
@@ -60,7 +59,7 @@ class InsertTask(TipTask[Entry]):
 
     def freed(self, found: TipCandidate, number: int) -> TipCandidate:
         """Return a swing with strokes enough to vary all that an entry is asked for, and with more each time."""
-        limits, late = self.cast_setup.limits, LATE * swing_period(self.cast_setup.rope)
+        limits, late = self.cast_setup.limits, LATE * self.cast_setup.period
         cut = found.strokes.cut(found.t + WINDOW, limits)
         more = cut.with_more(FREE + number * MORE, found.t - late, limits)
         (cost,), (t,) = self.score([more], 1, found.t + AFTER)

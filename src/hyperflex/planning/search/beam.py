@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.control import swing_period
 from hyperflex.model import Peg, Rope, divided
 from hyperflex.motion import Motion, arm_moves
 from hyperflex.planning.cast_setup import CastSetup
@@ -105,7 +104,7 @@ class BeamSearch:
     ) -> None:
         self.cast_setup, self.peg, self.threads, self.runs = cast_setup, peg, threads, 0
         self._sizes = sizes
-        self._random, self._period = random, swing_period(cast_setup.rope)
+        self._random, self._period = random, cast_setup.period
         self._strikes: list[Strike] = []
         self._moves: dict[tuple[float, float], Motion] = {}  # full strokes go to and fro between the same angles
         q, qd = (part[None] for part in cast_setup.start)

@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.control import swing_period
 from hyperflex.errors import SimulationError
 from hyperflex.model import DAMPING
 from hyperflex.planning.cast_setup import CastSetup
@@ -56,7 +55,7 @@ def aim_strokes(task: TipTask[AimedT], found: TipCandidate, left: Left = lambda:
     `left` returns the time that is left, s; without any the best until then is returned. None if the tip does nothing
     of the kind at the start.
     """
-    limits, period = task.cast_setup.limits, swing_period(task.cast_setup.rope)
+    limits, period = task.cast_setup.limits, task.cast_setup.period
     best = task.find(found.strokes.cut(found.t + WINDOW, limits), found.t)
     task.runs += 1
     if best is None:

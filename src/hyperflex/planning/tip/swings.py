@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.control import swing_period
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -23,7 +22,7 @@ NARROW = 0.3  # step size of CMA-ES about a swing, relative to the standard devi
 
 def random_swings(cast_setup: CastSetup, count: int) -> list[Strokes]:
     """Return strokes that pump a swing up more or less well, the same ones each time."""
-    rng, limits, period = np.random.default_rng(SEED), cast_setup.limits, swing_period(cast_setup.rope)
+    rng, limits, period = np.random.default_rng(SEED), cast_setup.limits, cast_setup.period
     strokes = []
     for number in range(count):
         side = 1 if number % 2 else -1
@@ -59,7 +58,7 @@ class StrokeSearch:
         self.task, self.threads = task, threads
         self.best, self._until = begin, begin.t + AFTER
         k = begin.strokes.ends.size
-        self._scale = np.repeat([np.pi, swing_period(task.cast_setup.rope)], k)
+        self._scale = np.repeat([np.pi, task.cast_setup.period], k)
         spread = np.repeat([SPREAD_ENDS, SPREAD_RESTS], k)
         random = np.random.default_rng([SEED, seed])
         self._optimizer = CmaEs(begin.strokes.parameters / self._scale, NARROW, spread, MEMBERS, random)

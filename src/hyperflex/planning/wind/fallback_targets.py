@@ -14,7 +14,7 @@ from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget
-from hyperflex.planning.wind.feasibility import check_feasibility
+from hyperflex.planning.wind.feasibility import check_feasibility, geometry_allows
 from hyperflex.planning.wind.planner import CastPlanner
 
 # Margins of the targets that are planned for, one after another, beyond the margin of the one asked for if it is
@@ -124,7 +124,9 @@ def nearest_feasible(
     """
 
     def good(place: Array) -> bool:
-        known = check_feasibility(cast_setup, _at(peg, place))
+        if not geometry_allows(cast_setup, there := _at(peg, place)):
+            return False
+        known = check_feasibility(cast_setup, there)
         return known.feasible and known.margin(holding_force) >= margin
 
     unit = 10.0 ** math.floor(math.log10(1e-3 * cast_setup.rope.total_length))

@@ -17,8 +17,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.control import swing_period
-from hyperflex.model import Peg, Rope
+from hyperflex.model import Peg
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import holds, named, obstacle_gaps
 from hyperflex.planning.outcome import MIN_TURNS
@@ -97,8 +96,7 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     rope = cast_setup.rope
     far, aside = _place(cast_setup, peg)
     axis, way = peg.radius + rope.radius, _way(cast_setup, peg, far)
-    room = (rope.total_length - way + axis) / (2.0 * math.pi * axis)
-    needed = _needed(way, aside, axis, cast_setup.contact)
+    room, needed = _room(cast_setup, way, axis), _needed(way, aside, axis, cast_setup.contact)
     energy = _energy(cast_setup, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
     holding = _hold(cast_setup, peg, room, _contact(way, aside, axis), _straight(way, axis))
     impossible, message = _geometry(cast_setup, far, way, axis, room, needed)
@@ -112,12 +110,25 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     if not message and energy < MIN_ENERGY:
         slow = _gain(cast_setup) < 0.5 * _gain(cast_setup, fast=True)
         why = "the motor is too slow to swing the rope up" if slow else "too little energy"
-        high = f"it is higher than the rope swings, {math.degrees(_widest(rope)):.0f} degrees from hanging"
+        high = f"it is higher than the rope swings, {math.degrees(_widest(cast_setup)):.0f} degrees from hanging"
         ratio = f"at the strike {energy:.2f} of what lifts the tail over it, {MIN_ENERGY:g} needed"
         message = f"out of reach: {why}: {high if energy < 0.0 else ratio}"
     if not message and holding < asked:
         message = f"out of reach: its holding force is {holding:.3g} N at most, {asked:g} N asked"
     return Feasibility(room, needed, energy, holding, impossible, message)
+
+
+def geometry_allows(cast_setup: CastSetup, peg: Peg) -> bool:
+    """Return whether :func:`check_feasibility` finds rope enough for a target: a small part of what it looks at."""
+    far, aside = _place(cast_setup, peg)
+    axis, way = peg.radius + cast_setup.rope.radius, _way(cast_setup, peg, far)
+    room, needed = _room(cast_setup, way, axis), _needed(way, aside, axis, cast_setup.contact)
+    return not _geometry(cast_setup, far, way, axis, room, needed)[1]
+
+
+def _room(cast_setup: CastSetup, way: float, axis: float) -> float:
+    """Turns for which there is rope beyond the near side of a target."""
+    return (cast_setup.rope.total_length - way + axis) / (2.0 * math.pi * axis)
 
 
 def _geometry(
@@ -210,9 +221,9 @@ def _gain(cast_setup: CastSetup, *, fast: bool = False) -> float:
     """Angle by which one stroke widens a swing, rad; `fast`: with a motor without limits."""
     least, greatest = cast_setup.limits.angles
     stroke = min(math.pi, greatest - least)
-    gain = GAIN * 2.0 * cast_setup.arm.length * math.sin(0.5 * stroke) / _pendulum(cast_setup.rope)
+    gain = GAIN * 2.0 * cast_setup.arm.length * math.sin(0.5 * stroke) / _pendulum(cast_setup)
     time = float(cast_setup.limits.fastest_moves([stroke])[0][0])
-    return gain if fast else gain * min(1.0, 0.5 * swing_period(cast_setup.rope) / time)
+    return gain if fast else gain * min(1.0, 0.5 * cast_setup.period / time)
 
 
 def search_time(cast_setup: CastSetup, peg: Peg) -> float:
@@ -224,7 +235,7 @@ def search_time(cast_setup: CastSetup, peg: Peg) -> float:
     """
     gain = _gain(cast_setup)
     strokes = (_place(cast_setup, peg)[1] + gain) / (GROWN * gain)
-    return max(cast_setup.time, min(KEEPING_STEP * strokes + SPARE, MOST_TIME) * swing_period(cast_setup.rope))
+    return max(cast_setup.time, min(KEEPING_STEP * strokes + SPARE, MOST_TIME) * cast_setup.period)
 
 
 def _place(cast_setup: CastSetup, peg: Peg) -> tuple[float, float]:
@@ -243,23 +254,23 @@ def _way(cast_setup: CastSetup, peg: Peg, far: float) -> float:
     return max(ways)
 
 
-def _widest(rope: Rope) -> float:
-    """Angle to which a rope can be swung, rad."""
-    return float(np.interp(_pendulum(rope) / rope.total_length, OUTWARD, WIDEST))
+def _widest(cast_setup: CastSetup) -> float:
+    """Angle to which the rope can be swung, rad."""
+    return float(np.interp(_pendulum(cast_setup) / cast_setup.rope.total_length, OUTWARD, WIDEST))
 
 
-def _pendulum(rope: Rope) -> float:
-    """Length of a pendulum that swings as a rope does, m."""
-    return math.hypot(*rope.gravity) * (swing_period(rope) / (2.0 * math.pi)) ** 2
+def _pendulum(cast_setup: CastSetup) -> float:
+    """Length of a pendulum that swings as the rope does, m."""
+    return math.hypot(*cast_setup.rope.gravity) * (cast_setup.period / (2.0 * math.pi)) ** 2
 
 
 def _energy(cast_setup: CastSetup, far: float, aside: float, axis: float) -> float:
     """Energy ratio of the tail at the strike, for rods; below 0 if the swing does not get there."""
     rope, gain = cast_setup.rope, _gain(cast_setup)
     near = aside - math.asin(min(1.0, axis / far))
-    strokes = cast_setup.time / (0.5 * swing_period(rope))
+    strokes = cast_setup.time / (0.5 * cast_setup.period)
     last = gain * float(np.interp(near, (0.0, SWINGING_ROOM), (FROM_REST, 1.0)))
-    wide = min(near + last, gain * strokes, _widest(rope))
+    wide = min(near + last, gain * strokes, _widest(cast_setup))
     mass = np.append(rope.mass, rope.tip_mass)
     along = np.append(np.cumsum(rope.length) - rope.length + rope.com, rope.total_length)
     tail = np.where(along > far, mass, 0.0)
