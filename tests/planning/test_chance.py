@@ -71,6 +71,14 @@ def test_in_the_expected_world_a_throw_ends_as_the_search_saw_it_end() -> None:
     assert found.score == pytest.approx(seen.score)
 
 
+def test_a_rope_that_comes_too_near_its_arm_while_it_winds_has_not_won() -> None:
+    worlds = NONE.sample(1, CAST_SETUP, PEG)
+    near = scenario_scores(replace(CAST_SETUP, clearance=0.5), [(WINDS, world) for world in worlds])
+    clear = scenario_scores(CAST_SETUP, [(WINDS, world) for world in worlds])
+    assert near.turns[0] < MIN_TURNS < clear.turns[0]
+    assert near.score[0] < clear.score[0]
+
+
 def test_throws_that_win_and_that_never_strike_are_told_apart() -> None:
     idle = replace(WINDS, strokes=np.full(6, 0.06), rests=np.full(6, 1.0), rest=1.0)
     worlds = Uncertainty().sample(2, CAST_SETUP, PEG, seed=3)

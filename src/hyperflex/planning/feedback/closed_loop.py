@@ -294,7 +294,7 @@ class _Loop:
         motions = [scenario.motion(throw, self.cast_setup) for throw, scenario in pairs]
         ropes, pegs = [scenario.rope for _, scenario in pairs], [scenario.peg for _, scenario in pairs]
         batch = RolloutBatch.from_state(ropes, pegs, motions, state)
-        found = winding_scores(batch, self.cast_setup.arm, self.cast_setup.time, threads=self.threads)
+        found = winding_scores(batch, self.cast_setup, threads=self.threads)
         shape = (len(throws), len(scenarios))
         won = (found.turns >= MIN_TURNS).reshape(shape)
         return won.mean(axis=1), robust_values(found).reshape(shape).mean(axis=1)

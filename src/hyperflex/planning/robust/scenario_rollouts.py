@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -45,27 +46,28 @@ def scenario_scores(
     motions = [scenario.motion(throw, cast_setup) for throw, scenario in pairs]
     ropes, pegs = [each.rope for _, each in pairs], [each.peg for _, each in pairs]
     batch = RolloutBatch.from_start(cast_setup, ropes, pegs, motions)
-    return winding_scores(batch, cast_setup.arm, cast_setup.time, time_budget=time_budget, threads=threads)
+    return winding_scores(batch, cast_setup, time_budget=time_budget, threads=threads)
 
 
 def winding_scores(
     batch: RolloutBatch,
-    arm: Arm,
-    time: float,
+    cast_setup: CastSetup,
     *,
     time_budget: float | Deadline = TIME_BUDGET,
     threads: int | None = None,
 ) -> WindingScores:
     """Simulate throws (M,) in free flight until they strike, and in contact from there.
 
-    They must strike within `time`, s, on the clock of `batch.since`; a strike until AFTER_STOP after the arm's stop
-    counts in any case. Turns are 0 without a strike or if a run fails.
+    They must strike within the time of the set-up, on the clock of `batch.since`; a strike until AFTER_STOP after the
+    arm's stop counts in any case. Turns are 0 without a strike or if a run fails, and too few for a rope that comes too
+    near its arm in contact, as in a verification; other ropes than that of the set-up may be thrown.
     """
+    arm = cast_setup.arm
     score, turns = np.full(len(batch), strikes.NEVER), np.zeros(len(batch))
     for low in range(0, len(batch), TOGETHER):
         rows = range(low, min(low + TOGETHER, len(batch)))
         part = batch.select(rows)
-        t, q, qd, gap = first_strikes(part, arm, time, threads=threads)
+        t, q, qd, gap = first_strikes(part, arm, cast_setup.time, threads=threads)
         score[low : rows.stop] -= gap
         hit = np.flatnonzero(np.isfinite(t))
         if hit.size:
@@ -73,7 +75,8 @@ def winding_scores(
             motions = [motion.shifted(-at) for motion, at in zip(some.motions, t[hit], strict=True)]
             struck = replace(some, motions=motions, q=q[hit], qd=qd[hit])
             begin = t[hit] + batch.since
-            found = simulate_contact(struck, begin, arm=arm, time_budget=time_budget, threads=threads)
+            given: dict[str, Any] = {"arm": arm, "time_budget": time_budget, "threads": threads}
+            found = simulate_contact(struck, begin, clearance=cast_setup.clearance, **given)
             score[low + hit], turns[low + hit] = found.score, found.turns
     return WindingScores(score, turns)
 

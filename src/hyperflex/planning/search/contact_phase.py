@@ -251,10 +251,7 @@ def _way_cost(apart: float) -> float:
 
 def _joints(one: RolloutBatch, q: Array, t: Array, arm: Arm) -> Array:
     """Joints (T, n + 1, 2), m, of a rope in samples q (T, n), rad, at times t (T,), s."""
-    rope = one.ropes[0]
-    links = rope.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
-    base = arm_tip(arm, one.motions[0], t)[0][:, None]
-    return np.concatenate([base, base + np.cumsum(links, axis=1)], axis=1)
+    return one.ropes[0].joints(q, arm_tip(arm, one.motions[0], t)[0])
 
 
 def score_winding(t: Array, turns: Array, span: float, begin: float, *, last: float = LAST) -> tuple[float, float]:

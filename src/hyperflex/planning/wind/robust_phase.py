@@ -8,9 +8,9 @@ from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.planning.wind.verified import Verified, incomplete, succeeds, with_margin
 
-NOMINAL = 0.5  # fraction of the time of a robust plan for the search in the nominal scenario
-# Fractions of it after which a robust plan is only verified, and after which its success probability is estimated
-REFINING, VERIFYING = 0.7, 0.88
+# Fraction of the time of a robust plan for the search in the nominal scenario; fractions of it after which it is only
+# verified, and after which its success probability is estimated
+NOMINAL, REFINING, VERIFYING = 0.3, 0.75, 0.9
 NO_MARGIN_COST = 0.3  # value by which a throw without a margin must be better than one with a margin
 NONE = (False, False, 0.0)  # value of no throw
 
