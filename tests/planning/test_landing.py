@@ -268,6 +268,14 @@ def test_the_longer_a_rope_is_too_near_its_arm_the_less_it_is_worth() -> None:
     assert long + 0.1 < for_short < MIN_TURNS + PASSING * MAX_TURNS - ARM_COST
 
 
+def test_a_rope_that_lies_through_the_peg_at_first_makes_no_turn() -> None:
+    """Its run could not begin: one throw is no reason to end a search."""
+    peg, still = hf.Peg(0.0, -1.0, 0.03), hf.hold_arm(0.0)
+    one = RolloutBatch([CABLE], [peg], [still], *np.zeros((2, 1, CABLE.n_links)))
+    found = simulate_contact(one, np.array([3.0]), arm=CAST_SETUP.arm)
+    assert (found.turns[0], found.score[0]) == (0.0, pytest.approx(-3.0 * LATE_COST))
+
+
 def test_a_run_that_is_too_deep_in_the_peg_to_go_on_counts_little(monkeypatch: pytest.MonkeyPatch) -> None:
     """Coarse runs sink deeper than a run may begin: one throw of a search ended it with an error."""
     strike = simulated_strikes(CAST_SETUP, PEG, [WINDS])
@@ -275,13 +283,14 @@ def test_a_run_that_is_too_deep_in_the_peg_to_go_on_counts_little(monkeypatch: p
 
     def refuse(setup: hf.Setup, t: float, q: np.ndarray) -> None:
         asked.append((t, q.shape))
-        raise InvalidInput("too deep")
+        if len(asked) > 1:  # not where it strikes
+            raise InvalidInput("too deep")
 
     monkeypatch.setattr(contact_phase, "check_outside", refuse)
     found = contact_scores(CAST_SETUP, PEG, [WINDS], state)
     assert found.turns[0] == MIN_HOPE
     assert found.score[0] < MIN_TURNS
-    assert [shape for _, shape in asked] == [(50,)]
+    assert [shape for _, shape in asked] == [(50,), (50,)]
 
 
 @pytest.mark.parametrize("what", ["swings", "landings", "drawn worlds"])

@@ -113,7 +113,7 @@ def _simulate_one(
     then, but its score is that of MIN_TURNS at most, less what the arm costs.
     """
     rope, limited = one.ropes[0], limit_bend(one.ropes[0])
-    if not folding and at_limits(limited, one.q, -FOLD).any():
+    if not _clear_of_peg(one, arm) or (not folding and at_limits(limited, one.q, -FOLD).any()):
         return -LATE_COST * begin, 0.0  # as one that strikes and makes no turn
     stop = max(float(one.motions[0].breaks[-1]), 0.5)
     check = stop + CHECK_TIME
