@@ -199,3 +199,4 @@ def test_a_plan_for_another_target_is_kept_when_the_next_is_interrupted() -> Non
 def test_lengths_are_told_in_a_unit_of_their_size() -> None:
     words = [length(each) for each in (40.0, 0.1324, 1e-5)] + [length(6.618, small="cm"), length(0.661, 2)]
     assert words == ["40 m", "132 mm", "0.01 mm", "6.62 m", "660 mm"]
+    assert [length(each, 2, least=1e-5) for each in (4e-9, 1e-5)] == ["less than 0.01 mm", "0.01 mm"]

@@ -115,11 +115,9 @@ def test_the_way_to_a_sample_leaves_a_run_as_it_is(rate: float, kept: bool) -> N
         np.testing.assert_array_equal(one, other)
     if kept:
         assert branch.clock[at.T] == end
-        spun = spin[:, 0] + PART * chosen.h * np.array([spin[1, 0], 0.0])
-        spun[1] += PART * (workspace.spin.after[0] - spin[1, 0])
-        np.testing.assert_allclose(branch.spin[:, 0], spun, rtol=0.0, atol=1e-3)
-        part = y[:n] + PART * (workspace.out[:n] - y[:n])
-        np.testing.assert_allclose(branch.y[:n], part, rtol=0.0, atol=np.abs(workspace.out[:n] - y[:n]).max())
+        way, moved = PART * chosen.h * spin[1, 0], PART * (workspace.out[:n] - y[:n])
+        assert branch.spin[0, 0] - spin[0, 0] == pytest.approx(way, rel=0.1)
+        np.testing.assert_allclose(branch.y[:n] - y[:n], moved, rtol=0.0, atol=0.2 * np.abs(moved).max())
 
 
 def copied(value: object) -> list[Array]:

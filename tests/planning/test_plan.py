@@ -228,7 +228,7 @@ def hardened(
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
     search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
     search.candidates = landings
-    work = cast_planner.CastPlanner(search, robust_phase.NOMINAL * time_budget, hurry=False)
+    work = cast_planner.CastPlanner(search, robust_phase.NOMINAL * time_budget, enough=np.inf)
     nominal = SimpleNamespace(**(good | told.get("nominal", {})))
     work.best = ("nominal", nominal, nominal)  # type: ignore[assignment]
     robust_phase.refine_robustly(work, Uncertainty(), None)
@@ -434,7 +434,7 @@ def pass_time_in_swings(monkeypatch: pytest.MonkeyPatch, clock: SimpleNamespace,
 def test_a_search_with_a_plan_does_not_begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = SimpleNamespace(spent=0.0)
     search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY)
-    work, began = cast_planner.CastPlanner(search, 100.0, clock=clock, hurry=False), []  # type: ignore[arg-type]
+    work, began = cast_planner.CastPlanner(search, 100.0, clock=clock, enough=np.inf), []  # type: ignore[arg-type]
     pass_time_in_swings(monkeypatch, clock, began)
     good = SimpleNamespace(success=True, turns=2.3, slip=3e-3, load_ratio=0.8, tip_hangs=True, clearance=1.0)
     good.folded, good.contact_angle = False, 11.0
@@ -488,7 +488,7 @@ def test_a_search_for_a_later_strike_begins_anew_later(
     clock, usual = SimpleNamespace(spent=0.0), CastSetup(CABLE, ARM, hf.MotorLimits())
     search, began = ThrowSearch(replace(usual, time=longer * usual.time), EASY), []
     pass_time_in_swings(monkeypatch, clock, began)
-    cast_planner.CastPlanner(search, 100.0, clock=clock, hurry=False).run(None)  # type: ignore[arg-type]
+    cast_planner.CastPlanner(search, 100.0, clock=clock, enough=np.inf).run(None)  # type: ignore[arg-type]
     assert began == times
 
 
@@ -513,7 +513,7 @@ def test_a_full_turn_that_nobody_asked_for_is_sought_for_a_quarter_more_than_the
     assert work.done() is enough
     cast.slip = 3e-3  # nothing in hand: sought as long, or until the time is over where there is no hurry
     assert work.done() is enough
-    work.hurry = False
+    work.enough = np.inf
     assert not work.done()
 
 

@@ -151,7 +151,7 @@ class ThrowParametrization:
         """Number of strokes k that the time allows, at least one."""
         return max(1, int(np.ceil(self.cast_setup.time / (self.stroke_time + self.rest))) + 1)
 
-    @cached_property
+    @property
     def period(self) -> float:
         """Period of a small swing, s."""
         return self.cast_setup.period

@@ -74,7 +74,10 @@ def short(std: float) -> str:
 
 
 def length(value: float, digits: int = 3, small: str = "mm", least: float = 0.0) -> str:
-    """Return a length, m, with so many digits, in m from 1 m on and below it in mm or cm; below `least`, m, "less"."""
+    """Return a length, m, with so many digits, in m from 1 m on and below it in mm or cm.
+
+    One below `least`, m, is said to be "less than" that.
+    """
     if abs(value) < least:
         return f"less than {length(least, digits, small)}"
     size, name = (1.0, "m") if abs(value) >= 1.0 else ({"mm": 1e3, "cm": 1e2}[small], small)

@@ -50,7 +50,7 @@ def partial_step(chain, drive, part, pegs, pull, bounds, state, workspace, aside
 
     The rates are off the straight line between the ends of a step by a term of second order, and their energy with
     them, so a sample within a step is a shorter step: from the modes and forces that the whole step found, which go to
-    ``branch.memory``.
+    ``branch.memory``. Links that touch are held: the whole step found no impact to make.
     """
     copy_before(workspace, aside)
     found, h = branch.memory, chosen.h

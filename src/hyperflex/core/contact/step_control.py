@@ -51,7 +51,7 @@ class Chosen(NamedTuple):
     """The step that :func:`choose_step` left in a workspace."""
 
     h: float  # s
-    wanted: float  # s, for which it was chosen; longer where touchdown or the end of a run cut it
+    wanted: float  # s; h is shorter where touchdown or an end cut it, or where equal steps lead to an end
     least: float  # m, smallest gap
     touch: float  # s, until a link touches
     rounds: int  # of the search; negative if it failed

@@ -35,7 +35,7 @@ class Goal:
         """Return the goal of a throw; None without a strike."""
         motion = throw.motion(cast_setup.limits)
         one = RolloutBatch.from_start(cast_setup, [cast_setup.rope], [peg], [motion])
-        t, q, qd, _ = first_strikes(one, cast_setup.arm, cast_setup.time)
+        t, q, qd, _ = first_strikes(one, cast_setup)
         if not np.isfinite(t[0]):
             return None
         return cls(float(t[0]), features(cast_setup.rope, q, qd, *arm_tip(cast_setup.arm, motion, t))[0])

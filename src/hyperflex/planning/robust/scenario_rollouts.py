@@ -16,7 +16,7 @@ from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import clear_samples
+from hyperflex.planning.clearance import clear_samples, samples_clear_of_arm
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
 from hyperflex.planning.search import strikes
@@ -60,14 +60,14 @@ def winding_scores(
 
     They must strike within the time of the set-up, on the clock of `batch.since`; a strike until AFTER_STOP after the
     arm's stop counts in any case. Turns are 0 without a strike or if a run fails, and too few for a rope that comes too
-    near its arm in contact, as in a verification; other ropes than that of the set-up may be thrown.
+    near arm, shaft or an obstacle, as in a verification. Ropes and pegs are those of the batch.
     """
     arm = cast_setup.arm
     score, turns = np.full(len(batch), strikes.NEVER), np.zeros(len(batch))
     for low in range(0, len(batch), TOGETHER):
         rows = range(low, min(low + TOGETHER, len(batch)))
         part = batch.select(rows)
-        t, q, qd, gap = first_strikes(part, arm, cast_setup.time, threads=threads)
+        t, q, qd, gap = first_strikes(part, cast_setup, threads=threads)
         score[low : rows.stop] -= gap
         hit = np.flatnonzero(np.isfinite(t))
         if hit.size:
@@ -82,9 +82,9 @@ def winding_scores(
 
 
 def first_strikes(
-    batch: RolloutBatch, arm: Arm, time: float, *, threads: int | None = None
+    batch: RolloutBatch, cast_setup: CastSetup, *, threads: int | None = None
 ) -> tuple[Array, Array, Array, Array]:
-    """Simulate free flight until the first strikes.
+    """Simulate free flight until the first strikes; one before which the rope came too near its arm is none.
 
     Returns
     -------
@@ -95,8 +95,9 @@ def first_strikes(
     gap : (M,) float64
         Smallest gap until then, m.
     """
+    arm, clearance = cast_setup.arm, cast_setup.clearance
     stop = max(float(motion.breaks[-1]) for motion in batch.motions)
-    span = max(time - batch.since, stop + AFTER_STOP, MIN_FLIGHT)
+    span = max(cast_setup.time - batch.since, stop + AFTER_STOP, MIN_FLIGHT)
     t, q, qd = free_flight(batch, arm, span, threads=threads)
     base = np.stack([strikes.arm_tip(arm, motion, t)[0] for motion in batch.motions])
     lengths = np.stack([rope.length for rope in batch.ropes])
@@ -107,7 +108,10 @@ def first_strikes(
         at[same], _, gap[same] = strikes.first_contact(
             q[same], base[same], lengths[same], Peg(*peg), batch.ropes[0].radius
         )
-    good &= at <= clear_samples(batch.ropes, batch.obstacles, q, base, 0.0)
+    good &= at <= clear_samples(batch.ropes, batch.obstacles, q, base, clearance)
+    for m in np.flatnonzero(good & (at > 0)).tolist():
+        one = slice(m, m + 1)
+        good[m] = at[m] <= samples_clear_of_arm(batch.ropes[m], arm, q[one], base[one], clearance, at[one])[0]
     rows, hit = np.arange(len(batch)), (at > 0) & good
     before = np.maximum(at - 1, 0)
     return np.where(hit, t[before], np.nan), q[rows, before], qd[rows, before], gap
@@ -129,7 +133,7 @@ def nominal_strike_times(
     """Return the times (M,), s, at which throws strike in the nominal scenario; NaN without a strike."""
     motions = [throw.motion(cast_setup.limits) for throw in throws]
     batch = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(throws), [peg] * len(throws), motions)
-    return first_strikes(batch, cast_setup.arm, cast_setup.time, threads=threads)[0]
+    return first_strikes(batch, cast_setup, threads=threads)[0]
 
 
 @dataclass(frozen=True)
@@ -180,7 +184,7 @@ def estimate_success_probability(
     executor: Executor | None = None,
     chunk_size: int | None = None,
 ) -> SuccessProbability:
-    """Estimate how often a throw winds and stays wound, by simulation in sampled scenarios.
+    """Estimate how often a throw winds, clear of arm and obstacles, and stays wound, by simulation of scenarios.
 
     The throw is made in open loop: its moves start when planned, apart from the timing noise of each scenario. By
     default the uncertainty is that of a realistic identification. The scenarios of a search are others in any case.

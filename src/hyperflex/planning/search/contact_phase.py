@@ -110,11 +110,12 @@ def _simulate_one(
 
     A run that must be `sweeping` and is not ends there and counts no turns that stay. One with fewer than MIN_HOPE
     turns CHECK_TIME after the stop ends there and counts MIN_HOPE at most. So does one that came too near the arm until
-    then, but its score is that of MIN_TURNS at most, less what the arm costs.
+    then, or comes too near it later, but its score is that of MIN_TURNS at most, less what the arm costs. A rope that
+    lies too deep in its peg at the start is not simulated, and makes no turn.
     """
     rope, limited = one.ropes[0], limit_bend(one.ropes[0])
     if not _clear_of_peg(one, arm) or (not folding and at_limits(limited, one.q, -FOLD).any()):
-        return -LATE_COST * begin, 0.0  # as one that strikes and makes no turn
+        return -LATE_COST * begin, 0.0  # its run could not begin, or would not count: as one that makes no turn
     stop = max(float(one.motions[0].breaks[-1]), 0.5)
     check = stop + CHECK_TIME
     sweep = SWEEP_TIME * np.sqrt(rope.total_length / max(np.hypot(*rope.gravity), 1e-9)) if sweeping else check
@@ -132,14 +133,15 @@ def _simulate_one(
     elif not hopeful:
         score, stay = score - max(min(stay, MAX_TURNS) - MIN_HOPE, 0.0), min(stay, MIN_HOPE)
     elif (near := _time_near_arm(one, q, qd, t, arm, clearance)) > 0.0:
-        score -= max(min(stay, MAX_TURNS) - MIN_TURNS, 0.0) + ARM_COST * (1.0 + near / (near + ARM_TIME))
-        stay = min(stay, MIN_HOPE)
+        score, stay = _come_undone(score, stay, near)
     else:
-        further, whole, settled, *_ = _run_on(now, t[-1], stop + SETTLING_TIME, arm, time_budget)
+        further, whole, settled, rates, _ = _run_on(now, t[-1], stop + SETTLING_TIME, arm, time_budget)
         ended = np.append(t, further), np.append(turns, whole)
         score, stay = score_winding(*ended, stop + SETTLING_TIME, begin)
         if stay >= MIN_TURNS:
             score -= SLIP_COST * _slip(now, settled, further - t[-1], arm)
+        if (near := _time_near_arm(now, settled, rates, further - t[-1], arm, clearance)) > 0.0:
+            score, stay = _come_undone(score, stay, near)
         if (apart := _way_apart(now, settled, further - t[-1], arm)) > TOUCH:
             score -= max(min(stay, MAX_TURNS) - MIN_TURNS, 0.0) + _way_cost(apart)
             stay = min(stay, MIN_HOPE)
@@ -148,8 +150,14 @@ def _simulate_one(
     return score, stay
 
 
+def _come_undone(score: float, stay: float, near: float) -> tuple[float, float]:
+    """Score and turns of a rope that was too near its arm or an obstacle for a time `near`, s, from those without."""
+    cost = max(min(stay, MAX_TURNS) - MIN_TURNS, 0.0) + ARM_COST * (1.0 + near / (near + ARM_TIME))
+    return score - cost, min(stay, MIN_HOPE)
+
+
 def _clear_of_peg(one: RolloutBatch, arm: Arm) -> bool:
-    """Whether a rope keeps clear of its peg at the start: a coarse run may leave it too deep."""
+    """Whether a rope keeps clear of its pegs at the start, as a run asks: one that ended may have left it too deep."""
     return starts_outside(Setup(one.ropes[0], one.motions[0], arm, pegs=(one.pegs[0], *one.behind)), 0.0, one.q[0])
 
 

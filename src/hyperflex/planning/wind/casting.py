@@ -23,7 +23,7 @@ from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fal
 from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility, search_time
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.planning.wind.remedies import find_remedies
-from hyperflex.planning.wind.robust_phase import NOMINAL, refine_robustly
+from hyperflex.planning.wind.robust_phase import ENOUGH, NOMINAL, refine_robustly
 from hyperflex.progress import progress_bar
 from hyperflex.simulation import simulate
 
@@ -220,7 +220,8 @@ def _search(
 ) -> CastPlan:
     """Search for a throw, verify it, and estimate its success probability; `free` as of :class:`CastPlanner`."""
     nominal = time_budget if uncertainty is None else NOMINAL * time_budget
-    planner = CastPlanner(search, nominal, hurry=uncertainty is None, **free)
+    enough = None if uncertainty is None else ENOUGH * time_budget
+    planner = CastPlanner(search, nominal, enough=enough, **free)
     probability = None
     if on_plan is not None:
         planner.hear = lambda: on_plan(planner.plan(known))

@@ -94,9 +94,7 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     if asked > 0.0:
         refuse_behind(cast_setup.behind, "a holding force")
     rope = cast_setup.rope
-    far, aside = _place(cast_setup, peg)
-    axis, way = peg.radius + rope.radius, _way(cast_setup, peg, far)
-    room, needed = _room(cast_setup, way, axis), _needed(way, aside, axis, cast_setup.contact)
+    far, aside, axis, way, room, needed = _distances(cast_setup, peg)
     energy = _energy(cast_setup, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
     holding = _hold(cast_setup, peg, room, _contact(way, aside, axis), _straight(way, axis))
     impossible, message = _geometry(cast_setup, far, way, axis, room, needed)
@@ -119,16 +117,20 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
 
 
 def geometry_allows(cast_setup: CastSetup, peg: Peg) -> bool:
-    """Return whether :func:`check_feasibility` finds rope enough for a target: a small part of what it looks at."""
-    far, aside = _place(cast_setup, peg)
-    axis, way = peg.radius + cast_setup.rope.radius, _way(cast_setup, peg, far)
-    room, needed = _room(cast_setup, way, axis), _needed(way, aside, axis, cast_setup.contact)
+    """Return whether distance and length of rope do not rule a target out, as :func:`check_feasibility` begins."""
+    far, _, axis, way, room, needed = _distances(cast_setup, peg)
     return not _geometry(cast_setup, far, way, axis, room, needed)[1]
 
 
-def _room(cast_setup: CastSetup, way: float, axis: float) -> float:
-    """Turns for which there is rope beyond the near side of a target."""
-    return (cast_setup.rope.total_length - way + axis) / (2.0 * math.pi * axis)
+def _distances(cast_setup: CastSetup, peg: Peg) -> tuple[float, float, float, float, float, float]:
+    """Distance of a target, m, angle from hanging, rad, radius of the rope's axis on it and way to it, m.
+
+    And turns for which there is rope beyond its near side, and that are needed.
+    """
+    far, aside = _place(cast_setup, peg)
+    axis, way = peg.radius + cast_setup.rope.radius, _way(cast_setup, peg, far)
+    room = (cast_setup.rope.total_length - way + axis) / (2.0 * math.pi * axis)
+    return far, aside, axis, way, room, _needed(way, aside, axis, cast_setup.contact)
 
 
 def _geometry(

@@ -70,9 +70,9 @@ STANDS = "a cast stands; one with a margin is sought"
 class CastPlanner:
     """Rounds of a search until a plan succeeds with a margin or the `time_budget` of the nominal search, s, is over.
 
-    `full_turn`: whether a margin includes contact of a full turn where the rope is long enough. `hurry`: whether a plan
-    without a margin ends the search as well, BETTER times after the first. `clock` tells the time spent, from now on by
-    default.
+    `full_turn`: whether a margin includes contact of a full turn where the rope is long enough. `enough`: time spent,
+    s, after which a plan without a margin ends the search, too; BETTER times that of the first by default. `clock`
+    tells the time spent, from now on by default.
     """
 
     def __init__(
@@ -81,11 +81,11 @@ class CastPlanner:
         time_budget: float,
         *,
         full_turn: bool = True,
-        hurry: bool = True,
+        enough: float | None = None,
         clock: Clock | None = None,
     ) -> None:
         self.search, self.time_budget, self.clock = search, time_budget, clock or Clock()
-        self.hurry = hurry
+        self.enough = enough
         search.left = lambda: min(SEARCHING * time_budget, self.until) - self.spent
         cast_setup = search.cast_setup
         self.finer = [cast_setup.cut(k) for k in FINER]
@@ -111,7 +111,7 @@ class CastPlanner:
     @property
     def until(self) -> float:
         """Time spent, s, after which a plan that stands is not improved any more."""
-        return BETTER * self.first if self.hurry else np.inf
+        return BETTER * self.first if self.enough is None else max(self.first, self.enough)
 
     def left(self) -> float:
         """Return the time that is left for verifications, s, less what lies between two looks at it."""
@@ -200,7 +200,7 @@ class CastPlanner:
     def done(self) -> bool:
         """Whether a plan succeeds with a margin, and covers a full turn where the rope is long enough.
 
-        Such a full turn is sought until BETTER times the time of the first plan; in a hurry a margin is, too.
+        Such a full turn is sought until BETTER times the time of the first plan, a margin until `until`.
         """
         if self.ended or self.spent > self.until:
             return True

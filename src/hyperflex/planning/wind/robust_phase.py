@@ -1,5 +1,6 @@
 """The robust phase of a planner of casts: of its candidates, the throw that succeeds in most scenarios."""
 
+import math
 from collections.abc import Callable
 
 from hyperflex.planning.robust.refinement import RobustCandidate, RobustRefinement
@@ -8,9 +9,10 @@ from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.planning.wind.verified import Verified, incomplete, succeeds, with_margin
 
-# Fraction of the time of a robust plan for the search in the nominal scenario; fractions of it after which it is only
-# verified, and after which its success probability is estimated
-NOMINAL, REFINING, VERIFYING = 0.3, 0.75, 0.9
+# Fractions of the time of a robust plan: after ENOUGH a plan that stands ends the search in the nominal scenario, after
+# NOMINAL that search ends in any case. After REFINING candidates are only verified, after VERIFYING the success
+# probability is estimated
+ENOUGH, NOMINAL, REFINING, VERIFYING = 0.3, 0.5, 0.75, 0.9
 NO_MARGIN_COST = 0.3  # value by which a throw without a margin must be better than one with a margin
 NONE = (False, False, 0.0)  # value of no throw
 
@@ -20,7 +22,7 @@ def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Call
 
     Candidates without a margin in the nominal scenario are dropped.
     """
-    planner.time_budget, planner.verifying = planner.time_budget / NOMINAL, VERIFYING
+    planner.time_budget, planner.verifying, planner.enough = planner.time_budget / NOMINAL, VERIFYING, math.inf
     search, known, some = planner.search, dict[RobustCandidate, Verified](), list[RobustCandidate]()
     refinement = RobustRefinement(search, uncertainty, left=lambda: REFINING * planner.time_budget - planner.spent)
     try:

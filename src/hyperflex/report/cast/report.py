@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _TOO_LONG = f"the simulation failed ({OUT_OF_TIME})"
 _LINE = 90  # letters that fit beside each other in a film
-_STILL = 1e-5  # m; less slip is not told in numbers, which a run does not resolve
+_LEAST_SLIP = 1e-5  # m; a run does not resolve less, so it is not told in numbers
 _END = 2.0  # s at the end of a film in which the hold force is shown
 
 
@@ -294,7 +294,7 @@ def _outcome(plan: CastPlan, cast: CastOutcome) -> str:
         f"its end, so straight parts and the hanging tail count beside what lies on the target "
         f"({math.degrees(cast.contact_angle):.0f} degrees), and a tail that swings "
         f"changes it. In the last {WATCH_TIME:g} s the rope slips on the target by "
-        f"{length(cast.slip, 2, least=_STILL)}; {1e3 * MAX_SLIP:g} mm are allowed.{behind_sentence(plan)}"
+        f"{length(cast.slip, 2, least=_LEAST_SLIP)}; {1e3 * MAX_SLIP:g} mm are allowed.{behind_sentence(plan)}"
     )
 
 
@@ -329,7 +329,7 @@ def _checks(plan: CastPlan) -> TextTable:
         else:
             struck = math.isfinite(cast.strike_time)
             strike, turns = (f"{cast.strike_time:.2f} s", f"{abs(cast.turns):.2f}") if struck else ("never", "none")
-            slip = length(cast.slip, 2, least=_STILL) if math.isfinite(cast.slip) else "does not stay"
+            slip = length(cast.slip, 2, least=_LEAST_SLIP) if math.isfinite(cast.slip) else "does not stay"
             contact, clear = f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}", f"{1e3 * cast.clearance:.1f} mm"
             good = "yes" if cast.success else "no"
             rows.append((name, str(cast.n_links), strike, turns, contact, slip, clear, good))
