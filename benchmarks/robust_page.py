@@ -46,10 +46,10 @@ def definition() -> str:
     """What counts."""
     return (
         f"Won: the rope makes {MIN_TURNS:g} turns or more from the arm's tip to its end and keeps them over the last "
-        f"{LAST:g} s of the {SETTLING_TIME:g} s after the arm has stopped, clear of arm and shaft, in a run on links as "
-        "coarse as those of the search. Stated and observed success both ask for this, in draws of their own. Whether "
-        f"the rope also slips by less than {1e3 * MAX_SLIP:g} mm in {WATCH_TIME:g} s is not asked; it is told as held. "
-        "A throw that is given up, and a target without any throw, has lost."
+        f"{LAST:g} s of the {SETTLING_TIME:g} s after the arm has stopped, clear of arm and shaft, in a run on links "
+        "as coarse as those of the search. Stated and observed success both ask for this, in draws of their own. "
+        f"Whether the rope also slips by less than {1e3 * MAX_SLIP:g} mm in {WATCH_TIME:g} s is not asked; it is told "
+        "as held. A throw that is given up, and a target without any throw, has lost."
     )
 
 

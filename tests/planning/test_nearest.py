@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.control import swing_period
 from hyperflex.planning import CastSetup, MotorLimits, check_feasibility
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.throw import ThrowParametrization
 from hyperflex.planning.wind import casting, fallback_targets
 from hyperflex.planning.wind.cast_plan import CastPlan
+from hyperflex.planning.wind.feasibility import geometry_allows
 from hyperflex.planning.wind.remedies import find_remedies
 from tests.faults.interrupting import left_by
 from tests.planning.known import CABLE, PEG, WINDS, cast_setup, late, planned, stopped, unreachable
@@ -46,6 +48,24 @@ def test_the_nearest_place_is_in_reach_and_none_is_nearer(peg: hf.Peg) -> None:
         check_feasibility(CAST_SETUP, replace(peg, x=peg.x + r * np.sin(a), y=peg.y + r * np.cos(a))).feasible
         for r, a in zip(far, angle, strict=True)
     )
+
+
+def test_where_geometry_rules_a_target_out_it_is_not_feasible() -> None:
+    grid = [
+        hf.Peg(x, y, r) for x in np.linspace(-2.3, 2.3, 12) for y in np.linspace(-2.3, 2.0, 12) for r in (0.03, 0.3)
+    ]
+    allowed = [geometry_allows(CAST_SETUP, peg) for peg in grid]
+    feasible = [check_feasibility(CAST_SETUP, peg).feasible for peg in grid]
+    assert all(may for may, can in zip(allowed, feasible, strict=True) if can)
+    assert 0 < sum(feasible) < sum(allowed) < len(grid)
+    refused = [hf.Peg(2.5, 0.0, 0.03), hf.Peg(0.05, -0.05, 0.02), FAR]  # beyond the rope, in the arm's circle, too far
+    assert not any(geometry_allows(CAST_SETUP, peg) for peg in refused)
+
+
+def test_a_set_up_knows_the_period_of_its_rope() -> None:
+    longer = replace(CAST_SETUP, rope=CABLE.replace(tip_mass=0.1))
+    assert CAST_SETUP.period == swing_period(CABLE)
+    assert longer.period == swing_period(longer.rope) != CAST_SETUP.period
 
 
 def test_a_target_ten_centimetres_too_far_has_one_near_by() -> None:
