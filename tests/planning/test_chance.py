@@ -77,6 +77,7 @@ def test_a_rope_that_comes_too_near_its_arm_while_it_winds_has_not_won() -> None
     clear = scenario_scores(CAST_SETUP, [(WINDS, world) for world in worlds])
     assert near.turns[0] < MIN_TURNS < clear.turns[0]
     assert near.score[0] < clear.score[0]
+    assert np.isnan(nominal_strike_times(replace(CAST_SETUP, clearance=0.5), PEG, [WINDS])[0])  # nor has it struck
 
 
 def test_throws_that_win_and_that_never_strike_are_told_apart() -> None:

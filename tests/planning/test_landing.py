@@ -268,6 +268,24 @@ def test_the_longer_a_rope_is_too_near_its_arm_the_less_it_is_worth() -> None:
     assert long + 0.1 < for_short < MIN_TURNS + PASSING * MAX_TURNS - ARM_COST
 
 
+@pytest.mark.parametrize("looks", [[0.0, 0.0], [0.0, 0.3], [0.3]])
+def test_a_rope_that_comes_too_near_its_arm_at_the_very_end_counts_as_undone(
+    monkeypatch: pytest.MonkeyPatch, looks: list[float]
+) -> None:
+    """Times near the arm, until CHECK_TIME after the stop and after it, are made up."""
+    strike, left = simulated_strikes(CAST_SETUP, PEG, [WINDS]), list(looks)
+    state = strike.t, strike.q, strike.qd
+    clear = contact_scores(CAST_SETUP, PEG, [WINDS], state)
+    monkeypatch.setattr(contact_phase, "_time_near_arm", lambda *_: left.pop(0))
+    found = contact_scores(CAST_SETUP, PEG, [WINDS], state)
+    assert not left
+    if any(looks):
+        assert found.turns[0] == MIN_HOPE
+        assert found.score[0] <= clear.score[0] - ARM_COST
+    else:
+        assert (found.turns[0], found.score[0]) == (clear.turns[0], clear.score[0])
+
+
 def test_a_rope_that_lies_through_the_peg_at_first_makes_no_turn() -> None:
     """Its run could not begin: one throw is no reason to end a search."""
     peg, still = hf.Peg(0.0, -1.0, 0.03), hf.hold_arm(0.0)

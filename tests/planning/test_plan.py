@@ -511,10 +511,20 @@ def test_a_full_turn_that_nobody_asked_for_is_sought_for_a_quarter_more_than_the
     )
     work.best, work.first = ("a throw", cast, cast), 3.0  # type: ignore[assignment]
     assert work.done() is enough
-    cast.slip = 3e-3  # nothing in hand: sought as long, or until the time is over where there is no hurry
+    cast.slip = 3e-3  # nothing in hand: sought as long, or until a time that is given
     assert work.done() is enough
     work.enough = np.inf
     assert not work.done()
+
+
+def test_a_plan_that_stands_ends_a_search_at_the_time_that_is_enough() -> None:
+    work = cast_planner.CastPlanner(ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), 50.0, enough=30.0)
+    assert work.until == np.inf  # while none stands
+    for first, until in ((10.0, 30.0), (40.0, 40.0)):
+        work.first = first
+        assert work.until == until
+    work.enough = None
+    assert work.until == cast_planner.BETTER * 40.0
 
 
 @pytest.mark.parametrize("ends", [False, True])
