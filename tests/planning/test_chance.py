@@ -10,11 +10,12 @@ import pytest
 from benchmarks.robust_page import probability_difference
 from scipy.stats import binomtest
 
+import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import SuccessProbability, Uncertainty, estimate_success_probability
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.robust.scenario_rollouts import nominal_strike_times, scenario_scores
-from tests.planning.known import contact_scores, simulated_strikes
+from tests.planning.known import contact_scores, planned, simulated_strikes
 from tests.planning.test_landing import CAST_SETUP, PEG, WINDS
 from tests.planning.test_uncertainty import NONE
 
@@ -78,6 +79,22 @@ def test_a_rope_that_comes_too_near_its_arm_while_it_winds_has_not_won() -> None
     assert near.turns[0] < MIN_TURNS < clear.turns[0]
     assert near.score[0] < clear.score[0]
     assert np.isnan(nominal_strike_times(replace(CAST_SETUP, clearance=0.5), PEG, [WINDS])[0])  # nor has it struck
+
+
+def test_a_rope_that_touches_an_obstacle_before_its_strike_or_after_has_not_won() -> None:
+    run, worlds = planned().run, NONE.sample(1, CAST_SETUP, PEG)
+    assert run is not None
+    x, strike = run.joints[..., 0], float(nominal_strike_times(CAST_SETUP, PEG, [WINDS])[0])
+    # Walls that the rope is 20 mm into at most: on the right before the strike alone, on the left after it alone
+    right, left = float(x.max()) - 0.02, float(x.min()) + 0.02
+    assert x[run.t > strike].max() < right - 0.1
+    assert x[run.t < strike].min() > left + 0.01
+    turns = []
+    for wall in (hf.Ground(right, 0.0, -1.0, 0.0), hf.Ground(left, 0.0, 1.0, 0.0)):
+        found = scenario_scores(replace(CAST_SETUP, obstacles=[wall]), [(WINDS, world) for world in worlds])
+        turns += found.turns.tolist()
+    assert turns[0] == 0.0  # as without a strike
+    assert 0.0 < turns[1] < MIN_TURNS
 
 
 def test_throws_that_win_and_that_never_strike_are_told_apart() -> None:

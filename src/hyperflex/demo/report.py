@@ -28,7 +28,6 @@ from hyperflex.report import (
     fitted_channels,
     legend,
     new_figure,
-    plain_reason,
     player_html,
     png,
     search_summary,
@@ -222,7 +221,7 @@ def _proof(demo: Demo) -> tuple[tuple[bool, str], ...]:
     rope = f"The rope that made the recording ({demo.reference.q.shape[1]} links), thrown by the same motion"
     if proof.success:
         return ((True, f"{rope}, winds {abs(proof.turns):.2f} turns and holds too."),)
-    return ((False, f"{rope}, does not: {plain_reason(proof.message)}. The identified rope is not quite that rope."),)
+    return ((False, f"{rope}, does not: {proof.message}. The identified rope is not quite that rope."),)
 
 
 def held_out_rms(demo: Demo) -> float:

@@ -1,7 +1,6 @@
 """A motion behind a motor with lag: a first-order filter of the arm angle."""
 
 import math
-from itertools import pairwise
 
 import numpy as np
 
@@ -52,51 +51,56 @@ def lagged(motion: Motion, lag: float) -> Motion:
         )
     if lag == 0.0:
         return motion
-    still = np.zeros(POWERS)
-    still[0] = float(motion.angle(motion.breaks[-1]))
-    breaks, rows, switch = [float(motion.breaks[0])], [], []
+    breaks, still = motion.breaks, np.zeros(POWERS)
+    still[0] = float(motion.angle(breaks[-1]))
+    answers = _answers(np.vstack([motion.coef[:, ANGLE], still]), lag)
+    spans = np.append(np.diff(breaks), lag * FADED)
+    behind, ends = np.zeros(spans.size), _polynomials(answers, spans, 0)
     value = float(motion.coef[0, ANGLE, 0])
-    spans = [*np.diff(motion.breaks).tolist(), lag * FADED]
-    for begin, span, piece in zip(motion.breaks.tolist(), spans, [*motion.coef[:, ANGLE], still], strict=True):
-        answer = _answer(piece, lag)
-        edges = [0.0, *(lag * node for node in NODES if lag * node < 0.99 * span), span]
-        states = [_state(answer, value - answer[0], lag, s) for s in edges]
-        if piece is still:
-            states[-1] = still[:3]
-        pairs = zip(pairwise(states), pairwise(edges), strict=True)
-        rows += [_hermite(one, two, b - a) for (one, two), (a, b) in pairs]
-        breaks += [begin + s for s in edges[1:]]
-        switch += [True] + [False] * (len(edges) - 2)
-        value = float(states[-1][0])
-    coef = np.zeros((len(rows), CHANNELS, POWERS))
+    for k, (start, end, fade) in enumerate(zip(answers[:, 0], ends, np.exp(-spans / lag), strict=True)):
+        behind[k] = value - start
+        value = end + behind[k] * fade
+    nodes = lag * np.array([0.0, *NODES, np.inf])
+    begins = np.append(np.ones((spans.size, 1), dtype=bool), nodes[1:-1] < 0.99 * spans[:, None], axis=1)
+    piece, node = np.nonzero(begins)
+    last = np.append(piece[1:] != piece[:-1], True)
+    since, until = nodes[node], np.where(last, spans[piece], nodes[node + 1])
+    one, two = (_states(answers[piece], behind[piece], lag, s) for s in (since, until))
+    two[-1] = still[:3]
+    coef = np.zeros((piece.size, CHANNELS, POWERS))
     coef[:] = motion.coef[0] * (np.arange(POWERS) == 0)
-    coef[:, ANGLE] = rows
-    return Motion(np.array(breaks), coef, np.array([*switch, True]))
+    coef[:, ANGLE] = _hermite(one, two, until - since)
+    at = np.concatenate([breaks[:1], breaks[piece] + until])
+    return Motion(at, coef, np.append(node == 0, True))
 
 
-def _answer(piece: Array, lag: float) -> Array:
-    """Coefficients (POWERS,) of the polynomial that solves the filter's equation for a polynomial input."""
-    answer, change = np.zeros(POWERS), np.array(piece)
+def _answers(pieces: Array, lag: float) -> Array:
+    """Coefficients (P, POWERS) of the polynomials that solve the filter's equation for polynomial inputs."""
+    answers, change = np.zeros(pieces.shape), pieces
     for k in range(POWERS):
-        answer += (-lag) ** k * change
-        change = np.append(change[1:] * np.arange(1, POWERS), 0.0)
-    return answer
+        answers += (-lag) ** k * change
+        change = np.append(change[:, 1:] * np.arange(1, POWERS), np.zeros((len(pieces), 1)), axis=1)
+    return answers
 
 
-def _state(answer: Array, behind: float, lag: float, s: float) -> Array:
-    """Angle, rate and acceleration (3,) at a time `s` into a piece."""
-    fading = behind * math.exp(-s / lag)
-    found = [fading, -fading / lag, fading / lag**2]
-    for d in range(3):
-        found[d] += sum(math.perm(k, d) * float(answer[k]) * s ** (k - d) for k in range(d, POWERS))
-    return np.array(found)
+def _polynomials(coef: Array, s: Array, derivative: int) -> Array:
+    """Derivatives (P,) of polynomials with coefficients (P, POWERS) at times s (P,)."""
+    some = np.arange(derivative, POWERS)
+    factors = [math.perm(k, derivative) for k in some.tolist()]
+    return np.asarray((factors * coef[:, some] * s[:, None] ** (some - derivative)).sum(axis=1))
 
 
-def _hermite(one: Array, two: Array, span: float) -> Array:
-    """Coefficients (POWERS,) of the fifth-order polynomial between two states (3,) that lie `span` apart."""
-    a, b, c = one[0], one[1] * span, 0.5 * one[2] * span**2
-    p = two[0] - a - b - c
-    v = two[1] * span - b - 2.0 * c
-    w = two[2] * span**2 - 2.0 * c
+def _states(answers: Array, behind: Array, lag: float, s: Array) -> Array:
+    """Angles, rates and accelerations (P, 3) at times s (P,) into pieces."""
+    fading = behind * np.exp(-s / lag)
+    return np.stack([fading * (-1.0 / lag) ** d + _polynomials(answers, s, d) for d in range(3)], axis=1)
+
+
+def _hermite(one: Array, two: Array, span: Array) -> Array:
+    """Coefficients (P, POWERS) of the fifth-order polynomials between states (P, 3) that lie `span` (P,) apart."""
+    a, b, c = one[:, 0], one[:, 1] * span, 0.5 * one[:, 2] * span**2
+    p = two[:, 0] - a - b - c
+    v = two[:, 1] * span - b - 2.0 * c
+    w = two[:, 2] * span**2 - 2.0 * c
     top = [10.0 * p - 4.0 * v + 0.5 * w, -15.0 * p + 7.0 * v - w, 6.0 * p - 3.0 * v + 0.5 * w]
-    return np.asarray(np.array([a, b, c, *top]) / span ** np.arange(POWERS))
+    return np.asarray(np.stack([a, b, c, *top], axis=1) / span[:, None] ** np.arange(POWERS))

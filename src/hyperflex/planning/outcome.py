@@ -22,7 +22,7 @@ from hyperflex.planning.verification import (
     refusal,
     verified_setup,
 )
-from hyperflex.simulation import Deadline, simulate
+from hyperflex.simulation import OUT_OF_TIME, Deadline, simulate
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
 
@@ -33,6 +33,7 @@ MAX_SLIP = 5e-3  # m, in the watch
 SAMPLE_TIME = 0.01  # s
 BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
 FREE = Clearance(np.inf, 0.0, "")  # of the arm, where obstacles alone are looked at
+TOO_LONG = "the verification took longer than the time left for it"
 MEAN_TIME = 0.1  # s over which forces are averaged: those of single steps jump
 
 
@@ -155,7 +156,8 @@ def verify_cast(
     try:
         run = simulate(setup, t_eval=t, time_budget=time_budget)
     except SimulationError as error:
-        nan, message = float("nan"), f"the simulation failed ({error.status})"
+        nan, late = float("nan"), error.status == OUT_OF_TIME
+        message = TOO_LONG if late else f"the simulation failed ({error.status})"
         return CastOutcome(False, False, 0.0, *6 * (nan,), False, nan, nan, nan, message, 0)
     return evaluate_cast(cast_setup, peg, run, stop)
 

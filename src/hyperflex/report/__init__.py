@@ -7,7 +7,7 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.report.animation import animate
     from hyperflex.report.cast.reach_map import reach_figure
-    from hyperflex.report.cast.report import CastReport, plain_reason
+    from hyperflex.report.cast.report import CastReport
     from hyperflex.report.folder import Progress, check_folder, silent, whole_folder
     from hyperflex.report.identification.figures import fit_figure
     from hyperflex.report.identification.fitted import fitted_channels

@@ -35,12 +35,10 @@ from hyperflex.report.plan import (
 from hyperflex.report.player import Line, Plot
 from hyperflex.report.style import png
 from hyperflex.report.units import length
-from hyperflex.simulation import OUT_OF_TIME
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_TOO_LONG = f"the simulation failed ({OUT_OF_TIME})"
 _LINE = 90  # letters that fit beside each other in a film
 _LEAST_SLIP = 1e-5  # m; a run does not resolve less, so it is not told in numbers
 _END = 2.0  # s at the end of a film in which the hold force is shown
@@ -218,13 +216,7 @@ def _failure(plan: CastPlan) -> str:
     """Return why a plan fails, without a full stop; a heuristic criterion is called one."""
     if plan.message == plan.feasibility.message and not plan.feasibility.impossible:
         return plan.message.replace("out of reach", "out of reach by a rule of thumb", 1)
-    return plain_reason(plan.message)
-
-
-def plain_reason(reason: str) -> str:
-    """Return why a cast fails, with names of status codes put into words."""
-    message = "the verification of the best throw took longer than the time allowed for it; give more --time-budget"
-    return reason.replace(_TOO_LONG, message)
+    return plan.message
 
 
 def _advice(plan: CastPlan) -> tuple[str, ...]:
@@ -287,7 +279,7 @@ def _outcome(plan: CastPlan, cast: CastOutcome) -> str:
         return "The rope does not touch the target."
     struck = f"{_grazes(cast)}The rope strikes the target at {cast.strike_time:.2f} s"
     if not math.isfinite(cast.slip):
-        return f"{struck} and does not stay wound on it: {plain_reason(cast.message)}."
+        return f"{struck} and does not stay wound on it: {cast.message}."
     return (
         f"{struck}, winds {way(plan)}, and lies round it with "
         f"{abs(cast.turns):.2f} turns: the angle swept about the target's centre from the arm's tip along the rope to "
