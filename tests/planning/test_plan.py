@@ -19,6 +19,7 @@ from hyperflex.planning.search.throw_search import LATER, MAX_FAILED, TRIED, Thr
 from hyperflex.planning.throw import MOVES
 from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
+from hyperflex.planning.wind.robust_phase import WORTHWHILE
 from hyperflex.planning.wind.verified import failure, foreseen, succeeds, with_margin
 from hyperflex.simulation import Deadline
 from tests.faults.interrupting import left_by
@@ -167,7 +168,7 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
     monkeypatch.setattr(cast_planner.CastPlanner, "run", go)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
     monkeypatch.setattr(robust_phase.RobustRefinement, "halve", race)
-    monkeypatch.setattr(robust_phase.RobustRefinement, "run", lambda self, report=None: None)
+    monkeypatch.setattr(robust_phase.RobustRefinement, "run", lambda self, until, report: None)
     monkeypatch.setattr(robust_phase.RobustRefinement, "best", lambda self, count: self.order[:count])
     monkeypatch.setattr(casting, "estimate_success_probability", estimate_success_probability)
     found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty())
@@ -196,8 +197,8 @@ class Race(robust_phase.RobustRefinement):
     def evaluate(self, runners: object, scenarios: list) -> None:
         assert not scenarios
 
-    def run(self, report: object = None) -> None:
-        pass
+    def run(self, until: float, report: object) -> None:
+        self.left = lambda: 0.0
 
 
 def hardened(
@@ -279,9 +280,9 @@ def test_what_was_verified_before_the_race_is_not_verified_again(monkeypatch: py
     asked: list[str] = []
     go, outcomes = Race.run, cast_planner.CastPlanner.outcomes
 
-    def first(self: Race, report: object = None) -> None:
+    def first(self: Race, until: float, report: object) -> None:
         asked.append("go " + " ".join(one.candidate.throw.name for one in self.order))  # type: ignore[attr-defined]
-        go(self)
+        go(self, until, report)
 
     def told(self: cast_planner.CastPlanner, some: list) -> object:
         asked.append("verify " + " ".join(one.throw.name for one in some))
@@ -302,14 +303,31 @@ def test_what_was_verified_before_the_race_is_not_verified_again(monkeypatch: py
     assert asked == ["go b c", "verify b c", "go b c"]  # the one that failed is not refined; the one not told is tried
 
 
+def test_while_there_is_time_one_throw_is_verified_that_is_much_better_than_those_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limits: list[float] = []
+
+    def run(self: Race, until: float, report: object) -> None:
+        """At first c is the best; then a wins more often, which takes all the time."""
+        limits.append(until)
+        self.order.sort(key=lambda one: one.candidate.throw.name != "ca"[min(len(limits), 2) - 1])  # type: ignore[attr-defined]
+        self.left = (lambda: 9.0) if len(limits) == 1 else lambda: 0.0
+
+    monkeypatch.setattr(Race, "run", run)
+    work = hardened(monkeypatch)
+    assert "".join(one.throw.name for one in work.checked) == "ca"  # type: ignore[attr-defined]
+    assert limits == [WORTHWHILE, 0.5 + WORTHWHILE, 1.0 + WORTHWHILE]  # c wins in 8 of 16, and a in all
+
+
 def test_a_second_interrupt_keeps_what_was_verified(monkeypatch: pytest.MonkeyPatch) -> None:
     count = 0
     go = Race.run
 
-    def broken_off(self: Race, report: object = None) -> None:
+    def broken_off(self: Race, until: float, report: object) -> None:
         nonlocal count
         count += 1
-        go(self)
+        go(self, until, report)
         if count == 2:
             raise KeyboardInterrupt
 
@@ -344,7 +362,7 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     monkeypatch.setattr(cast_planner.CastPlanner, "run", go)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
     monkeypatch.setattr(robust_phase.RobustRefinement, "halve", race)
-    monkeypatch.setattr(robust_phase.RobustRefinement, "run", lambda self, report=None: None)
+    monkeypatch.setattr(robust_phase.RobustRefinement, "run", lambda self, until, report: None)
     found = left_by(lambda: hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty()))
     assert found.interrupted
     assert (found.throw, found.success_probability) == ("nominal", None)

@@ -15,7 +15,7 @@ import hyperflex as hf
 from hyperflex import interruption
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.planning import Uncertainty, WhipMap, build_whip_map, estimate_success_probability
-from hyperflex.planning.outcome import require_holding_force
+from hyperflex.planning.outcome import TOO_LONG, require_holding_force
 from hyperflex.planning.robust import scenario_rollouts
 from hyperflex.planning.search.beam import BeamSearch
 from hyperflex.planning.search.candidates import Candidate
@@ -58,7 +58,7 @@ def test_verifications_do_not_outlast_the_time() -> None:
     work.clock = SimpleNamespace(spent=60.1)  # type: ignore[assignment]
     outcome, finer = work.verify(Candidate(2.0, 2.0, 1, np.zeros(3), WINDS))
     assert (outcome.completed, finer) == (False, None)
-    assert OUT_OF_TIME in outcome.message
+    assert outcome.message == TOO_LONG
     held = require_holding_force(planned().outcome, PEG, 0.1, OVER)
     assert held.message == "its holding force could not be simulated"
 

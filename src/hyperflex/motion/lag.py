@@ -86,7 +86,7 @@ def _answers(pieces: Array, lag: float) -> Array:
 def _polynomials(coef: Array, s: Array, derivative: int) -> Array:
     """Derivatives (P,) of polynomials with coefficients (P, POWERS) at times s (P,)."""
     some = np.arange(derivative, POWERS)
-    factors = [math.perm(k, derivative) for k in some.tolist()]
+    factors = np.array([math.perm(k, derivative) for k in some.tolist()])
     return np.asarray((factors * coef[:, some] * s[:, None] ** (some - derivative)).sum(axis=1))
 
 

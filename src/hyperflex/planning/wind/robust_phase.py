@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 
-from hyperflex.planning.robust.refinement import RobustCandidate, RobustRefinement
+from hyperflex.planning.robust.refinement import HALVING, RobustCandidate, RobustRefinement
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.planning.wind.planner import CastPlanner
@@ -14,6 +14,7 @@ from hyperflex.planning.wind.verified import Verified, incomplete, succeeds, wit
 # probability is estimated
 ENOUGH, NOMINAL, REFINING, VERIFYING = 0.3, 0.5, 0.75, 0.9
 NO_MARGIN_COST = 0.3  # value by which a throw without a margin must be better than one with a margin
+WORTHWHILE = 0.25  # value by which a throw must be better than those verified to be verified before REFINING
 NONE = (False, False, 0.0)  # value of no throw
 
 
@@ -29,20 +30,22 @@ def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Call
         refinement.halve(search.candidates, [one for one in planner.checked if one.throw is planner.best[0]])
         complete = [found for found in planner.verified if not incomplete(found)]
         known |= {one: found for one in refinement.order for found in complete if found[0] is one.candidate.throw}
-        refinement.evaluate_common([one for one, found in known.items() if succeeds(found)])
+        for one in [one for one, found in known.items() if succeeds(found)]:
+            refinement.evaluate_common(one, sum(HALVING))
         while True:
             refinement.drop([one for one, found in known.items() if not with_margin(found)])
-            refinement.run(None if report is None else lambda: report(planner.spent))
+            best = max((_value(*each) for each in known.items()), default=NONE)
+            refinement.run(best[-1] + WORTHWHILE, None if report is None else lambda: report(planner.spent))
             if not refinement.order or refinement.incumbent in known or (some and planner.spent > planner.time_budget):
                 break
-            best = max((_value(*each) for each in known.items()), default=NONE)
             if best >= (True, True, refinement.incumbent.mean):
                 break
-            some = [one for one in refinement.best(search.workers) if one not in known]
+            count = 1 if refinement.left() > 0.0 else search.workers
+            some = [one for one in refinement.best(count) if one not in known]
             for one, found in zip(some, planner.outcomes([one.candidate for one in some]), strict=True):
                 known[one] = found
     except OutOfTime:
-        some = [one for one in refinement.order[: search.workers] if one not in known]
+        some = [one for one in refinement.order[: search.workers] if one.values and one not in known]
         known |= zip(some, planner.outcomes([one.candidate for one in some]), strict=True)
     finally:
         search.runs += refinement.runs
@@ -54,4 +57,4 @@ def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Call
 def _value(one: RobustCandidate, found: Verified) -> tuple[bool, bool, float]:
     """Value of a robust candidate as a plan."""
     cost = 0.0 if with_margin(found) else NO_MARGIN_COST
-    return succeeds(found), not incomplete(found), one.common_mean - cost
+    return succeeds(found), not incomplete(found), one.mean - cost
