@@ -168,7 +168,7 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
     monkeypatch.setattr(cast_planner.CastPlanner, "run", go)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
     monkeypatch.setattr(robust_phase.RobustRefinement, "halve", race)
-    monkeypatch.setattr(robust_phase.RobustRefinement, "run", lambda self, until, report: None)
+    monkeypatch.setattr(robust_phase.RobustRefinement, "run", no_generation)
     monkeypatch.setattr(robust_phase.RobustRefinement, "best", lambda self, count: self.order[:count])
     monkeypatch.setattr(casting, "estimate_success_probability", estimate_success_probability)
     found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty())
@@ -184,6 +184,11 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
     assert (nominal.throw, nominal.success_probability) == ("throw 0", None)
 
 
+def no_generation(self: robust_phase.RobustRefinement, until: float, report: object) -> None:
+    """As a refinement that has no time for any."""
+    self.left = lambda: 0.0
+
+
 class Race(robust_phase.RobustRefinement):
     """Throws that win in so many of the common worlds; nothing is simulated."""
 
@@ -197,8 +202,7 @@ class Race(robust_phase.RobustRefinement):
     def evaluate(self, runners: object, scenarios: list) -> None:
         assert not scenarios
 
-    def run(self, until: float, report: object) -> None:
-        self.left = lambda: 0.0
+    run = no_generation
 
 
 def hardened(
@@ -362,7 +366,7 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     monkeypatch.setattr(cast_planner.CastPlanner, "run", go)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
     monkeypatch.setattr(robust_phase.RobustRefinement, "halve", race)
-    monkeypatch.setattr(robust_phase.RobustRefinement, "run", lambda self, until, report: None)
+    monkeypatch.setattr(robust_phase.RobustRefinement, "run", no_generation)
     found = left_by(lambda: hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty()))
     assert found.interrupted
     assert (found.throw, found.success_probability) == ("nominal", None)

@@ -43,6 +43,11 @@ class RobustCandidate:
         """Mean value; a success counts one."""
         return float(np.mean(self.values)) if self.values else -1.0
 
+    @property
+    def always_succeeds(self) -> bool:
+        """Whether it has succeeded in all its scenarios, COMMON at least."""
+        return len(self.successes) >= COMMON and all(self.successes)
+
 
 class RobustRefinement:
     """Successive halving of the candidates of a nominal search, then CMA-ES about the best, in sampled scenarios.
@@ -77,11 +82,17 @@ class RobustRefinement:
         """The best candidate so far."""
         return self.order[0]
 
+    @property
+    def in_time(self) -> bool:
+        """Whether there is time for one more generation."""
+        return self.left() > self._duration
+
     def run(self, until: float = math.inf, report: Callable[[], None] | None = None) -> None:
         """Evolve until no time is left, or the incumbent succeeds in all scenarios or has a mean value `until`."""
-        while self.order and (left := self.left()) > self._duration:
-            if self.always_succeeds() or self.incumbent.mean >= until:
+        while self.order and self.in_time:
+            if self.incumbent.always_succeeds or self.incumbent.mean >= until:
                 break
+            left = self.left()
             self.evolve()
             self._duration = max(0.0, left - self.left()) if left < math.inf else 0.0
             if report is not None:
@@ -104,10 +115,6 @@ class RobustRefinement:
     def evaluate_common(self, one: RobustCandidate, count: int = COMMON) -> None:
         """Evaluate a candidate in those of the first `count` common scenarios that it was not evaluated in yet."""
         self.evaluate([one], self.common[len(one.values) : count])
-
-    def always_succeeds(self) -> bool:
-        """Whether the incumbent has succeeded in all its scenarios, COMMON at least."""
-        return len(self.incumbent.successes) >= COMMON and all(self.incumbent.successes)
 
     def halve(self, found: Sequence[Candidate], seeded: Sequence[Candidate] = ()) -> None:
         """Compare candidates, those `seeded` among them, by successive halving."""

@@ -21,7 +21,7 @@ NONE = (False, False, 0.0)  # value of no throw
 def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
     """Search, in the time that is left to a planner, for the throw that succeeds in most scenarios.
 
-    Candidates without a margin in the nominal scenario are dropped.
+    Candidates that fail in the nominal scenario are dropped, and those without a margin there in the end.
     """
     planner.time_budget, planner.verifying, planner.enough = planner.time_budget / NOMINAL, VERIFYING, math.inf
     search, known, some = planner.search, dict[RobustCandidate, Verified](), list[RobustCandidate]()
@@ -33,14 +33,20 @@ def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Call
         for one in [one for one, found in known.items() if succeeds(found)]:
             refinement.evaluate_common(one, sum(HALVING))
         while True:
-            refinement.drop([one for one, found in known.items() if not with_margin(found)])
+            late = not refinement.in_time
+            refinement.drop([each for each in known if not _worth_refining(each, known[each], late)])
             best = max((_value(*each) for each in known.items()), default=NONE)
-            refinement.run(best[-1] + WORTHWHILE, None if report is None else lambda: report(planner.spent))
-            if not refinement.order or refinement.incumbent in known or (some and planner.spent > planner.time_budget):
+            much = WORTHWHILE + max((one.mean for one, found in known.items() if succeeds(found)), default=0.0)
+            refinement.run(much, None if report is None else lambda: report(planner.spent))
+            if not refinement.order or (some and planner.spent > planner.time_budget):
                 break
+            if refinement.incumbent in known:
+                if with_margin(known[refinement.incumbent]):
+                    break
+                continue  # it is dropped: always succeeds, or no time is left for others like it
             if best >= (True, True, refinement.incumbent.mean):
                 break
-            count = 1 if refinement.left() > 0.0 else search.workers
+            count = 1 if refinement.in_time else search.workers
             some = [one for one in refinement.best(count) if one not in known]
             for one, found in zip(some, planner.outcomes([one.candidate for one in some]), strict=True):
                 known[one] = found
@@ -52,6 +58,11 @@ def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Call
         chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
         if chosen is not None and (succeeds(known[chosen]) or not succeeds(planner.best)):
             planner.best = known[chosen]
+
+
+def _worth_refining(one: RobustCandidate, found: Verified, late: bool) -> bool:
+    """Whether throws like a verified one may be better: one without a margin no longer where it is `late`."""
+    return with_margin(found) or (succeeds(found) and not (late or one.always_succeeds))
 
 
 def _value(one: RobustCandidate, found: Verified) -> tuple[bool, bool, float]:
