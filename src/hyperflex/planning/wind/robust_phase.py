@@ -12,9 +12,9 @@ from hyperflex.planning.wind.verified import Verified, incomplete, succeeds, wit
 # Fractions of the time of a robust plan: after ENOUGH a plan that stands ends the search in the nominal scenario, after
 # NOMINAL that search ends in any case. After REFINING candidates are only verified, after VERIFYING the success
 # probability is estimated
-ENOUGH, NOMINAL, REFINING, VERIFYING = 0.3, 0.5, 0.75, 0.9
+ENOUGH, NOMINAL, REFINING, VERIFYING = 0.3, 0.5, 0.8, 0.9
 NO_MARGIN_COST = 0.3  # value by which a throw without a margin must be better than one with a margin
-WORTHWHILE = 0.25  # value by which a throw must be better than those verified to be verified before REFINING
+WORTHWHILE = 0.2  # value by which a throw must be better than those verified to be verified before REFINING
 NONE = (False, False, 0.0)  # value of no throw
 
 
