@@ -13,6 +13,7 @@ import hyperflex as hf
 from hyperflex import files, planning
 from hyperflex.interruption import _USUAL
 from hyperflex.planning import FallbackTarget
+from hyperflex.planning.outcome import TOO_LONG
 from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.report import CastReport
@@ -278,7 +279,7 @@ def test_a_throw_that_was_not_verified_has_no_numbers(hyperflex, hyperflex_json,
         assert "not known" in words
         assert "strikes" not in words
         assert "the target itself is in reach" in words
-        assert ("time allowed for it; give more --time-budget" in words) == (name == "late")
+        assert (TOO_LONG in words) == (name == "late")
         assert ("best so far" in err) == (name == "stopped")
 
 

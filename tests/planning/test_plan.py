@@ -12,6 +12,7 @@ import hyperflex as hf
 from hyperflex import winding
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastSetup, MotorLimits, SuccessProbability, Uncertainty
+from hyperflex.planning.robust.refinement import DOUBT
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.candidates import Swing
 from hyperflex.planning.search.contact_phase import WindingScores
@@ -19,7 +20,7 @@ from hyperflex.planning.search.throw_search import LATER, MAX_FAILED, TRIED, Thr
 from hyperflex.planning.throw import MOVES
 from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
-from hyperflex.planning.wind.robust_phase import WORTHWHILE
+from hyperflex.planning.wind.robust_phase import EARLY_GAIN
 from hyperflex.planning.wind.verified import failure, foreseen, succeeds, with_margin
 from hyperflex.simulation import Deadline
 from tests.faults.interrupting import left_by
@@ -321,7 +322,8 @@ def test_while_there_is_time_one_throw_is_verified_that_is_much_better_than_thos
     monkeypatch.setattr(Race, "run", run)
     work = hardened(monkeypatch)
     assert "".join(one.throw.name for one in work.checked) == "ca"  # type: ignore[attr-defined]
-    assert limits == [WORTHWHILE, 0.5 + WORTHWHILE, 1.0 + WORTHWHILE]  # c wins in 8 of 16, and a in all
+    doubted = [0.0, 8.0 / (16.0 + DOUBT), 16.0 / (16.0 + DOUBT)]  # of none, of c and of a, which win in 8 and in 16
+    assert limits == pytest.approx([each + EARLY_GAIN for each in doubted])
 
 
 def test_a_second_interrupt_keeps_what_was_verified(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,9 +15,9 @@ from hyperflex.planning.robust import refinement
 from hyperflex.planning.robust.refinement import (
     COMMON,
     EACH,
-    GENERATION,
-    HALVING,
+    GENERATION_ROUNDS,
     POOL,
+    POOL_ROUNDS,
     RACE,
     RobustCandidate,
     RobustRefinement,
@@ -69,8 +69,8 @@ def test_the_race_finds_the_throw_that_wins_most_often(made_up: list[int]) -> No
     found = [landing(end, score=3.0 - end) for end in (0.1, 2.9, 0.7, 1.4)]  # scores tell the opposite
     work.halve(found)
     assert work.incumbent.candidate is found[1]
-    assert len(work.incumbent.successes) == sum(HALVING)
-    assert sum(made_up) == 4 * HALVING[0] + 2 * HALVING[1] + 1 * HALVING[2]
+    assert len(work.incumbent.successes) == sum(POOL_ROUNDS)
+    assert sum(made_up) == 4 * POOL_ROUNDS[0] + 2 * POOL_ROUNDS[1] + 1 * POOL_ROUNDS[2]
     assert len(work.order) == 4
     assert len(set(map(id, work.order))) == 4
 
@@ -79,7 +79,7 @@ def test_all_runners_meet_the_same_worlds(made_up: list[int]) -> None:
     work = hardening()
     work.halve([landing(1.0), landing(1.0 + 1e-3), landing(1.03)])
     assert len(work.order) == 2  # of points that are alike one is enough
-    assert work.order[0].successes[: HALVING[0]] == work.order[1].successes[: HALVING[0]]
+    assert work.order[0].successes[: POOL_ROUNDS[0]] == work.order[1].successes[: POOL_ROUNDS[0]]
 
 
 def valued(work: RobustRefinement, monkeypatch: pytest.MonkeyPatch, value: Callable[..., float]) -> list[set[float]]:
@@ -108,13 +108,13 @@ def test_each_generation_meets_fresh_worlds_and_challengers_the_common_ones(monk
     work.evolve()
     work.evolve()
     common = {world.rope.total_length for world in work.common}
-    rounds, few = len(GENERATION), {world.rope.total_length for world in work.common[: RACE[0]]}
+    rounds, few = len(GENERATION_ROUNDS), {world.rope.total_length for world in work.common[: RACE[0]]}
     first, second = met[: len(met) // 2], met[len(met) // 2 :]
     for generation in (first, second):
-        assert [len(some) for some in generation[:rounds]] == list(GENERATION)
+        assert [len(some) for some in generation[:rounds]] == list(GENERATION_ROUNDS)
         assert generation[rounds:] == [few, few]  # of the best and of the mean, which are given up there
     fresh, again = (set().union(*generation[:rounds]) for generation in (first, second))
-    assert len(fresh) == len(again) == sum(GENERATION)
+    assert len(fresh) == len(again) == sum(GENERATION_ROUNDS)
     assert not fresh & again
     assert not (fresh | again) & common
     assert len(work.order) == 1
@@ -129,8 +129,8 @@ def test_a_challenger_takes_the_place_if_it_is_better_in_common_worlds(
     before = work.incumbent
     work.evolve()
     assert (work.incumbent is not before) == taken
-    assert len(work.incumbent.values) == (COMMON if value >= 0.5 else sum(HALVING))
-    assert (max(map(len, met[len(GENERATION) :])) == RACE[0]) == (value < 0.5)
+    assert len(work.incumbent.values) == (COMMON if value >= 0.5 else sum(POOL_ROUNDS))
+    assert (max(map(len, met[len(GENERATION_ROUNDS) :])) == RACE[0]) == (value < 0.5)
 
 
 def test_a_refinement_takes_the_place_only_if_it_is_better(made_up: list[int]) -> None:
@@ -152,7 +152,7 @@ def test_nothing_is_begun_that_would_end_too_late(made_up: list[int]) -> None:
     seconds = count(0.0, -1.0)
     work = hardening(left=lambda: next(seconds))
     work.halve([landing(end) for end in (0.1, 0.5, 0.9)])
-    assert made_up == [3 * HALVING[0]]  # one heat must be
+    assert made_up == [3 * POOL_ROUNDS[0]]  # one heat must be
     work.run()
     assert work.generations == 0
     seconds = count(20.0, -1.0)

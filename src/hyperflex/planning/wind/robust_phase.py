@@ -3,9 +3,8 @@
 import math
 from collections.abc import Callable
 
-from hyperflex.planning.robust.refinement import HALVING, RobustCandidate, RobustRefinement
+from hyperflex.planning.robust.refinement import RobustCandidate, RobustRefinement
 from hyperflex.planning.robust.uncertainty import Uncertainty
-from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.planning.wind.verified import Verified, incomplete, succeeds, with_margin
 
@@ -14,15 +13,18 @@ from hyperflex.planning.wind.verified import Verified, incomplete, succeeds, wit
 # probability is estimated
 ENOUGH, NOMINAL, REFINING, VERIFYING = 0.3, 0.5, 0.8, 0.9
 NO_MARGIN_COST = 0.3  # value by which a throw without a margin must be better than one with a margin
-WORTHWHILE = 0.2  # value by which a throw must be better than those verified to be verified before REFINING
+EARLY_GAIN = 0.2  # doubted mean by which a throw must be better than those that stand to be verified before REFINING
 NONE = (False, False, 0.0)  # value of no throw
 
 
 def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
     """Search, in the time that is left to a planner, for the throw that succeeds in most scenarios.
 
-    Candidates that fail in the nominal scenario are dropped, and those without a margin there in the end.
+    Candidates that fail in the nominal scenario are refined no further, nor in the end those without a margin there.
+    A plan that succeeds in more scenarios than the one before is told as soon as it was verified.
     """
+    if planner.ended:
+        return
     planner.time_budget, planner.verifying, planner.enough = planner.time_budget / NOMINAL, VERIFYING, math.inf
     search, known, some = planner.search, dict[RobustCandidate, Verified](), list[RobustCandidate]()
     refinement = RobustRefinement(search, uncertainty, left=lambda: REFINING * planner.time_budget - planner.spent)
@@ -30,42 +32,49 @@ def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Call
         refinement.halve(search.candidates, [one for one in planner.checked if one.throw is planner.best[0]])
         complete = [found for found in planner.verified if not incomplete(found)]
         known |= {one: found for one in refinement.order for found in complete if found[0] is one.candidate.throw}
-        for one in [one for one, found in known.items() if succeeds(found)]:
-            refinement.evaluate_common(one, sum(HALVING))
-        while True:
+        refinement.promote([one for one, found in known.items() if succeeds(found)])
+        while not planner.ended:
             late = not refinement.in_time
-            refinement.drop([each for each in known if not _worth_refining(each, known[each], late)])
+            refinement.drop([one for one, found in known.items() if not _worth_refining(one, found, late)])
             best = max((_value(*each) for each in known.items()), default=NONE)
-            much = WORTHWHILE + max((one.mean for one, found in known.items() if succeeds(found)), default=0.0)
-            refinement.run(much, None if report is None else lambda: report(planner.spent))
+            stands = max((one.doubted_mean for one, found in known.items() if succeeds(found)), default=0.0)
+            refinement.run(stands + EARLY_GAIN, None if report is None else lambda: report(planner.spent))
             if not refinement.order or (some and planner.spent > planner.time_budget):
                 break
-            if refinement.incumbent in known:
-                if with_margin(known[refinement.incumbent]):
+            incumbent, late = refinement.incumbent, not refinement.in_time
+            if incumbent in known:
+                if with_margin(known[incumbent]) and (late or incumbent.always_succeeds):
                     break
-                continue  # it is dropped: always succeeds, or no time is left for others like it
-            if best >= (True, True, refinement.incumbent.mean):
+                continue  # refined on, or dropped
+            if best >= (True, True, incumbent.doubted_mean):
                 break
-            count = 1 if refinement.in_time else search.workers
-            some = [one for one in refinement.best(count) if one not in known]
+            some = [one for one in refinement.best(search.workers if late else 1) if one not in known]
             for one, found in zip(some, planner.outcomes([one.candidate for one in some]), strict=True):
                 known[one] = found
-    except OutOfTime:
-        some = [one for one in refinement.order[: search.workers] if one.values and one not in known]
-        known |= zip(some, planner.outcomes([one.candidate for one in some]), strict=True)
+            _choose(planner, known)
     finally:
         search.runs += refinement.runs
-        chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
-        if chosen is not None and (succeeds(known[chosen]) or not succeeds(planner.best)):
-            planner.best = known[chosen]
+        _choose(planner, known)
+
+
+def _choose(planner: CastPlanner, known: dict[RobustCandidate, Verified]) -> None:
+    """Let the best of verified throws be the plan, and tell it if it is another one that succeeds."""
+    chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
+    if chosen is not None and (succeeds(known[chosen]) or not succeeds(planner.best)):
+        before, planner.best = planner.best[0], known[chosen]
+        if planner.best[0] is not before:
+            planner.tell()
 
 
 def _worth_refining(one: RobustCandidate, found: Verified, late: bool) -> bool:
-    """Whether throws like a verified one may be better: one without a margin no longer where it is `late`."""
+    """Whether throws like a verified one may be better.
+
+    Without a margin that is so while there is time for throws that have one, unless it succeeds always.
+    """
     return with_margin(found) or (succeeds(found) and not (late or one.always_succeeds))
 
 
 def _value(one: RobustCandidate, found: Verified) -> tuple[bool, bool, float]:
     """Value of a robust candidate as a plan."""
     cost = 0.0 if with_margin(found) else NO_MARGIN_COST
-    return succeeds(found), not incomplete(found), one.mean - cost
+    return succeeds(found), not incomplete(found), one.doubted_mean - cost
