@@ -200,8 +200,8 @@ class CastPlanner:
 
         Such a full turn is sought until BETTER times the time of the first plan, a margin until `until`.
         """
-        enough = covers(self.best, self.contact) or self.spent > BETTER * self.first
-        return self.ended or self.spent > self.until or (with_margin(self.best) and enough)
+        good = with_margin(self.best) and (covers(self.best, self.contact) or self.spent > BETTER * self.first)
+        return self.ended or self.spent > self.until or good
 
     def verify_new(self) -> None:
         """Verify the best candidates that were not verified yet, twice each; then the best that has no margin."""
