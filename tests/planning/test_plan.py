@@ -207,9 +207,12 @@ class Race(robust_phase.RobustRefinement):
 
 
 def hardened(
-    monkeypatch: pytest.MonkeyPatch, time_budget: float = 60.0, **told: dict[str, object]
+    monkeypatch: pytest.MonkeyPatch, time_budget: float = 60.0, hear: object = None, **told: dict[str, object]
 ) -> cast_planner.CastPlanner:
-    """A plan that was made robust, of throws a, b and c; what is `told` of each: what its verification says."""
+    """A plan that was made robust, of throws a, b and c; what is `told` of each: what its verification says.
+
+    `hear` is called with the planner when it tells a plan.
+    """
     good = {
         "success": True,
         "turns": 2.0,
@@ -237,6 +240,7 @@ def hardened(
     work = cast_planner.CastPlanner(search, robust_phase.NOMINAL * time_budget, enough=np.inf)
     nominal = SimpleNamespace(**(good | told.get("nominal", {})))
     work.best = ("nominal", nominal, nominal)  # type: ignore[assignment]
+    work.hear = hear and (lambda: hear(work))  # type: ignore[operator]
     robust_phase.refine_robustly(work, Uncertainty(), None)
     return work
 
@@ -324,6 +328,42 @@ def test_while_there_is_time_one_throw_is_verified_that_is_much_better_than_thos
     assert "".join(one.throw.name for one in work.checked) == "ca"  # type: ignore[attr-defined]
     doubted = [0.0, 8.0 / (16.0 + DOUBT), 16.0 / (16.0 + DOUBT)]  # of none, of c and of a, which win in 8 and in 16
     assert limits == pytest.approx([each + EARLY_GAIN for each in doubted])
+
+
+def test_a_throw_without_a_margin_is_refined_on_until_no_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    refined: list[str] = []
+
+    def run(self: Race, until: float, report: object) -> None:
+        refined.append("".join(one.candidate.throw.name for one in self.order))  # type: ignore[attr-defined]
+        self.left = (lambda: 9.0) if len(refined) == 1 else lambda: 0.0
+
+    monkeypatch.setattr(Race, "run", run)
+    assert hardened(monkeypatch, a=LOOSE).best[0].name == "a"  # type: ignore[union-attr]
+    assert refined[:3] == ["abc", "abc", "bc"]  # verified after the first, dropped after the second
+
+
+@pytest.mark.parametrize(("ends", "heard"), [(False, "ca"), (True, "c")])
+def test_each_better_robust_plan_is_told_and_may_end_the_search(
+    monkeypatch: pytest.MonkeyPatch, ends: bool, heard: str
+) -> None:
+    """Of the throws c is verified first, while there is time, then a, which wins more often."""
+    told: list[str] = []
+    orders = iter(("cab", "acb", "acb"))
+
+    def run(self: Race, until: float, report: object) -> None:
+        order = next(orders)
+        self.order.sort(key=lambda one: order.index(one.candidate.throw.name))  # type: ignore[attr-defined]
+        self.left = (lambda: 9.0) if order == "cab" else lambda: 0.0
+
+    def hear(work: cast_planner.CastPlanner) -> bool:
+        told.append(work.best[0].name)  # type: ignore[union-attr]
+        return ends
+
+    monkeypatch.setattr(Race, "run", run)
+    work = hardened(monkeypatch, hear=hear)
+    assert told == list(heard)
+    assert work.best[0].name == told[-1]  # type: ignore[union-attr]
+    assert work.ended == ends
 
 
 def test_a_second_interrupt_keeps_what_was_verified(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,8 +14,10 @@ from hyperflex.planning import Uncertainty
 from hyperflex.planning.robust import refinement
 from hyperflex.planning.robust.refinement import (
     COMMON,
+    DOUBT,
     EACH,
     GENERATION_ROUNDS,
+    MEMBERS,
     POOL,
     POOL_ROUNDS,
     RACE,
@@ -27,6 +29,7 @@ from hyperflex.planning.robust.refinement import (
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.contact_phase import WindingScores
 from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.time_budget import OutOfTime
 from tests.planning.test_landing import CAST_SETUP, PEG, WINDS
 
 
@@ -83,15 +86,18 @@ def test_all_runners_meet_the_same_worlds(made_up: list[int]) -> None:
 
 
 def valued(work: RobustRefinement, monkeypatch: pytest.MonkeyPatch, value: Callable[..., float]) -> list[set[float]]:
-    """Let a candidate have a value in a world, by its point and whether it is a common one; return the worlds met."""
+    """Let the first candidate and others have values in worlds, by their place among the common ones; return those met.
+
+    That place is -1 for other worlds.
+    """
     met: list[set[float]] = []
-    common = {world.rope.total_length for world in work.common}
+    places = {world.rope.total_length: place for place, world in enumerate(work.common)}
     start = Candidate(1.0, 2.0, -1, work.search.parametrizations[-1].centre(), WINDS)
 
     def evaluate(runners: list[RobustCandidate], worlds: list) -> None:
         met.extend([{world.rope.total_length for world in worlds}] if worlds else [])
         for one in runners:
-            mine = [value(one.candidate is start, world.rope.total_length in common) for world in worlds]
+            mine = [value(one.candidate is start, places.get(world.rope.total_length, -1)) for world in worlds]
             one.successes += [each >= 1.0 for each in mine]
             one.values += mine
 
@@ -104,7 +110,7 @@ def valued(work: RobustRefinement, monkeypatch: pytest.MonkeyPatch, value: Calla
 
 def test_each_generation_meets_fresh_worlds_and_challengers_the_common_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     work = hardening()
-    met = valued(work, monkeypatch, lambda first, common: 0.5 * first)
+    met = valued(work, monkeypatch, lambda first, place: 0.5 * first)
     work.evolve()
     work.evolve()
     common = {world.rope.total_length for world in work.common}
@@ -125,12 +131,82 @@ def test_a_challenger_takes_the_place_if_it_is_better_in_common_worlds(
     monkeypatch: pytest.MonkeyPatch, value: float, taken: bool
 ) -> None:
     work = hardening()
-    met = valued(work, monkeypatch, lambda first, common: 0.5 if first else value if common else 0.0)
+    met = valued(work, monkeypatch, lambda first, place: 0.5 if first else value if place >= 0 else 0.0)
     before = work.incumbent
     work.evolve()
     assert (work.incumbent is not before) == taken
     assert len(work.incumbent.values) == (COMMON if value >= 0.5 else sum(POOL_ROUNDS))
     assert (max(map(len, met[len(GENERATION_ROUNDS) :])) == RACE[0]) == (value < 0.5)
+
+
+def test_a_challenger_is_compared_in_the_worlds_that_both_have_met(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The incumbent's mean value is 0.2 in the first worlds, where a challenger's is 0.5, and 0.55 in those after."""
+    work = hardening()
+    met = valued(work, monkeypatch, lambda first, place: (0.2 if place < RACE[0] else 0.9) if first else 0.5)
+    before = work.incumbent
+    work.evolve()
+    assert [len(some) for some in met[len(GENERATION_ROUNDS) :]] == 2 * [RACE[0], RACE[1] - RACE[0]]
+    assert work.incumbent is before
+
+
+def test_the_strategy_is_told_members_best_first(made_up: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    work, told = hardening(), []
+    work.halve([near_centre(work, 1.2)])
+    monkeypatch.setattr(refinement.CmaEs, "tell", lambda self, points, losses: told.append((points, list(losses))))
+    work.evolve()
+    ((points, losses),) = told
+    ends = [x[-3] for x in points]
+    assert losses == sorted(losses)
+    assert len(ends) == MEMBERS
+    assert min(ends[: MEMBERS // 4]) > np.mean(ends)  # a throw wins the more often, the greater its end
+    assert np.mean(ends[: MEMBERS // 2]) > np.mean(ends[MEMBERS // 2 :])
+
+
+@pytest.mark.parametrize(("until", "generations"), [(0.0, 1), (24.0 / (COMMON + DOUBT), 2), (0.75, 3), (np.inf, 4)])
+def test_a_run_ends_with_an_incumbent_that_is_good_enough_or_always_succeeds(
+    monkeypatch: pytest.MonkeyPatch, until: float, generations: int
+) -> None:
+    work, wins = hardening(), iter((20, 24, 28, COMMON))
+
+    def evolve() -> None:
+        won = [m < wins_now for wins_now in [next(wins)] for m in range(COMMON)]
+        work.order.insert(0, RobustCandidate(landing(1.0), won, [float(each) for each in won]))
+        work.generations += 1
+
+    monkeypatch.setattr(work, "evolve", evolve)
+    work.order = [RobustCandidate(landing(1.0), COMMON // 2 * [True], COMMON // 2 * [1.0])]  # in too few scenarios
+    work.run(until)
+    assert work.generations == generations
+    work.run(until=0.0)
+    assert work.generations == min(generations + 1, 4)
+
+
+def test_nothing_is_lost_where_the_time_runs_out(monkeypatch: pytest.MonkeyPatch, made_up: list[int]) -> None:
+    late = hardening(left=lambda: -1.0)
+    late.halve([landing(0.5), landing(0.9)])
+    late.promote(late.order)
+    assert (len(late.order), late.in_time) == (2, False)
+    work = hardening()
+    work.halve([landing(0.5), landing(0.9)])
+    known = list(work.order)
+
+    def evolve() -> None:
+        raise OutOfTime
+
+    monkeypatch.setattr(work, "evolve", evolve)
+    assert work.in_time
+    work.run()
+    assert (work.order, work.in_time) == (known, False)
+
+
+def test_few_scenarios_are_doubted(made_up: list[int]) -> None:
+    work = hardening()
+    lucky, known, poor = (
+        RobustCandidate(landing(1.0), n * [True], n * [v]) for n, v in ((4, 1.1), (28, 0.9), (16, 0.3))
+    )
+    work.order = [lucky, poor, known]
+    work.promote([])
+    assert work.order == [known, lucky, poor]
 
 
 def test_a_refinement_takes_the_place_only_if_it_is_better(made_up: list[int]) -> None:
@@ -144,6 +220,7 @@ def test_a_refinement_takes_the_place_only_if_it_is_better(made_up: list[int]) -
     assert all(b >= a for a, b in pairwise(means))
     assert work.incumbent.candidate.throw.end > start.throw.end
     first = next(one for one in work.order if one.candidate is start)
+    assert len(first.values) == COMMON
     assert np.mean(work.incumbent.successes) > np.mean(first.successes)
 
 
@@ -184,6 +261,9 @@ def test_what_is_dropped_is_refined_no_more(made_up: list[int], monkeypatch: pyt
     second = work.order[1]
     work.evolve()  # about the first
     first = work.incumbent
+    strategy = work._optimizer
+    work.drop([])
+    assert work._optimizer is strategy
     work.drop([one for one in work.order if one is not second])
     assert work.incumbent is second
     points: list[np.ndarray] = []
