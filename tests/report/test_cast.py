@@ -76,7 +76,7 @@ def test_a_plan_without_a_throw_is_a_page_with_the_reason(tmp_path):
 @pytest.mark.parametrize(
     ("made", "told"),
     [
-        (late, "the verification took longer than the time left for it."),
+        (late, "the verification took longer than the time allowed for it."),
         (stopped, "interrupted before any throw was verified."),
         (unreachable, "out of reach: the rope ends 0.36 m short of the target."),
         (lambda: planned(winds=False), "the rope does not touch the peg."),
@@ -262,7 +262,7 @@ def test_a_pull_that_did_not_slip_is_a_lower_bound(held):
 def test_a_long_reason_has_room_in_a_film():
     plan = dataclasses.replace(planned(), message=f"with shorter links {TOO_LONG}")
     lines = CastReport(plan, None).film_note()(11.0).split("\n")
-    assert "longer than the time left" in " ".join(lines)
+    assert "the time allowed for it" in " ".join(lines)
     assert max(len(line) for line in lines) <= 90
 
 

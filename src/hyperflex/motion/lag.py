@@ -75,7 +75,7 @@ def lagged(motion: Motion, lag: float) -> Motion:
 
 
 def _answers(pieces: Array, lag: float) -> Array:
-    """Coefficients (P, POWERS) of the polynomials that solve the filter's equation for polynomial inputs."""
+    """Coefficients (P, POWERS) of the polynomials that solve the filter's equation for those of the input."""
     answers, change = np.zeros(pieces.shape), pieces
     for k in range(POWERS):
         answers += (-lag) ** k * change
@@ -91,7 +91,7 @@ def _polynomials(coef: Array, s: Array, derivative: int) -> Array:
 
 
 def _states(answers: Array, behind: Array, lag: float, s: Array) -> Array:
-    """Angles, rates and accelerations (P, 3) at times s (P,) into pieces."""
+    """Angles, rates and accelerations (P, 3) at times s (P,) into pieces; `behind` (P,): angles less answers at 0."""
     fading = behind * np.exp(-s / lag)
     return np.stack([fading * (-1.0 / lag) ** d + _polynomials(answers, s, d) for d in range(3)], axis=1)
 

@@ -33,7 +33,7 @@ MAX_SLIP = 5e-3  # m, in the watch
 SAMPLE_TIME = 0.01  # s
 BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
 FREE = Clearance(np.inf, 0.0, "")  # of the arm, where obstacles alone are looked at
-TOO_LONG = "the verification took longer than the time left for it"
+TOO_LONG = "the verification took longer than the time allowed for it"
 MEAN_TIME = 0.1  # s over which forces are averaged: those of single steps jump
 
 

@@ -96,7 +96,8 @@ def plan_cast(
         too. A plan that succeeds with a margin ends the search before: it slips by at most 0.4 of what is allowed, is
         pulled with no more than the capstan equation allows, its end hangs from the peg, or may fall from its top and
         lose a turn, it was not folded flat on the way, and winds alike with shorter links. One without ends it at 1.25
-        times the time in which the first plan stood. With an uncertainty, one that succeeds in all samples does.
+        times the time in which the first plan stood. With an uncertainty, one with a margin that succeeds in all
+        sampled scenarios does.
     skip_feasibility : bool
         Search even for a target that the feasibility check calls out of reach.
     fallback : bool
@@ -110,7 +111,7 @@ def plan_cast(
         Show a progress bar.
     on_plan : callable, optional
         Called with the first plan that succeeds as soon as it does, and with each better one. If it returns True the
-        search ends with that plan. Plans for fallback targets are not told.
+        search ends with that plan. Plans for fallback targets are not told, nor success probabilities.
     start_from : sequence of CastPlan
         Plans for targets near by, for the same rope and arm, whose throws are tried first.
 
