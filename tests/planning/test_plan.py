@@ -12,6 +12,7 @@ import hyperflex as hf
 from hyperflex import winding
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastSetup, MotorLimits, SuccessProbability, Uncertainty
+from hyperflex.planning.robust.refinement import DOUBT
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.candidates import Swing
 from hyperflex.planning.search.contact_phase import WindingScores
@@ -19,6 +20,7 @@ from hyperflex.planning.search.throw_search import LATER, MAX_FAILED, TRIED, Thr
 from hyperflex.planning.throw import MOVES
 from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
+from hyperflex.planning.wind.robust_phase import EARLY_GAIN
 from hyperflex.planning.wind.verified import failure, foreseen, succeeds, with_margin
 from hyperflex.simulation import Deadline
 from tests.faults.interrupting import left_by
@@ -167,7 +169,7 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
     monkeypatch.setattr(cast_planner.CastPlanner, "run", go)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
     monkeypatch.setattr(robust_phase.RobustRefinement, "halve", race)
-    monkeypatch.setattr(robust_phase.RobustRefinement, "run", lambda self, report=None: None)
+    monkeypatch.setattr(robust_phase.RobustRefinement, "run", no_generation)
     monkeypatch.setattr(robust_phase.RobustRefinement, "best", lambda self, count: self.order[:count])
     monkeypatch.setattr(casting, "estimate_success_probability", estimate_success_probability)
     found = hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty())
@@ -183,6 +185,11 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
     assert (nominal.throw, nominal.success_probability) == ("throw 0", None)
 
 
+def no_generation(self: robust_phase.RobustRefinement, until: float, report: object) -> None:
+    """As a refinement that has no time for any."""
+    self.left = lambda: 0.0
+
+
 class Race(robust_phase.RobustRefinement):
     """Throws that win in so many of the common worlds; nothing is simulated."""
 
@@ -196,14 +203,16 @@ class Race(robust_phase.RobustRefinement):
     def evaluate(self, runners: object, scenarios: list) -> None:
         assert not scenarios
 
-    def run(self, report: object = None) -> None:
-        pass
+    run = no_generation
 
 
 def hardened(
-    monkeypatch: pytest.MonkeyPatch, time_budget: float = 60.0, ended: bool = False, **told: dict[str, object]
+    monkeypatch: pytest.MonkeyPatch, time_budget: float = 60.0, hear: object = None, **told: dict[str, object]
 ) -> cast_planner.CastPlanner:
-    """A plan that was made robust, of throws a, b and c; what is `told` of each: what its verification says."""
+    """A plan that was made robust, of throws a, b and c; what is `told` of each: what its verification says.
+
+    `hear` is called with the planner when it tells a plan.
+    """
     good = {
         "success": True,
         "turns": 2.0,
@@ -231,7 +240,7 @@ def hardened(
     work = cast_planner.CastPlanner(search, robust_phase.NOMINAL * time_budget, enough=np.inf)
     nominal = SimpleNamespace(**(good | told.get("nominal", {})))
     work.best = ("nominal", nominal, nominal)  # type: ignore[assignment]
-    work.ended = ended
+    work.hear = hear and (lambda: hear(work))  # type: ignore[operator]
     robust_phase.refine_robustly(work, Uncertainty(), None)
     return work
 
@@ -264,11 +273,6 @@ def test_the_race_goes_on_without_throws_that_do_not_stand(
     assert getattr(work.best[0], "name", work.best[0]) == planned
 
 
-def test_who_hears_of_plans_ends_a_robust_search_with_the_plan_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    work = hardened(monkeypatch, ended=True)
-    assert (work.best[0], work.checked) == ("nominal", [])
-
-
 def test_a_throw_with_something_in_hand_is_planned_if_it_wins_nearly_as_often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Race, "wins", (16, 12, 8))
     assert hardened(monkeypatch, a=LOOSE).best[0].name == "b"  # type: ignore[union-attr]
@@ -285,9 +289,9 @@ def test_what_was_verified_before_the_race_is_not_verified_again(monkeypatch: py
     asked: list[str] = []
     go, outcomes = Race.run, cast_planner.CastPlanner.outcomes
 
-    def first(self: Race, report: object = None) -> None:
+    def first(self: Race, until: float, report: object) -> None:
         asked.append("go " + " ".join(one.candidate.throw.name for one in self.order))  # type: ignore[attr-defined]
-        go(self)
+        go(self, until, report)
 
     def told(self: cast_planner.CastPlanner, some: list) -> object:
         asked.append("verify " + " ".join(one.throw.name for one in some))
@@ -308,14 +312,68 @@ def test_what_was_verified_before_the_race_is_not_verified_again(monkeypatch: py
     assert asked == ["go b c", "verify b c", "go b c"]  # the one that failed is not refined; the one not told is tried
 
 
+def test_while_there_is_time_one_throw_is_verified_that_is_much_better_than_those_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limits: list[float] = []
+
+    def run(self: Race, until: float, report: object) -> None:
+        """At first c is the best; then a wins more often, which takes all the time."""
+        limits.append(until)
+        self.order.sort(key=lambda one: one.candidate.throw.name != "ca"[min(len(limits), 2) - 1])  # type: ignore[attr-defined]
+        self.left = (lambda: 9.0) if len(limits) == 1 else lambda: 0.0
+
+    monkeypatch.setattr(Race, "run", run)
+    work = hardened(monkeypatch)
+    assert "".join(one.throw.name for one in work.checked) == "ca"  # type: ignore[attr-defined]
+    doubted = [0.0, 8.0 / (16.0 + DOUBT), 16.0 / (16.0 + DOUBT)]  # of none, of c and of a, which win in 8 and in 16
+    assert limits == pytest.approx([each + EARLY_GAIN for each in doubted])
+
+
+def test_a_throw_without_a_margin_is_refined_on_until_no_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    refined: list[str] = []
+
+    def run(self: Race, until: float, report: object) -> None:
+        refined.append("".join(one.candidate.throw.name for one in self.order))  # type: ignore[attr-defined]
+        self.left = (lambda: 9.0) if len(refined) == 1 else lambda: 0.0
+
+    monkeypatch.setattr(Race, "run", run)
+    assert hardened(monkeypatch, a=LOOSE).best[0].name == "a"  # type: ignore[union-attr]
+    assert refined[:3] == ["abc", "abc", "bc"]  # verified after the first, dropped after the second
+
+
+@pytest.mark.parametrize(("ends", "heard"), [(False, "ca"), (True, "c")])
+def test_each_better_robust_plan_is_told_and_may_end_the_search(
+    monkeypatch: pytest.MonkeyPatch, ends: bool, heard: str
+) -> None:
+    """Of the throws c is verified first, while there is time, then a, which wins more often."""
+    told: list[str] = []
+    orders = iter(("cab", "acb", "acb"))
+
+    def run(self: Race, until: float, report: object) -> None:
+        order = next(orders)
+        self.order.sort(key=lambda one: order.index(one.candidate.throw.name))  # type: ignore[attr-defined]
+        self.left = (lambda: 9.0) if order == "cab" else lambda: 0.0
+
+    def hear(work: cast_planner.CastPlanner) -> bool:
+        told.append(work.best[0].name)  # type: ignore[union-attr]
+        return ends
+
+    monkeypatch.setattr(Race, "run", run)
+    work = hardened(monkeypatch, hear=hear)
+    assert told == list(heard)
+    assert work.best[0].name == told[-1]  # type: ignore[union-attr]
+    assert work.ended == ends
+
+
 def test_a_second_interrupt_keeps_what_was_verified(monkeypatch: pytest.MonkeyPatch) -> None:
     count = 0
     go = Race.run
 
-    def broken_off(self: Race, report: object = None) -> None:
+    def broken_off(self: Race, until: float, report: object) -> None:
         nonlocal count
         count += 1
-        go(self)
+        go(self, until, report)
         if count == 2:
             raise KeyboardInterrupt
 
@@ -350,7 +408,7 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     monkeypatch.setattr(cast_planner.CastPlanner, "run", go)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
     monkeypatch.setattr(robust_phase.RobustRefinement, "halve", race)
-    monkeypatch.setattr(robust_phase.RobustRefinement, "run", lambda self, report=None: None)
+    monkeypatch.setattr(robust_phase.RobustRefinement, "run", no_generation)
     found = left_by(lambda: hf.plan_cast(CABLE, ARM, EASY, uncertainty=Uncertainty()))
     assert found.interrupted
     assert (found.throw, found.success_probability) == ("nominal", None)

@@ -18,20 +18,26 @@ from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.simulation import Deadline
 
-POOL, HALVING = 16, (4, 4, 8)  # candidates at first, and scenarios of each round; the better half goes on
+POOL, POOL_ROUNDS = 16, (4, 4, 8)  # candidates at first, and scenarios of each round; the better half goes on
 EACH = 4  # candidates of one swing while there are others: they mostly fail in the same scenarios
-MEMBERS, SCENARIOS = 8, 6  # of a generation
-COMMON = 16  # scenarios in which a challenger is compared with the incumbent
-NARROW = 0.1  # step size of CMA-ES, relative to that of the nominal search
+MEMBERS, GENERATION_ROUNDS = 16, (2, 2, 4)  # of a generation, likewise
+RACE = (8, 16, 32)  # scenarios after which a challenger that is worse than the incumbent is given up
+COMMON = RACE[-1]  # scenarios that are the same for all candidates
+DOUBT = 4  # scenarios in which a candidate is taken to fail besides: few successes may be luck
+NARROW = 0.07  # step size of CMA-ES, relative to that of the nominal search
 SHADE = 0.2  # weight of the score beside a success
 MAX_SCORE = 3.0  # score above which more does not count
 ALIKE = 0.02  # points that differ by less are one
-COMMON_STREAM, GENERATION_STREAM, CONFIRM_STREAM, CMA_STREAM = 9001, 9002, 9003, 9004  # of random numbers
+COMMON_STREAM, GENERATION_STREAM, CMA_STREAM = 9001, 9002, 9003  # of random numbers
 
 
 @dataclass(eq=False)
 class RobustCandidate:
-    """A candidate with its successes and values in the scenarios so far; the first COMMON are the same for all."""
+    """A candidate with its successes and values in the scenarios so far.
+
+    Those of candidates that are kept are the first common scenarios, in their order; members of a generation are
+    evaluated in others.
+    """
 
     candidate: Candidate
     successes: list[bool] = field(default_factory=list)
@@ -43,34 +49,40 @@ class RobustCandidate:
         return float(np.mean(self.values)) if self.values else -1.0
 
     @property
-    def common_mean(self) -> float:
-        """Mean value in the common scenarios."""
-        return float(np.mean(self.values[:COMMON]))
+    def doubted_mean(self) -> float:
+        """Mean value with DOUBT scenarios more, in which it fails: for candidates that met more and fewer scenarios."""
+        return sum(self.values) / (len(self.values) + DOUBT)
+
+    @property
+    def always_succeeds(self) -> bool:
+        """Whether it has succeeded in all its scenarios, COMMON at least."""
+        return len(self.successes) >= COMMON and all(self.successes)
 
 
 class RobustRefinement:
-    """Successive halving of the candidates of a nominal search, then CMA-ES about the best, in sampled scenarios.
+    """Successive halving of the candidates of a nominal search, then CMA-ES from the best, in sampled scenarios.
 
-    `left` returns the time that is left, s; without
-    any no second round is begun, nor a generation that takes more. `order` holds the candidates, best first.
+    `left` returns the time that is left, s; without any no second round is begun, nor a generation that takes more.
+    `order` holds the candidates, the incumbent first and the others by what was known of them.
 
     Notes
     -----
     All candidates of a round or a generation meet the same scenarios, so that luck does not choose among them. Each
-    generation has new scenarios: a fit to a fixed few does not hold in others. The best of a generation becomes the
-    incumbent only if it is better in the COMMON scenarios, and again with as many new ones added: of many challengers
-    one would win in the same scenarios by luck.
+    generation has new scenarios, as a fit to a fixed few does not hold in others, and is halved, too: most of its
+    members fail in nearly all of them. Its best member and the new mean of CMA-ES then challenge the incumbent in the
+    COMMON scenarios, which are the same for all. So the mean value of an incumbent is a little better than it would be
+    in new ones.
     """
 
     def __init__(
         self, search: ThrowSearch, uncertainty: Uncertainty, *, left: Callable[[], float] = lambda: math.inf
     ) -> None:
         self.search, self.uncertainty, self.left = search, uncertainty, left
-        self.common = self._scenarios(max(sum(HALVING), COMMON), COMMON_STREAM)
+        self.common = self._scenarios(COMMON, COMMON_STREAM)
         self.order: list[RobustCandidate] = []
         self.runs = self.generations = 0
         self._optimizer: Any = None
-        self._duration = 0.0  # s, of the last generation
+        self._duration = 0.0  # s, of the longest generation
 
     def _scenarios(self, count: int, *stream: int) -> list[Scenario]:
         seed = [stream[0], self.search.seed, *stream[1:]]
@@ -81,55 +93,77 @@ class RobustRefinement:
         """The best candidate so far."""
         return self.order[0]
 
-    def run(self, report: Callable[[], None] | None = None) -> None:
-        """Evolve until no time is left or the incumbent succeeds in all its scenarios."""
-        while self.order and (left := self.left()) > self._duration and not self.always_succeeds():
-            self.evolve()
-            self._duration = max(0.0, left - self.left()) if left < math.inf else 0.0
+    @property
+    def in_time(self) -> bool:
+        """Whether there is time for one more generation."""
+        return self.left() > self._duration
+
+    def run(self, until: float = math.inf, report: Callable[[], None] | None = None) -> None:
+        """Evolve until no time is left, or the incumbent always succeeds.
+
+        At least one generation later also until its doubted mean is `until` or more.
+        """
+        while self.order and self.in_time and not self.incumbent.always_succeeds:
+            left = self.left()
+            try:
+                self.evolve()
+            except OutOfTime:
+                self._duration = math.inf
+                break
+            if left < math.inf:
+                self._duration = max(self._duration, left - self.left())
             if report is not None:
                 report()
+            if self.incumbent.doubted_mean >= until:
+                break
 
     def drop(self, some: Collection[RobustCandidate]) -> None:
-        """Remove candidates; CMA-ES goes on about the best that is left."""
-        if any(one in some for one in self.order):
-            self.order = [one for one in self.order if one not in some]
+        """Remove candidates; without the incumbent CMA-ES begins anew from the best that is left."""
+        before, self.order = self.order[:1], [one for one in self.order if one not in some]
+        if self.order[:1] != before:
             self._optimizer = None
 
     def best(self, count: int) -> list[RobustCandidate]:
-        """Return the incumbent and others, `count` at most, of other swings first, after the common scenarios."""
+        """Return the incumbent and others, `count` at most, of other swings first."""
         some: list[RobustCandidate] = []
         for one in self.order:
             if not any(same_swing(one.candidate, other.candidate) for other in some):
                 some.append(one)
-        some = [*some[:count], *(one for one in self.order if one not in some)][:count]
-        self.evaluate_common(some)
-        return some
+        return [*some[:count], *(one for one in self.order if one not in some)][:count]
 
-    def evaluate_common(self, some: Sequence[RobustCandidate]) -> None:
-        """Evaluate each in the common scenarios that it has not been evaluated in yet."""
-        for one in some:
-            self.evaluate([one], self.common[len(one.values) : COMMON])
-
-    def always_succeeds(self) -> bool:
-        """Whether the incumbent has succeeded in all its scenarios, COMMON at least."""
-        return len(self.incumbent.successes) >= COMMON and all(self.incumbent.successes)
+    def evaluate_common(self, one: RobustCandidate, count: int = COMMON) -> None:
+        """Evaluate a candidate in those of the first `count` common scenarios that it was not evaluated in yet."""
+        self.evaluate([one], self.common[len(one.values) : count])
 
     def halve(self, found: Sequence[Candidate], seeded: Sequence[Candidate] = ()) -> None:
-        """Compare candidates, those `seeded` among them, by successive halving."""
-        runners = [RobustCandidate(candidate) for candidate in _pool(found, seeded)]
-        done = 0
-        for count in HALVING:
+        """Compare candidates, those `seeded` among them, by successive halving, as far as there is time."""
+        self.order = [RobustCandidate(candidate) for candidate in _pool(found, seeded)]
+        try:
+            self._sort(self.order, self.common, POOL_ROUNDS)
+        except OutOfTime:
+            self._duration = math.inf
+
+    def promote(self, some: Sequence[RobustCandidate]) -> None:
+        """Evaluate candidates in as many scenarios as the best of a halving, and sort all by what is known then."""
+        try:
+            for one in some:
+                self.evaluate_common(one, sum(POOL_ROUNDS))
+        except OutOfTime:
+            self._duration = math.inf
+        self.order.sort(key=lambda one: -one.doubted_mean)
+
+    def _sort(self, runners: list[RobustCandidate], scenarios: Sequence[Scenario], counts: Sequence[int]) -> None:
+        """Sort candidates in place, best first, in rounds of so many scenarios; the better half goes on to the next."""
+        alive, done = len(runners), 0
+        for count in counts:
             if done and self.left() <= 0.0:
                 break
-            self.evaluate(runners, self.common[done : done + count])
-            done += count
-            runners.sort(key=lambda one: -one.mean)
-            self.order = runners + self.order
-            runners = runners[: max(1, len(runners) // 2)]
-        self.order = [*runners, *(one for one in dict.fromkeys(self.order) if one not in runners)]
+            self.evaluate(runners[:alive], scenarios[done : done + count])
+            runners[:alive] = sorted(runners[:alive], key=lambda one: -one.mean)
+            alive, done = max(1, alive // 2), done + count
 
     def evolve(self) -> None:
-        """Evaluate one generation about the incumbent in new scenarios; its best may become the incumbent."""
+        """Evaluate one generation in new scenarios; its best member, or its mean, may become the incumbent."""
         incumbent = self.incumbent
         side = incumbent.candidate.side
         if self._optimizer is None:
@@ -137,21 +171,23 @@ class RobustRefinement:
             spreads = self.search.parametrizations[side].spreads()
             self._optimizer = CmaEs(incumbent.candidate.x, NARROW, spreads, MEMBERS, random)
         points = self._optimizer.ask()
-        fresh = self._scenarios(SCENARIOS, GENERATION_STREAM, self.generations)
-        runners = [RobustCandidate(one) for one in self.candidates(side, [np.asarray(x) for x in points])]
-        self.evaluate(runners, fresh)
-        self._optimizer.tell(points, [-one.mean for one in runners])
+        fresh = self._scenarios(sum(GENERATION_ROUNDS), GENERATION_STREAM, self.generations)
+        runners = [RobustCandidate(one) for one in self.candidates(side, points)]
+        self._sort(runners, fresh, GENERATION_ROUNDS)
+        self._optimizer.tell([one.candidate.x for one in runners], range(len(runners)))
         self.generations += 1
-        challenger = RobustCandidate(max(runners, key=lambda one: one.mean).candidate)
-        missing = len(incumbent.successes)
-        self.evaluate([challenger], self.common[:COMMON])
-        if missing < COMMON:
-            self.evaluate([incumbent], self.common[missing:COMMON])
-        if challenger.mean <= incumbent.common_mean:
-            return
-        again = self._scenarios(COMMON, CONFIRM_STREAM, self.generations)
-        self.evaluate([challenger, incumbent], again)
-        if challenger.mean > float(np.mean(incumbent.values[:COMMON] + incumbent.values[-COMMON:])):
+        for candidate in [runners[0].candidate, *self.candidates(side, [self._optimizer.mean])]:
+            self._challenge(candidate)
+
+    def _challenge(self, candidate: Candidate) -> None:
+        """Let a candidate become the incumbent if it is better in the common scenarios, and no worse before."""
+        challenger, incumbent = RobustCandidate(candidate), self.incumbent
+        for count in RACE:
+            self.evaluate_common(challenger, count)
+            self.evaluate_common(incumbent, count)
+            if challenger.mean < float(np.mean(incumbent.values[:count])):
+                return
+        if challenger.mean > incumbent.mean:
             self.order.insert(0, challenger)
 
     def candidates(self, side: int, points: list[Array]) -> list[Candidate]:

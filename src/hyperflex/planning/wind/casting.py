@@ -111,8 +111,7 @@ def plan_cast(
         Show a progress bar.
     on_plan : callable, optional
         Called with the first plan that succeeds as soon as it does, and with each better one. If it returns True the
-        search ends with that plan. Plans for fallback targets are not told. With an uncertainty plans are told that
-        succeed in the expected scenario, without a success probability.
+        search ends with that plan. Plans for fallback targets are not told, nor success probabilities.
     start_from : sequence of CastPlan
         Plans for targets near by, for the same rope and arm, whose throws are tried first.
 

@@ -84,14 +84,13 @@ class CastPlanner:
         enough: float | None = None,
         clock: Clock | None = None,
     ) -> None:
-        self.search, self.time_budget, self.clock = search, time_budget, clock or Clock()
-        self.enough = enough
+        self.search, self.time_budget, self.clock, self.enough = search, time_budget, clock or Clock(), enough
         search.left = lambda: min(SEARCHING * time_budget, self.until) - self.spent
         cast_setup = search.cast_setup
         self.finer = [cast_setup.cut(k) for k in FINER]
         self.rounds, self.verifying = 0, 1.0
-        known = check_feasibility(cast_setup, search.peg)
-        full = check_feasibility(replace(cast_setup, contact=FULL_TURN), search.peg)
+        asked = cast_setup, replace(cast_setup, contact=FULL_TURN)
+        known, full = (check_feasibility(each, search.peg) for each in asked)
         self.contact = FULL_TURN if full_turn and full.available_turns >= full.needed_turns else 0.0
         tail = float(np.clip(known.available_turns - HANGING_TAIL, MIN_TAIL, MAX_TAIL))
         self.worthy = WORTHY * tail * float(np.clip(known.energy_ratio, MIN_ENERGY, 1.0))
@@ -99,8 +98,7 @@ class CastPlanner:
         self.waiting: list[tuple[Verified, Candidate]] = []  # that succeed in two verifications without a margin
         self.verified: list[Verified] = []
         self.best: Verified = (None, None, None)
-        self.first = np.inf  # time spent until a plan stood, s
-        self.ended = False  # by who hears of plans
+        self.first, self.ended = np.inf, False  # time spent until a plan stood, s; whether who hears of plans ended it
         self.hear: Callable[[], bool | None] | None = None  # called when a plan stands, and when a better one does
 
     @property
@@ -202,9 +200,8 @@ class CastPlanner:
 
         Such a full turn is sought until BETTER times the time of the first plan, a margin until `until`.
         """
-        if self.ended or self.spent > self.until:
-            return True
-        return with_margin(self.best) and (covers(self.best, self.contact) or self.spent > BETTER * self.first)
+        good = with_margin(self.best) and (covers(self.best, self.contact) or self.spent > BETTER * self.first)
+        return self.ended or self.spent > self.until or good
 
     def verify_new(self) -> None:
         """Verify the best candidates that were not verified yet, twice each; then the best that has no margin."""
@@ -278,9 +275,13 @@ class CastPlanner:
     def take(self, some: Sequence[Candidate], found: Sequence[Verified]) -> None:
         """Keep the best of verified candidates, and tell it if it stands; correct the scores of those that fail."""
         better = [self.keep(*each) for each in zip(some, found, strict=True)]
-        if any(better) and self.stands:
-            self.first = min(self.first, self.spent)
-            self.ended = bool(self.hear is not None and self.hear())
+        if any(better):
+            self.tell()
+
+    def tell(self) -> None:
+        """Tell the best plan, if it stands."""
+        if self.stands:
+            self.first, self.ended = min(self.first, self.spent), bool(self.hear is not None and self.hear())
 
     def outcomes(self, some: Sequence[Candidate], seen: Sequence[Verified] = ()) -> list[Verified]:
         """Verify candidates, as many at once as there are threads for."""
@@ -341,8 +342,7 @@ class CastPlanner:
     def plan(self, known: Feasibility, interrupted: bool = False) -> CastPlan:
         """Return the plan so far; if nothing was verified, with the best candidate. `interrupted`: by Ctrl-C."""
         search, (throw, outcome, finer) = self.search, self.best
-        if throw is None and search.candidates:
-            throw = search.candidates[0].throw
+        throw = search.candidates[0].throw if throw is None and search.candidates else throw
         message = failure(outcome, finer, interrupted)
         if outcome is None and not (search.runs or interrupted):
             message = "the time budget was over before the search began"

@@ -5,23 +5,23 @@ from collections.abc import Callable
 
 from hyperflex.planning.robust.refinement import RobustCandidate, RobustRefinement
 from hyperflex.planning.robust.uncertainty import Uncertainty
-from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.planning.wind.verified import Verified, incomplete, succeeds, with_margin
 
 # Fractions of the time of a robust plan: after ENOUGH a plan that stands ends the search in the nominal scenario, after
 # NOMINAL that search ends in any case. After REFINING candidates are only verified, after VERIFYING the success
 # probability is estimated
-ENOUGH, NOMINAL, REFINING, VERIFYING = 0.3, 0.5, 0.75, 0.9
+ENOUGH, NOMINAL, REFINING, VERIFYING = 0.3, 0.5, 0.8, 0.9
 NO_MARGIN_COST = 0.3  # value by which a throw without a margin must be better than one with a margin
+EARLY_GAIN = 0.2  # doubted mean by which a throw must be better than those that stand to be verified before REFINING
 NONE = (False, False, 0.0)  # value of no throw
 
 
 def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Callable[[float], None] | None) -> None:
     """Search, in the time that is left to a planner, for the throw that succeeds in most scenarios.
 
-    Candidates without a margin in the nominal scenario are dropped. Where who hears of plans has ended the search, its
-    plan stays.
+    Candidates that fail in the nominal scenario are refined no further, nor in the end those without a margin there.
+    A plan that succeeds in more scenarios than the one before is told as soon as it was verified.
     """
     if planner.ended:
         return
@@ -32,29 +32,49 @@ def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Call
         refinement.halve(search.candidates, [one for one in planner.checked if one.throw is planner.best[0]])
         complete = [found for found in planner.verified if not incomplete(found)]
         known |= {one: found for one in refinement.order for found in complete if found[0] is one.candidate.throw}
-        refinement.evaluate_common([one for one, found in known.items() if succeeds(found)])
-        while True:
-            refinement.drop([one for one, found in known.items() if not with_margin(found)])
-            refinement.run(None if report is None else lambda: report(planner.spent))
-            if not refinement.order or refinement.incumbent in known or (some and planner.spent > planner.time_budget):
-                break
+        refinement.promote([one for one, found in known.items() if succeeds(found)])
+        while not planner.ended:
+            late = not refinement.in_time
+            refinement.drop([one for one, found in known.items() if not _worth_refining(one, found, late)])
             best = max((_value(*each) for each in known.items()), default=NONE)
-            if best >= (True, True, refinement.incumbent.mean):
+            stands = max((one.doubted_mean for one, found in known.items() if succeeds(found)), default=0.0)
+            refinement.run(stands + EARLY_GAIN, None if report is None else lambda: report(planner.spent))
+            if not refinement.order or (some and planner.spent > planner.time_budget):
                 break
-            some = [one for one in refinement.best(search.workers) if one not in known]
+            incumbent, late = refinement.incumbent, not refinement.in_time
+            if incumbent in known:
+                if with_margin(known[incumbent]) and (late or incumbent.always_succeeds):
+                    break
+                continue  # refined on, or dropped
+            if best >= (True, True, incumbent.doubted_mean):
+                break
+            some = [one for one in refinement.best(search.workers if late else 1) if one not in known]
             for one, found in zip(some, planner.outcomes([one.candidate for one in some]), strict=True):
                 known[one] = found
-    except OutOfTime:
-        some = [one for one in refinement.order[: search.workers] if one not in known]
-        known |= zip(some, planner.outcomes([one.candidate for one in some]), strict=True)
+            _choose(planner, known)
     finally:
         search.runs += refinement.runs
-        chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
-        if chosen is not None and (succeeds(known[chosen]) or not succeeds(planner.best)):
-            planner.best = known[chosen]
+        _choose(planner, known)
+
+
+def _choose(planner: CastPlanner, known: dict[RobustCandidate, Verified]) -> None:
+    """Let the best of verified throws be the plan, and tell it if it is another one that succeeds."""
+    chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
+    if chosen is not None and (succeeds(known[chosen]) or not succeeds(planner.best)):
+        before, planner.best = planner.best[0], known[chosen]
+        if planner.best[0] is not before:
+            planner.tell()
+
+
+def _worth_refining(one: RobustCandidate, found: Verified, late: bool) -> bool:
+    """Whether throws like a verified one may be better.
+
+    Without a margin that is so while there is time for throws that have one, unless it succeeds always.
+    """
+    return with_margin(found) or (succeeds(found) and not (late or one.always_succeeds))
 
 
 def _value(one: RobustCandidate, found: Verified) -> tuple[bool, bool, float]:
     """Value of a robust candidate as a plan."""
     cost = 0.0 if with_margin(found) else NO_MARGIN_COST
-    return succeeds(found), not incomplete(found), one.common_mean - cost
+    return succeeds(found), not incomplete(found), one.doubted_mean - cost
