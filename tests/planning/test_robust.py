@@ -169,7 +169,8 @@ def test_a_run_ends_with_an_incumbent_that_is_good_enough_or_always_succeeds(
     work, wins = hardening(), iter((20, 24, 28, COMMON))
 
     def evolve() -> None:
-        won = [m < wins_now for wins_now in [next(wins)] for m in range(COMMON)]
+        count = next(wins)
+        won = [m < count for m in range(COMMON)]
         work.order.insert(0, RobustCandidate(landing(1.0), won, [float(each) for each in won]))
         work.generations += 1
 

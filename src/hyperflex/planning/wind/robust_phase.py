@@ -51,19 +51,19 @@ def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Call
             some = [one for one in refinement.best(search.workers if late else 1) if one not in known]
             for one, found in zip(some, planner.outcomes([one.candidate for one in some]), strict=True):
                 known[one] = found
-            _choose(planner, known)
+            if _choose(planner, known):
+                planner.tell()
     finally:
         search.runs += refinement.runs
-        _choose(planner, known)
+        _choose(planner, known)  # not told: it may be an interrupt that ends here
 
 
-def _choose(planner: CastPlanner, known: dict[RobustCandidate, Verified]) -> None:
-    """Let the best of verified throws be the plan, and tell it if it is another one that succeeds."""
-    chosen = max(known, key=lambda one: _value(one, known[one]), default=None)
+def _choose(planner: CastPlanner, known: dict[RobustCandidate, Verified]) -> bool:
+    """Let the best of verified throws be the plan; return whether that is another one than before."""
+    before, chosen = planner.best[0], max(known, key=lambda one: _value(one, known[one]), default=None)
     if chosen is not None and (succeeds(known[chosen]) or not succeeds(planner.best)):
-        before, planner.best = planner.best[0], known[chosen]
-        if planner.best[0] is not before:
-            planner.tell()
+        planner.best = known[chosen]
+    return planner.best[0] is not before
 
 
 def _worth_refining(one: RobustCandidate, found: Verified, late: bool) -> bool:
