@@ -85,6 +85,12 @@ TIME_BUDGET, TENFOLD = 60.0, 10.0  # s
 LEAST, GREATEST, MU = 0.02, 0.05, 0.3  # m, m
 GOAL = {"nominal": 0.85, "weighted": 0.90, "tapered": 0.90, "cord": 0.90, "long": 0.90}
 HALF_TURN = 0.73  # s
+COLUMNS = (
+    "Room: turns that the rope left beyond the target would make round it. Energy: that of the part of the rope beyond",
+    "the target when it strikes, by a rule, over what lifts it round. Hold: the pull, N, that the wound rope bears",
+    "before it slips; beside it the weight of what hangs beyond the target times e^(mu theta), the capstan equation.",
+    "Planned: the planner says that the plan succeeds. Judged: wound and held in the finer run.",
+)
 BLOCK, JUDGES = 12, 2  # targets that are planned before they are judged, and judged at once
 LONGEST = 300.0  # s of processor time for a judging run; one that takes more counts as a cast that fails
 
@@ -294,6 +300,7 @@ def text(rows: list[dict[str, Any]], rope: str) -> str:
     lines = list(scores(rows))
     seconds = np.array([row["seconds"] for row in rows])
     median, most, late = np.median(seconds), seconds.max(), np.quantile(seconds, 0.95)
+    lines += ["", *COLUMNS]
     lines += ["", f"Planning: median {median:.1f} s, 95 % within {late:.1f} s, at most {most:.1f} s a target."]
     first = [row["first"] for row in rows if row.get("first") is not None]
     if first:

@@ -126,8 +126,34 @@ def test_what_a_set_up_file_holds_beside_its_first_peg_are_obstacles(hyperflex, 
     assert hyperflex("cast", tmp_path / "setup.toml", "-o", tmp_path / "out")[0] == 0
     assert (asked["target"], asked["obstacles"]) == (PEG, [other, floor])
     options = ("--target", "0", "1", "--radius", "0.05")
-    assert hyperflex("cast", tmp_path / "setup.toml", *options, "-o", tmp_path / "out")[0] == 0
-    assert (asked["target"].x, asked["target"].radius, asked["obstacles"]) == (0.0, 0.05, [other, floor])
+    code, _, err = hyperflex("cast", tmp_path / "setup.toml", *options, "-o", tmp_path / "out")
+    assert (asked["target"].x, asked["target"].radius, asked["obstacles"], code) == (0.0, 0.05, [other, floor], 0)
+    assert "--target moves it from (-0.83, -1.07) m, where no obstacle is left" in " ".join(err.split())
+
+
+def test_a_torque_limit_of_the_arm_is_one_of_the_motor() -> None:
+    weak = hf.Arm(length=0.105, torque_limit=0.5)
+    assert hf.CastSetup(CABLE, weak, hf.MotorLimits()).limits == hf.MotorLimits(torque=0.5)
+    assert hf.CastSetup(CABLE, weak, hf.MotorLimits(torque=0.2)).limits == hf.MotorLimits(torque=0.2)
+
+
+def test_a_start_that_swings_is_told_not_to_be_used(hyperflex, ready, tmp_path):
+    """In a set-up file; that of a plan for such a start is refused, since another start makes another throw."""
+    ready("winds")
+    hf.Setup(CABLE, arm=hf.Arm(length=0.105), pegs=(PEG,), q0=[0.1] * CABLE.n_links).to_toml(tmp_path / "setup.toml")
+    code, _, err = hyperflex("cast", tmp_path / "setup.toml", "-o", tmp_path / "out")
+    assert code == 0
+    assert "q0 of" in err
+    assert "begin with a rope that hangs at rest" in " ".join(err.split())
+    swings = {"q0": (0.1,) * CABLE.n_links, "qd0": (0.0,) * CABLE.n_links, "side": -1}
+    plan = dataclasses.replace(planned(), cast_setup=dataclasses.replace(planned().cast_setup, **swings))
+    plan.to_toml(tmp_path / "cast.toml")
+    code, _, err = hyperflex("cast", tmp_path / "cast.toml", "-o", tmp_path / "out")
+    assert code == 2
+    assert "was planned for a rope that swings at first" in " ".join(err.split())
+    assert plan.notes()["start"] == "the rope swings, by q0 and qd0 of the plan"
+    assert planned().notes()["start"] == "the rope hangs at rest"
+    assert "The rope swings, in the state that the plan's file holds" in " ".join(CastReport(plan, None).story)
 
 
 def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, rope_file, ready, tmp_path):
@@ -146,6 +172,8 @@ def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, rope_file, read
         ("", "no rope is given"),
         ("ROPE", "--target and --radius are missing"),
         ("ROPE\n[limits]\npace = 3.0\n", "[limits] does not know this key: got 'pace'"),
+        ("ROPE\n[wall]\nx = 1.0\n", "does not know this key: got 'wall'"),
+        ("nonsense = 3\nROPE\n", "does not know this key: got 'nonsense'"),
     ],
 )
 def test_a_set_up_file_that_does_not_do_is_refused(hyperflex, tmp_path, content, words):

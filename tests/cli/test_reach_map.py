@@ -26,7 +26,7 @@ def test_targets_are_like_the_first_peg_and_the_rest_are_obstacles(hyperflex_jso
     code, told = hyperflex_json("reach-map", setup, "--cells", 1, "-o", tmp_path / "out")
     assert (code, told["targets"], told["feasible"], told["complete"]) == (0, 2, 0, True)
     found = hf.read_reach_map(told["files"]["map"])
-    assert found.cast_setup.obstacles == (OTHER, FLOOR)
+    assert (found.cast_setup.obstacles, found.cast_setup.contact) == ((OTHER, FLOOR), 0.0)
     assert (found.radius, found.mu) == (POST.radius, POST.mu)
     words = [text.get_text() for text in found.plot().legends[0].get_texts()]
     assert not [word for word in words if "obstacle" in word]  # they lie beyond the picture
@@ -37,9 +37,11 @@ def test_targets_are_like_the_first_peg_and_the_rest_are_obstacles(hyperflex_jso
     words = [text.get_text() for text in seen.plot().legends[0].get_texts()]
     assert [word for word in words if "obstacle" in word] == ["ground, an obstacle", "peg, an obstacle"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"reach-map.nc", "reach-map.png"}
-    code, told = hyperflex_json("reach-map", setup, "--cells", 1, "--radius", 0.4, "--mu", 0.1, "-o", tmp_path / "out")
+    code, told = hyperflex_json(
+        "reach-map", setup, "--cells", 1, "--radius", 0.4, "--mu", 0.1, "-o", tmp_path / "out", "--contact", 6.28
+    )
     found = hf.read_reach_map(told["files"]["map"])
-    assert (found.radius, found.mu) == (0.4, 0.1)
+    assert (found.radius, found.mu, found.cast_setup.contact) == (0.4, 0.1, 6.28)
 
 
 def test_an_interrupt_leaves_the_map_so_far_and_says_so(hyperflex_json, setup, tmp_path, monkeypatch):

@@ -14,7 +14,10 @@ import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import SuccessProbability, Uncertainty, estimate_success_probability
 from hyperflex.planning.outcome import MIN_TURNS
-from hyperflex.planning.robust.scenario_rollouts import nominal_strike_times, scenario_scores
+from hyperflex.planning.robust import scenario_rollouts
+from hyperflex.planning.robust.scenario_rollouts import first_strikes, nominal_strike_times, scenario_scores
+from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.simulation import Deadline
 from tests.planning.known import contact_scores, planned, simulated_strikes
 from tests.planning.test_landing import CAST_SETUP, PEG, WINDS
 from tests.planning.test_uncertainty import NONE
@@ -95,6 +98,51 @@ def test_a_rope_that_touches_an_obstacle_before_its_strike_or_after_has_not_won(
         turns += found.turns.tolist()
     assert turns[0] == 0.0  # as without a strike
     assert 0.0 < turns[1] < MIN_TURNS
+
+
+def test_until_when_a_throw_may_strike_does_not_depend_on_others_beside_it() -> None:
+    """A rope that swings down on a peg after its time is over, alone and beside one whose arm moves for longer."""
+    n, still = CAST_SETUP.rope.n_links, hf.arm_moves([0.0, 1e-3], [0.0], [0.01])
+    swings = replace(CAST_SETUP, time=0.1, side=-1, q0=(1.0,) * n, qd0=(0.0,) * n)
+    length = CAST_SETUP.rope.total_length
+    peg = hf.Peg(-0.2 * length, -0.75 * length, 0.03)
+    moves = [still, hf.arm_moves([0.0, 1e-3], [4.0], [0.01])]
+    batch = RolloutBatch.from_start(swings, [CAST_SETUP.rope] * 2, [peg] * 2, moves)
+    t = first_strikes(batch, swings)[0]
+    assert t[1] > 0.51
+    assert np.isnan(t[0])
+    assert np.isnan(first_strikes(batch.select([0]), swings)[0][0])
+
+
+def test_a_flight_that_fails_after_its_strike_has_struck(monkeypatch: pytest.MonkeyPatch) -> None:
+    throw = [(WINDS, world) for world in NONE.sample(1, CAST_SETUP, PEG)]
+    strike = float(nominal_strike_times(CAST_SETUP, PEG, [WINDS])[0])
+    flight = scenario_rollouts.free_flight
+    for failed, hits in ((strike + 0.1, True), (strike - 0.1, False)):
+
+        def fails(*given: object, failed: float = failed, **how: object) -> tuple:
+            t, q, qd = flight(*given, **how)
+            q[:, t > failed] = np.nan
+            return t, q, qd
+
+        monkeypatch.setattr(scenario_rollouts, "free_flight", fails)
+        assert np.isfinite(nominal_strike_times(CAST_SETUP, PEG, [WINDS])[0]) == hits
+    assert scenario_scores(CAST_SETUP, throw).turns[0] == 0.0
+
+
+def test_no_flight_of_a_scenario_goes_on_when_no_time_is_left() -> None:
+    """Of a rope with joint limits, which is simulated in contact steps from the start."""
+    stiff = replace(CAST_SETUP, rope=CAST_SETUP.rope.replace(max_bend=1.0))
+    pairs = [(WINDS, world) for world in NONE.sample(1, stiff, PEG)]
+    looks = 0
+
+    def left() -> float:
+        nonlocal looks
+        looks += 1
+        return 0.5 - looks
+
+    found = scenario_scores(stiff, pairs, time_budget=Deadline(np.inf, left))
+    assert (found.turns[0], looks < 5) == (0.0, True)
 
 
 def test_throws_that_win_and_that_never_strike_are_told_apart() -> None:

@@ -14,7 +14,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import recut
 from hyperflex.planning import CastSetup, InsertPlan, MotorLimits, Slot, estimate_insert_probability, plan_insert
 from hyperflex.planning.clearance import obstacle_clearance
-from hyperflex.planning.insert.chance import insert_scenarios, usual_uncertainty
+from hyperflex.planning.insert.chance import TOGETHER, insert_scenarios, usual_uncertainty
 from hyperflex.planning.insert.entry import LEVELS
 from hyperflex.planning.insert.outcome import evaluate_insert, verify_insert
 from hyperflex.planning.insert.slot import find_crossings, frame, nearest_passage, passages
@@ -249,6 +249,13 @@ def test_a_slot_where_it_is_planned_is_sure() -> None:
     for slot, won in ((SLOT, 3), (aside(SLOT, 0.03), 0)):
         found = estimate_insert_probability(plan.cast_setup, slot, strokes, near(), none, samples=3, threads=1)
         assert found.successes == won
+
+
+def test_an_estimate_whose_time_is_over_tells_of_the_samples_that_it_has() -> None:
+    plan = planned()
+    given = (plan.cast_setup, SLOT, plan.required(plan.strokes, "strokes"), near())
+    assert estimate_insert_probability(*given, samples=60, time_budget=0.0).samples == TOGETHER
+    assert estimate_insert_probability(*given, samples=60).samples == 60
 
 
 def test_clearance_of_a_hanging_rope_from_a_wall() -> None:

@@ -13,6 +13,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.planning import CastPlan, CastSetup, Throw, check_feasibility
+from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.wind import many
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=12, radius=0.004, friction=1e-3)
@@ -44,6 +45,20 @@ def test_a_search_that_starts_from_a_plan_near_by_need_not_swing() -> None:
     assert plan.throw.strokes[:4] == pytest.approx(WINDS.strokes, abs=1e-4)
 
 
+def test_given_throws_are_tried_within_the_time_of_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    left: list[float] = []
+
+    def try_throws(self: ThrowSearch, throws: list) -> None:
+        assert throws == [WINDS]
+        assert self.left is not None
+        left.append(self.left())
+
+    monkeypatch.setattr(ThrowSearch, "try_throws", try_throws)
+    hf.plan_cast(CORD, ARM, PEG, side=-1, start_from=[planned(PEG)], time_budget=1e-3)
+    assert len(left) == 1
+    assert left[0] < 1e-3
+
+
 def test_targets_near_others_are_planned_from_these_and_told_as_they_were_given(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -65,6 +80,8 @@ def test_targets_near_others_are_planned_from_these_and_told_as_they_were_given(
     assert hf.plan_casts(CORD, ARM, []) == []
     with pytest.raises(InvalidInput, match="targets"):
         hf.plan_casts(CORD, ARM, PEG)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match="target is not of its class"):
+        hf.plan_casts(CORD, ARM, [PEG, (0.5, -0.6)])  # type: ignore[list-item]
 
 
 def stands(plan: CastPlan) -> bool:

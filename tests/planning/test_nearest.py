@@ -272,13 +272,16 @@ def test_a_throw_at_hand_counts_where_it_stands(monkeypatch: pytest.MonkeyPatch)
     beside = [SimpleNamespace(cast_setup=CAST_SETUP, peg=peg, candidates=[]) for peg in places]
     for one, turns in zip(beside[1:], (1.2, 1.3, 1.3), strict=True):
         one.candidates.append(SimpleNamespace(turns=turns))
+    best: list[hf.Peg] = []  # of which a throw without a margin is verified, too
     monkeypatch.setattr(fallback_targets, "searches_near_by", lambda search: iter(beside))
     stands = replace(planned(), target=places[3])
     monkeypatch.setattr(
         fallback_targets,
         "CastPlanner",
         lambda search, *_: SimpleNamespace(
-            verify_new=lambda: None, plan=lambda known: failed(places[2]) if search.peg == places[2] else stands
+            verify_new=lambda: None,
+            verify_best=lambda: best.append(search.peg),
+            plan=lambda known: failed(places[2]) if search.peg == places[2] else stands,
         ),
     )
     plan = fallback_targets.plan_fallback(failed(PEG), ThrowSearch(CAST_SETUP, PEG), 10.0, Planner(good=0))
@@ -286,6 +289,7 @@ def test_a_throw_at_hand_counts_where_it_stands(monkeypatch: pytest.MonkeyPatch)
     assert plan.fallback.plan is stands
     assert plan.fallback.distance == pytest.approx(0.04)
     assert plan.fallback.failed_plans == 0
+    assert best == places[2:]
 
 
 def test_an_interrupt_ends_the_search_for_a_place(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,8 @@ import pytest
 import hyperflex as hf
 from hyperflex import winding
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastSetup, MotorLimits, SuccessProbability, Uncertainty
+from hyperflex.planning import CastSetup, MotorLimits, SuccessProbability, Uncertainty, check_feasibility
+from hyperflex.planning.outcome import TOO_LONG
 from hyperflex.planning.robust.refinement import DOUBT
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.candidates import Swing
@@ -328,6 +329,24 @@ def test_while_there_is_time_one_throw_is_verified_that_is_much_better_than_thos
     assert "".join(one.throw.name for one in work.checked) == "ca"  # type: ignore[attr-defined]
     doubted = [0.0, 8.0 / (16.0 + DOUBT), 16.0 / (16.0 + DOUBT)]  # of none, of c and of a, which win in 8 and in 16
     assert limits == pytest.approx([each + EARLY_GAIN for each in doubted])
+
+
+def test_a_throw_is_compared_with_what_is_known_of_others_after_the_refinement(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In more scenarios a, which is known to stand, wins less often than b, which has not been verified."""
+    rounds: list[str] = []
+
+    def run(self: Race, until: float, report: object) -> None:
+        rounds.append("".join(one.candidate.throw.name for one in self.order))  # type: ignore[attr-defined]
+        if len(rounds) == 1:
+            self.left = lambda: 9.0
+            return
+        self.left = lambda: 0.0
+        a, b, c = sorted(self.order, key=lambda one: one.candidate.throw.name)  # type: ignore[attr-defined]
+        a.values, b.values = [float(m < 8) for m in range(16)], [float(m < 12) for m in range(16)]
+        self.order = [b, a, c]
+
+    monkeypatch.setattr(Race, "run", run)
+    assert hardened(monkeypatch).best[0].name == "b"  # type: ignore[union-attr]
 
 
 def test_a_throw_without_a_margin_is_refined_on_until_no_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -855,6 +874,59 @@ def test_a_throw_that_ends_on_top_of_the_peg_is_verified_with_shorter_and_shorte
     assert finer is not None
     assert finer.turns == told
     assert max(links) == (most or max(links))
+
+
+def test_a_throw_without_a_margin_fails_where_its_third_verification_takes_too_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def verify_cast(cast_setup: CastSetup, *_: object, **__: object) -> object:
+        completed = cast_setup.rope.n_links // CABLE.n_links < 3
+        told = {"slip": 3e-3, "load_ratio": 0.5, "contact_angle": 3.0, "tip_hangs": True, "clearance": 0.1}
+        more = told | {"touch_time": 5.0, "folded": False, "message": "" if completed else TOO_LONG}
+        return SimpleNamespace(success=completed, turns=1.6 if completed else 0.0, completed=completed, **more)
+
+    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY)
+    monkeypatch.setattr(cast_planner, "verify_cast", verify_cast)
+    throw = SimpleNamespace(motion=lambda limits: None)
+    found = cast_planner.CastPlanner(search, 60.0).verify(cast_planner.Candidate(1.0, 2.0, 1, np.zeros(3), throw))  # type: ignore[arg-type]
+    assert failure(*found, False) == f"with shorter links {TOO_LONG}"
+
+
+def test_of_candidates_verified_at_once_none_is_told_after_the_search_was_ended(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    some = [cast_planner.Candidate(1.0, 2.0, 1, np.full(3, float(k)), f"throw {k}") for k in range(2)]  # type: ignore[arg-type]
+    told = {"slip": 1e-3, "load_ratio": 0.5, "contact_angle": 3.0, "tip_hangs": True, "clearance": 0.1}
+    more = told | {"touch_time": 5.0, "folded": False, "success": True, "completed": True, "message": ""}
+    work = cast_planner.CastPlanner(ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=4), 60.0)
+
+    def verify_twice(one: cast_planner.Candidate) -> object:
+        cast = SimpleNamespace(turns=1.5 + one.x[0], **more)
+        return cast, cast
+
+    heard: list[object] = []
+
+    def hear() -> bool:
+        heard.append(work.best[0])
+        return len(heard) == 1
+
+    monkeypatch.setattr(work, "verify_twice", verify_twice)
+    work.hear = hear
+    work.look(some)
+    assert (heard, work.best[0], work.done()) == (["throw 0"], "throw 0", True)
+    work.tell()
+    assert work.done()
+
+
+def test_what_is_in_reach_is_asked_for_the_time_that_the_search_takes() -> None:
+    """A short arm swings a rope up in more than five periods."""
+    high = hf.Peg(1.2 * np.sin(np.radians(80.0)), -1.2 * np.cos(np.radians(80.0)), 0.03)
+    short = hf.Arm(length=0.04)
+    assert not check_feasibility(CastSetup(CABLE, short, hf.MotorLimits()), high).feasible
+    plan = hf.plan_cast(CABLE, short, high, time_budget=1e-3)
+    assert plan.feasibility == check_feasibility(plan.cast_setup, high)
+    assert plan.feasibility.feasible
+    assert "out of reach" not in plan.message
 
 
 def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,7 +51,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     monkeypatch.setattr(refinement, "scenario_scores", scenario_scores)
     monkeypatch.setattr(
-        refinement, "nominal_strike_times", lambda cast_setup, peg, throws, threads=None: np.full(len(throws), np.nan)
+        refinement, "nominal_strike_times", lambda cast_setup, peg, throws, **_: np.full(len(throws), np.nan)
     )
     return sizes
 
@@ -160,6 +160,27 @@ def test_the_strategy_is_told_members_best_first(made_up: list[int], monkeypatch
     assert len(ends) == MEMBERS
     assert min(ends[: MEMBERS // 4]) > np.mean(ends)  # a throw wins the more often, the greater its end
     assert np.mean(ends[: MEMBERS // 2]) > np.mean(ends[MEMBERS // 2 :])
+
+
+def test_throws_that_strike_too_late_are_no_plans(made_up: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every second one of a generation; they are told as the worst, and so is the mean."""
+    work, told, late = hardening(), [], CAST_SETUP.time + 0.1
+    met: list[RobustCandidate] = []
+    evaluate = work.evaluate
+
+    def strike_times(cast_setup: object, peg: object, throws: list, **_: object) -> np.ndarray:
+        return np.array([late if k % 2 or len(throws) == 1 else 0.9 * CAST_SETUP.time for k in range(len(throws))])
+
+    monkeypatch.setattr(refinement, "nominal_strike_times", strike_times)
+    monkeypatch.setattr(refinement.CmaEs, "tell", lambda self, points, losses: told.append((points, list(losses))))
+    monkeypatch.setattr(work, "evaluate", lambda some, worlds: (met.extend(some), evaluate(some, worlds)))
+    work.halve([near_centre(work, 1.2)])
+    before, met[:] = work.incumbent, []
+    work.evolve()
+    assert {one.candidate.t for one in met if one is not before} == {0.9 * CAST_SETUP.time}
+    ((points, losses),) = told
+    assert (len(points), losses) == (MEMBERS, list(range(MEMBERS)))
+    assert not {tuple(x) for x in points[MEMBERS // 2 :]} & {tuple(one.candidate.x) for one in met}
 
 
 @pytest.mark.parametrize(("until", "generations"), [(0.0, 1), (24.0 / (COMMON + DOUBT), 2), (0.75, 3), (np.inf, 4)])

@@ -84,3 +84,19 @@ def test_a_start_that_cannot_be_is_refused(change: dict[str, object], told: str)
     given: dict[str, object] = {"state0": SEEN, "side": -1, "time_budget": 0.01} | change
     with pytest.raises(InvalidInput, match=told):
         hf.plan_cast(CORD, ARM, PEG, **given)  # type: ignore[arg-type]
+
+
+def test_a_rope_that_touches_something_before_the_motion_begins_is_not_cast() -> None:
+    """SEEN swings to the left, past where it hangs from the arm: a wall stands there, out of its way at first."""
+    held = hf.hold_arm(-np.pi / 2)
+    tips = hf.simulate(CORD, held, arm=ARM, duration=2.0, q0=SEEN.q, qd0=SEEN.qd).tip
+    least = float(tips[:, 0].min())
+    wall = hf.Wall(0.5 * (least - 0.2), -1.5, 0.5 * (least - 0.2), -0.8)
+    assert tips[0, 0] > wall.x + 0.1
+    seen = RopeState(-2.0, SEEN.q, SEEN.qd)
+    plan = hf.plan_cast(CORD, ARM, PEG, state0=seen, side=-1, obstacles=[wall], time_budget=60.0)
+    assert not plan.success
+    assert plan.feasibility.impossible
+    assert "the rope touches the wall at" in plan.message
+    assert "before the motion begins" in plan.message
+    assert plan.runs == 0

@@ -16,6 +16,7 @@ from hyperflex.planning.insert.entry import BESIDE, DEEPER, MARGIN, SLACK, Entry
 from hyperflex.planning.insert.search import insert_candidates
 from hyperflex.planning.insert.task import FREE, MORE, InsertTask
 from hyperflex.planning.tip import planner as tip_planner
+from hyperflex.planning.tip.aim import aim_strokes
 from hyperflex.planning.tip.planner import TipPlanner
 from hyperflex.planning.tip.strokes import MIN_STROKE, SHORT_STROKE
 from hyperflex.planning.tip.swings import GENERATIONS, StrokeSearch
@@ -45,6 +46,25 @@ def test_no_stroke_is_added_where_there_is_no_time_for_it() -> None:
     few = Strokes(1, np.array([-1.4, 1.0]), np.array([0.05, 1.9 * duration]))
     assert few.with_more(9, few.stops(LIMITS), LIMITS) is few
     assert few.with_more(2, few.stops(LIMITS) + 3.0, LIMITS) is few
+
+
+def test_an_instant_that_would_be_far_off_is_not_tried() -> None:
+    """Where the tip's instant depends on nearly nothing, a step changes it by any time."""
+    nears: list[float] = []
+
+    class Task:
+        cast_setup, close, runs = WHO, 1e-9, 0
+
+        def find(self, strokes: Strokes, near: float) -> SimpleNamespace:
+            nears.append(near)
+            return SimpleNamespace(strokes=strokes, t=near, dt=np.full(2 * strokes.ends.size, 1e6))
+
+        def residuals(self, found: SimpleNamespace) -> tuple[np.ndarray, np.ndarray]:
+            return np.array([1.0]), np.ones((1, found.dt.size))
+
+    few = Strokes(1, np.array([-1.4, 1.0]), np.array([0.05, 0.9]))
+    assert aim_strokes(Task(), TipCandidate(0.1, 2.4, few)).t == 2.4  # type: ignore[arg-type, union-attr]
+    assert nears == [2.4]
 
 
 def test_a_search_about_an_entry_has_strokes_enough(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,9 +24,10 @@ from hyperflex.planning import (
     plan_whip,
 )
 from hyperflex.planning.whip import planner
-from hyperflex.planning.whip.aim import find_peak
+from hyperflex.planning.whip.aim import ANGLE_MARGIN, find_peak
 from hyperflex.planning.whip.impact import IMPACT_TIME, simulate_impact
 from hyperflex.planning.whip.search import simulate_peaks
+from hyperflex.planning.whip.task import WhipTask
 from hyperflex.planning.whip.tip_target import TipTarget, find_peaks, peak_costs
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=8, radius=0.0025, friction=5e-4)
@@ -114,6 +116,17 @@ def test_derivatives_of_a_peak(known: WhipMap) -> None:
         by = (plus.place - minus.place) / (2.0 * h)
         # a peak's time comes from a parabola through samples 2 ms apart, its derivative from differences of them
         np.testing.assert_allclose(aim.dplace[:, k], by, rtol=0.0, atol=0.03 * np.abs(aim.dplace).max())
+
+
+def test_residuals_count_from_the_shaft_wherever_it_is(known: WhipMap) -> None:
+    """A direction that is 0.5 rad off counts as if the tip were off by that angle as seen from the shaft."""
+    target = TipTarget(0.0, 0.0, direction=0.0, angle_tolerance=0.1)
+    setup = replace(known.cast_setup, arm=hf.Arm(length=0.1, pivot=(0.0, 1.5)))
+    task = WhipTask(SimpleNamespace(cast_setup=setup), target)  # type: ignore[arg-type]
+    aim = SimpleNamespace(speed=9.0, place=np.zeros(2), velocity=9.0 * np.array([np.cos(0.5), np.sin(0.5)]))
+    aim.dplace = aim.dvelocity = np.zeros((2, 4))
+    residuals, _ = task.residuals(aim)  # type: ignore[arg-type]
+    assert residuals == pytest.approx([0.0, 0.0, 1.5 * (0.5 - ANGLE_MARGIN * 0.1)])
 
 
 def test_a_plan() -> None:

@@ -280,6 +280,27 @@ def test_plans_know_the_obstacles_of_the_set_up_that_was_opened(server, page):
     assert server.runner.plan.cast_setup.obstacles == (aside, floor)
 
 
+def test_plans_keep_the_limits_of_the_motor_that_the_opened_file_says(server, page, folder):
+    session = server.runner.session
+    rope = (folder / "setup.toml").read_text()
+    (folder / "motor.toml").write_text(rope + "[limits]\nspeed = 4.0\ntorque = 0.3\nangles = [-1.0, 1.5]\n")
+    page.ask(open="motor.toml")
+    assert session.limits == hf.MotorLimits(speed=4.0, torque=0.3, angles=(-1.0, 1.5))
+    page.ask(set={"motor_speed": 6.0, "target_x": 5.0, "target_y": 5.0})
+    server.runner.plan = None
+    page.ask(button="plan")
+    assert page.until(lambda _: server.runner.plan is not None)
+    assert server.runner.plan.cast_setup.limits == hf.MotorLimits(speed=6.0, torque=0.3, angles=(-1.0, 1.5))
+    planned().to_toml(folder / "cast.toml")
+    page.ask(open="cast.toml")
+    assert session.limits == planned().cast_setup.limits
+    page.ask(open="setup.toml")
+    assert session.limits.torque == np.inf
+    (folder / "wrong.toml").write_text(rope + "[limits]\npace = 4.0\n")
+    assert "does not know this key" in page.ask(open="wrong.toml")["error"]
+    page.ask(set={"motor_speed": Settings().motor_speed})
+
+
 def test_a_planned_cast_winds_as_planned(server, page, folder):
     plan = planned()
     server.runner.call(lambda: setattr(server.runner, "plan", plan)).result()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,6 +48,14 @@ def test_a_plan_without_strokes_is_a_page_with_the_reason(tmp_path):
     files = WhipReport(far_whip(), None).write(tmp_path / "out")
     assert list(files) == ["page"]
     assert "out of reach: the rope ends" in words_of(files["page"])
+
+
+def test_what_the_finer_run_lacks_is_a_warning_of_a_plan_that_succeeds():
+    plan, message = planned_whip(), "the tip's speed is 4.20 m/s, and 5 is asked"
+    assert WhipReport(plan, None).warning == ""
+    short = replace(plan, finer_outcome=replace(plan.finer_outcome, message=message))
+    assert WhipReport(short, None).warning == f"With links of half the length {message}."
+    assert WhipReport(replace(short, message="it misses"), None).warning == ""
 
 
 def test_the_film_tells_the_course():

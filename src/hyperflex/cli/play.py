@@ -34,6 +34,7 @@ def play(
     this machine alone unless --host and --allow say otherwise: whoever it is given to can save files in the folder.
     """
     from hyperflex.model import Setup
+    from hyperflex.planning import read_limits
     from hyperflex.play import Folder, PlayServer, Session
 
     if setup is not None and setup.suffix.lower() == ".nc":
@@ -41,7 +42,7 @@ def play(
         raise InvalidInput("play begins with a set-up", got=str(setup), allowed="a TOML file", fix=fix)
     session = Session()
     if setup is not None:
-        session.play(Setup.from_toml(setup), "file")
+        session.play(Setup.from_toml(setup), "file", limits=read_limits(setup))
     with PlayServer(Folder(folder), session, port=port, host=host, allow=allow or ()) as server:
         cable = f"the paper's cable ({session.scene()['rope']}); hyperflex play SETUP.toml shows another"
         shown = setup or cable

@@ -59,7 +59,7 @@ def hold_arm(angle: float = 0.0) -> Motion:
     Parameters
     ----------
     angle : float
-        Arm angle, rad; 0 hangs down.
+        Arm angle, rad; 0 hangs down, pi/2 points along +x.
     """
     angle = checks.number("angle", angle, unit="rad")
     checks.meant("angle", angle, "rad")

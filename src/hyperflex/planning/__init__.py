@@ -26,7 +26,7 @@ if TYPE_CHECKING:
         verify_cast,
     )
     from hyperflex.planning.plan import RATE
-    from hyperflex.planning.plan_files import read_plan
+    from hyperflex.planning.plan_files import read_limits, read_plan
     from hyperflex.planning.robust.posterior import RopePosterior
     from hyperflex.planning.robust.scenario_rollouts import SuccessProbability, estimate_success_probability
     from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty, scaled_rope

@@ -33,7 +33,7 @@ class MotorLimits:
     torque : float
         Greatest torque at the shaft, N m; inf for no limit.
     angles : (float, float)
-        Least and greatest arm angle, rad; 0 hangs down.
+        Least and greatest arm angle, rad; 0 hangs down, pi/2 points along +x.
 
     Raises
     ------
@@ -92,6 +92,7 @@ class CastSetup:
     rope, arm : Rope, Arm
         The rope hangs at rest from the arm, which points to one side.
     limits : MotorLimits
+        Its torque is at most the arm's ``torque_limit``.
     time : float
         Time within which the rope must strike, s, at least MIN_TIME; 0 (the default) means PERIODS periods of the
         rope's swing.
@@ -155,6 +156,8 @@ class CastSetup:
         object.__setattr__(self, "contact", contact)
         object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles, "obstacles"))
         object.__setattr__(self, "behind", checked_behind(self.behind))
+        torque = min(self.limits.torque, self.arm.torque_limit)
+        object.__setattr__(self, "limits", replace(self.limits, torque=torque))
         self._check_obstacles()
         self._check_start()
 

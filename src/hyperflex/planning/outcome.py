@@ -274,12 +274,20 @@ def measure_holding_force(
 
     `time_budget`, s, is as of :func:`hyperflex.simulate`.
     """
+    try:
+        return _tugged(run, peg, time_budget)
+    except SimulationError:
+        return None
+
+
+def _tugged(run: Trajectory, peg: Peg, time_budget: float | Deadline | None) -> HoldingForce | None:
+    """Tug at the rope as :func:`measure_holding_force` does; SimulationError if the run fails."""
     wound = winding.measure_winding(run, peg)
     if not np.isfinite(wound.tail[-1]):
         return None
     try:
         tug = winding.tug_test(run, peg, time_budget=time_budget)
-    except (InvalidInput, SimulationError):
+    except InvalidInput:
         return None
     return HoldingForce(tug, float(wound.tail[-1]), abs(float(wound.arc[-1])), peg.mu)
 
@@ -293,7 +301,12 @@ def require_holding_force(
     """
     if force <= 0.0 or not outcome.success or outcome.run is None:
         return outcome
-    measured = measure_holding_force(outcome.run, peg, time_budget=time_budget)
+    try:
+        measured = _tugged(outcome.run, peg, time_budget)
+    except SimulationError as error:
+        measured = None
+        if error.status == OUT_OF_TIME:
+            return replace(outcome, held=False, message=TOO_LONG, n_links=0)
     if measured is None:
         return replace(outcome, held=False, message="its holding force could not be simulated")
     if measured.tug.holds(force):

@@ -24,7 +24,8 @@ T = TypeVar("T")
 RATE = 200.0  # Hz
 MAX_ROWS = 10_000_000
 # At the beginning of a plan's TOML file
-HEAD = """# A planned {kind}. SI units: m, kg, s, N, N m, J; angles in rad, an arm or link at 0 hangs down.
+HEAD = """# A planned {kind}. SI units: m, kg, s, N, N m, J; angles in rad: an arm or link at 0 hangs
+# down, at pi/2 it points along +x (to the right; y is up).
 # First the set-up of the verified run, its links cut where they may touch: hyperflex simulate runs it. From [plan] on,
 # what was planned for whom: the rope as given and the motor's limits (plan.cast_setup), the moves, and what became of
 # them in simulation (plan.outcome; with shorter links, plan.finer_outcome). A plan that succeeds has no message.
@@ -97,7 +98,7 @@ class Plan(ABC):
 
     @property
     def success(self) -> bool:
-        """Whether the plan does what was asked, in all its verified runs."""
+        """Whether the plan does what was asked in all its verified runs; of a whip's finer run not all is asked."""
         return not self.message
 
     @property
@@ -172,7 +173,7 @@ class Plan(ABC):
             "contents": "planned motion of the arm",
             "rate": f"{rate:g} Hz",
             "t": "s",
-            "angle": "rad, 0 hangs down",
+            "angle": "rad, 0 hangs down, pi/2 points along +x",
             MOVES: json.dumps({name: part for name, part in motion.spec.items() if name != "kind"}),
         }
         files.write_table(path, ["t", "angle"], np.column_stack([t, motion.angle(t)]), notes=self.notes() | columns)

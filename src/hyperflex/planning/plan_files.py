@@ -1,8 +1,11 @@
-"""Plans read back from the files that they were written to."""
+"""Plans, and limits of a motor, read back from the files that they were written to."""
 
-from hyperflex import files
+from dataclasses import fields
+
+from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN
+from hyperflex.planning.cast_setup import MotorLimits
 from hyperflex.planning.insert.insert_plan import InsertPlan
 from hyperflex.planning.plan import from_table
 from hyperflex.planning.whip.whip_plan import WhipPlan
@@ -42,3 +45,18 @@ def read_plan(path: files.PathLike) -> AnyPlan:
     except (AttributeError, KeyError, IndexError, OverflowError, RecursionError, TypeError, ValueError) as error:
         missing = f"the key {error}" if isinstance(error, KeyError) else "a value of the right kind"
         raise InvalidInput(f"the plan in {path} is not complete: it lacks {missing}", fix=_AGAIN) from None
+
+
+def read_limits(path: files.PathLike) -> MotorLimits | None:
+    """Read the motor's limits from the table [limits] of a set-up's TOML file, or from a plan's; None without them.
+
+    Raises FileProblem or InvalidInput if the file cannot be read, or holds limits that cannot be.
+    """
+    content = files.read_toml(path)
+    for name in (PLAN, "cast_setup") if PLAN in content else ():
+        content = checks.mapping(f"{name} of {path}", content.get(name, {}))
+    if "limits" not in content:
+        return None
+    table = checks.mapping(f"limits of {path}", content["limits"])
+    checks.keys(f"the table [limits] of {path}", table, [each.name for each in fields(MotorLimits)])
+    return MotorLimits(**table)

@@ -5,7 +5,7 @@ from pathlib import Path
 from hyperflex import files
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.model import Setup
-from hyperflex.planning import CastPlan, WhipPlan
+from hyperflex.planning import CastPlan, MotorLimits, WhipPlan, read_limits
 from hyperflex.play.session import Recorded
 from hyperflex.trajectory import read_trajectory
 
@@ -49,6 +49,10 @@ class Folder:
     def setup(self, name: str) -> Setup:
         """Return a set-up, or the verified one of a plan."""
         return Setup.from_toml(self._existing(name, ".toml"))
+
+    def limits(self, name: str) -> MotorLimits | None:
+        """Return the motor's limits that a file says, if it does."""
+        return read_limits(self._existing(name, ".toml"))
 
     def save(self, name: str, recorded: Recorded, plan: CastPlan | WhipPlan | None) -> str:
         """Write what the suffix of a new file says; returns its name.

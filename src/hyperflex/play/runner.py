@@ -10,7 +10,7 @@ from typing import Any
 
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.model import Setup
-from hyperflex.planning import CastOutcome, CastPlan, WhipPlan
+from hyperflex.planning import CastOutcome, CastPlan, MotorLimits, WhipPlan
 from hyperflex.play.planning_process import PlanningProcess, PlanningTask
 from hyperflex.play.session import Session
 
@@ -103,9 +103,9 @@ class Runner:
         self.session.change(values)
         self.changed()
 
-    def open(self, setup: Setup) -> None:
-        """Begin with a set-up from a file."""
-        self.session.play(setup, "file")
+    def open(self, setup: Setup, limits: MotorLimits | None = None) -> None:
+        """Begin with a set-up from a file, and the motor's limits that it says."""
+        self.session.play(setup, "file", limits=limits)
         self.paused = False
         self.changed()
 
@@ -180,7 +180,7 @@ class Runner:
             raise InvalidInput("a plan is being made", fix="Wait for it, or cancel it")
         session, settings = self.session, self.session.settings
         where = (session.rope, session.arm, settings.target, session.obstacles)
-        self._planning = PlanningProcess(PlanningTask(kind, *where, settings.limits, settings.time_budget))
+        self._planning = PlanningProcess(PlanningTask(kind, *where, session.limits, settings.time_budget))
 
     def _cancel(self) -> None:
         if self._planning is not None:

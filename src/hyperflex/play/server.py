@@ -235,8 +235,9 @@ class PlayServer:
         elif "button" in asked:
             await self._call(lambda: runner.act(str(asked["button"])))
         elif "open" in asked:
-            setup = await asyncio.to_thread(self.folder.setup, checks.text("open", asked["open"]))
-            await self._call(lambda: runner.open(setup))
+            name = checks.text("open", asked["open"])
+            opened = await asyncio.to_thread(lambda: (self.folder.setup(name), self.folder.limits(name)))
+            await self._call(lambda: runner.open(*opened))
         elif "save" in asked:
             recorded, plan = await self._call(lambda: (session.recorded(), runner.plan))
             name = checks.text("save", asked["save"])

@@ -12,6 +12,7 @@ from hyperflex import control
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
+from hyperflex.planning import MotorLimits
 from hyperflex.play.arm_program import ArmProgram
 from hyperflex.play.controls import CROSSING, FIXED, Settings
 from hyperflex.simulation import OUT_OF_TIME, simulate
@@ -62,6 +63,7 @@ class Session:
         self.settings = settings or Settings()
         self.version = 0
         self.obstacles: tuple[Obstacle, ...] = ()
+        self._motor = MotorLimits()  # whose torque and angles are kept to
         self._given: Setup | None = None  # whose rope and arm are used until others are set
         self.activity, self.t, self._begun = "hang", 0.0, 0.0
         self._program: ArmProgram | None = None  # None: the motion is that of a whole set-up
@@ -95,9 +97,22 @@ class Session:
         self._goal = self._next = None
         self.version += 1
 
-    def play(self, setup: Setup, activity: str, skip: float = 0.0) -> None:
-        """Begin a whole set-up; the first `skip` seconds are simulated at once. Its first round peg is the target."""
+    @property
+    def limits(self) -> MotorLimits:
+        """Limits of the motor: speed and acceleration as set, torque and angles of the file that was opened last."""
+        return replace(self.settings.limits, torque=self._motor.torque, angles=self._motor.angles)
+
+    def play(self, setup: Setup, activity: str, skip: float = 0.0, limits: MotorLimits | None = None) -> None:
+        """Begin a whole set-up; the first `skip` seconds are simulated at once. Its first round peg is the target.
+
+        With the motor's `limits`, if the file says them.
+        """
         self._begin(setup, activity, None)
+        if activity == "file":
+            self._motor = limits or MotorLimits()
+        if limits is not None:
+            motor = {"motor_speed": limits.speed, "motor_acceleration": limits.acceleration}
+            self.settings = replace(self.settings, **motor)
         if activity == "file":
             self._given = setup
             self.obstacles = tuple(each for each in setup.pegs if each not in setup.round_pegs[:1])
@@ -208,7 +223,7 @@ class Session:
             program.move(program.next_end(), start, self.settings.t_move)
             self._next = None
         elif self._goal is not None:
-            durations, ramps = self.settings.limits.fastest_moves([self._goal - program.angle])
+            durations, ramps = self.limits.fastest_moves([self._goal - program.angle])
             program.move(self._goal, start, float(durations[0]), float(ramps[0]))
         self.setup = self.setup.replace(motion=program.motion)
 

@@ -26,8 +26,8 @@ def stroke_story(plan: WhipPlan | InsertPlan) -> str:
     starts, angles = plan.strokes.starts(limits), np.degrees(plan.strokes.angles(limits))
     to = ", ".join(f"{end:.0f} degrees from {start:.2f} s on" for start, end in zip(starts, angles[1:], strict=True))
     return (
-        f"The rope hangs at rest from the arm at {angles[0]:.0f} degrees (0 hangs down). The arm makes "
-        f"{stroke_count(plan)}: to {to}."
+        f"The rope hangs at rest from the arm at {angles[0]:.0f} degrees (0 hangs down, 90 points along +x). The arm "
+        f"makes {stroke_count(plan)}: to {to}."
     )
 
 

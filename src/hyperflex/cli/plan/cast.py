@@ -26,12 +26,7 @@ def cast(
     acceleration: planner.Acceleration = None,
     torque: planner.Torque = None,
     holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should withstand, N.")] = 0.0,
-    contact: Annotated[
-        float | None,
-        typer.Option(
-            help="Least angle of the target that the rope must cover, rad. [default: none, but a full turn is sought]",
-        ),
-    ] = None,
+    contact: planner.Contact = None,
     clearance: planner.Clearance = None,
     time_limit: Annotated[
         float | None,
@@ -44,8 +39,8 @@ def cast(
         bool,
         typer.Option(
             "--robust",
-            help="Plan for what is not known exactly, and print the success probability: by the covariance in the "
-            "rope's file, if identify wrote it there, and else as a usual identification leaves it.",
+            help="Plan for what is not known exactly, and print how often the rope stays wound: by the covariance in "
+            "the rope's file, if identify wrote it there, and else as a usual identification leaves it.",
         ),
     ] = False,
     fallback: Annotated[
@@ -63,9 +58,10 @@ def cast(
 ) -> None:
     """Plan how the arm casts its rope round a peg, winds it and holds.
 
-    The target is given by options, or as the first of [pegs] in the set-up file. All other pegs, [walls] and [grounds]
-    there are obstacles, which the rope must not touch. A table [behind], with the keys of [pegs], holds pegs that the
-    rope is to run behind: in the end it touches each of them between the arm and the target.
+    The target is given by options, or as the first of [pegs] in the set-up file, which options then move or change. All
+    other pegs, [walls] and [grounds] there are obstacles, which the rope must not touch. A table [behind], with the
+    keys of [pegs], holds pegs that the rope is to run behind: in the end it touches each of them between the arm and
+    the target.
 
     A rope is wound with 1.25 turns or more, counted from the arm's tip to its end, and holds if it slips by less than
     5 mm in 2 s. How much of the target it covers is told beside the turns; where the rope is long enough, the search
@@ -74,9 +70,9 @@ def cast(
     The first plan that stands, and each better one, is told on standard error when it is found. The search ends with a
     plan that has a margin, or with the time.
 
-    The plan is verified in simulation, with links near the target cut shorter, then with all links of half and of a
-    third of the length. Writes a page on which the run plays, pictures, the motion for the motor (CSV), the verified
-    run (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
+    The plan is verified in simulation, with links near the target cut shorter, then with all links of half the length
+    and, without a margin, of a third. Writes a page on which the run plays, pictures, the motion for the motor (CSV),
+    the verified run (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
 
     Ctrl-C ends the search; the best so far is written, and marked as such, without pictures (in the first seconds,
     while the target is checked, there is nothing yet). While page and pictures are drawn, it leaves the plan's other
@@ -90,7 +86,7 @@ def cast(
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    task = planner.read_task(setup, rope, arm_length, limits, clearance, contact)
+    task = planner.read_task(setup, rope, arm_length, limits, {"clearance": clearance, "contact": contact})
     uncertainty = Uncertainty.from_rope_file(rope or setup or Path()) if robust else None
     peg, first = planner.peg_of(task, target, radius, mu), planner.first_peg(task)
     plan = output.partial_of(
@@ -123,7 +119,9 @@ def cast(
     if uncertainty is not None:
         notes.append(f"Uncertain: {uncertainty.describe()}.")
     if plan.success_probability is not None:
-        notes.append(f"Success probability: {plan.success_probability}.")
+        notes.append(
+            f"Success probability, of a rope that stays wound (slip is not asked): {plan.success_probability}."
+        )
     planner.finish(report, files, _result(plan, held, uncertainty), [*notes, *report.advice], as_json=json)
 
 

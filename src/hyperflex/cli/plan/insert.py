@@ -28,7 +28,11 @@ def insert(
     setup: planner.Setup = None,
     rope: planner.RopeFile = None,
     slot: Annotated[
-        tuple[float, float] | None, typer.Option(help="Middle of its gap from the motor's shaft, x and y (up), m.")
+        tuple[float, float] | None,
+        typer.Option(
+            help="Middle of its gap, x and y (up), m; the motor's shaft is at (0, 0) unless [arm] says otherwise "
+            "(pivot)."
+        ),
     ] = None,
     direction: Annotated[
         float | None, typer.Option(help="The way in, across the walls, rad: 0 is +x, pi/2 is up.")
@@ -84,7 +88,7 @@ def insert(
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    task = planner.read_task(setup, rope, arm_length, limits, clearance)
+    task = planner.read_task(setup, rope, arm_length, limits, {"clearance": clearance})
     refuse_behind(task.behind, "an insertion")
     table = {name: value for name, value in task.slot.items() if value != math.inf}
     may_touch = checks.flag("slot touching", table.pop("touching", False)) or touching

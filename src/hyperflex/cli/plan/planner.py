@@ -49,7 +49,10 @@ RopeFile = Annotated[
     Path | None, typer.Option("--rope", help="TOML file with the rope, such as identify writes; in place of [rope].")
 ]
 Target = Annotated[
-    tuple[float, float] | None, typer.Option(help="The target's place from the motor's shaft, x and y (up), m.")
+    tuple[float, float] | None,
+    typer.Option(
+        help="The target's place, x and y (up), m; the motor's shaft is at (0, 0) unless [arm] says otherwise (pivot)."
+    ),
 ]
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if need be.")]
 ArmLength = Annotated[
@@ -60,6 +63,12 @@ Acceleration = Annotated[
     float | None, typer.Option(help="Greatest acceleration, rad/s^2. [default: 23.6, the paper's]")
 ]
 Torque = Annotated[float | None, typer.Option(help="Greatest torque, N m. [default: not limited]")]
+Contact = Annotated[
+    float | None,
+    typer.Option(
+        help="Least angle of the target that the rope must cover, rad. [default: none, but a full turn is sought]",
+    ),
+]
 Clearance = Annotated[
     float | None,
     typer.Option(
@@ -110,18 +119,18 @@ def read_task(
     rope: Path | None,
     arm_length: float | None,
     limits: Mapping[str, Any],
-    clearance: float | None,
-    contact: float | None = None,
+    criterion: Mapping[str, float | None],
 ) -> Task:
     """Return what the TOML files and the options give; options override the set-up file.
 
-    `limits` are arguments of MotorLimits; those that are not given are None.
+    `limits` are arguments of MotorLimits, `criterion` has clearance, and contact where it is asked for; those that are
+    not given are None.
     """
-    from hyperflex.model import PLAN, Arm, Rope, Setup
+    from hyperflex.model import PLAN, PLANNING, Arm, Rope, Setup, check_tables
     from hyperflex.planning import MotorLimits
 
     content = {} if setup is None else files.read_toml(setup)
-    again = {"clearance": clearance, "contact": contact}
+    again = dict(criterion)
     if setup is not None and PLAN in content:
         content = _of_plan(setup, again)
     for name in ("limits", "target", "slot"):
@@ -129,11 +138,16 @@ def read_task(
             raise InvalidInput(f"{name} of {setup} is not a table", got=content[name], allowed=f"[{name}]")
     given = content.get("limits", {}) | {name: value for name, value in limits.items() if value is not None}
     checks.keys("the table [limits]", given, [field.name for field in fields(MotorLimits)])
-    tables = {name: content[name] for name in _TABLES if name in content}
     if rope is not None:
-        tables["rope"] = Rope.from_toml(rope).table()
-    if "rope" not in tables:
+        content = content | {"rope": Rope.from_toml(rope).table()}
+    if "rope" not in content:
         raise InvalidInput("no rope is given", fix="Give --rope FILE, or a set-up file with a table [rope]")
+    top = [*(field.name for field in fields(Setup)), *PLANNING, "identification"]
+    check_tables(str(setup or rope), content, top)
+    if swinging := [name for name in ("q0", "qd0") if name in content]:
+        words = f"{' and '.join(swinging)} of {setup} {'are' if len(swinging) == 2 else 'is'} not used"
+        sys.stderr.write(f"hyperflex: {words}: plans begin with a rope that hangs at rest\n")
+    tables = {name: content[name] for name in _TABLES if name in content}
     read = Setup.loads(files.dumps_toml(tables), str(setup or rope))
     arm = read.arm or Arm()
     if read.arm is None and arm_length is None:
@@ -142,7 +156,7 @@ def read_task(
     if arm_length is not None:
         arm = replace(arm, length=arm_length)
     places = (content.get("target", {}), content.get("slot", {}))
-    asked_again = again["clearance"] or 0.0, again["contact"]
+    asked_again = again["clearance"] or 0.0, again.get("contact")
     return Task(read.rope, arm, MotorLimits(**given), read.pegs, *places, *asked_again, _behind(content))
 
 
@@ -171,6 +185,9 @@ def _of_plan(path: Path, again: dict[str, float | None]) -> dict[str, Any]:
 
     plan = read_plan(path)
     known = plan.cast_setup
+    if known.q0:
+        fix = "Plan in Python, with state0"
+        raise InvalidInput(f"{path} was planned for a rope that swings at first", got="q0", allowed="none", fix=fix)
     then = {name: getattr(known, name) for name, given in again.items() if given is None and getattr(known, name)}
     again |= then
     if then:
@@ -223,10 +240,16 @@ def first_peg(task: Task) -> Peg | None:
 
 
 def peg_of(task: Task, place: tuple[float, float] | None, radius: float | None, mu: float | None) -> Peg:
-    """Return the target of a cast: the set-up's first peg, or a peg as the options say."""
+    """Return the target of a cast: the set-up's first peg, or a peg as the options say.
+
+    That the first peg is moved by a `place`, and is no obstacle where it was, is told on standard error.
+    """
     from hyperflex.model import Peg
 
     first = first_peg(task)
+    if first is not None and place is not None and place != (first.x, first.y):
+        words = f"the first of [pegs] is the target: --target moves it from ({first.x:g}, {first.y:g}) m"
+        sys.stderr.write(f"hyperflex: {words}, where no obstacle is left. Name obstacles after it\n")
     given = {"radius": radius, "mu": mu} | dict(zip("xy", place or (None, None), strict=True))
     named = {name: value for name, value in given.items() if value is not None}
     if first is not None:

@@ -32,6 +32,7 @@ def reach_map(
     acceleration: planner.Acceleration = None,
     torque: planner.Torque = None,
     holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should withstand, N.")] = 0.0,
+    contact: planner.Contact = None,
     clearance: planner.Clearance = None,
     time_budget: Annotated[
         float,
@@ -47,6 +48,9 @@ def reach_map(
     and a motor that turns further to one side. Targets that are not feasible cost nothing, others a few seconds each:
     minutes in all. Writes a picture and the figures (NetCDF).
 
+    A target that is red on the picture was not wound in the time: a longer --time-budget may wind it, the more so with
+    a long rope, whose casts take longer to find.
+
     A set-up file is read as by cast: the targets are like the first of [pegs], all other pegs, [walls] and [grounds]
     are obstacles.
 
@@ -57,9 +61,10 @@ def reach_map(
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    task = planner.read_task(setup, rope, arm_length, limits, clearance)
+    task = planner.read_task(setup, rope, arm_length, limits, {"clearance": clearance, "contact": contact})
     first = planner.first_peg(task)
-    like = planner.peg_of(task, (0.0, 0.0), radius or (RADIUS if first is None else None), mu)
+    usual = ((0.0, 0.0), radius or RADIUS) if first is None else (None, radius)
+    like = planner.peg_of(task, *usual, mu)
     with _processes(workers) as executor:
         found = output.partial_of(
             lambda: build_reach_map(
@@ -71,6 +76,7 @@ def reach_map(
                 mu=like.mu,
                 time_budget=time_budget,
                 holding_force=holding_force,
+                contact=task.contact,
                 clearance=task.clearance,
                 obstacles=[each for each in task.obstacles if each is not first],
                 behind=task.behind,

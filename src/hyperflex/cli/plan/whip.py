@@ -70,7 +70,7 @@ def whip(
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    task = planner.read_task(setup, rope, arm_length, limits, clearance)
+    task = planner.read_task(setup, rope, arm_length, limits, {"clearance": clearance})
     refuse_behind(task.behind, "a whip")
     options = {"direction": direction, "angle_tolerance": angle_tolerance, "least_speed": least_speed}
     asked = planner.asked("target", task.target, _TARGET, target, options)

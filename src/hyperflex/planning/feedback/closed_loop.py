@@ -169,6 +169,9 @@ def follow_plan(
     if cast_setup.obstacles:
         raise InvalidInput("casts past obstacles are not followed", got=f"{len(cast_setup.obstacles)} obstacles")
     refuse_behind(cast_setup.behind, "a plan that is followed")
+    if cast_setup.q0:
+        fix = "Follow a plan without state0"
+        raise InvalidInput("casts that begin with a swinging rope are not followed", got="q0 and qd0", fix=fix)
     pause = checks.number("decision_time", decision_time, sign="nonnegative", unit="s")
     known = uncertainty or Uncertainty()
     samples = known.sample(SAMPLES, cast_setup, plan.target, seed=[checks.count("seed", seed, least=0), 1])

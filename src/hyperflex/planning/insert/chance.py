@@ -1,5 +1,6 @@
 """How often an insertion succeeds where slot and timing are not quite as planned, by free swings in scenarios."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from hyperflex.planning.insert.slot import Slot, find_crossings, frame, nearest_
 from hyperflex.planning.robust.scenario_rollouts import STREAM, SuccessProbability
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.tip.outcome import sample_times
 from hyperflex.planning.tip.strokes import Strokes
 
@@ -64,6 +66,7 @@ def estimate_insert_probability(
     samples: int = SAMPLES,
     seed: int = 0,
     threads: int | None = None,
+    time_budget: float = math.inf,
 ) -> SuccessProbability:
     """Estimate how often strokes bring the tip through a slot to its depth without a touch, in sampled scenarios.
 
@@ -75,19 +78,23 @@ def estimate_insert_probability(
         By default the slot is 2 mm off and each stroke 2 ms (standard deviations), and the rope as planned.
     samples, seed, threads
         As of :func:`hyperflex.planning.estimate_success_probability`.
+    time_budget : float
+        Time by the clock after which no more samples are begun, s, without compiling; TOGETHER of them always are.
     """
+    clock = Clock()
     known = uncertainty or usual_uncertainty()
     stream = [STREAM, checks.count("seed", seed, least=0)]
     drawn = insert_scenarios(cast_setup, slot, strokes, known, samples, stream)
     t = sample_times(near)
-    won = 0
-    for low in range(0, samples, TOGETHER):
-        some = drawn[low : low + TOGETHER]
+    won = done = 0
+    while done < samples and (clock.spent < time_budget or not done):
+        some = drawn[done : done + TOGETHER]
         won += sum(
             _enters(where, rope.radius, near, t, joints)
             for (rope, where, _), joints in zip(some, _joints(cast_setup, some, t, threads), strict=True)
         )
-    return SuccessProbability(won, samples)
+        done += len(some)
+    return SuccessProbability(won, done)
 
 
 def _joints(

@@ -98,10 +98,11 @@ def plan_insert(
             task = InsertTask(cast_setup, slot, swings)
             planner = TipPlanner(task, max(0.0, time_budget - clock.spent), seed, threads)
             planner.run(None if report is None else lambda: report(min(clock.spent, time_budget)))
-            if planner.best is not None and not planner.best.message and clock.spent < time_budget:
-                aim = planner.best.aim
+            if planner.best is not None and not planner.best.message:
+                given: tuple[Any, ...] = (cast_setup, slot, planner.best.aim.strokes, planner.best.aim.t, uncertainty)
+                options: dict[str, Any] = {"samples": samples, "seed": seed, "threads": threads}
                 found["success_probability"] = estimate_insert_probability(
-                    cast_setup, slot, aim.strokes, aim.t, uncertainty, samples=samples, seed=seed, threads=threads
+                    *given, **options, time_budget=time_budget - clock.spent
                 )
     found |= {"seconds": clock.elapsed, "interrupted": stop.received}
     if planner is None:

@@ -172,12 +172,19 @@ class RobustRefinement:
             self._optimizer = CmaEs(incumbent.candidate.x, NARROW, spreads, MEMBERS, random)
         points = self._optimizer.ask()
         fresh = self._scenarios(sum(GENERATION_ROUNDS), GENERATION_STREAM, self.generations)
-        runners = [RobustCandidate(one) for one in self.candidates(side, points)]
+        found = self.candidates(side, points)
+        late = [one.x for one in found if self._late(one)]
+        runners = [RobustCandidate(one) for one in found if not self._late(one)]
         self._sort(runners, fresh, GENERATION_ROUNDS)
-        self._optimizer.tell([one.candidate.x for one in runners], range(len(runners)))
+        self._optimizer.tell([*(one.candidate.x for one in runners), *late], range(len(points)))
         self.generations += 1
-        for candidate in [runners[0].candidate, *self.candidates(side, [self._optimizer.mean])]:
-            self._challenge(candidate)
+        for candidate in [*(one.candidate for one in runners[:1]), *self.candidates(side, [self._optimizer.mean])]:
+            if not self._late(candidate):
+                self._challenge(candidate)
+
+    def _late(self, one: Candidate) -> bool:
+        """Whether a candidate strikes later than it may; one that does not strike does so in other scenarios."""
+        return self.search.cast_setup.time < one.t < math.inf
 
     def _challenge(self, candidate: Candidate) -> None:
         """Let a candidate become the incumbent if it is better in the common scenarios, and no worse before."""
@@ -194,13 +201,16 @@ class RobustRefinement:
         """Return points as throws that are cut at their strikes in the nominal scenario."""
         cast_setup = self.search.cast_setup
         throws = [self.search.parametrizations[side].throw(x) for x in points]
-        times = nominal_strike_times(cast_setup, self.search.peg, throws, threads=self.search.threads)
+        given: dict[str, Any] = {"time_budget": Deadline(math.inf, self.left), "threads": self.search.threads}
+        times = nominal_strike_times(cast_setup, self.search.peg, throws, **given)
         self.runs += len(points)
         cut = [
             throw if np.isnan(t) else throw.cut(float(t), cast_setup.limits)
             for throw, t in zip(throws, times, strict=True)
         ]
-        return [Candidate(0.0, 0.0, side, x, throw) for x, throw in zip(points, cut, strict=True)]
+        strikes = np.where(np.isnan(times), math.inf, times)
+        each = zip(points, cut, strikes, strict=True)
+        return [Candidate(0.0, 0.0, side, x, throw, t=float(t)) for x, throw, t in each]
 
     def evaluate(self, runners: Sequence[RobustCandidate], scenarios: Sequence[Scenario]) -> None:
         """Simulate each candidate in each scenario, and add its successes and values; OutOfTime if no time is left."""

@@ -67,7 +67,8 @@ def winding_scores(
     for low in range(0, len(batch), TOGETHER):
         rows = range(low, min(low + TOGETHER, len(batch)))
         part = batch.select(rows)
-        t, q, qd, gap = first_strikes(part, cast_setup, threads=threads)
+        end = Deadline(math.inf, time_budget.left) if isinstance(time_budget, Deadline) else None
+        t, q, qd, gap = first_strikes(part, cast_setup, time_budget=end, threads=threads)
         score[low : rows.stop] -= gap
         hit = np.flatnonzero(np.isfinite(t))
         if hit.size:
@@ -82,9 +83,11 @@ def winding_scores(
 
 
 def first_strikes(
-    batch: RolloutBatch, cast_setup: CastSetup, *, threads: int | None = None
+    batch: RolloutBatch, cast_setup: CastSetup, *, time_budget: Deadline | None = None, threads: int | None = None
 ) -> tuple[Array, Array, Array, Array]:
     """Simulate free flight until the first strikes; one before which the rope came too near its arm is none.
+
+    Those that are not done within a `time_budget` do not strike.
 
     Returns
     -------
@@ -96,44 +99,57 @@ def first_strikes(
         Smallest gap until then, m.
     """
     arm, clearance = cast_setup.arm, cast_setup.clearance
-    stop = max(float(motion.breaks[-1]) for motion in batch.motions)
-    span = max(cast_setup.time - batch.since, stop + AFTER_STOP, MIN_FLIGHT)
-    t, q, qd = free_flight(batch, arm, span, threads=threads)
+    least = max(cast_setup.time - batch.since, MIN_FLIGHT)
+    until = np.array([max(least, float(motion.breaks[-1]) + AFTER_STOP) for motion in batch.motions])
+    t, q, qd = free_flight(batch, arm, float(until.max()), time_budget=time_budget, threads=threads)
     base = np.stack([strikes.arm_tip(arm, motion, t)[0] for motion in batch.motions])
     lengths = np.stack([rope.length for rope in batch.ropes])
-    good = np.isfinite(q).all(axis=(1, 2))
+    finite = np.isfinite(q).all(axis=2)
     at, gap = np.zeros(len(batch), dtype=np.int64), np.zeros(len(batch))
     for peg in dict.fromkeys((peg.x, peg.y, peg.radius) for peg in batch.pegs):
         same = [m for m, one in enumerate(batch.pegs) if (one.x, one.y, one.radius) == peg]
         at[same], _, gap[same] = strikes.first_contact(
             q[same], base[same], lengths[same], Peg(*peg), batch.ropes[0].radius
         )
-    good &= at <= clear_samples(batch.ropes, batch.obstacles, q, base, clearance)
+    rows, before = np.arange(len(batch)), np.maximum(at - 1, 0)
+    good = np.where(finite.all(axis=1), t.size, finite.argmin(axis=1)) > at  # until the strike
+    good &= (t[before] <= until) & (at <= clear_samples(batch.ropes, batch.obstacles, q, base, clearance))
     for m in np.flatnonzero(good & (at > 0)).tolist():
         one = slice(m, m + 1)
         good[m] = at[m] <= samples_clear_of_arm(batch.ropes[m], arm, q[one], base[one], clearance, at[one])[0]
-    rows, hit = np.arange(len(batch)), (at > 0) & good
-    before = np.maximum(at - 1, 0)
+    hit = (at > 0) & good
     return np.where(hit, t[before], np.nan), q[rows, before], qd[rows, before], gap
 
 
 def free_flight(
-    batch: RolloutBatch, arm: Arm, span: float, *, at_end: bool = False, threads: int | None = None
+    batch: RolloutBatch,
+    arm: Arm,
+    span: float,
+    *,
+    at_end: bool = False,
+    time_budget: Deadline | None = None,
+    threads: int | None = None,
 ) -> tuple[Array, Array, Array]:
     """Simulate free flight for a span, s; return samples t (T,), q and qd (M, T, n). `at_end`: of the end alone."""
     t: Array = strikes.SAMPLE_TIME * np.arange(1.0, np.ceil(span / strikes.SAMPLE_TIME - 1e-9) + 1.0)
     t = np.array([span]) if at_end else t
-    run = batch.run(arm, t, tol=strikes.COARSE_TOL, keep=("q", "qd"), threads=threads)
+    given: dict[str, Any] = {"time_budget": time_budget, "threads": threads}
+    run = batch.run(arm, t, tol=strikes.COARSE_TOL, keep=("q", "qd"), **given)
     return t, run.q, run.qd
 
 
 def nominal_strike_times(
-    cast_setup: CastSetup, peg: Peg, throws: Sequence[Throw], *, threads: int | None = None
+    cast_setup: CastSetup,
+    peg: Peg,
+    throws: Sequence[Throw],
+    *,
+    time_budget: Deadline | None = None,
+    threads: int | None = None,
 ) -> Array:
     """Return the times (M,), s, at which throws strike in the nominal scenario; NaN without a strike."""
     motions = [throw.motion(cast_setup.limits) for throw in throws]
     batch = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(throws), [peg] * len(throws), motions)
-    return first_strikes(batch, cast_setup, threads=threads)[0]
+    return first_strikes(batch, cast_setup, time_budget=time_budget, threads=threads)[0]
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ MOVES = 32  # sampled delays; a throw of more moves uses them again
 RELATIVE, TIMES = ("length", "mass", "friction", "mu"), ("lag", "timing")  # relative, and in seconds
 # Fitted properties that replace a factor. A motion shows friction over mass: with either fitted the mass is left out.
 REPLACED_BY = {"length": ("length",), "mass": ("mass", "inertia", *DAMPING), "friction": DAMPING}
+OTHER = 0.1  # part by which lengths of two ropes differ that are not one; usually a length is known to 1 %
 MIN_LAG = 2e-4  # s; smaller lags are left out
 
 
@@ -169,7 +170,7 @@ class Uncertainty:
         Scenario number m of a `seed`, an integer or several, is the same for any `count`.
         """
         refuse_behind(cast_setup.behind, "an uncertainty")
-        stem = [seed] if isinstance(seed, int) else list(seed)
+        stem = [seed] if isinstance(seed, int | np.integer) else list(seed)
         rngs = [np.random.default_rng([*stem, m]) for m in range(checks.count("samples", count))]
         return [self._sample(rng, cast_setup, peg) for rng in rngs]
 
@@ -181,9 +182,12 @@ class Uncertainty:
         lag = self.lag * abs(float(rng.standard_normal()))
         delays = self.timing * rng.standard_normal(MOVES)
         rope = cast_setup.rope if self.posterior is None else self.posterior.sample(rng)
-        if rope.n_links != cast_setup.rope.n_links:
-            links = f"{cast_setup.rope.n_links} links, as thrown"
-            raise InvalidInput("posterior is of another rope", got=rope.n_links, allowed=links)
+        thrown, known = cast_setup.rope, rope if self.posterior is None else self.posterior.rope
+        if known.n_links != thrown.n_links or abs(known.total_length / thrown.total_length - 1.0) > OTHER:
+            got, asked = (f"{each.n_links} links, {each.total_length:.3g} m" for each in (known, thrown))
+            raise InvalidInput("posterior is of another rope", got=got, allowed=f"{asked}, as thrown")
+        if rope.radius != thrown.radius:  # which no recording tells
+            rope = rope.replace(radius=thrown.radius)
         x, y = np.array([peg.x, peg.y]) + self.place * rng.standard_normal(2)
         target = replace(peg, x=float(x), y=float(y), mu=peg.mu * float(factors[3]))
         return Scenario(scaled_rope(rope, *factors[:3]), target, lag, delays)

@@ -68,7 +68,8 @@ def aim_strokes(task: TipTask[AimedT], found: TipCandidate, left: Left = lambda:
             break
         step = scale * _damped_step(jacobian * scale, residuals, damping)
         step = step / max(1.0, float(np.abs(step / scale).max()) / MAX_STEP)
-        tried = task.find(best.strokes.varied(step), best.t + float(best.dt @ step))
+        at = best.t + float(best.dt @ step)  # far off where the tip's instant depends on nearly nothing
+        tried = task.find(best.strokes.varied(step), at) if 0.0 <= at <= task.cast_setup.time + WINDOW else None
         task.runs += 1
         new, new_jacobian = (residuals, jacobian) if tried is None else task.residuals(tried)
         if tried is None or np.linalg.norm(new) >= np.linalg.norm(residuals):

@@ -65,9 +65,12 @@ def find_peak(cast_setup: CastSetup, strokes: Strokes, near: float) -> AimedPeak
     )
 
 
-def aim_residuals(target: TipTarget, aim: AimedPeak) -> tuple[Array, Array]:
-    """Return the residuals (m,), m, and their Jacobian (m, P): the place, and direction and speed if they fail."""
-    speed, length = aim.speed, float(np.hypot(*target.point))
+def aim_residuals(target: TipTarget, aim: AimedPeak, length: float) -> tuple[Array, Array]:
+    """Return the residuals (m,), m, and their Jacobian (m, P): the place, and direction and speed if they fail.
+
+    The target's distance from the shaft is the `length`, m, that an error of 1 rad or of the whole speed counts as.
+    """
+    speed = aim.speed
     residuals, jacobian = [*(aim.place - target.point)], [*aim.dplace]
     error, allowed = float(target.angle_error(aim.velocity)), target.allowed_angle(ANGLE_MARGIN)
     beyond = error - float(np.clip(error, -allowed, allowed))

@@ -12,7 +12,7 @@ from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.task import NEVER, TipCandidate, TipTask, Verified
 from hyperflex.planning.whip.aim import AimedPeak, aim_residuals, find_peak
 from hyperflex.planning.whip.outcome import TipStrike, verify_whip
-from hyperflex.planning.whip.search import WhipMap, simulate_peaks
+from hyperflex.planning.whip.search import WhipMap, pivot_distance, simulate_peaks
 from hyperflex.planning.whip.tip_target import TipTarget, cheapest_peaks, peak_costs
 from hyperflex.simulation import Deadline
 
@@ -50,7 +50,7 @@ class WhipTask(TipTask[AimedPeak]):
 
     def residuals(self, aim: AimedPeak) -> tuple[Array, Array]:
         """Return the peak's way to the target, and direction and speed if they fail."""
-        return aim_residuals(self.target, aim)
+        return aim_residuals(self.target, aim, pivot_distance(self.cast_setup, self.target))
 
     def shortfall(self, aim: AimedPeak) -> float:
         """Return by how much place, direction and speed fail, 0 if they do not."""

@@ -106,6 +106,7 @@ class CastPlan(Plan):
             "target": f"x {peg.x:g} m, y {peg.y:g} m, radius {peg.radius:g} m, mu {peg.mu:g}",
             "rope": f"{rope.total_length:.4g} m, {rope.total_mass:.4g} kg",
             "arm": f"{self.cast_setup.arm.length:g} m, begins at {motion.angle(0.0):.4f} rad",
+            "start": "the rope swings, by q0 and qd0 of the plan" if self.cast_setup.q0 else "the rope hangs at rest",
         }
 
     def summary(self) -> dict[str, Any]:

@@ -1,9 +1,12 @@
 """Plan a cast: check the target, search for a throw that winds and holds, verify it, and look for fallbacks."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
+
+import numpy as np
 
 from hyperflex import checks
 from hyperflex.errors import Interrupted, InvalidInput
@@ -12,11 +15,13 @@ from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, checked_obstacles, cuts
 from hyperflex.motion import hold_arm
 from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.clearance import obstacle_clearance, rope_clearance
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.routing import checked_behind, refuse_behind
 from hyperflex.planning.search.contact_phase import check_start
 from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.throw import Throw
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fallback
@@ -28,6 +33,7 @@ from hyperflex.progress import progress_bar
 from hyperflex.simulation import simulate
 
 TIME_BUDGET = 60.0  # s
+LOOK = 0.01  # s, between two samples of a rope that swings before the motion begins
 
 
 @checks.arguments(limits=MotorLimits)
@@ -68,7 +74,8 @@ def plan_cast(
         Of the motor; by default the paper's.
     state0 : RopeState, optional
         Of a rope that swings while the arm stands still, as a tracker tells it: angles, rad, and rates, rad/s, at a
-        time `t` <= 0, s, before the motion begins at 0. Its covariance is not used. By default the rope hangs at rest.
+        time `t` <= 0, s, before the motion begins at 0. Until then it must touch nothing. Its covariance is not used.
+        By default the rope hangs at rest.
     side : {-1, 1}, optional
         Side on which the arm stands, left or right; needed with `state0`. By default the planner chooses.
     time_limit : float, optional
@@ -104,7 +111,8 @@ def plan_cast(
         If the plan fails, plan for the nearest targets until a plan succeeds: with the throws found so far, then three
         times at most, each with the same time budget. Without, the fallback is only expected to be feasible.
     seed : int
-        Of the search: with the same seed the same plan, where it is found before the clock lets the search begin anew.
+        Of the search, its random numbers. What is searched in a time depends on machine, load and threads, so the same
+        seed may give another plan: keep the plan, not the seed.
     threads : int, optional
         One a processor by default.
     progress : bool
@@ -162,26 +170,28 @@ def plan_cast(
     cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0, obstacles, behind)
     if uncertainty is not None:
         refuse_behind(cast_setup.behind, "a plan with an uncertainty")
+    touch = ""
     if state0 is not None:
-        cast_setup = _swinging(cast_setup, state0)
+        cast_setup, touch = _swinging(cast_setup, state0, target)
     # Refuses, before any search, what cannot touch a peg
     Setup(cast_setup.rope, arm=cast_setup.arm, pegs=cast_setup.beside(target))
     cuts(cast_setup.rope, (target, *behind), arm=cast_setup.arm)  # or not be wound round it
     if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
         raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
     check_start(cast_setup)
-    known = check_feasibility(cast_setup, target, holding_force=holding_force)
     if time_limit is None:
         cast_setup = replace(cast_setup, time=search_time(cast_setup, target))
+    known = check_feasibility(cast_setup, target, holding_force=holding_force)
     search = ThrowSearch(cast_setup, target, checks.count("seed", seed, least=0), threads, holding_force)
-    if not search.parametrizations:
-        known = replace(known, impossible=True, message="the rope begins in the target, or beside it in an obstacle")
+    if touch or not search.parametrizations:
+        touch = touch or "the rope begins in the target, or beside it in an obstacle"
+        known = replace(known, impossible=True, message=touch)
     if known.impossible or not (known.feasible or skip_feasibility):
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:
         free = {"full_turn": contact is None, "clock": clock}
-        search.try_throws([one.throw for one in start_from if one.throw is not None])
-        plan = _search(search, known, uncertainty, time_budget, progress, on_plan, **free)
+        throws = [one.throw for one in start_from if one.throw is not None]
+        plan = _search(search, known, throws, uncertainty, time_budget, progress, on_plan, **free)
     with catch_interrupt() as stop:
         if not (plan.success or plan.interrupted):
             plan = replace(plan, remedies=find_remedies(cast_setup, target, holding_force=holding_force))
@@ -213,13 +223,17 @@ def plan_cast(
 def _search(
     search: ThrowSearch,
     known: Feasibility,
+    throws: Sequence[Throw],
     uncertainty: Uncertainty | None,
     time_budget: float,
     progress: bool,
     on_plan: Callable[[CastPlan], bool | None] | None,
     **free: Any,
 ) -> CastPlan:
-    """Search for a throw, verify it, and estimate its success probability; `free` as of :class:`CastPlanner`."""
+    """Search for a throw, first among given `throws`, verify it, and estimate its success probability.
+
+    `free` are as of :class:`CastPlanner`.
+    """
     nominal = time_budget if uncertainty is None else NOMINAL * time_budget
     enough = None if uncertainty is None else ENOUGH * time_budget
     planner = CastPlanner(search, nominal, enough=enough, **free)
@@ -227,6 +241,7 @@ def _search(
     if on_plan is not None:
         planner.hear = lambda: on_plan(planner.plan(known))
     with catch_interrupt() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
+        search.try_throws(throws)
         planner.run(report)
         if uncertainty is not None:
             refine_robustly(planner, uncertainty, report)
@@ -237,8 +252,11 @@ def _search(
     return replace(planner.plan(known, stop.received), success_probability=probability)
 
 
-def _swinging(cast_setup: CastSetup, state: RopeState) -> CastSetup:
-    """Return the set-up whose rope begins in a state, or in what becomes of that until t = 0 while the arm stands."""
+def _swinging(cast_setup: CastSetup, state: RopeState, target: Peg) -> tuple[CastSetup, str]:
+    """Return the set-up whose rope begins in a state, or in what becomes of that until t = 0 while the arm stands.
+
+    And what the rope touches until then, in words; empty if nothing.
+    """
     if not isinstance(state, RopeState):
         raise InvalidInput("state0 is no rope state", got=state, allowed="hyperflex.RopeState(t, q, qd)")
     t = checks.number("state0.t", state.t, unit="s")
@@ -246,7 +264,12 @@ def _swinging(cast_setup: CastSetup, state: RopeState) -> CastSetup:
         raise InvalidInput("state0 is after the motion's begin", got=t, allowed="t <= 0 s", fix="Count t from there")
     begins = replace(cast_setup, q0=tuple(state.q), qd0=tuple(state.qd))
     if t == 0.0:
-        return begins
+        return begins, ""
     held = hold_arm(cast_setup.limits.start_angle(cast_setup.side))
-    run = simulate(cast_setup.rope, held, arm=cast_setup.arm, duration=-t, q0=state.q, qd0=state.qd, t_eval=[-t])
-    return replace(begins, q0=tuple(run.q[-1]), qd0=tuple(run.qd[-1]))
+    looks = np.linspace(0.0, -t, math.ceil(-t / LOOK) + 1)
+    run = simulate(cast_setup.rope, held, arm=cast_setup.arm, duration=-t, q0=state.q, qd0=state.qd, t_eval=looks)
+    near = [obstacle_clearance(run, cast_setup.beside(target))]
+    near += [] if cast_setup.clearance == -math.inf else [rope_clearance(run)]
+    least = min(near)
+    touch = f"the rope touches {least.what} {-t - least.t:.2f} s before the motion begins" if least.value < 0.0 else ""
+    return replace(begins, q0=tuple(run.q[-1]), qd0=tuple(run.qd[-1])), touch

@@ -85,6 +85,7 @@ def _with_existing_throws(plan: CastPlan, search: ThrowSearch, time_budget: floa
         if beside.candidates and beside.candidates[0].turns >= MIN_TURNS:
             planner, peg = CastPlanner(beside, time_budget), beside.peg
             planner.verify_new()
+            planner.verify_best()
             other = planner.plan(check_feasibility(beside.cast_setup, peg))
             if other.success:
                 distance = math.dist((plan.target.x, plan.target.y), (peg.x, peg.y))

@@ -51,8 +51,8 @@ def plan_casts(
         The first, and each that is more than NEAR of the rope's length from all such before it, is planned for itself.
         The search for any other begins with the throws for the nearest of these, NEIGHBOURS at most.
     executor : concurrent.futures.Executor, optional
-        Where plans are made: processes, or other machines (``docs/how-to/many-machines.md``). Plans do not depend on
-        it while time is enough. Give ``threads=1`` where workers share a machine.
+        Where plans are made: processes, or other machines (``docs/how-to/many-machines.md``). What a search
+        looks at depends on the clock, and so may a plan. Give ``threads=1`` where workers share a machine.
     chunk_size : int, optional
         Targets that a worker of the executor takes at once; by default CHUNK.
     progress : bool
@@ -82,7 +82,7 @@ def plan_casts(
     >>> [plan.message for plan in plans]  # doctest: +NORMALIZE_WHITESPACE
     ['out of reach: the rope ends 0.36 m short of the target', 'out of reach: the rope ends 0.27 m short of the target']
     """
-    asked = checks.sequence("targets", targets, "pegs")
+    asked = [checks.instance("target", each, Peg) for each in checks.sequence("targets", targets, "pegs")]
     plans, stop = plan_each(rope, arm, asked, limits, options, executor, chunk_size, progress)
     return stop.deliver([plans[number] for number in sorted(plans)])
 

@@ -37,22 +37,20 @@ MIN_GROWTH, IDLE_ROUNDS = 1.03, 2  # a round that gains less than this factor is
 WORTHY = 0.5  # energy ratio of swings that are worth a try, relative to the feasibility check's where that is below 1
 MIN_TAIL = 0.5  # turns of tail, at least, that a swing is taken to have for that
 NEARLY = 0.9  # score of a throw in contact that is worth being refined though all swings strike late
-# Fraction of the time until which throws without a margin are not verified to the end, nor others that wind by less
-# than so many turns more than are asked, or score less: of throws with these to spare 37 of 46 held when verified as
-# given, of others 13 of 33. A verification takes as long as fifty runs of the search
+# Fraction of the time until which throws without a margin are not verified to the end, nor others without so many turns
+# and so much score to spare: of throws with these 37 of 46 held when verified, of others 13 of 33
 EARLY, SPARE_TURNS, SPARE_SCORE = 0.05, 0.1, 0.25
 FOLDING = 0.5  # fraction of the time until which throws that slip are not verified, nor ropes folded flat simulated on
-# Fraction of the time, s at least, after which a search without a plan begins anew with other random numbers: five
-# found nothing in 40 s of one thread, with other seeds they took 7 to 16. Both grow with the square of the time until
-# the strike: of six targets for which that is doubled 4 were planned in 100 s without beginning anew, 2 with it
+# Fraction of the time, s at least, after which a search without a plan begins anew with other random numbers: five that
+# found nothing in 40 s took 7 to 16 with other seeds. Both grow with the square of the time until the strike: of six
+# targets for which that is doubled 4 were planned in 100 s without beginning anew, 2 with it
 ANEW, SHORT = 0.15, 5.0
 FREE = 0.2  # fraction of the time in which late swings are not tried in contact before they are worth it
 SWINGING = 0.5  # fraction of the time after which the search goes on in contact in any case
 RESTART = 12  # generations in contact from one candidate
 LEAST = 1.0  # score of throws that wind and are worth a verification: less have those that slip by more than 2 cm
 ALIKE = 0.05  # points that differ by less are one
-# Pieces of each link in verifications after the first; the third is for throws without a margin, and the last, which
-# takes five times as long as the first, for those whose rope ends on top of the peg
+# Pieces of each link in verifications after the first: without a margin, and for ropes that end on top of the peg
 FINER = (2, 3, 5)
 FINER_STEP = 4e-4  # s, contact step there, twice the usual one: of 20 casts the turns differ by 0.003 at most
 SEARCHING = 0.85  # fraction of the time after which only verifications are begun
@@ -236,7 +234,8 @@ class CastPlanner:
                 self.waiting.append((found, one))
             else:
                 self.verified.append(found)
-                self.take([one], [found])
+                if not self.ended:
+                    self.take([one], [found])
         self.waiting.sort(key=lambda each: promise(each[0], self.contact), reverse=True)
 
     def verify_best(self) -> None:
@@ -281,7 +280,8 @@ class CastPlanner:
     def tell(self) -> None:
         """Tell the best plan, if it stands."""
         if self.stands:
-            self.first, self.ended = min(self.first, self.spent), bool(self.hear is not None and self.hear())
+            self.first = min(self.first, self.spent)
+            self.ended = self.ended or (self.hear is not None and bool(self.hear()))
 
     def outcomes(self, some: Sequence[Candidate], seen: Sequence[Verified] = ()) -> list[Verified]:
         """Verify candidates, as many at once as there are threads for."""

@@ -176,7 +176,8 @@ def build_reach_map(
     Notes
     -----
     "Not feasible" is what the feasibility check says, which forbids a few targets that can be wound; "none found" is
-    what a search in the time budget says. ``benchmarks/results`` tells how often either is wrong.
+    what a search in the time budget says: more time may wind such a target, most of all with a long rope.
+    ``benchmarks/results/reach-nominal.md`` tells how often the former is wrong, of targets searched for 110 s.
 
     Examples
     --------

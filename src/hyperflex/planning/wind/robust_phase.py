@@ -36,11 +36,11 @@ def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Call
         while not planner.ended:
             late = not refinement.in_time
             refinement.drop([one for one, found in known.items() if not _worth_refining(one, found, late)])
-            best = max((_value(*each) for each in known.items()), default=NONE)
             stands = max((one.doubted_mean for one, found in known.items() if succeeds(found)), default=0.0)
             refinement.run(stands + EARLY_GAIN, None if report is None else lambda: report(planner.spent))
             if not refinement.order or (some and planner.spent > planner.time_budget):
                 break
+            best = max((_value(*each) for each in known.items()), default=NONE)
             incumbent, late = refinement.incumbent, not refinement.in_time
             if incumbent in known:
                 if with_margin(known[incumbent]) and (late or incumbent.always_succeeds):

@@ -104,8 +104,6 @@ def worst_of(first: CastOutcome, finer: Sequence[CastOutcome]) -> CastOutcome:
     """Return of the runs with shorter links the first that fails, or the one whose turns differ most from `first`."""
     worst = finer[0]
     for each in finer:
-        if not each.completed and each is not worst:
-            break
         if not each.success:
             return each
         if abs(each.turns - first.turns) > abs(worst.turns - first.turns):

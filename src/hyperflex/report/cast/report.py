@@ -82,7 +82,7 @@ class CastReport(PlanReport[CastPlan]):
 
     def _tiles(self) -> tuple[tuple[str, str], ...]:
         plan, peg, cast = self.plan, self.plan.target, self.plan.outcome
-        place = f"target, a round peg: radius; centre at x = {peg.x:.3g} m, y = {peg.y:.3g} m from the motor's shaft"
+        place = f"target, a round peg: radius; centre at x = {peg.x:.3g} m, y = {peg.y:.3g} m"
         shown = [(length(peg.radius), place)]
         if plan.throw is not None:
             shown.append((_swings(plan), "of the arm to and fro, then one last move"))
@@ -117,12 +117,13 @@ class CastReport(PlanReport[CastPlan]):
         starts, stop = plan.throw.starts(limits), plan.throw.stops(limits)
         times = ", ".join(f"{start:.2f}" for start in starts[:-1])
         begin = np.degrees(plan.throw.angles(limits)[0])
+        start = "swings, in the state that the plan's file holds (q0, qd0)," if plan.cast_setup.q0 else "hangs at rest"
         lines = [
             f"Target: a round peg, {_place(plan.target)}.",
             (
-                f"The rope hangs at rest from the arm at {begin:.0f} degrees (0 hangs down). The arm makes "
-                f"{_swings(plan)}, begun at {times} s, and a last move at {starts[-1]:.2f} s; it stands still from "
-                f"{stop:.2f} s on."
+                f"The rope {start} from the arm at {begin:.0f} degrees (0 hangs down, 90 points along +x). The arm "
+                f"makes {_swings(plan)}, begun at {times} s, and a last move at {starts[-1]:.2f} s; it stands still "
+                f"from {stop:.2f} s on."
             ),
         ]
         if cast is not None and cast.completed:
@@ -135,8 +136,8 @@ class CastReport(PlanReport[CastPlan]):
             lines.append(_hold(self.held))
         if plan.success_probability is not None:
             lines.append(
-                f"Success probability: in simulated scenarios with rope, friction and motor drawn anew from the given "
-                f"uncertainty, the throw succeeds {plan.success_probability}."
+                f"Success probability: the rope stays wound in {plan.success_probability} of simulated scenarios with "
+                f"rope, friction and motor drawn anew from the given uncertainty. Slip and hold force are not asked."
             )
         return tuple(lines)
 

@@ -65,7 +65,7 @@ class WhipReport(PlanReport[WhipPlan]):
             )
             if impact is not None and impact.message:
                 self.verdict += f" A peg there is not struck by the tip: {impact.message}."
-        self.warning = torque_warning(plan, plan.outcome)
+        self.warning = " ".join(filter(None, (torque_warning(plan, plan.outcome), _finer_warning(plan))))
         self.target = (
             f"x = {target.x:.3g} m, y = {target.y:.3g} m, {_direction(target)}, at {target.least_speed:.3g} m/s or more"
         )
@@ -73,7 +73,7 @@ class WhipReport(PlanReport[WhipPlan]):
 
     def _tiles(self) -> tuple[tuple[str, str], ...]:
         plan, target, seen, impact = self.plan, self.plan.target, self.plan.outcome, self.impact
-        shown = [(f"{target.x:.3g}, {target.y:.3g} m", "target: x and y (up) from the motor's shaft")]
+        shown = [(f"{target.x:.3g}, {target.y:.3g} m", "target: x and y (up)")]
         if plan.strokes is not None:
             shown.append((stroke_count(plan), "of the arm to and fro"))
         if seen is not None:
@@ -184,3 +184,9 @@ def _checks(plan: WhipPlan) -> TextTable:
         rows.append((name, links, peak, speed, length(seen.miss, 2), off, clear))
     names = ("run", "links", "peak", "speed", "misses by", "off the direction", clear_of(plan.cast_setup))
     return TextTable(names, tuple(rows))
+
+
+def _finer_warning(plan: WhipPlan) -> str:
+    """Return what the finer run of a plan that succeeds lacks, though a whip may succeed without it; else ""."""
+    finer = plan.finer_outcome
+    return f"With links of half the length {finer.message}." if plan.success and finer and finer.message else ""
