@@ -71,11 +71,9 @@ def test_a_plan_is_asked_for_the_pull_by_a_tug(monkeypatch, asked, stands):
 def test_a_pull_that_is_less_than_is_asked_tells_nothing_of_more(monkeypatch):
     cast = planned().outcome
     held = measure_holding_force(cast.run, PEG)
-    monkeypatch.setattr(
-        outcome, "measure_holding_force", lambda *_, **__: replace(held, tug=replace(held.tug, slipped=False))
-    )
+    monkeypatch.setattr(outcome, "_tugged", lambda *_, **__: replace(held, tug=replace(held.tug, slipped=False)))
     assert require_holding_force(cast, PEG, 2.0 * held.force).message.startswith("it was pulled with")
-    monkeypatch.setattr(outcome, "measure_holding_force", lambda *_, **__: None)
+    monkeypatch.setattr(outcome, "_tugged", lambda *_, **__: None)
     assert require_holding_force(cast, PEG, 0.1).message == "its holding force could not be simulated"
     assert require_holding_force(cast, PEG, 0.0) is cast
 

@@ -437,6 +437,8 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     ("first", "second", "enough"),
     [
         ({}, {}, True),
+        ({"turns": 1.34}, {"turns": 1.26}, False),  # and 1.25 are asked: more of a difference than is to spare
+        ({"turns": 1.34}, {"turns": 1.31}, True),
         ({"slip": 3e-3}, {}, False),  # 5 mm are allowed
         # on top of the peg, from where it may fall to either side
         ({"turns": 2.2}, {"turns": 2.2, "tip_hangs": False}, False),
@@ -717,6 +719,22 @@ def test_a_throw_that_touches_at_another_time_with_shorter_links_does_not_stand(
     _, second = work.verify_twice(cast_planner.Candidate(2.0, 2.0, 1, np.zeros(3), None))  # type: ignore[arg-type]
     assert second is not None
     assert second.success is holds
+
+
+@pytest.mark.parametrize(
+    ("given", "shorter", "holds"),
+    [(3.3, 1.3, False), (3.3, 2.0, True), (0.2, 5.5, False), (0.1, 0.16, True), (-4.0, -9.0, True), (90.0, 50.0, True)],
+)
+def test_a_throw_that_passes_its_arm_by_less_than_two_runs_differ_does_not_stand(
+    given: float, shorter: float, holds: bool
+) -> None:
+    """All in mm; below 0 where the rope may go through its arm, as the user says."""
+    first = planned().outcome
+    assert first is not None
+    first = replace(first, clearance=1e-3 * given)
+    finer = foreseen(first, replace(first, clearance=1e-3 * shorter))
+    assert finer.success is holds
+    assert holds or f"it passes {shorter:.1f} mm, not {given:.1f} mm" in failure(first, finer, False)
 
 
 def test_a_throw_without_a_margin_is_simulated_once_with_links_of_each_length(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,8 @@
 """Plans, and limits of a motor, read back from the files that they were written to."""
 
+from collections.abc import Mapping
 from dataclasses import fields
+from typing import Any
 
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
@@ -52,7 +54,7 @@ def read_limits(path: files.PathLike) -> MotorLimits | None:
 
     Raises FileProblem or InvalidInput if the file cannot be read, or holds limits that cannot be.
     """
-    content = files.read_toml(path)
+    content: Mapping[str, Any] = files.read_toml(path)
     for name in (PLAN, "cast_setup") if PLAN in content else ():
         content = checks.mapping(f"{name} of {path}", content.get(name, {}))
     if "limits" not in content:

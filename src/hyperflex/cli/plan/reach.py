@@ -63,8 +63,8 @@ def reach_map(
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
     task = planner.read_task(setup, rope, arm_length, limits, {"clearance": clearance, "contact": contact})
     first = planner.first_peg(task)
-    usual = ((0.0, 0.0), radius or RADIUS) if first is None else (None, radius)
-    like = planner.peg_of(task, *usual, mu)
+    place = (0.0, 0.0) if first is None else None
+    like = planner.peg_of(task, place, radius or (RADIUS if first is None else None), mu)
     with _processes(workers) as executor:
         found = output.partial_of(
             lambda: build_reach_map(

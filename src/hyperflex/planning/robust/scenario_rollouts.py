@@ -104,7 +104,7 @@ def first_strikes(
     t, q, qd = free_flight(batch, arm, float(until.max()), time_budget=time_budget, threads=threads)
     base = np.stack([strikes.arm_tip(arm, motion, t)[0] for motion in batch.motions])
     lengths = np.stack([rope.length for rope in batch.ropes])
-    finite = np.isfinite(q).all(axis=2)
+    finite: Array = np.asarray(np.isfinite(q).all(axis=2))
     at, gap = np.zeros(len(batch), dtype=np.int64), np.zeros(len(batch))
     for peg in dict.fromkeys((peg.x, peg.y, peg.radius) for peg in batch.pegs):
         same = [m for m, one in enumerate(batch.pegs) if (one.x, one.y, one.radius) == peg]

@@ -170,9 +170,7 @@ def plan_cast(
     cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0, obstacles, behind)
     if uncertainty is not None:
         refuse_behind(cast_setup.behind, "a plan with an uncertainty")
-    touch = ""
-    if state0 is not None:
-        cast_setup, touch = _swinging(cast_setup, state0, target)
+    cast_setup, touch = (cast_setup, "") if state0 is None else _swinging(cast_setup, state0, target)
     # Refuses, before any search, what cannot touch a peg
     Setup(cast_setup.rope, arm=cast_setup.arm, pegs=cast_setup.beside(target))
     cuts(cast_setup.rope, (target, *behind), arm=cast_setup.arm)  # or not be wound round it
@@ -184,8 +182,8 @@ def plan_cast(
     known = check_feasibility(cast_setup, target, holding_force=holding_force)
     search = ThrowSearch(cast_setup, target, checks.count("seed", seed, least=0), threads, holding_force)
     if touch or not search.parametrizations:
-        touch = touch or "the rope begins in the target, or beside it in an obstacle"
-        known = replace(known, impossible=True, message=touch)
+        inside = "the rope begins in the target, or beside it in an obstacle"
+        known = replace(known, impossible=True, message=touch or inside)
     if known.impossible or not (known.feasible or skip_feasibility):
         plan = CastPlan(cast_setup, target, known, message=known.message)
     else:
