@@ -18,6 +18,7 @@ from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.feasibility import MIN_ENERGY, Feasibility, check_feasibility
 from hyperflex.planning.wind.verified import (
+    SPARE_TURNS,
     Verified,
     both,
     covers,
@@ -39,7 +40,7 @@ MIN_TAIL = 0.5  # turns of tail, at least, that a swing is taken to have for tha
 NEARLY = 0.9  # score of a throw in contact that is worth being refined though all swings strike late
 # Fraction of the time until which throws without a margin are not verified to the end, nor others without so many turns
 # and so much score to spare: of throws with these 37 of 46 held when verified, of others 13 of 33
-EARLY, SPARE_TURNS, SPARE_SCORE = 0.05, 0.1, 0.25
+EARLY, SPARE_SCORE = 0.05, 0.25
 FOLDING = 0.5  # fraction of the time until which throws that slip are not verified, nor ropes folded flat simulated on
 # Fraction of the time, s at least, after which a search without a plan begins anew with other random numbers: five that
 # found nothing in 40 s took 7 to 16 with other seeds. Both grow with the square of the time until the strike: of six
@@ -61,7 +62,6 @@ TRIES = 3  # looks at new candidates at most between two generations
 # All 45 plans for targets of two ropes that stood with 1.5 were confirmed by a judge, with a margin or without
 BETTER = 1.25
 FULL_TURN = 2.0 * np.pi  # rad of contact that a search goes on for where the rope is long enough, if none is asked for
-
 STANDS = "a cast stands; one with a margin is sought"
 
 

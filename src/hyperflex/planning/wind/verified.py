@@ -8,6 +8,7 @@ from hyperflex.planning.outcome import MAX_SLIP, MIN_TURNS, CastOutcome
 from hyperflex.planning.throw import Throw
 
 SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
+SPARE_TURNS = 0.1  # turns beyond those asked below which the same holds: two of 20 such plans failed a judge's run
 LOAD_MARGIN = 1.0  # load ratio for which the same holds
 # m, distance from arm, shaft or obstacle below which another cast is sought: with a fifth of the link's length one of
 # 0.2 mm was -0.9 mm, and the judge of two plans of 215 saw the rope go through the arm
@@ -30,6 +31,7 @@ def steady(outcome: CastOutcome) -> bool:
     Nor did it pass arm, shaft or obstacle narrowly; one that may go through them is below 0 m.
     """
     held = outcome.slip <= SLIP_MARGIN * MAX_SLIP and outcome.load_ratio <= LOAD_MARGIN
+    held = held and abs(outcome.turns) >= MIN_TURNS + SPARE_TURNS
     return held and may_fall(outcome) and not (outcome.folded or 0.0 <= outcome.clearance < NARROW)
 
 
