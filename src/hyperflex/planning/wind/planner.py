@@ -51,7 +51,7 @@ SWINGING = 0.5  # fraction of the time after which the search goes on in contact
 RESTART = 12  # generations in contact from one candidate
 LEAST = 1.0  # score of throws that wind and are worth a verification: less have those that slip by more than 2 cm
 ALIKE = 0.05  # points that differ by less are one
-# Pieces of each link in verifications after the first; the last one is for ropes that end on top of the peg
+# Pieces of each link in verifications after the first: without a margin, and for ropes that end on top of the peg
 FINER = (2, 3, 5)
 FINER_STEP = 4e-4  # s, contact step there, twice the usual one: of 20 casts the turns differ by 0.003 at most
 SEARCHING = 0.85  # fraction of the time after which only verifications are begun
@@ -227,7 +227,7 @@ class CastPlanner:
         """Verify candidates twice, all at once; those that succeed without a margin wait for more verifications."""
         self.checked += some
         with ThreadPoolExecutor(max(1, len(some))) as pool:
-            seen = list(pool.map(self.verify_shorter, some))
+            seen = list(pool.map(self.verify_twice, some))
         for one, (first, second) in zip(some, seen, strict=True):
             found = one.throw, first, second
             if first.success and (second is None or second.success) and not with_margin(found):
@@ -294,34 +294,44 @@ class CastPlanner:
         return found
 
     def verify(self, one: Candidate, seen: Verified | None = None) -> tuple[CastOutcome, CastOutcome | None]:
-        """Verify a throw on the rope as given and with shorter links, with the shortest if it ends on top of the peg.
+        """Verify a throw on the rope as given and with links of half the length; without a margin with shorter ones.
 
-        `seen` are the outcomes of :meth:`verify_shorter` if these are known.
+        `seen` are the first two outcomes if these are known; the last run is made beside the third where both are
+        needed. Of those with shorter links the one that fails is returned, or the one whose turns differ most:
+        unpredictable throws differ with the length of the links.
         """
-        first, finer = seen[1:] if seen else self.verify_shorter(one)
-        if first is None or finer is None or not finer.success or all(map(may_fall, (first, finer))):
-            return first, finer  # type: ignore[return-value] # there is a first one
-        last = self.run_once(self.finer[-1], one, self.left, FINER_STEP)
-        return first, worst_of(first, [finer, foreseen(first, last)])
+        first, second = seen[1:] if seen else self.verify_twice(one)
+        if first is None or second is None or not second.success or with_margin((None, first, second)):
+            return first, second  # type: ignore[return-value] # there is a first one
 
-    def verify_shorter(self, one: Candidate) -> tuple[CastOutcome, CastOutcome | None]:
-        """Verify a throw on the rope as given and, beside that, with links of half and of a third of the length.
+        def third() -> CastOutcome:
+            return foreseen(first, self.run_once(self.finer[1], one, self.left, FINER_STEP))
 
-        Of the latter the outcome that fails is returned, or the one that tells the worst; None if the first one fails.
-        """
+        alone = all(map(may_fall, (first, second)))  # if not, the last one is needed where the third succeeds
+        found, last = (third(), None) if alone else self.beside(third, self.finer[2], one)
+        finer = [second, found]
+        worst = worst_of(first, finer)
+        if worst.success and not all(map(may_fall, (first, *finer))):
+            last = foreseen(first, last or self.run_once(self.finer[2], one, self.left, FINER_STEP))
+            worst = worst_of(first, [worst, last]) if last.success else last
+        return first, worst
+
+    def verify_twice(self, one: Candidate) -> tuple[CastOutcome, CastOutcome | None]:
+        """Verify a throw on the rope as given and, beside that, with links of half the length unless that fails."""
         until = self.spent + max(LONGEST * self.time_budget, 0.5 * self.left())
         given = self.search.cast_setup, one, lambda: min(until - self.spent, self.left()), DEFAULT_CONTACT_STEP
+        first, second = self.beside(partial(self.run_once, *given), self.finer[0], one)
+        return first, foreseen(first, second) if first.success else None
 
-        def shorter(failed: Callable[[], bool]) -> list[CastOutcome]:
-            found: list[CastOutcome] = []
-            for cut in self.finer[:-1]:
-                found.append(self.run_once(cut, one, lambda: -1.0 if failed() else self.left(), FINER_STEP))
-                if not found[-1].success:
-                    break
-            return found
+    def beside(
+        self, begin: Callable[[], CastOutcome], cut: CastSetup, one: Candidate
+    ) -> tuple[CastOutcome, CastOutcome]:
+        """Verify a throw, and beside that with links cut, which ends where the first run fails."""
 
-        first, finer = both(partial(self.run_once, *given), shorter, self.search.workers)
-        return first, worst_of(first, [foreseen(first, each) for each in finer]) if first.success else None
+        def other(failed: Callable[[], bool]) -> CastOutcome:
+            return self.run_once(cut, one, lambda: -1.0 if failed() else self.left(), FINER_STEP)
+
+        return both(begin, other, self.search.workers)
 
     def run_once(self, cast_setup: CastSetup, one: Candidate, left: Callable[[], float], step: float) -> CastOutcome:
         """Simulate a throw on a rope with a contact `step`, s, and a tug at its end, in the time that is `left`, s."""

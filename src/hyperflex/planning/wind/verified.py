@@ -56,9 +56,9 @@ def foreseen(first: CastOutcome, finer: CastOutcome) -> CastOutcome:
 
 
 def both(
-    begin: Callable[[], CastOutcome], other: Callable[[Callable[[], bool]], list[CastOutcome]], threads: int
-) -> tuple[CastOutcome, list[CastOutcome]]:
-    """Return outcomes of runs beside each other; `other` is given what tells it whether the first one failed."""
+    begin: Callable[[], CastOutcome], other: Callable[[Callable[[], bool]], CastOutcome], threads: int
+) -> tuple[CastOutcome, CastOutcome]:
+    """Return the outcomes of two runs beside each other; `other` is given what tells it whether the first failed."""
     failed: list[CastOutcome] = []
 
     def first() -> CastOutcome:
@@ -116,13 +116,14 @@ def promise(seen: Verified, contact: float) -> tuple[int, bool, bool, bool, floa
 
 
 def worst_of(first: CastOutcome, finer: Sequence[CastOutcome]) -> CastOutcome:
-    """Return of the runs with shorter links the first that fails, or the one that tells the worst.
-
-    That is one whose rope ends on top of the peg and must not fall, or else the one whose turns differ most from those
-    of the `first` run: unpredictable throws differ with the length of the links.
-    """
-    failed = [each for each in finer if not each.success]
-    return failed[0] if failed else max(finer, key=lambda each: (not may_fall(each), abs(each.turns - first.turns)))
+    """Return of the runs with shorter links the first that fails, or the one whose turns differ most from `first`."""
+    worst = finer[0]
+    for each in finer:
+        if not each.success:
+            return each
+        if abs(each.turns - first.turns) > abs(worst.turns - first.turns):
+            worst = each
+    return worst
 
 
 def failure(outcome: CastOutcome | None, finer: CastOutcome | None, interrupted: bool) -> str:
