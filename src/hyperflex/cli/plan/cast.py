@@ -70,9 +70,10 @@ def cast(
     The first plan that stands, and each better one, is told on standard error when it is found. The search ends with a
     plan that has a margin, or with the time.
 
-    The plan is verified in simulation, with links near the target cut shorter, then with all links of half the length
-    and, without a margin, of a third. Writes a page on which the run plays, pictures, the motion for the motor (CSV),
-    the verified run (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are replaced.
+    The plan is verified in simulation, with links near the target cut shorter, then with all links of a third of the
+    length and, without a margin, of half. Writes a page on which the run plays, pictures, the motion for the motor
+    (CSV), the verified run (NetCDF) and a set-up that simulate runs; files of an earlier cast in the folder are
+    replaced.
 
     Ctrl-C ends the search; the best so far is written, and marked as such, without pictures (in the first seconds,
     while the target is checked, there is nothing yet). While page and pictures are drawn, it leaves the plan's other

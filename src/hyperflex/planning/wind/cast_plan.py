@@ -36,8 +36,8 @@ class CastPlan(Plan):
     outcome : CastOutcome or None
         Its outcome in a simulated run; None if Ctrl-C came before.
     finer_outcome : CastOutcome or None
-        Its outcome with links of half the length; without a margin, of that run and of those with links of a third and
-        a fifth the one that fails or differs most.
+        Its outcome with links of a third of the length; without a margin, of that run and of those with links of half
+        and a fifth the one that fails or differs most.
     success_probability : SuccessProbability or None
         In scenarios that the search has not seen; only with an uncertainty.
     fallback : FallbackTarget or None

@@ -101,10 +101,10 @@ def plan_cast(
     time_budget : float
         Time by the clock for search, verifications and success probability, s, without compiling; on a busy machine,
         too. A plan that succeeds with a margin ends the search before: it makes 0.1 turns more than are asked, slips by
-        at most 0.4 of what is allowed, is pulled with no more than the capstan equation allows, its end hangs from the peg, or may fall from its top and
-        lose a turn, it was not folded flat on the way, and winds alike with shorter links. One without ends it at 1.25
-        times the time in which the first plan stood. With an uncertainty, one with a margin that succeeds in all
-        sampled scenarios does.
+        at most 0.4 of what is allowed, is pulled with no more than the capstan equation allows, its end hangs from the
+        peg, or may fall from its top and lose a turn, it was not folded flat on the way, and winds alike with shorter
+        links. One without ends it at 1.25 times the time in which the first plan stood. With an uncertainty, one with a
+        margin that succeeds in all sampled scenarios does.
     skip_feasibility : bool
         Search even for a target that the feasibility check calls out of reach.
     fallback : bool
