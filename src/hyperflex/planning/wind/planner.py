@@ -42,7 +42,7 @@ NEARLY = 0.9  # score of a throw in contact that is worth being refined though a
 # and so much score to spare: of throws with these 37 of 46 held when verified, of others 13 of 33
 EARLY, SPARE_SCORE = 0.05, 0.25
 FOLDING = 0.5  # fraction of the time until which throws that slip are not verified, nor ropes folded flat simulated on
-# Fraction of the time, s at least, after which a search without a plan begins anew: five that found nothing in 40 s took
+# Fraction of the time, s at least, after which a search without a plan begins anew: five that found none in 40 s took
 # 7 to 16 with other random numbers. Both grow with the square of the time until the strike; else 2, not 4, of 6 stood
 ANEW, SHORT = 0.15, 5.0
 FREE = 0.2  # fraction of the time in which late swings are not tried in contact before they are worth it
