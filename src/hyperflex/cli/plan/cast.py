@@ -26,7 +26,12 @@ def cast(
     acceleration: planner.Acceleration = None,
     torque: planner.Torque = None,
     holding_force: Annotated[float, typer.Option(help="Pull that the wound rope should withstand, N.")] = 0.0,
-    contact: planner.Contact = None,
+    contact: Annotated[
+        float | None,
+        typer.Option(
+            help="Least angle of the target that the rope must cover, rad. [default: none, but a full turn is sought]",
+        ),
+    ] = None,
     clearance: planner.Clearance = None,
     time_limit: Annotated[
         float | None,

@@ -63,12 +63,6 @@ Acceleration = Annotated[
     float | None, typer.Option(help="Greatest acceleration, rad/s^2. [default: 23.6, the paper's]")
 ]
 Torque = Annotated[float | None, typer.Option(help="Greatest torque, N m. [default: not limited]")]
-Contact = Annotated[
-    float | None,
-    typer.Option(
-        help="Least angle of the target that the rope must cover, rad. [default: none, but a full turn is sought]",
-    ),
-]
 Clearance = Annotated[
     float | None,
     typer.Option(
