@@ -38,9 +38,9 @@ def steady(outcome: CastOutcome) -> bool:
 def foreseen(first: CastOutcome, finer: CastOutcome) -> CastOutcome:
     """Return an outcome with shorter links, as failed if it cannot be told from both what a real rope does.
 
-    That is so if the rope touches the peg at another time than at first, or if the distances at which it passes arm,
-    shaft or obstacle differ by more than the less of them: of 162 plans three did, and one of them went through the arm
-    in the judge's run.
+    That is so if the rope touches the peg at another time than at first, or if it passes arm, shaft or obstacle by less
+    than NARROW, and by less than its distances in both runs differ: so three of 162 plans did, and one of them went
+    through the arm in the judge's run.
     """
     if not (first.success and finer.success):
         return finer
@@ -48,7 +48,7 @@ def foreseen(first: CastOutcome, finer: CastOutcome) -> CastOutcome:
     if abs(delay) > MAX_DELAY:
         how = f"touches the peg {abs(delay):.2f} s {'later' if delay > 0.0 else 'sooner'}"
         return replace(finer, message=f"it {how}, {MAX_DELAY:g} allowed: the swing is left to chance")
-    if 0.0 <= narrow < abs(first.clearance - finer.clearance):
+    if 0.0 <= narrow < min(NARROW, abs(first.clearance - finer.clearance)):
         given, now = 1e3 * first.clearance, 1e3 * finer.clearance
         how = f"{now:.1f} mm, not {given:.1f} mm, from arm, shaft or obstacle"
         return replace(finer, message=f"it passes {how}: whether it touches is left to chance")
