@@ -16,6 +16,7 @@ from hyperflex.planning import SuccessProbability, Uncertainty, estimate_success
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.robust import scenario_rollouts
 from hyperflex.planning.robust.scenario_rollouts import first_strikes, nominal_strike_times, scenario_scores
+from hyperflex.planning.search.contact_phase import WindingScores
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.simulation import Deadline
 from tests.planning.known import contact_scores, planned, simulated_strikes
@@ -130,19 +131,20 @@ def test_a_flight_that_fails_after_its_strike_has_struck(monkeypatch: pytest.Mon
     assert scenario_scores(CAST_SETUP, throw).turns[0] == 0.0
 
 
-def test_no_flight_of_a_scenario_goes_on_when_no_time_is_left() -> None:
-    """Of a rope with joint limits, which is simulated in contact steps from the start."""
+def test_no_flight_of_a_scenario_goes_on_when_no_time_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a rope with joint limits, which is simulated in contact steps from the start: it does not come to a strike."""
     stiff = replace(CAST_SETUP, rope=CAST_SETUP.rope.replace(max_bend=2.0))
     pairs = [(WINDS, world) for world in NONE.sample(1, stiff, PEG)]
-    looks = 0
+    struck: list[int] = []
 
-    def left() -> float:
-        nonlocal looks
-        looks += 1
-        return 0.5 - looks
+    def simulate_contact(batch: RolloutBatch, *_: object, **__: object) -> WindingScores:
+        struck.append(len(batch))
+        return WindingScores(np.ones(len(batch)), np.ones(len(batch)))
 
-    found = scenario_scores(stiff, pairs, time_budget=Deadline(np.inf, left))
-    assert (found.turns[0], looks < 5) == (0.0, True)
+    monkeypatch.setattr(scenario_rollouts, "simulate_contact", simulate_contact)
+    for left in (1e9, -1.0):
+        scenario_scores(stiff, pairs, time_budget=Deadline(np.inf, lambda left=left: left))  # type: ignore[misc]
+    assert struck == [1]
 
 
 def test_throws_that_win_and_that_never_strike_are_told_apart() -> None:
