@@ -39,7 +39,7 @@ def foreseen(first: CastOutcome, finer: CastOutcome) -> CastOutcome:
     """Return an outcome with shorter links, as failed if it cannot be told from both what a real rope does.
 
     That is so if the rope touches the peg at another time than at first, or if it passes arm, shaft or obstacle by less
-    than NARROW, and by less than its distances in both runs differ: so three of 162 plans did, and one of them went
+    than NARROW, and by less than its distances in both runs differ: so three of 208 plans did, and one of them went
     through the arm in the judge's run.
     """
     if not (first.success and finer.success):
