@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import re
 from dataclasses import replace
@@ -50,11 +51,13 @@ def test_a_plan_without_strokes_is_a_page_with_the_reason(tmp_path):
     assert "out of reach: the rope ends" in words_of(files["page"])
 
 
-def test_what_the_finer_run_lacks_is_a_warning_of_a_plan_that_succeeds():
+def test_what_the_finer_run_lacks_is_a_warning_of_a_plan_that_succeeds(tmp_path):
     plan, message = planned_whip(), "the tip's speed is 4.20 m/s, and 5 is asked"
     assert WhipReport(plan, None).warning == ""
     short = replace(plan, finer_outcome=replace(plan.finer_outcome, message=message))
     assert WhipReport(short, None).warning == f"With links of half the length {message}."
+    page = words_of(WhipReport(short, None).write(tmp_path)["page"])
+    assert f"With links of half the length {message}." in html.unescape(page)
     assert WhipReport(replace(short, message="it misses"), None).warning == ""
 
 

@@ -112,7 +112,7 @@ class WhipReport(PlanReport[WhipPlan]):
                 f"friction is known to {100 * FRICTION_STD:g} %, length to {100 * LENGTH_STD:g} % and each rest of "
                 f"the arm to {1e3 * TIMING_STD:g} ms."
             )
-        return tuple(lines)
+        return (*lines, self.warning) if self.warning else tuple(lines)
 
     def figures(self) -> "dict[str, Figure]":
         """Draw the rope about the peak, the tip's path past the target, and the time course."""
