@@ -200,3 +200,23 @@ def test_joints_are_those_of_a_trajectory() -> None:
     np.testing.assert_allclose(hf.forward_kinematics(rope(), run.q[3]), run.joints[3] - run.joints[3, 0], atol=1e-14)
     with pytest.raises(InvalidInput, match="q has the wrong shape"):
         hf.forward_kinematics(rope(), np.zeros(N + 1))
+
+
+def test_joints_are_sums_of_links_at_any_angle() -> None:
+    rng = np.random.default_rng(5)
+    cable, base = rope(), rng.normal(size=(4, 3, 2))
+    q = rng.normal(size=(4, 3, N)) * np.array([1.0, 1e3, 1e7])[:, None]
+    q[1, 1, 2], q[2, 0] = np.nan, np.arange(N) * np.pi / 2
+    links = cable.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=-1)
+    places = base[..., None, :] + np.concatenate([np.zeros((4, 3, 1, 2)), np.cumsum(links, axis=-2)], axis=-2)
+    told = cable.joints(q, base)
+    # 7 sums of numbers up to 3 m; sine and cosine err by 3e-16, and angles of 1e7 rad know no more than 2e-9 rad.
+    far = np.array([4e-15, 4e-15, 1e-8])[:, None, None]
+    np.testing.assert_array_equal(np.isnan(told), np.isnan(places))
+    assert np.isnan(told[1, 1, 3:]).all()
+    assert (np.nan_to_num(np.abs(told - places)) <= far).all()
+    np.testing.assert_array_equal(cable.joints(np.asfortranarray(q[:, 0]), base[:, 0]), told[:, 0])
+    one = cable.joints(q[0, 0], base[0, 0])
+    np.testing.assert_array_equal(one, told[0, 0])
+    with pytest.raises(InvalidInput, match=r"q has the wrong shape: got \(3,\)"):
+        cable.joints(np.zeros(3), np.zeros(2))

@@ -119,7 +119,7 @@ def array(
     try:
         if np.asarray(value).dtype.kind not in "fiubO":  # numpy would read texts, drop imaginary parts, count times
             raise ValueError
-        result = np.array(value, dtype=np.float64)
+        result = np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError, OverflowError, RecursionError):
         what = "an array of numbers" if shape != () else "a number"
         raise InvalidInput(f"{name} is not {what}", got=value, allowed=want) from None

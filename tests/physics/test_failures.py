@@ -98,13 +98,15 @@ def test_the_arm_of_a_failed_run_is_handed_over_too() -> None:
 def test_a_step_that_is_not_a_number_is_not_taken() -> None:
     setup = hf.Setup(cable(), duration=1.0)
     chain = setup.chain()
-    nan, work = np.full(22, np.nan), np.empty(60)
-    assert (
-        rollout.error_norm(chain, rollout_limits(setup, chain, 1.0), TABLES[0], np.zeros(22), nan, 0.01, work) == np.inf
-    )
-    assert (
-        rollout.error_norm(chain, rollout_limits(setup, chain, 1.0), TABLES[0], nan, np.zeros(22), 0.01, work) == np.inf
-    )
+    limits, work = rollout_limits(setup, chain, 1.0), np.empty(60)
+
+    def sizes(y: float, *errors: float) -> tuple[float, float]:
+        rows = np.repeat(np.array(errors)[:, None], 22, axis=1)
+        return rollout.error_norms(chain, limits, TABLES[0], np.full(22, y), rows, 0.01, work)
+
+    assert max(sizes(0.0, 1e-6, 0.0)) < np.inf
+    for y, *errors in ((0.0, np.nan, 0.0), (0.0, 0.0, np.nan), (np.nan, 0.0, 0.0), (0.0, np.inf, 0.0)):
+        assert sizes(y, *errors) == (np.inf, np.inf)
 
 
 @pytest.mark.parametrize(

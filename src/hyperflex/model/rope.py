@@ -11,6 +11,7 @@ import numpy.typing as npt
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
+from hyperflex.core.chain.articulated_body import joints as write_joints
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model.properties import LINK_NAMES, LINK_PROPERTIES
@@ -232,14 +233,15 @@ class Rope:
 
     def joints(self, q: Array, base: Array) -> Array:
         """Return the joints (..., n + 1, 2), m, from `base` (..., 2) to the tip, at link angles q (..., n), rad."""
-        shape = checks.array("q", q, None, gaps=True).shape[:-1]
-        q = checks.array("q", q, (*shape, self.n_links), unit="rad", gaps=True)
+        angles = checks.array("q", q, None, unit="rad", gaps=True)
+        shape = angles.shape[:-1]
+        if angles.shape != (*shape, self.n_links):
+            checks.array("q", angles, (*shape, self.n_links), unit="rad", gaps=True)
         base = checks.array("base", base, (*shape, 2), unit="m", gaps=True)
         places = np.empty((*shape, self.n_links + 1, 2))
-        places[..., 0, :] = base
-        np.multiply(self.length, np.sin(q), out=places[..., 1:, 0])
-        np.multiply(-self.length, np.cos(q), out=places[..., 1:, 1])
-        return np.cumsum(places, axis=-2, out=places)
+        rows = angles.reshape(-1, self.n_links), base.reshape(-1, 2), places.reshape(-1, self.n_links + 1, 2)
+        write_joints(self.length, *rows)
+        return places
 
     def replace(self, **changes: Any) -> "Rope":
         """Return a rope with the fields named in `changes` replaced; com and inertia stay unless named."""

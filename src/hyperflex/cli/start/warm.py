@@ -171,6 +171,7 @@ def _simulate() -> None:
     hf.simulate(rope, hf.arm_swings(), arm=arm, duration=0.02, method="rk4", step=1e-4)
     hf.simulate(rope, torque=lambda *_: 0.0, arm=hf.Arm(length=0.1, inertia=1e-3), duration=0.02, control_rate=100.0)
     hf.predictability(rope, hf.arm_swings(), arm=arm, duration=0.1)
+    hf.forward_kinematics(rope, [0.0] * rope.n_links)
 
 
 def _sensitivities() -> None:
@@ -203,6 +204,19 @@ def _wound() -> None:
     hf.tug_test(run, peg)
     stepper = hf.Stepper(rope, arm=arm, pegs=[peg])
     stepper.step(stepper.start(), 0.1, dt=0.02)
+
+
+def _plan() -> None:
+    """Compile how planners measure distances at the samples of flights."""
+    from hyperflex.planning.clearance import rope_clearance, samples_clear_of_arm
+    from hyperflex.planning.search.strikes import first_contact
+
+    hf, rope, arm, peg = _parts()
+    run = hf.simulate(rope, hf.arm_swings(), arm=arm, duration=0.02)
+    rope_clearance(run)
+    flights = run.q[None].copy(), run.base[None].copy()
+    samples_clear_of_arm(rope, arm, *flights, 0.0)
+    first_contact(*flights, rope.length, peg, rope.radius)
 
 
 def _dense() -> None:
@@ -256,10 +270,11 @@ CALLS: dict[str, Callable[[], None]] = {
     "sensitivities": _sensitivities,
     "batch": _batch,
     "contact": _contact,
+    "plan": _plan,
     "dense": _dense,
     "wound": _wound,
     "vision": _vision,
     "estimate": _estimate,
 }
 # What one process compiles while another does the other: they share little, and "wound" needs what "simulate" has made.
-LANES = (("simulate", "sensitivities", "estimate"), ("contact", "batch", "dense", "wound", "vision"))
+LANES = (("simulate", "plan", "sensitivities", "estimate"), ("contact", "batch", "dense", "wound", "vision"))

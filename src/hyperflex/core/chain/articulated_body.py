@@ -307,6 +307,23 @@ def energies(chain, q, w, base, trig):  # type: ignore[no-untyped-def]
     return kinetic, potential
 
 
+@kernel
+def joints(length, q, base, out):  # type: ignore[no-untyped-def]
+    """Joints from the first to the tip, `out` (m, n + 1, 2), m, at angles q (m, n), rad; `base` (m, 2) is the first."""
+    m, n = q.shape
+    turned, trig = np.empty(n), np.empty(2 * n)
+    for row in range(m):
+        x, y = base[row, 0], base[row, 1]
+        out[row, 0, 0], out[row, 0, 1] = x, y
+        for i in range(n):
+            turned[i] = q[row, i] if abs(q[row, i]) < 1e6 else q[row, i] % (2.0 * math.pi)
+        sines(turned, trig, 0)
+        for i in range(n):
+            x += length[i] * trig[i]
+            y -= length[i] * trig[n + i]
+            out[row, i + 1, 0], out[row, i + 1, 1] = x, y
+
+
 @non_allocating
 def mass_matrix(chain, q, out):  # type: ignore[no-untyped-def]
     """Mass matrix (n, n) in absolute angles: M_ij = l_i p_j cos(q_i - q_j), i < j (M.4); kg m^2, written to `out`."""

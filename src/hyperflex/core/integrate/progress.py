@@ -94,7 +94,7 @@ class Workspace(NamedTuple):
     alpha: Array  # (n,) accelerations at the beginning of a step
     locked: Array  # (n + 1,) or, where a joint has limits, (2 n + 1,), as in event_search.assess_step
     power: Array  # (3,) of stuck joints, see constraint_torques.stuck_loss
-    kept: Array  # (2 n + 2, MOST_SUBSTEPS) substeps of a step in which there are outputs, and their weights
+    kept: Array  # (MOST_SUBSTEPS, 2 n + 2) substeps of a step in which there are outputs, and their weights
     weight: Array
 
 

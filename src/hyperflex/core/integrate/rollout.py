@@ -48,66 +48,73 @@ from hyperflex.core.integrate.step_size import (
     until_next_event,
 )
 from hyperflex.core.integrate.steps import COURSE, COURSE_ERRORS, rates
-from hyperflex.core.integrate.substeps import add_substeps, weigh_terms
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.integrate.substeps import LOOKS, MOST_SUBSTEPS, add_substeps, weigh_terms
+from hyperflex.core.jit import inlined, kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import QUICK, project_stuck, stuck_loss
 
-ENERGY = 10.0  # see error_norm
+ENERGY = 10.0  # see error_norms
 SETTLED = 0.3  # part of the step behind a switch that its substeps do not tell well
 TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
 
 
-@non_allocating
-def error_norm(chain, limits, table, y, error, step, work):  # type: ignore[no-untyped-def]
-    """Error of a step in units of what is allowed: of any joint's position, of its velocity, of energy.
+@inlined
+def moved(place, sin, cos, by):  # type: ignore[no-untyped-def]
+    """Return a place (x, y), moved by `by` across a link."""
+    return place[0] + cos * by, place[1] + sin * by
 
-    Work and dissipation may err by ENERGY tol / reach of the chain's energy. Without that bound sharp friction,
-    which hardly moves a joint while it changes sign, would leave the energy balance unchecked. `work` is (6 n,)
-    scratch.
+
+@inlined
+def squared(vector):  # type: ignore[no-untyped-def]
+    """Squared length of a vector (x, y)."""
+    return vector[0] * vector[0] + vector[1] * vector[1]
+
+
+@non_allocating
+def error_norms(chain, limits, table, y, errors, step, work):  # type: ignore[no-untyped-def]
+    """Two errors of a step, of `errors` (2, 2 n + 2), each in units of what is allowed; inf, inf if one is not finite.
+
+    The greatest of those of any joint's position, of its velocity and of energy. Work and dissipation may err by
+    ENERGY tol / reach of the chain's energy. Without that bound sharp friction, which hardly moves a joint while it
+    changes sign, would leave the energy balance unchecked. `work` is (6 n,) scratch.
     """
     n = chain.length.size
     sines(y[:n], work, 0)
-    x = vx = z = vz = worst = 0.0
-    ux = uz = kinetic = 0.0  # velocity of the joint and the links' energy, both as seen from the chain's first joint
     time = lasting(step)
+    place = speed = place_b = speed_b = end = (0.0, 0.0)  # end: velocity of the joint, seen from the chain's first one
+    worst = worst_b = total = kinetic = 0.0
     for i in range(n):
-        sin, cos = work[i], work[n + i]
-        a = limits.lever[i] * error[i]
-        b = limits.lever[i] * error[n + i] * time
-        x += cos * a
-        z += sin * a
-        vx += cos * b
-        vz += sin * b
-        position, velocity = x * x + z * z, vx * vx + vz * vz
-        if not (position + velocity < np.inf):  # also where it is not a number, which max would pass over
-            return np.inf
-        worst = max(worst, position, velocity)
-        w = y[n + i]
-        cx, cz = ux + chain.com[i] * cos * w, uz + chain.com[i] * sin * w
-        kinetic += 0.5 * (chain.mass[i] * (cx * cx + cz * cz) + chain.inertia[i] * w * w)
-        ux += chain.length[i] * cos * w
-        uz += chain.length[i] * sin * w
-    kinetic += 0.5 * chain.tip_mass * (ux * ux + uz * uz)
-    energy = abs(error[2 * n] - error[2 * n + 1]) * limits.reach / (ENERGY * (limits.fall + kinetic) + TINY)
-    if not (energy < np.inf):
-        return np.inf
-    return max(math.sqrt(worst), energy) / allowed(limits.tol, step, table.rounding)
+        sin, cos, lever, w = work[i], work[n + i], limits.lever[i], y[n + i]
+        place = moved(place, sin, cos, lever * errors[0, i])
+        speed = moved(speed, sin, cos, lever * errors[0, n + i] * time)
+        place_b = moved(place_b, sin, cos, lever * errors[1, i])
+        speed_b = moved(speed_b, sin, cos, lever * errors[1, n + i] * time)
+        a, b, a_b, b_b = squared(place), squared(speed), squared(place_b), squared(speed_b)
+        worst, worst_b, total = max(worst, a, b), max(worst_b, a_b, b_b), total + a + b + a_b + b_b
+        kinetic += chain.mass[i] * squared(moved(end, sin, cos, chain.com[i] * w)) + chain.inertia[i] * w * w
+        end = moved(end, sin, cos, chain.length[i] * w)
+    kinetic = 0.5 * (kinetic + chain.tip_mass * squared(end))
+    scale = limits.reach / (ENERGY * (limits.fall + kinetic) + TINY)
+    energy = scale * abs(errors[0, 2 * n] - errors[0, 2 * n + 1])
+    energy_b = scale * abs(errors[1, 2 * n] - errors[1, 2 * n + 1])
+    if not (total + energy + energy_b < np.inf):  # also where one is not a number
+        return np.inf, np.inf
+    may = allowed(limits.tol, step, table.rounding)
+    return max(math.sqrt(worst), energy) / may, max(math.sqrt(worst_b), energy_b) / may
 
 
 @kernel
 def error_sizes(chain, limits, table, step, cut, workspace):  # type: ignore[no-untyped-def]
     """Error of the step to ``workspace.out`` in units of what is allowed, and what it would have been at an order less.
 
-    `cut`: the step ends where it was told to. The second is 0.0 where nobody will ask for it.
+    `cut`: the step ends where it was told to.
     """
     if limits.fixed > 0.0:
         return (0.0, 0.0) if np.abs(workspace.out).max() < np.inf else (np.inf, 0.0)
-    size = error_norm(chain, limits, table, workspace.out, workspace.errors[0], step, workspace.stiction.work)
+    work = workspace.stiction.work
+    size, lower_size = error_norms(chain, limits, table, workspace.out, workspace.errors, step, work)
     if cut and step < SMALLEST_STEP and size < np.inf:
         size = 0.0  # an end a few rounding errors away: there is nothing to control
-    if not (size <= 1.0):
-        return size, 0.0
-    return size, error_norm(chain, limits, table, workspace.out, workspace.errors[1], step, workspace.stiction.work)
+    return size, lower_size
 
 
 @non_allocating
@@ -131,12 +138,11 @@ def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, want
 @non_allocating
 def course_size(chain, limits, table, step, workspace):  # type: ignore[no-untyped-def]
     """Error of what the kept substeps say of the course of a step, in units of what the step may err."""
-    errors, size = workspace.errors[0], 0.0
-    for weight in COURSE_ERRORS[table.order]:
-        errors[:] = 0.0
-        add_substeps(weight[: table.column.size], workspace.kept, errors)
-        size = max(size, error_norm(chain, limits, table, workspace.out, errors, step, workspace.stiction.work))
-    return size
+    errors, weights = workspace.errors, COURSE_ERRORS[table.order]
+    errors[:] = 0.0
+    for look in range(len(LOOKS)):
+        add_substeps(weights[look, : table.column.size], workspace.kept, errors[look])
+    return max(error_norms(chain, limits, table, workspace.out, errors, step, workspace.stiction.work))
 
 
 @non_allocating
@@ -278,7 +284,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             save_mark(progress)
         order = min(max(int(clock[ORDER]), limits.least), limits.most)
         table = tables[order - tables[0].order]
-        kept = workspace.kept[: y.size if looked_at and samples(clock, t_out, t + step) else 0]
+        kept = workspace.kept[: MOST_SUBSTEPS if looked_at and samples(clock, t_out, t + step) else 0]
         advance(chain, drive, part, table, fixed, t, step, y, slip, workspace.out, kept, workspace)
         clock[TAKEN] += 1
         size, lower_size = error_sizes(chain, limits, table, step, cut, workspace)

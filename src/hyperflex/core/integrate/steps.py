@@ -156,7 +156,7 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, kept, lanes,
     chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
     y, out : (2 n + 2,) state, new state (out)
     errors : (2, 2 n + 2) out, error estimates of the result, and of the one that an order less would have given
-    kept : (2 n + 2, MOST_SUBSTEPS) out, the substeps (``substeps.keep``); (0, ...) where nobody will ask for them
+    kept : (MOST_SUBSTEPS, 2 n + 2) out, the substeps (``substeps.keep``); (0, ...) where nobody will ask for them
     lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
     base, trig : (9, lanes), (2 n,) scratch
     """

@@ -44,13 +44,13 @@ def keep(turn, y, lanes, kept):  # type: ignore[no-untyped-def]
     """Keep what the lanes have reached in a round, less the state y (2 n + 2,) that the step began with."""
     k = len(ln.COLUMNS)
     n = (y.size - 2) // 2
-    for i in range(n):
-        for j in range(k):
-            kept[i, turn * k + j] = lanes[((i + 1) * ln.ROW + ln.Q) * k + j] - y[i]
-            kept[n + i, turn * k + j] = lanes[((i + 1) * ln.ROW + ln.W) * k + j] - y[n + i]
     for j in range(k):
-        kept[2 * n, turn * k + j] = lanes[ln.WORK * k + j] - y[2 * n]
-        kept[2 * n + 1, turn * k + j] = lanes[ln.LOST * k + j] - y[2 * n + 1]
+        row = kept[turn * k + j]
+        for i in range(n):
+            row[i] = lanes[((i + 1) * ln.ROW + ln.Q) * k + j] - y[i]
+            row[n + i] = lanes[((i + 1) * ln.ROW + ln.W) * k + j] - y[n + i]
+        row[2 * n] = lanes[ln.WORK * k + j] - y[2 * n]
+        row[2 * n + 1] = lanes[ln.LOST * k + j] - y[2 * n + 1]
 
 
 @summing
@@ -64,15 +64,14 @@ def weigh_terms(terms, part, weight):  # type: ignore[no-untyped-def]
 
 @summing
 def add_substeps(weight, kept, out):  # type: ignore[no-untyped-def]
-    """Add to `out` (2 n + 2,) the kept substeps, each times its weight; `weight` may be shorter."""
-    for i in range(kept.shape[0]):
-        total = 0.0
-        for s in range(weight.size):
-            total += weight[s] * kept[i, s]
-        out[i] += total
+    """Add to `out` (2 n + 2,) the kept substeps, each times its weight; of `weight` there are whole rounds."""
+    for s in range(0, weight.size, 4):  # four at once: `out` is read and written a quarter as often
+        a, b, c, d = weight[s], weight[s + 1], weight[s + 2], weight[s + 3]
+        for i in range(out.size):
+            out[i] += (a * kept[s, i] + b * kept[s + 1, i]) + (c * kept[s + 2, i] + d * kept[s + 3, i])
 
 
 @kernel
 def new_substeps(n):  # type: ignore[no-untyped-def]
-    """Room for the substeps of a chain of n links (2 n + 2, MOST_SUBSTEPS), and for their weights."""
-    return np.zeros((2 * n + 2, MOST_SUBSTEPS)), np.zeros(MOST_SUBSTEPS)
+    """Room for the substeps of a chain of n links (MOST_SUBSTEPS, 2 n + 2), and for their weights."""
+    return np.zeros((MOST_SUBSTEPS, 2 * n + 2)), np.zeros(MOST_SUBSTEPS)
