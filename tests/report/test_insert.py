@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import html
 from dataclasses import replace
 
 import hyperflex as hf
 from hyperflex.report import InsertReport, plan_html
+from hyperflex.report import plan as plan_report
 from tests.planning.known_insert import far_insert, planned_insert
 from tests.report.test_whip import words_of
 
@@ -25,6 +27,18 @@ def test_the_page_names_slot_strokes_and_clearance(tmp_path):
     ):
         assert told in page, told
     assert set(files) == {"motion", "plan", "run", "page", "entry", "gap", "course"}
+
+
+def test_the_page_tells_a_great_torque(tmp_path, monkeypatch):
+    plan = planned_insert()
+    words = "Give --torque to plan for a weaker motor"
+    assert words not in words_of(InsertReport(plan).write(tmp_path / "calm")["page"])
+    monkeypatch.setattr(plan_report, "STRONG", 0.0)
+    rope, arm = plan.cast_setup.rope, plan.cast_setup.arm
+    heavy = replace(plan, cast_setup=replace(plan.cast_setup, rope=rope.replace(tip_mass=0.5)))
+    page = html.unescape(words_of(InsertReport(heavy).write(tmp_path / "heavy")["page"]))
+    assert words in page
+    assert f"the rope's weight at the arm makes {(rope.mass.sum() + 0.5) * 9.81 * arm.length:.2g} N m" in page
 
 
 def test_a_probability_that_knows_no_obstacles_says_so():

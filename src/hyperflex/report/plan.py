@@ -242,7 +242,7 @@ def torque_warning(plan: Plan, seen: Outcome | None) -> str:
     if seen is None or not plan.success or math.isfinite(plan.cast_setup.limits.torque):
         return ""
     rope, arm = plan.cast_setup.rope, plan.cast_setup.arm
-    weight = (rope.total_mass + rope.tip_mass) * math.hypot(*rope.gravity) * arm.length
+    weight = rope.total_mass * math.hypot(*rope.gravity) * arm.length
     if not seen.torque > STRONG * weight:
         return ""
     return (

@@ -96,7 +96,7 @@ class InsertReport(PlanReport[InsertPlan]):
                 f"{1e3 * plan.position_std:.0f} mm if friction is known to {100 * FRICTION_STD:g} %, length to "
                 f"{100 * LENGTH_STD:g} % and each rest of the arm to {1e3 * TIMING_STD:g} ms."
             )
-        return tuple(lines)
+        return (*lines, self.warning) if self.warning else tuple(lines)
 
     def figures(self) -> "dict[str, Figure]":
         """Draw the rope until the tip is inside, its way through the gap, and the time course."""
