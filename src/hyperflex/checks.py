@@ -94,7 +94,7 @@ def array(
     gaps: bool = False,
     infinite: bool = False,
 ) -> Array:
-    """Return `value` as a fresh read-only float64 array of the given shape.
+    """Return `value` as a fresh read-only float64 array of the given shape, in C order.
 
     Parameters
     ----------

@@ -18,11 +18,14 @@ from hyperflex.core import cache
 needs_compiler = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 
 CALLS = """
+import pickle
+
 import numpy as np
 import hyperflex as hf
 from hyperflex.core.jit import compiling
 from hyperflex.estimate import ChangeTests, EstimatedParameter, Observations, RopeFilter
 from hyperflex.estimate.live.worker import TrackingTask
+from hyperflex.planning.clearance import rope_clearance
 from hyperflex.sensors import MotorTorque
 from hyperflex.vision import Camera, MarkerColour
 
@@ -49,7 +52,9 @@ hf.simulate(dry, swing, arm=arm, duration=0.1, pegs=[free])
 hf.simulate(rope, duration=0.1, state=runs[0].state)
 hf.tug_test(wound, peg)
 hf.measure_winding(wound, peg)
-hf.plan_cast(rope, arm, hf.Peg(0.3, -0.8, 0.02), time_budget=2.0, seed=1, skip_feasibility=True)
+assert hf.plan_cast(rope, arm, hf.Peg(0.3, -0.8, 0.02), time_budget=2.0, seed=1, skip_feasibility=True).runs > 0
+rope_clearance(runs[0])
+hf.forward_kinematics(pickle.loads(pickle.dumps(rope)), np.zeros(6))
 hf.simulate_batch([rope, dry], swing, arm=arm, duration=0.1)
 hf.simulate_batch([rope, rope], swing, arm=arm, duration=0.1, pegs=[peg])
 hf.sensitivities(dry, swing, arm=arm, duration=0.1, wrt=["q0", "friction", "dry_friction", "drag", "motion.t_rest"])

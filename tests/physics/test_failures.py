@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.checks import Array
 from hyperflex.core.integrate import rollout
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.simulation import time_budget
@@ -95,18 +96,28 @@ def test_the_arm_of_a_failed_run_is_handed_over_too() -> None:
     assert (more.arm_angle[0], more.arm_rate[0]) == (part.arm_angle[-1], part.arm_rate[-1]) != (0.0, 0.0)
 
 
-def test_a_step_that_is_not_a_number_is_not_taken() -> None:
+def test_two_errors_of_a_step_are_told_apart_and_none_that_is_not_a_number_is_taken() -> None:
     setup = hf.Setup(cable(), duration=1.0)
     chain = setup.chain()
-    limits, work = rollout_limits(setup, chain, 1.0), np.empty(60)
+    limits, work, rng = rollout_limits(setup, chain, 1.0), np.empty(60), np.random.default_rng(3)
+    y, errors = rng.normal(size=22), 1e-6 * rng.normal(size=(2, 22))
+    errors[:, 20:] *= np.array([[1.0], [1e3]])  # the second errs most in energy
 
-    def sizes(y: float, *errors: float) -> tuple[float, float]:
-        rows = np.repeat(np.array(errors)[:, None], 22, axis=1)
-        return rollout.error_norms(chain, limits, TABLES[0], np.full(22, y), rows, 0.01, work)
+    def sizes(*rows: Array, at: Array = y) -> tuple[float, float]:
+        return rollout.error_norms(chain, limits, TABLES[0], at, np.array(rows), 0.01, work)
 
-    assert max(sizes(0.0, 1e-6, 0.0)) < np.inf
-    for y, *errors in ((0.0, np.nan, 0.0), (0.0, 0.0, np.nan), (np.nan, 0.0, 0.0), (0.0, np.inf, 0.0)):
-        assert sizes(y, *errors) == (np.inf, np.inf)
+    first, second = sizes(*errors)
+    assert 0.0 < first < second < np.inf
+    assert sizes(errors[1], errors[0]) == (second, first)
+    np.testing.assert_allclose(sizes(errors[0], 3.0 * errors[0]), (first, 3.0 * first), rtol=1e-12)
+    assert sizes(0.0 * y, 0.0 * y) == (0.0, 0.0)
+    for value in (np.nan, np.inf):
+        for where in (0, 3, 13, 20, 21):
+            bad = y.copy()
+            bad[where] = value
+            assert sizes(errors[0], bad) == sizes(bad, errors[0]) == (np.inf, np.inf)
+            if where < 20:
+                assert sizes(*errors, at=bad) == (np.inf, np.inf)
 
 
 @pytest.mark.parametrize(

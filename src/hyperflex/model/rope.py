@@ -14,6 +14,7 @@ from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
 from hyperflex.core.chain.articulated_body import joints as write_joints
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
+from hyperflex.model.bend_limits import bend_limits
 from hyperflex.model.properties import LINK_NAMES, LINK_PROPERTIES
 from hyperflex.model.rope_table import MOST_LINKS, check_density, from_table, to_table
 
@@ -143,6 +144,13 @@ class Rope:
                 allowed="a mass away from the joint, or an inertia > 0, for every link",
             )
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a rope that was pickled or copied: numpy forgets that its arrays cannot be written to."""
+        for name, value in state.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
     @classmethod
     def uniform(
         cls,
@@ -235,7 +243,7 @@ class Rope:
         """Return the joints (..., n + 1, 2), m, from `base` (..., 2) to the tip, at link angles q (..., n), rad."""
         angles = checks.array("q", q, None, unit="rad", gaps=True)
         shape = angles.shape[:-1]
-        if angles.shape != (*shape, self.n_links):
+        if angles.shape != (*shape, self.n_links):  # then this raises
             checks.array("q", angles, (*shape, self.n_links), unit="rad", gaps=True)
         base = checks.array("base", base, (*shape, 2), unit="m", gaps=True)
         places = np.empty((*shape, self.n_links + 1, 2))
@@ -315,16 +323,6 @@ class Rope:
             raise InvalidInput(f"{path} has no [rope] table", got=sorted(content), allowed="a table named rope")
         with located(str(path), files.toml_words):
             return cls.from_table(content["rope"])
-
-
-def bend_ratios(max_bend: Array) -> Array:
-    """Return twice the bend radius of joints over the length that each stands for; 0 where there is no limit."""
-    return np.where(max_bend < np.pi, 1.0 / np.tan(0.5 * np.minimum(max_bend, np.pi)), 0.0)
-
-
-def bend_limits(ratios: Array) -> Array:
-    """Return the joint limits, rad, that go with such ratios; inf where one is 0."""
-    return np.where(ratios > 0.0, 2.0 * np.arctan2(1.0, ratios), np.inf)
 
 
 def _check_names(given: Mapping[str, object]) -> None:

@@ -208,12 +208,12 @@ def _wound() -> None:
 
 def _plan() -> None:
     """Compile how planners measure distances at the samples of flights."""
-    from hyperflex.planning.clearance import rope_clearance, samples_clear_of_arm
+    from hyperflex.planning.clearance import sampled_clearance, samples_clear_of_arm
     from hyperflex.planning.search.strikes import first_contact
 
     hf, rope, arm, peg = _parts()
     run = hf.simulate(rope, hf.arm_swings(), arm=arm, duration=0.02)
-    rope_clearance(run)
+    sampled_clearance(rope, arm, run.q.copy(), run.base)
     flights = run.q[None].copy(), run.base[None].copy()
     samples_clear_of_arm(rope, arm, *flights, 0.0)
     first_contact(*flights, rope.length, peg, rope.radius)

@@ -309,15 +309,18 @@ def energies(chain, q, w, base, trig):  # type: ignore[no-untyped-def]
 
 @kernel
 def joints(length, q, base, out):  # type: ignore[no-untyped-def]
-    """Joints from the first to the tip, `out` (m, n + 1, 2), m, at angles q (m, n), rad; `base` (m, 2) is the first."""
-    m, n = q.shape
-    turned, trig = np.empty(n), np.empty(2 * n)
-    for row in range(m):
+    """Joints from the first, `base` (T, 2), to the tip, `out` (T, n + 1, 2), m, at link angles q (T, n), rad.
+
+    `length` (n,) is that of the links, m.
+    """
+    rows, n = q.shape
+    reduced, trig = np.empty(n), np.empty(2 * n)
+    for row in range(rows):
         x, y = base[row, 0], base[row, 1]
         out[row, 0, 0], out[row, 0, 1] = x, y
         for i in range(n):
-            turned[i] = q[row, i] if abs(q[row, i]) < 1e6 else q[row, i] % (2.0 * math.pi)
-        sines(turned, trig, 0)
+            reduced[i] = q[row, i] if abs(q[row, i]) < 1e6 else q[row, i] % (2.0 * math.pi)  # as sincos takes them
+        sines(reduced, trig, 0)
         for i in range(n):
             x += length[i] * trig[i]
             y -= length[i] * trig[n + i]

@@ -48,7 +48,7 @@ from hyperflex.core.integrate.step_size import (
     until_next_event,
 )
 from hyperflex.core.integrate.steps import COURSE, COURSE_ERRORS, rates
-from hyperflex.core.integrate.substeps import LOOKS, MOST_SUBSTEPS, add_substeps, weigh_terms
+from hyperflex.core.integrate.substeps import MOST_SUBSTEPS, add_substeps, weigh_terms
 from hyperflex.core.jit import inlined, kernel, non_allocating
 from hyperflex.core.stiction.constraint_torques import QUICK, project_stuck, stuck_loss
 
@@ -58,9 +58,9 @@ TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zer
 
 
 @inlined
-def moved(place, sin, cos, by):  # type: ignore[no-untyped-def]
-    """Return a place (x, y), moved by `by` across a link."""
-    return place[0] + cos * by, place[1] + sin * by
+def turned(vector, sin, cos, by):  # type: ignore[no-untyped-def]
+    """Return a vector (x, y) plus `by` across a link."""
+    return vector[0] + cos * by, vector[1] + sin * by
 
 
 @inlined
@@ -71,42 +71,44 @@ def squared(vector):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def error_norms(chain, limits, table, y, errors, step, work):  # type: ignore[no-untyped-def]
-    """Two errors of a step, of `errors` (2, 2 n + 2), each in units of what is allowed; inf, inf if one is not finite.
+    """Sizes of two errors of a step, `errors` (2, 2 n + 2), in units of what is allowed; both inf if not finite.
 
-    The greatest of those of any joint's position, of its velocity and of energy. Work and dissipation may err by
+    The greatest error of any joint's position, of its velocity and of energy. Work and dissipation may err by
     ENERGY tol / reach of the chain's energy. Without that bound sharp friction, which hardly moves a joint while it
     changes sign, would leave the energy balance unchecked. `work` is (6 n,) scratch.
     """
     n = chain.length.size
     sines(y[:n], work, 0)
     time = lasting(step)
-    place = speed = place_b = speed_b = end = (0.0, 0.0)  # end: velocity of the joint, seen from the chain's first one
-    worst = worst_b = total = kinetic = 0.0
+    shift = drift = shift2 = drift2 = (0.0, 0.0)  # of the joint: error of its position, and what that of its rate makes
+    velocity = (0.0, 0.0)  # of the joint, seen from the chain's first one
+    worst = worst2 = total = kinetic = 0.0
     for i in range(n):
         sin, cos, lever, w = work[i], work[n + i], limits.lever[i], y[n + i]
-        place = moved(place, sin, cos, lever * errors[0, i])
-        speed = moved(speed, sin, cos, lever * errors[0, n + i] * time)
-        place_b = moved(place_b, sin, cos, lever * errors[1, i])
-        speed_b = moved(speed_b, sin, cos, lever * errors[1, n + i] * time)
-        a, b, a_b, b_b = squared(place), squared(speed), squared(place_b), squared(speed_b)
-        worst, worst_b, total = max(worst, a, b), max(worst_b, a_b, b_b), total + a + b + a_b + b_b
-        kinetic += chain.mass[i] * squared(moved(end, sin, cos, chain.com[i] * w)) + chain.inertia[i] * w * w
-        end = moved(end, sin, cos, chain.length[i] * w)
-    kinetic = 0.5 * (kinetic + chain.tip_mass * squared(end))
-    scale = limits.reach / (ENERGY * (limits.fall + kinetic) + TINY)
-    energy = scale * abs(errors[0, 2 * n] - errors[0, 2 * n + 1])
-    energy_b = scale * abs(errors[1, 2 * n] - errors[1, 2 * n + 1])
-    if not (total + energy + energy_b < np.inf):  # also where one is not a number
+        shift = turned(shift, sin, cos, lever * errors[0, i])
+        drift = turned(drift, sin, cos, lever * errors[0, n + i] * time)
+        shift2 = turned(shift2, sin, cos, lever * errors[1, i])
+        drift2 = turned(drift2, sin, cos, lever * errors[1, n + i] * time)
+        worst = max(worst, squared(shift), squared(drift))
+        worst2 = max(worst2, squared(shift2), squared(drift2))
+        total += squared(shift) + squared(drift) + squared(shift2) + squared(drift2)
+        kinetic += chain.mass[i] * squared(turned(velocity, sin, cos, chain.com[i] * w)) + chain.inertia[i] * w * w
+        velocity = turned(velocity, sin, cos, chain.length[i] * w)
+    kinetic = 0.5 * (kinetic + chain.tip_mass * squared(velocity))
+    known = ENERGY * (limits.fall + kinetic) + TINY
+    energy = abs(errors[0, 2 * n] - errors[0, 2 * n + 1]) * limits.reach / known
+    energy2 = abs(errors[1, 2 * n] - errors[1, 2 * n + 1]) * limits.reach / known
+    if not (total + energy + energy2 < np.inf):  # also where one is not a number
         return np.inf, np.inf
-    may = allowed(limits.tol, step, table.rounding)
-    return max(math.sqrt(worst), energy) / may, max(math.sqrt(worst_b), energy_b) / may
+    limit = allowed(limits.tol, step, table.rounding)
+    return max(math.sqrt(worst), energy) / limit, max(math.sqrt(worst2), energy2) / limit
 
 
 @kernel
 def error_sizes(chain, limits, table, step, cut, workspace):  # type: ignore[no-untyped-def]
     """Error of the step to ``workspace.out`` in units of what is allowed, and what it would have been at an order less.
 
-    `cut`: the step ends where it was told to.
+    `cut`: the step ends where it was told to. Fixed steps have no errors: 0.0, or inf where the state is not finite.
     """
     if limits.fixed > 0.0:
         return (0.0, 0.0) if np.abs(workspace.out).max() < np.inf else (np.inf, 0.0)
@@ -137,10 +139,13 @@ def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, want
 
 @non_allocating
 def course_size(chain, limits, table, step, workspace):  # type: ignore[no-untyped-def]
-    """Error of what the kept substeps say of the course of a step, in units of what the step may err."""
+    """Error of what the kept substeps say of the course of a step, in units of what the step may err.
+
+    It is written over the errors of the step itself.
+    """
     errors, weights = workspace.errors, COURSE_ERRORS[table.order]
     errors[:] = 0.0
-    for look in range(len(LOOKS)):
+    for look in range(2):  # of LOOKS
         add_substeps(weights[look, : table.column.size], workspace.kept, errors[look])
     return max(error_norms(chain, limits, table, workspace.out, errors, step, workspace.stiction.work))
 

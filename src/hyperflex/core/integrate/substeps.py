@@ -13,7 +13,7 @@ from hyperflex.core.jit import kernel, non_allocating, summing
 
 MOST_SUBSTEPS = 40  # rounds times lanes of order 8, and a spare round
 # Parts of the step at which the error is looked at, where friction settles and in the middle, and what it counts there:
-# where friction settles, estimates are half of the error
+# where friction settles, estimates are half of the error. Two: ``rollout.error_norms`` takes as many errors
 LOOKS = ((0.125, 2.0), (0.5, 1.0))
 
 
@@ -64,7 +64,10 @@ def weigh_terms(terms, part, weight):  # type: ignore[no-untyped-def]
 
 @summing
 def add_substeps(weight, kept, out):  # type: ignore[no-untyped-def]
-    """Add to `out` (2 n + 2,) the kept substeps, each times its weight; of `weight` there are whole rounds."""
+    """Add to `out` (2 n + 2,) the kept substeps, each times its weight.
+
+    `weight` (s,): s is a multiple of 4 (of whole rounds), and at most the number of rows of `kept`.
+    """
     for s in range(0, weight.size, 4):  # four at once: `out` is read and written a quarter as often
         a, b, c, d = weight[s], weight[s + 1], weight[s + 2], weight[s + 3]
         for i in range(out.size):
