@@ -165,7 +165,7 @@ def order(rows: list[dict[str, Any]]) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--quick", action="store_true", help="one case of each; nothing is written")
     parser.add_argument("--peers", action="store_true", help="MuJoCo as well")
     parser.add_argument("--out", default=str(RESULTS / "capstan.json"), metavar="FILE", help="- writes nothing")
     options = parser.parse_args()
@@ -184,7 +184,7 @@ def main() -> int:
     if options.peers and importlib.util.find_spec("mujoco"):
         for setting in peers.SETTINGS[-1:] if options.quick else peers.SETTINGS:
             add("MuJoCo", peers.measure(0.3, 0.5, *setting))
-    if options.out != "-":
+    if options.out != "-" and not options.quick:
         files.write_text(options.out, json.dumps(found, indent=1) + "\n")
         files.write_text(str(Path(options.out).with_suffix(".md")), page(found))
     worst = max(abs(row["onset over exp(mu theta)"] - 1.0) for row in found["onset"])

@@ -5,6 +5,7 @@ python -m benchmarks.casting --rope weighted     the same with 20 g at the tip; 
 python -m benchmarks.casting --rope cord --seed 99 --ours   targets that nobody has seen
 python -m benchmarks.casting --count 5 --out -   a look; nothing is written
 python -m benchmarks.casting --plans FOLDER      and keep what is planned now, for benchmarks.casts_mujoco
+python -m benchmarks.casting --seed 99 --ours --again 132   what was not held once more, with so many s
 python -m benchmarks.casting --outside           targets called out of reach, each searched ten times as long
 
 For each target: a plan of ours (60 s at most), the paper's motion (half turns with rests of 0.53 s) and its timing
@@ -139,6 +140,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=60, help="targets (60)")
     parser.add_argument("--time-budget", type=float, default=TIME_BUDGET, help="s of planning a target (60)")
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the targets ({SEED})")
+    parser.add_argument("--again", type=float, metavar="S", help="s for each target that was not held; told beside")
     parser.add_argument("--outside", action="store_true", help="targets called out of reach, ten times the time budget")
     parser.add_argument("--ours", action="store_true", help="our plans alone, without the paper's two ways")
     parser.add_argument(
@@ -164,12 +166,42 @@ def main() -> None:
             lines.append(log, {"kind": kind, "time_budget": time_budget, **found})
     rows.sort(key=lambda row: int(row["number"]))
     by = f"{machine.sentence(about)} {lines.made(rows)} {lines.made(rows, 'planner')}"
-    page = f"# Casting: {kind}\n\n{text(rows, options.rope)}\n{by}\n"
+    more = repeated(options, kind, log, [row["number"] for row in rows if not row["ours"]["success"]])
+    page = f"# Casting: {kind}\n\n{text(rows, options.rope)}\n{again(rows, more, options.again)}{by}\n"
     print(page)
     if log is not None:
         name = f"casting-{kind.replace(' ', '-')}"
-        files.write_text(log.with_name(f"{name}.json"), json.dumps({"machine": about, "rows": rows}, indent=1) + "\n")
+        data = json.dumps({"machine": about, "rows": rows, "again": more}, indent=1) + "\n"
+        files.write_text(log.with_name(f"{name}.json"), data)
         files.write_text(log.with_name(f"{name}.md"), page)
+
+
+def repeated(options: argparse.Namespace, kind: str, log: Path | None, failed: list[int]) -> list[dict[str, Any]]:
+    """Rows of targets that were not held, planned once more with another time budget."""
+    if options.again is None:
+        return []
+    known = read(log, kind, options.again)
+    rows = [known[number] for number in failed if number in known]
+    missing = [number for number in failed if number not in known]
+    for found in done(options.rope, missing, options.again, ours_alone=True, seed=options.seed, plans=options.plans):
+        rows.append(found)
+        print(line(found), flush=True)
+        if log is not None:
+            lines.append(log, {"kind": kind, "time_budget": options.again, **found})
+    return sorted(rows, key=lambda row: int(row["number"]))
+
+
+def again(rows: list[dict[str, Any]], more: list[dict[str, Any]], time_budget: float | None) -> str:
+    """What became of the targets that were planned once more, in words."""
+    if not more:
+        return ""
+    held = [row["number"] for row in more if row["ours"]["success"]]
+    whole = sum(row["ours"]["success"] for row in rows) + len(held)
+    which = f" ({', '.join(map(str, held))})" if held else ""
+    return (
+        f"Those {len(more)} that were not held once more, with {time_budget:g} s each: {len(held)} held{which}, which "
+        f"makes {whole} of {len(rows)}. {lines.made(more, 'planner')}\n\n"
+    )
 
 
 def read(log: Path | None, kind: str, time_budget: float) -> dict[int, dict[str, Any]]:

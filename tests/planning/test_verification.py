@@ -176,7 +176,7 @@ def test_a_search_goes_on_for_a_full_turn_of_contact_where_the_rope_is_long_enou
         slip=1e-3,
         load_ratio=0.8,
         tip_hangs=True,
-        clearance=0.1,
+        spare_clearance=0.1,
         folded=False,
         contact_angle=contact,
         completed=True,

@@ -20,6 +20,7 @@ from hyperflex.planning.verification import (
     greatest_bend,
     motor_torques,
     refusal,
+    spare_clearance,
     verified_setup,
 )
 from hyperflex.simulation import OUT_OF_TIME, Deadline, simulate
@@ -69,6 +70,9 @@ class CastOutcome:
     clearance : float
         Least distance between the rope and its own arm, the motor's shaft or an obstacle, m; below 0 the rope goes
         through, and fails. See :func:`hyperflex.planning.clearance.rope_clearance`.
+    spare_clearance : float
+        What of each of these distances is more than the set-up asks, the least, m: not below 0 of a cast that succeeds.
+        An arm that the rope may go through does not count: inf where there is nothing else.
     torque, torque_peak : float
         Greatest motor torque as a mean over 5 ms, which the motor's limit is for, and its greatest peak, as a mean over
         0.5 ms: when the rope strikes the peg, say. N m.
@@ -97,6 +101,7 @@ class CastOutcome:
     max_bend: float
     folded: bool
     clearance: float
+    spare_clearance: float
     torque: float
     torque_peak: float
     message: str
@@ -158,7 +163,7 @@ def verify_cast(
     except SimulationError as error:
         nan, late = float("nan"), error.status == OUT_OF_TIME
         message = TOO_LONG if late else f"the simulation failed ({error.status})"
-        return CastOutcome(False, False, 0.0, *6 * (nan,), False, nan, nan, nan, message, 0)
+        return CastOutcome(False, False, 0.0, *6 * (nan,), False, *4 * (nan,), message, 0)
     return evaluate_cast(cast_setup, peg, run, stop)
 
 
@@ -212,6 +217,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         max_bend=max_bend,
         folded=folded_flat(run),
         clearance=min(each.value for each in near),
+        spare_clearance=spare_clearance(cast_setup, near),
         torque=torque,
         torque_peak=torque_peak,
         message=message,

@@ -102,6 +102,16 @@ def clearances(cast_setup: CastSetup, run: Trajectory) -> tuple[Clearance, ...]:
     return (rope_clearance(run), *((obstacle_clearance(run, some),) if some else ()))
 
 
+def asked_clearances(cast_setup: CastSetup) -> tuple[float, float]:
+    """Return the distances, m, that are asked from the own arm (-inf: the rope may go through it) and from obstacles."""
+    return cast_setup.clearance, max(cast_setup.clearance, 0.0)
+
+
+def spare_clearance(cast_setup: CastSetup, near: Sequence[Clearance]) -> float:
+    """Return the least of the distances `near`, as :func:`clearances` tells them, less what is asked, m."""
+    return min(each.value - asked for each, asked in zip(near, asked_clearances(cast_setup), strict=False))
+
+
 def refusal(cast_setup: CastSetup, max_bend: float, near: Sequence[Clearance]) -> str:
     """Return why a run is refused whatever its goal; "" if it is not.
 
@@ -109,8 +119,8 @@ def refusal(cast_setup: CastSetup, max_bend: float, near: Sequence[Clearance]) -
     """
     if max_bend > np.pi + FOLD:
         return f"the rope folds through itself, by {np.degrees(max_bend):.0f} degrees at a joint"
-    limits = ((cast_setup.clearance, "goes through"), (max(cast_setup.clearance, 0.0), "touches"))
-    for each, (asked, words) in zip(near, limits, strict=False):
+    verbs = ("goes through", "touches")
+    for each, asked, words in zip(near, asked_clearances(cast_setup), verbs, strict=False):
         where = f"{each.what} at {each.t:.2f} s"
         if each.value <= min(asked, 0.0):
             return f"the rope {words} {where}"

@@ -76,7 +76,7 @@ SkipFeasibility = Annotated[
 Rate = Annotated[float, typer.Option(callback=_rate, help="Rows a second in the motor's file, Hz, 10 to 100,000.")]
 TimeBudget = Annotated[
     float,
-    typer.Option(callback=positive("s"), help="Of the search, s; a plan that succeeds with a margin ends it before."),
+    typer.Option(callback=positive("s"), help="Of planning, verifications included, s; a good plan ends it before."),
 ]
 Seed = Annotated[int, typer.Option(help="Of the search.")]
 

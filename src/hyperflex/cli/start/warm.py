@@ -207,16 +207,17 @@ def _wound() -> None:
 
 
 def _plan() -> None:
-    """Compile how planners measure distances at the samples of flights."""
-    from hyperflex.planning.clearance import sampled_clearance, samples_clear_of_arm
-    from hyperflex.planning.search.strikes import first_contact
+    """Compile how planners measure distances at the samples of flights, with their kinds of arguments."""
+    import numpy as np
 
-    hf, rope, arm, peg = _parts()
-    run = hf.simulate(rope, hf.arm_swings(), arm=arm, duration=0.02)
-    sampled_clearance(rope, arm, run.q.copy(), run.base)
-    flights = run.q[None].copy(), run.base[None].copy()
-    samples_clear_of_arm(rope, arm, *flights, 0.0)
-    first_contact(*flights, rope.length, peg, rope.radius)
+    from hyperflex.core.batch import proximity
+
+    _, rope, _, _ = _parts()
+    flights, places, length = np.zeros((1, 2, rope.n_links)), np.zeros((1, 2, 2)), rope.length
+    links, gap, count = np.arange(rope.n_links), np.empty((2, 2, rope.n_links)), np.zeros(1, np.int64)
+    proximity.first_contacts(flights, places, length[None].copy(), 0.0, 0.0, 0.1, 0.1, count, count, np.zeros(1))
+    proximity.samples_apart(flights, places, length, 0.0, 0.0, 1, count, count)
+    proximity.arm_gaps(flights[0], places[0], length, links, 1, gap)
 
 
 def _dense() -> None:

@@ -164,7 +164,7 @@ def plan_cast(
     clock = Clock()
     time_budget = checks.number("time_budget", time_budget, sign="positive", unit="s")
     fallback, skip_feasibility = checks.flag("fallback", fallback), checks.flag("skip_feasibility", skip_feasibility)
-    time = 0.0 if time_limit is None else checks.number("time_limit", time_limit, sign="nonnegative", unit="s")
+    time = 0.0 if time_limit is None else checks.number("time_limit", time_limit, sign="positive", unit="s")
     motor = MotorLimits() if limits is None else limits
     obstacles, behind = checked_obstacles(obstacles, "obstacles"), checked_behind(behind)
     cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0, obstacles, behind)

@@ -10,8 +10,8 @@ from hyperflex.planning.throw import Throw
 SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
 SPARE_TURNS = 0.1  # turns beyond those asked below which the same holds: two of 20 such plans failed a judge's run
 LOAD_MARGIN = 1.0  # load ratio for which the same holds
-# m, distance from arm, shaft or obstacle below which another cast is sought: with a fifth of the link's length one of
-# 0.2 mm was -0.9 mm, and the judge of two plans of 215 saw the rope go through the arm
+# m, distance from arm, shaft or obstacle, beyond the one asked, below which another cast is sought: with a fifth of the
+# link's length one of 0.2 mm was -0.9 mm, and the judge of two plans of 215 saw the rope go through the arm
 NARROW = 3e-3
 FALLING = 1.0  # turns that a rope loses, at most, whose end falls from the top of the peg
 # s between the first touches of a throw's runs with links as given and with shorter ones. Those of throws that succeed
@@ -28,30 +28,29 @@ Verified = tuple[Throw | None, CastOutcome | None, CastOutcome | None]  # throw,
 def steady(outcome: CastOutcome) -> bool:
     """Whether a rope that holds does so with a margin, its end may fall, and it was not folded flat before.
 
-    Nor did it pass arm, shaft or obstacle narrowly; one that may go through them is below 0 m.
+    Nor did it pass arm, shaft or obstacle narrowly.
     """
     held = outcome.slip <= SLIP_MARGIN * MAX_SLIP and outcome.load_ratio <= LOAD_MARGIN
     held = held and abs(outcome.turns) >= MIN_TURNS + SPARE_TURNS
-    return held and may_fall(outcome) and not (outcome.folded or 0.0 <= outcome.clearance < NARROW)
+    return held and may_fall(outcome) and not (outcome.folded or outcome.spare_clearance < NARROW)
 
 
 def foreseen(first: CastOutcome, finer: CastOutcome) -> CastOutcome:
     """Return an outcome with shorter links, as failed if it cannot be told from both what a real rope does.
 
-    That is so if the rope touches the peg at another time than at first, or if it passes arm, shaft or obstacle by less
-    than NARROW, and by less than its distances in both runs differ: so three of 208 plans did, and one of them went
+    That is so if the rope touches the peg at another time than at first, or if it passes arm, shaft or obstacle with
+    less than NARROW to spare, and less than what both runs differ by: so three of 208 plans did, and one of them went
     through the arm in the judge's run.
     """
     if not (first.success and finer.success):
         return finer
-    delay, narrow = finer.touch_time - first.touch_time, min(first.clearance, finer.clearance)
+    delay, given, now = finer.touch_time - first.touch_time, first.spare_clearance, finer.spare_clearance
     if abs(delay) > MAX_DELAY:
         how = f"touches the peg {abs(delay):.2f} s {'later' if delay > 0.0 else 'sooner'}"
         return replace(finer, message=f"it {how}, {MAX_DELAY:g} allowed: the swing is left to chance")
-    if 0.0 <= narrow < min(NARROW, abs(first.clearance - finer.clearance)):
-        given, now = 1e3 * first.clearance, 1e3 * finer.clearance
-        how = f"{now:.1f} mm, not {given:.1f} mm, from arm, shaft or obstacle"
-        return replace(finer, message=f"it passes {how}: whether it touches is left to chance")
+    if min(given, now) < min(NARROW, abs(given - now)):
+        how = f"with {1e3 * now:.1f} mm to spare, not {1e3 * given:.1f} mm"
+        return replace(finer, message=f"it passes arm, shaft or obstacle {how}: whether it touches is left to chance")
     return finer
 
 
