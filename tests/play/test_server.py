@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import http.client
+import io
 import json
+import os
+import pickle
 import socket
+import sys
 import threading
 import time
 from contextlib import ExitStack
+from dataclasses import replace
+from multiprocessing import Pipe
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +23,7 @@ from websockets.sync.client import connect
 
 import hyperflex as hf
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.play import Folder, PlayServer, Session, Settings
+from hyperflex.play import Folder, PlayServer, Session, Settings, planning_process
 from tests.planning.known import planned
 
 SMALL = {"links": 6, "target_solid": 0}
@@ -268,6 +275,48 @@ def test_a_plan_is_searched_in_a_process_of_its_own_and_cancelled(server, page):
     plan = page.until(lambda told: told.get("scene", {}).get("plan"))["scene"]["plan"]
     assert (plan["success"], plan["message"][:12]) == (False, "out of reach")
     assert "the plan fails" in page.ask(button="cast")["error"]
+
+
+def test_a_plan_that_stands_can_be_carried_out_while_a_better_one_is_sought(server, page):
+    runner = server.runner
+    page.ask(set={"links": 10, "target_x": -0.83, "time_budget": 60.0})
+    page.ask(button="plan")
+    page.until(lambda told: (told.get("scene", {}).get("planning") or {}).get("spent", 0.0) > 0.0)
+    assert runner.scene()["planning"]["stands"] is False
+    ours, theirs = Pipe(duplex=False)
+    runner.call(lambda: setattr(runner._planning, "_answers", ours)).result()  # what the process sends, from here
+    for plan in (replace(planned(), seconds=seconds) for seconds in (1.0, 2.0)):
+        theirs.send((1, plan))
+        told = page.until(lambda told: (told.get("scene", {}).get("planning") or {}).get("stands"))["scene"]
+        assert told["plan"]["success"]
+        page.until(lambda _, plan=plan: runner.plan.seconds == plan.seconds)
+        page.ask(button="cast")
+        assert runner.session.activity == "cast"
+    page.ask(button="cancel")
+    assert runner.scene()["planning"] is None
+    assert runner.plan.success  # what stood is kept
+
+
+def test_the_planning_process_tells_each_plan_that_stands(monkeypatch):
+    known = planned()
+    where = (known.cast_setup.rope, known.cast_setup.arm, known.target, (), known.cast_setup.limits, 60.0)
+
+    def plan_cast(*_, on_plan, **__):
+        on_plan(replace(known, seconds=1.0))
+        return replace(known, seconds=2.0)
+
+    monkeypatch.setattr(planning_process, "plan_cast", plan_cast)
+    monkeypatch.setattr(planning_process.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(planning_process.os, "nice", lambda _: None)
+    task = pickle.dumps(planning_process.PlanningTask("cast", *where))
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(task)))
+    ours, theirs = Pipe(duplex=False)
+    reader = threading.Thread(target=lambda: heard.extend(ours.recv() for _ in range(3)))
+    heard = []
+    reader.start()
+    planning_process.work(os.dup(theirs.fileno()))
+    reader.join()
+    assert [(kind, plan and plan.seconds) for kind, plan in heard] == [(0, None), (1, 1.0), (2, 2.0)]
 
 
 def test_plans_know_the_obstacles_of_the_set_up_that_was_opened(server, page):

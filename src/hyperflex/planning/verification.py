@@ -103,7 +103,7 @@ def clearances(cast_setup: CastSetup, run: Trajectory) -> tuple[Clearance, ...]:
 
 
 def asked_clearances(cast_setup: CastSetup) -> tuple[float, float]:
-    """Return the distances, m, that are asked from the own arm (-inf: the rope may go through it) and from obstacles."""
+    """Return the distances, m, asked from the own arm (-inf: the rope may go through it) and from obstacles."""
     return cast_setup.clearance, max(cast_setup.clearance, 0.0)
 
 

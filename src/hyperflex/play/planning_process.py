@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any, Literal, NamedTuple
@@ -17,6 +18,7 @@ from hyperflex.planning import CastPlan, MotorLimits, WhipPlan, plan_cast, plan_
 
 NICENESS = 10
 _END_TIMEOUT = 0.5  # s until a process that does not end is killed
+_BEGIN, _STANDS, _END = range(3)  # kinds of answers: the search begins, a plan stands, the plan or what went wrong
 _COMMAND = "import sys; from hyperflex.play.planning_process import work; work(int(sys.argv[1]))"
 
 
@@ -31,12 +33,12 @@ class PlanningTask(NamedTuple):
     limits: MotorLimits
     time_budget: float
 
-    def plan(self) -> CastPlan | WhipPlan:
-        """Plan it, and leave one processor to others."""
+    def plan(self, on_plan: Callable[[CastPlan], None]) -> CastPlan | WhipPlan:
+        """Plan it, and leave one processor to others; `on_plan` is given each better plan for a cast as it stands."""
         given: dict[str, Any] = {"time_budget": self.time_budget, "threads": max(1, (os.cpu_count() or 2) - 1)}
         given["obstacles"] = self.obstacles
         if self.kind == "cast":
-            return plan_cast(self.rope, self.arm, self.target, self.limits, **given)
+            return plan_cast(self.rope, self.arm, self.target, self.limits, on_plan=on_plan, **given)
         return plan_whip(self.rope, self.arm, (self.target.x, self.target.y), None, self.limits, **given)
 
 
@@ -48,10 +50,13 @@ class PlanningProcess:
     task : PlanningTask
     begun : float
         When the search began, s of the monotonic clock; 0.0 while the process starts.
+    standing : CastPlan or None
+        The best plan that stands so far, while a better one is sought.
     """
 
     def __init__(self, task: PlanningTask) -> None:
         self.task, self.begun = task, 0.0
+        self.standing: CastPlan | None = None
         self._answers, answers = Pipe(duplex=False)
         command = [
             sys.executable,
@@ -69,11 +74,14 @@ class PlanningProcess:
         """Return the plan, or what went wrong, once there is one of both; else None."""
         try:
             while self._answers.poll():
-                answer = self._answers.recv()
-                if answer is not None:
+                kind, answer = self._answers.recv()
+                if kind == _END:
                     self.cancel()
                     return answer  # type: ignore[no-any-return]
-                self.begun = time.monotonic()
+                if kind == _BEGIN:
+                    self.begun = time.monotonic()
+                else:
+                    self.standing = answer
         except (EOFError, OSError):
             self.cancel()
             return "the planning process ended without a word"
@@ -91,14 +99,14 @@ class PlanningProcess:
 
 
 def work(descriptor: int) -> None:
-    """Read a task from standard input; send that the search begins (None), then the plan or what went wrong."""
+    """Read a task from standard input; send that the search begins, plans that stand, and how it ended."""
     answers: Connection = Connection(descriptor, readable=False)
     task: PlanningTask = pickle.load(sys.stdin.buffer)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the page, which ends this process
     with contextlib.suppress(OSError):
         os.nice(NICENESS)
     try:
-        answers.send(None)
-        answers.send(task.plan())
+        answers.send((_BEGIN, None))
+        answers.send((_END, task.plan(lambda plan: answers.send((_STANDS, plan)))))
     except HyperflexError as error:
-        answers.send(str(error))
+        answers.send((_END, str(error)))

@@ -71,7 +71,10 @@ class Runner:
         plan, busy = self.plan, self._planning
         said = None if plan is None else {"kind": plan.kind, "success": plan.success, "message": plan.message}
         spent = time.monotonic() - busy.begun if busy is not None and busy.begun else 0.0
-        search = None if busy is None else {"kind": busy.task.kind, "spent": spent, "budget": busy.task.time_budget}
+        search = None
+        if busy is not None:
+            search = {"kind": busy.task.kind, "spent": spent, "budget": busy.task.time_budget}
+            search["stands"] = busy.standing is not None
         own = {"paused": self.paused, "notice": self._notice, "late": self._late, "plan": said, "planning": search}
         return self.session.scene() | own
 
@@ -164,14 +167,17 @@ class Runner:
     def _look_at_plan(self) -> None:
         if self._planning is None:
             return
-        found = self._planning.result()
+        found, standing = self._planning.result(), self._planning.standing
+        better = found is None and standing is not None and standing is not self.plan
+        if better:
+            self.plan = standing
         if found is not None:
             self._planning = None
             if isinstance(found, str):
                 self._notice = found
             else:
                 self.plan = found
-        if found is not None or time.monotonic() - self._told > _TOLD:
+        if found is not None or better or time.monotonic() - self._told > _TOLD:
             self._told = time.monotonic()
             self.changed(picture=False)
 
