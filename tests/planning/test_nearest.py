@@ -13,13 +13,14 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.control import swing_period
-from hyperflex.planning import CastSetup, MotorLimits, check_feasibility
+from hyperflex.planning import CastSetup, MotorLimits, Uncertainty, check_feasibility
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.throw import ThrowParametrization
 from hyperflex.planning.wind import casting, fallback_targets
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.feasibility import geometry_allows
+from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.planning.wind.remedies import find_remedies
 from tests.faults.interrupting import left_by
 from tests.planning.known import CABLE, PEG, WINDS, cast_setup, late, planned, stopped, unreachable
@@ -273,12 +274,12 @@ def test_a_throw_at_hand_counts_where_it_stands(monkeypatch: pytest.MonkeyPatch)
     for one, turns in zip(beside[1:], (1.2, 1.3, 1.3), strict=True):
         one.candidates.append(SimpleNamespace(turns=turns))
     best: list[hf.Peg] = []  # of which a throw without a margin is verified, too
-    monkeypatch.setattr(fallback_targets, "searches_near_by", lambda search: iter(beside))
+    monkeypatch.setattr(fallback_targets, "searches_near_by", lambda search, left: iter(beside))
     stands = replace(planned(), target=places[3])
     monkeypatch.setattr(
         fallback_targets,
         "CastPlanner",
-        lambda search, *_: SimpleNamespace(
+        lambda search, *_, **__: SimpleNamespace(
             verify_new=lambda: None,
             verify_best=lambda: best.append(search.peg),
             plan=lambda known: failed(places[2]) if search.peg == places[2] else stands,
@@ -292,8 +293,53 @@ def test_a_throw_at_hand_counts_where_it_stands(monkeypatch: pytest.MonkeyPatch)
     assert best == places[2:]
 
 
+def test_throws_at_hand_are_tried_until_half_of_the_time_and_verified_until_its_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Made up: each place takes 2 s, and its throw winds but does not stand."""
+    clock, seen, verified = SimpleNamespace(spent=0.0), list[float](), list[tuple[float, float]]()
+
+    def evaluate(self: ThrowSearch, points: list) -> None:
+        assert self.left is not None
+        seen.append(self.left())
+        clock.spent += 2.0
+        self.candidates.append(SimpleNamespace(turns=1.3))  # type: ignore[arg-type]
+
+    monkeypatch.setattr(fallback_targets, "Clock", lambda: clock)
+    monkeypatch.setattr(ThrowSearch, "evaluate", evaluate)
+    monkeypatch.setattr(CastPlanner, "verify_new", lambda self: verified.append((self.time_budget, self.spent)))
+    monkeypatch.setattr(CastPlanner, "verify_best", lambda self: None)
+    monkeypatch.setattr(CastPlanner, "plan", lambda self, known: failed(PEG))
+    search = ThrowSearch(CAST_SETUP, PEG)
+    search.candidates.append(Candidate(1.0, 1.0, 1, np.zeros(3), WINDS))
+    assert fallback_targets.plan_fallback(failed(PEG), search, 10.0, Planner(good=1)).fallback is not None
+    assert seen == [5.0, 3.0, 1.0]
+    assert verified == [(10.0, 2.0), (10.0, 4.0)]
+
+
+def test_throws_at_hand_are_not_tried_where_they_would_be_no_robust_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[bool] = []
+
+    def no_place(*_: object) -> None:
+        raise AssertionError
+
+    def plan_fallback(plan: CastPlan, *_: object, at_hand: bool) -> CastPlan:
+        asked.append(at_hand)
+        return plan
+
+    monkeypatch.setattr(fallback_targets, "searches_near_by", no_place)
+    again = Planner(good=1)
+    plan = fallback_targets.plan_fallback(failed(PEG), ThrowSearch(CAST_SETUP, PEG), 10.0, again, at_hand=False)
+    assert plan.fallback is not None
+    assert plan.fallback.target == again.asked[0]
+    monkeypatch.setattr(casting, "plan_fallback", plan_fallback)
+    for uncertainty in (None, Uncertainty()):
+        hf.plan_cast(CAST_SETUP.rope, CAST_SETUP.arm, FAR, fallback=True, uncertainty=uncertainty)
+    assert asked == [True, False]
+
+
 def test_an_interrupt_ends_the_search_for_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop(*_: object) -> None:
+    def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(casting, "plan_fallback", stop)

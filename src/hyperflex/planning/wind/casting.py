@@ -97,7 +97,7 @@ def plan_cast(
         holding force.
     uncertainty : Uncertainty, optional
         Of rope, target and motor. With it the plan is the throw that succeeds in most of the sampled scenarios, and its
-        success probability is estimated from others.
+        success probability is estimated from others, as many as there is time for.
     time_budget : float
         Time by the clock for search, verifications and success probability, s, without compiling; on a busy machine,
         too. A plan that succeeds with a margin ends the search before: it makes 0.1 turns more than are asked, slips by
@@ -108,8 +108,9 @@ def plan_cast(
     skip_feasibility : bool
         Search even for a target that the feasibility check calls out of reach.
     fallback : bool
-        If the plan fails, plan for the nearest targets until a plan succeeds: with the throws found so far, then three
-        times at most, each with the same time budget. Without, the fallback is only expected to be feasible.
+        If the plan fails, plan for the nearest targets until a plan succeeds: with the throws found so far (not with an
+        uncertainty), then three times at most, each with the same time budget. Without, the fallback is only expected
+        to be feasible.
     seed : int
         Of the search, its random numbers. What is searched in a time depends on machine, load and threads, so the same
         seed may give another plan: keep the plan, not the seed.
@@ -211,7 +212,7 @@ def plan_cast(
                 }
                 given |= {"time_budget": time_budget, "seed": seed, "threads": threads}
                 plan_for = partial(plan_cast, rope, arm, **given, progress=progress)
-                plan = plan_fallback(plan, search, time_budget, plan_for)
+                plan = plan_fallback(plan, search, time_budget, plan_for, at_hand=uncertainty is None)
     plan = stop.partial if isinstance(stop.partial, CastPlan) else plan
     if plan.interrupted or stop.received:
         raise Interrupted(replace(plan, interrupted=True))
@@ -243,9 +244,9 @@ def _search(
         planner.run(report)
         if uncertainty is not None:
             refine_robustly(planner, uncertainty, report)
-            if (throw := planner.best[0]) is not None and (left := time_budget - planner.spent) > 0.0:
+            if (throw := planner.best[0]) is not None:
                 given = (search.cast_setup, search.peg, throw, uncertainty)
-                seed, threads = search.seed, search.threads
+                seed, threads, left = search.seed, search.threads, time_budget - planner.spent
                 probability = estimate_success_probability(*given, seed=seed, threads=threads, time_budget=left)
     return replace(planner.plan(known, stop.received), success_probability=probability)
 

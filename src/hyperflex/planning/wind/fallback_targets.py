@@ -1,7 +1,6 @@
 """Fallback targets for a plan that fails: the nearest one with a plan that succeeds, or expected to be feasible."""
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -13,6 +12,7 @@ from hyperflex.model import Peg
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget
 from hyperflex.planning.wind.feasibility import check_feasibility, geometry_allows
 from hyperflex.planning.wind.planner import CastPlanner
@@ -45,15 +45,22 @@ def _expected(plan: CastPlan, holding_force: float, number: int = 0) -> Fallback
 
 
 def plan_fallback(
-    plan: CastPlan, search: ThrowSearch, time_budget: float, plan_for: Callable[[Peg], CastPlan]
+    plan: CastPlan,
+    search: ThrowSearch,
+    time_budget: float,
+    plan_for: Callable[[Peg], CastPlan],
+    *,
+    at_hand: bool = True,
 ) -> CastPlan:
     """Plan for the nearest targets until a plan succeeds; return the failed plan with its fallback.
 
     Ctrl-C raises Interrupted with it, and with the plan for the nearest target where that succeeds as far as it got.
     `search` is the one that the plan came from, `time_budget` its time, s, and `plan_for` plans for another peg.
+    `at_hand`: whether throws of the search are tried on targets near by at first. They are looked at in the expected
+    scenario alone, so plans for an uncertainty do without.
     """
     force = search.holding_force
-    near = _with_existing_throws(plan, search, time_budget)
+    near = _with_existing_throws(plan, search, time_budget) if at_hand else None
     if near is not None:
         return replace(plan, fallback=near)
     tried: list[Peg] = []
@@ -77,13 +84,20 @@ def plan_fallback(
 
 
 def _with_existing_throws(plan: CastPlan, search: ThrowSearch, time_budget: float) -> FallbackTarget | None:
-    """Return the nearest target round which a throw of the search winds and holds when it is verified."""
-    until = time.monotonic() + EXISTING * time_budget
-    for beside in searches_near_by(search):
-        if time.monotonic() > until:
+    """Return the nearest target round which a throw of the search winds and holds when it is verified.
+
+    None is tried after EXISTING of the `time_budget`, s, and no verification goes on after its end.
+    """
+    clock = Clock()
+
+    def left() -> float:
+        return EXISTING * time_budget - clock.spent
+
+    for beside in searches_near_by(search, left):
+        if left() < 0.0:
             return None
         if beside.candidates and beside.candidates[0].turns >= MIN_TURNS:
-            planner, peg = CastPlanner(beside, time_budget), beside.peg
+            planner, peg = CastPlanner(beside, time_budget, clock=clock), beside.peg
             planner.verify_new()
             planner.verify_best()
             other = planner.plan(check_feasibility(beside.cast_setup, peg))
@@ -93,8 +107,8 @@ def _with_existing_throws(plan: CastPlan, search: ThrowSearch, time_budget: floa
     return None
 
 
-def searches_near_by(search: ThrowSearch) -> Iterator[ThrowSearch]:
-    """Try the best throws of a search on pegs about its own, nearest first.
+def searches_near_by(search: ThrowSearch, left: Callable[[], float] | None = None) -> Iterator[ThrowSearch]:
+    """Try the best throws of a search on pegs about its own, nearest first, in the time that is `left`, s.
 
     Yields a search for each peg, with the throws that strike it as candidates.
     """
@@ -106,6 +120,7 @@ def searches_near_by(search: ThrowSearch) -> Iterator[ThrowSearch]:
             if check_feasibility(cast_setup, peg).impossible:
                 continue
             beside = ThrowSearch(cast_setup, peg, search.seed, search.threads, search.holding_force)
+            beside.left = left
             if points := [(one.side, one.x) for one in best if one.side in beside.parametrizations]:
                 beside.evaluate(points)
             yield beside
