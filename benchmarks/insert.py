@@ -102,7 +102,8 @@ def measure(index: int, slot: Slot) -> dict[str, Any]:
         "t": seen.t,
     }
     row["judged"] = stands(judge(plan, finer_rope(CABLE), slot, plan.motion))
-    row["stated"] = None if plan.success_probability is None else plan.success_probability.estimate
+    stated = plan.success_probability
+    row["stated"] = stated.estimate if stated is not None and stated.samples else None
     drawn = insert_scenarios(plan.cast_setup, slot, plan.strokes, usual_uncertainty(), SCENARIOS, [FRESH])
     row["observed"] = float(np.mean([stands(judge(plan, *each)) for each in drawn]))
     return row

@@ -175,7 +175,7 @@ class Case:
             threads=threads,
         )
         stated = plan.success_probability
-        if stated is None and plan.throw is not None:
+        if (stated is None or not stated.samples) and plan.throw is not None:
             stated = estimate_success_probability(
                 self.known, self.peg, plan.throw, self.uncertainty, seed=self.number, threads=threads
             )

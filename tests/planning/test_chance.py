@@ -52,11 +52,18 @@ def test_the_interval_of_a_difference_is_newcombes(
 
 
 def test_what_is_no_count_is_refused() -> None:
-    for won, draws in ((2, 1), (-1, 4), (0, 0)):
+    for won, draws in ((2, 1), (-1, 4), (1, 0)):
         with pytest.raises(InvalidInput):
             SuccessProbability(won, draws)
     with pytest.raises(InvalidInput, match="samples"):
         estimate_success_probability(CAST_SETUP, PEG, WINDS, samples=0)
+
+
+def test_without_samples_nothing_is_known() -> None:
+    none = SuccessProbability(0, 0)
+    assert np.isnan(none.estimate)
+    assert none.interval == (0.0, 1.0)
+    assert str(none) == "not estimated, no time was left"
 
 
 def test_an_executor_counts_the_same_samples() -> None:

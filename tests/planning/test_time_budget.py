@@ -14,7 +14,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import interruption
 from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.planning import Uncertainty, WhipMap, build_whip_map, estimate_success_probability
+from hyperflex.planning import SuccessProbability, Uncertainty, WhipMap, build_whip_map, estimate_success_probability
 from hyperflex.planning.outcome import TOO_LONG, require_holding_force
 from hyperflex.planning.robust import scenario_rollouts
 from hyperflex.planning.search.beam import BeamSearch
@@ -22,13 +22,14 @@ from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.contact_phase import WindingScores, run_budget, simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.throw_search import ThrowSearch
-from hyperflex.planning.time_budget import OutOfTime
+from hyperflex.planning.time_budget import Clock, OutOfTime
 from hyperflex.planning.tip.planner import TipPlanner
 from hyperflex.planning.whip.outcome import verify_whip
 from hyperflex.planning.whip.search import TOGETHER
 from hyperflex.planning.whip.task import WhipTask
 from hyperflex.planning.wind import casting
 from hyperflex.planning.wind.planner import CastPlanner
+from hyperflex.report import CastReport
 from hyperflex.simulation import OUT_OF_TIME, Deadline
 from hyperflex.simulation.batch.contact import run_blocks
 from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
@@ -162,9 +163,10 @@ def test_a_map_has_the_swings_that_there_was_time_for() -> None:
 
 
 def test_a_probability_counts_the_samples_that_there_was_time_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [0.0]
+    now, left = [0.0], []
 
     def scores(_: object, pairs: list, *, time_budget: Deadline, threads: object) -> WindingScores:
+        left.append(time_budget.left())
         now[0] += 4.0
         return WindingScores(np.ones(len(pairs)), np.full(len(pairs), 2.0))
 
@@ -173,13 +175,37 @@ def test_a_probability_counts_the_samples_that_there_was_time_for(monkeypatch: p
     given = (cast_setup(), PEG, WINDS, Uncertainty())
     assert estimate_success_probability(*given, samples=40).samples == 40
 
-    class Clock:
+    class Now:
         @property
         def spent(self) -> float:
             return now[0]
 
-    now[0] = 0.0
-    monkeypatch.setattr(scenario_rollouts, "Clock", Clock)
-    found = estimate_success_probability(*given, samples=40, time_budget=10.0)
-    assert found.samples == 2 * scenario_rollouts.COUNTED  # the third lot ends after 12 s
-    assert found.estimate == 1.0
+    monkeypatch.setattr(scenario_rollouts, "Clock", Now)
+    for time_budget, lots, lefts in ((10.0, 2, [10.0, 6.0, 2.0]), (3.0, 0, [3.0]), (0.0, 0, [])):
+        now[0] = 0.0
+        left.clear()
+        found = estimate_success_probability(*given, samples=40, time_budget=time_budget)
+        assert found.samples == lots * scenario_rollouts.COUNTED  # in 10 s: the third lot ends after 12
+        assert left == lefts
+        assert found.successes == found.samples
+
+
+def test_a_probability_is_not_estimated_beyond_the_time() -> None:
+    given = (cast_setup(), PEG, WINDS, Uncertainty())
+    estimate_success_probability(*given, samples=1)  # so that kernels are loaded
+    clock = Clock()
+    found = estimate_success_probability(*given, time_budget=0.1)
+    assert clock.spent < 1.0
+    assert (found.samples, str(found)) == (0, "not estimated, no time was left")
+
+
+def test_a_plan_says_that_no_time_was_left_for_its_probability(monkeypatch: pytest.MonkeyPatch) -> None:
+    stands = (WINDS, planned().outcome, planned().outcome)
+    monkeypatch.setattr(casting, "Clock", lambda: SimpleNamespace(spent=60.1))
+    monkeypatch.setattr(CastPlanner, "run", lambda self, report: setattr(self, "best", stands))
+    monkeypatch.setattr(casting, "refine_robustly", lambda *_: None)
+    plan = hf.plan_cast(CABLE, cast_setup().arm, PEG, uncertainty=Uncertainty(), time_budget=60.0)
+    assert plan.success
+    assert plan.success_probability == SuccessProbability(0, 0)
+    assert plan.summary()["success_probability"]["interval"] == (0.0, 1.0)
+    assert "Success probability: not estimated, no time was left." in CastReport(plan, None).story

@@ -6,6 +6,7 @@ import html
 from dataclasses import replace
 
 import hyperflex as hf
+from hyperflex.planning import SuccessProbability
 from hyperflex.report import InsertReport, plan_html
 from hyperflex.report import plan as plan_report
 from tests.planning.known_insert import far_insert, planned_insert
@@ -41,11 +42,17 @@ def test_the_page_tells_a_great_torque(tmp_path, monkeypatch):
     assert f"the rope's weight at the arm makes {(rope.mass.sum() + 0.5) * 9.81 * arm.length:.2g} N m" in page
 
 
-def test_a_probability_that_knows_no_obstacles_says_so():
+def test_a_probability_that_knows_no_torque_says_so():
     plan = planned_insert()
-    past = replace(plan, cast_setup=replace(plan.cast_setup, obstacles=(hf.Ground(0.0, -1.5),)))
-    for shown, said in ((plan, False), (past, True)):
-        assert any("obstacles are not looked at" in told for _, told in InsertReport(shown).tiles) is said
+    weak = replace(plan, cast_setup=replace(plan.cast_setup, limits=hf.MotorLimits(torque=10.0)))
+    for shown, said in ((plan, False), (weak, True)):
+        assert any("what the motor must give is not looked at" in told for _, told in InsertReport(shown).tiles) is said
+
+
+def test_a_probability_that_there_was_no_time_for_is_called_so():
+    report = InsertReport(replace(planned_insert(), success_probability=SuccessProbability(0, 0)))
+    assert any(value == "?" and "not estimated, no time was left" in told for value, told in report.tiles)
+    assert "Success probability: not estimated, no time was left." in report.story
 
 
 def test_a_plan_without_strokes_is_a_page_with_the_reason(tmp_path):

@@ -35,7 +35,7 @@ class InsertPlan(StrokePlan):
         Standard deviation, m, of where the rope crosses the gap, for a rope known as :mod:`hyperflex.planning.tip.aim`
         assumes; NaN without strokes.
     success_probability : SuccessProbability or None
-        In sampled scenarios; None if the plan fails.
+        In sampled scenarios; None if the plan fails. Of 0 samples where no time was left.
     """
 
     kind: ClassVar[str] = "insert"

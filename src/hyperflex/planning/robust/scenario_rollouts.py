@@ -154,13 +154,13 @@ def nominal_strike_times(
 
 @dataclass(frozen=True)
 class SuccessProbability:
-    """Number of sampled scenarios in which a throw succeeds."""
+    """Number of sampled scenarios in which a throw succeeds; 0 samples: not estimated, as no time was left."""
 
     successes: int
     samples: int
 
     def __post_init__(self) -> None:
-        checks.count("samples", self.samples)
+        checks.count("samples", self.samples, least=0)
         if not 0 <= self.successes <= self.samples:
             raise InvalidInput(
                 "there are more successes than samples", got=self.successes, allowed=f"0 to {self.samples}"
@@ -168,12 +168,14 @@ class SuccessProbability:
 
     @property
     def estimate(self) -> float:
-        """Successes over samples."""
-        return self.successes / self.samples
+        """Successes over samples; NaN without samples."""
+        return self.successes / self.samples if self.samples else math.nan
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % confidence interval of the probability (Wilson, 1927)."""
+        """95 % confidence interval of the probability (Wilson, 1927); 0 to 1 without samples."""
+        if not self.samples:
+            return 0.0, 1.0
         n, p, z = self.samples, self.estimate, Z_95
         centre = (p + z**2 / (2.0 * n)) / (1.0 + z**2 / n)
         half = z / (1.0 + z**2 / n) * math.sqrt(p * (1.0 - p) / n + z**2 / (4.0 * n**2))
@@ -181,6 +183,8 @@ class SuccessProbability:
         return (0.0 if self.successes == 0 else low), (1.0 if self.successes == n else high)
 
     def __str__(self) -> str:
+        if not self.samples:
+            return "not estimated, no time was left"
         low, high = self.interval
         counts = f"{self.successes} of {self.samples}"
         return f"{100 * self.estimate:.0f} % ({100 * low:.0f} to {100 * high:.0f} %, {counts})"
@@ -204,9 +208,9 @@ def estimate_success_probability(
 
     The throw is made in open loop: its moves start when planned, apart from the timing noise of each scenario. By
     default the uncertainty is that of a realistic identification. The scenarios of a search are others in any case.
-    With a `time_budget`, s, by the clock, fewer samples may be counted, as the result tells, but always some; it counts
-    only without an `executor`, on which chunks of `chunk_size` samples are simulated, COUNTED by default (see
-    ``docs/how-to/many-machines.md``; WorkerLost if they kill its workers).
+    With a `time_budget`, s, by the clock, fewer samples may be counted, as the result tells, and none where COUNTED of
+    them take longer. It counts only without an `executor`, on which chunks of `chunk_size` samples are simulated,
+    COUNTED by default (see ``docs/how-to/many-machines.md``; WorkerLost if they kill its workers).
     """
     known = uncertainty or Uncertainty()
     scenarios = known.sample(samples, cast_setup, peg, seed=[STREAM, checks.count("seed", seed, least=0)])
@@ -221,11 +225,11 @@ def estimate_success_probability(
     def left() -> float:
         return time_budget - clock.spent
 
-    while counted < samples:
+    while counted < samples and left() > 0.0:
         some = [(throw, scenario) for scenario in scenarios[counted : counted + COUNTED]]
-        end = Deadline(TIME_BUDGET, left if counted else lambda: math.inf)
+        end = Deadline(TIME_BUDGET, left)
         found = scenario_scores(cast_setup, some, time_budget=end, threads=threads)
-        if counted and left() < 0.0:  # some were cut short
+        if left() < 0.0:  # some were cut short
             break
         won, counted = won + int((found.turns >= MIN_TURNS).sum()), counted + len(some)
     return SuccessProbability(won, counted)

@@ -39,7 +39,7 @@ class CastPlan(Plan):
         Its outcome with links of a third of the length; without a margin, of that run and of those with links of half
         and a fifth the one that fails or differs most.
     success_probability : SuccessProbability or None
-        In scenarios that the search has not seen; only with an uncertainty.
+        In scenarios that the search has not seen; only with an uncertainty. Of 0 samples where no time was left.
     fallback : FallbackTarget or None
         For a plan that fails: the nearest target with a plan that succeeds, or that is expected to be feasible.
     remedies : tuple of str

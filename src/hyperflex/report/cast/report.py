@@ -134,10 +134,12 @@ class CastReport(PlanReport[CastPlan]):
             lines.append(self.warning)
         if self.held is not None:
             lines.append(_hold(self.held))
-        if plan.success_probability is not None:
+        if (chance := plan.success_probability) is not None:
             lines.append(
-                f"Success probability: the rope stays wound in {plan.success_probability} of simulated scenarios with "
-                f"rope, friction and motor drawn anew from the given uncertainty. Slip and hold force are not asked."
+                f"Success probability: the rope stays wound in {chance} of simulated scenarios with rope, friction and "
+                f"motor drawn anew from the given uncertainty. Slip and hold force are not asked."
+                if chance.samples
+                else f"Success probability: {chance}."
             )
         return tuple(lines)
 

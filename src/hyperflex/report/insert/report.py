@@ -72,10 +72,11 @@ class InsertReport(PlanReport[InsertPlan]):
             shown.append((f"{seen.speed:.2f} m/s", "speed of the tip inside"))
             shown.append((f"{seen.t:.2f} s", "after the start the tip is inside"))
             shown.append((length(seen.depth, 2), "greatest depth before it leaves, touches or the run ends"))
-        if plan.success_probability is not None:
+        if (chance := plan.success_probability) is not None:
             told = "success probability with a slot 2 mm and strokes 2 ms off, unless planned for something else"
-            told += "; obstacles are not looked at there" if plan.cast_setup.obstacles else ""
-            shown.append((f"{100 * plan.success_probability.estimate:.0f} %", told))
+            weak = plan.cast_setup.limits.torque < math.inf
+            told += "; what the motor must give is not looked at there" if weak else ""
+            shown.append((f"{100 * chance.estimate:.0f} %", told) if chance.samples else ("?", f"{told}: {chance}"))
         return (*shown, *clearance_tiles(plan), *torque_tiles(plan, seen))
 
     def _story(self) -> tuple[str, ...]:
