@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,12 +15,15 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import recut
 from hyperflex.planning import CastSetup, InsertPlan, MotorLimits, Slot, estimate_insert_probability, plan_insert
 from hyperflex.planning.clearance import obstacle_clearance
+from hyperflex.planning.insert import chance, task
 from hyperflex.planning.insert.chance import TOGETHER, insert_scenarios, usual_uncertainty
 from hyperflex.planning.insert.entry import LEVELS
 from hyperflex.planning.insert.outcome import evaluate_insert, verify_insert
 from hyperflex.planning.insert.slot import find_crossings, frame, nearest_passage, passages
 from hyperflex.planning.insert.task import InsertTask
 from hyperflex.planning.plan import to_table
+from hyperflex.planning.time_budget import Clock
+from hyperflex.simulation import Deadline
 from tests.planning.known_insert import ARM, NEAR, ROPE, SLOT, STROKES
 
 DOWN = Slot(0.1, -0.5, -0.5 * np.pi, width=0.02, depth=0.05, wall=0.1)  # its left is +x
@@ -251,11 +255,100 @@ def test_a_slot_where_it_is_planned_is_sure() -> None:
         assert found.successes == won
 
 
-def test_an_estimate_whose_time_is_over_tells_of_the_samples_that_it_has() -> None:
-    plan = planned()
-    given = (plan.cast_setup, SLOT, plan.required(plan.strokes, "strokes"), near())
-    assert estimate_insert_probability(*given, samples=60, time_budget=0.0).samples == TOGETHER
+def certain(cast_setup: CastSetup, slot: Slot = SLOT) -> int:
+    """Successes in three scenarios that are all as planned."""
+    none = replace(usual_uncertainty(), place=0.0, timing=0.0)
+    return estimate_insert_probability(cast_setup, slot, STROKES, NEAR, none, samples=3, threads=1).successes
+
+
+def test_a_scenario_in_which_the_tip_is_too_fast_fails() -> None:
+    """By what a run with as many links tells."""
+    who = CastSetup(ROPE, ARM, MotorLimits(), 4.0)
+    seen = verify_insert(InsertTask(who, SLOT, []).finer, SLOT, STROKES.motion(who.limits), NEAR)
+    assert seen is not None
+    for part, successes in ((1.02, 3), (0.98, 0)):
+        assert certain(who, replace(SLOT, max_speed=part * seen.speed)) == successes
+
+
+def test_a_scenario_fails_in_which_the_rope_comes_too_near_arm_shaft_or_obstacle() -> None:
+    """By what a run with as many links tells: with 1 mm more than is there, not with 1 mm less."""
+    who = CastSetup(ROPE, ARM, MotorLimits(), 4.0)
+    seen = verify_insert(InsertTask(who, SLOT, []).finer, SLOT, STROKES.motion(who.limits), NEAR)
+    assert seen is not None
+    assert seen.run is not None
+    lowest = float(seen.run.joints[..., 1].min()) - ROPE.radius
+    shaft = 0.01 + obstacle_clearance(seen.run, [hf.Peg(0.0, 0.0, 0.01)]).value
+    for more, successes in ((-1e-3, 3), (1e-3, 0)):
+        assert certain(replace(who, clearance=seen.clearance + more)) == successes
+        assert certain(replace(who, arm=hf.Arm(length=0.1, shaft_radius=shaft + more))) == successes
+        assert certain(replace(who, obstacles=(hf.Ground(0.0, lowest + more),))) == successes
+
+
+def test_a_scenario_in_which_the_rope_is_folded_flat_before_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    who = CastSetup(ROPE, ARM, MotorLimits(), 4.0)
+    drawn = insert_scenarios(who, SLOT, STROKES, replace(usual_uncertainty(), place=0.0, timing=0.0), 1, 0)
+    (q,) = chance._flights(who, drawn, np.arange(0.0, NEAR, 2e-3), Deadline(np.inf, lambda: 1.0), 1)
+    bend = np.abs(np.diff(q, axis=1)).max()
+    for part, successes in ((1.02, 3), (0.98, 0)):
+        monkeypatch.setattr(chance, "limit_bend", lambda rope, most=part * bend: rope.replace(max_bend=most))
+        assert certain(who) == successes
+
+
+def test_an_estimate_counts_the_samples_that_there_was_time_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Made up: flights that fail, 4 s for each lot of them."""
+    now, left = [0.0], list[float]()
+
+    class Now:
+        @property
+        def spent(self) -> float:
+            return now[0]
+
+    def flights(_: object, drawn: list, t: np.ndarray, time_budget: Deadline, threads: object) -> np.ndarray:
+        left.append(time_budget.left())
+        now[0] += 4.0
+        return np.full((len(drawn), t.size, 40), np.nan)
+
+    monkeypatch.setattr(chance, "Clock", Now)
+    monkeypatch.setattr(chance, "_flights", flights)
+    given = (CastSetup(ROPE, ARM, MotorLimits(), 4.0), SLOT, STROKES, NEAR)
     assert estimate_insert_probability(*given, samples=60).samples == 60
+    for time_budget, lots, lefts in ((10.0, 2, [10.0, 6.0, 2.0]), (3.0, 0, [3.0]), (0.0, 0, [])):
+        now[0] = 0.0
+        left.clear()
+        found = estimate_insert_probability(*given, time_budget=time_budget)
+        assert (found.successes, found.samples) == (0, lots * TOGETHER)
+        assert left == lefts
+
+
+def test_an_estimate_does_not_outlast_its_time() -> None:
+    given = (CastSetup(ROPE, ARM, MotorLimits(), 4.0), SLOT, STROKES, NEAR)
+    estimate_insert_probability(*given, samples=1)  # so that kernels are loaded
+    clock = Clock()
+    found = estimate_insert_probability(*given, time_budget=0.02)
+    assert clock.spent < 1.0
+    assert (found.samples, str(found)) == (0, "not estimated, no time was left")
+
+
+@pytest.mark.parametrize(
+    ("given", "now", "told"),
+    [
+        (0.6e-3, 0.2e-3, "it passes 0.2 mm, not 0.6 mm, from the walls"),
+        (0.1e-3, 3.2e-3, "it passes 3.2 mm, not 0.1 mm, from the walls"),
+        (0.4e-3, 0.5e-3, ""),  # both see the same
+        (1.1e-3, 4.0e-3, ""),  # room enough
+    ],
+)
+def test_an_insertion_past_the_walls_by_less_than_its_runs_differ_is_left_to_chance(
+    monkeypatch: pytest.MonkeyPatch, given: float, now: float, told: str
+) -> None:
+    plan, aim = planned(), SimpleNamespace(strokes=STROKES, t=NEAR)
+    outcomes = [replace(plan.outcome, wall_clearance=gap) for gap in (given, now)]
+    for touching, words in ((False, told), (True, "")):
+        seen = iter(outcomes)
+        monkeypatch.setattr(task, "verify_insert", lambda *_, seen=seen, **__: next(seen))
+        found = InsertTask(plan.cast_setup, replace(SLOT, touching=touching), []).verify(aim, None)
+        assert found.finer_outcome.message == (f"{words}: whether it touches is left to chance" if words else "")
+        assert found.message == ("with 2.5 times the links " if words else "") + found.finer_outcome.message
 
 
 def test_clearance_of_a_hanging_rope_from_a_wall() -> None:

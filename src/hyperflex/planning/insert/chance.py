@@ -1,8 +1,9 @@
 """How often an insertion succeeds where slot and timing are not quite as planned, by free swings in scenarios."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -10,14 +11,16 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_TOL, Peg, Rope, recut
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import FINE, obstacle_gaps
-from hyperflex.planning.insert.slot import Slot, find_crossings, frame, nearest_passage
+from hyperflex.planning.clearance import FINE, clear_samples, obstacle_gaps, samples_clear_of_arm
+from hyperflex.planning.insert.slot import Slot, find_crossings, frame, nearest_passage, tip_speed
 from hyperflex.planning.robust.scenario_rollouts import STREAM, SuccessProbability
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.tip.outcome import sample_times
 from hyperflex.planning.tip.strokes import Strokes
+from hyperflex.planning.verification import FOLD, at_limits, limit_bend
+from hyperflex.simulation import Deadline
 
 FINER = 2.5  # times the links, in scenarios and in the second verification
 PLACE, TIMING = 2e-3, 2e-3  # m, s: usual standard deviations of the slot's place and of each stroke's start
@@ -79,7 +82,18 @@ def estimate_insert_probability(
     samples, seed, threads
         As of :func:`hyperflex.planning.estimate_success_probability`.
     time_budget : float
-        Time by the clock after which no more samples are begun, s, without compiling; TOGETHER of them always are.
+        Time by the clock, s, without compiling. Samples are counted TOGETHER at once: fewer than asked where there is
+        no time for all, and none where the first of them take longer.
+
+    Returns
+    -------
+    SuccessProbability
+
+    Notes
+    -----
+    Scenarios are free flights, looked at every 2 ms. One succeeds if the tip comes to its depth, no faster than the
+    slot asks, the rope crosses no wall until then, keeps clear of arm, shaft and obstacles, as verified runs ask, and
+    is not folded flat before: its contact with itself is not simulated. The motor's torque is not looked at.
     """
     clock = Clock()
     known = uncertainty or usual_uncertainty()
@@ -87,38 +101,61 @@ def estimate_insert_probability(
     drawn = insert_scenarios(cast_setup, slot, strokes, known, samples, stream)
     t = sample_times(near)
     won = done = 0
-    while done < samples and (clock.spent < time_budget or not done):
+
+    def left() -> float:
+        return time_budget - clock.spent
+
+    while done < samples and left() > 0.0:
         some = drawn[done : done + TOGETHER]
-        won += sum(
-            _enters(where, rope.radius, near, t, joints)
-            for (rope, where, _), joints in zip(some, _joints(cast_setup, some, t, threads), strict=True)
-        )
-        done += len(some)
+        flights = _flights(cast_setup, some, t, Deadline(math.inf, left), threads)
+        entered = [
+            left() > 0.0 and _enters(cast_setup, rope, where, near, t, q, cast_setup.arm.tip(motion.angle(t)))
+            for (rope, where, motion), q in zip(some, flights, strict=True)
+        ]
+        if left() < 0.0:  # some were cut short
+            break
+        won, done = won + sum(entered), done + len(some)
     return SuccessProbability(won, done)
 
 
-def _joints(
-    cast_setup: CastSetup, drawn: Sequence[tuple[Rope, Slot, Motion]], t: Array, threads: int | None
-) -> Iterator[Array]:
-    """Yield the joints (T, n + 1, 2), m, of free swings at times t (T,), s."""
-    arm = cast_setup.arm
+def _flights(
+    cast_setup: CastSetup,
+    drawn: Sequence[tuple[Rope, Slot, Motion]],
+    t: Array,
+    time_budget: Deadline,
+    threads: int | None,
+) -> Array:
+    """Return the link angles (M, T, n), rad, of free flights at times t (T,), s; NaN in those cut short."""
     ropes, _, motions = zip(*drawn, strict=True)
-    run = RolloutBatch.from_start(replace(cast_setup, rope=ropes[0]), ropes, [], motions).run(
-        arm, t, tol=DEFAULT_TOL, keep=("q",), threads=threads
-    )
-    for rope, motion, q in zip(ropes, motions, run.q, strict=True):
-        yield rope.joints(q, arm.tip(motion.angle(t)))
+    batch = RolloutBatch.from_start(replace(cast_setup, rope=ropes[0]), ropes, [], motions)
+    how: dict[str, Any] = {"tol": DEFAULT_TOL, "keep": ("q",), "time_budget": time_budget, "threads": threads}
+    return batch.run(cast_setup.arm, t, **how).q
 
 
-def _enters(slot: Slot, radius: float, near: float, t: Array, joints: Array) -> bool:
-    """Whether the tip of a run comes to the depth next to time `near`, s, and the rope crosses no wall until then."""
+def _enters(cast_setup: CastSetup, rope: Rope, slot: Slot, near: float, t: Array, q: Array, base: Array) -> bool:
+    """Whether a free flight passes what a verified run is asked for next to time `near`, s, as far as it can tell.
+
+    Angles q (T, n), rad, of the links, and places `base` (T, 2), m, of the first joint at times t (T,), s.
+    """
+    joints = rope.joints(q, base)
     depth, offset = frame(slot, joints)
     way = nearest_passage(depth[:, -1], slot.depth, t, near)
     if way is None:
         return False
-    end, found = way[1], find_crossings(slot, radius, depth, offset)
+    end, found = way[1], find_crossings(slot, rope.radius, depth, offset)
     if depth[end, -1] < slot.depth or (found.gap[found.row <= end] <= 0.0).any():
+        return False
+    fast = tip_speed(t, depth[:, -1], offset[:, -1], end) > slot.max_speed
+    if fast or not _keeps_clear(cast_setup, rope, q, base) or at_limits(limit_bend(rope), q[: end + 1], -FOLD).any():
         return False
     # what verified runs take off their clearance counts here as well
     near_by = joints[max(0, way[0] - CLOSELY) : end + 1]
-    return bool(obstacle_gaps(slot.walls, near_by[:, :-1], near_by[:, 1:]).min() > radius + 0.5 * FINE)
+    return bool(obstacle_gaps(slot.walls, near_by[:, :-1], near_by[:, 1:]).min() > rope.radius + 0.5 * FINE)
+
+
+def _keeps_clear(cast_setup: CastSetup, rope: Rope, q: Array, base: Array) -> bool:
+    """Whether a flight keeps as clear of arm, shaft and obstacles as verified runs must, with what these take off."""
+    least, flight = cast_setup.clearance, (q[None], base[None])
+    arm = samples_clear_of_arm(rope, cast_setup.arm, *flight, least + 0.5 * FINE)
+    others = clear_samples([rope], cast_setup.obstacles, *flight, max(least, 0.0) + 0.5 * FINE)
+    return bool(min(arm[0], others[0]) == len(q))

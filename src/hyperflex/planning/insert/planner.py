@@ -54,13 +54,13 @@ def plan_insert(
     uncertainty : Uncertainty, optional
         Of the scenarios that tell the success probability: by default the slot is 2 mm off in each coordinate, and each
         stroke starts 2 ms early or late (standard deviations). A rope that touches a wall fails in them, also where
-        the slot allows it, and obstacles are not looked at.
+        the slot allows it, and the motor's torque is not looked at.
     time_limit : float, optional
         Time within which the tip must be inside, s; by default two periods of the rope's swing.
     time_budget : float
-        Time by the clock for search and verifications, s, without compiling.
+        Time by the clock for search, verifications and success probability, s, without compiling.
     samples : int
-        Scenarios of the success probability.
+        Scenarios of the success probability; fewer of them, or none, where the time is over before.
 
     Returns
     -------
