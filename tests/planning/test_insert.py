@@ -18,7 +18,7 @@ from hyperflex.planning.clearance import obstacle_clearance
 from hyperflex.planning.insert import chance, task
 from hyperflex.planning.insert.chance import TOGETHER, insert_scenarios, usual_uncertainty
 from hyperflex.planning.insert.entry import LEVELS
-from hyperflex.planning.insert.outcome import evaluate_insert, verify_insert
+from hyperflex.planning.insert.outcome import InsertOutcome, evaluate_insert, verify_insert
 from hyperflex.planning.insert.slot import find_crossings, frame, nearest_passage, passages
 from hyperflex.planning.insert.task import InsertTask
 from hyperflex.planning.plan import to_table
@@ -295,7 +295,7 @@ def test_a_scenario_in_which_the_rope_is_folded_flat_before_fails(monkeypatch: p
 
 
 def test_an_estimate_counts_the_samples_that_there_was_time_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Made up: flights that fail, 4 s for each lot of them."""
+    """Made up: flights of 4 s for each lot of them; those that end late are not looked at."""
     now, left = [0.0], list[float]()
 
     class Now:
@@ -309,15 +309,27 @@ def test_an_estimate_counts_the_samples_that_there_was_time_for(monkeypatch: pyt
         return np.full((len(drawn), t.size, 40), np.nan)
 
     monkeypatch.setattr(chance, "Clock", Now)
+    looked: list[int] = []
     monkeypatch.setattr(chance, "_flights", flights)
+    monkeypatch.setattr(chance, "_enters", lambda *_: looked.append(1) is None)
     given = (CastSetup(ROPE, ARM, MotorLimits(), 4.0), SLOT, STROKES, NEAR)
     assert estimate_insert_probability(*given, samples=60).samples == 60
     for time_budget, lots, lefts in ((10.0, 2, [10.0, 6.0, 2.0]), (3.0, 0, [3.0]), (0.0, 0, [])):
         now[0] = 0.0
         left.clear()
+        looked.clear()
         found = estimate_insert_probability(*given, time_budget=time_budget)
-        assert (found.successes, found.samples) == (0, lots * TOGETHER)
+        assert found.successes == found.samples == len(looked) == lots * TOGETHER
         assert left == lefts
+
+
+def test_flights_of_an_estimate_end_with_the_time() -> None:
+    who, none = CastSetup(ROPE, ARM, MotorLimits(), 4.0), replace(usual_uncertainty(), place=0.0, timing=0.0)
+    drawn, t = insert_scenarios(who, SLOT, STROKES, none, 2, 0), np.array([0.5, 1.0])
+    for left, flown in ((1.0, True), (-1.0, False)):
+        q = chance._flights(who, drawn, t, Deadline(np.inf, lambda left=left: left), 1)
+        assert q.shape == (2, 2, 40)
+        assert np.isfinite(q).all() == flown
 
 
 def test_an_estimate_does_not_outlast_its_time() -> None:
@@ -343,12 +355,16 @@ def test_an_insertion_past_the_walls_by_less_than_its_runs_differ_is_left_to_cha
 ) -> None:
     plan, aim = planned(), SimpleNamespace(strokes=STROKES, t=NEAR)
     outcomes = [replace(plan.outcome, wall_clearance=gap) for gap in (given, now)]
+    seen: list[InsertOutcome] = []
+    monkeypatch.setattr(task, "verify_insert", lambda *_, **__: seen.pop(0))
     for touching, words in ((False, told), (True, "")):
-        seen = iter(outcomes)
-        monkeypatch.setattr(task, "verify_insert", lambda *_, seen=seen, **__: next(seen))
+        seen += outcomes
         found = InsertTask(plan.cast_setup, replace(SLOT, touching=touching), []).verify(aim, None)
         assert found.finer_outcome.message == (f"{words}: whether it touches is left to chance" if words else "")
         assert found.message == ("with 2.5 times the links " if words else "") + found.finer_outcome.message
+    seen += outcomes[0], replace(outcomes[1], message="it is not deep enough")
+    found = InsertTask(plan.cast_setup, SLOT, []).verify(aim, None)
+    assert found.message == "with 2.5 times the links it is not deep enough"
 
 
 def test_clearance_of_a_hanging_rope_from_a_wall() -> None:

@@ -111,7 +111,7 @@ def foreseen(first: InsertOutcome, finer: InsertOutcome) -> InsertOutcome:
     That is so if it passes them by less than NARROW, and by less than its distances in both runs differ.
     """
     given, now = first.wall_clearance, finer.wall_clearance
-    if first.message or finer.message or min(given, now) >= min(NARROW, abs(given - now)):
+    if finer.message or min(given, now) >= min(NARROW, abs(given - now)):
         return finer
     how = f"{1e3 * now:.1f} mm, not {1e3 * given:.1f} mm, from the walls"
     return replace(finer, message=f"it passes {how}: whether it touches is left to chance")
