@@ -14,7 +14,7 @@ from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import recut
 from hyperflex.planning import CastSetup, InsertPlan, MotorLimits, Slot, estimate_insert_probability, plan_insert
-from hyperflex.planning.clearance import obstacle_clearance
+from hyperflex.planning.clearance import FINE, obstacle_clearance, obstacle_gaps
 from hyperflex.planning.insert import chance, task
 from hyperflex.planning.insert.chance import TOGETHER, insert_scenarios, usual_uncertainty
 from hyperflex.planning.insert.entry import LEVELS
@@ -23,6 +23,7 @@ from hyperflex.planning.insert.slot import find_crossings, frame, nearest_passag
 from hyperflex.planning.insert.task import InsertTask
 from hyperflex.planning.plan import to_table
 from hyperflex.planning.time_budget import Clock
+from hyperflex.planning.tip.outcome import sample_times
 from hyperflex.simulation import Deadline
 from tests.planning.known_insert import ARM, NEAR, ROPE, SLOT, STROKES
 
@@ -270,6 +271,17 @@ def test_a_scenario_in_which_the_tip_is_too_fast_fails() -> None:
         assert certain(who, replace(SLOT, max_speed=part * seen.speed)) == successes
 
 
+def test_a_scenario_in_which_the_tip_is_not_deep_enough_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    who, none = CastSetup(ROPE, ARM, MotorLimits(), 4.0), replace(usual_uncertainty(), place=0.0, timing=0.0)
+    monkeypatch.setattr(chance, "_touches", lambda *_: False)
+    t, drawn = sample_times(NEAR), insert_scenarios(who, SLOT, STROKES, none, 1, 0)
+    (q,) = chance._flights(who, drawn, t, Deadline(np.inf, lambda: 1.0), 1)
+    rope, _, motion = drawn[0]
+    deepest = frame(SLOT, rope.joints(q, ARM.tip(motion.angle(t))))[0][t > NEAR - 0.1, -1].max()
+    for more, successes in ((-1e-3, 3), (1e-3, 0)):
+        assert certain(who, replace(SLOT, depth=deepest + more)) == successes
+
+
 def test_a_scenario_fails_in_which_the_rope_comes_too_near_arm_shaft_or_obstacle() -> None:
     """By what a run with as many links tells: with 1 mm more than is there, not with 1 mm less."""
     who = CastSetup(ROPE, ARM, MotorLimits(), 4.0)
@@ -292,6 +304,33 @@ def test_a_scenario_in_which_the_rope_is_folded_flat_before_fails(monkeypatch: p
     for part, successes in ((1.02, 3), (0.98, 0)):
         monkeypatch.setattr(chance, "limit_bend", lambda rope, most=part * bend: rope.replace(max_bend=most))
         assert certain(who) == successes
+
+
+@pytest.mark.parametrize("tube", [0.0, 0.05])
+def test_touches_of_the_walls_are_those_of_all_links(tube: float) -> None:
+    random, slot, found = np.random.default_rng(0), replace(SLOT, tube=tube), []
+    for _ in range(300):
+        joints = slot.point + np.cumsum(random.normal(0.0, 0.03, (5, 12, 2)), axis=1) + random.uniform(-0.2, 0.2, 2)
+        gaps = obstacle_gaps(slot.walls, joints[:, :-1], joints[:, 1:])
+        found.append(bool(gaps.min() <= 0.003 + 0.5 * FINE))
+        assert chance._touches(slot, 0.003, joints, *frame(slot, joints)) == found[-1]
+    assert 30 < sum(found) < 270
+
+
+@pytest.mark.parametrize(("row", "front", "enters"), [(100, 2.6e-3, False), (100, 3.5e-3, True), (-1, 2.6e-3, True)])
+def test_a_tip_that_touches_a_wall_long_before_it_enters_fails(row: int, front: float, enters: bool) -> None:
+    """Made up: at one sample the rope is moved until its tip lies in front of a wall; after the entry it may."""
+    who, none = CastSetup(ROPE, ARM, MotorLimits(), 4.0), replace(usual_uncertainty(), place=0.0, timing=0.0)
+    t = sample_times(NEAR)
+    drawn = insert_scenarios(who, SLOT, STROKES, none, 1, 0)
+    (q,) = chance._flights(who, drawn, t, Deadline(np.inf, lambda: 1.0), 1)
+    rope, _, motion = drawn[0]
+    base = ARM.tip(motion.angle(t))
+    way, left = SLOT.axes
+    wall = SLOT.point + 0.5 * (SLOT.width + SLOT.wall) * left
+    base[row] += wall - front * way - rope.joints(q, base)[row, -1]
+    assert frame(SLOT, rope.joints(q, base))[0][row].max() == pytest.approx(-front)
+    assert chance._enters(who, rope, SLOT, NEAR, t, q, base) == enters
 
 
 def test_an_estimate_counts_the_samples_that_there_was_time_for(monkeypatch: pytest.MonkeyPatch) -> None:

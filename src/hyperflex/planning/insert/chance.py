@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.interruption import interruptible
@@ -12,7 +14,7 @@ from hyperflex.model import DEFAULT_TOL, Peg, Rope, recut
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import FINE, clear_samples, obstacle_gaps, samples_clear_of_arm
-from hyperflex.planning.insert.slot import Slot, find_crossings, frame, nearest_passage, tip_speed
+from hyperflex.planning.insert.slot import Slot, frame, nearest_passage, tip_speed
 from hyperflex.planning.robust.scenario_rollouts import STREAM, SuccessProbability
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -24,7 +26,6 @@ from hyperflex.simulation import Deadline
 
 FINER = 2.5  # times the links, in scenarios and in the second verification
 PLACE, TIMING = 2e-3, 2e-3  # m, s: usual standard deviations of the slot's place and of each stroke's start
-CLOSELY = 50  # samples before the entry at which the walls' ends are looked at, too
 SAMPLES, TOGETHER = 100, 25  # of an estimate; those simulated at once
 
 
@@ -92,7 +93,7 @@ def estimate_insert_probability(
     Notes
     -----
     Scenarios are free flights, looked at every 2 ms. One succeeds if the tip comes to its depth, no faster than the
-    slot asks, the rope crosses no wall until then, keeps clear of arm, shaft and obstacles, as verified runs ask, and
+    slot asks, the rope touches no wall until then, keeps clear of arm, shaft and obstacles, as verified runs ask, and
     is not folded flat before: its contact with itself is not simulated. The motor's torque is not looked at.
     """
     clock = Clock()
@@ -142,15 +143,25 @@ def _enters(cast_setup: CastSetup, rope: Rope, slot: Slot, near: float, t: Array
     way = nearest_passage(depth[:, -1], slot.depth, t, near)
     if way is None:
         return False
-    end, found = way[1], find_crossings(slot, rope.radius, depth, offset)
-    if depth[end, -1] < slot.depth or (found.gap[found.row <= end] <= 0.0).any():
-        return False
+    end, until = way[1], slice(way[1] + 1)
     fast = tip_speed(t, depth[:, -1], offset[:, -1], end) > slot.max_speed
-    if fast or not _keeps_clear(cast_setup, rope, q, base) or at_limits(limit_bend(rope), q[: end + 1], -FOLD).any():
+    if depth[end, -1] < slot.depth or fast or _touches(slot, rope.radius, joints[until], depth[until], offset[until]):
         return False
-    # what verified runs take off their clearance counts here as well
-    near_by = joints[max(0, way[0] - CLOSELY) : end + 1]
-    return bool(obstacle_gaps(slot.walls, near_by[:, :-1], near_by[:, 1:]).min() > rope.radius + 0.5 * FINE)
+    return _keeps_clear(cast_setup, rope, q, base) and not at_limits(limit_bend(rope), q[until], -FOLD).any()
+
+
+def _touches(slot: Slot, radius: float, joints: Array, depth: Array, offset: Array) -> bool:
+    """Whether a rope touches a wall at samples with joints (T, n + 1, 2), m, or passes by less than runs take off.
+
+    `depth` and `offset` (T, n + 1), m, are those of the joints, `radius`, m, is the rope's.
+    """
+    least, aside = radius + 0.5 * FINE, 0.5 * slot.width + slot.wall
+    beyond, across = (np.stack([each[:, :-1], each[:, 1:]]) for each in (depth, offset))
+    near = (beyond.max(axis=0) >= -least) & (beyond.min(axis=0) <= slot.tube + least)
+    near &= (across.max(axis=0) >= -aside - least) & (across.min(axis=0) <= aside + least)
+    row, link = np.nonzero(near)
+    gaps = obstacle_gaps(slot.walls, joints[row, link], joints[row, link + 1])
+    return bool((gaps <= least).any())
 
 
 def _keeps_clear(cast_setup: CastSetup, rope: Rope, q: Array, base: Array) -> bool:
