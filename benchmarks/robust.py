@@ -51,7 +51,7 @@ from hyperflex.planning import (
     plan_cast,
     verify_cast,
 )
-from hyperflex.planning.outcome import MIN_TURNS, SAMPLE_TIME, SETTLING_TIME, WATCH_TIME, evaluate_cast
+from hyperflex.planning.outcome import SAMPLE_TIME, WATCH_TIME, evaluate_cast
 from hyperflex.planning.robust.scenario_rollouts import scenario_scores
 from hyperflex.planning.robust.uncertainty import Scenario
 
@@ -219,14 +219,14 @@ class Case:
 
     def judged(self, pairs: list[tuple[Throw, Scenario]]) -> dict[str, Any]:
         """Which draws are won, and in which the rope is also held."""
-        won = scenario_scores(self.known, pairs, threads=self.options.threads).turns >= MIN_TURNS
+        won = scenario_scores(self.known, pairs, threads=self.options.threads).turns >= self.known.turns
         return {"won": won.astype(int).tolist(), "held": self.each(lambda pair: self.held(*pair), pairs)}
 
     def held(self, throw: Throw, world: Scenario) -> bool:
         """Whether the rope winds and slips by less than 5 mm in 2 s, on links as coarse as those of the judge."""
         motion, known = world.motion(throw, self.known), replace(self.known, rope=world.rope)
         stop = float(motion.breaks[-1])
-        t = np.arange(0.0, stop + SETTLING_TIME + WATCH_TIME, SAMPLE_TIME)
+        t = np.arange(0.0, stop + known.settle + WATCH_TIME, SAMPLE_TIME)
         try:
             run = hf.simulate(
                 world.rope,

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hyperflex.planning import SuccessProbability
-from hyperflex.planning.outcome import MAX_SLIP, MIN_TURNS, WATCH_TIME
-from hyperflex.planning.search.contact_phase import LAST, SETTLING_TIME
+from hyperflex.planning import MAX_SLIP, MIN_TURNS, WATCH_TIME, SuccessProbability
+from hyperflex.planning.search.contact_phase import END_TIME, LAST
 
 RESAMPLES, STREAM = 10_000, 4711  # of the bootstrap over targets
 AIM, AGREES, APART = 0.9, 0.9, 0.05  # success; targets with 0 inside; stated less observed overall
@@ -46,7 +45,7 @@ def definition() -> str:
     """What counts."""
     return (
         f"Won: the rope makes {MIN_TURNS:g} turns or more from the arm's tip to its end and keeps them over the last "
-        f"{LAST:g} s of the {SETTLING_TIME:g} s after the arm has stopped, clear of arm and shaft, in a run on links "
+        f"{LAST:g} s of the {END_TIME:g} s after the arm has stopped, clear of arm and shaft, in a run on links "
         "as coarse as those of the search. Stated and observed success both ask for this, in draws of their own. "
         f"Whether the rope also slips by less than {1e3 * MAX_SLIP:g} mm in {WATCH_TIME:g} s is not asked; it is told "
         "as held. A throw that is given up, and a target without any throw, has lost."

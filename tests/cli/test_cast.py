@@ -68,10 +68,15 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
         "6.28",
         "--clearance",
         "0.01",
+        "--turns",
+        "2",
+        "--settle",
+        "1.5",
     )
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out", *options))
     assert code == 0
     assert (asked["contact"], asked["clearance"]) == (6.28, 0.01)
+    assert (asked["turns"], asked["settle"]) == (2.0, 1.5)
     assert told["clearance"] == planned().clearance
     assert told["outcome"]["contact_angle"] == planned().outcome.contact_angle
     assert asked["rope"] == CABLE
@@ -106,7 +111,7 @@ def test_a_set_up_file_gives_rope_arm_limits_and_target(hyperflex, ready, tmp_pa
     assert asked["limits"] == hf.MotorLimits(speed=5.0, torque=3.0)
 
 
-def test_clearance_and_contact_of_an_earlier_plan_are_asked_again_and_told(hyperflex, ready, tmp_path):
+def test_what_an_earlier_plan_asked_for_is_asked_again_and_told(hyperflex, ready, tmp_path):
     asked = ready("winds")
     known = dataclasses.replace(planned().cast_setup, clearance=0.02, contact=6.0)
     dataclasses.replace(planned(), cast_setup=known).to_toml(tmp_path / "cast.toml")
@@ -116,6 +121,16 @@ def test_clearance_and_contact_of_an_earlier_plan_are_asked_again_and_told(hyper
     options = ("--clearance", "0", "--contact", "0")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", *options, "-o", tmp_path / "out")
     assert (code, asked["clearance"], asked["contact"]) == (0, 0.0, 0.0)
+    assert "asked again" not in err
+    assert (asked["turns"], asked["settle"]) == (1.25, 1.0)
+    known = dataclasses.replace(planned().cast_setup, turns=2.0, settle=0.0)
+    dataclasses.replace(planned(), cast_setup=known).to_toml(tmp_path / "cast.toml")
+    code, _, err = hyperflex("cast", tmp_path / "cast.toml", "-o", tmp_path / "out")
+    assert (code, asked["turns"], asked["settle"], asked["contact"]) == (0, 2.0, 0.0, None)
+    assert "was planned with --turns 2 --settle 0, which is asked again" in " ".join(err.split())
+    options = ("--turns", "1.25", "--settle", "1")
+    code, _, err = hyperflex("cast", tmp_path / "cast.toml", *options, "-o", tmp_path / "out")
+    assert (code, asked["turns"], asked["settle"]) == (0, 1.25, 1.0)
     assert "asked again" not in err
 
 
@@ -350,6 +365,9 @@ def test_a_target_that_cannot_be_wound_is_told_at_once(hyperflex, rope_file, tmp
         ({}, ("--time-limit", "0"), "--time-limit"),
         ({}, ("--rate", "0"), "--rate"),
         ({}, ("--holding-force", "-1"), "hold"),
+        ({}, ("--turns", "0.5"), "turns are not those of a wound rope"),
+        ({}, ("--settle", "11"), "settle is longer"),
+        ({}, ("--settle", "nan"), "settle is not finite"),
         ({}, ("--seed", "-1"), "seed"),
         ({"target": ("0.5",)}, (), "--target"),
     ],

@@ -42,6 +42,11 @@ def test_targets_are_like_the_first_peg_and_the_rest_are_obstacles(hyperflex_jso
     )
     found = hf.read_reach_map(told["files"]["map"])
     assert (found.radius, found.mu, found.cast_setup.contact) == (0.4, 0.1, 6.28)
+    assert (found.cast_setup.turns, found.cast_setup.settle) == (1.25, 1.0)
+    asked = ("--turns", 0.75, "--settle", 2.5)
+    code, told = hyperflex_json("reach-map", setup, "--cells", 1, "-o", tmp_path / "out", *asked)
+    found = hf.read_reach_map(told["files"]["map"])
+    assert (code, found.cast_setup.turns, found.cast_setup.settle) == (0, 0.75, 2.5)
 
 
 def test_an_interrupt_leaves_the_map_so_far_and_says_so(hyperflex_json, setup, tmp_path, monkeypatch):

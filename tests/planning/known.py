@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -72,7 +73,7 @@ def contact_scores(cast_setup: CastSetup, peg: hf.Peg, throws: list[Throw], stat
     t, q, qd = state
     motions = [throw.motion(cast_setup.limits).shifted(-start) for throw, start in zip(throws, t, strict=True)]
     batch = RolloutBatch([cast_setup.rope] * len(throws), [peg] * len(throws), motions, q, qd)
-    return simulate_contact(batch, t, arm=cast_setup.arm)
+    return simulate_contact(batch, t, replace(cast_setup, clearance=-np.inf))
 
 
 def unreachable() -> CastPlan:

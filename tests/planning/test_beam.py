@@ -11,7 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.control import swing_period
 from hyperflex.planning import CastSetup, MotorLimits
-from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.cast_setup import MIN_TURNS
 from hyperflex.planning.search import beam, strikes
 from hyperflex.planning.search.beam import BACK, SIZES, BeamSearch
 from hyperflex.planning.search.candidates import APART, SCREENED, SHARED, Candidate, Swing, corrected
@@ -303,11 +303,11 @@ def test_a_firm_throw_loses_only_by_what_was_firm_too() -> None:
         one._replace(confirmed=firm)
         for one, firm in zip(landings(ThrowSearch(CAST_SETUP, LEVEL), 2), (True, False), strict=True)
     )
-    after = corrected([sure, other], other, 0.2, 0.3)
+    after = corrected([sure, other], other, 0.2, 0.3, MIN_TURNS)
     assert after[0] == sure
     assert (after[1].turns, after[1].score, after[1].confirmed) == (0.2, 0.3, True)
     third = other._replace(confirmed=True)
-    after = corrected([sure, third], sure, 0.2, -0.8)
+    after = corrected([sure, third], sure, 0.2, -0.8, MIN_TURNS)
     assert [one.turns for one in after] == pytest.approx([third.turns - SHARED * (sure.turns - 0.2), 0.2])
 
 

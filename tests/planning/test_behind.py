@@ -13,7 +13,8 @@ from hyperflex.cli.app import run
 from hyperflex.cli.plan.planner import read_task
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import Uncertainty, build_whip_map, check_feasibility, read_plan, verify_cast
-from hyperflex.planning.outcome import MIN_TURNS, evaluate_cast
+from hyperflex.planning.cast_setup import MIN_TURNS
+from hyperflex.planning.outcome import evaluate_cast
 from hyperflex.planning.routing import runs_behind, way_gaps
 from hyperflex.planning.search.contact_phase import MIN_HOPE, WAY_COST, _way_apart, _way_cost, simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -102,10 +103,9 @@ def test_turns_of_a_throw_that_misses_a_peg_do_not_count() -> None:
     free = simulated_strikes(cast_setup(), PEG, [WINDS])
     motion = WINDS.motion(cast_setup().limits).shifted(-free.t[0])
     one = RolloutBatch([CABLE], [PEG], [motion], free.q, free.qd)
-    on = simulate_contact(one, free.t, arm=cast_setup().arm)
-    near, far = (
-        simulate_contact(replace(one, behind=(hf.Peg(0.3, y, 0.03),)), free.t, arm=cast_setup().arm) for y in (0.5, 1.5)
-    )
+    loose = replace(cast_setup(), clearance=-np.inf)
+    on = simulate_contact(one, free.t, loose)
+    near, far = (simulate_contact(replace(one, behind=(hf.Peg(0.3, y, 0.03),)), free.t, loose) for y in (0.5, 1.5))
     assert on.turns[0] >= MIN_TURNS
     assert far.turns[0] == near.turns[0] == MIN_HOPE
     assert 0.0 < far.score[0] < near.score[0] < on.score[0]

@@ -103,7 +103,7 @@ def test_contact_and_bend_are_those_of_the_run() -> None:
     bend = np.arccos(np.clip((links[:, 1:] * links[:, :-1]).sum(axis=2), -1.0, 1.0)).max()
     assert cast.max_bend == pytest.approx(bend, abs=1e-6)
     assert not cast.folded
-    stop = planned().motion.breaks[-1] + outcome.SETTLING_TIME
+    stop = planned().motion.breaks[-1] + hf.planning.SETTLING_TIME
     watched = winding.measure_winding(run, PEG).contact[run.t >= stop]
     assert cast.contact_angle == watched.min() < watched[-1]  # what is asked for and what is told are one
     away = run.joints[-1] - [PEG.x, PEG.y]

@@ -11,12 +11,14 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastSetup, MotorLimits, Throw, estimate_success_probability, outcome, verify_cast
-from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning import CastSetup, MotorLimits, Throw, estimate_success_probability, verify_cast
+from hyperflex.planning.cast_setup import MIN_TURNS
+from hyperflex.planning.outcome import evaluate_cast
 from hyperflex.planning.search import contact_phase, rollouts
 from hyperflex.planning.search.contact_phase import (
     ARM_COST,
     CHECK_TIME,
+    END_TIME,
     FOLDED,
     LAST,
     LATE_COST,
@@ -26,7 +28,6 @@ from hyperflex.planning.search.contact_phase import (
     MIN_SWEEP,
     PASSING,
     PLAIN,
-    SETTLING_TIME,
     SLIP_COST,
     SWEEP_TIME,
     _time_near_arm,
@@ -38,6 +39,7 @@ from tests.planning.known import contact_scores, planned, simulated_strikes
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 CAST_SETUP = CastSetup(CABLE, hf.Arm(length=0.105), MotorLimits())
+FREE = replace(CAST_SETUP, clearance=-np.inf)  # its rope may go through arm and shaft
 PEG = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04, 0.3)
 WINDS = Throw(
     side=-1,
@@ -100,11 +102,11 @@ def test_a_motor_that_is_too_weak_is_told() -> None:
     assert "N m of a motor that gives 0.05" in whole.message
 
 
-def test_the_turns_that_are_missing_are_those_that_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_turns_that_are_missing_are_those_that_stay() -> None:
     """Not those at the end alone, which are told beside them."""
     plan = planned()
-    monkeypatch.setattr(outcome, "MIN_TURNS", 9.0)
-    seen = outcome.evaluate_cast(plan.cast_setup, plan.target, plan.run, float(plan.motion.breaks[-1]))
+    asked = replace(plan.cast_setup, turns=9.0)
+    seen = evaluate_cast(asked, plan.target, plan.run, float(plan.motion.breaks[-1]))
     most, stay = (float(word) for word in re.findall(r"\d\.\d\d", seen.message))
     assert seen.message.endswith(f"turns {stay:.2f} stay while it is watched, and 9 are asked")
     assert stay <= abs(seen.turns) + 0.005 <= most + 0.01
@@ -155,7 +157,7 @@ def test_a_rope_that_unwinds_later_has_no_turns_whatever_it_runs_beside(monkeypa
     motions = [hf.arm_moves([0.0, 1.0], [0.0], [0.6]), hf.arm_moves([0.0, 1.0], [0.4], [0.69])]
     assert motions[1].breaks[-1] - motions[0].breaks[-1] > 0.4
     both = RolloutBatch([CABLE] * 2, [PEG] * 2, motions, np.zeros((2, 1)), np.zeros((2, 1)))
-    found = simulate_contact(both, np.zeros(2), arm=CAST_SETUP.arm)
+    found = simulate_contact(both, np.zeros(2), FREE)
     assert found.turns[0] <= MIN_HOPE
     assert found.score[0] <= MIN_HOPE + PASSING * 2.0
 
@@ -175,7 +177,7 @@ def test_of_two_throws_that_wind_the_one_that_folds_scores_less(monkeypatch: pyt
     starts = np.zeros((2, CABLE.n_links))
     starts[1, 0] = 0.1  # marks the one that folds
     both = RolloutBatch([CABLE] * 2, [PEG] * 2, motions, starts, np.zeros_like(starts))
-    found = simulate_contact(both, np.zeros(2), arm=CAST_SETUP.arm)
+    found = simulate_contact(both, np.zeros(2), FREE)
     whole = 2.0 + PASSING * 2.0
     assert found.turns.tolist() == [2.0, 2.0]
     assert found.score == pytest.approx([whole, PLAIN + FOLDED * (whole - PLAIN)])
@@ -201,8 +203,7 @@ def test_a_rope_that_folds_flat_is_not_simulated_on_where_that_is_not_asked_for(
     start[0, 7:] = 3.0 * (folds == 0)
     one = RolloutBatch([CABLE], [PEG], [hf.arm_moves([0.0, 1.0], [0.0], [0.6])], start, np.zeros_like(start))
     kept, simulated_on = (
-        simulate_contact(one, np.zeros(1), arm=CAST_SETUP.arm, sweeping=True, folding=folding)
-        for folding in (False, True)
+        simulate_contact(one, np.zeros(1), FREE, sweeping=True, folding=folding) for folding in (False, True)
     )
     assert len(seen) == spans + 3
     assert simulated_on.turns[0] == 2.0
@@ -218,7 +219,7 @@ def test_a_stop_at_any_time_is_looked_at_once(duration: float) -> None:
     motion = hf.arm_moves([end, end - 0.2], [0.0], [duration])
     one = RolloutBatch([CABLE], [PEG], [motion], strike.q, strike.qd)
     for sweeping in (False, True):
-        assert np.isfinite(simulate_contact(one, strike.t, arm=CAST_SETUP.arm, sweeping=sweeping).score).all()
+        assert np.isfinite(simulate_contact(one, strike.t, FREE, sweeping=sweeping).score).all()
 
 
 @pytest.mark.parametrize(("turns", "spans"), [(0.9 * MIN_SWEEP, 1), (1.1 * MIN_SWEEP, 2), (1.0, 3)])
@@ -236,14 +237,14 @@ def test_a_rope_that_does_not_sweep_round_the_peg_is_not_simulated_further(
     monkeypatch.setattr(contact_phase, "_run_on", run_on)
     one = RolloutBatch([CABLE], [PEG], [hf.arm_moves([0.0, 1.0], [0.0], [0.6])], *np.zeros((2, 1, CABLE.n_links)))
     stop = float(one.motions[0].breaks[-1])
-    found = simulate_contact(one, np.zeros(1), arm=CAST_SETUP.arm, sweeping=True)
-    ends = [SWEEP_TIME * np.sqrt(2.0 / 9.81), stop + CHECK_TIME, stop + SETTLING_TIME]
+    found = simulate_contact(one, np.zeros(1), FREE, sweeping=True)
+    ends = [SWEEP_TIME * np.sqrt(2.0 / 9.81), stop + CHECK_TIME, stop + END_TIME]
     assert seen == pytest.approx(ends[:spans], rel=1e-3)
     if spans == 1:  # turns that nobody saw stay do not count, but for having passed
         assert found.score[0] == pytest.approx(PASSING * turns)
         assert found.turns[0] == 0.0
     seen.clear()
-    simulate_contact(one, np.zeros(1), arm=CAST_SETUP.arm)  # whatever it sweeps: no search, but an estimate
+    simulate_contact(one, np.zeros(1), FREE)  # whatever it sweeps: no search, but an estimate
     assert seen == pytest.approx(ends[1 : max(spans, 2)], rel=1e-3)
 
 
@@ -252,7 +253,7 @@ def test_a_rope_that_comes_too_near_its_arm_counts_as_undone(clearance: float, s
     strike = simulated_strikes(CAST_SETUP, PEG, [WINDS])
     motion = WINDS.motion(CAST_SETUP.limits).shifted(-strike.t[0])
     one = RolloutBatch([CABLE], [PEG], [motion], strike.q, strike.qd)
-    found = simulate_contact(one, strike.t, arm=CAST_SETUP.arm, clearance=clearance)
+    found = simulate_contact(one, strike.t, replace(CAST_SETUP, clearance=clearance))
     assert bool(found.turns[0] >= MIN_TURNS) is stays
     assert stays or found.score[0] <= MIN_TURNS - ARM_COST + PASSING * MAX_TURNS
 
@@ -263,7 +264,7 @@ def test_the_longer_a_rope_is_too_near_its_arm_the_less_it_is_worth() -> None:
     motion = WINDS.motion(CAST_SETUP.limits).shifted(-strike.t[0])
     one = RolloutBatch([CABLE], [PEG], [motion], strike.q, strike.qd)
     for_short, long = (
-        simulate_contact(one, strike.t, arm=CAST_SETUP.arm, clearance=clearance).score[0] for clearance in (0.037, 1.0)
+        simulate_contact(one, strike.t, replace(CAST_SETUP, clearance=clearance)).score[0] for clearance in (0.037, 1.0)
     )
     assert long + 0.1 < for_short < MIN_TURNS + PASSING * MAX_TURNS - ARM_COST
 
@@ -290,7 +291,7 @@ def test_a_rope_that_lies_through_the_peg_at_first_makes_no_turn() -> None:
     """Its run could not begin: one throw is no reason to end a search."""
     peg, still = hf.Peg(0.0, -1.0, 0.03), hf.hold_arm(0.0)
     one = RolloutBatch([CABLE], [peg], [still], *np.zeros((2, 1, CABLE.n_links)))
-    found = simulate_contact(one, np.array([3.0]), arm=CAST_SETUP.arm)
+    found = simulate_contact(one, np.array([3.0]), FREE)
     assert (found.turns[0], found.score[0]) == (0.0, pytest.approx(-3.0 * LATE_COST))
 
 

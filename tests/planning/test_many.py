@@ -121,12 +121,15 @@ def test_a_reach_map_tells_what_is_wound_and_reads_back_equal(tmp_path: Path) ->
         mu=PEG.mu,
         side=-1,
         contact=0.0,
+        turns=1.3,
+        settle=1.1,
         start_from=[planned(PEG)],
     )
+    assert (reach.cast_setup.turns, reach.cast_setup.settle) == (1.3, 1.1)
     assert reach.status.tolist() == [[1], [0]]
     assert reach.wound.tolist() == [[False], [True]]
     assert np.isnan(reach.turns[0, 0])
-    assert reach.turns[1, 0] > 1.25
+    assert reach.turns[1, 0] > 1.3
     reach.to_netcdf(tmp_path / "reach.nc")
     again = hf.read_reach_map(tmp_path / "reach.nc")
     assert again.cast_setup == reach.cast_setup

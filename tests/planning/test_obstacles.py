@@ -109,10 +109,10 @@ def test_a_search_sees_what_lies_in_the_way() -> None:
     assert blocked.score[0] < 0.0
     motion = WINDS.motion(cast_setup().limits).shifted(-free.t[0])
     one = RolloutBatch([CABLE], [PEG], [motion], free.q, free.qd)
-    on = simulate_contact(one, free.t, arm=cast_setup().arm)
+    on = simulate_contact(one, free.t, replace(cast_setup(), clearance=-np.inf))
     after = run.joints[run.t > free.t[0] + 0.1].reshape(-1, 2)
     lowest = hf.Ground(0.0, float(after[:, 1].min()) + 0.02)
-    off = simulate_contact(replace(one, obstacles=(lowest,)), free.t, arm=cast_setup().arm)
+    off = simulate_contact(replace(one, obstacles=(lowest,)), free.t, replace(cast_setup(), clearance=-np.inf))
     assert off.score[0] < on.score[0]
     assert off.turns[0] < on.turns[0]
 

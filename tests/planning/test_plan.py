@@ -769,7 +769,7 @@ def test_a_throw_without_a_margin_is_simulated_once_with_links_of_each_length(mo
     monkeypatch.setattr(work, "run_once", run_once)
     one = cast_planner.Candidate(2.0, 2.0, 1, np.zeros(3), None)  # type: ignore[arg-type]
     first, second = work.verify_twice(one)
-    assert not with_margin((None, first, second))
+    assert not with_margin((None, first, second), work.asked)
     assert succeeds((None, *work.verify(one, (None, first, second))))
     assert sorted(links) == [CABLE.n_links, 2 * CABLE.n_links, 3 * CABLE.n_links]
 

@@ -12,7 +12,8 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastOutcome, CastPlan, FallbackTarget, SuccessProbability, Throw, verify_cast
-from hyperflex.planning.outcome import SETTLING_TIME, WATCH_TIME
+from hyperflex.planning.cast_setup import SETTLING_TIME
+from hyperflex.planning.outcome import WATCH_TIME
 from hyperflex.planning.plan import to_table
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.throw_search import ThrowSearch

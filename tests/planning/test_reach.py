@@ -11,7 +11,7 @@ from scipy.integrate import quad
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastSetup, MotorLimits, check_feasibility
-from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.cast_setup import MIN_TURNS
 from hyperflex.planning.wind.feasibility import GAIN, HANGING, MARGIN, MIN_ENERGY, WIDEST
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)

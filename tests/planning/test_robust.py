@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyperflex.planning import Uncertainty
+from hyperflex.planning import MIN_TURNS, Uncertainty
 from hyperflex.planning.robust import refinement
 from hyperflex.planning.robust.refinement import (
     COMMON,
@@ -299,12 +299,12 @@ def test_what_is_dropped_is_refined_no_more(made_up: list[int], monkeypatch: pyt
 
 def test_worth_is_a_win_and_a_little_for_the_score() -> None:
     found = WindingScores(np.array([3.0, 9.0, -4.0, 0.0]), np.array([1.25, 2.0, 0.0, 1.24]))
-    assert robust_values(found) == pytest.approx([1.2, 1.2, -0.2, 0.0])
+    assert robust_values(found, CAST_SETUP) == pytest.approx([1.2, 1.2, -0.2, 0.0])
 
 
 def test_throws_that_wind_are_raced_first_and_at_most_so_many() -> None:
     many = [landing(0.1 * k, score=float(k), turns=2.0 * (k % 2)) for k in range(3 * POOL)]
-    chosen = _pool(many)
+    chosen = _pool(many, MIN_TURNS)
     assert len(chosen) == POOL
     assert all(one.turns >= 1.25 for one in chosen)
     assert chosen[0].score == 3 * POOL - 1
@@ -316,11 +316,11 @@ def test_swings_that_fail_together_are_not_the_whole_field() -> None:
     better = [one._replace(x=np.append(one.x[:-1], 1.0 + 0.1 * k)) for k, one in enumerate(better)]
     others = [landing(2.0 + 0.3 * k, score=1.0 - 0.1 * k) for k in range(6)]
     fail = [landing(5.0 + 0.3 * k, score=0.5 - 0.1 * k, turns=1.0) for k in range(2 * POOL)]
-    chosen = [one.score for one in _pool(better + others + fail)]
+    chosen = [one.score for one in _pool(better + others + fail, MIN_TURNS)]
     assert chosen[:EACH] == [one.score for one in better[:EACH]]
     assert chosen[EACH : EACH + 6] == [one.score for one in others]
     assert chosen[EACH + 6 : EACH + 10] == [one.score for one in better[EACH:]]  # before any that does not wind
     assert chosen[EACH + 10 :] == [0.5, 0.4]
     assert len(chosen) == POOL
-    assert _pool(better + others + fail, fail[-1:])[0] is fail[-1]  # as is asked
-    assert len(_pool(fail + fail, fail[:1])) == POOL
+    assert _pool(better + others + fail, MIN_TURNS, fail[-1:])[0] is fail[-1]  # as is asked
+    assert len(_pool(fail + fail, MIN_TURNS, fail[:1])) == POOL

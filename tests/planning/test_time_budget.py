@@ -88,7 +88,7 @@ def test_runs_of_a_search_do_not_outlast_it() -> None:
     strike = simulated_strikes(cast_setup(), PEG, [WINDS])
     motions = [WINDS.motion(cast_setup().limits).shifted(-float(strike.t[0]))]
     batch = RolloutBatch([CABLE], [PEG], motions, strike.q, strike.qd)
-    cut = simulate_contact(batch, strike.t, arm=cast_setup().arm, time_budget=budget)
+    cut = simulate_contact(batch, strike.t, cast_setup(), time_budget=budget)
     assert cut.turns[0] == 0.0  # with the time that it takes: 2.4
 
 

@@ -66,6 +66,23 @@ def test_the_page_names_target_swings_turns_and_hold(tmp_path, held):
     assert "In short The rope winds 2.36 turns" in page
 
 
+def test_the_page_tells_the_turns_and_the_watch_that_were_asked_where_they_are_not_usual():
+    asked = dataclasses.replace(planned().cast_setup, turns=2.0, settle=1.5)
+    for known, turns, watch in (
+        (planned().cast_setup, "1.25", ""),
+        (asked, "2", ", from 1.5 s after the arm's stop on,"),
+    ):
+        plan = dataclasses.replace(planned(), cast_setup=known)
+        told = CastReport(plan, None)
+        assert any(line.endswith(f"end; {turns} are needed") for _, line in told.tiles)
+        assert any(f"In the last 2 s{watch} the rope slips" in line for line in told.story)
+        turned = course_figure(plan).axes[1]
+        assert any(text.get_text() == f" {turns} turns are needed" for text in turned.texts)
+        assert any(line.get_ydata()[0] == known.turns == line.get_ydata()[-1] for line in turned.get_lines())
+        (green,) = [span.get_x() for span in turned.patches]
+        assert green == pytest.approx(plan.motion.breaks[-1] + known.settle)
+
+
 def test_a_plan_without_a_throw_is_a_page_with_the_reason(tmp_path):
     assert unreachable().measure_holding_force() is None
     files = write_cast(tmp_path / "out", unreachable())

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+    from hyperflex.planning.cast_setup import MIN_TURNS, SETTLING_TIME, CastSetup, MotorLimits
     from hyperflex.planning.feedback.closed_loop import Decision, FollowResult, follow_plan
     from hyperflex.planning.feedback.simulated_ropes import MotorStateSource, ScenarioStateSource
     from hyperflex.planning.insert.chance import estimate_insert_probability
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from hyperflex.planning.outcome import (
         BOUNCE_TIME,
         MAX_SLIP,
-        MIN_TURNS,
-        SETTLING_TIME,
         WATCH_TIME,
         CastOutcome,
         HoldingForce,

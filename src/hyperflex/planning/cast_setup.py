@@ -18,6 +18,10 @@ from hyperflex.planning.routing import checked_behind
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
 MIN_LINKS, MIN_TIME = 4, 0.1  # links, s
 MAX_PERIODS = 100.0  # time until the strike at most: a search through as many strokes takes hours
+MIN_TURNS = 1.25  # turns of a wound rope, from the arm's tip to the rope's end, unless others are asked
+SETTLING_TIME = 1.0  # s from the arm's stop to the watch, unless another is asked
+# Turns that may be asked: more than a rope that only lies over a peg makes. s until the watch, at most
+LEAST_TURNS, MOST_TURNS, MOST_SETTLE = 0.5, 20.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,11 @@ class CastSetup:
         where it swings in front of them.
     contact : float
         Least angle of a peg that a wound rope covers, rad, >= 0.
+    turns : float
+        Least turns of a wound rope about a peg, from the arm's tip to the rope's end; more than LEAST_TURNS, up to
+        MOST_TURNS.
+    settle : float
+        Time from the arm's stop, s, after which a wound rope is watched, >= 0, up to MOST_SETTLE.
     side : {-1, 0, 1}
         Side on which the arm stands at first, left or right; 0 lets the planner choose.
     obstacles : sequence of Peg, Wall, Ground
@@ -115,8 +124,8 @@ class CastSetup:
     ------
     InvalidInput
         If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, the time is too short or
-        too long, clearance or contact is below 0, the arm reaches an obstacle or a peg, pegs `behind` are not fixed
-        pegs, or side or start are not as above.
+        too long, clearance or contact is below 0, turns or settle are out of range, the arm reaches an obstacle or a
+        peg, pegs `behind` are not fixed pegs, or side or start are not as above.
     """
 
     rope: Rope
@@ -125,6 +134,8 @@ class CastSetup:
     time: float = 0.0
     clearance: float = 0.0
     contact: float = 0.0
+    turns: float = MIN_TURNS
+    settle: float = SETTLING_TIME
     side: int = 0
     obstacles: tuple[Obstacle, ...] = ()
     behind: tuple[Peg, ...] = ()
@@ -149,17 +160,28 @@ class CastSetup:
             allowed = f"up to {MAX_PERIODS:g} periods of its swing, {MAX_PERIODS * self.period:.4g} s"
             raise InvalidInput("time is longer than anybody swings a rope before a cast", got=time, allowed=allowed)
         object.__setattr__(self, "time", time or PERIODS * self.period)
-        if self.clearance != -math.inf:
-            clearance = checks.number("clearance", self.clearance, sign="nonnegative", unit="m")
-            object.__setattr__(self, "clearance", clearance)
-        contact = checks.number("contact", self.contact, sign="nonnegative", unit="rad")
-        object.__setattr__(self, "contact", contact)
+        self._check_criterion()
         object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles, "obstacles"))
         object.__setattr__(self, "behind", checked_behind(self.behind))
         torque = min(self.limits.torque, self.arm.torque_limit)
         object.__setattr__(self, "limits", replace(self.limits, torque=torque))
         self._check_obstacles()
         self._check_start()
+
+    def _check_criterion(self) -> None:
+        """Refuse what cannot be asked of a wound rope."""
+        if self.clearance != -math.inf:
+            clearance = checks.number("clearance", self.clearance, sign="nonnegative", unit="m")
+            object.__setattr__(self, "clearance", clearance)
+        for name, unit in (("contact", "rad"), ("turns", ""), ("settle", "s")):
+            value = checks.number(name, getattr(self, name), sign="nonnegative", unit=unit)
+            object.__setattr__(self, name, value)
+        if not LEAST_TURNS < self.turns <= MOST_TURNS:
+            allowed = f"more than {LEAST_TURNS:g} turns, up to {MOST_TURNS:g}"
+            raise InvalidInput("turns are not those of a wound rope", got=self.turns, allowed=allowed)
+        if self.settle > MOST_SETTLE:
+            allowed = f"up to {MOST_SETTLE:g} s"
+            raise InvalidInput("settle is longer than a rope takes to come to rest", got=self.settle, allowed=allowed)
 
     def _check_obstacles(self) -> None:
         """Refuse what the turning arm would hit, and pegs that are to be touched and not to be touched."""
@@ -188,6 +210,11 @@ class CastSetup:
     def period(self) -> float:
         """Period of a small swing of the rope, s; see :func:`hyperflex.control.swing_period`."""
         return swing_period(self.rope)
+
+    @property
+    def more_turns(self) -> float:
+        """Turns asked beyond MIN_TURNS, for which scores and what they are compared with were chosen; or below it."""
+        return self.turns - MIN_TURNS
 
     @property
     def start(self) -> tuple[Array, Array]:

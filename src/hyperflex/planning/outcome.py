@@ -27,8 +27,6 @@ from hyperflex.simulation import OUT_OF_TIME, Deadline, simulate
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
 
-MIN_TURNS = 1.25  # turns of a wound rope, from the arm's tip to the rope's end
-SETTLING_TIME = 1.0  # s from the arm's stop to the watch
 WATCH_TIME = 2.0  # s for which the rope must hold
 MAX_SLIP = 5e-3  # m, in the watch
 SAMPLE_TIME = 0.01  # s
@@ -45,8 +43,8 @@ class CastOutcome:
     Attributes
     ----------
     wound : bool
-        Whether the rope turns MIN_TURNS times or more about the peg all through the watch: WATCH_TIME seconds from
-        SETTLING_TIME after the arm's stop.
+        Whether the rope makes the turns that the set-up asks for, or more, about the peg all through the watch:
+        WATCH_TIME seconds, from the set-up's `settle` after the arm's stop.
     held : bool
         Whether it slips by less than MAX_SLIP in the watch, and withstands the pull that was asked for.
     turns : float
@@ -148,13 +146,13 @@ def verify_cast(
     tol, contact_step : float
         As for :func:`hyperflex.simulate`, m and s.
     watch_time : float
-        Time for which the rope must hold, s, from SETTLING_TIME after the arm's stop.
+        Time for which the rope must hold, s, from the set-up's `settle` after the arm's stop.
     time_budget : float or Deadline, optional
         Processor time of the run, s, or a share in a time by the clock; a run that takes more has failed.
     """
     watch_time = checks.number("watch_time", watch_time, sign="positive", unit="s")
     stop = float(motion.breaks[-1])
-    duration = stop + SETTLING_TIME + watch_time
+    duration = stop + cast_setup.settle + watch_time
     setup = verified_setup(cast_setup, motion, duration, (peg,), tol=tol, contact_step=contact_step)
     t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)
     t[-1] = min(t[-1], duration)
@@ -170,13 +168,13 @@ def verify_cast(
 def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float) -> CastOutcome:
     """Evaluate a run whose arm stopped at `stop`, s."""
     wound = winding.measure_winding(run, peg)
-    watched = run.t >= stop + SETTLING_TIME
+    watched = run.t >= stop + cast_setup.settle
     turns = wound.turns[watched]
     sense = np.sign(turns[-1])
-    slips = winding.rope_slip(run, peg, since=stop + SETTLING_TIME)[watched]
+    slips = winding.rope_slip(run, peg, since=stop + cast_setup.settle)[watched]
     on = bool(np.isfinite(slips).all())
     slip = float(np.abs(slips).max())
-    enough = bool((sense * turns >= MIN_TURNS).all())
+    enough = bool((sense * turns >= cast_setup.turns).all())
     held = on and slip < MAX_SLIP
     touched = np.isfinite(wound.before)
     torque, torque_peak = motor_torques(run)
@@ -189,7 +187,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         message = "the rope does not touch the peg"
     elif not enough:
         least, most = max(0.0, float((sense * turns).min())), float(np.abs(wound.turns).max())
-        message = f"of {most:.2f} turns {least:.2f} stay while it is watched, and {MIN_TURNS:g} are asked"
+        message = f"of {most:.2f} turns {least:.2f} stay while it is watched, and {cast_setup.turns:g} are asked"
     elif not held:
         message = (
             "the rope leaves the peg" if not on else f"it slips by {1e3 * slip:.1f} mm, {1e3 * MAX_SLIP:g} allowed"

@@ -32,6 +32,8 @@ def cast(
             help="Least angle of the target that the rope must cover, rad. [default: none, but a full turn is sought]",
         ),
     ] = None,
+    turns: planner.Turns = None,
+    settle: planner.Settle = None,
     clearance: planner.Clearance = None,
     time_limit: Annotated[
         float | None,
@@ -68,9 +70,10 @@ def cast(
     keys of [pegs], holds pegs that the rope is to run behind: in the end it touches each of them between the arm and
     the target.
 
-    A rope is wound with 1.25 turns or more, counted from the arm's tip to its end, and holds if it slips by less than
-    5 mm in 2 s. How much of the target it covers is told beside the turns; where the rope is long enough, the search
-    goes on for a full turn of contact. A rope that goes through itself, its arm or the motor's shaft fails.
+    A rope is wound with 1.25 turns or more (--turns), counted from the arm's tip to its end, and holds if it slips by
+    less than 5 mm in 2 s, from 1 s after the arm's stop on (--settle). How much of the target it covers is told beside
+    the turns; where the rope is long enough, the search goes on for a full turn of contact. A rope that goes through
+    itself, its arm or the motor's shaft fails.
 
     The first plan that stands, and each better one, is told on standard error when it is found. The search ends with a
     plan that has a margin, or with the time.
@@ -92,7 +95,8 @@ def cast(
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    task = planner.read_task(setup, rope, arm_length, limits, {"clearance": clearance, "contact": contact})
+    criterion = {"clearance": clearance, "contact": contact, "turns": turns, "settle": settle}
+    task = planner.read_task(setup, rope, arm_length, limits, criterion)
     uncertainty = Uncertainty.from_rope_file(rope or setup or Path()) if robust else None
     peg, first = planner.peg_of(task, target, radius, mu), planner.first_peg(task)
     plan = output.partial_of(
@@ -104,6 +108,8 @@ def cast(
             time_limit=time_limit,
             holding_force=holding_force,
             contact=task.contact,
+            turns=task.turns,
+            settle=task.settle,
             clearance=task.clearance,
             obstacles=[each for each in task.obstacles if each is not first],
             behind=task.behind,

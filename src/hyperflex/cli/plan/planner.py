@@ -70,6 +70,20 @@ Clearance = Annotated[
         "or an earlier plan's whose file is given]",
     ),
 ]
+Turns = Annotated[
+    float | None,
+    typer.Option(
+        help="Least turns of the rope about the target, from the arm's tip to its end. [default: 1.25, or an earlier "
+        "plan's whose file is given]"
+    ),
+]
+Settle = Annotated[
+    float | None,
+    typer.Option(
+        help="Time from the arm's stop, s, after which the rope is watched for 2 s. [default: 1, or an earlier plan's "
+        "whose file is given]"
+    ),
+]
 SkipFeasibility = Annotated[
     bool, typer.Option("--skip-feasibility", help="Search even for a target that is called out of reach.")
 ]
@@ -80,6 +94,7 @@ TimeBudget = Annotated[
 ]
 Seed = Annotated[int, typer.Option(help="Of the search.")]
 
+CRITERION = ("clearance", "contact", "turns", "settle")  # of a wound rope
 _TABLES = ("rope", "arm", "pegs", "walls", "grounds")  # of a set-up file, as for simulate
 _WRITTEN = {
     "page": "the whole story on one page",
@@ -93,8 +108,8 @@ _WRITTEN = {
 class Task(NamedTuple):
     """What is planned with: rope, arm, limits of the motor, obstacles, and [target] and [slot] of a set-up file.
 
-    And `clearance`, m, and `contact`, rad or None, which an earlier plan's file says where no option does, and the pegs
-    of [behind], which the rope of a cast is to run behind.
+    And the criterion, which an earlier plan's file says where no option does: `clearance`, m, `contact`, rad or None,
+    `turns`, and `settle`, s. And the pegs of [behind], which the rope of a cast is to run behind.
     """
 
     rope: Rope
@@ -105,6 +120,8 @@ class Task(NamedTuple):
     slot: Mapping[str, Any]
     clearance: float
     contact: float | None
+    turns: float
+    settle: float
     behind: tuple[Peg, ...]
 
 
@@ -117,11 +134,11 @@ def read_task(
 ) -> Task:
     """Return what the TOML files and the options give; options override the set-up file.
 
-    `limits` are arguments of MotorLimits, `criterion` has clearance, and contact where it is asked for; those that are
-    not given are None.
+    `limits` are arguments of MotorLimits, `criterion` has clearance, and of CRITERION what else can be asked for; those
+    that are not given are None.
     """
     from hyperflex.model import PLAN, PLANNING, Arm, Rope, Setup, check_tables
-    from hyperflex.planning import MotorLimits
+    from hyperflex.planning import CastSetup, MotorLimits
 
     content = {} if setup is None else files.read_toml(setup)
     again = dict(criterion)
@@ -150,8 +167,9 @@ def read_task(
     if arm_length is not None:
         arm = replace(arm, length=arm_length)
     places = (content.get("target", {}), content.get("slot", {}))
-    asked_again = again["clearance"] or 0.0, again.get("contact")
-    return Task(read.rope, arm, MotorLimits(**given), read.pegs, *places, *asked_again, _behind(content))
+    usual: dict[str, Any] = {each.name: each.default for each in fields(CastSetup)} | {"contact": None}
+    asked: dict[str, Any] = {name: usual[name] if again.get(name) is None else again[name] for name in CRITERION}
+    return Task(read.rope, arm, MotorLimits(**given), read.pegs, *places, **asked, behind=_behind(content))
 
 
 def _behind(content: Mapping[str, Any]) -> tuple[Peg, ...]:
@@ -171,8 +189,8 @@ def _behind(content: Mapping[str, Any]) -> tuple[Peg, ...]:
 def _of_plan(path: Path, again: dict[str, float | None]) -> dict[str, Any]:
     """Return the tables of a set-up for what an earlier plan was made for: its rope before it was cut, and its limits.
 
-    What the file says beside it is the verified run, whose rope is cut for the target of then. Of clearance and contact
-    what was asked then is put into `again`, where no option gives them, and told on standard error.
+    What the file says beside it is the verified run, whose rope is cut for the target of then. What was asked then, and
+    is not usual, is put into `again`, where no option gives it, and told on standard error.
     """
     from hyperflex.model import Setup, obstacle_tables
     from hyperflex.planning import CastPlan, InsertPlan, read_plan
@@ -182,7 +200,9 @@ def _of_plan(path: Path, again: dict[str, float | None]) -> dict[str, Any]:
     if known.q0:
         fix = "Plan in Python, with state0"
         raise InvalidInput(f"{path} was planned for a rope that swings at first", got="q0", allowed="none", fix=fix)
-    then = {name: getattr(known, name) for name, given in again.items() if given is None and getattr(known, name)}
+    usual = {each.name: each.default for each in fields(known)}
+    asked = {name: getattr(known, name) for name, given in again.items() if given is None}
+    then = {name: value for name, value in asked.items() if value != usual[name]}
     again |= then
     if then:
         words = " ".join(f"--{name} {value:g}" for name, value in then.items())

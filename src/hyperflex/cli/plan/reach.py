@@ -35,6 +35,8 @@ def reach_map(
     contact: Annotated[
         float | None, typer.Option(help="Least angle of the target that the rope must cover, rad. [default: none]")
     ] = None,
+    turns: planner.Turns = None,
+    settle: planner.Settle = None,
     clearance: planner.Clearance = None,
     time_budget: Annotated[
         float,
@@ -63,7 +65,8 @@ def reach_map(
 
     check_folder(out)
     limits = {"speed": speed, "acceleration": acceleration, "torque": torque}
-    task = planner.read_task(setup, rope, arm_length, limits, {"clearance": clearance, "contact": contact})
+    criterion = {"clearance": clearance, "contact": contact, "turns": turns, "settle": settle}
+    task = planner.read_task(setup, rope, arm_length, limits, criterion)
     first = planner.first_peg(task)
     place = (0.0, 0.0) if first is None else None
     like = planner.peg_of(task, place, radius or (RADIUS if first is None else None), mu)
@@ -79,6 +82,8 @@ def reach_map(
                 time_budget=time_budget,
                 holding_force=holding_force,
                 contact=task.contact,
+                turns=task.turns,
+                settle=task.settle,
                 clearance=task.clearance,
                 obstacles=[each for each in task.obstacles if each is not first],
                 behind=task.behind,

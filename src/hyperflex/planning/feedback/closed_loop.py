@@ -15,7 +15,6 @@ from hyperflex.interruption import interruptible
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.feedback.matching import Goal, features, match
-from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.robust.refinement import robust_values
 from hyperflex.planning.robust.scenario_rollouts import free_flight, winding_scores
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
@@ -299,5 +298,5 @@ class _Loop:
         batch = RolloutBatch.from_state(ropes, pegs, motions, state)
         found = winding_scores(batch, self.cast_setup, threads=self.threads)
         shape = (len(throws), len(scenarios))
-        won = (found.turns >= MIN_TURNS).reshape(shape)
-        return won.mean(axis=1), robust_values(found).reshape(shape).mean(axis=1)
+        won = (found.turns >= self.cast_setup.turns).reshape(shape)
+        return won.mean(axis=1), robust_values(found, self.cast_setup).reshape(shape).mean(axis=1)

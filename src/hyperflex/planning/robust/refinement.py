@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.robust.scenario_rollouts import nominal_strike_times, scenario_scores
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
 from hyperflex.planning.search.candidates import Candidate, near, same_swing
@@ -26,7 +26,7 @@ COMMON = RACE[-1]  # scenarios that are the same for all candidates
 DOUBT = 4  # scenarios in which a candidate is taken to fail besides: few successes may be luck
 NARROW = 0.07  # step size of CMA-ES, relative to that of the nominal search
 SHADE = 0.2  # weight of the score beside a success
-MAX_SCORE = 3.0  # score above which more does not count
+MAX_SCORE = 3.0  # score above which more does not count; with more turns asked it is higher by these
 ALIKE = 0.02  # points that differ by less are one
 COMMON_STREAM, GENERATION_STREAM, CMA_STREAM = 9001, 9002, 9003  # of random numbers
 
@@ -137,7 +137,7 @@ class RobustRefinement:
 
     def halve(self, found: Sequence[Candidate], seeded: Sequence[Candidate] = ()) -> None:
         """Compare candidates, those `seeded` among them, by successive halving, as far as there is time."""
-        self.order = [RobustCandidate(candidate) for candidate in _pool(found, seeded)]
+        self.order = [RobustCandidate(candidate) for candidate in _pool(found, self.search.cast_setup.turns, seeded)]
         try:
             self._sort(self.order, self.common, POOL_ROUNDS)
         except OutOfTime:
@@ -216,32 +216,34 @@ class RobustRefinement:
         """Simulate each candidate in each scenario, and add its successes and values; OutOfTime if no time is left."""
         if not (runners and scenarios):
             return
+        cast_setup = self.search.cast_setup
         pairs = [(one.candidate.throw, scenario) for one in runners for scenario in scenarios]
         end = Deadline(TIME_BUDGET, self.left)
-        found = scenario_scores(self.search.cast_setup, pairs, time_budget=end, threads=self.search.threads)
+        found = scenario_scores(cast_setup, pairs, time_budget=end, threads=self.search.threads)
         self.runs += 2 * len(pairs)
         if self.left() < 0.0:  # some were cut short
             raise OutOfTime
-        won = (found.turns >= MIN_TURNS).reshape(len(runners), -1)
-        values = robust_values(found).reshape(won.shape)
+        won = (found.turns >= cast_setup.turns).reshape(len(runners), -1)
+        values = robust_values(found, cast_setup).reshape(won.shape)
         for one, successes, each in zip(runners, won, values, strict=True):
             one.successes += successes.tolist()
             one.values += each.tolist()
 
 
-def robust_values(found: WindingScores) -> Array:
-    """Return the values (M,) of throws: one for a success, and SHADE at most for the score."""
-    return np.asarray((found.turns >= MIN_TURNS) + SHADE * np.clip(found.score / MAX_SCORE, -1.0, 1.0))
+def robust_values(found: WindingScores, cast_setup: CastSetup) -> Array:
+    """Return the values (M,) of throws: one for the turns that are asked, and SHADE at most for the score."""
+    most = MAX_SCORE + cast_setup.more_turns
+    return np.asarray((found.turns >= cast_setup.turns) + SHADE * np.clip(found.score / most, -1.0, 1.0))
 
 
-def _pool(found: Sequence[Candidate], seeded: Sequence[Candidate] = ()) -> list[Candidate]:
-    """Return distinct candidates: those seeded, the best that wind, EACH of a swing, then more, then others."""
+def _pool(found: Sequence[Candidate], asked: float, seeded: Sequence[Candidate] = ()) -> list[Candidate]:
+    """Return distinct candidates: those seeded, the best of `asked` turns, EACH of a swing, then more, then others."""
     chosen: list[Candidate] = list(seeded)
     more: list[Candidate] = []
     others: list[Candidate] = []
-    for one in sorted(found, key=lambda one: (one.turns < MIN_TURNS, -one.score)):
+    for one in sorted(found, key=lambda one: (one.turns < asked, -one.score)):
         crowded = sum(same_swing(one, other) for other in chosen) >= EACH
-        among = others if one.turns < MIN_TURNS else more if crowded else chosen
+        among = others if one.turns < asked else more if crowded else chosen
         if len(among) < POOL and not any(near(one, other, ALIKE) for other in chosen + more + others):
             among.append(one)
     return (chosen + more + others)[:POOL]

@@ -17,7 +17,6 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import clear_samples, samples_clear_of_arm
-from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, simulate_contact
@@ -62,7 +61,6 @@ def winding_scores(
     arm's stop counts in any case. Turns are 0 without a strike or if a run fails, and too few for a rope that comes too
     near arm, shaft or an obstacle, as in a verification. Ropes and pegs are those of the batch.
     """
-    arm = cast_setup.arm
     score, turns = np.full(len(batch), strikes.NEVER), np.zeros(len(batch))
     for low in range(0, len(batch), TOGETHER):
         rows = range(low, min(low + TOGETHER, len(batch)))
@@ -76,8 +74,7 @@ def winding_scores(
             motions = [motion.shifted(-at) for motion, at in zip(some.motions, t[hit], strict=True)]
             struck = replace(some, motions=motions, q=q[hit], qd=qd[hit])
             begin = t[hit] + batch.since
-            given: dict[str, Any] = {"arm": arm, "time_budget": time_budget, "threads": threads}
-            found = simulate_contact(struck, begin, clearance=cast_setup.clearance, **given)
+            found = simulate_contact(struck, begin, cast_setup, time_budget=time_budget, threads=threads)
             score[low + hit], turns[low + hit] = found.score, found.turns
     return WindingScores(score, turns)
 
@@ -231,11 +228,11 @@ def estimate_success_probability(
         found = scenario_scores(cast_setup, some, time_budget=end, threads=threads)
         if left() < 0.0:  # some were cut short
             break
-        won, counted = won + int((found.turns >= MIN_TURNS).sum()), counted + len(some)
+        won, counted = won + int((found.turns >= cast_setup.turns).sum()), counted + len(some)
     return SuccessProbability(won, counted)
 
 
 def _wins(scenarios: list[Scenario], cast_setup: CastSetup, throw: Throw, threads: int) -> int:
     """Return in how many scenarios a throw succeeds."""
     found = scenario_scores(cast_setup, [(throw, scenario) for scenario in scenarios], threads=threads)
-    return int((found.turns >= MIN_TURNS).sum())
+    return int((found.turns >= cast_setup.turns).sum())

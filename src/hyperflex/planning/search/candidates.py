@@ -6,7 +6,6 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.throw import LAST, Throw
 
 APART = 0.1  # least difference of two swings that are not alike: strokes in half turns, or rests in periods
@@ -61,22 +60,24 @@ def same_swing(one: Candidate, other: Candidate) -> bool:
     return one.side == other.side and bool(np.abs(way).max() <= APART)
 
 
-def unconfirmed(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return throws that wind and score better than the best confirmed one; the best of each swing."""
+def unconfirmed(candidates: Sequence[Candidate], asked: float) -> list[Candidate]:
+    """Return throws of `asked` turns that score better than the best confirmed one; the best of each swing."""
     found: list[Candidate] = []
     for one in candidates:
-        if one.turns >= MIN_TURNS and (one.confirmed or len(found) == SCREENED):
+        if one.turns >= asked and (one.confirmed or len(found) == SCREENED):
             break
-        if one.turns >= MIN_TURNS and not any(same_swing(one, other) for other in found):
+        if one.turns >= asked and not any(same_swing(one, other) for other in found):
             found.append(one)
     return found
 
 
-def corrected(candidates: Sequence[Candidate], one: Candidate, turns: float, score: float) -> list[Candidate]:
+def corrected(
+    candidates: Sequence[Candidate], one: Candidate, turns: float, score: float, asked: float
+) -> list[Candidate]:
     """Return the candidates, best first, with one corrected to the turns and the score of a better run.
 
-    If it does not wind then, throws of the same swing, which mostly fail alike, lose SHARED of its loss; confirmed ones
-    do so only if it was confirmed itself.
+    If it makes fewer turns than `asked` then, throws of the same swing, which mostly fail alike, lose SHARED of its
+    loss; confirmed ones do so only if it was confirmed itself.
     """
     known = one._replace(score=min(one.score, score), turns=min(one.turns, turns), confirmed=True)
     lost, undone = SHARED * (one.score - known.score), SHARED * (one.turns - known.turns)
@@ -84,7 +85,7 @@ def corrected(candidates: Sequence[Candidate], one: Candidate, turns: float, sco
     def correct(each: Candidate) -> Candidate:
         if each.x is one.x:
             return known
-        share = known.turns < MIN_TURNS and (one.confirmed or not each.confirmed) and same_swing(each, one)
+        share = known.turns < asked and (one.confirmed or not each.confirmed) and same_swing(each, one)
         return each._replace(score=each.score - lost, turns=each.turns - undone) if share else each
 
     return sorted(map(correct, candidates), key=lambda each: -each.score)

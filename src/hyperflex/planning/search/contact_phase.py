@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,9 +11,8 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Obstacle, Peg, Setup
 from hyperflex.motion import hold_arm
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.cast_setup import MIN_TURNS, SETTLING_TIME, CastSetup
 from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps
-from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.routing import way_gaps
 from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
 from hyperflex.planning.search.strikes import arm_tip
@@ -24,7 +23,8 @@ from hyperflex.winding import TOUCH, slid
 
 COARSE_TOL, COARSE_STEP = 1e-3, 1e-3  # m, s, of runs in a search; coarser ones of wound ropes took longer, not less
 SAMPLE_TIME, LOOK_TIME = 0.02, 0.005  # s, of samples; of looks at arm and obstacles, which a tip may pass in 20 ms
-SETTLING_TIME = 2.5  # s simulated after the arm's stop
+# What follows is for a set-up that asks for MIN_TURNS, watched from SETTLING_TIME on; see _Thresholds
+END_TIME = 2.5  # s simulated after the arm's stop
 CHECK_TIME, MIN_HOPE = 0.9, 0.75  # s after the stop at which a run is looked at; with fewer turns it ends there
 # The same after the strike, in units of sqrt(length / g), where no sample until then has more turns: of 2,423 runs of
 # searches for 20 targets 141 wound in the end; 12 of these had fewer, and 57 % of all simulated time came later
@@ -57,12 +57,33 @@ class WindingScores:
     turns: Array
 
 
+class _Thresholds(NamedTuple):
+    """What turns and scores are compared with: the constants above, moved along with what a set-up asks.
+
+    `turns` are those asked, `most` those above which more do not count, `plain` is the score that folded ropes keep.
+    `hope` and `sweep` are the turns with which a run goes on, where more are asked those of MIN_TURNS: to wind further
+    takes a rope longer. `end` is that of a run, s after the stop.
+    """
+
+    turns: float
+    most: float
+    plain: float
+    hope: float
+    sweep: float
+    end: float
+
+    @classmethod
+    def of(cls, cast_setup: CastSetup) -> "_Thresholds":
+        more, part = cast_setup.more_turns, min(1.0, cast_setup.turns / MIN_TURNS)
+        end = END_TIME + (cast_setup.settle - SETTLING_TIME)
+        return cls(cast_setup.turns, MAX_TURNS + more, PLAIN + more, MIN_HOPE * part, MIN_SWEEP * part, end)
+
+
 def simulate_contact(
     batch: RolloutBatch,
     begin: Array,
+    cast_setup: CastSetup,
     *,
-    arm: Arm,
-    clearance: float = -np.inf,
     sweeping: bool = False,
     folding: bool = True,
     time_budget: float | Deadline = TIME_BUDGET,
@@ -70,8 +91,9 @@ def simulate_contact(
 ) -> WindingScores:
     """Simulate ropes (M,) with pegs from shortly before their strikes, under motions that end; on threads.
 
-    A strike that begins later, at `begin` (M,), s, lowers the score. A rope that comes within `clearance`, m, of its
-    arm or shaft, or an obstacle, counts as one that comes undone, whose score is lower the longer it is there.
+    A strike that begins later, at `begin` (M,), s, lowers the score. The set-up gives arm and criterion. A rope
+    that comes within its clearance of arm or shaft, or an obstacle, counts as one that comes undone, whose score is
+    lower the longer it is there.
     With `sweeping` runs end that make fewer than MIN_SWEEP turns until SWEEP_TIME: for a search, which loses few.
     Without `folding` ropes that are folded flat are not simulated on, and count MIN_HOPE turns at most where they fold
     before the last part.
@@ -80,7 +102,7 @@ def simulate_contact(
     """
 
     def one(k: int) -> tuple[float, float]:
-        return _simulate_one(batch.select([k]), float(begin[k]), arm, clearance, sweeping, folding, time_budget)
+        return _simulate_one(batch.select([k]), float(begin[k]), cast_setup, sweeping, folding, time_budget)
 
     with ThreadPoolExecutor(usable_threads(threads)) as pool:
         found = list(pool.map(one, range(len(batch))))
@@ -100,8 +122,7 @@ def run_budget(left: Callable[[], float] | None, share: float) -> float | Deadli
 def _simulate_one(
     one: RolloutBatch,
     begin: float,
-    arm: Arm,
-    clearance: float,
+    cast_setup: CastSetup,
     sweeping: bool,
     folding: bool,
     time_budget: float | Deadline,
@@ -110,50 +131,51 @@ def _simulate_one(
 
     A run that must be `sweeping` and is not ends there and counts no turns that stay. One with fewer than MIN_HOPE
     turns CHECK_TIME after the stop ends there and counts MIN_HOPE at most. So does one that came too near the arm until
-    then, or comes too near it later, but its score is that of MIN_TURNS at most, less what the arm costs. A rope that
-    lies too deep in its peg at the start is not simulated, and makes no turn.
+    then, or comes too near it later, but its score is that of the turns asked at most, less what the arm costs. A rope
+    that lies too deep in its peg at the start is not simulated, and makes no turn.
     """
-    rope, limited = one.ropes[0], limit_bend(one.ropes[0])
+    arm, asked, rope = cast_setup.arm, _Thresholds.of(cast_setup), one.ropes[0]
+    limited = limit_bend(rope)
     if not _clear_of_peg(one, arm) or (not folding and at_limits(limited, one.q, -FOLD).any()):
         return -LATE_COST * begin, 0.0  # its run could not begin, or would not count: as one that makes no turn
     stop = max(float(one.motions[0].breaks[-1]), 0.5)
     check = stop + CHECK_TIME
     sweep = SWEEP_TIME * np.sqrt(rope.total_length / max(np.hypot(*rope.gravity), 1e-9)) if sweeping else check
     t, turns, q, qd, now = _run_on(one, 0.0, min(sweep, check), arm, time_budget)
-    hopeful = not sweeping or bool(np.abs(turns).max() >= MIN_SWEEP)
+    hopeful = not sweeping or bool(np.abs(turns).max() >= asked.sweep)
     hopeful = hopeful and (folding or not at_limits(limited, q, -FOLD).any())
     if hopeful and t[-1] < check - 1e-9 and _clear_of_peg(now, arm):
         further, *seen, now = _run_on(now, t[-1], check, arm, time_budget)
         t, turns, q, qd = (np.concatenate(each) for each in zip((t, turns, q, qd), (further, *seen), strict=True))
     folded = bool(at_limits(limited, q, -FOLD).any())
-    hopeful = hopeful and bool(abs(turns[-1]) >= MIN_HOPE) and _clear_of_peg(now, arm) and (folding or not folded)
-    score, stay = score_winding(t, turns, min(check, t[-1]), begin, last=LAST_CHECK)
+    hopeful = hopeful and bool(abs(turns[-1]) >= asked.hope) and _clear_of_peg(now, arm) and (folding or not folded)
+    score, stay = score_winding(t, turns, min(check, t[-1]), begin, last=LAST_CHECK, most=asked.most)
     if t[-1] < check - 1e-9:  # nobody saw its turns stay
-        score, stay = score - min(stay, MAX_TURNS), 0.0
+        score, stay = score - min(stay, asked.most), 0.0
     elif not hopeful:
-        score, stay = score - max(min(stay, MAX_TURNS) - MIN_HOPE, 0.0), min(stay, MIN_HOPE)
-    elif (near := _time_near_arm(one, q, qd, t, arm, clearance)) > 0.0:
-        score, stay = _come_undone(score, stay, near)
+        score, stay = score - max(min(stay, asked.most) - asked.hope, 0.0), min(stay, asked.hope)
+    elif (near := _time_near_arm(one, q, qd, t, arm, cast_setup.clearance)) > 0.0:
+        score, stay = _come_undone(score, stay, near, asked)
     else:
-        further, whole, settled, rates, _ = _run_on(now, t[-1], stop + SETTLING_TIME, arm, time_budget)
+        further, whole, settled, rates, _ = _run_on(now, t[-1], stop + asked.end, arm, time_budget)
         ended = np.append(t, further), np.append(turns, whole)
-        score, stay = score_winding(*ended, stop + SETTLING_TIME, begin)
-        if stay >= MIN_TURNS:
+        score, stay = score_winding(*ended, stop + asked.end, begin, most=asked.most)
+        if stay >= asked.turns:
             score -= SLIP_COST * _slip(now, settled, further - t[-1], arm)
-        if (near := _time_near_arm(now, settled, rates, further - t[-1], arm, clearance)) > 0.0:
-            score, stay = _come_undone(score, stay, near)
+        if (near := _time_near_arm(now, settled, rates, further - t[-1], arm, cast_setup.clearance)) > 0.0:
+            score, stay = _come_undone(score, stay, near, asked)
         if (apart := _way_apart(now, settled, further - t[-1], arm)) > TOUCH:
-            score -= max(min(stay, MAX_TURNS) - MIN_TURNS, 0.0) + _way_cost(apart)
-            stay = min(stay, MIN_HOPE)
-    if score > PLAIN and folded:
-        score = PLAIN + FOLDED * (score - PLAIN)
+            score -= max(min(stay, asked.most) - asked.turns, 0.0) + _way_cost(apart)
+            stay = min(stay, asked.hope)
+    if score > asked.plain and folded:
+        score = asked.plain + FOLDED * (score - asked.plain)
     return score, stay
 
 
-def _come_undone(score: float, stay: float, near: float) -> tuple[float, float]:
+def _come_undone(score: float, stay: float, near: float, asked: _Thresholds) -> tuple[float, float]:
     """Score and turns of a rope that was too near its arm or an obstacle for a time `near`, s, from those without."""
-    cost = max(min(stay, MAX_TURNS) - MIN_TURNS, 0.0) + ARM_COST * (1.0 + near / (near + ARM_TIME))
-    return score - cost, min(stay, MIN_HOPE)
+    cost = max(min(stay, asked.most) - asked.turns, 0.0) + ARM_COST * (1.0 + near / (near + ARM_TIME))
+    return score - cost, min(stay, asked.hope)
 
 
 def _clear_of_peg(one: RolloutBatch, arm: Arm) -> bool:
@@ -262,15 +284,18 @@ def _joints(one: RolloutBatch, q: Array, t: Array, arm: Arm) -> Array:
     return one.ropes[0].joints(q, arm_tip(arm, one.motions[0], t)[0])
 
 
-def score_winding(t: Array, turns: Array, span: float, begin: float, *, last: float = LAST) -> tuple[float, float]:
+def score_winding(
+    t: Array, turns: Array, span: float, begin: float, *, last: float = LAST, most: float = MAX_TURNS
+) -> tuple[float, float]:
     """Return the score of a run by its turns (T,) at times t (T,) up to its `span`, and the turns that stay.
 
-    Those are the least over the `last` seconds of the span. The strike was at `begin`; all times in s.
+    Those are the least over the `last` seconds of the span; more than `most` do not count in the score. The strike was
+    at `begin`; all times in s.
     """
     if not np.isfinite(turns).all():
         return -1.0, 0.0
     inside = t <= span + 1e-9
     ending = turns[inside & (t >= span - last)]
     stays = max(float((np.sign(ending.sum()) * ending).min()), 0.0)
-    most = float(np.abs(turns[inside]).max())
-    return min(stays, MAX_TURNS) + PASSING * min(most, MAX_TURNS) - LATE_COST * begin, stays
+    passed = float(np.abs(turns[inside]).max())
+    return min(stays, most) + PASSING * min(passed, most) - LATE_COST * begin, stays

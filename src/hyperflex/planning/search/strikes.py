@@ -25,7 +25,8 @@ from hyperflex.simulation import Deadline
 SAMPLE_TIME = 0.02  # s
 COARSE_TOL = 1e-4  # m, of swings in a search; with 1e-3, no more than a quarter faster, the best were often errors
 NEAR = 0.02  # m, gap below which the rope counts as striking
-MAX_RATIO, MAX_TAIL = 2.0, 2.0  # energy ratio, and turns of tail, above which more does not count
+# Energy ratio, and turns of tail, above which more does not count; with more turns asked more of them do
+MAX_RATIO, MAX_TAIL = 2.0, 2.0
 HANGING_TAIL = 0.7  # turns of tail that hang from the peg in the end and do not wind
 FOLDED = 0.3  # part of its score that a swing keeps in which the rope was folded flat before the strike
 NEVER = -1.0  # score of a swing without a strike, less its distance in metres
@@ -114,7 +115,7 @@ def find_strikes(
     state, joint = (q[rows, at], qd[rows, at]), (base[rows, at], base_velocity[rows, at])
     energies = [_tail(cast_setup, each, peg, state, joint, link) for each in pegs]
     ratio, left = (np.stack(part)[which, rows] for part in zip(*energies, strict=True))
-    tail = np.clip(left - HANGING_TAIL, 0.0, MAX_TAIL)
+    tail = np.clip(left - HANGING_TAIL, 0.0, MAX_TAIL + cast_setup.more_turns)
     share = np.where(samples_unfolded(cast_setup.rope, q) < at, FOLDED, 1.0)
     return Strikes(
         np.where(struck, share * np.minimum(ratio, MAX_RATIO) * tail, NEVER - least),

@@ -9,8 +9,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.model import Peg
-from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.outcome import MIN_TURNS
+from hyperflex.planning.cast_setup import MIN_TURNS, CastSetup
 from hyperflex.planning.search import contact_phase, strikes
 from hyperflex.planning.search.beam import FINER, FULL, SIZES, BeamSearch, Strike
 from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, same_swing, unconfirmed
@@ -23,7 +22,7 @@ from hyperflex.simulation import Deadline
 MEMBERS, CONTACT_MEMBERS = 32, 16  # of a generation of free swings, and of one in contact
 KEPT = 4  # swings of a generation that may be tried in contact
 TRIED = 8  # swings that are tried in contact at once
-SOUND = MIN_TURNS  # score of throws that neither slip nor are folded flat on the way
+SOUND = MIN_TURNS  # score of throws of so many turns that neither slip nor are folded flat on the way
 AFTER = (0.5, 2.5)  # strokes still made after the strike by given throws
 UNTIL = 2.0 * strikes.SAMPLE_TIME  # s after a strike, until which the arm rests that rested before it
 LATE = 0.5  # fraction of the time allowed
@@ -195,7 +194,7 @@ class ThrowSearch:
     @property
     def winds(self) -> bool:
         """Whether a throw in contact winds."""
-        return any(one.turns >= MIN_TURNS for one in self.candidates)
+        return any(one.turns >= self.cast_setup.turns for one in self.candidates)
 
     def untried(self, score: float) -> bool:
         """Whether a swing of such a score was not tried in contact yet."""
@@ -257,7 +256,7 @@ class ThrowSearch:
     def _unrefined(self) -> Candidate:
         """Return the best candidate that winds or whose swing no evolution began from; after all from the best on."""
         for one in self.candidates:
-            if one.turns >= MIN_TURNS or not any(same_swing(one, other) for other in self._centres):
+            if one.turns >= self.cast_setup.turns or not any(same_swing(one, other) for other in self._centres):
                 break
         else:
             one, self._centres = self.candidates[0], []
@@ -270,7 +269,9 @@ class ThrowSearch:
 
     def confirm(self) -> None:
         """Simulate the best throws that wind with shorter links, until the best one winds with these too."""
-        while (self.left is None or self.left() > 0.0) and (some := unconfirmed(self.candidates)):
+        while (self.left is None or self.left() > 0.0) and (
+            some := unconfirmed(self.candidates, self.cast_setup.turns)
+        ):
             throws = [one.throw for one in some]
             known = [self._known.find(one.side, one.x, one.t) for one in some]
             new = [k for k, each in enumerate(known) if each is None]
@@ -289,8 +290,8 @@ class ThrowSearch:
 
     def correct(self, one: Candidate, turns: float, score: float) -> None:
         """Correct a candidate by a better run; if it does not wind then, restart from another one."""
-        self.candidates = corrected(self.candidates, one, turns, score)
-        if turns < MIN_TURNS and any(one.x is each.x for each in self.candidates):
+        self.candidates = corrected(self.candidates, one, turns, score, self.cast_setup.turns)
+        if turns < self.cast_setup.turns and any(one.x is each.x for each in self.candidates):
             self.restart()
 
     def evaluate(self, points: Sequence[tuple[int, Array]], until: float = np.inf) -> Array:
@@ -322,9 +323,8 @@ class ThrowSearch:
         count, budget = len(motions), contact_phase.run_budget(self.left, self.workers / len(motions))
         ropes, pegs, walls = [cast_setup.rope] * count, [self.peg] * count, cast_setup.obstacles
         batch = RolloutBatch(ropes, pegs, motions, struck.q, struck.qd, obstacles=walls, behind=cast_setup.behind)
-        given: dict[str, Any] = {"arm": cast_setup.arm, "clearance": cast_setup.clearance, "sweeping": True}
-        given |= {"folding": self.folding, "time_budget": budget, "threads": self.threads}
-        return contact_phase.simulate_contact(batch, struck.t, **given)
+        given: dict[str, Any] = {"folding": self.folding, "time_budget": budget, "threads": self.threads}
+        return contact_phase.simulate_contact(batch, struck.t, cast_setup, sweeping=True, **given)
 
     def _first_strikes(self, points: Sequence[tuple[int, Array]], throws: list[Throw], until: float) -> strikes.Strikes:
         """Strikes of throws before their last moves, on the links of contact: known ones, others simulated once."""

@@ -7,7 +7,6 @@ from hyperflex.model import Peg, Setup
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import (
     MAX_SLIP,
-    SETTLING_TIME,
     WATCH_TIME,
     CastOutcome,
     HoldingForce,
@@ -90,7 +89,7 @@ class CastPlan(Plan):
     def setup(self) -> Setup:
         """Return the set-up of the verified run, with links refined near the target, and joint limits."""
         motion = self.required(self.motion, "throw")
-        end = float(motion.breaks[-1]) + SETTLING_TIME + WATCH_TIME
+        end = float(motion.breaks[-1]) + self.cast_setup.settle + WATCH_TIME
         return verified_setup(self.cast_setup, motion, end, (self.target,))
 
     def measure_holding_force(self) -> HoldingForce | None:

@@ -14,7 +14,7 @@ from hyperflex.interfaces import RopeState
 from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, checked_obstacles, cuts
 from hyperflex.motion import hold_arm
-from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.cast_setup import MIN_TURNS, SETTLING_TIME, CastSetup, MotorLimits
 from hyperflex.planning.clearance import obstacle_clearance, rope_clearance
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
 from hyperflex.planning.robust.uncertainty import Uncertainty
@@ -49,6 +49,8 @@ def plan_cast(
     time_limit: float | None = None,
     holding_force: float = 0.0,
     contact: float | None = None,
+    turns: float = MIN_TURNS,
+    settle: float = SETTLING_TIME,
     clearance: float = 0.0,
     obstacles: Sequence[Obstacle] = (),
     behind: Sequence[Peg] = (),
@@ -69,7 +71,7 @@ def plan_cast(
     rope, arm : Rope, Arm
         The rope hangs from the arm, which points to one side, at rest unless `state0` says otherwise.
     target : Peg
-        To be wound by MIN_TURNS turns or more.
+        To be wound by `turns` or more.
     limits : MotorLimits, optional
         Of the motor; by default the paper's.
     state0 : RopeState, optional
@@ -87,6 +89,10 @@ def plan_cast(
     contact : float, optional
         Least angle of the target that the rope must cover, rad. By default none is asked for, but where the rope is
         long enough a full turn is sought until 1.25 times the time in which the first plan stood; with 0 it is not.
+    turns : float
+        Least turns of the rope about the target, from the arm's tip to its end, as of :class:`CastSetup`.
+    settle : float
+        Time from the arm's stop, s, after which the rope is watched for 2 s, in which it must stay wound and hold.
     clearance : float
         Least distance of the rope from its own arm, the motor's shaft and obstacles, m, as of :class:`CastSetup`.
     obstacles : sequence of Peg, Wall, Ground
@@ -168,7 +174,8 @@ def plan_cast(
     time = 0.0 if time_limit is None else checks.number("time_limit", time_limit, sign="positive", unit="s")
     motor = MotorLimits() if limits is None else limits
     obstacles, behind = checked_obstacles(obstacles, "obstacles"), checked_behind(behind)
-    cast_setup = CastSetup(rope, arm, motor, time, clearance, contact or 0.0, side or 0, obstacles, behind)
+    asked: dict[str, Any] = {"clearance": clearance, "contact": contact or 0.0, "turns": turns, "settle": settle}
+    cast_setup = CastSetup(rope, arm, motor, time, **asked, side=side or 0, obstacles=obstacles, behind=behind)
     if uncertainty is not None:
         refuse_behind(cast_setup.behind, "a plan with an uncertainty")
     cast_setup, touch = (cast_setup, "") if state0 is None else _swinging(cast_setup, state0, target)
@@ -205,6 +212,8 @@ def plan_cast(
                 }
                 given |= {
                     "contact": contact,
+                    "turns": turns,
+                    "settle": settle,
                     "clearance": clearance,
                     "obstacles": obstacles,
                     "behind": behind,

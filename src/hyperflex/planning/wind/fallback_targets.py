@@ -10,7 +10,6 @@ from hyperflex.checks import Array
 from hyperflex.interruption import catch_interrupt
 from hyperflex.model import Peg
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget
@@ -96,7 +95,7 @@ def _with_existing_throws(plan: CastPlan, search: ThrowSearch, time_budget: floa
     for beside in searches_near_by(search, left):
         if left() < 0.0:
             return None
-        if beside.candidates and beside.candidates[0].turns >= MIN_TURNS:
+        if beside.candidates and beside.candidates[0].turns >= beside.cast_setup.turns:
             planner, peg = CastPlanner(beside, time_budget, clock=clock), beside.peg
             planner.verify_new()
             planner.verify_best()

@@ -20,11 +20,10 @@ from hyperflex.checks import Array
 from hyperflex.model import Peg
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import holds, named, obstacle_gaps
-from hyperflex.planning.outcome import MIN_TURNS
 from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.throw import KEEPING_STEP
 
-MARGIN = 0.05  # turns beyond MIN_TURNS that a plan aims at, since the tail still swings
+MARGIN = 0.05  # turns beyond those asked that a plan aims at, since the tail still swings
 HANGING = 2.0  # radii of the target that the rope's end hangs from it, at least
 GAIN = 2.2  # by which one stroke widens a swing, in units of the arm tip's way over the length of an equal pendulum
 GROWN = 0.5  # part of it that a stroke adds on average from rest to level: ten strokes bring the paper's cable there
@@ -130,7 +129,7 @@ def _distances(cast_setup: CastSetup, peg: Peg) -> tuple[float, float, float, fl
     far, aside = _place(cast_setup, peg)
     axis, way = peg.radius + cast_setup.rope.radius, _way(cast_setup, peg, far)
     room = (cast_setup.rope.total_length - way + axis) / (2.0 * math.pi * axis)
-    return far, aside, axis, way, room, _needed(way, aside, axis, cast_setup.contact)
+    return far, aside, axis, way, room, _needed(cast_setup, way, aside, axis)
 
 
 def _geometry(
@@ -143,8 +142,8 @@ def _geometry(
     if far - axis <= cast_setup.arm.length:
         return True, "inside the arm's circle: the arm would strike the target"
     most = _most(cast_setup, way, axis)
-    if most < MIN_TURNS and not cast_setup.behind:  # round a peg it comes to the target from another side
-        reason = f"with all of the rope round the target it makes {most:.2f} turns, {MIN_TURNS:g} asked"
+    if most < cast_setup.turns and not cast_setup.behind:  # round a peg it comes to the target from another side
+        reason = f"with all of the rope round the target it makes {most:.2f} turns, {cast_setup.turns:g} asked"
         return True, f"out of reach: {reason}"
     if room < needed:
         left = f"rope for {max(room, 0.0):.2f} turns is left beyond the target"
@@ -206,12 +205,13 @@ def _straight(far: float, axis: float) -> float:
     return (math.sqrt(max(far**2 - axis**2, 0.0)) - far + axis) / axis
 
 
-def _needed(far: float, aside: float, axis: float, contact: float) -> float:
-    """Least room of a rope that is wound MIN_TURNS and MARGIN turns, covers `contact`, rad, and hangs, in turns."""
+def _needed(cast_setup: CastSetup, far: float, aside: float, axis: float) -> float:
+    """Least room of a rope that makes the turns asked and MARGIN turns, covers what is asked, and hangs, in turns."""
+    turns, contact = cast_setup.turns + MARGIN, cast_setup.contact
     angle = _contact(far, aside, axis)
     rooms: list[float] = []
     while len(rooms) < 2:
-        end = 2.0 * math.pi * (MIN_TURNS + MARGIN) - math.acos(min(1.0, axis / far)) - angle if far > 0.0 else 0.0
+        end = 2.0 * math.pi * turns - math.acos(min(1.0, axis / far)) - angle if far > 0.0 else 0.0
         if angle > 0.0 and angle >= contact and end < 0.5 * math.pi:  # else even a long end makes too few turns
             hanging = max(HANGING, math.tan(max(end, 0.0)))
             rooms.append((_straight(far, axis) + angle + hanging) / (2.0 * math.pi))

@@ -9,7 +9,7 @@ import numpy as np
 
 from hyperflex.model import DEFAULT_CONTACT_STEP
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.outcome import MIN_TURNS, CastOutcome, require_holding_force, verify_cast
+from hyperflex.planning.outcome import CastOutcome, require_holding_force, verify_cast
 from hyperflex.planning.search.candidates import Candidate, distinct, same_swing
 from hyperflex.planning.search.contact_phase import SLIP_COST
 from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
@@ -19,6 +19,7 @@ from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.feasibility import MIN_ENERGY, Feasibility, check_feasibility
 from hyperflex.planning.wind.verified import (
     SPARE_TURNS,
+    Asked,
     Verified,
     both,
     covers,
@@ -70,7 +71,7 @@ class CastPlanner:
 
     `full_turn`: whether a margin includes contact of a full turn where the rope is long enough. `enough`: time spent,
     s, after which a plan without a margin ends the search, too; BETTER times that of the first by default. `clock`
-    tells the time spent, from now on by default.
+    tells the time spent, from now on by default. `more` is by how much scores must be higher for the turns asked.
     """
 
     def __init__(
@@ -86,11 +87,11 @@ class CastPlanner:
         search.left = lambda: min(SEARCHING * time_budget, self.until) - self.spent
         cast_setup = search.cast_setup
         self.finer = [cast_setup.cut(k) for k in FINER]
-        self.rounds, self.verifying = 0, 1.0
+        self.rounds, self.verifying, self.more = 0, 1.0, cast_setup.more_turns
         asked = cast_setup, replace(cast_setup, contact=FULL_TURN)
         known, full = (check_feasibility(each, search.peg) for each in asked)
-        self.contact = FULL_TURN if full_turn and full.available_turns >= full.needed_turns else 0.0
-        tail = float(np.clip(known.available_turns - HANGING_TAIL, MIN_TAIL, MAX_TAIL))
+        self.asked = Asked(cast_setup.turns, FULL_TURN * (full_turn and full.available_turns >= full.needed_turns))
+        tail = float(np.clip(known.available_turns - HANGING_TAIL, MIN_TAIL, MAX_TAIL + self.more))
         self.worthy = WORTHY * tail * float(np.clip(known.energy_ratio, MIN_ENERGY, 1.0))
         self.checked: list[Candidate] = []
         self.waiting: list[tuple[Verified, Candidate]] = []  # that succeed in two verifications without a margin
@@ -179,7 +180,7 @@ class CastPlanner:
     def worth_refining(self, late: bool) -> bool:
         """Whether a candidate is worth being refined: better swings help more if all strike late."""
         candidates = self.search.candidates
-        return bool(candidates) and (not late or candidates[0].score >= NEARLY)
+        return bool(candidates) and (not late or candidates[0].score >= NEARLY + self.more)
 
     def swing(self) -> float:
         """Make a round of free swings, one in BY_TURNS by CMA-ES, others by beam search; return the best score so far.
@@ -198,8 +199,8 @@ class CastPlanner:
 
         Such a full turn is sought until BETTER times the time of the first plan, a margin until `until`.
         """
-        good = with_margin(self.best) and (covers(self.best, self.contact) or self.spent > BETTER * self.first)
-        return self.ended or self.spent > self.until or good
+        covered = covers(self.best, self.asked.contact) or self.spent > BETTER * self.first
+        return self.ended or self.spent > self.until or (covered and with_margin(self.best, self.asked))
 
     def verify_new(self) -> None:
         """Verify the best candidates that were not verified yet, twice each; then the best that has no margin."""
@@ -213,8 +214,8 @@ class CastPlanner:
             if not self.stands:
                 self.verify_waiting()
         if self.stands:
-            known = rank(self.best, self.contact)[:-1]
-            self.waiting = [each for each in self.waiting if promise(each[0], self.contact)[:-1] > known]
+            known = rank(self.best, self.asked)[:-1]
+            self.waiting = [each for each in self.waiting if promise(each[0], self.asked)[:-1] > known]
         self.verify_waiting()
 
     def verify_waiting(self) -> None:
@@ -230,13 +231,13 @@ class CastPlanner:
             seen = list(pool.map(self.verify_twice, some))
         for one, (first, second) in zip(some, seen, strict=True):
             found = one.throw, first, second
-            if first.success and (second is None or second.success) and not with_margin(found):
+            if first.success and (second is None or second.success) and not with_margin(found, self.asked):
                 self.waiting.append((found, one))
             else:
                 self.verified.append(found)
                 if not self.ended:
                     self.take([one], [found])
-        self.waiting.sort(key=lambda each: promise(each[0], self.contact), reverse=True)
+        self.waiting.sort(key=lambda each: promise(each[0], self.asked), reverse=True)
 
     def verify_best(self) -> None:
         """Verify the best throw without a margin if no plan stands, or the best candidate if none was verified."""
@@ -249,10 +250,10 @@ class CastPlanner:
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, unlike those verified and each other; early on none that barely do."""
         last = not self.stands and self.spent > FOLDING * self.time_budget
-        least, score = max(MIN_TURNS, self.search.cast_setup.contact / FULL_TURN), LEAST if last else SOUND
+        least, score = max(self.asked.turns, self.search.cast_setup.contact / FULL_TURN), LEAST if last else SOUND
         if self.early and self.search.swings:  # not where given throws are tried before any swing
             least, score = least + SPARE_TURNS, SOUND + SPARE_SCORE
-        some = self.search.candidates
+        some, score = self.search.candidates, score + self.more
         winding = (one for one in some if one.confirmed and one.turns >= least and one.score >= score)
         return distinct(winding, self.checked, max(1, self.search.workers // 2), ALIKE)
 
@@ -262,8 +263,7 @@ class CastPlanner:
         if worse is not None and not worse.success:
             self.search.correct(one, abs(worse.turns), abs(worse.turns) - SLIP_COST)
             self.waiting.sort(key=lambda each: same_swing(each[1], one))  # those of the same swing last
-        best = self.best[0] is None or rank(found, self.contact) > rank(self.best, self.contact)
-        if best:
+        if best := self.best[0] is None or rank(found, self.asked) > rank(self.best, self.asked):
             self.best = found
         return best
 
@@ -301,17 +301,17 @@ class CastPlanner:
         unpredictable throws differ with the length of the links.
         """
         first, second = seen[1:] if seen else self.verify_twice(one)
-        if first is None or second is None or not second.success or with_margin((None, first, second)):
+        if first is None or second is None or not second.success or with_margin((None, first, second), self.asked):
             return first, second  # type: ignore[return-value] # there is a first one
 
         def third() -> CastOutcome:
             return foreseen(first, self.run_once(self.finer[1], one, self.left, FINER_STEP))
 
-        alone = all(map(may_fall, (first, second)))  # if not, the last one is needed where the third succeeds
+        alone = may_fall(self.asked, first, second)  # if not, the last one is needed where the third succeeds
         found, last = (third(), None) if alone else self.beside(third, self.finer[2], one)
         finer = [second, found]
         worst = worst_of(first, finer)
-        if worst.success and not all(map(may_fall, (first, *finer))):
+        if worst.success and not may_fall(self.asked, first, *finer):
             last = foreseen(first, last or self.run_once(self.finer[2], one, self.left, FINER_STEP))
             worst = worst_of(first, [worst, last]) if last.success else last
         return first, worst

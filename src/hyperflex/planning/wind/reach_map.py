@@ -15,7 +15,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope, Setup, checked_obstacles
-from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.cast_setup import MIN_TURNS, SETTLING_TIME, CastSetup, MotorLimits
 from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED
 from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.wind.cast_plan import CastPlan
@@ -29,6 +29,7 @@ CELLS = 8  # from the shaft to as far as the rope comes, by default
 MOST_CELLS = 100_000
 TIME_BUDGET = 10.0  # s, of each target; a first plan's median is a few s, see benchmarks/results
 NOT_PLANNED = -1  # status of a target that an interrupt left
+OWN = ("time", "clearance", "contact", "turns", "settle", "side")  # numbers of the set-up, attributes of the file
 # Name in the file: unit, long name
 VARIABLES = {
     "status": ("1", "0: a cast winds and holds; 1: not feasible; 2: none found; 3: refuted; 4: not verified; -1: open"),
@@ -114,7 +115,7 @@ class ReachMap:
         }
         known = self.cast_setup
         limits = {f"motor_{each.name}": getattr(known.limits, each.name) for each in fields(MotorLimits)}
-        own = {"time": known.time, "clearance": known.clearance, "contact": known.contact, "side": known.side}
+        own = {name: getattr(known, name) for name in OWN}
         about = {
             "format": FORMAT,
             "source": "simulated",
@@ -158,7 +159,7 @@ def build_reach_map(
     executor, chunk_size, progress
         As of :func:`plan_casts`.
     **options
-        Others of :func:`plan_cast`, the same for all targets, such as `holding_force`, `obstacles` and `seed`.
+        Others of :func:`plan_cast`, the same for all targets, such as `holding_force`, `turns` and `obstacles`.
 
     Returns
     -------
@@ -190,7 +191,7 @@ def build_reach_map(
     """
     if "obstacles" in options:
         options["obstacles"] = checked_obstacles(options["obstacles"], "obstacles")
-    named = ("clearance", "side", "obstacles", "behind")
+    named = ("clearance", "turns", "settle", "side", "obstacles", "behind")
     known = {name: options[name] for name in named if options.get(name) is not None}
     known |= {"time": options.get("time_limit") or 0.0, "contact": options.get("contact") or 0.0}
     cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, **known)
@@ -234,13 +235,14 @@ def read_reach_map(path: str | Path) -> ReachMap:
         It is another kind of file.
     """
     content = files.read_netcdf(path)
-    about, held = content.attributes, content.variables
+    usual = {"turns": MIN_TURNS, "settle": SETTLING_TIME}  # of maps from before these could be asked
+    about, held = usual | dict(content.attributes), content.variables
     if about.get("format") != FORMAT:
         raise InvalidInput(
             f"{path} is not a reach map", got=about.get("format"), allowed=f"a file of format {FORMAT!r}"
         )
     limits = {each.name: f"motor_{each.name}" for each in fields(MotorLimits)}
-    own = ("radius", "mu", "time", "clearance", "contact", "side", "setup")
+    own = ("radius", "mu", *OWN, "setup")
     missing = [name for name in ("x", "y", *VARIABLES) if name not in held]
     missing += [f"attribute {name!r}" for name in (*own, *limits.values()) if name not in about]
     if missing:
@@ -253,7 +255,7 @@ def read_reach_map(path: str | Path) -> ReachMap:
     numbers["status"] = numbers["status"].astype(np.int64)
     setup = Setup.loads(str(about["setup"]), f"the set-up in {path}")
     motor = MotorLimits(**{name: _plain(about[key]) for name, key in limits.items()})
-    rest: Mapping[str, Any] = {name: _plain(about[name]) for name in ("time", "clearance", "contact", "side")}
+    rest: Mapping[str, Any] = {name: _plain(about[name]) for name in OWN}
     known = CastSetup(
         setup.rope, setup.arm or Arm(), motor, **{**rest, "side": int(rest["side"]), "obstacles": setup.pegs}
     )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from hyperflex.planning.robust.refinement import RobustCandidate, RobustRefinement
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.wind.planner import CastPlanner
-from hyperflex.planning.wind.verified import Verified, incomplete, succeeds, with_margin
+from hyperflex.planning.wind.verified import Asked, Verified, incomplete, succeeds, with_margin
 
 # Fractions of the time of a robust plan: after ENOUGH a plan that stands ends the search in the nominal scenario, after
 # NOMINAL that search ends in any case. After REFINING candidates are only verified, after VERIFYING the success
@@ -35,15 +35,16 @@ def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Call
         refinement.promote([one for one, found in known.items() if succeeds(found)])
         while not planner.ended:
             late = not refinement.in_time
-            refinement.drop([one for one, found in known.items() if not _worth_refining(one, found, late)])
+            vain = [one for one, found in known.items() if not _worth_refining(one, found, late, planner.asked)]
+            refinement.drop(vain)
             stands = max((one.doubted_mean for one, found in known.items() if succeeds(found)), default=0.0)
             refinement.run(stands + EARLY_GAIN, None if report is None else lambda: report(planner.spent))
             if not refinement.order or (some and planner.spent > planner.time_budget):
                 break
-            best = max((_value(*each) for each in known.items()), default=NONE)
+            best = max((_value(*each, planner.asked) for each in known.items()), default=NONE)
             incumbent, late = refinement.incumbent, not refinement.in_time
             if incumbent in known:
-                if with_margin(known[incumbent]) and (late or incumbent.always_succeeds):
+                if with_margin(known[incumbent], planner.asked) and (late or incumbent.always_succeeds):
                     break
                 continue  # refined on, or dropped
             if best >= (True, True, incumbent.doubted_mean):
@@ -60,21 +61,21 @@ def refine_robustly(planner: CastPlanner, uncertainty: Uncertainty, report: Call
 
 def _choose(planner: CastPlanner, known: dict[RobustCandidate, Verified]) -> bool:
     """Let the best of verified throws be the plan; return whether that is another one than before."""
-    before, chosen = planner.best[0], max(known, key=lambda one: _value(one, known[one]), default=None)
+    before, chosen = planner.best[0], max(known, key=lambda one: _value(one, known[one], planner.asked), default=None)
     if chosen is not None and (succeeds(known[chosen]) or not succeeds(planner.best)):
         planner.best = known[chosen]
     return planner.best[0] is not before
 
 
-def _worth_refining(one: RobustCandidate, found: Verified, late: bool) -> bool:
+def _worth_refining(one: RobustCandidate, found: Verified, late: bool, asked: Asked) -> bool:
     """Whether throws like a verified one may be better.
 
     Without a margin that is so while there is time for throws that have one, unless it succeeds always.
     """
-    return with_margin(found) or (succeeds(found) and not (late or one.always_succeeds))
+    return with_margin(found, asked) or (succeeds(found) and not (late or one.always_succeeds))
 
 
-def _value(one: RobustCandidate, found: Verified) -> tuple[bool, bool, float]:
+def _value(one: RobustCandidate, found: Verified, asked: Asked) -> tuple[bool, bool, float]:
     """Value of a robust candidate as a plan."""
-    cost = 0.0 if with_margin(found) else NO_MARGIN_COST
+    cost = 0.0 if with_margin(found, asked) else NO_MARGIN_COST
     return succeeds(found), not incomplete(found), one.doubted_mean - cost

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import NamedTuple
 
-from hyperflex.planning.outcome import MAX_SLIP, MIN_TURNS, CastOutcome
+from hyperflex.planning.outcome import MAX_SLIP, CastOutcome
 from hyperflex.planning.throw import Throw
 
 SLIP_MARGIN = 0.4  # fraction of MAX_SLIP above which a throw that holds is kept, but a better one sought
@@ -25,14 +26,21 @@ MAX_DIFFERENCE = 0.5
 Verified = tuple[Throw | None, CastOutcome | None, CastOutcome | None]  # throw, outcome, outcome with shorter links
 
 
-def steady(outcome: CastOutcome) -> bool:
+class Asked(NamedTuple):
+    """What throws are compared by: the turns that are asked, and the angle of the peg that is sought, rad."""
+
+    turns: float
+    contact: float = 0.0
+
+
+def steady(outcome: CastOutcome, asked: Asked) -> bool:
     """Whether a rope that holds does so with a margin, its end may fall, and it was not folded flat before.
 
     Nor did it pass arm, shaft or obstacle narrowly.
     """
     held = outcome.slip <= SLIP_MARGIN * MAX_SLIP and outcome.load_ratio <= LOAD_MARGIN
-    held = held and abs(outcome.turns) >= MIN_TURNS + SPARE_TURNS
-    return held and may_fall(outcome) and not (outcome.folded or outcome.spare_clearance < NARROW)
+    held = held and abs(outcome.turns) >= asked.turns + SPARE_TURNS
+    return held and may_fall(asked, outcome) and not (outcome.folded or outcome.spare_clearance < NARROW)
 
 
 def foreseen(first: CastOutcome, finer: CastOutcome) -> CastOutcome:
@@ -71,14 +79,14 @@ def both(
     return here.result(), there.result()
 
 
-def may_fall(outcome: CastOutcome) -> bool:
-    """Whether the rope's end hangs, or it stays wound if an end that lies on top of the peg falls to the other side."""
-    return outcome.tip_hangs or abs(outcome.turns) >= MIN_TURNS + FALLING
+def may_fall(asked: Asked, *outcomes: CastOutcome) -> bool:
+    """Whether the rope's end hangs, or the turns asked stay if an end on top of the peg falls to the other side."""
+    return all(each.tip_hangs or abs(each.turns) >= asked.turns + FALLING for each in outcomes)
 
 
 def succeeds(found: Verified) -> bool:
     """Whether all verifications of a throw succeed."""
-    return rank(found)[0] == BOTH
+    return all(outcome is not None and outcome.success for outcome in found[1:])
 
 
 def covers(found: Verified, contact: float) -> bool:
@@ -86,9 +94,9 @@ def covers(found: Verified, contact: float) -> bool:
     return contact <= 0.0 or all(outcome is not None and outcome.contact_angle >= contact for outcome in found[1:])
 
 
-def with_margin(found: Verified) -> bool:
+def with_margin(found: Verified, asked: Asked) -> bool:
     """Whether all verifications of a throw succeed with a margin."""
-    return rank(found)[:3] == (BOTH, True, True)
+    return rank(found, asked)[:3] == (BOTH, True, True)
 
 
 def incomplete(found: Verified) -> bool:
@@ -96,21 +104,21 @@ def incomplete(found: Verified) -> bool:
     return any(outcome is not None and not outcome.completed for outcome in found[1:])
 
 
-def rank(found: Verified, contact: float = 0.0) -> tuple[int, bool, bool, bool, float]:
-    """Return verifications that succeed; whether they agree, have a margin and cover `contact`, rad; and the turns."""
+def rank(found: Verified, asked: Asked) -> tuple[int, bool, bool, bool, float]:
+    """Return verifications that succeed; whether they agree, have a margin and cover what is sought; and the turns."""
     _, outcome, finer = found
     if outcome is None or finer is None:
         return 0, False, False, False, 0.0 if outcome is None else abs(outcome.turns)
-    margin = steady(outcome) and steady(finer)
+    margin = steady(outcome, asked) and steady(finer, asked)
     turns = min(abs(outcome.turns), abs(finer.turns))
-    alike = abs(outcome.turns - finer.turns) < min(MAX_DIFFERENCE, turns - MIN_TURNS)
-    return int(outcome.success) + int(finer.success), alike, margin, covers(found, contact), turns
+    alike = abs(outcome.turns - finer.turns) < min(MAX_DIFFERENCE, turns - asked.turns)
+    return int(outcome.success) + int(finer.success), alike, margin, covers(found, asked.contact), turns
 
 
-def promise(seen: Verified, contact: float) -> tuple[int, bool, bool, bool, float]:
+def promise(seen: Verified, asked: Asked) -> tuple[int, bool, bool, bool, float]:
     """Rank of a throw if its other verifications tell what these do; the fewer turns, the sooner they end."""
     throw, first, second = seen
-    *good, turns = rank((throw, first, second or first), contact)
+    *good, turns = rank((throw, first, second or first), asked)
     return *good, -turns  # type: ignore[return-value]
 
 

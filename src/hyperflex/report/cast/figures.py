@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperflex import winding
-from hyperflex.planning import MIN_TURNS, SETTLING_TIME, CastPlan, HoldingForce
+from hyperflex.planning import CastPlan, HoldingForce
 from hyperflex.report.plan import in_words
 from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import BLUE, GREEN, GREY, RED, new_figure, note
@@ -31,13 +31,13 @@ def strike_figure(plan: CastPlan) -> "Figure":
 
 def course_figure(plan: CastPlan) -> "Figure":
     """Draw arm angle, turns, tension and the motor's torque over time."""
-    run, strike, watched = plan.required(plan.run, "run"), _strike(plan), _stop(plan) + SETTLING_TIME
-    wound = winding.measure_winding(run, plan.target)
+    run, strike, watched = plan.required(plan.run, "run"), _strike(plan), _stop(plan) + plan.cast_setup.settle
+    wound, needed = winding.measure_winding(run, plan.target), plan.cast_setup.turns
 
     def draw(turns: Any, pull: Any) -> None:
         turns.plot(run.t, sense(plan) * wound.turns, color=GREEN)
-        turns.axhline(MIN_TURNS, color=GREY, ls="--", lw=1.0)
-        note(turns, run.t[0], MIN_TURNS, f" {MIN_TURNS:g} turns are needed")
+        turns.axhline(needed, color=GREY, ls="--", lw=1.0)
+        note(turns, run.t[0], needed, f" {needed:g} turns are needed")
         turns.set(ylabel="turns", title=f"Turns about the target, {way(plan)} counted positive")
         room_above(turns)
         if np.isfinite(strike):

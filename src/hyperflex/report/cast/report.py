@@ -12,7 +12,7 @@ from hyperflex.model import Peg
 from hyperflex.planning import (
     BOUNCE_TIME,
     MAX_SLIP,
-    MIN_TURNS,
+    SETTLING_TIME,
     WATCH_TIME,
     CastOutcome,
     CastPlan,
@@ -89,9 +89,8 @@ class CastReport(PlanReport[CastPlan]):
         if cast is not None and cast.completed:
             if math.isfinite(cast.strike_time):
                 shown.append((f"{cast.strike_time:.2f} s", "after the start the rope strikes the target"))
-                counted_from = (
-                    f"in the end, {way(plan)}, from the arm's tip to the rope's end; {MIN_TURNS:g} are needed"
-                )
+                needed = f"{plan.cast_setup.turns:g} are needed"
+                counted_from = f"in the end, {way(plan)}, from the arm's tip to the rope's end; {needed}"
                 shown.append((f"{abs(cast.turns):.2f} turns", counted_from))
                 covered = f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}"
                 shown.append((covered, _covered(cast.contact_angle, plan.cast_setup.contact)))
@@ -288,9 +287,15 @@ def _outcome(plan: CastPlan, cast: CastOutcome) -> str:
         f"{abs(cast.turns):.2f} turns: the angle swept about the target's centre from the arm's tip along the rope to "
         f"its end, so straight parts and the hanging tail count beside what lies on the target "
         f"({math.degrees(cast.contact_angle):.0f} degrees), and a tail that swings "
-        f"changes it. In the last {WATCH_TIME:g} s the rope slips on the target by "
+        f"changes it. In the last {WATCH_TIME:g} s{_watched(plan)} the rope slips on the target by "
         f"{length(cast.slip, 2, least=_LEAST_SLIP)}; {1e3 * MAX_SLIP:g} mm are allowed.{behind_sentence(plan)}"
     )
+
+
+def _watched(plan: CastPlan) -> str:
+    """Return when the watch begins, where that is not as usual; else ""."""
+    settle = plan.cast_setup.settle
+    return "" if settle == SETTLING_TIME else f", from {settle:g} s after the arm's stop on,"
 
 
 def _grazes(cast: CastOutcome) -> str:
