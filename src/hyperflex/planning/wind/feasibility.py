@@ -147,7 +147,8 @@ def _geometry(
         return True, f"out of reach: {reason}"
     if room < needed:
         left = f"rope for {max(room, 0.0):.2f} turns is left beyond the target"
-        return False, f"out of reach: {left}, {needed:.2f} needed"
+        wound = f" to wind {cast_setup.turns:g}" if cast_setup.more_turns else ""
+        return False, f"out of reach: {left}, {needed:.2f} needed{wound}"
     return False, ""
 
 
