@@ -174,8 +174,9 @@ def plan_cast(
     time = 0.0 if time_limit is None else checks.number("time_limit", time_limit, sign="positive", unit="s")
     motor = MotorLimits() if limits is None else limits
     obstacles, behind = checked_obstacles(obstacles, "obstacles"), checked_behind(behind)
-    asked: dict[str, Any] = {"clearance": clearance, "contact": contact or 0.0, "turns": turns, "settle": settle}
-    cast_setup = CastSetup(rope, arm, motor, time, **asked, side=side or 0, obstacles=obstacles, behind=behind)
+    asked: dict[str, Any] = {"clearance": clearance, "turns": turns, "settle": settle}
+    asked |= {"obstacles": obstacles, "behind": behind}
+    cast_setup = CastSetup(rope, arm, motor, time, contact=contact or 0.0, side=side or 0, **asked)
     if uncertainty is not None:
         refuse_behind(cast_setup.behind, "a plan with an uncertainty")
     cast_setup, touch = (cast_setup, "") if state0 is None else _swinging(cast_setup, state0, target)
@@ -210,15 +211,7 @@ def plan_cast(
                     "time_limit": time_limit,
                     "holding_force": holding_force,
                 }
-                given |= {
-                    "contact": contact,
-                    "turns": turns,
-                    "settle": settle,
-                    "clearance": clearance,
-                    "obstacles": obstacles,
-                    "behind": behind,
-                    "uncertainty": uncertainty,
-                }
+                given |= asked | {"contact": contact, "uncertainty": uncertainty}
                 given |= {"time_budget": time_budget, "seed": seed, "threads": threads}
                 plan_for = partial(plan_cast, rope, arm, **given, progress=progress)
                 plan = plan_fallback(plan, search, time_budget, plan_for, at_hand=uncertainty is None)
