@@ -199,8 +199,9 @@ class CastPlanner:
 
         Such a full turn is sought until BETTER times the time of the first plan, a margin until `until`.
         """
-        covered = covers(self.best, self.asked.contact) or self.spent > BETTER * self.first
-        return self.ended or self.spent > self.until or (covered and with_margin(self.best, self.asked))
+        long = self.spent > BETTER * self.first
+        good = with_margin(self.best, self.asked) and (long or covers(self.best, self.asked))
+        return self.ended or self.spent > self.until or good
 
     def verify_new(self) -> None:
         """Verify the best candidates that were not verified yet, twice each; then the best that has no margin."""
@@ -286,9 +287,8 @@ class CastPlanner:
     def outcomes(self, some: Sequence[Candidate], seen: Sequence[Verified] = ()) -> list[Verified]:
         """Verify candidates, as many at once as there are threads for."""
         self.checked += [one for one in some if not any(one is other for other in self.checked)]
-        known = [seen] if seen else []
         with ThreadPoolExecutor(max(1, min(len(some), self.search.workers // 2))) as pool:
-            ended = pool.map(self.verify, some, *known)
+            ended = pool.map(self.verify, some, *([seen] if seen else []))
             found: list[Verified] = [(one.throw, *each) for one, each in zip(some, ended, strict=True)]
         self.verified += found
         return found

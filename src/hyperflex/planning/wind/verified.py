@@ -89,14 +89,15 @@ def succeeds(found: Verified) -> bool:
     return all(outcome is not None and outcome.success for outcome in found[1:])
 
 
-def covers(found: Verified, contact: float) -> bool:
-    """Whether the rope covers so much of the peg in all verifications, rad."""
-    return contact <= 0.0 or all(outcome is not None and outcome.contact_angle >= contact for outcome in found[1:])
+def covers(found: Verified, asked: Asked) -> bool:
+    """Whether the rope covers as much of the peg as is sought in all verifications."""
+    least = asked.contact
+    return least <= 0.0 or all(outcome is not None and outcome.contact_angle >= least for outcome in found[1:])
 
 
 def with_margin(found: Verified, asked: Asked) -> bool:
-    """Whether all verifications of a throw succeed with a margin."""
-    return rank(found, asked)[:3] == (BOTH, True, True)
+    """Whether all verifications of a throw succeed with a margin, whatever they cover."""
+    return rank(found, Asked(asked.turns))[:3] == (BOTH, True, True)
 
 
 def incomplete(found: Verified) -> bool:
@@ -112,7 +113,7 @@ def rank(found: Verified, asked: Asked) -> tuple[int, bool, bool, bool, float]:
     margin = steady(outcome, asked) and steady(finer, asked)
     turns = min(abs(outcome.turns), abs(finer.turns))
     alike = abs(outcome.turns - finer.turns) < min(MAX_DIFFERENCE, turns - asked.turns)
-    return int(outcome.success) + int(finer.success), alike, margin, covers(found, asked.contact), turns
+    return int(outcome.success) + int(finer.success), alike, margin, covers(found, asked), turns
 
 
 def promise(seen: Verified, asked: Asked) -> tuple[int, bool, bool, bool, float]:
