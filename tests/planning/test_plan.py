@@ -24,7 +24,7 @@ from hyperflex.planning.verification import spare_clearance
 from hyperflex.planning.wind import casting, robust_phase
 from hyperflex.planning.wind import planner as cast_planner
 from hyperflex.planning.wind.robust_phase import EARLY_GAIN
-from hyperflex.planning.wind.verified import failure, foreseen, steady, succeeds, with_margin
+from hyperflex.planning.wind.verified import Asked, failure, foreseen, steady, succeeds, with_margin
 from hyperflex.simulation import Deadline
 from tests.faults.interrupting import left_by
 from tests.planning.known import planned
@@ -752,7 +752,8 @@ def test_what_may_be_passed_closely_leaves_nothing_to_chance() -> None:
     assert outcome is not None
     close = [replace(outcome, clearance=each, spare_clearance=np.inf) for each in (1e-3, 6e-3)]
     assert foreseen(*close).success
-    assert steady(close[0]) is steady(outcome) is True
+    asked = Asked(free.turns)
+    assert steady(close[0], asked) is steady(outcome, asked) is True
 
 
 def test_a_throw_without_a_margin_is_simulated_once_with_links_of_each_length(monkeypatch: pytest.MonkeyPatch) -> None:
