@@ -386,7 +386,7 @@ def test_an_estimate_does_not_outlast_its_time() -> None:
         (0.6e-3, 0.2e-3, "it passes 0.2 mm, not 0.6 mm, from the walls"),
         (0.1e-3, 3.2e-3, "it passes 3.2 mm, not 0.1 mm, from the walls"),
         (0.4e-3, 0.5e-3, ""),  # both see the same
-        (1.1e-3, 4.0e-3, ""),  # room enough
+        (0.8e-3, 2.4e-3, ""),  # room enough
     ],
 )
 def test_an_insertion_past_the_walls_by_less_than_its_runs_differ_is_left_to_chance(

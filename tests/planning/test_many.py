@@ -123,6 +123,9 @@ def test_a_reach_map_tells_what_is_wound_and_reads_back_equal(tmp_path: Path) ->
         contact=0.0,
         turns=1.3,
         settle=1.1,
+        seed=3,
+        holding_force=0.01,
+        time_budget=15.0,
         start_from=[planned(PEG)],
     )
     assert (reach.cast_setup.turns, reach.cast_setup.settle) == (1.3, 1.1)
@@ -133,14 +136,17 @@ def test_a_reach_map_tells_what_is_wound_and_reads_back_equal(tmp_path: Path) ->
     reach.to_netcdf(tmp_path / "reach.nc")
     again = hf.read_reach_map(tmp_path / "reach.nc")
     assert again.cast_setup == reach.cast_setup
+    assert (again.time_budget, again.holding_force, again.seed) == (15.0, 0.01, 3)
     for name in ("x", "y", "radius", "mu", "status", "turns", "contact_angle", "seconds"):
         np.testing.assert_array_equal(getattr(again, name), getattr(reach, name))
-    assert reach.plot().axes[0].get_title("left").endswith("1 of 1 feasible ones wound (simulated)")
+    assert reach.plot().axes[0].get_title("left").endswith("1 of 1 feasible ones wound, 15 s each (simulated)")
     hf.simulate(CORD, duration=0.1).to_netcdf(tmp_path / "run.nc")
     with pytest.raises(InvalidInput, match="not a reach map"):
         hf.read_reach_map(tmp_path / "run.nc")
     with pytest.raises(InvalidInput, match="increasing"):
         hf.build_reach_map(CORD, ARM, x=[0.2, 0.1])
+    with pytest.raises(InvalidInput, match="begins with a rope that hangs"):
+        hf.build_reach_map(CORD, ARM, cells=1, state0=hf.State(0.0, np.zeros(CORD.n_links), np.zeros(CORD.n_links)))
 
 
 def test_rows_of_a_reach_map_are_heights_and_columns_are_x(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

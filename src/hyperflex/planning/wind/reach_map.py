@@ -15,7 +15,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope, Setup, checked_obstacles
-from hyperflex.planning.cast_setup import MIN_TURNS, SETTLING_TIME, CastSetup, MotorLimits
+from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED
 from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.wind.cast_plan import CastPlan
@@ -30,6 +30,7 @@ MOST_CELLS = 100_000
 TIME_BUDGET = 10.0  # s, of each target; a first plan's median is a few s, see benchmarks/results
 NOT_PLANNED = -1  # status of a target that an interrupt left
 OWN = ("time", "clearance", "contact", "turns", "settle", "side")  # numbers of the set-up, attributes of the file
+ASKED = ("radius", "mu", "time_budget", "holding_force", "seed")  # others, of the map
 # Name in the file: unit, long name
 VARIABLES = {
     "status": ("1", "0: a cast winds and holds; 1: not feasible; 2: none found; 3: refuted; 4: not verified; -1: open"),
@@ -50,6 +51,12 @@ class ReachMap:
         Of the targets' middles, m; the arm's pivot is at ``cast_setup.arm.pivot``.
     radius, mu : float
         Of the targets, m, and their friction with the rope.
+    time_budget : float
+        Of each target's search, s.
+    holding_force : float
+        Pull that the wound ropes withstand, N.
+    seed : int
+        Of the searches.
     status : (Y, X) int64
         As of :attr:`CastPlan.status`: 0 where a cast stands, 1 where the target is not feasible and none was searched
         for. NOT_PLANNED where an interrupt came before, or ended the search.
@@ -64,6 +71,9 @@ class ReachMap:
     y: Array
     radius: float
     mu: float
+    time_budget: float
+    holding_force: float
+    seed: int
     status: npt.NDArray[np.int64]
     turns: Array
     contact_angle: Array
@@ -116,12 +126,13 @@ class ReachMap:
         known = self.cast_setup
         limits = {f"motor_{each.name}": getattr(known.limits, each.name) for each in fields(MotorLimits)}
         own = {name: getattr(known, name) for name in OWN}
-        about = {
+        about: dict[str, Any] = {
             "format": FORMAT,
             "source": "simulated",
             "setup": Setup(known.rope, arm=known.arm, pegs=known.obstacles).dumps(),
         }
-        files.write_netcdf(path, NetCDF(grid | held, about | {"radius": self.radius, "mu": self.mu} | limits | own))
+        about |= {name: getattr(self, name) for name in ASKED}
+        files.write_netcdf(path, NetCDF(grid | held, about | limits | own))
 
 
 @interruptible(ReachMap)
@@ -196,6 +207,9 @@ def build_reach_map(
     known |= {"time": options.get("time_limit") or 0.0, "contact": options.get("contact") or 0.0}
     cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, **known)
     refuse_behind(cast_setup.behind, "a reach map")
+    if options.get("state0") is not None:
+        fix = "Plan these targets one by one"
+        raise InvalidInput("a reach map begins with a rope that hangs", got="state0", allowed="none", fix=fix)
     middle, far = cast_setup.arm.pivot, cast_setup.arm.length + cast_setup.rope.total_length
     count = checks.count("cells", cells)
     steps = (np.arange(count) + 0.5) * far / count
@@ -216,7 +230,8 @@ def build_reach_map(
         for name, value in _figures(plan).items():
             values[name][number] = value
     shaped: dict[str, Any] = {name: each.reshape(levels.size, places.size) for name, each in values.items()}
-    return stop.deliver(ReachMap(cast_setup, places, levels, targets[0].radius, targets[0].mu, **shaped))
+    asked = time_budget, options.get("holding_force", 0.0), options.get("seed", 0)
+    return stop.deliver(ReachMap(cast_setup, places, levels, targets[0].radius, targets[0].mu, *asked, **shaped))
 
 
 def read_reach_map(path: str | Path) -> ReachMap:
@@ -235,14 +250,13 @@ def read_reach_map(path: str | Path) -> ReachMap:
         It is another kind of file.
     """
     content = files.read_netcdf(path)
-    usual = {"turns": MIN_TURNS, "settle": SETTLING_TIME}  # of maps from before these could be asked
-    about, held = usual | dict(content.attributes), content.variables
+    about, held = dict(content.attributes), content.variables
     if about.get("format") != FORMAT:
         raise InvalidInput(
             f"{path} is not a reach map", got=about.get("format"), allowed=f"a file of format {FORMAT!r}"
         )
     limits = {each.name: f"motor_{each.name}" for each in fields(MotorLimits)}
-    own = ("radius", "mu", *OWN, "setup")
+    own = (*ASKED, *OWN, "setup")
     missing = [name for name in ("x", "y", *VARIABLES) if name not in held]
     missing += [f"attribute {name!r}" for name in (*own, *limits.values()) if name not in about]
     if missing:
@@ -259,7 +273,8 @@ def read_reach_map(path: str | Path) -> ReachMap:
     known = CastSetup(
         setup.rope, setup.arm or Arm(), motor, **{**rest, "side": int(rest["side"]), "obstacles": setup.pegs}
     )
-    return ReachMap(known, radius=float(about["radius"]), mu=float(about["mu"]), **numbers)
+    asked: dict[str, Any] = {name: float(about[name]) for name in ASKED} | {"seed": int(about["seed"])}
+    return ReachMap(known, **asked, **numbers)
 
 
 def _first(plan: CastPlan) -> bool:

@@ -50,7 +50,7 @@ def _title(reach: ReachMap) -> str:
     rope, radius = reach.cast_setup.rope, 1e3 * reach.radius
     return (
         f"Rope of {rope.total_length:.3g} m, {1e3 * rope.total_mass:.3g} g; targets of {radius:.3g} mm radius\n"
-        f"{int(reach.wound.sum())} of {searched} feasible ones wound (simulated)"
+        f"{int(reach.wound.sum())} of {searched} feasible ones wound, {reach.time_budget:g} s each (simulated)"
     )
 
 
