@@ -19,21 +19,25 @@ from hyperflex.planning.outcome import WATCH_TIME, evaluate_cast
 from hyperflex.planning.robust import refinement, scenario_rollouts
 from hyperflex.planning.robust.refinement import RobustRefinement, robust_values
 from hyperflex.planning.robust.uncertainty import Uncertainty
-from hyperflex.planning.search import contact_phase
+from hyperflex.planning.search import contact_phase, throw_search
 from hyperflex.planning.search.candidates import Candidate, corrected, unconfirmed
 from hyperflex.planning.search.contact_phase import (
+    ARM_COST,
+    ARM_TIME,
     END_TIME,
     FOLDED,
     MAX_TURNS,
     PASSING,
     PLAIN,
+    WAY_COST,
+    WAY_GAP,
     WindingScores,
     simulate_contact,
 )
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
 from hyperflex.planning.search.throw_search import ThrowSearch
-from hyperflex.planning.wind import casting
+from hyperflex.planning.wind import casting, fallback_targets
 from hyperflex.planning.wind import planner as cast_planner
 from hyperflex.planning.wind.verified import Asked, may_fall, rank, with_margin
 from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
@@ -183,7 +187,18 @@ def test_what_comes_undone_scores_less_than_what_is_asked(monkeypatch: pytest.Mo
         monkeypatch.setattr(contact_phase, "_time_near_arm", lambda *_: 0.1)
         near = simulate_contact(in_contact(), np.zeros(1), replace(FREE, turns=asked))
         assert near.turns[0] < asked
-        assert near.score[0] < asked + PASSING * (asked + 1.0) - 0.5
+        assert near.score[0] == pytest.approx(
+            asked + PASSING * (asked + 1.0) - ARM_COST * (1.0 + 0.1 / (0.1 + ARM_TIME))
+        )
+
+
+def test_what_misses_a_peg_scores_less_than_what_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contact_phase, "_way_apart", lambda *_: WAY_GAP)
+    for asked in (0.7, 3.0):
+        made_up(monkeypatch, asked + 1.0)
+        aside = simulate_contact(in_contact(), np.zeros(1), replace(FREE, turns=asked))
+        assert aside.turns[0] < asked
+        assert aside.score[0] == pytest.approx(asked + PASSING * (asked + 1.0) - 1.5 * WAY_COST)
 
 
 def test_few_turns_that_are_asked_are_simulated_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,6 +223,11 @@ def test_a_longer_tail_counts_where_more_turns_are_asked() -> None:
     tail = float(usual.tail_turns[0]) - HANGING_TAIL
     assert tail > MAX_TAIL
     assert more.score[0] == pytest.approx(usual.score[0] * min(tail, MAX_TAIL + 1.75) / MAX_TAIL)
+    known = check_feasibility(cast_setup(), thin)
+    usually, worthy = (
+        cast_planner.CastPlanner(ThrowSearch(asks(turns=n), thin), 60.0).worthy for n in (MIN_TURNS, 3.0)
+    )
+    assert worthy == pytest.approx(usually * (known.available_turns - HANGING_TAIL) / MAX_TAIL)
 
 
 def candidates() -> list[Candidate]:
@@ -222,15 +242,29 @@ def test_candidates_are_those_that_make_the_turns_asked() -> None:
     two, fewer = candidates()
     assert unconfirmed([two, fewer], 1.25) == [two, fewer]
     assert unconfirmed([two, fewer], 1.75) == [two]
+    assert unconfirmed([fewer._replace(confirmed=True), two], 1.75) == [two]  # the first one is not the best that winds
     alike = two._replace(x=two.x.copy())
     for asked, lost in ((1.25, 0.0), (1.75, 0.8 * 0.6)):
         after = corrected([two, alike], alike, 1.4, 1.0, asked)
         assert after[0].turns == pytest.approx(2.0 - lost)
+        search = ThrowSearch(asks(turns=asked), PEG)
+        search.candidates = [two, alike]
+        search.correct(alike, 1.4, 1.0)
+        assert search.candidates == after
     for asked, winds in ((1.25, True), (3.0, False)):
         search = ThrowSearch(asks(turns=asked), PEG)
         search.candidates = [two._replace(confirmed=True), fewer]
         assert search.winds is winds
         assert bool(cast_planner.CastPlanner(search, 60.0).fresh()) is winds
+        search.candidates = [fewer._replace(score=9.0, confirmed=True)]
+        assert bool(cast_planner.CastPlanner(search, 60.0).fresh()) is winds  # whatever it scores
+
+
+def test_throws_with_the_turns_asked_are_simulated_with_shorter_links(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[float] = []
+    monkeypatch.setattr(throw_search, "unconfirmed", lambda some, asked: seen.append(asked) or [])
+    ThrowSearch(asks(turns=2.0), PEG).confirm()
+    assert seen == [2.0]
 
 
 def test_a_search_begins_an_evolution_again_where_the_turns_asked_are_missing() -> None:
@@ -270,7 +304,9 @@ def test_a_margin_is_one_beyond_the_turns_asked() -> None:
     assert with_margin(throw, Asked(2.0))
     assert not with_margin(throw, Asked(2.3))
     assert rank(throw, Asked(2.3))[:3] == (2, True, False)
-    assert not rank((None, good, replace(good, turns=2.26)), Asked(2.2))[1]  # they differ by more than is to spare
+    assert not rank((None, good, replace(good, turns=good.turns + 0.1)), Asked(2.2))[
+        1
+    ]  # they differ by more than is to spare
     on_top = replace(good, tip_hangs=False)
     assert may_fall(Asked(1.3), good, on_top)
     assert not may_fall(Asked(1.4), good, on_top)
@@ -321,6 +357,21 @@ def test_fallback_targets_are_asked_for_the_same(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(casting, "plan_fallback", plan_fallback)
     hf.plan_cast(CABLE, cast_setup().arm, hf.Peg(2.5, 0.0, 0.03), turns=2.0, settle=0.5, fallback=True)
     assert (asked["turns"], asked["settle"]) == (2.0, 0.5)
+
+
+def test_throws_of_fewer_turns_than_are_asked_are_no_fallback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def planner(beside: SimpleNamespace, time_budget: float) -> None:
+        raise AssertionError(beside.cast_setup.turns)
+
+    monkeypatch.setattr(fallback_targets, "CastPlanner", planner)
+    for asked in (3.0, 2.0):
+        beside = SimpleNamespace(cast_setup=asks(turns=asked), peg=PEG, candidates=candidates()[:1])
+        monkeypatch.setattr(fallback_targets, "searches_near_by", lambda search, beside=beside: iter([beside]))
+        if asked == 3.0:
+            assert fallback_targets._with_existing_throws(planned(), beside, 60.0) is None  # type: ignore[arg-type]
+        else:
+            with pytest.raises(AssertionError, match="2"):
+                fallback_targets._with_existing_throws(planned(), beside, 60.0)  # type: ignore[arg-type]
 
 
 def test_a_plan_makes_the_turns_that_are_asked_and_its_file_says_them(tmp_path: Path) -> None:
