@@ -350,7 +350,7 @@ def test_a_plan_that_is_followed_is_judged_by_the_turns_that_it_was_asked_for(mo
 def test_fallback_targets_are_asked_for_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: dict[str, Any] = {}
 
-    def plan_fallback(plan: CastPlan, search: ThrowSearch, time_budget: float, plan_for: Any) -> CastPlan:
+    def plan_fallback(plan: CastPlan, search: ThrowSearch, time_budget: float, plan_for: Any, **_: object) -> CastPlan:
         asked.update(plan_for.keywords)
         return plan
 
@@ -360,13 +360,13 @@ def test_fallback_targets_are_asked_for_the_same(monkeypatch: pytest.MonkeyPatch
 
 
 def test_throws_of_fewer_turns_than_are_asked_are_no_fallback(monkeypatch: pytest.MonkeyPatch) -> None:
-    def planner(beside: SimpleNamespace, time_budget: float) -> None:
+    def planner(beside: SimpleNamespace, time_budget: float, **_: object) -> None:
         raise AssertionError(beside.cast_setup.turns)
 
     monkeypatch.setattr(fallback_targets, "CastPlanner", planner)
     for asked in (3.0, 2.0):
         beside = SimpleNamespace(cast_setup=asks(turns=asked), peg=PEG, candidates=candidates()[:1])
-        monkeypatch.setattr(fallback_targets, "searches_near_by", lambda search, beside=beside: iter([beside]))
+        monkeypatch.setattr(fallback_targets, "searches_near_by", lambda *_, beside=beside: iter([beside]))
         if asked == 3.0:
             assert fallback_targets._with_existing_throws(planned(), beside, 60.0) is None  # type: ignore[arg-type]
         else:
