@@ -1,7 +1,7 @@
 """The capstan: at which pull does a wound rope slip? Beside exp(mu theta).
 
 python -m benchmarks.capstan              the whole table; results in benchmarks/results/capstan.json
-python -m benchmarks.capstan --quick      one case of each
+python -m benchmarks.capstan --quick      a look at one case of each; nothing is written
 
 A rope without weight goes round a peg of 20 mm, 1 N at its tip. The pull at its other end grows steadily, and slip is
 1 mm beyond what it had moved at four fifths of the limit. The rope is cut as the library cuts it.
