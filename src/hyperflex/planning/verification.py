@@ -96,10 +96,10 @@ def motor_torques(run: Trajectory) -> tuple[float, float]:
     return mean, max(float(peak), mean)
 
 
-def clearances(cast_setup: CastSetup, run: Trajectory) -> tuple[Clearance, ...]:
-    """Return how near the rope of a run comes to its own arm, and to the obstacles where there are some."""
+def clearances(cast_setup: CastSetup, run: Trajectory, until: float = np.inf) -> tuple[Clearance, ...]:
+    """Return how near the rope of a run comes to its own arm, and to obstacles, if any, `until` a time, s."""
     some = cast_setup.obstacles
-    return (rope_clearance(run), *((obstacle_clearance(run, some),) if some else ()))
+    return (rope_clearance(run), *((obstacle_clearance(run, some, until),) if some else ()))
 
 
 def asked_clearances(cast_setup: CastSetup) -> tuple[float, float]:

@@ -8,19 +8,18 @@ from hyperflex.checks import Array
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import sampled_clearance
 from hyperflex.planning.insert.slot import Slot, find_crossings, frame, passages, tip_speed
-from hyperflex.planning.tip.aim import GRID, WINDOW, position_std, swing_derivatives
+from hyperflex.planning.tip.aim import position_std, swing_derivatives, swing_times
+from hyperflex.planning.tip.joint_motion import JointMotion
+from hyperflex.planning.tip.obstacle_gaps import BESIDE, least_spare_gaps
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.task import Aimed
-from hyperflex.simulation import Sensitivities
 
 LEVELS = (0.0, 0.5, 1.0)  # of the depth asked, at which the rope shall be in the middle of the gap
 DEEPER = 1.1  # times the depth asked, that the tip shall reach
 MARGIN = 0.35  # of the gap beside the rope
 SLACK = 0.5  # part of the offset allowed, up to which it is left where depth or another gap fails
 SLOWER = 1.02  # times the speed asked that the tip shall be slower: finer links differ by less
-SAMPLE_TIME, CLOSELY = 0.01, 0.4  # s: between samples but for the last; those lie GRID apart
 SPARSE = 4  # samples of which one is looked at for the arm's clearance
-BESIDE = 0.01  # m, from walls that other parts of the rope shall keep
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,9 +28,10 @@ class Entry(Aimed):
 
     `offset` (3,), m, is where the rope crosses the line of the walls with the tip at LEVELS of the depth asked; of a
     tube where the tip is at the last two of these, too: (5,). `depth`, m, is the greatest that the tip reaches. Its
-    `speed` at `t` is in m/s. `gaps`, m, are least distances from the walls of all the rope but what follows the tip
-    through: of each time that it crosses the line of the walls (G,). `doffset` (3 or 5, P), `ddepth` (P,) and `dgaps`
-    (G, P) are their derivatives. `clearance`, m, is the least distance of the rope from its own arm.
+    `speed` at `t` is in m/s. `gaps` (G,), m, are least distances from the walls of all the rope but what follows the
+    tip through, of each time that it crosses their line, and those from obstacles, less the clearance asked, of each
+    time that it comes near one. `doffset` (3 or 5, P), `ddepth` (P,) and `dgaps` (G, P) are their derivatives.
+    `clearance`, m, is the least distance of the rope from its own arm.
     """
 
     offset: Array
@@ -52,22 +52,14 @@ class Entry(Aimed):
 class _Run:
     """A run with derivatives in the frame of a slot."""
 
-    def __init__(self, cast_setup: CastSetup, slot: Slot, run: Sensitivities) -> None:
-        self.slot, self.run, self.rope = slot, run, cast_setup.rope
-        self.ways = self.rope.length[:, None] * np.stack([np.sin(run.q), -np.cos(run.q)], axis=-1)
-        back = np.cumsum(self.ways[:, ::-1], axis=1)[:, ::-1]
-        self.joints = np.concatenate([run.tip[:, None] - back, run.tip[:, None]], axis=1)
-        self.depth, self.offset = frame(slot, self.joints)
-        self.crossings = find_crossings(slot, self.rope.radius, self.depth, self.offset)
+    def __init__(self, slot: Slot, radius: float, motion: JointMotion) -> None:
+        self.slot, self.motion = slot, motion
+        self.depth, self.offset = frame(slot, motion.places)
+        self.crossings = find_crossings(slot, radius, self.depth, self.offset)
 
     def changes(self, row: int) -> tuple[Array, Array]:
         """Return derivatives of depth and offset of all joints (n + 1, P + 2) at a row."""
-        way, dq = self.ways[row], self.run.dq[row]
-        moved = np.stack([-way[:, 1], way[:, 0]], axis=-1)[:, :, None] * dq[:, None]
-        moved[..., -2] += way  # by a factor of the length
-        after = np.cumsum(moved[::-1], axis=0)[::-1]
-        dtip = self.run.dtip[row]
-        both = np.einsum("ax,jxp->ajp", self.slot.axes, np.concatenate([dtip - after, dtip[None]]))
+        both = np.einsum("ax,jxp->ajp", self.slot.axes, self.motion.changes(row))
         return both[0], both[1]
 
     def at(self, k: int) -> tuple[float, Array]:
@@ -85,12 +77,12 @@ class _Run:
 
 def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float) -> Entry | None:
     """Find the way of the tip through a slot that ends next to time `near`, s; None if there is none."""
-    closely = max(GRID, near - CLOSELY)
-    t = np.append(np.arange(SAMPLE_TIME, closely - GRID, SAMPLE_TIME), np.arange(closely, near + WINDOW, GRID))
+    t = swing_times(near)
     derivatives = swing_derivatives(cast_setup, strokes, t)
     if derivatives is None:
         return None
-    run = _Run(cast_setup, slot, derivatives)
+    motion = JointMotion(cast_setup.rope, derivatives)
+    run = _Run(slot, cast_setup.rope.radius, motion)
     depth = run.depth[:, -1]
     found = list(zip(passages(depth, slot.depth), passages(depth, DEEPER * slot.depth), strict=True))
     if not found:
@@ -103,7 +95,8 @@ def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float)
     if slot.tube > 0.0:
         told += [_tip_at(run, level * slot.depth, begin, end) for level in LEVELS[1:]]
     doffset = np.array([each[3] for each in told])
-    gaps, dgaps = _least_gaps(run, begin, end)
+    walls, others = _least_gaps(run, begin, end), least_spare_gaps(cast_setup, motion, t.size)
+    gaps, dgaps = (np.concatenate(each) for each in zip(walls, others, strict=True))
     return Entry(
         strokes,
         float(t[end] + (late - 1.0) * (t[end] - t[end - 1])),
@@ -118,7 +111,7 @@ def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float)
         dgaps=dgaps[:, :-2],
         clearance=float(
             sampled_clearance(
-                cast_setup.rope, cast_setup.arm, *(each[::SPARSE] for each in (derivatives.q, run.joints[:, 0]))
+                cast_setup.rope, cast_setup.arm, *(each[::SPARSE] for each in (derivatives.q, motion.places[:, 0]))
             ).min()
         ),
     )
@@ -177,7 +170,7 @@ def _least_gaps(run: _Run, begin: int, end: int) -> tuple[Array, Array]:
                 outwards = 1.0 if abs(offset) > 0.5 * (run.slot.width + run.slot.wall) else -1.0
                 gaps.append(float(found.gap[k]))
                 changes.append(side * outwards * doffset)
-    return np.array(gaps), np.array(changes).reshape(len(gaps), run.run.dq.shape[2])
+    return np.array(gaps), np.array(changes).reshape(len(gaps), run.motion.run.dtip.shape[2])
 
 
 def _at_level(level: float, a: Array, b: Array, da: Array, db: Array) -> tuple[float, Array, float, Array]:

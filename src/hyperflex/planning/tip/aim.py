@@ -15,12 +15,19 @@ from hyperflex.simulation import Sensitivities, sensitivities
 
 AIM_TOL = 1e-6  # m
 WINDOW, GRID = 0.12, 2e-3  # s: how far an instant may move from its last time; step of samples about it
+SAMPLE_TIME, CLOSELY = 0.01, 0.4  # s: between samples of a whole swing but for the last; those lie GRID apart
 ROUNDS = 24
 DAMPING_START, MIN_DAMPING, MAX_DAMPING = 2e-3, 1e-4, 3.0  # of Levenberg and Marquardt, of the greatest singular value
 LESS, MORE = 4.0, 5.0  # factors of the damping after a step that is taken, and one that is not
 IDLE, MAX_IDLE = 0.8, 3  # a round that leaves more than this fraction of the residual is idle; so many idle ones end it
 MAX_STEP = 0.6  # in standard deviations of random swings
 FRICTION_STD, LENGTH_STD, TIMING_STD = 0.05, 0.002, 2e-3  # relative, relative, s of each rest
+
+
+def swing_times(near: float) -> Array:
+    """Return times (T,), s, at which a whole swing is looked at whose tip does something about time `near`, s."""
+    closely = max(GRID, near - CLOSELY)
+    return np.append(np.arange(SAMPLE_TIME, closely - GRID, SAMPLE_TIME), np.arange(closely, near + WINDOW, GRID))
 
 
 def swing_derivatives(cast_setup: CastSetup, strokes: Strokes, t: Array) -> Sensitivities | None:

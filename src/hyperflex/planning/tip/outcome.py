@@ -73,9 +73,9 @@ def simulate_in_time(setup: Setup, t: Array, time_budget: Deadline | None) -> Tr
         return None
 
 
-def run_figures(cast_setup: CastSetup, run: Trajectory) -> dict[str, Any]:
-    """Return what a :class:`TipOutcome` tells of its whole run."""
-    max_bend, near, (torque, torque_peak) = greatest_bend(run), clearances(cast_setup, run), motor_torques(run)
+def run_figures(cast_setup: CastSetup, run: Trajectory, until: float = np.inf) -> dict[str, Any]:
+    """Return what a :class:`TipOutcome` tells of its whole run; of obstacles `until` a time, s, alone."""
+    max_bend, near, (torque, torque_peak) = greatest_bend(run), clearances(cast_setup, run, until), motor_torques(run)
     return {
         "max_bend": max_bend,
         "folded": folded_flat(run),

@@ -6,7 +6,9 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.tip.aim import GRID, WINDOW, position_std, swing_derivatives
+from hyperflex.planning.tip.aim import GRID, WINDOW, position_std, swing_derivatives, swing_times
+from hyperflex.planning.tip.joint_motion import JointMotion
+from hyperflex.planning.tip.obstacle_gaps import BESIDE, least_spare_gaps
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.task import Aimed
 from hyperflex.planning.whip.tip_target import TipTarget, tip_velocity
@@ -18,13 +20,17 @@ ANGLE_MARGIN, SPEED_MARGIN = 0.85, 1.01  # of the allowed angle and the asked sp
 class AimedPeak(Aimed):
     """A peak of the tip's speed, and its derivatives by the P parameters of the strokes.
 
-    `place`, m, and `velocity`, m/s, (2,) of the tip; `dplace` and `dvelocity` (2, P) at the peak, which moves.
+    `place`, m, and `velocity`, m/s, (2,) of the tip; `dplace` and `dvelocity` (2, P) at the peak, which moves. `gaps`
+    (G,), m, are those beyond the clearance asked from obstacles, of each time until then that the rope comes near
+    one; `dgaps` (G, P).
     """
 
     place: Array
     velocity: Array
     dplace: Array
     dvelocity: Array
+    gaps: Array
+    dgaps: Array
 
     @property
     def speed(self) -> float:
@@ -34,13 +40,15 @@ class AimedPeak(Aimed):
 
 def find_peak(cast_setup: CastSetup, strokes: Strokes, near: float) -> AimedPeak | None:
     """Find the peak of the tip's speed next to time `near`, s, and its derivatives; None if there is none."""
-    t = np.arange(max(GRID, near - WINDOW), near + WINDOW, GRID)
+    window = np.arange(max(GRID, near - WINDOW), near + WINDOW, GRID)
+    t = swing_times(near) if cast_setup.obstacles else window
     run, motion = swing_derivatives(cast_setup, strokes, t), strokes.motion(cast_setup.limits)
     if run is None:
         return None
     v = tip_velocity(cast_setup, run.q, run.qd, motion.angle(t), motion.rate(t))
     square = (v**2).sum(axis=1)
     at = 1 + np.flatnonzero((square[1:-1] > square[:-2]) & (square[1:-1] >= square[2:]))
+    at = at[np.abs(t[at] - near) < WINDOW]
     if at.size == 0:
         return None
     i = int(at[np.abs(t[at] - near).argmin()])
@@ -53,6 +61,7 @@ def find_peak(cast_setup: CastSetup, strokes: Strokes, near: float) -> AimedPeak
     peak = v[i] + late * slope
     dplace = run.dtip[i] + late * dv[i] + peak[:, None] * later
     dvelocity = dv[i] + slope[:, None] * later
+    gaps, dgaps = least_spare_gaps(cast_setup, JointMotion(cast_setup.rope, run), i + 1)
     return AimedPeak(
         strokes,
         float(t[i]) + late,
@@ -62,13 +71,16 @@ def find_peak(cast_setup: CastSetup, strokes: Strokes, near: float) -> AimedPeak
         velocity=peak,
         dplace=dplace[:, :-2],
         dvelocity=dvelocity[:, :-2],
+        gaps=gaps,
+        dgaps=dgaps[:, :-2],
     )
 
 
 def aim_residuals(target: TipTarget, aim: AimedPeak, length: float) -> tuple[Array, Array]:
-    """Return the residuals (m,), m, and their Jacobian (m, P): the place, and direction and speed if they fail.
+    """Return the residuals (m,), m, and their Jacobian (m, P): the place, and what else fails.
 
-    The target's distance from the shaft is the `length`, m, that an error of 1 rad or of the whole speed counts as.
+    That is direction, speed, and gaps from obstacles. The target's distance from the shaft is the `length`, m, that an
+    error of 1 rad or of the whole speed counts as.
     """
     speed = aim.speed
     residuals, jacobian = [*(aim.place - target.point)], [*aim.dplace]
@@ -82,4 +94,8 @@ def aim_residuals(target: TipTarget, aim: AimedPeak, length: float) -> tuple[Arr
         scale = length / target.least_speed
         residuals.append(scale * (speed - SPEED_MARGIN * target.least_speed))
         jacobian.append(scale * (aim.velocity @ aim.dvelocity) / speed)
+    for gap, change in zip(aim.gaps.tolist(), aim.dgaps, strict=True):
+        if gap < BESIDE:
+            residuals.append(gap - BESIDE)
+            jacobian.append(change)
     return np.array(residuals), np.array(jacobian)

@@ -1,15 +1,18 @@
 """The outcome of a whip in a simulated run: the peak of the tip's speed at the target."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import named, obstacle_gaps
 from hyperflex.planning.tip.outcome import WINDOW, TipOutcome, run_figures, sample_times, simulate_in_time
 from hyperflex.planning.verification import verified_setup
 from hyperflex.planning.whip.tip_target import TipTarget, find_peaks
 from hyperflex.simulation import Deadline
+from hyperflex.trajectory import Trajectory
 
 TOL = 1e-7  # m
 
@@ -28,11 +31,15 @@ class TipStrike(TipOutcome):
         Angle between velocity and the asked direction, rad, >= 0.
     earlier_speed : float
         Greatest speed of the tip at a peak before, m/s.
+    touches_later : str
+        Which obstacle the rope touches after the peak, until the run ends, and when; empty if none. Until the peak
+        touches are failures.
     """
 
     miss: float
     angle_error: float
     earlier_speed: float
+    touches_later: str = ""
 
     def in_short(self) -> str:
         """Return what matters most to whoever carries the strokes out, in figures with units."""
@@ -57,13 +64,14 @@ def verify_whip(
     if run is None:
         return None
     found = find_peaks(run.t, run.tip[None], run.tip_velocity[None])
-    about = np.abs(found.t - near) < WINDOW
+    touched = _first_touch(cast_setup, run)
+    about = (np.abs(found.t - near) < WINDOW) & (found.t < (touched if touched > near else np.inf))
     if not about.any():
         return None
     k = int(np.where(about, found.speed, 0.0).argmax())
     earlier = found.speed[found.t < found.t[k]]
     error, speed = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k])
-    figures = run_figures(cast_setup, run)
+    figures = run_figures(cast_setup, run, float(found.t[k]))
     message = figures["refused"]
     if not message and speed < target.least_speed:
         message = f"the tip's speed is {speed:.2f} m/s, and {target.least_speed:g} is asked"
@@ -77,6 +85,24 @@ def verify_whip(
         miss=float(np.hypot(*(found.place[k] - target.point))),
         angle_error=error,
         earlier_speed=float(earlier.max(initial=0.0)),
+        touches_later=_touches(cast_setup, run, touched) if touched > found.t[k] else "",
         message=message,
         **figures,
     )
+
+
+def _first_touch(cast_setup: CastSetup, run: Trajectory) -> float:
+    """Return when the rope of a run first touches an obstacle, s; infinity if it does not."""
+    if not cast_setup.obstacles:
+        return math.inf
+    touched = np.asarray(run.contact_force).any(axis=(1, 2))
+    return float(run.t[touched.argmax()]) if touched.any() else math.inf
+
+
+def _touches(cast_setup: CastSetup, run: Trajectory, t: float) -> str:
+    """Return which obstacle the rope touches at time t, s, and when; empty if t is infinite."""
+    if not math.isfinite(t):
+        return ""
+    joints = run.joints[int(np.searchsorted(run.t, t))]
+    gaps = obstacle_gaps(cast_setup.obstacles, joints[:-1], joints[1:]).min(axis=-1)
+    return f"{named(cast_setup.obstacles[int(gaps.argmin())])} at {t:.2f} s"

@@ -58,7 +58,7 @@ def plan_whip(
     Parameters
     ----------
     rope, arm, limits, clearance, obstacles, skip_feasibility, seed, threads, progress
-        As of :func:`hyperflex.plan_cast`. Obstacles are looked at until 0.15 s after the tip is there.
+        As of :func:`hyperflex.plan_cast`. The rope must not touch obstacles until the tip is there.
     point : (2,) array_like
         Place of the tip at the peak, m.
     direction : (2,) array_like, optional

@@ -9,8 +9,9 @@ import numpy as np
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import clear_samples, holds, named
+from hyperflex.planning.clearance import holds, named
 from hyperflex.planning.routing import refuse_behind
+from hyperflex.planning.tip.obstacle_gaps import blocked
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.swings import random_swings, simulate_swings
 from hyperflex.planning.tip.task import TipCandidate
@@ -94,15 +95,10 @@ def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibil
 
 
 def simulate_peaks(cast_setup: CastSetup, strokes: list[Strokes], threads: int | None = None) -> Peaks:
-    """Simulate free swings from rest and find the peaks of the tip's speed, of each before it touches an obstacle."""
+    """Simulate free swings from rest and find the peaks of the tip's speed."""
     t, batch, angle, rate = simulate_swings(cast_setup, strokes, SAMPLE_TIME, threads)
-    found = find_peaks(t, batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate))
-    if not cast_setup.obstacles:
-        return found
-    base = cast_setup.arm.tip(angle)
-    clear = clear_samples([cast_setup.rope] * len(strokes), cast_setup.obstacles, batch.q, base, cast_setup.clearance)
-    before = found.t <= SAMPLE_TIME * (clear[found.row] - 1)
-    return Peaks._make(each[before] for each in found)
+    lacks = blocked(cast_setup, batch.q, cast_setup.arm.tip(angle))
+    return find_peaks(t, batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate), lacks)
 
 
 @interruptible()

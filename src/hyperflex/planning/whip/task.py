@@ -49,15 +49,16 @@ class WhipTask(TipTask[AimedPeak]):
         return find_peak(self.cast_setup, strokes, near)
 
     def residuals(self, aim: AimedPeak) -> tuple[Array, Array]:
-        """Return the peak's way to the target, and direction and speed if they fail."""
+        """Return the peak's way to the target, and direction, speed and gaps from obstacles if they fail."""
         return aim_residuals(self.target, aim, pivot_distance(self.cast_setup, self.target))
 
     def shortfall(self, aim: AimedPeak) -> float:
-        """Return by how much place, direction and speed fail, 0 if they do not."""
+        """Return by how much place, direction, speed and gaps from obstacles fail, 0 if they do not."""
         miss = float(np.hypot(*(aim.place - self.target.point)))
         beyond = max(0.0, abs(float(self.target.angle_error(aim.velocity))) - self.target.angle_tolerance)
         slow = max(0.0, 1.0 - aim.speed / self.target.least_speed)
-        return max(0.0, miss - MAX_MISS) + beyond + slow
+        touching = max(0.0, -float(aim.gaps.min(initial=np.inf)))
+        return max(0.0, miss - MAX_MISS) + beyond + slow + touching
 
     def verify(self, aim: AimedPeak, end: Deadline | None) -> Verified:
         """Simulate a whip with the links as planned and half as long."""

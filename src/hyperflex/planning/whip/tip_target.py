@@ -14,6 +14,7 @@ from hyperflex.planning.cast_setup import CastSetup
 ANGLE_MARGIN, SPEED_MARGIN = 0.6, 1.05  # of the allowed angle and the asked speed, at which a search aims
 ANGLE_COST, SPEED_COST = 0.3, 1.0  # m/rad; m per missing fraction of the speed
 EARLIER_COST = 0.5  # m per fraction by which a peak is lower than an earlier one
+BLOCKED_COST = 3.0  # m per m that the rope went through an obstacle before; 1 finds fewer
 TIME_COST = 0.004  # m/s: of equal whips the sooner one is less uncertain
 
 
@@ -98,7 +99,8 @@ class Peaks(NamedTuple):
     """Peaks of the tip's speed in several swings (P,), interpolated between samples.
 
     `row` is the number of the swing, `t` in s; `place`, m, and `velocity`, m/s, (P, 2) are those of the tip. `highest`
-    is the speed of the highest peak of the swing until then, this one included, m/s.
+    is the speed of the highest peak of the swing until then, this one included, m/s. `blocked` is by how much, m, the
+    rope came too near an obstacle before, or through it.
     """
 
     row: npt.NDArray[np.int64]
@@ -107,6 +109,7 @@ class Peaks(NamedTuple):
     velocity: Array
     speed: Array
     highest: Array
+    blocked: Array
 
 
 def tip_velocity(cast_setup: CastSetup, q: Array, qd: Array, angle: Array, rate: Array) -> Array:
@@ -117,10 +120,11 @@ def tip_velocity(cast_setup: CastSetup, q: Array, qd: Array, angle: Array, rate:
     return np.stack([vx, vy], axis=-1)
 
 
-def find_peaks(t: Array, tip: Array, velocity: Array) -> Peaks:
+def find_peaks(t: Array, tip: Array, velocity: Array, blocked: Array | None = None) -> Peaks:
     """Find the peaks of the tip's speed in samples at evenly spaced times t (T,), s.
 
-    `tip`, m, and `velocity`, m/s, are (M, T, 2), NaN if a run failed.
+    `tip`, m, and `velocity`, m/s, are (M, T, 2), NaN if a run failed; `blocked` (M, T), m, as of :class:`Peaks`, by
+    default 0.
     """
     step = float(t[1] - t[0])
     square = np.nan_to_num((velocity**2).sum(axis=2))
@@ -135,14 +139,15 @@ def find_peaks(t: Array, tip: Array, velocity: Array) -> Peaks:
     tops = np.zeros_like(square[:, 1:-1])
     tops[row, at] = speed
     highest = np.maximum.accumulate(tops, axis=1)[row, at]
+    until = np.zeros(at.size) if blocked is None else blocked[row, at + 1]
     whole = np.isfinite(place).all(axis=1) & np.isfinite(v).all(axis=1)
-    return Peaks(*(each[whole] for each in (row, t[at + 1] + step * part, place, v, speed, highest)))
+    return Peaks(*(each[whole] for each in (row, t[at + 1] + step * part, place, v, speed, highest, until)))
 
 
 def peak_costs(target: TipTarget, peaks: Peaks) -> Array:
     """Cost of peaks (P,), m: distance from the target, and more if direction or speed are not as asked.
 
-    A peak after a higher one costs more, and so does a late one.
+    A peak after a higher one costs more, so does a late one, and one before which the rope passes through an obstacle.
     """
     return np.asarray(
         np.hypot(*(peaks.place - target.point).T)
@@ -150,6 +155,7 @@ def peak_costs(target: TipTarget, peaks: Peaks) -> Array:
         + SPEED_COST * np.maximum(1.0 - peaks.speed / (SPEED_MARGIN * target.least_speed), 0.0)
         + EARLIER_COST * (1.0 - peaks.speed / np.maximum(peaks.highest, 1e-9))
         + TIME_COST * peaks.t
+        + BLOCKED_COST * peaks.blocked
     )
 
 

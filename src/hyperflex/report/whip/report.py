@@ -104,6 +104,8 @@ class WhipReport(PlanReport[WhipPlan]):
         lines.append(stroke_story(plan))
         if plan.outcome is not None:
             lines.append(_peak(plan.outcome))
+            if plan.outcome.touches_later:
+                lines.append(f"After the peak the rope touches {plan.outcome.touches_later}, if nothing stops it.")
         if impact is not None:
             lines.append(_impact(impact))
         if math.isfinite(plan.position_std):

@@ -1,0 +1,243 @@
+"""Whips past obstacles: gaps of a swing that passes through them, their derivatives, and a switch behind an edge."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hyperflex as hf
+from hyperflex.model import Obstacle
+from hyperflex.planning import CastSetup, MotorLimits, Strokes, build_whip_map, check_whip_feasibility
+from hyperflex.planning.clearance import obstacle_gaps, sampled_obstacle_gaps
+from hyperflex.planning.insert.entry import find_entry
+from hyperflex.planning.tip.obstacle_gaps import BESIDE, least_spare_gaps, signed_gaps
+from hyperflex.planning.whip.aim import find_peak
+from hyperflex.planning.whip.outcome import verify_whip
+from hyperflex.planning.whip.search import simulate_peaks
+from hyperflex.planning.whip.task import WhipTask
+from hyperflex.planning.whip.tip_target import BLOCKED_COST, TipTarget, peak_costs
+from tests.planning import known_insert
+from tests.planning.known_whip import NEAR, ROPE, STROKES
+
+ARM, LIMITS = hf.Arm(length=0.1), MotorLimits()
+WHO = CastSetup(ROPE, ARM, LIMITS, 4.0)
+WALL, POST, FLOOR = hf.Wall(0.2, -0.4, 0.5, 0.6), hf.Peg(0.1, 0.2, 0.15), hf.Ground(0.3, -0.2, nx=0.6, ny=0.8)
+
+
+def links(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    begin = np.random.default_rng(seed).uniform(-0.8, 0.8, (count, 1, 2))
+    return begin, begin + np.random.default_rng(seed + 1).uniform(-0.3, 0.3, (count, 1, 2))
+
+
+def test_gaps_outside_are_distances() -> None:
+    begin, end = links(500, 1)
+    apart, gaps = obstacle_gaps((WALL, POST, FLOOR), begin, end), signed_gaps((WALL, POST, FLOOR), begin, end)
+    assert (apart > 0.0).all(axis=1).sum() > 50
+    np.testing.assert_array_equal(gaps[apart > 0.0], apart[apart > 0.0])
+    assert (gaps[:, 0] < 0.0).any()  # of links through the wall, which have no distance
+    assert (apart[:, 0] >= 0.0).all()
+
+
+def test_a_link_through_a_wall_is_as_deep_as_the_nearer_end_is_far() -> None:
+    """By points of both, 0.1 mm apart."""
+    begin, end = links(400, 3)
+    gaps = signed_gaps((WALL,), begin, end)[:, 0, 0]
+    part = np.linspace(0.0, 1.0, 4001)[:, None]
+    first, last = np.array([WALL.x, WALL.y]), np.array([WALL.x2, WALL.y2])
+    wall, seen = first + part * (last - first), 0
+    for k in np.flatnonzero(gaps < 0.0):
+        link = begin[k, 0] + part * (end[k, 0] - begin[k, 0])
+        normal = np.array([last[1] - first[1], first[0] - last[0]])
+        at = link[np.abs((link - first) @ normal).argmin()]  # where it crosses
+        assert np.hypot(*(wall - at).T).min() < 2e-4
+        # a link that is nearly along the wall crosses at a place that its points tell less well
+        assert -gaps[k] == pytest.approx(min(np.hypot(*(at - first)), np.hypot(*(at - last))), abs=2e-3)
+        seen += 1
+    assert seen > 10
+
+
+@pytest.mark.parametrize("obstacle", [WALL, POST, FLOOR], ids=["wall", "post", "floor"])
+def test_derivatives_of_gaps(obstacle: Obstacle) -> None:
+    """Against central differences, by both coordinates of both ends of a link."""
+    cast_setup: Any = SimpleNamespace(rope=SimpleNamespace(radius=0.0), obstacles=(obstacle,), clearance=2.0)
+    begin, end = links(200, 5)
+    places, by_place = np.concatenate([begin, end], axis=1), np.eye(4).reshape(2, 2, 4)
+    h, kinds = 1e-6, set[bool]()
+    for each in places:
+        motion: Any = SimpleNamespace(
+            places=each[None], changes=lambda _: by_place, run=SimpleNamespace(dtip=np.zeros((1, 2, 4)))
+        )
+        (gap,), (change,) = least_spare_gaps(cast_setup, motion, 1)
+        kinds.add(bool(gap + 2.0 < 0.0))
+        moved = each[None, None] + h * np.array([1.0, -1.0])[:, None, None, None] * np.moveaxis(by_place, 2, 0)
+        plus, minus = signed_gaps((obstacle,), moved[:, :, :1], moved[:, :, 1:])[..., 0, 0]
+        np.testing.assert_allclose(change, (plus - minus) / (2.0 * h), atol=1e-4 * max(1.0, np.abs(change).max()))
+    assert kinds == {False, True}
+
+
+def test_gaps_count_once_for_each_time_that_the_rope_comes_near() -> None:
+    x = np.array([0.5, 0.004, 0.002, 0.5, 0.003, 0.5, 0.001])
+    places = np.stack([np.stack([x, 0.0 * x], axis=-1), np.stack([x, 0.0 * x - 0.1], axis=-1)], axis=1)
+    motion: Any = SimpleNamespace(
+        places=places, changes=lambda row: np.full((2, 2, 1), row), run=SimpleNamespace(dtip=np.zeros((7, 2, 1)))
+    )
+    who: Any = SimpleNamespace(rope=SimpleNamespace(radius=0.0), obstacles=(hf.Wall(0.0, -1.0, 0.0, 1.0),), clearance=0)
+    assert BESIDE < 0.5
+    gaps, changes = least_spare_gaps(who, motion, 6)
+    assert gaps == pytest.approx([0.002, 0.003])
+    assert changes[:, 0] == pytest.approx([2.0, 4.0])
+    who.clearance = 0.0025
+    assert least_spare_gaps(who, motion, 7)[0] == pytest.approx([-0.0005, 0.0005, -0.0015])
+    who.obstacles = ()
+    assert least_spare_gaps(who, motion, 7)[0].size == 0
+
+
+def test_derivatives_of_gaps_by_strokes() -> None:
+    """Of a wall that the rope passes through, one that it passes by, and a post, by central differences of swings."""
+    run = hf.simulate(
+        rope=ROPE, motion=STROKES.motion(LIMITS), arm=ARM, t_eval=np.linspace(0.0, NEAR, 96), duration=NEAR
+    )
+    near = run.tip[int(np.argmax(run.tip[:, 0]))]
+    some = (
+        hf.Wall(near[0] - 0.05, near[1] - 0.2, near[0] - 0.05, near[1] + 0.02),
+        hf.Peg(near[0] + 0.02, near[1], 0.01),
+    )
+    who = replace(WHO, obstacles=(*some, hf.Wall(near[0] + 0.008, near[1] - 0.3, near[0] + 0.008, near[1] + 0.3)))
+    aim = find_peak(who, STROKES, NEAR)
+    assert aim is not None
+    assert aim.gaps.size >= 3
+    assert aim.gaps.min() < -0.01
+    assert aim.gaps.max() > 0.0
+    h, size = 1e-5, STROKES.parameters.size
+    for k in range(size):
+        change = np.zeros(size)
+        change[k] = h
+        plus, minus = (find_peak(who, STROKES.varied(s * change), aim.t) for s in (1.0, -1.0))
+        assert plus is not None
+        assert minus is not None
+        by = (plus.gaps - minus.gaps) / (2.0 * h)
+        np.testing.assert_allclose(aim.dgaps[:, k], by, rtol=1e-3, atol=1e-3)
+
+
+def test_what_a_whip_lacks_beside_obstacles() -> None:
+    """A gap counts as it lacks to BESIDE while it is aimed, and fails where there is none."""
+    task = WhipTask(SimpleNamespace(cast_setup=WHO), TipTarget(0.3, -0.9, least_speed=1.0))  # type: ignore[arg-type]
+    aim: Any = SimpleNamespace(speed=9.0, place=np.array([0.3, -0.9]), velocity=np.array([9.0, 0.0]))
+    aim.dplace = aim.dvelocity = np.zeros((2, 4))
+    aim.gaps, aim.dgaps = np.array([-0.004, 0.003, BESIDE + 0.001]), np.arange(12.0).reshape(3, 4)
+    residuals, jacobian = task.residuals(aim)
+    assert residuals == pytest.approx([0.0, 0.0, -0.004 - BESIDE, 0.003 - BESIDE])
+    assert jacobian[2:].tolist() == aim.dgaps[:2].tolist()
+    assert task.shortfall(aim) == pytest.approx(0.004)
+    aim.gaps = aim.gaps[1:]
+    assert task.shortfall(aim) == 0.0
+
+
+def test_peaks_behind_an_obstacle_cost_more() -> None:
+    walled = replace(WHO, obstacles=(hf.Wall(0.25, -1.5, 0.25, 0.5),))
+    strokes = [STROKES, replace(STROKES, side=1, ends=-STROKES.ends)]
+    free, there = (simulate_peaks(each, strokes) for each in (WHO, walled))
+    assert not free.blocked.any()
+    np.testing.assert_array_equal(there.t, free.t)  # what is simulated is the same
+    assert (free.place[:, 0] > 0.26).any()
+    assert (there.blocked[free.place[:, 0] > 0.26] > 0.0).all()
+    for row in range(2):
+        assert (np.diff(there.blocked[there.row == row]) >= 0.0).all()  # what was touched before stays touched
+    target = TipTarget(0.6, -0.6, least_speed=1.0)
+    more = peak_costs(target, there) - peak_costs(target, free)
+    assert more == pytest.approx(BLOCKED_COST * there.blocked)
+    kept = replace(walled, clearance=0.02)
+    lacks = simulate_peaks(kept, strokes).blocked
+    touched = there.blocked > 0.0
+    assert lacks[touched] == pytest.approx(there.blocked[touched] + 0.02)
+
+
+def peak_of(run: hf.Trajectory) -> tuple[float, Any]:
+    """Time and place of the tip's fastest sample."""
+    k = int(np.hypot(*run.tip_velocity.T).argmax())
+    return float(run.t[k]), run.tip[k]
+
+
+def test_the_rope_may_touch_an_obstacle_after_the_peak_only() -> None:
+    free = verify_whip(WHO, TipTarget(0.0, 0.0, least_speed=1.0), STROKES.motion(LIMITS), NEAR)
+    assert free is not None
+    assert free.run is not None
+    target = TipTarget(*free.place, least_speed=1.0)
+    after = int(np.searchsorted(free.run.t, free.t + 0.04))
+    way, place = free.run.tip[after] - free.place, free.run.tip[after]
+    across = 0.05 * np.array([-way[1], way[0]]) / np.hypot(*way)
+    beyond = hf.Wall(*(place - across), *(place + across))
+    assert (
+        sampled_obstacle_gaps(
+            ROPE, [beyond], *(each[free.run.t <= free.t] for each in (free.run.q, free.run.base))
+        ).min()
+        > 0
+    )
+    seen = verify_whip(replace(WHO, obstacles=(beyond,)), target, STROKES.motion(LIMITS), free.t)
+    assert seen is not None
+    assert seen.message == ""
+    assert seen.miss < 1e-4
+    assert seen.t == pytest.approx(free.t, abs=1e-3)
+    assert seen.touches_later.startswith("the wall at")
+    assert float(seen.touches_later.split()[-2]) == pytest.approx(free.t + 0.04, abs=0.02)
+    assert free.touches_later == ""
+    place = free.run.tip[int(np.searchsorted(free.run.t, free.t - 0.04))]
+    before = hf.Wall(*(place - across), *(place + across))
+    seen = verify_whip(replace(WHO, obstacles=(before,)), target, STROKES.motion(LIMITS), free.t)
+    assert seen is None or seen.message.startswith("the rope touches the wall at")
+
+
+def test_insertions_are_aimed_past_obstacles() -> None:
+    """Beyond the gaps of its walls, an entry has those of what the rope comes near on its way."""
+    who = CastSetup(known_insert.ROPE, known_insert.ARM, LIMITS, 4.0)
+    free = find_entry(who, known_insert.SLOT, known_insert.STROKES, known_insert.NEAR)
+    assert free is not None
+    run = hf.simulate(
+        rope=who.rope,
+        motion=known_insert.STROKES.motion(LIMITS),
+        arm=who.arm,
+        t_eval=np.linspace(0.0, 1.8, 181),
+        duration=1.8,
+    )
+    lowest = float(run.joints[..., 1].min())
+    floor = hf.Ground(0.0, lowest + 0.03 - who.rope.radius)
+    seen = find_entry(replace(who, obstacles=(floor,)), known_insert.SLOT, known_insert.STROKES, known_insert.NEAR)
+    assert seen is not None
+    assert seen.gaps.size > free.gaps.size
+    assert seen.gap == pytest.approx(-0.03, abs=2e-3)
+    assert seen.dgaps.shape == (seen.gaps.size, free.dgaps.shape[1])
+
+
+def test_a_switch_behind_an_edge() -> None:
+    """The tip comes over a wall and down behind it; what stands is seen in the plan's own run, and in a free one."""
+    rope = hf.Rope.uniform(length=1.0, mass=0.06, n_links=32, radius=0.0025, friction=2e-4)
+    wall, point = hf.Wall(0.334, -1.5, 0.334, -0.89), np.array([0.416, -1.015])
+    plan = hf.plan_whip(rope, hf.Arm(length=0.105), point, obstacles=[wall], least_speed=3.0, seed=1, time_budget=60.0)
+    assert plan.success, plan.message
+    assert plan.outcome is not None
+    assert plan.motion is not None
+    assert plan.outcome.clearance > 0.0
+    t = np.arange(0.0, plan.outcome.t, 1e-3)
+    free = hf.simulate(rope=rope, motion=plan.motion, arm=hf.Arm(length=0.105), t_eval=t, duration=float(t[-1]))
+    assert np.hypot(*(free.tip[-1] - point)) < 0.01  # 1 ms before the peak or less
+    assert sampled_obstacle_gaps(rope, [wall], free.q, free.base).min() > 0.0
+    through = hf.Wall(0.334, -1.5, 0.334, 0.5)
+    known = build_whip_map(replace(plan.cast_setup, obstacles=(through,)), swings=64)
+    assert not check_whip_feasibility(known, TipTarget.at(point, None, 3.0)).feasible
+
+
+def test_strokes_are_not_changed_by_obstacles_far_away() -> None:
+    far = replace(WHO, obstacles=(hf.Ground(0.0, -3.0),))
+    alone, beside = find_peak(WHO, STROKES, NEAR), find_peak(far, STROKES, NEAR)
+    assert alone is not None
+    assert beside is not None
+    assert beside.t == pytest.approx(alone.t, abs=1e-5)
+    np.testing.assert_allclose(beside.place, alone.place, atol=1e-5)
+    np.testing.assert_allclose(beside.dplace, alone.dplace, atol=1e-3)
+    assert beside.gaps.size == 0
+    assert isinstance(STROKES, Strokes)
