@@ -90,6 +90,16 @@ def test_variations_of_strokes() -> None:
         np.testing.assert_allclose(moved.angle(t), true.angle(t), rtol=0.0, atol=1e-9)
 
 
+def test_a_stroke_that_hardly_reaches_full_speed_varies() -> None:
+    """Its ramps are 5e-7 less than half of it: no way at full speed is left that could vary."""
+    speed, acceleration = LIMITS.speed, LIMITS.acceleration
+    way = speed**2 / acceleration * (1.0 + 1e-6)
+    strokes = Strokes(1, np.array([LIMITS.start_angle(1) - way]), np.array([0.05]))
+    (ramp,) = strokes.timing(LIMITS)[2]
+    assert 0.5 - 1e-6 < ramp < 0.5
+    assert all(np.isfinite(part["coef"]).all() for part in strokes.variations(LIMITS))
+
+
 def test_strokes_keep_to_the_motor() -> None:
     strokes = replace(swing(), ends=np.array([-9.0, -9.0, 9.0]))
     motion = strokes.motion(LIMITS)

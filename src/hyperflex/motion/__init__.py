@@ -18,7 +18,7 @@ if TYPE_CHECKING:
         sampled_motion,
         torque_profile,
     )
-    from hyperflex.motion.sequence import arm_moves, arm_strokes
+    from hyperflex.motion.sequence import BANG_BANG, arm_moves, arm_strokes
     from hyperflex.motion.tables import MOVES, from_spec, motion_keys, read_motion, to_spec
     from hyperflex.motion.variation import motion_derivatives, motion_parameters
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.motion import motion_derivatives
+from hyperflex.motion import BANG_BANG, motion_derivatives
 from hyperflex.planning.cast_setup import MotorLimits
 from hyperflex.planning.throw import Moves
 
@@ -92,7 +92,7 @@ class Strokes(Moves):
         """
         motion, angles = self.motion(limits), self.angles(limits)
         ways, (_, durations, ramps) = np.diff(angles), self.timing(limits)
-        full = ramps < 0.5
+        full = ramps <= BANG_BANG
         by_way = np.where(full, 1.0 / limits.speed, 0.5 * durations / np.abs(ways)) * np.sign(ways)
         shorter = np.where(full, -ramps / durations * by_way, 0.0)
 

@@ -1,0 +1,185 @@
+"""Switches behind the edge of a wall: 30 random ones, whipped past the wall, and judged with finer links.
+
+python -m benchmarks.switches               results in benchmarks/results/switches.json and .md; interrupted, it goes on
+                                            where it was (switches.jsonl)
+python -m benchmarks.switches --count 12    the first ones alone
+python -m benchmarks.switches --only 7      one of them again
+python -m benchmarks.switches --switches    draws walls and switches anew
+
+A rope of 1 m and 32 links, the paper's motor. A wall stands beside the motor up to an edge; the switch is 5 to 20 cm
+behind it and 3 to 20 cm below the edge. Those are kept that the tip reaches at a peak of its speed in some of 1,024
+random swings that are not the planner's, while the rope keeps 15 mm from the wall until then. The tip is to be as fast
+as in that swing, less a fifth. A switch is struck if, with 2.5 times the links and a fifth of the tolerance, the rope
+touches nothing before, and the tip comes within 10 mm and is the first to touch a peg of 10 mm there. All simulated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from benchmarks import log, machine
+
+import hyperflex as hf
+from hyperflex import files
+from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.planning import CastSetup, MotorLimits, WhipPlan, plan_whip
+from hyperflex.planning.clearance import samples_clear_of_arm
+from hyperflex.planning.insert.chance import FINER, finer_rope
+from hyperflex.planning.tip.obstacle_gaps import signed_gaps
+from hyperflex.planning.tip.swings import random_swings, simulate_swings
+from hyperflex.planning.whip.impact import simulate_impact
+from hyperflex.planning.whip.outcome import TOL, verify_whip
+from hyperflex.planning.whip.search import SAMPLE_TIME
+from hyperflex.planning.whip.tip_target import find_peaks, tip_velocity
+
+RESULTS = Path(__file__).parent / "results"
+SWITCHES = Path(__file__).parent / "switch-targets.json"
+ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=32, radius=0.0025, friction=2e-4)
+ARM, LIMITS, TIME = hf.Arm(length=0.105), MotorLimits(), 5.6  # s, within which the tip strikes
+COUNT, SEED, SWINGS = 30, 7, 1024
+WALLS, EDGES, FLOOR = (0.25, 0.7), (-1.0, -0.3), -1.5  # m: beside the motor; of upper and lower ends
+BEHIND, BELOW, APART = (0.05, 0.2), (0.03, 0.2), 0.015  # m
+SLOWEST, SLOWER = 1.5, 0.8  # m/s, of a swing; of its speed, that is asked
+TIME_BUDGET, TIGHTER = 30.0, 5.0  # s by the clock; times
+SWITCH = 0.01  # m, radius of the peg, and greatest miss
+
+
+def switches() -> list[dict[str, float]]:
+    """The committed walls and switches."""
+    rows: list[dict[str, float]] = json.loads(SWITCHES.read_text())
+    return rows
+
+
+def draw() -> list[dict[str, float]]:
+    """Walls and switches that some random swing strikes without a touch of the wall."""
+    cast_setup, rng = CastSetup(ROPE, ARM, LIMITS, TIME), np.random.default_rng(SEED)
+    swings = random_swings(cast_setup, 2 * SWINGS)[SWINGS:]  # the planner's are the first ones
+    t, batch, angle, rate = simulate_swings(cast_setup, swings, SAMPLE_TIME)
+    base = ARM.tip(angle)
+    peaks = find_peaks(t, batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate))
+    last = samples_clear_of_arm(ROPE, ARM, batch.q, base, 0.0)
+    found: list[dict[str, float]] = []
+    while len(found) < COUNT:
+        x, edge = rng.uniform(*WALLS) * rng.choice([-1.0, 1.0]), rng.uniform(*EDGES)
+        wall = hf.Wall(x, FLOOR, x, edge)
+        behind, below = np.sign(x) * (peaks.place[:, 0] - x), edge - peaks.place[:, 1]
+        right = (peaks.speed > SLOWEST) & (behind > BEHIND[0]) & (behind < BEHIND[1])
+        kept = []
+        for k in np.flatnonzero(right & (below > BELOW[0]) & (below < BELOW[1])):
+            row, until = peaks.row[k], int(peaks.t[k] / SAMPLE_TIME) + 2
+            joints = ROPE.joints(batch.q[row, :until], base[row, :until])
+            if until <= last[row] and signed_gaps((wall,), joints[:, :-1], joints[:, 1:]).min() > APART:
+                kept.append(int(k))
+        if kept:
+            k = int(rng.choice(kept))
+            row = {"wall": x, "edge": edge, "x": peaks.place[k, 0], "y": peaks.place[k, 1]}
+            row["speed"] = SLOWER * peaks.speed[k]
+            found.append({name: round(float(value), 4) for name, value in row.items()})
+    return found
+
+
+def judge(plan: WhipPlan) -> str:
+    """Why a plan does not strike its switch with a finer rope; empty if it does."""
+    assert plan.outcome is not None
+    assert plan.motion is not None
+    finer = replace(plan.cast_setup, rope=finer_rope(ROPE))
+    seen = verify_whip(finer, plan.target, plan.motion, plan.outcome.t, tol=TOL / TIGHTER)
+    if seen is None:
+        return "no peak there"
+    if seen.refused or seen.miss > SWITCH:
+        return seen.refused or f"misses by {1e3 * seen.miss:.1f} mm"
+    target = replace(plan.target, direction=float(np.arctan2(*seen.velocity[::-1])))
+    return simulate_impact(finer, target, plan.motion, seen.t, radius=SWITCH, mu=0.3).message
+
+
+def measure(index: int, mark: dict[str, float]) -> dict[str, Any]:
+    """What becomes of a switch."""
+    wall = hf.Wall(mark["wall"], FLOOR, mark["wall"], mark["edge"])
+    plan = plan_whip(
+        ROPE,
+        ARM,
+        (mark["x"], mark["y"]),
+        obstacles=[wall],
+        least_speed=mark["speed"],
+        time_limit=TIME,
+        time_budget=TIME_BUDGET,
+        seed=0,
+    )
+    row: dict[str, Any] = {"index": index, "kernels": SOURCE_HASH, "success": plan.success, "reason": plan.message}
+    row |= {"seconds": plan.seconds, "runs": plan.runs}
+    if plan.success and plan.outcome is not None:
+        row |= {"gap": plan.outcome.clearance, "speed": plan.outcome.speed, "t": plan.outcome.t, "judged": judge(plan)}
+    return row
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """How many switches are struck, planned and judged."""
+    return {
+        "switches": len(rows),
+        "planned": sum(row["success"] for row in rows),
+        "struck": sum(row.get("judged") == "" for row in rows),
+        "median seconds": float(np.median([row["seconds"] for row in rows])),
+    }
+
+
+def page(found: dict[str, Any]) -> str:
+    """The results as Markdown."""
+    told = found["summary"]
+    lines = ["| switch | behind, cm | below, cm | outcome | nearest to the wall, mm | speed, m/s | seconds |"]
+    lines.append("|---" * 7 + "|")
+    for row, mark in zip(found["rows"], switches(), strict=False):
+        outcome, parts = row["reason"], ["", ""]
+        if row["success"]:
+            outcome = row["judged"] or "struck"
+            parts = [f"{1e3 * row['gap']:.0f}", f"{row['speed']:.1f}"]
+        place = f"{1e2 * abs(mark['x'] - mark['wall']):.0f} | {1e2 * (mark['edge'] - mark['y']):.0f}"
+        lines.append(f"| {row['index']} | {place} | {outcome} | {' | '.join(parts)} | {row['seconds']:.0f} |")
+    text = (
+        f"A rope of 1 m with {ROPE.n_links} links, the paper's motor, a wall beside it, and a switch behind its upper "
+        f"edge; each was struck by a random swing that the planner does not know. Of {told['switches']} switches "
+        f"{told['planned']} are planned within {TIME_BUDGET:g} s, {told['median seconds']:.0f} s in the median, and "
+        f"{told['struck']} are struck under the judge ({FINER:g} times the links, a fifth of the tolerance): the rope "
+        f"touches nothing before, and the tip comes within {1e3 * SWITCH:g} mm and is the first to touch a peg there."
+    )
+    where = machine.sentence(found["machine"])
+    return "\n".join(
+        ["# Switches behind an edge", "", text, "", *lines, "", where, "", "Again: `python -m benchmarks.switches`", ""]
+    )
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", type=int, metavar="INDEX", help="this switch alone; nothing is written")
+    parser.add_argument("--count", type=int, default=COUNT, metavar="N", help="the first switches alone")
+    parser.add_argument("--switches", action="store_true", help="draw walls and switches anew")
+    parser.add_argument("--out", default=str(RESULTS / "switches.json"), metavar="FILE")
+    options = parser.parse_args()
+    if options.switches:
+        files.write_text(SWITCHES, json.dumps(draw(), indent=1) + "\n")
+        return
+    marks, about = switches()[: options.count], machine.describe()
+    if options.only is not None:
+        print(json.dumps(measure(options.only, marks[options.only]), indent=1))
+        return
+    notes = Path(options.out).with_suffix(".jsonl")
+    rows = log.read(notes)
+    log.told(rows)
+    for index in range(len(rows), len(marks)):
+        rows.append(measure(index, marks[index]))
+        print(json.dumps(rows[-1]), flush=True)
+        log.append(notes, rows[-1])
+    about["load after"] = machine.load()
+    found = {"machine": about, "summary": summary(rows), "rows": rows}
+    files.write_text(options.out, json.dumps(found, indent=1) + "\n")
+    files.write_text(Path(options.out).with_suffix(".md"), page(found))
+    print(page(found))
+
+
+if __name__ == "__main__":
+    main()
