@@ -226,9 +226,18 @@ def test_a_switch_behind_an_edge() -> None:
     free = hf.simulate(rope=rope, motion=plan.motion, arm=hf.Arm(length=0.105), t_eval=t, duration=float(t[-1]))
     assert np.hypot(*(free.tip[-1] - point)) < 0.01  # 1 ms before the peak or less
     assert sampled_obstacle_gaps(rope, [wall], free.q, free.base).min() > 0.0
-    through = hf.Wall(0.334, -1.5, 0.334, 0.5)
-    known = build_whip_map(replace(plan.cast_setup, obstacles=(through,)), swings=64)
-    assert not check_whip_feasibility(known, TipTarget.at(point, None, 3.0)).feasible
+
+
+def test_what_is_in_reach_does_not_depend_on_obstacles() -> None:
+    """A search may find swings past a wall that those of the map pass through; a target in it cannot be met."""
+    wall, target = hf.Wall(0.25, -1.5, 0.25, 0.5), TipTarget(0.3, -0.9, least_speed=1.0)
+    alone, beside = (build_whip_map(replace(WHO, obstacles=walls), swings=64) for walls in ((), (wall,)))
+    free, seen = check_whip_feasibility(alone, target), check_whip_feasibility(beside, target)
+    assert free.feasible
+    assert (seen.cost, seen.message) == (free.cost, "")
+    assert beside.candidates(target)[0].cost > alone.candidates(target)[0].cost
+    inside = build_whip_map(replace(WHO, obstacles=(hf.Peg(0.3, -0.9, 0.05),)), swings=64)
+    assert check_whip_feasibility(inside, target).message == "the target lies in the peg at (0.3, -0.9) m"
 
 
 def test_strokes_are_not_changed_by_obstacles_far_away() -> None:

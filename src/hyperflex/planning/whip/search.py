@@ -53,8 +53,9 @@ class WhipMap:
 class WhipFeasibility:
     """Result of the feasibility check of a target.
 
-    `distance` is that from the arm's pivot, m. `cost`, m, is that of the cheapest peak of the map: its distance from
-    the target, and more if its speed or direction are not as asked. `message` tells why the target is not feasible.
+    `distance` is that from the arm's pivot, m. `cost`, m, is that of the cheapest peak of the map, were there no
+    obstacles: its distance from the target, and more if its speed or direction are not as asked. `message` tells why
+    the target is not feasible.
     """
 
     distance: float
@@ -73,7 +74,7 @@ def pivot_distance(cast_setup: CastSetup, target: TipTarget) -> float:
 
 
 def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibility:
-    """Check whether a target is close enough to a peak of a map."""
+    """Check whether a target is close enough to a peak of a map; swings of a search may pass by obstacles."""
     cast_setup = whip_map.cast_setup
     distance = pivot_distance(cast_setup, target)
     short = distance - cast_setup.rope.total_length - cast_setup.arm.length
@@ -81,11 +82,12 @@ def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibil
         return WhipFeasibility(distance, math.inf, f"out of reach: the rope ends {short:.2f} m short of the target")
     if inside := [each for each in cast_setup.obstacles if holds(each, target.x, target.y)]:
         return WhipFeasibility(distance, math.inf, f"the target lies in {named(inside[0])}")
-    near = whip_map.candidates(target)
-    cost = near[0].cost if near else math.inf
+    peaks = whip_map.peaks
+    free = peaks._replace(blocked=np.zeros_like(peaks.blocked))
+    cost = float(peak_costs(target, free).min(initial=math.inf))
     if cost <= MAX_COST:
         return WhipFeasibility(distance, cost, "")
-    fast = whip_map.peaks.speed[np.hypot(*(whip_map.peaks.place - target.point).T) < AROUND]
+    fast = peaks.speed[np.hypot(*(peaks.place - target.point).T) < AROUND]
     message = (
         f"out of reach: the tip is not that fast so near to it, {fast.max():.1f} m/s at most, or not in that direction"
         if fast.size
