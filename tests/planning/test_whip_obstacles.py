@@ -15,6 +15,8 @@ from hyperflex.model import Obstacle
 from hyperflex.planning import CastSetup, MotorLimits, Strokes, build_whip_map, check_whip_feasibility
 from hyperflex.planning.clearance import obstacle_gaps, sampled_obstacle_gaps
 from hyperflex.planning.insert.entry import find_entry
+from hyperflex.planning.tip.aim import swing_derivatives
+from hyperflex.planning.tip.joint_motion import JointMotion
 from hyperflex.planning.tip.obstacle_gaps import BESIDE, least_spare_gaps, signed_gaps
 from hyperflex.planning.whip.aim import find_peak
 from hyperflex.planning.whip.outcome import verify_whip
@@ -122,6 +124,23 @@ def test_derivatives_of_gaps_by_strokes() -> None:
         assert minus is not None
         by = (plus.gaps - minus.gaps) / (2.0 * h)
         np.testing.assert_allclose(aim.dgaps[:, k], by, rtol=1e-3, atol=1e-3)
+
+
+def test_derivatives_of_joints_by_the_length_of_the_rope() -> None:
+    """All joints, by central differences of ropes that are longer and shorter."""
+    t, h = np.linspace(0.1, 1.5, 15), 1e-5
+    run = swing_derivatives(WHO, STROKES, t)
+    assert run is not None
+    motion = JointMotion(ROPE, run)
+    both = []
+    for f in (1.0 + h, 1.0 - h):
+        rope = ROPE.replace(length=f * ROPE.length, com=f * ROPE.com, inertia=f**2 * ROPE.inertia)
+        both.append(
+            hf.simulate(rope=rope, motion=STROKES.motion(LIMITS), arm=ARM, t_eval=t, duration=1.5, tol=1e-9).joints
+        )
+    by = (both[0] - both[1]) / (2.0 * h)
+    found = np.array([motion.changes(row)[..., -2] for row in range(t.size)])
+    np.testing.assert_allclose(found, by, rtol=0.0, atol=2e-3 * np.abs(by).max())  # AIM_TOL and both runs' errors
 
 
 def test_what_a_whip_lacks_beside_obstacles() -> None:

@@ -119,3 +119,12 @@ def test_a_tall_picture_is_widened():
     figure = strobe_figure(run, start=0.0, end=0.05, count=4)
     width, height = figure.get_size_inches()
     assert height == pytest.approx(1.15 * width)
+
+
+def test_the_page_tells_what_the_rope_touches_after_the_peak(tmp_path):
+    plan = planned_whip()
+    assert "After the peak" not in " ".join(WhipReport(plan, None).story)
+    later = replace(plan, outcome=replace(plan.outcome, touches_later="the wall at (0.3, -1.5) m at 1.95 s"))
+    told = "After the peak the rope touches the wall at (0.3, -1.5) m at 1.95 s, if nothing stops it."
+    assert told in WhipReport(later, None).story
+    assert told in html.unescape(words_of(WhipReport(later, None).write(tmp_path)["page"]))
