@@ -15,9 +15,10 @@ from hyperflex.model import Obstacle
 from hyperflex.planning import CastSetup, MotorLimits, Strokes, build_whip_map, check_whip_feasibility
 from hyperflex.planning.clearance import obstacle_gaps, sampled_obstacle_gaps
 from hyperflex.planning.insert.entry import find_entry
-from hyperflex.planning.tip.aim import swing_derivatives
+from hyperflex.planning.tip.aim import WINDOW, swing_derivatives
 from hyperflex.planning.tip.joint_motion import JointMotion
 from hyperflex.planning.tip.obstacle_gaps import BESIDE, least_spare_gaps, signed_gaps
+from hyperflex.planning.tip.swings import random_swings
 from hyperflex.planning.whip.aim import find_peak
 from hyperflex.planning.whip.outcome import verify_whip
 from hyperflex.planning.whip.search import simulate_peaks
@@ -211,6 +212,29 @@ def test_the_rope_may_touch_an_obstacle_after_the_peak_only() -> None:
     assert seen is None or seen.message.startswith("the rope touches the wall at")
 
 
+def test_the_peak_before_a_touch_counts_where_it_is_expected_then() -> None:
+    """A swing whose tip has two peaks 0.1 s apart, the second of which is higher, and a post in between."""
+    strokes = random_swings(WHO, 217)[216]
+    peaks = simulate_peaks(WHO, [strokes])
+    k = int(np.abs(peaks.t - 3.405).argmin())
+    assert peaks.speed[k + 1] > peaks.speed[k]
+    assert peaks.t[k + 1] - peaks.t[k] < 0.12
+    motion = strokes.motion(LIMITS)
+    t = np.array([0.0, 0.5 * (peaks.t[k] + peaks.t[k + 1])])
+    between = hf.simulate(rope=ROPE, motion=motion, arm=ARM, t_eval=t, duration=float(t[-1])).tip[-1]
+    who = replace(WHO, obstacles=(hf.Peg(*between, 0.004),))
+    first, second = (
+        verify_whip(who, TipTarget(*peaks.place[j], least_speed=0.5), motion, peaks.t[j]) for j in (k, k + 1)
+    )
+    assert first is not None
+    assert first.message == ""
+    assert first.t == pytest.approx(peaks.t[k], abs=0.01)
+    assert first.miss < 0.01
+    assert first.touches_later.startswith("the peg at")
+    assert second is not None
+    assert second.message.startswith("the rope touches the peg at")
+
+
 def test_insertions_are_aimed_past_obstacles() -> None:
     """Beyond the gaps of its walls, an entry has those of what the rope comes near on its way."""
     who = CastSetup(known_insert.ROPE, known_insert.ARM, LIMITS, 4.0)
@@ -257,6 +281,17 @@ def test_what_is_in_reach_does_not_depend_on_obstacles() -> None:
     assert beside.candidates(target)[0].cost > alone.candidates(target)[0].cost
     inside = build_whip_map(replace(WHO, obstacles=(hf.Peg(0.3, -0.9, 0.05),)), swings=64)
     assert check_whip_feasibility(inside, target).message == "the target lies in the peg at (0.3, -0.9) m"
+
+
+def test_no_peak_far_from_its_time_is_taken() -> None:
+    """With obstacles the whole swing is looked at, and still only peaks about the time asked count."""
+    far, peaks = replace(WHO, obstacles=(hf.Ground(0.0, -3.0),)), simulate_peaks(WHO, [STROKES]).t
+    longest = int(np.diff(peaks).argmax())
+    between = float(peaks[longest : longest + 2].mean())
+    assert np.abs(peaks - between).min() > WINDOW + 0.02  # s, an interval of coarse samples
+    assert find_peak(WHO, STROKES, between) is None
+    assert find_peak(far, STROKES, between) is None
+    assert find_peak(far, STROKES, float(peaks[longest])) is not None
 
 
 def test_strokes_are_not_changed_by_obstacles_far_away() -> None:

@@ -57,7 +57,8 @@ def verify_whip(
 ) -> TipStrike | None:
     """Simulate a motion from rest and find the highest peak of the tip's speed about time `near`, s.
 
-    Returns None if the run fails or has no peak there; raises OutOfTime if it does not end within a `time_budget`.
+    Where the rope touches an obstacle, the peak is on the same side of that in time as `near`, if there is one. Returns
+    None if the run fails or has no peak there; raises OutOfTime if it does not end within a `time_budget`.
     """
     t = sample_times(near)
     run = simulate_in_time(verified_setup(cast_setup, motion, float(t[-1]), tol=tol), t, time_budget)
@@ -65,7 +66,9 @@ def verify_whip(
         return None
     found = find_peaks(run.t, run.tip[None], run.tip_velocity[None])
     touched = _first_touch(cast_setup, run)
-    about = (np.abs(found.t - near) < WINDOW) & (found.t < (touched if touched > near else np.inf))
+    about = np.abs(found.t - near) < WINDOW
+    side = (found.t < touched) == (near < touched)  # before a touch that comes later than expected, or after it
+    about &= side if (about & side).any() else True
     if not about.any():
         return None
     k = int(np.where(about, found.speed, 0.0).argmax())
