@@ -28,7 +28,7 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.planning import CastSetup, MotorLimits, WhipPlan, plan_whip
-from hyperflex.planning.clearance import samples_clear_of_arm
+from hyperflex.planning.clearance import obstacle_clearance, samples_clear_of_arm
 from hyperflex.planning.insert.chance import FINER, finer_rope
 from hyperflex.planning.tip.obstacle_gaps import signed_gaps
 from hyperflex.planning.tip.swings import random_swings, simulate_swings
@@ -63,7 +63,7 @@ def draw() -> list[dict[str, float]]:
     base = ARM.tip(angle)
     peaks = find_peaks(t, batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate))
     last = samples_clear_of_arm(ROPE, ARM, batch.q, base, 0.0)
-    found: list[dict[str, float]] = []
+    found, taken = list[dict[str, float]](), set[int]()
     while len(found) < COUNT:
         x, edge = rng.uniform(*WALLS) * rng.choice([-1.0, 1.0]), rng.uniform(*EDGES)
         wall = hf.Wall(x, FLOOR, x, edge)
@@ -73,10 +73,14 @@ def draw() -> list[dict[str, float]]:
         for k in np.flatnonzero(right & (below > BELOW[0]) & (below < BELOW[1])):
             row, until = peaks.row[k], int(peaks.t[k] / SAMPLE_TIME) + 2
             joints = ROPE.joints(batch.q[row, :until], base[row, :until])
-            if until <= last[row] and signed_gaps((wall,), joints[:, :-1], joints[:, 1:]).min() > APART:
+            if (
+                k not in taken
+                and until <= last[row]
+                and signed_gaps((wall,), joints[:, :-1], joints[:, 1:]).min() > APART
+            ):
                 kept.append(int(k))
         if kept:
-            k = int(rng.choice(kept))
+            taken.add(k := int(rng.choice(kept)))
             row = {"wall": x, "edge": edge, "x": peaks.place[k, 0], "y": peaks.place[k, 1]}
             row["speed"] = SLOWER * peaks.speed[k]
             found.append({name: round(float(value), 4) for name, value in row.items()})
@@ -113,7 +117,10 @@ def measure(index: int, mark: dict[str, float]) -> dict[str, Any]:
     row: dict[str, Any] = {"index": index, "kernels": SOURCE_HASH, "success": plan.success, "reason": plan.message}
     row |= {"seconds": plan.seconds, "runs": plan.runs}
     if plan.success and plan.outcome is not None:
-        row |= {"gap": plan.outcome.clearance, "speed": plan.outcome.speed, "t": plan.outcome.t, "judged": judge(plan)}
+        seen = plan.outcome
+        assert seen.run is not None
+        gap = obstacle_clearance(seen.run, [wall], seen.t).value
+        row |= {"gap": gap, "speed": seen.speed, "t": seen.t, "judged": judge(plan)}
     return row
 
 

@@ -10,7 +10,7 @@ plan = hf.plan_whip(rope, arm, switch, obstacles=[wall], least_speed=3.0, time_b
 print(plan)
 assert plan.success, plan.message
 print(f"{plan.outcome.speed:.1f} m/s at {plan.outcome.t:.2f} s, {1e3 * plan.outcome.miss:.1f} mm off")
-print(f"the rope passes the wall at {1e3 * plan.outcome.clearance:.0f} mm")
+print(f"the rope keeps {1e3 * plan.outcome.clearance:.0f} mm from wall, arm and shaft until then")
 
 impact = plan.impact(radius=0.01)
 print(f"a switch of 10 mm takes up {1e3 * impact.impulse:.1f} mN s" if impact.success else impact.message)

@@ -10,6 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import planning
+from hyperflex.planning.whip.outcome import verify_whip
 from hyperflex.report import WhipReport
 from tests.planning.known_whip import ROPE, far_whip, planned_whip
 
@@ -124,6 +125,23 @@ def test_obstacles_of_a_set_up_file_count_and_a_missing_target_is_refused(hyperf
     code, _, err = hyperflex("whip", "--rope", rope_file, "-o", tmp_path / "out")
     assert code == 2
     assert "--target is missing" in err
+
+
+def test_a_plan_whose_obstacles_were_moved_in_its_file_is_refused(hyperflex, ready, tmp_path):
+    """What is planned with stands further down in the file, so the change would not count."""
+    wall, plan = hf.Wall(0.5, -1.5, 0.5, -1.25), planned_whip()
+    asked = ready(plan)
+    known = dataclasses.replace(plan.cast_setup, obstacles=(wall,))
+    seen = verify_whip(known, plan.target, plan.motion, plan.outcome.t)
+    dataclasses.replace(plan, cast_setup=known, outcome=seen).to_toml(tmp_path / "whip.toml")
+    assert hyperflex("whip", tmp_path / "whip.toml", "-o", tmp_path / "out")[0] == 0
+    assert asked["obstacles"] == (wall,)
+    text = (tmp_path / "whip.toml").read_text()
+    assert text.count("-1.25") == 2
+    (tmp_path / "whip.toml").write_text(text.replace("-1.25", "-1.0", 1))
+    code, _, err = hyperflex("whip", tmp_path / "whip.toml", "-o", tmp_path / "out")
+    assert code == 2
+    assert "is of a plan for other obstacles than it names" in " ".join(err.split())
 
 
 def test_without_a_direction_any_will_do(hyperflex_json, rope_file, ready, tmp_path):

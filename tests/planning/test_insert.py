@@ -16,6 +16,7 @@ from hyperflex.model import recut
 from hyperflex.planning import CastSetup, InsertPlan, MotorLimits, Slot, estimate_insert_probability, plan_insert
 from hyperflex.planning.clearance import FINE, obstacle_clearance, obstacle_gaps
 from hyperflex.planning.insert import chance, task
+from hyperflex.planning.insert import planner as insert_planner
 from hyperflex.planning.insert.chance import TOGETHER, insert_scenarios, usual_uncertainty
 from hyperflex.planning.insert.entry import LEVELS
 from hyperflex.planning.insert.outcome import InsertOutcome, evaluate_insert, verify_insert
@@ -192,6 +193,13 @@ def test_touches_are_allowed_where_the_slot_says_so() -> None:
     assert "touches a wall at" in off.message
     assert on.wall_clearance <= 0.0
     assert on.message == "" or "mm deep" in on.message
+
+
+def test_a_slot_is_not_called_out_of_reach_where_the_time_ended_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(insert_planner, "insert_candidates", lambda *_: [])
+    assert "out of reach" in plan_insert(ROPE, ARM, SLOT, time_budget=1000.0).message
+    message = plan_insert(ROPE, ARM, SLOT, time_budget=1e-6).message
+    assert message == "the time budget ended before swings were made of which one goes through near to it"
 
 
 def test_a_touch_of_an_obstacle_is_no_touch_of_a_wall() -> None:

@@ -185,6 +185,7 @@ def entry(**change: Any) -> Entry:
         doffset=np.array([[1.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0]]),
         ddepth=np.array([0, 4.0, 0]),
         dgaps=np.array([[0, 0, 5.0], [0, 0, 6.0]]),
+        beside=np.full(2, BESIDE),
         clearance=1.0,
         speed=1.0,
     )

@@ -23,6 +23,7 @@ from hyperflex.planning import (
     check_whip_feasibility,
     plan_whip,
 )
+from hyperflex.planning.tip.obstacle_gaps import SpareGaps
 from hyperflex.planning.whip import planner
 from hyperflex.planning.whip.aim import ANGLE_MARGIN, find_peak
 from hyperflex.planning.whip.impact import IMPACT_TIME, simulate_impact
@@ -133,8 +134,8 @@ def test_residuals_count_from_the_shaft_wherever_it_is(known: WhipMap) -> None:
     setup = replace(known.cast_setup, arm=hf.Arm(length=0.1, pivot=(0.0, 1.5)))
     task = WhipTask(SimpleNamespace(cast_setup=setup), target)  # type: ignore[arg-type]
     aim = SimpleNamespace(speed=9.0, place=np.zeros(2), velocity=9.0 * np.array([np.cos(0.5), np.sin(0.5)]))
-    aim.dplace = aim.dvelocity = aim.dgaps = np.zeros((2, 4))
-    aim.gaps = np.full(2, np.inf)
+    aim.dplace = aim.dvelocity = np.zeros((2, 4))
+    aim.gaps = SpareGaps(np.zeros(0), np.zeros((0, 4)), np.zeros(0))
     residuals, _ = task.residuals(aim)  # type: ignore[arg-type]
     assert residuals == pytest.approx([0.0, 0.0, 1.5 * (0.5 - ANGLE_MARGIN * 0.1)])
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import hyperflex as hf
 from hyperflex.report.animation import animate
 from hyperflex.report.strobe import strobe_figure
 from hyperflex.report.style import png
@@ -128,3 +129,17 @@ def test_the_page_tells_what_the_rope_touches_after_the_peak(tmp_path):
     told = "After the peak the rope touches the wall at (0.3, -1.5) m at 1.95 s, if nothing stops it."
     assert told in WhipReport(later, None).story
     assert told in html.unescape(words_of(WhipReport(later, None).write(tmp_path)["page"]))
+
+
+def test_obstacles_are_drawn_beside_the_target():
+    plan = planned_whip()
+    x, y = plan.target.point
+    walls = (hf.Wall(x + 0.05, y - 1.0, x + 0.05, y + 0.02), hf.Peg(x, y - 0.05, 0.01), hf.Ground(0.0, y - 0.1))
+    for each, name in zip(walls, ("wall", "peg", "ground"), strict=True):
+        beside = replace(plan, cast_setup=replace(plan.cast_setup, obstacles=(each,)))
+        words = [text.get_text() for text in passing_figure(beside).legends[0].get_texts()]
+        assert f"{name}, an obstacle" in words
+        far = replace(each, y=each.y - 9.0, **({"y2": each.y2 - 9.0} if name == "wall" else {}))
+        beside = replace(plan, cast_setup=replace(plan.cast_setup, obstacles=(far,)))
+        words = [text.get_text() for text in passing_figure(beside).legends[0].get_texts()]
+        assert f"{name}, an obstacle" not in words

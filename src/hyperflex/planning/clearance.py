@@ -112,10 +112,15 @@ def _obstacle_gap(each: Obstacle, begin: Array, end: Array) -> Array:
     return np.asarray(np.minimum((begin - place) @ out, (end - place) @ out))
 
 
+def gap_of(obstacle: Obstacle, x: float, y: float) -> float:
+    """Distance of a place, m, from an obstacle, m, <= 0 in it."""
+    place = np.array([[x, y]])
+    return float(obstacle_gaps((obstacle,), place, place)[0, 0])
+
+
 def holds(obstacle: Obstacle, x: float, y: float) -> bool:
     """Whether a place, m, lies in an obstacle."""
-    place = np.array([[x, y]])
-    return bool(obstacle_gaps((obstacle,), place, place)[0, 0] <= 0.0)
+    return gap_of(obstacle, x, y) <= 0.0
 
 
 def named(obstacle: Obstacle) -> str:

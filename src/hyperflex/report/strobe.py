@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -109,14 +110,22 @@ def _draw_arm(axis: Any, drawn: Shapes, with_arm: bool) -> None:
     axis.plot(*pivots[-1], "o", color="white", ms=5.5, mec=NIGHT, mew=1.2, zorder=6)
 
 
-def draw_obstacles(axis: Any, obstacles: Sequence[Obstacle], far: float) -> None:
+def draw_obstacles(
+    axis: Any, obstacles: Sequence[Obstacle], far: float, *, origin: npt.ArrayLike = (0.0, 0.0), scale: float = 1.0
+) -> None:
     """Draw what the rope must not touch into a plot whose limits stand; its legend names what lies within them.
 
-    Of grounds the part within `far`, m, of their points is drawn.
+    Of grounds the part within `far`, m, of their points is drawn. The plot is that of places less its `origin` (2,), m,
+    times `scale`.
     """
-    shown = []
+    from matplotlib.transforms import Affine2D
+
+    x, y = np.asarray(origin, dtype=np.float64)
+    seen, shown = Affine2D().translate(-x, -y).scale(scale), []
     for each in obstacles:
-        outline = _draw(axis, each, far, OBSTACLE).get_path()
+        patch = _draw(axis, each, far, OBSTACLE)
+        outline = patch.get_path().transformed(seen)
+        patch.set_path(outline)
         if outline.intersects_bbox(axis.viewLim, filled=not isinstance(each, Wall)):
             shown.append(type(each).__name__.lower())
     for kind in sorted(set(shown)):

@@ -197,6 +197,10 @@ def _of_plan(path: Path, again: dict[str, float | None]) -> dict[str, Any]:
 
     plan = read_plan(path)
     known = plan.cast_setup
+    there = Setup.from_toml(path).pegs
+    if gone := [each for each in (*known.obstacles, *known.behind) if each not in there]:
+        fix = "Plan from a set-up file of your own, with the obstacles that stand there now"
+        raise InvalidInput(f"{path} is of a plan for other obstacles than it names", got=gone[0], fix=fix)
     if known.q0:
         fix = "Plan in Python, with state0"
         raise InvalidInput(f"{path} was planned for a rope that swings at first", got="q0", allowed="none", fix=fix)

@@ -10,7 +10,7 @@ from hyperflex.planning.clearance import sampled_clearance
 from hyperflex.planning.insert.slot import Slot, find_crossings, frame, passages, tip_speed
 from hyperflex.planning.tip.aim import position_std, swing_derivatives, swing_times
 from hyperflex.planning.tip.joint_motion import JointMotion
-from hyperflex.planning.tip.obstacle_gaps import BESIDE, least_spare_gaps
+from hyperflex.planning.tip.obstacle_gaps import BESIDE, SpareGaps, least_spare_gaps, margins
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.task import Aimed
 
@@ -30,7 +30,8 @@ class Entry(Aimed):
     tube where the tip is at the last two of these, too: (5,). `depth`, m, is the greatest that the tip reaches. Its
     `speed` at `t` is in m/s. `gaps` (G,), m, are least distances from the walls of all the rope but what follows the
     tip through, of each time that it crosses their line, and those from obstacles, less the clearance asked, of each
-    time that it comes near one. `doffset` (3 or 5, P), `ddepth` (P,) and `dgaps` (G, P) are their derivatives.
+    time that it comes near one; they shall be `beside` (G,), m, at least. `doffset` (3 or 5, P), `ddepth` (P,) and
+    `dgaps` (G, P) are derivatives.
     `clearance`, m, is the least distance of the rope from its own arm.
     """
 
@@ -40,6 +41,7 @@ class Entry(Aimed):
     doffset: Array
     ddepth: Array
     dgaps: Array
+    beside: Array
     clearance: float
     speed: float
 
@@ -95,8 +97,9 @@ def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float)
     if slot.tube > 0.0:
         told += [_tip_at(run, level * slot.depth, begin, end) for level in LEVELS[1:]]
     doffset = np.array([each[3] for each in told])
-    walls, others = _least_gaps(run, begin, end), least_spare_gaps(cast_setup, motion, t.size)
-    gaps, dgaps = (np.concatenate(each) for each in zip(walls, others, strict=True))
+    asked = margins(cast_setup, slot.point + np.array([[0.0], [slot.depth]]) * slot.axes[0])
+    walls, others = _least_gaps(run, begin, end), least_spare_gaps(cast_setup, motion, end + 1, asked)
+    gaps, dgaps, beside = (np.concatenate(each) for each in zip(walls, others, strict=True))
     return Entry(
         strokes,
         float(t[end] + (late - 1.0) * (t[end] - t[end - 1])),
@@ -109,6 +112,7 @@ def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float)
         speed=tip_speed(t, depth, run.offset[:, -1], end),
         ddepth=run.changes(deepest)[0][-1, :-2],
         dgaps=dgaps[:, :-2],
+        beside=beside,
         clearance=float(
             sampled_clearance(
                 cast_setup.rope, cast_setup.arm, *(each[::SPARSE] for each in (derivatives.q, motion.places[:, 0]))
@@ -152,8 +156,8 @@ def _tip_at(run: _Run, level: float, begin: int, end: int) -> tuple[float, Array
     return _at_level(level, depth[row - 1 : row + 1], offset[row - 1 : row + 1], ddepth, doffset)
 
 
-def _least_gaps(run: _Run, begin: int, end: int) -> tuple[Array, Array]:
-    """Return the least gaps (G,) until the row `end`, and their derivatives (G, P + 2): one of each crossing.
+def _least_gaps(run: _Run, begin: int, end: int) -> SpareGaps:
+    """Return the least gaps (G,) from the walls until the row `end`: one of each crossing.
 
     A crossing is what lies to one side of the gap's middle in samples without a pause. What follows the tip from
     `begin` on is left out.
@@ -170,7 +174,8 @@ def _least_gaps(run: _Run, begin: int, end: int) -> tuple[Array, Array]:
                 outwards = 1.0 if abs(offset) > 0.5 * (run.slot.width + run.slot.wall) else -1.0
                 gaps.append(float(found.gap[k]))
                 changes.append(side * outwards * doffset)
-    return np.array(gaps), np.array(changes).reshape(len(gaps), run.motion.run.dtip.shape[2])
+    change = np.array(changes).reshape(len(gaps), run.motion.run.dtip.shape[2])
+    return SpareGaps(np.array(gaps), change, np.full(len(gaps), BESIDE))
 
 
 def _at_level(level: float, a: Array, b: Array, da: Array, db: Array) -> tuple[float, Array, float, Array]:
@@ -191,7 +196,7 @@ def entry_residuals(cast_setup: CastSetup, slot: Slot, entry: Entry) -> tuple[Ar
     As long as one of these fails, offsets count only beyond SLACK of what is allowed.
     """
     lacks = [(entry.depth - DEEPER * slot.depth, entry.ddepth)]
-    lacks += [(gap - BESIDE, change) for gap, change in zip(entry.gaps.tolist(), entry.dgaps, strict=True)]
+    lacks += zip((entry.gaps - entry.beside).tolist(), entry.dgaps, strict=True)
     failing = [each for each in lacks if each[0] < 0.0]
     slack = SLACK * _allowed_offset(cast_setup, slot) if failing else 0.0
     beyond = np.maximum(np.abs(entry.offset) - slack, 0.0)

@@ -1,6 +1,7 @@
 """Plan an insertion: random swings that nearly enter the slot are aimed one by one, and the best are verified."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from hyperflex import checks
@@ -94,6 +95,9 @@ def plan_insert(
         if missing_length(cast_setup, slot) <= 0.0:
             swings = insert_candidates(cast_setup, slot, lambda: SWINGING * time_budget - clock.spent, threads)
             known = check_insert_feasibility(cast_setup, slot, swings)
+            if not known.feasible and clock.spent > SWINGING * time_budget:
+                short = "the time budget ended before swings were made of which one goes through near to it"
+                known = replace(known, message=short)
         if swings and (known.feasible or skip_feasibility):
             task = InsertTask(cast_setup, slot, swings)
             planner = TipPlanner(task, max(0.0, time_budget - clock.spent), seed, threads)

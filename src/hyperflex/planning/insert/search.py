@@ -117,7 +117,7 @@ def insert_candidates(cast_setup: CastSetup, slot: Slot, left: Left, threads: in
 
     The first TOGETHER are simulated in any case. `left` returns the time that is left, s.
     """
-    strokes, found = random_swings(cast_setup, SWINGS), []
+    strokes, found = random_swings(cast_setup, SWINGS, slot.walls), []
     for low in range(0, SWINGS, TOGETHER):
         if low and left() < 0.0:
             break

@@ -27,3 +27,13 @@ class JointMotion:
         after = np.cumsum(moved[::-1], axis=0)[::-1]
         dtip = self.run.dtip[row]
         return np.concatenate([dtip - after, dtip[None]])
+
+    def between(self, row: int, part: float, later: Array, step: float) -> tuple[Array, Array]:
+        """Return places (n + 1, 2) and derivatives (n + 1, 2, P) at an instant `part` of a `step`, s, after a row.
+
+        `later` (P,) are the derivatives of the instant. The rows beside are a step apart.
+        """
+        speed = (self.places[row + 1] - self.places[row - 1]) / (2.0 * step)
+        slope = 0.5 * (self.changes(row + 1) - self.changes(row - 1))
+        change = self.changes(row) + part * slope + speed[..., None] * later
+        return self.places[row] + part * step * speed, change

@@ -1,18 +1,22 @@
 """The outcome of strokes in a simulated run: what whips and insertions are told of alike."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
-from hyperflex.model import Setup
+from hyperflex.model import Obstacle, Setup
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.clearance import obstacle_gaps
 from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.planning.verification import clearances, folded_flat, greatest_bend, motor_torques, refusal
 from hyperflex.simulation import OUT_OF_TIME, Deadline, simulate
 from hyperflex.trajectory import Trajectory
+from hyperflex.winding import TOUCH
 
 SAMPLE_TIME, WINDOW = 2e-3, 0.15  # s: of the run; from the expected time to the end of the run
 
@@ -28,9 +32,10 @@ class TipOutcome:
     place, velocity : (2,) float64
         Of the tip then, m, m/s.
     max_bend, folded, clearance, torque, torque_peak
-        As of :class:`CastOutcome`, until the run ends.
+        As of :class:`CastOutcome`, until the run ends; of a whip, obstacles count for `clearance` until `t`.
     refused : str
-        Why the run is refused whatever its goal: the rope goes through itself, arm or shaft; empty if it does not.
+        Why the run is refused whatever its goal: the rope goes through itself, arm or shaft, or touches an obstacle, or
+        comes nearer than asked; empty if it does not.
     message : str
         What fails; empty if nothing does.
     n_links : int
@@ -86,6 +91,22 @@ def run_figures(cast_setup: CastSetup, run: Trajectory, until: float = np.inf) -
         "n_links": run.q.shape[1],
         "run": run,
     }
+
+
+def touched_samples(run: Trajectory, obstacles: Sequence[Obstacle]) -> npt.NDArray[np.bool_]:
+    """Whether the rope touched the obstacles of a run, which are all that it may touch: (T,), since the sample before.
+
+    That tells its force, or a loss where an obstacle is as near as a link moves in that time. A loss alone may be that
+    of a joint that comes to its limit.
+    """
+    near = obstacle_gaps(obstacles, run.joints[:, :-1], run.joints[:, 1:]).min(axis=(1, 2)) - run.setup.rope.radius
+    ends = run.base_velocity[:, None] + np.cumsum(
+        (run.setup.rope.length * run.qd)[..., None] * np.stack([np.cos(run.q), np.sin(run.q)], axis=-1), axis=1
+    )
+    fastest = np.hypot(ends[..., 0], ends[..., 1]).max(axis=1)
+    lost = np.diff(np.asarray(run.contact_loss), prepend=0.0) > 0.0
+    reach = TOUCH + np.diff(run.t, prepend=run.t[0]) * fastest
+    return np.asarray((lost & (near < reach)) | (np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0))
 
 
 def excess_torque(cast_setup: CastSetup, torque: float) -> str:

@@ -1,11 +1,14 @@
 """Random swings to begin with, and CMA-ES over strokes, about a swing that comes near what a task asks."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.model import Obstacle
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.search.contact_phase import free_sides
 from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.tip.strokes import Strokes
@@ -20,12 +23,16 @@ MEMBERS, GENERATIONS = 16, 16  # of a generation; of a search before what it fou
 NARROW = 0.3  # step size of CMA-ES about a swing, relative to the standard deviations of random swings
 
 
-def random_swings(cast_setup: CastSetup, count: int) -> list[Strokes]:
-    """Return strokes that pump a swing up more or less well, the same ones each time."""
+def random_swings(cast_setup: CastSetup, count: int, walls: Sequence[Obstacle] = ()) -> list[Strokes]:
+    """Return strokes that pump a swing up more or less well, the same ones each time.
+
+    They begin on sides on which the rope hangs clear of obstacles and `walls`; on either side where it does on none.
+    """
+    sides = free_sides(cast_setup, (*cast_setup.obstacles, *walls)) or [-1, 1]
     rng, limits, period = np.random.default_rng(SEED), cast_setup.limits, cast_setup.period
     strokes = []
     for number in range(count):
-        side = 1 if number % 2 else -1
+        side = sides[number % len(sides)]
         stroke, step = np.pi * rng.uniform(*STROKES), period * rng.uniform(*STEPS)
         rest = max(0.0, step - float(limits.fastest_moves([stroke])[0][0]))
         size = max(1, int(np.ceil(cast_setup.time / step)))

@@ -8,7 +8,7 @@ from hyperflex.checks import Array
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.tip.aim import GRID, WINDOW, position_std, swing_derivatives, swing_times
 from hyperflex.planning.tip.joint_motion import JointMotion
-from hyperflex.planning.tip.obstacle_gaps import BESIDE, least_spare_gaps
+from hyperflex.planning.tip.obstacle_gaps import BESIDE, SpareGaps, least_spare_gaps
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.task import Aimed
 from hyperflex.planning.whip.tip_target import TipTarget, tip_velocity
@@ -21,16 +21,14 @@ class AimedPeak(Aimed):
     """A peak of the tip's speed, and its derivatives by the P parameters of the strokes.
 
     `place`, m, and `velocity`, m/s, (2,) of the tip; `dplace` and `dvelocity` (2, P) at the peak, which moves. `gaps`
-    (G,), m, are those beyond the clearance asked from obstacles, of each time until then that the rope comes near
-    one; `dgaps` (G, P).
+    are those from obstacles until then.
     """
 
     place: Array
     velocity: Array
     dplace: Array
     dvelocity: Array
-    gaps: Array
-    dgaps: Array
+    gaps: SpareGaps
 
     @property
     def speed(self) -> float:
@@ -38,8 +36,11 @@ class AimedPeak(Aimed):
         return float(np.hypot(*self.velocity))
 
 
-def find_peak(cast_setup: CastSetup, strokes: Strokes, near: float) -> AimedPeak | None:
-    """Find the peak of the tip's speed next to time `near`, s, and its derivatives; None if there is none."""
+def find_peak(cast_setup: CastSetup, strokes: Strokes, near: float, beside: Array | None = None) -> AimedPeak | None:
+    """Find the peak of the tip's speed next to time `near`, s, and its derivatives; None if there is none.
+
+    `beside` (w,), m, are the gaps asked from obstacles, as of :func:`margins`, by default BESIDE.
+    """
     window = np.arange(max(GRID, near - WINDOW), near + WINDOW, GRID)
     t = swing_times(near) if cast_setup.obstacles else window
     run, motion = swing_derivatives(cast_setup, strokes, t), strokes.motion(cast_setup.limits)
@@ -61,7 +62,10 @@ def find_peak(cast_setup: CastSetup, strokes: Strokes, near: float) -> AimedPeak
     peak = v[i] + late * slope
     dplace = run.dtip[i] + late * dv[i] + peak[:, None] * later
     dvelocity = dv[i] + slope[:, None] * later
-    gaps, dgaps = least_spare_gaps(cast_setup, JointMotion(cast_setup.rope, run), i + 1)
+    moved, count = JointMotion(cast_setup.rope, run), len(cast_setup.obstacles)
+    last = moved.between(i, late / GRID, later, GRID) if count else None
+    asked = np.full(count, BESIDE) if beside is None else beside
+    gaps = least_spare_gaps(cast_setup, moved, i + int(late >= 0.0), asked, last)
     return AimedPeak(
         strokes,
         float(t[i]) + late,
@@ -71,8 +75,7 @@ def find_peak(cast_setup: CastSetup, strokes: Strokes, near: float) -> AimedPeak
         velocity=peak,
         dplace=dplace[:, :-2],
         dvelocity=dvelocity[:, :-2],
-        gaps=gaps,
-        dgaps=dgaps[:, :-2],
+        gaps=gaps._replace(change=gaps.change[:, :-2]),
     )
 
 
@@ -94,8 +97,7 @@ def aim_residuals(target: TipTarget, aim: AimedPeak, length: float) -> tuple[Arr
         scale = length / target.least_speed
         residuals.append(scale * (speed - SPEED_MARGIN * target.least_speed))
         jacobian.append(scale * (aim.velocity @ aim.dvelocity) / speed)
-    for gap, change in zip(aim.gaps.tolist(), aim.dgaps, strict=True):
-        if gap < BESIDE:
-            residuals.append(gap - BESIDE)
-            jacobian.append(change)
+    failing = aim.gaps.spare < aim.gaps.beside
+    residuals += (aim.gaps.spare - aim.gaps.beside)[failing].tolist()
+    jacobian += [*aim.gaps.change[failing]]
     return np.array(residuals), np.array(jacobian)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
@@ -11,11 +10,11 @@ from hyperflex.model import DEFAULT_CONTACT_STEP, Peg, Setup
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.search.contact_phase import starts_outside
+from hyperflex.planning.tip.outcome import touched_samples
 from hyperflex.planning.verification import limit_bend
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
-from hyperflex.winding import TOUCH
 
 IMPACT_RADIUS = 0.01  # m, of the peg
 IMPACT_TIME, WINDOW = 0.05, 0.15  # s: duration of an impact; before and after it
@@ -69,8 +68,8 @@ def simulate_impact(
     """Simulate a motion beside a small fixed peg at the target and measure the impact, expected at time `near`, s.
 
     The peg (`radius`, m, friction coefficient `mu`) lies behind the target in the asked direction, so that the tip
-    touches it where it passes the target. The impact is the first touch of all, by the tip: within the last link, or
-    the peg's width from the rope's end. Raises SimulationError if the run fails.
+    touches it where it passes the target; obstacles are not there. The impact is the first touch of all, by the tip:
+    within the last link, or the peg's width from the rope's end. Raises SimulationError if the run fails.
     """
     radius = checks.number("radius", radius, sign="positive", unit="m")
     way = np.array([np.cos(target.direction), np.sin(target.direction)])
@@ -86,7 +85,7 @@ def simulate_impact(
     run = simulate(setup, t_eval=t)
     loss = np.asarray(run.contact_loss)
     force = -np.asarray(run.contact_force)  # on the peg
-    touched = _touched(run, peg)
+    touched = touched_samples(run, (peg,))
     if not touched.any():
         return Impact(float("nan"), 0.0, 0.0, 0.0, -1, "the rope does not touch the peg")
     first = int(touched.argmax())
@@ -131,21 +130,6 @@ def momenta(run: Trajectory, k: int) -> Array:
     beyond = carried.sum(axis=0) + rope.tip_mass * ends[-1] - np.cumsum(carried, axis=0)
     own = rope.com[:, None] * carried + rope.length[:, None] * beyond
     return np.asarray((own * across).sum(axis=1) + rope.inertia * run.qd[k])
-
-
-def _touched(run: Trajectory, peg: Peg) -> npt.NDArray[np.bool_]:
-    """Whether the rope was on a peg (T,), by its force, or by a loss where the peg was as near as a link moves.
-
-    A loss alone may be that of a joint that comes to its limit.
-    """
-    near = _closest(run, peg, slice(None))[1].min(axis=1) - peg.radius - run.setup.rope.radius
-    ends = run.base_velocity[:, None] + np.cumsum(
-        (run.setup.rope.length * run.qd)[..., None] * np.stack([np.cos(run.q), np.sin(run.q)], axis=-1), axis=1
-    )
-    fastest = np.hypot(ends[..., 0], ends[..., 1]).max(axis=1)
-    lost = np.diff(np.asarray(run.contact_loss), prepend=0.0) > 0.0
-    reach = TOUCH + np.diff(run.t, prepend=run.t[0]) * fastest
-    return np.asarray((lost & (near < reach)) | (np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0))
 
 
 def _touching(run: Trajectory, peg: Peg, k: int) -> tuple[int, float]:

@@ -1,14 +1,22 @@
 """The outcome of a whip in a simulated run: the peak of the tip's speed at the target."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import named, obstacle_gaps
-from hyperflex.planning.tip.outcome import WINDOW, TipOutcome, run_figures, sample_times, simulate_in_time
+from hyperflex.planning.search.contact_phase import starts_outside
+from hyperflex.planning.tip.outcome import (
+    WINDOW,
+    TipOutcome,
+    run_figures,
+    sample_times,
+    simulate_in_time,
+    touched_samples,
+)
 from hyperflex.planning.verification import verified_setup
 from hyperflex.planning.whip.tip_target import TipTarget, find_peaks
 from hyperflex.simulation import Deadline
@@ -57,21 +65,30 @@ def verify_whip(
 ) -> TipStrike | None:
     """Simulate a motion from rest and find the highest peak of the tip's speed about time `near`, s.
 
-    Where the rope touches an obstacle, the peak is on the same side of that in time as `near`, if there is one. Returns
-    None if the run fails or has no peak there; raises OutOfTime if it does not end within a `time_budget`.
+    Beside obstacles it is the highest before the rope touches one, unless the peak next to `near` comes later; a free
+    run tells the peaks. Returns None if a run fails or begins in an obstacle, or there is no peak; raises OutOfTime if
+    it does not end within a `time_budget`.
     """
     t = sample_times(near)
-    run = simulate_in_time(verified_setup(cast_setup, motion, float(t[-1]), tol=tol), t, time_budget)
+    setup = verified_setup(cast_setup, motion, float(t[-1]), tol=tol)
+    if not starts_outside(setup):
+        return None
+    run = simulate_in_time(replace(setup, pegs=()), t, time_budget)
     if run is None:
         return None
-    found = find_peaks(run.t, run.tip[None], run.tip_velocity[None])
-    touched = _first_touch(cast_setup, run)
+    found, touched = find_peaks(run.t, run.tip[None], run.tip_velocity[None]), math.inf
     about = np.abs(found.t - near) < WINDOW
-    side = (found.t < touched) == (near < touched)  # before a touch that comes later than expected, or after it
-    about &= side if (about & side).any() else True
     if not about.any():
         return None
-    k = int(np.where(about, found.speed, 0.0).argmax())
+    if setup.pegs:
+        run = simulate_in_time(setup, np.union1d(t, found.t[about]), time_budget)
+        if run is None:
+            return None
+        there = touched_samples(run, cast_setup.obstacles)
+        touched = float(run.t[there.argmax()]) if there.any() else math.inf
+    before = about & (found.t < touched)
+    nearest = int(np.where(about, np.abs(found.t - near), np.inf).argmin())
+    k = int(np.where(before, found.speed, 0.0).argmax()) if before[nearest] else nearest
     earlier = found.speed[found.t < found.t[k]]
     error, speed = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k])
     figures = run_figures(cast_setup, run, float(found.t[k]))
@@ -88,24 +105,14 @@ def verify_whip(
         miss=float(np.hypot(*(found.place[k] - target.point))),
         angle_error=error,
         earlier_speed=float(earlier.max(initial=0.0)),
-        touches_later=_touches(cast_setup, run, touched) if touched > found.t[k] else "",
+        touches_later=_touches(cast_setup, run, touched) if found.t[k] < touched < math.inf else "",
         message=message,
         **figures,
     )
 
 
-def _first_touch(cast_setup: CastSetup, run: Trajectory) -> float:
-    """Return when the rope of a run first touches an obstacle, s; infinity if it does not."""
-    if not cast_setup.obstacles:
-        return math.inf
-    touched = np.asarray(run.contact_force).any(axis=(1, 2))
-    return float(run.t[touched.argmax()]) if touched.any() else math.inf
-
-
 def _touches(cast_setup: CastSetup, run: Trajectory, t: float) -> str:
-    """Return which obstacle the rope touches at time t, s, and when; empty if t is infinite."""
-    if not math.isfinite(t):
-        return ""
+    """Return which obstacle the rope touches at time t, s, and when."""
     joints = run.joints[int(np.searchsorted(run.t, t))]
     gaps = obstacle_gaps(cast_setup.obstacles, joints[:-1], joints[1:]).min(axis=-1)
     return f"{named(cast_setup.obstacles[int(gaps.argmin())])} at {t:.2f} s"

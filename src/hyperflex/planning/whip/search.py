@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.planning.cast_setup import CastSetup
-from hyperflex.planning.clearance import holds, named
+from hyperflex.planning.clearance import gap_of, holds, named
 from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.tip.obstacle_gaps import blocked
 from hyperflex.planning.tip.strokes import Strokes
@@ -80,8 +80,15 @@ def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibil
     short = distance - cast_setup.rope.total_length - cast_setup.arm.length
     if short > 0.0:
         return WhipFeasibility(distance, math.inf, f"out of reach: the rope ends {short:.2f} m short of the target")
-    if inside := [each for each in cast_setup.obstacles if holds(each, target.x, target.y)]:
-        return WhipFeasibility(distance, math.inf, f"the target lies in {named(inside[0])}")
+    for each in cast_setup.obstacles:
+        if holds(each, target.x, target.y):
+            return WhipFeasibility(distance, math.inf, f"the target lies in {named(each)}")
+        gap, least = gap_of(each, target.x, target.y), cast_setup.rope.radius + max(cast_setup.clearance, 0.0)
+        if gap <= least:
+            near = f"the target is {1e3 * gap:.1f} mm from {named(each)}"
+            return WhipFeasibility(
+                distance, math.inf, f"{near}: with its radius and clearance the rope needs {1e3 * least:g} mm"
+            )
     peaks = whip_map.peaks
     free = peaks._replace(blocked=np.zeros_like(peaks.blocked))
     cost = float(peak_costs(target, free).min(initial=math.inf))

@@ -7,6 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.model import divided
 from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.tip.obstacle_gaps import margins
 from hyperflex.planning.tip.outcome import excess_torque
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.task import NEVER, TipCandidate, TipTask, Verified
@@ -31,6 +32,7 @@ class WhipTask(TipTask[AimedPeak]):
     def __init__(self, whip_map: WhipMap, target: TipTarget) -> None:
         self.whip_map, self.target, self.cast_setup = whip_map, target, whip_map.cast_setup
         self.finer = replace(self.cast_setup, rope=divided(self.cast_setup.rope, FINER))
+        self.beside = margins(self.cast_setup, target.point[None])
 
     def candidates(self) -> list[TipCandidate]:
         """Return the cheapest peak of each swing of the map, the cheapest first."""
@@ -46,7 +48,7 @@ class WhipTask(TipTask[AimedPeak]):
 
     def find(self, strokes: Strokes, near: float) -> AimedPeak | None:
         """Return the peak of the tip's speed next to time `near`, s."""
-        return find_peak(self.cast_setup, strokes, near)
+        return find_peak(self.cast_setup, strokes, near, self.beside)
 
     def residuals(self, aim: AimedPeak) -> tuple[Array, Array]:
         """Return the peak's way to the target, and direction, speed and gaps from obstacles if they fail."""
@@ -57,7 +59,7 @@ class WhipTask(TipTask[AimedPeak]):
         miss = float(np.hypot(*(aim.place - self.target.point)))
         beyond = max(0.0, abs(float(self.target.angle_error(aim.velocity))) - self.target.angle_tolerance)
         slow = max(0.0, 1.0 - aim.speed / self.target.least_speed)
-        touching = max(0.0, -float(aim.gaps.min(initial=np.inf)))
+        touching = max(0.0, -float(aim.gaps.spare.min(initial=np.inf)))
         return max(0.0, miss - MAX_MISS) + beyond + slow + touching
 
     def verify(self, aim: AimedPeak, end: Deadline | None) -> Verified:

@@ -7,7 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.planning import WhipPlan
 from hyperflex.report.shapes import shapes
-from hyperflex.report.strobe import strobe_figure
+from hyperflex.report.strobe import draw_obstacles, strobe_figure
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure, note
 from hyperflex.report.time_course import event_note, room_above, time_course
 from hyperflex.report.tip import draw_path, stroke_moves
@@ -53,6 +53,7 @@ def passing_figure(plan: WhipPlan) -> "Figure":
         axis.plot(0.0, 0.0, "o", ms=13.0, mfc="none", mec=RED, mew=1.8, label="target")
         axis.plot(*place, "o", ms=4.5, color=INK, label=f"tip at its peak, {length(seen.miss, 2)} off")
         axis.set(xlim=(-1e3 * half, 1e3 * half), ylim=(-1e3 * half, 1e3 * half), aspect="equal")
+        draw_obstacles(axis, plan.cast_setup.obstacles, 8.0 * half, origin=target.point, scale=1e3)
         axis.set(xlabel="x from the target, mm", ylabel="y from the target, mm (up)")
         axis.set_title("How the tip passes the target, simulated")
         legend(figure, axis, place="lower center", columns=2)
