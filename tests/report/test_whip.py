@@ -30,7 +30,7 @@ def test_the_page_names_target_strokes_peak_and_impact(tmp_path):
     files = WhipReport(plan, impact).write(tmp_path / "out")
     page = words_of(files["page"])
     for told in (
-        "x = -0.244 m, y = -1.07 m",
+        "x = {:.4g} m, y = {:.4g} m".format(*plan.target.point),
         "within 17.2 degrees of the direction 179 (0 is",
         "3 strokes",
         "speed peaks at 1.29 m/s",

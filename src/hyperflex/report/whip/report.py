@@ -67,13 +67,13 @@ class WhipReport(PlanReport[WhipPlan]):
                 self.verdict += f" A peg there is not struck by the tip: {impact.message}."
         self.warning = " ".join(filter(None, (torque_warning(plan, plan.outcome), _finer_warning(plan))))
         self.target = (
-            f"x = {target.x:.3g} m, y = {target.y:.3g} m, {_direction(target)}, at {target.least_speed:.3g} m/s or more"
+            f"x = {target.x:.4g} m, y = {target.y:.4g} m, {_direction(target)}, at {target.least_speed:.3g} m/s or more"
         )
         self.tiles, self.story, self.checks = self._tiles(), self._story(), _checks(plan)
 
     def _tiles(self) -> tuple[tuple[str, str], ...]:
         plan, target, seen, impact = self.plan, self.plan.target, self.plan.outcome, self.impact
-        shown = [(f"{target.x:.3g}, {target.y:.3g} m", "target: x and y (up)")]
+        shown = [(f"{target.x:.4g}, {target.y:.4g} m", "target: x and y (up)")]
         if plan.strokes is not None:
             shown.append((stroke_count(plan), "of the arm to and fro"))
         if seen is not None:
@@ -136,7 +136,7 @@ class WhipReport(PlanReport[WhipPlan]):
             end = f"passes it at {seen.t:.2f} s: {seen.speed:.1f} m/s, {length(seen.miss, 2)} off"
             if not self.plan.success:
                 end = f"FAILS: {self.plan.message}"
-            place = f"target: x = {target.x:.3g} m, y = {target.y:.3g} m, {target.least_speed:.3g} m/s or more"
+            place = f"target: x = {target.x:.4g} m, y = {target.y:.4g} m, {target.least_speed:.3g} m/s or more"
             return "\n".join((place, stroke_note(self.plan, t), end if t >= seen.t else ""))
 
         return note
