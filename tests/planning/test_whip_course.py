@@ -16,6 +16,7 @@ from hyperflex.model import divided
 from hyperflex.planning import CastSetup, MotorLimits, TipTarget, WhipMap, build_whip_map, plan_whip, time_budget
 from hyperflex.planning.search import rollouts
 from hyperflex.planning.tip import planner as tip_planner
+from hyperflex.planning.tip.obstacle_gaps import SpareGaps
 from hyperflex.planning.tip.planner import PLANS, TipPlanner
 from hyperflex.planning.tip.task import Verified
 from hyperflex.planning.whip import planner
@@ -34,10 +35,9 @@ def known() -> WhipMap:
 
 def seen_as(*found: tuple[float, float]) -> list[Any]:
     """Whips of some misses and doubts, m, by what the search makes of them."""
-    return [
-        SimpleNamespace(place=np.array([miss, 0.0]), velocity=np.array([5.0, 0.0]), speed=5.0, position_std=doubt)
-        for miss, doubt in found
-    ]
+    gaps = SpareGaps(np.zeros(0), np.zeros((0, 2)), np.zeros(0))
+    there = {"velocity": np.array([5.0, 0.0]), "speed": 5.0, "gaps": gaps}
+    return [SimpleNamespace(place=np.array([miss, 0.0]), position_std=doubt, **there) for miss, doubt in found]
 
 
 def course(known: WhipMap, patience: float = 1.0) -> TipPlanner:

@@ -206,12 +206,6 @@ def test_margins_are_half_of_what_the_target_leaves() -> None:
     assert WhipTask(SimpleNamespace(cast_setup=who), TipTarget(*place[0])).beside[0] == pytest.approx(0.003)  # type: ignore[arg-type]
 
 
-def peak_of(run: hf.Trajectory) -> tuple[float, Any]:
-    """Time and place of the tip's fastest sample."""
-    k = int(np.hypot(*run.tip_velocity.T).argmax())
-    return float(run.t[k]), run.tip[k]
-
-
 def test_the_rope_may_touch_an_obstacle_after_the_peak_only() -> None:
     free = verify_whip(WHO, TipTarget(0.0, 0.0, least_speed=1.0), STROKES.motion(LIMITS), NEAR)
     assert free is not None
