@@ -10,7 +10,7 @@ import hashlib
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,17 @@ def append(path: Path, row: Row) -> None:
         elif last:
             file.truncate(len(there) - len(last))
         file.write(text)
+
+
+def go_on(path: Path, marks: Sequence[Any], measure: Callable[[int, Any], Row]) -> list[Row]:
+    """Measure what a file has no rows of yet, by number and mark; print and keep each row, and return all of them."""
+    rows = read(path)
+    told(rows)
+    for index in range(len(rows), len(marks)):
+        rows.append(measure(index, marks[index]))
+        print(json.dumps(rows[-1]), flush=True)
+        append(path, rows[-1])
+    return rows
 
 
 def _whole(line: bytes) -> bool:

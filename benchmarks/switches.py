@@ -174,13 +174,7 @@ def main() -> None:
     if options.only is not None:
         print(json.dumps(measure(options.only, marks[options.only]), indent=1))
         return
-    notes = Path(options.out).with_suffix(".jsonl")
-    rows = log.read(notes)
-    log.told(rows)
-    for index in range(len(rows), len(marks)):
-        rows.append(measure(index, marks[index]))
-        print(json.dumps(rows[-1]), flush=True)
-        log.append(notes, rows[-1])
+    rows = log.go_on(Path(options.out).with_suffix(".jsonl"), marks, measure)
     about["load after"] = machine.load()
     found = {"machine": about, "summary": summary(rows), "rows": rows}
     files.write_text(options.out, json.dumps(found, indent=1) + "\n")

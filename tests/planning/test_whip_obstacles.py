@@ -269,6 +269,15 @@ def test_short_touches_are_touches() -> None:
         moved = np.hypot(*(seen.run.tip[-1] - free.run.tip[-1]))
         missed += bool(moved > 0.005 and not seen.touches_later)
     assert missed == 0
+    for row in np.searchsorted(free.run.t, free.t - np.linspace(0.03, 0.12, 19)):
+        peg = hf.Peg(*free.run.tip[row], 0.03)  # on which the rope lies more heavily later
+        seen = verify_whip(replace(WHO, obstacles=(peg,)), target, STROKES.motion(LIMITS), free.t)
+        assert seen is not None
+        assert seen.message.startswith("the rope touches the peg at")
+        assert seen.clearance <= 0.0
+        gaps = sampled_obstacle_gaps(ROPE, [peg], free.run.q, free.run.base)
+        first = free.run.t[int((gaps <= 0.0).argmax())]
+        assert float(seen.message.split()[-2]) == pytest.approx(first, abs=0.011)  # when it first does, to 10 ms
 
 
 def test_derivatives_of_a_gap_at_the_peak_itself() -> None:

@@ -31,8 +31,7 @@ class Entry(Aimed):
     `speed` at `t` is in m/s. `gaps` (G,), m, are least distances from the walls of all the rope but what follows the
     tip through, of each time that it crosses their line, and those from obstacles, less the clearance asked, of each
     time that it comes near one; they shall be `beside` (G,), m, at least. `doffset` (3 or 5, P), `ddepth` (P,) and
-    `dgaps` (G, P) are derivatives.
-    `clearance`, m, is the least distance of the rope from its own arm.
+    `dgaps` (G, P) are derivatives. `clearance`, m, is the least distance of the rope from its own arm.
     """
 
     offset: Array

@@ -91,7 +91,11 @@ def verify_whip(
     k = int(np.where(before, found.speed, 0.0).argmax()) if before[nearest] else nearest
     earlier = found.speed[found.t < found.t[k]]
     error, speed = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k])
-    figures = run_figures(cast_setup, run, float(found.t[k]))
+    figures, touch = run_figures(cast_setup, run, float(found.t[k])), ""
+    if touched < math.inf:
+        touch = _touches(cast_setup, run, touched)
+    if touched <= found.t[k]:  # however short, and whatever distance the samples show
+        figures |= {"refused": f"the rope touches {touch}", "clearance": min(figures["clearance"], 0.0)}
     message = figures["refused"]
     if not message and speed < target.least_speed:
         message = f"the tip's speed is {speed:.2f} m/s, and {target.least_speed:g} is asked"
@@ -105,7 +109,7 @@ def verify_whip(
         miss=float(np.hypot(*(found.place[k] - target.point))),
         angle_error=error,
         earlier_speed=float(earlier.max(initial=0.0)),
-        touches_later=_touches(cast_setup, run, touched) if found.t[k] < touched < math.inf else "",
+        touches_later=touch if found.t[k] < touched else "",
         message=message,
         **figures,
     )
