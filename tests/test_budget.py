@@ -1,0 +1,84 @@
+"""Budgets: time by the clock, shares, cancelling, and what is not counted."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+import hyperflex.budget
+from hyperflex.budget import Budget, OutOfTime
+from hyperflex.errors import InvalidInput
+
+
+class Clock:
+    """A clock that a test moves."""
+
+    def __init__(self) -> None:
+        self.t = 100.0
+
+    def __call__(self) -> float:
+        return self.t
+
+
+def test_time_passes_by_the_clock() -> None:
+    clock = Clock()
+    budget = Budget(10.0, clock=clock)
+    clock.t += 4.0
+    assert (budget.elapsed, budget.remaining, budget.expired) == (4.0, 6.0, False)
+    budget.check()
+    clock.t += 6.0
+    assert budget.expired
+    with pytest.raises(OutOfTime):
+        budget.check()
+
+
+def test_a_part_never_outlives_the_whole() -> None:
+    clock = Clock()
+    whole = Budget(10.0, clock=clock)
+    clock.t += 2.0
+    part, long = whole.share(0.5), whole.limit(60.0)
+    assert (part.remaining, long.remaining) == (4.0, 8.0)
+    clock.t += 5.0
+    assert (part.expired, whole.expired, long.remaining) == (True, False, 3.0)
+
+
+def test_cancelling_ends_a_part_and_its_parts_alone() -> None:
+    whole = Budget()
+    part = whole.limit(5.0)
+    inner = part.share(0.5)
+    part.cancel()
+    assert (whole.expired, part.expired, inner.expired) == (False, True, True)
+    with pytest.raises(OutOfTime):
+        inner.check()
+
+
+def test_compiling_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock()
+    budget = Budget(10.0, clock=clock)
+    clock.t += 60.0
+    monkeypatch.setattr(hyperflex.budget, "compiling", lambda: budget._compiled + 58.0)
+    assert budget.elapsed == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, math.nan, "soon"])
+def test_seconds_are_checked(wrong: object) -> None:
+    with pytest.raises(InvalidInput, match="time_budget"):
+        Budget.of(wrong)  # type: ignore[arg-type]
+
+
+def test_a_budget_is_handed_down_as_it_is() -> None:
+    budget = Budget(3.0)
+    assert Budget.of(budget) is budget
+    assert Budget.of(None).remaining == math.inf
+
+
+def test_progress_is_reported_to_the_bar_of_the_block(capsys: pytest.CaptureFixture[str]) -> None:
+    seen: list[float] = []
+    budget = Budget(10.0)
+    with budget.progress(False, "planning"):
+        budget.share(0.5).report(1.0)  # nobody watches
+    budget._report = seen.append
+    budget.share(0.5).report(3.0)
+    assert seen == [3.0]
+    assert capsys.readouterr().err == ""
