@@ -16,9 +16,9 @@ held one that slips by less than 5 mm in 2 s after that. A slow pull at the arm'
 simulated; BLOCK targets are planned one after the other, on all cores, and then judged. Rows are kept in casting.jsonl:
 the same command goes on where it stopped.
 
-Anyone can take part: the ropes, the arm, the motor's limits and the targets are in ``cast_setup`` and ``targets``,
+Anyone can take part: the ropes, the arm, the motor's limits and the targets are in ``problem`` and ``targets``,
 which need nothing but numpy's generator; the judge is ``hyperflex.planning.verify_cast`` on
-``cast_setup(rope, FINER)``. The time of the first plan that stood is told beside that of the search.
+``problem(rope, FINER)``. The time of the first plan that stood is told beside that of the search.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ from hyperflex.paper import T_REST, casting_arm
 from hyperflex.planning import (
     CastOutcome,
     CastPlan,
-    CastSetup,
     MotorLimits,
+    Problem,
     check_feasibility,
     measure_holding_force,
     plan_cast,
@@ -96,7 +96,7 @@ BLOCK, JUDGES = 12, 2  # targets that are planned before they are judged, and ju
 LONGEST = 300.0  # s of processor time for a judging run; one that takes more counts as a cast that fails
 
 
-def cast_setup(rope: str, finer: float = 1.0) -> CastSetup:
+def problem(rope: str, finer: float = 1.0) -> Problem:
     """A rope of ROPES on its arm, as so many times its links.
 
     It bends with the same friction per length whatever their number, and the hinge at the arm keeps its own, as
@@ -111,12 +111,12 @@ def cast_setup(rope: str, finer: float = 1.0) -> CastSetup:
     friction = np.full(links, kind.friction * finer)
     friction[0] = kind.friction
     cable = cable.replace(friction=friction, mass=share * cable.mass, inertia=share * cable.inertia)
-    return CastSetup(cable, casting_arm() if kind.arm is None else hf.Arm(length=kind.arm), MotorLimits())
+    return Problem(cable, casting_arm() if kind.arm is None else hf.Arm(length=kind.arm), MotorLimits())
 
 
 def target(number: int, rope: str = "nominal", seed: int = SEED) -> hf.Peg:
     """A target anywhere about the arm, uniform in area up to the length of rope and arm."""
-    random, known = np.random.default_rng([seed, number]), cast_setup(rope)
+    random, known = np.random.default_rng([seed, number]), problem(rope)
     reach = known.rope.total_length + known.arm.length
     far, angle = reach * math.sqrt(random.uniform()), random.uniform(-math.pi, math.pi)
     return hf.Peg(far * math.sin(angle), -far * math.cos(angle), float(random.uniform(LEAST, GREATEST)), MU)
@@ -124,7 +124,7 @@ def target(number: int, rope: str = "nominal", seed: int = SEED) -> hf.Peg:
 
 def targets(rope: str, count: int, within: bool = True, seed: int = SEED) -> list[int]:
     """Numbers of the first targets that are in reach, or that are not though geometry allows them."""
-    known, found, number = cast_setup(rope), [], 0
+    known, found, number = problem(rope), [], 0
     while len(found) < count:
         told = check_feasibility(known, target(number, rope, seed))
         if told.feasible if within else not (told.feasible or told.impossible):
@@ -213,7 +213,7 @@ def done(
     rope: str, numbers: list[int], time_budget: float, ours_alone: bool, seed: int, plans: Path | None
 ) -> Iterator[dict[str, Any]]:
     """A row for each target as it is judged."""
-    known = cast_setup(rope)
+    known = problem(rope)
     for begin in range(0, len(numbers), BLOCK):
         planned = []
         for number in numbers[begin : begin + BLOCK]:
@@ -266,7 +266,7 @@ def judged(rope: str, peg: hf.Peg, motion: Motion | None) -> dict[str, Any]:
     """What becomes of a motion in a finer run, and what the wound rope bears."""
     if motion is None:
         return {"success": False, "reason": "nothing to do"}
-    fine = cast_setup(rope, FINER)
+    fine = problem(rope, FINER)
     cast = verify_cast(fine, peg, motion, tol=TOL, contact_step=STEP, time_budget=LONGEST)
     row = {
         "success": cast.success,
@@ -298,7 +298,7 @@ def timed(rope: str) -> Motion:
     """The paper's timing rule on the true state, each half turn as the tip passes below the shaft."""
     from hyperflex.control import CrossingRule, SwingModel, TrueState, run_closed_loop
 
-    model, known = SwingModel(cast_setup(rope).rope, casting_arm(), HALF_TURN), cast_setup(rope)
+    model, known = SwingModel(problem(rope).rope, casting_arm(), HALF_TURN), problem(rope)
     return run_closed_loop(
         TrueState(known.rope, known.arm), CrossingRule(model, 0.0), model, duration=known.time
     ).motion
@@ -306,7 +306,7 @@ def timed(rope: str) -> Motion:
 
 def until_strike(rope: str, peg: hf.Peg, motion: Motion) -> Motion | None:
     """A motion that ends with the half turn in which the rope strikes; None if it does not strike."""
-    struck = float(simulate_strikes(cast_setup(rope), peg, [motion]).t[0])
+    struck = float(simulate_strikes(problem(rope), peg, [motion]).t[0])
     if math.isnan(struck):
         return None
     begins = [t for t in motion.switches(0.0, struck) if abs(float(motion.rate([t])[0])) < 1e-9]

@@ -30,7 +30,7 @@ from hyperflex import files
 from hyperflex.control import swing_period
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
-from hyperflex.planning import CastSetup, InsertOutcome, InsertPlan, MotorLimits, Slot, plan_insert
+from hyperflex.planning import InsertOutcome, InsertPlan, MotorLimits, Problem, Slot, plan_insert
 from hyperflex.planning.insert.chance import FINER, finer_rope, insert_scenarios, usual_uncertainty
 from hyperflex.planning.insert.outcome import verify_insert
 from hyperflex.planning.insert.planner import PERIODS
@@ -56,10 +56,10 @@ def slots() -> list[Slot]:
 
 def draw() -> list[dict[str, float]]:
     """Slots in reach: some of the random swings of the planner comes near each."""
-    cast_setup = CastSetup(CABLE, ARM, MotorLimits(), PERIODS * swing_period(CABLE))
-    swings, runs = random_swings(cast_setup, SWINGS), []
+    problem = Problem(CABLE, ARM, MotorLimits(), PERIODS * swing_period(CABLE))
+    swings, runs = random_swings(problem, SWINGS), []
     for low in range(0, SWINGS, TOGETHER):
-        t, batch, angle, _ = simulate_swings(cast_setup, swings[low : low + TOGETHER], SAMPLE_TIME)
+        t, batch, angle, _ = simulate_swings(problem, swings[low : low + TOGETHER], SAMPLE_TIME)
         runs += [CABLE.joints(q, base).astype(np.float32) for q, base in zip(batch.q, ARM.tip(angle), strict=True)]
     rng, far, found = np.random.default_rng(SEED), CABLE.total_length + ARM.length, list[dict[str, float]]()
     while len(found) < COUNT:
@@ -75,7 +75,7 @@ def draw() -> list[dict[str, float]]:
 def judge(plan: InsertPlan, rope: hf.Rope, slot: Slot, motion: hf.Motion) -> InsertOutcome | None:
     """What a motion does with a rope of more links beside a slot."""
     assert plan.outcome is not None
-    finer = replace(plan.cast_setup, rope=rope)
+    finer = replace(plan.problem, rope=rope)
     how = {"tol": DEFAULT_TOL / TIGHTER, "contact_step": 0.5 * DEFAULT_CONTACT_STEP}
     return verify_insert(finer, slot, motion, plan.outcome.t, **how)
 
@@ -104,7 +104,7 @@ def measure(index: int, slot: Slot) -> dict[str, Any]:
     row["judged"] = stands(judge(plan, finer_rope(CABLE), slot, plan.motion))
     stated = plan.success_probability
     row["stated"] = stated.estimate if stated is not None and stated.samples else None
-    drawn = insert_scenarios(plan.cast_setup, slot, plan.strokes, usual_uncertainty(), SCENARIOS, [FRESH])
+    drawn = insert_scenarios(plan.problem, slot, plan.strokes, usual_uncertainty(), SCENARIOS, [FRESH])
     row["observed"] = float(np.mean([stands(judge(plan, *each)) for each in drawn]))
     return row
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from benchmarks import log as lines
 from benchmarks import machine
-from benchmarks.casting import RESULTS, TIP, cast_setup, target
+from benchmarks.casting import RESULTS, TIP, problem, target
 
 from hyperflex import files
 from hyperflex.core.jit import SOURCE_HASH
@@ -67,7 +67,7 @@ def main() -> None:
     time.monotonic = time.process_time  # a search's clock
     about, log = machine.describe(), None if options.out == "-" else Path(options.out) / "reach.jsonl"
     kinds = {
-        number: kind(check_feasibility(cast_setup(options.rope), target(number)))
+        number: kind(check_feasibility(problem(options.rope), target(number)))
         for number in range(FIRST, FIRST + COUNTED)
     }
     known = read(log, options.rope, options.time_budget)
@@ -106,7 +106,7 @@ def read(log: Path | None, rope: str, time_budget: float) -> dict[int, dict[str,
 
 def planned(rope: str, number: int, time_budget: float) -> dict[str, Any]:
     """A row: what a search finds for a target."""
-    who = cast_setup(rope)
+    who = problem(rope)
     plan = plan_cast(
         who.rope, who.arm, target(number), time_budget=time_budget, skip_feasibility=True, seed=number, threads=1
     )
@@ -141,7 +141,7 @@ def text(kinds: dict[int, str], rows: dict[int, dict[str, Any]], options: argpar
     lines += [f"A search is {options.time_budget:g} s of one processor at most; the benchmark's are 60 s of two.", ""]
     lines += ["| number | called | room | needed | energy | success | turns | s | why not |", "|" + "---|" * 9]
     for number, row in sorted(rows.items(), key=lambda pair: (KINDS.index(kinds[pair[0]]), pair[0])):
-        told = check_feasibility(cast_setup(options.rope), target(number))
+        told = check_feasibility(problem(options.rope), target(number))
         cells = [
             number,
             kinds[number],

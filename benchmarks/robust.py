@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from benchmarks import log as lines
 from benchmarks import machine
-from benchmarks.casting import FINER, STEP, TIP, TOL, cast_setup, target, targets
+from benchmarks.casting import FINER, STEP, TIP, TOL, problem, target, targets
 from benchmarks.robust_page import page
 
 import hyperflex as hf
@@ -41,7 +41,7 @@ from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.errors import HyperflexError, SimulationError
 from hyperflex.planning import (
     CastPlan,
-    CastSetup,
+    Problem,
     ScenarioStateSource,
     Throw,
     Uncertainty,
@@ -139,7 +139,7 @@ class Case:
     plan: str
 
     def __post_init__(self) -> None:
-        self.peg, self.known = target(self.number), cast_setup(self.options.rope)
+        self.peg, self.known = target(self.number), problem(self.options.rope)
         self.uncertainty = uncertainty(self.options.level)
 
     def row(self, fine: bool, closed: bool) -> dict[str, Any]:
@@ -187,7 +187,7 @@ class Case:
             "throw": None if plan.throw is None else written(plan.throw),
         }
 
-    def worlds(self, count: int, links: CastSetup | None = None) -> list[Scenario]:
+    def worlds(self, count: int, links: Problem | None = None) -> list[Scenario]:
         """Fresh draws, the same for all plans of a target and for any number of links."""
         return self.uncertainty.sample(count, links or self.known, self.peg, seed=[STREAM, self.number])
 
@@ -245,7 +245,7 @@ class Case:
 
     def fine(self, throw: Throw, count: int) -> dict[str, Any]:
         """Judge a throw in the first draws with 2.5 times the links, refined beside the peg, and shorter steps."""
-        known = cast_setup(self.options.rope, FINER)
+        known = problem(self.options.rope, FINER)
 
         def one(world: Scenario) -> tuple[bool, bool]:
             one = replace(known, rope=world.rope)

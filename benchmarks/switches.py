@@ -27,7 +27,7 @@ from benchmarks import log, machine
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.core.jit import SOURCE_HASH
-from hyperflex.planning import CastSetup, MotorLimits, WhipPlan, plan_whip
+from hyperflex.planning import MotorLimits, Problem, WhipPlan, plan_whip
 from hyperflex.planning.clearance import obstacle_clearance, samples_clear_of_arm
 from hyperflex.planning.insert.chance import FINER, finer_rope
 from hyperflex.planning.tip.obstacle_gaps import signed_gaps
@@ -57,11 +57,11 @@ def switches() -> list[dict[str, float]]:
 
 def draw() -> list[dict[str, float]]:
     """Walls and switches that some random swing strikes without a touch of the wall."""
-    cast_setup, rng = CastSetup(ROPE, ARM, LIMITS, TIME), np.random.default_rng(SEED)
-    swings = random_swings(cast_setup, 2 * SWINGS)[SWINGS:]  # the planner's are the first ones
-    t, batch, angle, rate = simulate_swings(cast_setup, swings, SAMPLE_TIME)
+    problem, rng = Problem(ROPE, ARM, LIMITS, TIME), np.random.default_rng(SEED)
+    swings = random_swings(problem, 2 * SWINGS)[SWINGS:]  # the planner's are the first ones
+    t, batch, angle, rate = simulate_swings(problem, swings, SAMPLE_TIME)
     base = ARM.tip(angle)
-    peaks = find_peaks(t, batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate))
+    peaks = find_peaks(t, batch.tip, tip_velocity(problem, batch.q, batch.qd, angle, rate))
     last = samples_clear_of_arm(ROPE, ARM, batch.q, base, 0.0)
     found, taken = list[dict[str, float]](), set[int]()
     while len(found) < COUNT:
@@ -91,7 +91,7 @@ def judge(plan: WhipPlan) -> str:
     """Why a plan does not strike its switch with a finer rope; empty if it does."""
     assert plan.outcome is not None
     assert plan.motion is not None
-    finer = replace(plan.cast_setup, rope=finer_rope(ROPE))
+    finer = replace(plan.problem, rope=finer_rope(ROPE))
     seen = verify_whip(finer, plan.target, plan.motion, plan.outcome.t, tol=TOL / TIGHTER)
     if seen is None:
         return "no peak there"

@@ -37,8 +37,8 @@ from hyperflex.model import divided
 from hyperflex.model.stretch import stretched
 from hyperflex.motion import lagged
 from hyperflex.planning import (
-    CastSetup,
     MotorLimits,
+    Problem,
     Strokes,
     WhipMap,
     build_whip_map,
@@ -78,8 +78,8 @@ TAPE = 5e-4  # relative standard deviation of a length that a tape tells
 RATE, SECONDS, NOISE, MARKERS = 60.0, 3.0, 2e-3, 10  # Hz, s, m: the recording
 
 
-def cast_setup(rope: hf.Rope) -> CastSetup:
-    return CastSetup(rope, ARM, MotorLimits(), PERIODS * swing_period(rope))
+def problem(rope: hf.Rope) -> Problem:
+    return Problem(rope, ARM, MotorLimits(), PERIODS * swing_period(rope))
 
 
 def targets() -> list[TipTarget]:
@@ -98,7 +98,7 @@ def drawn(seed: int, known: WhipMap) -> Iterator[tuple[dict[str, float], WhipFea
 
 def draw() -> list[dict[str, float]]:
     """Targets in reach."""
-    return list(islice((row for row, told in drawn(2, build_whip_map(cast_setup(CABLE))) if told.feasible), COUNT))
+    return list(islice((row for row, told in drawn(2, build_whip_map(problem(CABLE))) if told.feasible), COUNT))
 
 
 def true_rope(index: int, pieces: int) -> hf.Rope:
@@ -191,7 +191,7 @@ def blow(row: dict[str, Any], mark: TipTarget) -> dict[str, Any]:
     if row.get("miss") is None:
         return {"touched": False}
     made = Strokes(row["side"], np.array(row["ends"]), np.array(row["rests"]))
-    found = simulate_impact(cast_setup(CABLE), mark, made.motion(MotorLimits()), row["t"])
+    found = simulate_impact(problem(CABLE), mark, made.motion(MotorLimits()), row["t"])
     return {
         "touched": found.success,
         "t": found.t,
@@ -210,7 +210,7 @@ def on_identified(index: int, mark: TipTarget, kind: str) -> dict[str, Any]:
         ARM,
         mark.point,
         way(mark),
-        whip_map=build_whip_map(cast_setup(rope)),
+        whip_map=build_whip_map(problem(rope)),
         time_budget=TIME_BUDGET,
         seed=index,
         skip_feasibility=True,
@@ -221,7 +221,7 @@ def on_identified(index: int, mark: TipTarget, kind: str) -> dict[str, Any]:
     exact = plan.strokes.motion(MotorLimits())
     late = moved_late(plan.strokes, index).motion(MotorLimits())
     for name, motion in (("", lagged(late, LAG)), (" without lag", late), (" in time", exact)):
-        seen = verify_whip(cast_setup(true), mark, motion, plan.outcome.t)
+        seen = verify_whip(problem(true), mark, motion, plan.outcome.t)
         row[f"miss{name}"] = None if seen is None else 1e3 * seen.miss
         row[f"speed{name}"] = None if seen is None else seen.speed
         row[f"off{name}"] = None if seen is None else float(np.degrees(seen.angle_error))
@@ -381,7 +381,7 @@ def main() -> None:
         files.write_text(TARGETS, json.dumps(draw(), indent=1) + "\n")
         return
     marks, about = targets(), machine.describe()
-    known = build_whip_map(cast_setup(CABLE))
+    known = build_whip_map(problem(CABLE))
     if options.only is not None:
         for kind in ["nominal"] if options.nominal else list(GOALS):
             print(json.dumps(measure(options.only, kind, marks[options.only], known), indent=1))

@@ -52,10 +52,10 @@ if TYPE_CHECKING:
     )
     from hyperflex.planning import (
         CastPlan,
-        CastSetup,
         FollowResult,
         InsertPlan,
         MotorLimits,
+        Problem,
         ReachMap,
         Slot,
         TipTarget,

@@ -113,8 +113,8 @@ def test_a_set_up_file_gives_rope_arm_limits_and_target(hyperflex, ready, tmp_pa
 
 def test_what_an_earlier_plan_asked_for_is_asked_again_and_told(hyperflex, ready, tmp_path):
     asked = ready("winds")
-    known = dataclasses.replace(planned().cast_setup, clearance=0.02, contact=6.0)
-    dataclasses.replace(planned(), cast_setup=known).to_toml(tmp_path / "cast.toml")
+    known = dataclasses.replace(planned().problem, clearance=0.02, contact=6.0)
+    dataclasses.replace(planned(), problem=known).to_toml(tmp_path / "cast.toml")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", "-o", tmp_path / "out")
     assert (code, asked["clearance"], asked["contact"]) == (0, 0.02, 6.0)
     assert "was planned with --clearance 0.02 --contact 6, which is asked again" in " ".join(err.split())
@@ -123,8 +123,8 @@ def test_what_an_earlier_plan_asked_for_is_asked_again_and_told(hyperflex, ready
     assert (code, asked["clearance"], asked["contact"]) == (0, 0.0, 0.0)
     assert "asked again" not in err
     assert (asked["turns"], asked["settle"]) == (1.25, 1.0)
-    known = dataclasses.replace(planned().cast_setup, turns=2.0, settle=0.0)
-    dataclasses.replace(planned(), cast_setup=known).to_toml(tmp_path / "cast.toml")
+    known = dataclasses.replace(planned().problem, turns=2.0, settle=0.0)
+    dataclasses.replace(planned(), problem=known).to_toml(tmp_path / "cast.toml")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", "-o", tmp_path / "out")
     assert (code, asked["turns"], asked["settle"], asked["contact"]) == (0, 2.0, 0.0, None)
     assert "was planned with --turns 2 --settle 0, which is asked again" in " ".join(err.split())
@@ -148,8 +148,8 @@ def test_what_a_set_up_file_holds_beside_its_first_peg_are_obstacles(hyperflex, 
 
 def test_a_torque_limit_of_the_arm_is_one_of_the_motor() -> None:
     weak = hf.Arm(length=0.105, torque_limit=0.5)
-    assert hf.CastSetup(CABLE, weak, hf.MotorLimits()).limits == hf.MotorLimits(torque=0.5)
-    assert hf.CastSetup(CABLE, weak, hf.MotorLimits(torque=0.2)).limits == hf.MotorLimits(torque=0.2)
+    assert hf.Problem(CABLE, weak, hf.MotorLimits()).limits == hf.MotorLimits(torque=0.5)
+    assert hf.Problem(CABLE, weak, hf.MotorLimits(torque=0.2)).limits == hf.MotorLimits(torque=0.2)
 
 
 def test_a_start_that_swings_is_told_not_to_be_used(hyperflex, ready, tmp_path):
@@ -161,7 +161,7 @@ def test_a_start_that_swings_is_told_not_to_be_used(hyperflex, ready, tmp_path):
     assert "q0 of" in err
     assert "begin with a rope that hangs at rest" in " ".join(err.split())
     swings = {"q0": (0.1,) * CABLE.n_links, "qd0": (0.0,) * CABLE.n_links, "side": -1}
-    plan = dataclasses.replace(planned(), cast_setup=dataclasses.replace(planned().cast_setup, **swings))
+    plan = dataclasses.replace(planned(), problem=dataclasses.replace(planned().problem, **swings))
     plan.to_toml(tmp_path / "cast.toml")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", "-o", tmp_path / "out")
     assert code == 2
@@ -177,8 +177,8 @@ def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, rope_file, read
     assert hyperflex("cast", tmp_path / "out" / "cast.toml", "-o", tmp_path / "again")[0] == 0
     assert asked["target"] == planned().target
     # The file also holds the verified run, whose rope is cut for the target; what is planned with is what was before.
-    assert asked["rope"].n_links == planned().cast_setup.rope.n_links
-    assert asked["limits"] == planned().cast_setup.limits
+    assert asked["rope"].n_links == planned().problem.rope.n_links
+    assert asked["limits"] == planned().problem.limits
 
 
 @pytest.mark.parametrize(

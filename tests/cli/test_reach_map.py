@@ -26,14 +26,12 @@ def test_targets_are_like_the_first_peg_and_the_rest_are_obstacles(hyperflex_jso
     code, told = hyperflex_json("reach-map", setup, "--cells", 1, "-o", tmp_path / "out")
     assert (code, told["targets"], told["feasible"], told["complete"]) == (0, 2, 0, True)
     found = hf.read_reach_map(told["files"]["map"])
-    assert (found.cast_setup.obstacles, found.cast_setup.contact) == ((OTHER, FLOOR), 0.0)
+    assert (found.problem.obstacles, found.problem.contact) == ((OTHER, FLOOR), 0.0)
     assert (found.radius, found.mu) == (POST.radius, POST.mu)
     words = [text.get_text() for text in found.plot().legends[0].get_texts()]
     assert not [word for word in words if "obstacle" in word]  # they lie beyond the picture
     low, far = float(found.y[0]), hf.Wall(9.0, 0.0, 9.0, 1.0)
-    seen = replace(
-        found, cast_setup=replace(found.cast_setup, obstacles=(hf.Ground(0.0, low), far, hf.Peg(1.0, low, 0.1)))
-    )
+    seen = replace(found, problem=replace(found.problem, obstacles=(hf.Ground(0.0, low), far, hf.Peg(1.0, low, 0.1))))
     words = [text.get_text() for text in seen.plot().legends[0].get_texts()]
     assert [word for word in words if "obstacle" in word] == ["ground, an obstacle", "peg, an obstacle"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"reach-map.nc", "reach-map.png"}
@@ -41,12 +39,12 @@ def test_targets_are_like_the_first_peg_and_the_rest_are_obstacles(hyperflex_jso
         "reach-map", setup, "--cells", 1, "--radius", 0.4, "--mu", 0.1, "-o", tmp_path / "out", "--contact", 6.28
     )
     found = hf.read_reach_map(told["files"]["map"])
-    assert (found.radius, found.mu, found.cast_setup.contact) == (0.4, 0.1, 6.28)
-    assert (found.cast_setup.turns, found.cast_setup.settle) == (1.25, 1.0)
+    assert (found.radius, found.mu, found.problem.contact) == (0.4, 0.1, 6.28)
+    assert (found.problem.turns, found.problem.settle) == (1.25, 1.0)
     asked = ("--turns", 0.75, "--settle", 2.5)
     code, told = hyperflex_json("reach-map", setup, "--cells", 1, "-o", tmp_path / "out", *asked)
     found = hf.read_reach_map(told["files"]["map"])
-    assert (code, found.cast_setup.turns, found.cast_setup.settle) == (0, 0.75, 2.5)
+    assert (code, found.problem.turns, found.problem.settle) == (0, 0.75, 2.5)
 
 
 def test_an_interrupt_leaves_the_map_so_far_and_says_so(hyperflex_json, setup, tmp_path, monkeypatch):

@@ -131,9 +131,9 @@ def test_a_plan_whose_obstacles_were_moved_in_its_file_is_refused(hyperflex, rea
     """What is planned with stands further down in the file, so the change would not count."""
     wall, plan = hf.Wall(0.5, -1.5, 0.5, -1.25), planned_whip()
     asked = ready(plan)
-    known = dataclasses.replace(plan.cast_setup, obstacles=(wall,))
+    known = dataclasses.replace(plan.problem, obstacles=(wall,))
     seen = verify_whip(known, plan.target, plan.motion, plan.outcome.t)
-    dataclasses.replace(plan, cast_setup=known, outcome=seen).to_toml(tmp_path / "whip.toml")
+    dataclasses.replace(plan, problem=known, outcome=seen).to_toml(tmp_path / "whip.toml")
     assert hyperflex("whip", tmp_path / "whip.toml", "-o", tmp_path / "out")[0] == 0
     assert asked["obstacles"] == (wall,)
     text = (tmp_path / "whip.toml").read_text()

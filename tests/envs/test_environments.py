@@ -138,11 +138,11 @@ def test_targets_are_in_reach_of_the_rope_that_is_given() -> None:
     cord, arm, limits = hf.Rope.uniform(length=1.2, mass=0.05, n_links=15), hf.Arm(length=0.15), hf.MotorLimits()
     for rope in (default_rope(40), cord):
         env = gymnasium.make(IDS[1], rope=rope, arm=arm)
-        cast_setup = hf.CastSetup(rope, arm, limits, side=-1)
+        problem = hf.Problem(rope, arm, limits, side=-1)
         for seed in range(50):
             env.reset(seed=seed)
             peg = members_of(env).pegs[0]
-            assert check_feasibility(cast_setup, peg).feasible
+            assert check_feasibility(problem, peg).feasible
             assert 0.3 <= abs(peg.x) / rope.total_length <= 0.55
             assert 0.3 <= -peg.y / rope.total_length <= 0.55
     with pytest.raises(InvalidInput, match=r"of 100 none is in reach.*Give target="):

@@ -56,14 +56,14 @@ def test_a_plan_is_carried_out() -> None:
 def test_a_plan_is_for_the_start_of_the_episode_and_the_first_that_winds_in_a_rehearsal_is_carried_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    target, cast_setup = (
+    target, problem = (
         hf.Peg(0.78453362, -0.91275162, 0.05),
-        hf.CastSetup(default_rope(40), hf.Arm(), hf.MotorLimits()),
+        hf.Problem(default_rope(40), hf.Arm(), hf.MotorLimits()),
     )
     rests = np.array([0.0, 0.50848401, 0.40848401, 0.52848401, 0.50848401, 0.70848401, 0.30848401])
     winds = Throw(-1, np.full(7, 2.98451302), rests, 0.5 * np.pi, 0.36848401, 1.0, 7)
-    reach = check_feasibility(cast_setup, target)
-    plans = [hf.CastPlan(cast_setup, target, reach, each) for each in (None, winds)]
+    reach = check_feasibility(problem, target)
+    plans = [hf.CastPlan(problem, target, reach, each) for each in (None, winds)]
     misses = replace(plans[1], throw=replace(winds, rests=np.full(7, 0.2)))
     seen: list[tuple[int, bool]] = []
 

@@ -252,7 +252,7 @@ CALLS: dict[str, tuple[Callable[..., Any], Callable[[], dict[str, Any]]]] = {
         hf.TipTarget,
         lambda: {"x": 0.1, "y": 0.2, "direction": 0.1, "least_speed": 1.0, "angle_tolerance": 0.1},
     ),
-    "CastSetup": (hf.CastSetup, lambda: {"rope": CABLE, "arm": ARM, "limits": hf.MotorLimits(), "time": 1.0}),
+    "Problem": (hf.Problem, lambda: {"rope": CABLE, "arm": ARM, "limits": hf.MotorLimits(), "time": 1.0}),
     "plan_cast": (
         hf.plan_cast,
         lambda: (

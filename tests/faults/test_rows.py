@@ -190,7 +190,7 @@ def test_a_plan_for_another_target_is_kept_when_the_next_is_interrupted() -> Non
 
     far, arm = hf.Peg(2.5, 0.0, 0.03), hf.Arm(length=0.105)
     failed = hf.plan_cast(CABLE, arm, far)
-    search = ThrowSearch(failed.cast_setup, far, 0, 1, 0.0)
+    search = ThrowSearch(failed.problem, far, 0, 1, 0.0)
     with pytest.raises(hf.Interrupted) as stop, handle_signals():
         plan_fallback(failed, search, 1e-3, interrupted)
     assert stop.value.partial.fallback.plan is other

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 import hyperflex as hf
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import verify_cast
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.contact_phase import WindingScores, simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.strikes import Strikes, simulate_strikes
@@ -33,15 +33,15 @@ WINDS = Throw(
 SHORT = Throw(-1, np.array([1.0]), np.array([0.1]), -1.0, 0.1, 1.0, 1)  # does not strike anything
 
 
-def cast_setup() -> CastSetup:
-    return CastSetup(CABLE, hf.Arm(length=0.105), hf.MotorLimits())
+def problem() -> Problem:
+    return Problem(CABLE, hf.Arm(length=0.105), hf.MotorLimits())
 
 
 @functools.cache
 def planned(winds: bool = True) -> CastPlan:
     """Return a plan that stands, or one whose throw misses."""
     begin = time.monotonic()
-    who, throw = cast_setup(), WINDS if winds else SHORT
+    who, throw = problem(), WINDS if winds else SHORT
     cast = verify_cast(who, PEG, throw.motion(who.limits))
     finer = cast if winds else None  # the run with finer links is not what is tested here
     seconds = time.monotonic() - begin
@@ -51,29 +51,29 @@ def planned(winds: bool = True) -> CastPlan:
 @functools.cache
 def late() -> CastPlan:
     """Return a plan for a target in reach, whose verification took longer than it might."""
-    who = cast_setup()
+    who = problem()
     cast = verify_cast(who, PEG, WINDS.motion(who.limits), time_budget=1e-9)
     return CastPlan(who, PEG, check_feasibility(who, PEG), WINDS, cast, None, failure(cast, None, False), 4321, 61.2)
 
 
 def stopped(throw: Throw | None = WINDS) -> CastPlan:
     """Return a plan for a target in reach, that Ctrl-C ended before anything was verified."""
-    who = cast_setup()
+    who = problem()
     return CastPlan(
         who, PEG, check_feasibility(who, PEG), throw, None, None, failure(None, None, True), 4321, 12.3, True
     )
 
 
-def simulated_strikes(cast_setup: CastSetup, peg: hf.Peg, throws: list[Throw]) -> Strikes:
-    return simulate_strikes(cast_setup, peg, [throw.motion(cast_setup.limits) for throw in throws])
+def simulated_strikes(problem: Problem, peg: hf.Peg, throws: list[Throw]) -> Strikes:
+    return simulate_strikes(problem, peg, [throw.motion(problem.limits) for throw in throws])
 
 
-def contact_scores(cast_setup: CastSetup, peg: hf.Peg, throws: list[Throw], state: tuple) -> WindingScores:
+def contact_scores(problem: Problem, peg: hf.Peg, throws: list[Throw], state: tuple) -> WindingScores:
     """Return the scores of throws that are simulated in contact from their states (t, q, qd)."""
     t, q, qd = state
-    motions = [throw.motion(cast_setup.limits).shifted(-start) for throw, start in zip(throws, t, strict=True)]
-    batch = RolloutBatch([cast_setup.rope] * len(throws), [peg] * len(throws), motions, q, qd)
-    return simulate_contact(batch, t, replace(cast_setup, clearance=-np.inf))
+    motions = [throw.motion(problem.limits).shifted(-start) for throw, start in zip(throws, t, strict=True)]
+    batch = RolloutBatch([problem.rope] * len(throws), [peg] * len(throws), motions, q, qd)
+    return simulate_contact(batch, t, replace(problem, clearance=-np.inf))
 
 
 def unreachable() -> CastPlan:

@@ -7,7 +7,7 @@ import functools
 import numpy as np
 
 import hyperflex as hf
-from hyperflex.planning import CastSetup, InsertFeasibility, InsertPlan, MotorLimits, Slot, Strokes, SuccessProbability
+from hyperflex.planning import InsertFeasibility, InsertPlan, MotorLimits, Problem, Slot, Strokes, SuccessProbability
 from hyperflex.planning.insert.outcome import verify_insert
 from hyperflex.planning.insert.task import InsertTask, failure
 
@@ -21,7 +21,7 @@ NEAR = 2.0  # s, when the tip is inside
 @functools.cache
 def planned_insert(enters: bool = True) -> InsertPlan:
     """Return a plan that stands, or one whose rope touches a wall."""
-    who = CastSetup(ROPE, ARM, MotorLimits(), 4.0)
+    who = Problem(ROPE, ARM, MotorLimits(), 4.0)
     slot = SLOT if enters else Slot(-0.355, -0.845, -2.4, width=0.025, depth=0.04)
     motion = STROKES.motion(who.limits)
     seen, finer = (verify_insert(each, slot, motion, NEAR) for each in (who, InsertTask(who, slot, []).finer))

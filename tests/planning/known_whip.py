@@ -10,8 +10,8 @@ import numpy as np
 import hyperflex as hf
 from hyperflex.model import divided
 from hyperflex.planning import (
-    CastSetup,
     MotorLimits,
+    Problem,
     Strokes,
     TipTarget,
     WhipFeasibility,
@@ -31,7 +31,7 @@ NEAR = 1.9  # s, when its tip is fast
 @functools.cache
 def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
     """Return a plan that stands, or one whose peak is 30 mm away from the target."""
-    who = CastSetup(ROPE, hf.Arm(length=0.1), MotorLimits(), 4.0)
+    who = Problem(ROPE, hf.Arm(length=0.1), MotorLimits(), 4.0)
     motion = STROKES.motion(who.limits)
     peak = verify_whip(who, TipTarget(0.0, 0.0, 0.0, 1.0), motion, NEAR)
     assert peak is not None
@@ -53,4 +53,4 @@ def far_whip() -> WhipPlan:
 
 @functools.cache
 def _map() -> WhipMap:
-    return build_whip_map(CastSetup(ROPE, hf.Arm(length=0.1), MotorLimits(), 2.0), swings=8)
+    return build_whip_map(Problem(ROPE, hf.Arm(length=0.1), MotorLimits(), 2.0), swings=8)

@@ -10,8 +10,8 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.control import swing_period
-from hyperflex.planning import CastSetup, MotorLimits
-from hyperflex.planning.cast_setup import MIN_TURNS
+from hyperflex.planning import MotorLimits, Problem
+from hyperflex.planning.problem import MIN_TURNS
 from hyperflex.planning.search import beam, strikes
 from hyperflex.planning.search.beam import BACK, SIZES, BeamSearch
 from hyperflex.planning.search.candidates import APART, SCREENED, SHARED, Candidate, Swing, corrected
@@ -24,13 +24,13 @@ from hyperflex.simulation import Batch
 from tests.planning.known import simulated_strikes
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=20, radius=0.0025, friction=5e-4)
-CAST_SETUP = CastSetup(CABLE, hf.Arm(length=0.105), MotorLimits(), 8.0)
+CAST_SETUP = Problem(CABLE, hf.Arm(length=0.105), MotorLimits(), 8.0)
 LEVEL = hf.Peg(1.1, -0.6, 0.03)  # 60 degrees aside: a swing must be wide to strike it with much energy
 FAR = hf.Peg(9.0, 0.0, 0.03)
 
 
-def searched(peg: hf.Peg, time: float, seed: int = 1, most: int = 20, cast_setup: CastSetup = CAST_SETUP) -> BeamSearch:
-    found = BeamSearch(cast_setup, peg, (-1, 1), np.random.default_rng(seed))
+def searched(peg: hf.Peg, time: float, seed: int = 1, most: int = 20, problem: Problem = CAST_SETUP) -> BeamSearch:
+    found = BeamSearch(problem, peg, (-1, 1), np.random.default_rng(seed))
     found.extend(time, most)
     return found
 
@@ -67,7 +67,7 @@ def test_swings_gain_energy_far_from_any_target() -> None:
 
 def test_no_swing_strikes_before_it_is_continued_and_all_keep_to_the_motor() -> None:
     slow = replace(CAST_SETUP, limits=MotorLimits(angles=(-2.0, 1.0)))
-    swings = searched(LEVEL, 5.0, cast_setup=slow)._swings
+    swings = searched(LEVEL, 5.0, problem=slow)._swings
     assert swings
     for one in swings:
         angles = one.side * np.pi / 2 if one.side < 0 else 1.0
@@ -116,7 +116,7 @@ def test_a_swing_that_fails_later_is_not_continued(monkeypatch: pytest.MonkeyPat
 
 def test_a_motor_that_turns_little_makes_each_stroke_once() -> None:
     narrow = replace(CAST_SETUP, limits=MotorLimits(angles=(-0.5, 0.5)))
-    found = searched(FAR, 60.0, most=3, cast_setup=narrow)
+    found = searched(FAR, 60.0, most=3, problem=narrow)
     assert len(found._swings) > 3
     assert max(max(one.strokes) for one in found._swings) <= 1.0 + 1e-9
     for one in found._swings:
@@ -216,8 +216,8 @@ def test_a_swing_counts_what_it_does_with_shorter_links_if_that_is_less(monkeypa
     found = [Swing(score, 1, genes.centre() + k, 3.0) for k, score in enumerate((2.0, 1.0))]
     seen = []
 
-    def finer(self: ThrowSearch, cast_setup: CastSetup, throws: list, **_: object) -> object:
-        seen.append(cast_setup.rope.n_links)
+    def finer(self: ThrowSearch, problem: Problem, throws: list, **_: object) -> object:
+        seen.append(problem.rope.n_links)
         return replace(struck_at(3.1, 3.2), score=np.array([0.5, 3.0]))
 
     monkeypatch.setattr(ThrowSearch, "_strikes", finer)
@@ -271,13 +271,13 @@ def test_throws_that_do_not_wind_with_shorter_links_lose_and_so_do_those_of_the_
     work.candidates = landings(work)
     ran = []
 
-    def again(cast_setup: CastSetup, throws: list, struck: object) -> WindingScores:
+    def again(problem: Problem, throws: list, struck: object) -> WindingScores:
         ran.append(len(throws))
         good = np.array([throw.strokes[0] < np.pi * (0.95 - 3.0 * APART) for throw in throws])
         return WindingScores(np.where(good, 2.0, 0.3), np.where(good, 1.8, 0.2))
 
-    def flown(self: ThrowSearch, cast_setup: CastSetup, throws: list, **_: object) -> object:
-        assert cast_setup.rope.n_links == 3 * CABLE.n_links
+    def flown(self: ThrowSearch, problem: Problem, throws: list, **_: object) -> object:
+        assert problem.rope.n_links == 3 * CABLE.n_links
         return struck_at(*len(throws) * [2.0])
 
     monkeypatch.setattr(ThrowSearch, "_strikes", flown)
@@ -418,10 +418,10 @@ def test_known_and_new_throws_are_looked_at_again_together(monkeypatch: pytest.M
     known = work.candidates[2]
     work._known.add(known.side, known.x, struck_at(1.0))
 
-    def flown(self: ThrowSearch, cast_setup: CastSetup, throws: list, **_: object) -> strikes.Strikes:
+    def flown(self: ThrowSearch, problem: Problem, throws: list, **_: object) -> strikes.Strikes:
         return struck_at(*(2.0 + k for k in range(len(throws))))
 
-    def wind(cast_setup: CastSetup, throws: list, struck: strikes.Strikes) -> WindingScores:
+    def wind(problem: Problem, throws: list, struck: strikes.Strikes) -> WindingScores:
         seen.append(struck.t.tolist())
         return WindingScores(np.full(len(throws), 2.0), np.full(len(throws), 2.0))
 
@@ -453,7 +453,5 @@ def test_swings_are_not_continued_after_the_rope_was_folded_flat(monkeypatch: py
 def test_a_rope_with_limits_of_its_own_is_searched() -> None:
     """A bend at one of its joints would be past the limits of links a third as long, on which swings are confirmed."""
     rope = hf.Rope.uniform(1.5, 0.06, 24, 0.003, friction=2e-3).with_bend_radius(0.06)
-    search = BeamSearch(
-        CastSetup(rope, hf.Arm(length=0.5), MotorLimits(), 8.0), LEVEL, [1], np.random.default_rng(1), 2
-    )
+    search = BeamSearch(Problem(rope, hf.Arm(length=0.5), MotorLimits(), 8.0), LEVEL, [1], np.random.default_rng(1), 2)
     assert search.extend(8.0, 9) or search.runs > 50

@@ -13,15 +13,15 @@ from hyperflex.cli.app import run
 from hyperflex.cli.plan.planner import read_task
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import Uncertainty, build_whip_map, check_feasibility, read_plan, verify_cast
-from hyperflex.planning.cast_setup import MIN_TURNS
 from hyperflex.planning.outcome import evaluate_cast
+from hyperflex.planning.problem import MIN_TURNS
 from hyperflex.planning.routing import runs_behind, way_gaps
 from hyperflex.planning.search.contact_phase import MIN_HOPE, WAY_COST, _way_apart, _way_cost, simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.verification import verified_setup
 from hyperflex.report.cast.report import _outcome
 from hyperflex.report.plan import _obstacles
-from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
+from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_strikes
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=30, radius=0.003, friction=2e-4)
 ARM, TARGET, BEFORE = hf.Arm(length=0.2), hf.Peg(-0.5, -0.7, 0.03), hf.Peg(-0.25, -0.35, 0.03)
@@ -70,7 +70,7 @@ def test_a_cast_that_does_not_run_behind_a_peg_fails_and_says_which() -> None:
     lies = run.joints[-1][np.hypot(*(run.joints[-1] - taut).T).argmin()]
     for aside, behind in ((0.0, True), (0.1, False)):  # m; the rope sways by 1 cm
         peg = hf.Peg(float(lies[0]) + aside, float(lies[1]), 0.03)
-        seen = evaluate_cast(replace(cast_setup(), behind=[peg]), PEG, run, stop)
+        seen = evaluate_cast(replace(problem(), behind=[peg]), PEG, run, stop)
         assert seen.runs_behind == (behind,)
         assert seen.success == behind
         place = f"({peg.x:.4g}, {peg.y:.4g}) m"
@@ -79,31 +79,31 @@ def test_a_cast_that_does_not_run_behind_a_peg_fails_and_says_which() -> None:
 
 def test_pegs_to_run_behind_are_simulated_and_links_cut_near_them() -> None:
     before = hf.Peg(-0.4, -0.5, 0.01)
-    setup = verified_setup(replace(cast_setup(), behind=[before]), hf.hold_arm(0.0), 1.0, (PEG,))
+    setup = verified_setup(replace(problem(), behind=[before]), hf.hold_arm(0.0), 1.0, (PEG,))
     assert setup.pegs == (PEG, before)
-    assert setup.rope.n_links > verified_setup(cast_setup(), hf.hold_arm(0.0), 1.0, (PEG,)).rope.n_links
+    assert setup.rope.n_links > verified_setup(problem(), hf.hold_arm(0.0), 1.0, (PEG,)).rope.n_links
 
 
 def test_a_swing_strikes_the_peg_that_it_meets_first() -> None:
-    free = simulated_strikes(cast_setup(), PEG, [WINDS])
+    free = simulated_strikes(problem(), PEG, [WINDS])
     before, never = hf.Peg(0.5 * PEG.x, 0.5 * PEG.y, 0.03), hf.Peg(0.0, 1.9, 0.03)
-    alone = simulated_strikes(cast_setup(), before, [WINDS])
+    alone = simulated_strikes(problem(), before, [WINDS])
     assert alone.t[0] < free.t[0]
-    first = simulated_strikes(replace(cast_setup(), behind=[before]), PEG, [WINDS])
+    first = simulated_strikes(replace(problem(), behind=[before]), PEG, [WINDS])
     assert (first.t[0], first.energy_ratio[0]) == (alone.t[0], alone.energy_ratio[0])
     np.testing.assert_array_equal(first.q, alone.q)
     axis, away = 0.03 + CABLE.radius, np.hypot(PEG.x - before.x, PEG.y - before.y)
     left = (2.0 * np.pi * axis * alone.tail_turns[0] - away) / (2.0 * np.pi * (PEG.radius + CABLE.radius))
     assert first.tail_turns[0] == pytest.approx(left, rel=1e-12)
-    same = simulated_strikes(replace(cast_setup(), behind=[never]), PEG, [WINDS])
+    same = simulated_strikes(replace(problem(), behind=[never]), PEG, [WINDS])
     assert (same.t[0], same.score[0], same.tail_turns[0]) == (free.t[0], free.score[0], free.tail_turns[0])
 
 
 def test_turns_of_a_throw_that_misses_a_peg_do_not_count() -> None:
-    free = simulated_strikes(cast_setup(), PEG, [WINDS])
-    motion = WINDS.motion(cast_setup().limits).shifted(-free.t[0])
+    free = simulated_strikes(problem(), PEG, [WINDS])
+    motion = WINDS.motion(problem().limits).shifted(-free.t[0])
     one = RolloutBatch([CABLE], [PEG], [motion], free.q, free.qd)
-    loose = replace(cast_setup(), clearance=-np.inf)
+    loose = replace(problem(), clearance=-np.inf)
     on = simulate_contact(one, free.t, loose)
     near, far = (simulate_contact(replace(one, behind=(hf.Peg(0.3, y, 0.03),)), free.t, loose) for y in (0.5, 1.5))
     assert on.turns[0] >= MIN_TURNS
@@ -112,7 +112,7 @@ def test_turns_of_a_throw_that_misses_a_peg_do_not_count() -> None:
 
 
 def test_a_run_that_ends_in_nothing_scores_as_one_that_is_far_from_the_peg() -> None:
-    one = RolloutBatch([CABLE], [PEG], [WINDS.motion(cast_setup().limits)], *np.zeros((2, 1, 50)), behind=(BEFORE,))
+    one = RolloutBatch([CABLE], [PEG], [WINDS.motion(problem().limits)], *np.zeros((2, 1, 50)), behind=(BEFORE,))
     t, q = np.linspace(0.0, 1.0, 5), np.full((5, 50), np.nan)
     assert _way_apart(one, q, t, ARM) == np.inf
     assert _way_cost(np.inf) == 2.0 * WAY_COST > _way_cost(1.0) > _way_cost(0.01) > WAY_COST
@@ -128,16 +128,16 @@ def test_commands_that_do_not_know_these_pegs_refuse_them(asked: tuple[object, .
 
 def test_pegs_to_run_behind_go_with_a_plan_through_its_files(tmp_path: Path) -> None:
     pegs = (BEFORE, hf.Peg(-0.4, -0.5, 0.01, 0.2))
-    known = replace(planned(), cast_setup=replace(cast_setup(), behind=pegs, obstacles=[hf.Ground(0.0, -2.5)]))
+    known = replace(planned(), problem=replace(problem(), behind=pegs, obstacles=[hf.Ground(0.0, -2.5)]))
     known = replace(known, outcome=replace(known.outcome, runs_behind=(True, False)))
     known.to_toml(tmp_path / "cast.toml")
     again = read_plan(tmp_path / "cast.toml")
-    assert again.cast_setup == known.cast_setup
+    assert again.problem == known.problem
     assert again.outcome.runs_behind == (True, False)
     assert hf.Setup.from_toml(tmp_path / "cast.toml").pegs == (PEG, *pegs, hf.Ground(0.0, -2.5))
     task = read_task(tmp_path / "cast.toml", None, None, {}, {"clearance": None})
     assert (task.behind, task.obstacles) == (pegs, (PEG, hf.Ground(0.0, -2.5)))
-    story, said = _outcome(known, known.outcome), _obstacles(known.cast_setup)
+    story, said = _outcome(known, known.outcome), _obstacles(known.problem)
     assert "it runs behind a peg at (-0.25, -0.35) m, radius 30 mm, and not behind a peg at (-0.4, -0.5) m" in story
     assert "run on its way from the arm to the target: a peg at (-0.25, -0.35) m, radius" in said
 
@@ -154,10 +154,10 @@ def test_a_setup_file_tells_what_to_run_behind(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_run_behind_is_refused() -> None:
-    who = replace(cast_setup(), behind=[BEFORE])
+    who = replace(problem(), behind=[BEFORE])
     for each in (hf.Wall(-0.3, -0.3, -0.3, -0.5), hf.Peg(-0.3, -0.4, 0.03, inertia=1e-4)):
         with pytest.raises(InvalidInput, match="led behind fixed pegs alone"):
-            replace(cast_setup(), behind=[each])
+            replace(problem(), behind=[each])
     with pytest.raises(InvalidInput, match="behind holds something else"):
         hf.plan_cast(CORD, ARM, TARGET, behind=BEFORE)  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match="turning arm hits the peg"):
@@ -177,7 +177,7 @@ def test_what_cannot_be_run_behind_is_refused() -> None:
         ("a holding force", lambda: hf.plan_cast(CORD, ARM, TARGET, behind=[BEFORE], holding_force=1.0)),
         ("an uncertainty", lambda: Uncertainty().sample(1, who, PEG)),
         ("a reach map", lambda: hf.build_reach_map(CORD, ARM, x=[0.5], y=[-0.7], behind=[BEFORE])),
-        ("a plan that is followed", lambda: hf.follow_plan(replace(planned(), cast_setup=who), None)),  # type: ignore[arg-type]
+        ("a plan that is followed", lambda: hf.follow_plan(replace(planned(), problem=who), None)),  # type: ignore[arg-type]
         ("a whip", lambda: build_whip_map(who, swings=1)),
     ):
         with pytest.raises(InvalidInput, match=f"^{words} takes no pegs that the rope is to run behind"):
@@ -185,7 +185,7 @@ def test_what_cannot_be_run_behind_is_refused() -> None:
 
 
 def test_the_way_round_counts_as_the_way_to_the_target() -> None:
-    who = replace(cast_setup(), rope=CORD, arm=ARM)
+    who = replace(problem(), rope=CORD, arm=ARM)
     straight, beside_it = (
         check_feasibility(replace(who, behind=[peg]), TARGET) for peg in (BEFORE, hf.Peg(-0.45, -0.1, 0.02))
     )
@@ -219,6 +219,6 @@ def test_a_cast_behind_a_peg_is_found_and_touches_both() -> None:
         assert abs(gap.min()) < 2e-4
         at.append(int((gap < 2e-4).argmax()))
     assert at[0] < at[1]
-    finer = verify_cast(plan.cast_setup.cut(2), TARGET, plan.motion, tol=0.2 * hf.model.DEFAULT_TOL, contact_step=1e-4)
+    finer = verify_cast(plan.problem.cut(2), TARGET, plan.motion, tol=0.2 * hf.model.DEFAULT_TOL, contact_step=1e-4)
     assert finer.success, finer.message
     assert finer.runs_behind == (True,)

@@ -13,7 +13,7 @@ from scipy.stats import binomtest
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import SuccessProbability, Uncertainty, estimate_success_probability
-from hyperflex.planning.cast_setup import MIN_TURNS
+from hyperflex.planning.problem import MIN_TURNS
 from hyperflex.planning.robust import scenario_rollouts
 from hyperflex.planning.robust.scenario_rollouts import first_strikes, nominal_strike_times, scenario_scores
 from hyperflex.planning.search.contact_phase import WindingScores

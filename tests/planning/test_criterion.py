@@ -12,10 +12,10 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastPlan, CastSetup, check_feasibility, estimate_success_probability, verify_cast
-from hyperflex.planning.cast_setup import MIN_TURNS, SETTLING_TIME
+from hyperflex.planning import CastPlan, Problem, check_feasibility, estimate_success_probability, verify_cast
 from hyperflex.planning.feedback.closed_loop import ScenarioRanking, _Loop
 from hyperflex.planning.outcome import WATCH_TIME, evaluate_cast
+from hyperflex.planning.problem import MIN_TURNS, SETTLING_TIME
 from hyperflex.planning.robust import refinement, scenario_rollouts
 from hyperflex.planning.robust.refinement import RobustRefinement, robust_values
 from hyperflex.planning.robust.uncertainty import Uncertainty
@@ -40,14 +40,14 @@ from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.wind import casting, fallback_targets
 from hyperflex.planning.wind import planner as cast_planner
 from hyperflex.planning.wind.verified import Asked, may_fall, rank, with_margin
-from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
+from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_strikes
 
-FREE = replace(cast_setup(), clearance=-np.inf)  # its rope may go through arm and shaft
+FREE = replace(problem(), clearance=-np.inf)  # its rope may go through arm and shaft
 CORD, ARM = hf.Rope.uniform(length=1.2, mass=0.05, n_links=15, radius=0.002, friction=2e-4), hf.Arm(length=0.15)
 
 
-def asks(**criterion: float) -> CastSetup:
-    return replace(cast_setup(), **criterion)
+def asks(**criterion: float) -> Problem:
+    return replace(problem(), **criterion)
 
 
 @pytest.mark.parametrize(
@@ -67,13 +67,13 @@ def test_what_cannot_be_asked_is_refused(criterion: dict[str, Any], words: str) 
     with pytest.raises(InvalidInput, match=words):
         asks(**criterion)
     with pytest.raises(InvalidInput, match=words):
-        hf.plan_cast(CABLE, cast_setup().arm, PEG, **criterion)
+        hf.plan_cast(CABLE, problem().arm, PEG, **criterion)
     with pytest.raises(InvalidInput, match=words):
-        hf.build_reach_map(CABLE, cast_setup().arm, x=[0.5], y=[0.5], **criterion)
+        hf.build_reach_map(CABLE, problem().arm, x=[0.5], y=[0.5], **criterion)
 
 
 def test_by_default_what_was_always_asked_is() -> None:
-    known = cast_setup()
+    known = problem()
     assert (known.turns, known.settle, known.more_turns) == (MIN_TURNS, SETTLING_TIME, 0.0) == (1.25, 1.0, 0.0)
     assert (asks(turns=20, settle=0).turns, asks(turns=0.6, settle=10).settle) == (20.0, 10.0)
     assert (type(asks(turns=2).turns), type(asks(settle=2).settle)) == (float, float)
@@ -104,7 +104,7 @@ def test_a_verified_run_lasts_until_the_watch_is_over() -> None:
     seen = verify_cast(known, PEG, motion)
     assert seen.success
     assert seen.run.setup.duration == pytest.approx(motion.breaks[-1] + 3.0 + WATCH_TIME)
-    assert replace(planned(), cast_setup=known).setup().duration == seen.run.setup.duration
+    assert replace(planned(), problem=known).setup().duration == seen.run.setup.duration
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_a_verified_run_lasts_until_the_watch_is_over() -> None:
 )
 def test_turns_that_are_asked_need_rope(distance: float, turns: float, told: str) -> None:
     far = hf.Peg(distance * np.sin(0.8), -distance * np.cos(0.8), 0.03)
-    known, usual = (check_feasibility(each, far) for each in (asks(turns=turns), cast_setup()))
+    known, usual = (check_feasibility(each, far) for each in (asks(turns=turns), problem()))
     assert known.message == (f"out of reach: {told}" if told else "")
     assert known.impossible == ("all of the rope" in told)
     assert known.available_turns == usual.available_turns
@@ -130,7 +130,7 @@ def test_a_target_too_far_for_the_turns_asked_comes_with_a_nearer_one_and_remedi
     plan = hf.plan_cast(CABLE, ARM, hf.Peg(1.1, -1.1, 0.03), turns=3.0)
     assert (plan.status, plan.message[-7:]) == (1, " wind 3")
     assert plan.fallback is not None
-    near = check_feasibility(plan.cast_setup, plan.fallback.target)
+    near = check_feasibility(plan.problem, plan.fallback.target)
     assert near.feasible
     assert near.available_turns > near.needed_turns > 3.0
     assert [words.split()[:2] for words in plan.remedies] == [["a", "rope"], ["a", "peg"]]
@@ -223,7 +223,7 @@ def test_a_longer_tail_counts_where_more_turns_are_asked() -> None:
     tail = float(usual.tail_turns[0]) - HANGING_TAIL
     assert tail > MAX_TAIL
     assert more.score[0] == pytest.approx(usual.score[0] * min(tail, MAX_TAIL + 1.75) / MAX_TAIL)
-    known = check_feasibility(cast_setup(), thin)
+    known = check_feasibility(problem(), thin)
     usually, worthy = (
         cast_planner.CastPlanner(ThrowSearch(asks(turns=n), thin), 60.0).worthy for n in (MIN_TURNS, 3.0)
     )
@@ -232,7 +232,7 @@ def test_a_longer_tail_counts_where_more_turns_are_asked() -> None:
 
 def candidates() -> list[Candidate]:
     """Two throws of other swings, of 2 and 1.5 turns."""
-    search = ThrowSearch(cast_setup(), PEG)
+    search = ThrowSearch(problem(), PEG)
     x = search.parametrizations[-1].centre()
     both = (x, np.append(x[:1] + 1.0, x[1:]))
     return [Candidate(2.5, turns, -1, each, WINDS) for turns, each in zip((2.0, 1.5), both, strict=True)]
@@ -322,7 +322,7 @@ def test_scenarios_are_won_by_the_turns_that_are_asked(monkeypatch: pytest.Monke
     assert robust_values(found, asks(turns=3.0)) == pytest.approx([0.2 * 3.0 / 4.75, 1.2, 1.2])
     two, fewer = candidates()
 
-    def scores(cast_setup: CastSetup, pairs: list, **_: object) -> WindingScores:
+    def scores(problem: Problem, pairs: list, **_: object) -> WindingScores:
         return WindingScores(np.full(len(pairs), 2.5), np.full(len(pairs), 2.0))
 
     monkeypatch.setattr(refinement, "scenario_scores", scores)
@@ -341,7 +341,7 @@ def test_a_plan_that_is_followed_is_judged_by_the_turns_that_it_was_asked_for(mo
     from hyperflex.planning.feedback import closed_loop
 
     monkeypatch.setattr(closed_loop, "winding_scores", lambda *_, **__: WindingScores(np.ones(1), np.full(1, 2.0)))
-    scenario, state = Uncertainty().sample(1, cast_setup(), PEG, seed=1)[0], hf.RopeState(0.0, *cast_setup().start)
+    scenario, state = Uncertainty().sample(1, problem(), PEG, seed=1)[0], hf.RopeState(0.0, *problem().start)
     for asked, wins in ((2.0, 1.0), (3.0, 0.0)):
         loop = _Loop(asks(turns=asked), WINDS, ScenarioRanking(asks(turns=asked), [scenario]), 1)
         assert loop.probabilities([WINDS], state, [scenario])[0] == pytest.approx([wins])
@@ -355,17 +355,17 @@ def test_fallback_targets_are_asked_for_the_same(monkeypatch: pytest.MonkeyPatch
         return plan
 
     monkeypatch.setattr(casting, "plan_fallback", plan_fallback)
-    hf.plan_cast(CABLE, cast_setup().arm, hf.Peg(2.5, 0.0, 0.03), turns=2.0, settle=0.5, fallback=True)
+    hf.plan_cast(CABLE, problem().arm, hf.Peg(2.5, 0.0, 0.03), turns=2.0, settle=0.5, fallback=True)
     assert (asked["turns"], asked["settle"]) == (2.0, 0.5)
 
 
 def test_throws_of_fewer_turns_than_are_asked_are_no_fallback(monkeypatch: pytest.MonkeyPatch) -> None:
     def planner(beside: SimpleNamespace, time_budget: float, **_: object) -> None:
-        raise AssertionError(beside.cast_setup.turns)
+        raise AssertionError(beside.problem.turns)
 
     monkeypatch.setattr(fallback_targets, "CastPlanner", planner)
     for asked in (3.0, 2.0):
-        beside = SimpleNamespace(cast_setup=asks(turns=asked), peg=PEG, candidates=candidates()[:1])
+        beside = SimpleNamespace(problem=asks(turns=asked), peg=PEG, candidates=candidates()[:1])
         monkeypatch.setattr(fallback_targets, "searches_near_by", lambda *_, beside=beside: iter([beside]))
         if asked == 3.0:
             assert fallback_targets._with_existing_throws(planned(), beside, 60.0) is None  # type: ignore[arg-type]
@@ -383,9 +383,9 @@ def test_a_plan_makes_the_turns_that_are_asked_and_its_file_says_them(tmp_path: 
     assert min(abs(plan.outcome.turns), abs(plan.finer_outcome.turns)) >= 2.0
     plan.to_toml(tmp_path / "cast.toml")
     back = hf.read_plan(tmp_path / "cast.toml")
-    assert back.cast_setup == plan.cast_setup
-    assert (back.cast_setup.turns, back.cast_setup.settle) == (2.0, 1.5)
+    assert back.problem == plan.problem
+    assert (back.problem.turns, back.problem.settle) == (2.0, 1.5)
     text = (tmp_path / "cast.toml").read_text("utf-8")
     (tmp_path / "old.toml").write_text(text.replace("turns = 2.0\nsettle = 1.5\n", "", 1), "utf-8")
     before = hf.read_plan(tmp_path / "old.toml")  # of a plan that was written before these could be asked
-    assert (before.cast_setup.turns, before.cast_setup.settle) == (MIN_TURNS, SETTLING_TIME)
+    assert (before.problem.turns, before.problem.settle) == (MIN_TURNS, SETTLING_TIME)

@@ -224,6 +224,6 @@ def test_bad_numbers_are_refused() -> None:
         with pytest.raises(InvalidInput):
             follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), **wrong)
     n = CAST_SETUP.rope.n_links
-    swings = replace(PLAN, cast_setup=replace(CAST_SETUP, q0=(0.1,) * n, qd0=(0.0,) * n, side=-1))
+    swings = replace(PLAN, problem=replace(CAST_SETUP, q0=(0.1,) * n, qd0=(0.0,) * n, side=-1))
     with pytest.raises(InvalidInput, match="swinging rope are not followed"):
         follow_plan(swings, ScenarioStateSource(world, CAST_SETUP.arm))

@@ -59,7 +59,7 @@ def test_a_cast_that_bears_less_than_is_asked_has_failed():
 def test_a_plan_is_asked_for_the_pull_by_a_tug(monkeypatch, asked, stands):
     plan = planned()
     force = measure_holding_force(plan.finer_outcome.run, PEG).force
-    search = ThrowSearch(plan.cast_setup, PEG, holding_force=asked * force)
+    search = ThrowSearch(plan.problem, PEG, holding_force=asked * force)
     work = cast_planner.CastPlanner(search, 60.0)
     monkeypatch.setattr(cast_planner, "verify_cast", lambda *_, **__: plan.outcome)
     work.check([cast_planner.Candidate(2.0, 2.0, 1, np.zeros(3), plan.throw)])

@@ -13,7 +13,7 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import recut
-from hyperflex.planning import CastSetup, InsertPlan, MotorLimits, Slot, estimate_insert_probability, plan_insert
+from hyperflex.planning import InsertPlan, MotorLimits, Problem, Slot, estimate_insert_probability, plan_insert
 from hyperflex.planning.clearance import FINE, obstacle_clearance, obstacle_gaps
 from hyperflex.planning.insert import chance, task
 from hyperflex.planning.insert import planner as insert_planner
@@ -106,7 +106,7 @@ def test_ways_of_a_tip_beyond_the_walls() -> None:
 )
 def test_derivatives_of_an_entry(depth: float, tube: float, names: tuple[str, ...]) -> None:
     """Against central differences: of an entry to the depth asked, and of how deep one comes that does not reach it."""
-    task = InsertTask(CastSetup(ROPE, ARM, MotorLimits(), 3.0), replace(SLOT, depth=depth, tube=tube), [])
+    task = InsertTask(Problem(ROPE, ARM, MotorLimits(), 3.0), replace(SLOT, depth=depth, tube=tube), [])
     strokes = replace(STROKES, rests=STROKES.rests + 0.02)
     entry = task.find(strokes, NEAR)
     assert entry is not None
@@ -154,17 +154,17 @@ def test_a_plan_goes_through_by_its_own_samples() -> None:
 def test_a_slot_that_is_not_there_is_touched(side: float) -> None:
     plan = planned()
     motion = plan.required(plan.motion, "motion")
-    off = verify_insert(plan.cast_setup, aside(SLOT, side * 0.4 * SLOT.width), motion, near())
+    off = verify_insert(plan.problem, aside(SLOT, side * 0.4 * SLOT.width), motion, near())
     assert off is not None
     assert "touches a wall at" in off.message
     assert off.wall_clearance <= 0.0
-    deeper = verify_insert(plan.cast_setup, replace(SLOT, depth=0.5), motion, near())
+    deeper = verify_insert(plan.problem, replace(SLOT, depth=0.5), motion, near())
     assert deeper is not None
     assert "mm deep, and 500 mm are asked" in deeper.message or "touches" in deeper.message
 
 
 def test_in_a_tube_the_tip_keeps_to_the_middle_too() -> None:
-    who = CastSetup(ROPE, ARM, MotorLimits(), 3.0)
+    who = Problem(ROPE, ARM, MotorLimits(), 3.0)
     entries = [InsertTask(who, replace(SLOT, tube=tube), []).find(STROKES, NEAR) for tube in (0.0, 0.05)]
     assert [entry.offset.size for entry in entries] == [3, 5]
     assert (entries[1].offset[:3] == entries[0].offset).all()
@@ -189,7 +189,7 @@ def test_a_plan_into_a_tube_keeps_clear_of_its_sides() -> None:
 def test_touches_are_allowed_where_the_slot_says_so() -> None:
     plan, motion = planned(), planned().required(planned().motion, "motion")
     narrow = aside(SLOT, 0.3 * SLOT.width)
-    off, on = (verify_insert(plan.cast_setup, replace(narrow, touching=may), motion, near()) for may in (False, True))
+    off, on = (verify_insert(plan.problem, replace(narrow, touching=may), motion, near()) for may in (False, True))
     assert "touches a wall at" in off.message
     assert on.wall_clearance <= 0.0
     assert on.message == "" or "mm deep" in on.message
@@ -211,7 +211,7 @@ def test_a_touch_of_an_obstacle_is_no_touch_of_a_wall() -> None:
     rows = nearest_passage(depth, SLOT.depth, run.t, seen.t)
     post = hf.Peg(*(run.joints[row, 8] - [0.0, 0.02]), 0.01)
     beside, alone = (
-        evaluate_insert(replace(plan.cast_setup, obstacles=there), SLOT, pushed, depth, *rows) for there in ([post], ())
+        evaluate_insert(replace(plan.problem, obstacles=there), SLOT, pushed, depth, *rows) for there in ([post], ())
     )
     assert beside.wall_clearance == seen.wall_clearance > 0.0
     assert alone.wall_clearance == 0.0
@@ -221,19 +221,19 @@ def test_a_tip_that_is_too_fast_inside_fails() -> None:
     plan, motion = planned(), planned().required(planned().motion, "motion")
     speed = plan.outcome.speed
     for most, message in ((1.01 * speed, ""), (0.9 * speed, f"the tip is there with {speed:.2f} m/s")):
-        seen = verify_insert(plan.cast_setup, replace(SLOT, max_speed=most), motion, near())
+        seen = verify_insert(plan.problem, replace(SLOT, max_speed=most), motion, near())
         assert seen.message.startswith(message)
         assert bool(seen.message) is bool(message)
 
 
 def test_a_floor_that_the_rope_would_touch_is_kept_clear_of() -> None:
     lowest = float(planned().outcome.run.joints[..., 1].min())
-    who = replace(planned().cast_setup, obstacles=(hf.Ground(0.0, lowest + 0.01),))
+    who = replace(planned().problem, obstacles=(hf.Ground(0.0, lowest + 0.01),))
     motion = planned().required(planned().motion, "motion")
     seen = verify_insert(who, SLOT, motion, near())
     assert seen is None or "touches the ground" in seen.message
     free, blocked = (
-        InsertTask(each, SLOT, []).score([planned().strokes], 1, np.inf)[0][0] for each in (planned().cast_setup, who)
+        InsertTask(each, SLOT, []).score([planned().strokes], 1, np.inf)[0][0] for each in (planned().problem, who)
     )
     assert free < 0.1 < blocked
 
@@ -245,12 +245,12 @@ def test_free_swings_tell_what_runs_beside_the_walls_do() -> None:
     wide = replace(usual_uncertainty(), place=6e-3)
     count = 12
     told = [
-        estimate_insert_probability(plan.cast_setup, SLOT, strokes, near(), wide, samples=k, threads=1).successes
+        estimate_insert_probability(plan.problem, SLOT, strokes, near(), wide, samples=k, threads=1).successes
         for k in range(1, count + 1)
     ]
     seen = []
-    for rope, slot, motion in insert_scenarios(plan.cast_setup, SLOT, strokes, wide, count, [7001, 0]):
-        found = verify_insert(replace(plan.cast_setup, rope=rope), slot, motion, near())
+    for rope, slot, motion in insert_scenarios(plan.problem, SLOT, strokes, wide, count, [7001, 0]):
+        found = verify_insert(replace(plan.problem, rope=rope), slot, motion, near())
         seen.append(found is not None and not found.message)
     assert np.diff([0, *told]).tolist() == [int(each) for each in seen]
     assert 0 < sum(seen) < count
@@ -260,19 +260,19 @@ def test_a_slot_where_it_is_planned_is_sure() -> None:
     plan, none = planned(), replace(usual_uncertainty(), place=0.0, timing=0.0)
     strokes = plan.required(plan.strokes, "strokes")
     for slot, won in ((SLOT, 3), (aside(SLOT, 0.03), 0)):
-        found = estimate_insert_probability(plan.cast_setup, slot, strokes, near(), none, samples=3, threads=1)
+        found = estimate_insert_probability(plan.problem, slot, strokes, near(), none, samples=3, threads=1)
         assert found.successes == won
 
 
-def certain(cast_setup: CastSetup, slot: Slot = SLOT) -> int:
+def certain(problem: Problem, slot: Slot = SLOT) -> int:
     """Successes in three scenarios that are all as planned."""
     none = replace(usual_uncertainty(), place=0.0, timing=0.0)
-    return estimate_insert_probability(cast_setup, slot, STROKES, NEAR, none, samples=3, threads=1).successes
+    return estimate_insert_probability(problem, slot, STROKES, NEAR, none, samples=3, threads=1).successes
 
 
 def test_a_scenario_in_which_the_tip_is_too_fast_fails() -> None:
     """By what a run with as many links tells."""
-    who = CastSetup(ROPE, ARM, MotorLimits(), 4.0)
+    who = Problem(ROPE, ARM, MotorLimits(), 4.0)
     seen = verify_insert(InsertTask(who, SLOT, []).finer, SLOT, STROKES.motion(who.limits), NEAR)
     assert seen is not None
     for part, successes in ((1.02, 3), (0.98, 0)):
@@ -280,7 +280,7 @@ def test_a_scenario_in_which_the_tip_is_too_fast_fails() -> None:
 
 
 def test_a_scenario_in_which_the_tip_is_not_deep_enough_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    who, none = CastSetup(ROPE, ARM, MotorLimits(), 4.0), replace(usual_uncertainty(), place=0.0, timing=0.0)
+    who, none = Problem(ROPE, ARM, MotorLimits(), 4.0), replace(usual_uncertainty(), place=0.0, timing=0.0)
     monkeypatch.setattr(chance, "_touches", lambda *_: False)
     t, drawn = sample_times(NEAR), insert_scenarios(who, SLOT, STROKES, none, 1, 0)
     (q,) = chance._flights(who, drawn, t, Deadline(np.inf, lambda: 1.0), 1)
@@ -292,7 +292,7 @@ def test_a_scenario_in_which_the_tip_is_not_deep_enough_fails(monkeypatch: pytes
 
 def test_a_scenario_fails_in_which_the_rope_comes_too_near_arm_shaft_or_obstacle() -> None:
     """By what a run with as many links tells: with 1 mm more than is there, not with 1 mm less."""
-    who = CastSetup(ROPE, ARM, MotorLimits(), 4.0)
+    who = Problem(ROPE, ARM, MotorLimits(), 4.0)
     seen = verify_insert(InsertTask(who, SLOT, []).finer, SLOT, STROKES.motion(who.limits), NEAR)
     assert seen is not None
     assert seen.run is not None
@@ -305,7 +305,7 @@ def test_a_scenario_fails_in_which_the_rope_comes_too_near_arm_shaft_or_obstacle
 
 
 def test_a_scenario_in_which_the_rope_is_folded_flat_before_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    who = CastSetup(ROPE, ARM, MotorLimits(), 4.0)
+    who = Problem(ROPE, ARM, MotorLimits(), 4.0)
     drawn = insert_scenarios(who, SLOT, STROKES, replace(usual_uncertainty(), place=0.0, timing=0.0), 1, 0)
     (q,) = chance._flights(who, drawn, np.arange(0.0, NEAR, 2e-3), Deadline(np.inf, lambda: 1.0), 1)
     bend = np.abs(np.diff(q, axis=1)).max()
@@ -328,7 +328,7 @@ def test_touches_of_the_walls_are_those_of_all_links(tube: float) -> None:
 @pytest.mark.parametrize(("row", "front", "enters"), [(100, 2.6e-3, False), (100, 3.5e-3, True), (-1, 2.6e-3, True)])
 def test_a_tip_that_touches_a_wall_long_before_it_enters_fails(row: int, front: float, enters: bool) -> None:
     """Made up: at one sample the rope is moved until its tip lies in front of a wall; after the entry it may."""
-    who, none = CastSetup(ROPE, ARM, MotorLimits(), 4.0), replace(usual_uncertainty(), place=0.0, timing=0.0)
+    who, none = Problem(ROPE, ARM, MotorLimits(), 4.0), replace(usual_uncertainty(), place=0.0, timing=0.0)
     t = sample_times(NEAR)
     drawn = insert_scenarios(who, SLOT, STROKES, none, 1, 0)
     (q,) = chance._flights(who, drawn, t, Deadline(np.inf, lambda: 1.0), 1)
@@ -359,7 +359,7 @@ def test_an_estimate_counts_the_samples_that_there_was_time_for(monkeypatch: pyt
     looked: list[int] = []
     monkeypatch.setattr(chance, "_flights", flights)
     monkeypatch.setattr(chance, "_enters", lambda *_: looked.append(1) is None)
-    given = (CastSetup(ROPE, ARM, MotorLimits(), 4.0), SLOT, STROKES, NEAR)
+    given = (Problem(ROPE, ARM, MotorLimits(), 4.0), SLOT, STROKES, NEAR)
     assert estimate_insert_probability(*given, samples=60).samples == 60
     for time_budget, lots, lefts in ((10.0, 2, [10.0, 6.0, 2.0]), (3.0, 0, [3.0]), (0.0, 0, [])):
         now[0] = 0.0
@@ -371,7 +371,7 @@ def test_an_estimate_counts_the_samples_that_there_was_time_for(monkeypatch: pyt
 
 
 def test_flights_of_an_estimate_end_with_the_time() -> None:
-    who, none = CastSetup(ROPE, ARM, MotorLimits(), 4.0), replace(usual_uncertainty(), place=0.0, timing=0.0)
+    who, none = Problem(ROPE, ARM, MotorLimits(), 4.0), replace(usual_uncertainty(), place=0.0, timing=0.0)
     drawn, t = insert_scenarios(who, SLOT, STROKES, none, 2, 0), np.array([0.5, 1.0])
     for left, flown in ((1.0, True), (-1.0, False)):
         q = chance._flights(who, drawn, t, Deadline(np.inf, lambda left=left: left), 1)
@@ -380,7 +380,7 @@ def test_flights_of_an_estimate_end_with_the_time() -> None:
 
 
 def test_an_estimate_does_not_outlast_its_time() -> None:
-    given = (CastSetup(ROPE, ARM, MotorLimits(), 4.0), SLOT, STROKES, NEAR)
+    given = (Problem(ROPE, ARM, MotorLimits(), 4.0), SLOT, STROKES, NEAR)
     estimate_insert_probability(*given, samples=1)  # so that kernels are loaded
     clock = Clock()
     found = estimate_insert_probability(*given, time_budget=0.02)
@@ -406,11 +406,11 @@ def test_an_insertion_past_the_walls_by_less_than_its_runs_differ_is_left_to_cha
     monkeypatch.setattr(task, "verify_insert", lambda *_, **__: seen.pop(0))
     for touching, words in ((False, told), (True, "")):
         seen += outcomes
-        found = InsertTask(plan.cast_setup, replace(SLOT, touching=touching), []).verify(aim, None)
+        found = InsertTask(plan.problem, replace(SLOT, touching=touching), []).verify(aim, None)
         assert found.finer_outcome.message == (f"{words}: whether it touches is left to chance" if words else "")
         assert found.message == ("with 2.5 times the links " if words else "") + found.finer_outcome.message
     seen += outcomes[0], replace(outcomes[1], message="it is not deep enough")
-    found = InsertTask(plan.cast_setup, SLOT, []).verify(aim, None)
+    found = InsertTask(plan.problem, SLOT, []).verify(aim, None)
     assert found.message == "with 2.5 times the links it is not deep enough"
 
 
@@ -461,6 +461,6 @@ def test_slots_that_are_refused(change: dict[str, object], words: str) -> None:
 
 
 def test_finer_links_are_of_the_same_rope() -> None:
-    task = InsertTask(planned().cast_setup, SLOT, [])
+    task = InsertTask(planned().problem, SLOT, [])
     assert task.finer.rope == recut(ROPE, 40)
     assert len(LEVELS) == 3

@@ -11,9 +11,9 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastSetup, MotorLimits, Throw, estimate_success_probability, verify_cast
-from hyperflex.planning.cast_setup import MIN_TURNS
+from hyperflex.planning import MotorLimits, Problem, Throw, estimate_success_probability, verify_cast
 from hyperflex.planning.outcome import evaluate_cast
+from hyperflex.planning.problem import MIN_TURNS
 from hyperflex.planning.search import contact_phase, rollouts
 from hyperflex.planning.search.contact_phase import (
     ARM_COST,
@@ -38,7 +38,7 @@ from hyperflex.planning.search.rollouts import RolloutBatch
 from tests.planning.known import contact_scores, planned, simulated_strikes
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-CAST_SETUP = CastSetup(CABLE, hf.Arm(length=0.105), MotorLimits())
+CAST_SETUP = Problem(CABLE, hf.Arm(length=0.105), MotorLimits())
 FREE = replace(CAST_SETUP, clearance=-np.inf)  # its rope may go through arm and shaft
 PEG = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04, 0.3)
 WINDS = Throw(
@@ -94,7 +94,7 @@ def test_without_friction_it_does_not_hold() -> None:
 
 
 def test_a_motor_that_is_too_weak_is_told() -> None:
-    weak = CastSetup(CABLE, CAST_SETUP.arm, MotorLimits(torque=0.05))
+    weak = Problem(CABLE, CAST_SETUP.arm, MotorLimits(torque=0.05))
     whole = verify_cast(weak, PEG, WINDS.motion(weak.limits))
     assert whole.wound
     assert whole.held
@@ -105,7 +105,7 @@ def test_a_motor_that_is_too_weak_is_told() -> None:
 def test_the_turns_that_are_missing_are_those_that_stay() -> None:
     """Not those at the end alone, which are told beside them."""
     plan = planned()
-    asked = replace(plan.cast_setup, turns=9.0)
+    asked = replace(plan.problem, turns=9.0)
     seen = evaluate_cast(asked, plan.target, plan.run, float(plan.motion.breaks[-1]))
     most, stay = (float(word) for word in re.findall(r"\d\.\d\d", seen.message))
     assert seen.message.endswith(f"turns {stay:.2f} stay while it is watched, and 9 are asked")

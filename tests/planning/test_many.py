@@ -12,7 +12,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import Interrupted, InvalidInput
-from hyperflex.planning import CastPlan, CastSetup, Throw, check_feasibility
+from hyperflex.planning import CastPlan, Problem, Throw, check_feasibility
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.wind import many
 
@@ -31,7 +31,7 @@ WINDS = Throw(
 
 
 def planned(target: hf.Peg, message: str = "") -> CastPlan:
-    who = CastSetup(CORD, ARM, hf.MotorLimits())
+    who = Problem(CORD, ARM, hf.MotorLimits())
     return CastPlan(who, target, check_feasibility(who, target), WINDS, message=message)
 
 
@@ -128,14 +128,14 @@ def test_a_reach_map_tells_what_is_wound_and_reads_back_equal(tmp_path: Path) ->
         time_budget=15.0,
         start_from=[planned(PEG)],
     )
-    assert (reach.cast_setup.turns, reach.cast_setup.settle) == (1.3, 1.1)
+    assert (reach.problem.turns, reach.problem.settle) == (1.3, 1.1)
     assert reach.status.tolist() == [[1], [0]]
     assert reach.wound.tolist() == [[False], [True]]
     assert np.isnan(reach.turns[0, 0])
     assert reach.turns[1, 0] > 1.3
     reach.to_netcdf(tmp_path / "reach.nc")
     again = hf.read_reach_map(tmp_path / "reach.nc")
-    assert again.cast_setup == reach.cast_setup
+    assert again.problem == reach.problem
     assert (again.time_budget, again.holding_force, again.seed) == (15.0, 0.01, 3)
     for name in ("x", "y", "radius", "mu", "status", "turns", "contact_angle", "seconds"):
         np.testing.assert_array_equal(getattr(again, name), getattr(reach, name))

@@ -13,7 +13,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.control import swing_period
-from hyperflex.planning import CastSetup, MotorLimits, Uncertainty, check_feasibility
+from hyperflex.planning import MotorLimits, Problem, Uncertainty, check_feasibility
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.throw import ThrowParametrization
@@ -23,9 +23,9 @@ from hyperflex.planning.wind.feasibility import geometry_allows
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.planning.wind.remedies import find_remedies
 from tests.faults.interrupting import left_by
-from tests.planning.known import CABLE, PEG, WINDS, cast_setup, late, planned, stopped, unreachable
+from tests.planning.known import CABLE, PEG, WINDS, late, planned, problem, stopped, unreachable
 
-CAST_SETUP = cast_setup()
+CAST_SETUP = problem()
 FAR = hf.Peg(1.72 * np.sin(0.9), -1.72 * np.cos(0.9), 0.04)  # some 10 cm beyond what is in reach in its direction
 SLOW, LAZY, WEAK = (replace(CAST_SETUP, limits=MotorLimits(*pair)) for pair in ((0.8, 8.0), (8.6, 0.5), (0.8, 1.0)))
 
@@ -109,33 +109,33 @@ def test_down_is_where_gravity_points() -> None:
     )  # in whole millimetres
 
 
-def with_speed(speed: float) -> tuple[CastSetup, hf.Peg]:
+def with_speed(speed: float) -> tuple[Problem, hf.Peg]:
     return replace(SLOW, limits=MotorLimits(speed, SLOW.limits.acceleration)), PEG
 
 
-def with_acceleration(acceleration: float) -> tuple[CastSetup, hf.Peg]:
+def with_acceleration(acceleration: float) -> tuple[Problem, hf.Peg]:
     return replace(LAZY, limits=MotorLimits(LAZY.limits.speed, acceleration)), PEG
 
 
-def with_motor(speed: float, acceleration: float) -> tuple[CastSetup, hf.Peg]:
+def with_motor(speed: float, acceleration: float) -> tuple[Problem, hf.Peg]:
     return replace(SLOW, limits=MotorLimits(speed, acceleration)), PEG
 
 
-def with_rope(length: float) -> tuple[CastSetup, hf.Peg]:
+def with_rope(length: float) -> tuple[Problem, hf.Peg]:
     """A rope of the same kind; the time stays as it was."""
     longer = hf.Rope.uniform(length, 0.0625 * length, 50, 0.0025, friction=5e-4)
     return replace(CAST_SETUP, rope=longer, time=CAST_SETUP.time), FAR
 
 
-def with_arm(length: float) -> tuple[CastSetup, hf.Peg]:
+def with_arm(length: float) -> tuple[Problem, hf.Peg]:
     return replace(CAST_SETUP, arm=hf.Arm(length=1e-3 * length)), hf.Peg(0.068, -1.179, 0.025)
 
 
-def with_time(time: float) -> tuple[CastSetup, hf.Peg]:
+def with_time(time: float) -> tuple[Problem, hf.Peg]:
     return replace(CAST_SETUP, time=time), PEG
 
 
-def with_peg(radius: float) -> tuple[CastSetup, hf.Peg]:
+def with_peg(radius: float) -> tuple[Problem, hf.Peg]:
     return CAST_SETUP, replace(FAR, radius=1e-3 * radius)
 
 
@@ -152,7 +152,7 @@ def with_peg(radius: float) -> tuple[CastSetup, hf.Peg]:
     ],
 )
 def test_a_remedy_helps_and_less_of_it_does_not(
-    who: CastSetup, target: hf.Peg, words: str, changed: Callable[..., tuple[CastSetup, hf.Peg]]
+    who: Problem, target: hf.Peg, words: str, changed: Callable[..., tuple[Problem, hf.Peg]]
 ) -> None:
     assert not check_feasibility(who, target).feasible
     told = next(found for text in find_remedies(who, target) if (found := re.fullmatch(words, text)))
@@ -185,7 +185,7 @@ def test_a_plan_that_fails_says_where_one_should_do() -> None:
     plan = unreachable()
     assert plan.fallback is not None
     assert plan.fallback.plan is None
-    assert check_feasibility(plan.cast_setup, plan.fallback.target).feasible
+    assert check_feasibility(plan.problem, plan.fallback.target).feasible
     assert [text[:9] for text in plan.remedies] == ["a rope of"]
 
 
@@ -270,7 +270,7 @@ def test_no_place_is_planned_for_twice(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_throw_at_hand_counts_where_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
     """Made up: nothing strikes or winds at the first places, one slips at the next, one stands at the last."""
     places = [replace(PEG, x=PEG.x + 0.01 * k) for k in (1, 2, 3, 4)]
-    beside = [SimpleNamespace(cast_setup=CAST_SETUP, peg=peg, candidates=[]) for peg in places]
+    beside = [SimpleNamespace(problem=CAST_SETUP, peg=peg, candidates=[]) for peg in places]
     for one, turns in zip(beside[1:], (1.2, 1.3, 1.3), strict=True):
         one.candidates.append(SimpleNamespace(turns=turns))
     best: list[hf.Peg] = []  # of which a throw without a margin is verified, too

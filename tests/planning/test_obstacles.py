@@ -22,7 +22,7 @@ from hyperflex.planning.clearance import FINE, obstacle_clearance, sampled_obsta
 from hyperflex.planning.search.contact_phase import simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.verification import verified_setup
-from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
+from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_strikes
 
 FLOOR, POST, WALL = hf.Ground(0.0, -2.5, 0.3, 1.0), hf.Peg(1.2, -1.2, 0.2), hf.Wall(-1.6, -1.8, -1.3, -0.4)
 
@@ -63,18 +63,18 @@ def test_a_run_tells_which_obstacle_it_comes_near_and_when() -> None:
 
 
 def test_a_cast_that_touches_an_obstacle_fails_and_says_which() -> None:
-    run, motion = planned().run, WINDS.motion(cast_setup().limits)
+    run, motion = planned().run, WINDS.motion(problem().limits)
     assert run is not None
     aside = hf.Ground(float(run.tip[:, 0].max()) - 0.05, 0.0, -1.0, 0.0)
-    seen = verify_cast(replace(cast_setup(), obstacles=[aside]), PEG, motion)
+    seen = verify_cast(replace(problem(), obstacles=[aside]), PEG, motion)
     assert not seen.success
     assert seen.clearance <= 0.0
     assert "touches the ground" in seen.message
-    blocked = verify_cast(replace(cast_setup(), obstacles=[replace(aside, x=aside.x - 0.6)]), PEG, motion)
+    blocked = verify_cast(replace(problem(), obstacles=[replace(aside, x=aside.x - 0.6)]), PEG, motion)
     assert not blocked.wound
     assert "; the rope touches the ground at" in blocked.message  # why it does not wind
     far = replace(aside, x=aside.x + 0.15)
-    with_room = replace(cast_setup(), obstacles=[far])
+    with_room = replace(problem(), obstacles=[far])
     seen = verify_cast(with_room, PEG, motion)
     assert seen.success
     room = obstacle_clearance(run, [far]).value
@@ -84,7 +84,7 @@ def test_a_cast_that_touches_an_obstacle_fails_and_says_which() -> None:
 
 
 def test_a_touch_between_two_samples_is_seen() -> None:
-    who, motion = cast_setup(), WINDS.motion(cast_setup().limits)
+    who, motion = problem(), WINDS.motion(problem().limits)
     t = np.arange(0.0, 4.3, 0.01)
     for x, y in ((0.85778, -1.65443), (0.8414, -1.68562), (0.16175, -1.99088), (0.08262, -1.97463)):
         post = hf.Peg(x, y, 0.003, 0.1)
@@ -99,41 +99,41 @@ def test_a_touch_between_two_samples_is_seen() -> None:
 def test_a_search_sees_what_lies_in_the_way() -> None:
     run = planned().run
     assert run is not None
-    free = simulated_strikes(cast_setup(), PEG, [WINDS])
+    free = simulated_strikes(problem(), PEG, [WINDS])
     assert np.isfinite(free.t[0])
     before = run.tip[run.t < free.t[0]]
     aside = hf.Ground(float(before[:, 0].max()) - 0.05, 0.0, -1.0, 0.0)
-    blocked = simulated_strikes(replace(cast_setup(), obstacles=[aside]), PEG, [WINDS])
+    blocked = simulated_strikes(replace(problem(), obstacles=[aside]), PEG, [WINDS])
     assert np.isnan(blocked.t[0])
     assert blocked.clear[0] < free.clear[0]
     assert blocked.score[0] < 0.0
-    motion = WINDS.motion(cast_setup().limits).shifted(-free.t[0])
+    motion = WINDS.motion(problem().limits).shifted(-free.t[0])
     one = RolloutBatch([CABLE], [PEG], [motion], free.q, free.qd)
-    on = simulate_contact(one, free.t, replace(cast_setup(), clearance=-np.inf))
+    on = simulate_contact(one, free.t, replace(problem(), clearance=-np.inf))
     after = run.joints[run.t > free.t[0] + 0.1].reshape(-1, 2)
     lowest = hf.Ground(0.0, float(after[:, 1].min()) + 0.02)
-    off = simulate_contact(replace(one, obstacles=(lowest,)), free.t, replace(cast_setup(), clearance=-np.inf))
+    off = simulate_contact(replace(one, obstacles=(lowest,)), free.t, replace(problem(), clearance=-np.inf))
     assert off.score[0] < on.score[0]
     assert off.turns[0] < on.turns[0]
 
 
 def test_obstacles_go_with_a_plan_through_its_file(tmp_path: Path) -> None:
-    known = replace(planned(), cast_setup=replace(cast_setup(), obstacles=[FLOOR, POST, WALL]))
+    known = replace(planned(), problem=replace(problem(), obstacles=[FLOOR, POST, WALL]))
     known.to_toml(tmp_path / "cast.toml")
     again = read_plan(tmp_path / "cast.toml")
-    assert set(again.cast_setup.obstacles) == {FLOOR, POST, WALL}
+    assert set(again.problem.obstacles) == {FLOOR, POST, WALL}
     assert set(hf.Setup.from_toml(tmp_path / "cast.toml").pegs) == {PEG, FLOOR, POST, WALL}
 
 
 def test_obstacles_that_cannot_be_are_refused() -> None:
     with pytest.raises(InvalidInput, match="turning arm hits the wall"):
-        replace(cast_setup(), obstacles=[hf.Wall(0.05, -0.05, 0.05, 0.05)])
+        replace(problem(), obstacles=[hf.Wall(0.05, -0.05, 0.05, 0.05)])
     with pytest.raises(InvalidInput, match="obstacles holds something else"):
         hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, obstacles=["a wall"])  # type: ignore[list-item]
     with pytest.raises(InvalidInput, match="begins in an obstacle"):
         hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, obstacles=[hf.Ground(0.0, -1.9)])
     with pytest.raises(InvalidInput, match="past obstacles are not followed"):
-        hf.follow_plan(replace(planned(), cast_setup=replace(cast_setup(), obstacles=[FLOOR])), None)  # type: ignore[arg-type]
+        hf.follow_plan(replace(planned(), problem=replace(problem(), obstacles=[FLOOR])), None)  # type: ignore[arg-type]
 
 
 def test_what_begins_or_lies_in_an_obstacle_is_told_before_a_search() -> None:
@@ -155,7 +155,7 @@ def test_what_begins_or_lies_in_an_obstacle_is_told_before_a_search() -> None:
             single()
     seen = hf.plan_cast(CABLE, arm, hf.Peg(-0.8, -1.1, 0.03), obstacles=[post])
     assert (seen.status, seen.message) == (1, "the target lies in the peg at (-0.8, -1.1) m")
-    whip_map = build_whip_map(replace(cast_setup(), obstacles=[post], time=1.0), swings=1)
+    whip_map = build_whip_map(replace(problem(), obstacles=[post], time=1.0), swings=1)
     assert check_whip_feasibility(whip_map, TipTarget(-0.8, -1.1)).message == seen.message
 
 
@@ -185,7 +185,7 @@ def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search() ->
         sight = [np.linspace(tip, (there.x, there.y), 4001) for tip in arm.tip(np.linspace(-np.pi, np.pi, 25))]
         assert max(distance(between, way).min() for way in sight) > 0.0 or behind.fallback.distance > 0.2
     for free in (hf.Wall(-0.6, -1.2, -0.5, -1.0), hf.Peg(-0.3, -0.6, 0.05), hf.Ground(0.0, -2.5)):
-        assert check_feasibility(replace(cast_setup(), obstacles=[free]), PEG).feasible
+        assert check_feasibility(replace(problem(), obstacles=[free]), PEG).feasible
 
 
 def test_a_cast_is_found_beside_a_wall_that_leaves_room() -> None:

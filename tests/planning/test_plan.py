@@ -11,7 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import winding
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastSetup, MotorLimits, SuccessProbability, Uncertainty, check_feasibility
+from hyperflex.planning import MotorLimits, Problem, SuccessProbability, Uncertainty, check_feasibility
 from hyperflex.planning.clearance import Clearance
 from hyperflex.planning.outcome import TOO_LONG
 from hyperflex.planning.robust.refinement import DOUBT
@@ -46,7 +46,7 @@ def test_a_target_in_reach_is_wound_and_held() -> None:
     turns = np.abs(winding.turns(run, EASY)[run.t > stop + 1.0])
     assert turns.min() >= 1.25
     t = np.linspace(0.0, stop, 5000)
-    limits = found.cast_setup.limits
+    limits = found.problem.limits
     assert np.abs(found.motion.rate(t)).max() <= limits.speed * (1 + 1e-9)
     assert np.abs(found.motion.acceleration(t)).max() <= limits.acceleration * (1 + 1e-9)
 
@@ -117,7 +117,7 @@ def test_an_interrupted_plan_leaves_its_best(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_the_same_seed_searches_alike() -> None:
-    searches = [ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, seed) for seed in (4, 4, 5)]
+    searches = [ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, seed) for seed in (4, 4, 5)]
     scores = [search.evolve_swings() for search in searches]
     assert scores[0] == scores[1] != scores[2]
     assert np.array_equal(searches[0].swings[0].x, searches[1].swings[0].x)
@@ -165,7 +165,7 @@ def test_with_uncertainty_the_throw_that_wins_most_often_is_planned_and_its_succ
         self.order = [robust_phase.RobustCandidate(landed[k], values=16 * [0.5 * k]) for k in (2, 1)]
 
     def estimate_success_probability(
-        cast_setup: object, peg: object, throw: object, *_: object, **__: object
+        problem: object, peg: object, throw: object, *_: object, **__: object
     ) -> SuccessProbability:
         seen["stated"] = throw
         return SuccessProbability(30, 40)
@@ -239,7 +239,7 @@ def hardened(
 
     monkeypatch.setattr(robust_phase, "RobustRefinement", Race)
     monkeypatch.setattr(cast_planner.CastPlanner, "verify", verified)
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
     search.candidates = landings
     work = cast_planner.CastPlanner(search, robust_phase.NOMINAL * time_budget, enough=np.inf)
     nominal = SimpleNamespace(**(good | told.get("nominal", {})))
@@ -460,7 +460,7 @@ def test_an_interrupt_while_robust_throws_are_verified_leaves_the_best_until_the
     ],
 )
 def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, second: dict, enough: bool) -> None:
-    search = SimpleNamespace(cast_setup=CastSetup(CABLE, ARM, hf.MotorLimits()), peg=EASY, candidates=[])
+    search = SimpleNamespace(problem=Problem(CABLE, ARM, hf.MotorLimits()), peg=EASY, candidates=[])
     work = cast_planner.CastPlanner(search, 1.0)  # type: ignore[arg-type]
     good = {
         "success": True,
@@ -479,7 +479,7 @@ def test_the_search_goes_on_while_the_best_has_nothing_in_hand(first: dict, seco
 
 
 def test_while_a_better_plan_is_sought_it_is_said_that_one_stands(monkeypatch: pytest.MonkeyPatch) -> None:
-    search, told = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), []
+    search, told = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY), []
     work = cast_planner.CastPlanner(search, 1e3)
     good = {
         "success": True,
@@ -521,7 +521,7 @@ def pass_time_in_swings(monkeypatch: pytest.MonkeyPatch, clock: SimpleNamespace,
 
 def test_a_search_with_a_plan_does_not_begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = SimpleNamespace(spent=0.0)
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY)
     work, began = cast_planner.CastPlanner(search, 100.0, clock=clock, enough=np.inf), []  # type: ignore[arg-type]
     pass_time_in_swings(monkeypatch, clock, began)
     good = SimpleNamespace(success=True, turns=2.3, slip=3e-3, load_ratio=0.8, tip_hangs=True, spare_clearance=1.0)
@@ -533,7 +533,7 @@ def test_a_search_with_a_plan_does_not_begin_anew(monkeypatch: pytest.MonkeyPatc
 
 def test_a_search_that_begins_anew_forgets_what_it_found_and_draws_other_numbers() -> None:
     """But for the number of runs; the best candidates are taken back when it is over."""
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
     swings: list[list[np.ndarray]] = []
     found = []
     for _ in range(2):
@@ -556,7 +556,7 @@ def test_a_search_that_begins_anew_forgets_what_it_found_and_draws_other_numbers
 
 
 def test_where_ropes_may_fold_flat_all_swings_are_tried_again() -> None:
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
     search.beam_search(0.1)
     search.swings = search.swings[:1]
     search.try_last_moves()
@@ -573,7 +573,7 @@ def test_a_search_for_a_later_strike_begins_anew_later(
     monkeypatch: pytest.MonkeyPatch, longer: float, times: list[float]
 ) -> None:
     """By the square of the time until the strike, over the usual one."""
-    clock, usual = SimpleNamespace(spent=0.0), CastSetup(CABLE, ARM, hf.MotorLimits())
+    clock, usual = SimpleNamespace(spent=0.0), Problem(CABLE, ARM, hf.MotorLimits())
     search, began = ThrowSearch(replace(usual, time=longer * usual.time), EASY), []
     pass_time_in_swings(monkeypatch, clock, began)
     cast_planner.CastPlanner(search, 100.0, clock=clock, enough=np.inf).run(None)  # type: ignore[arg-type]
@@ -584,7 +584,7 @@ def test_a_search_for_a_later_strike_begins_anew_later(
 def test_a_full_turn_that_nobody_asked_for_is_sought_for_a_quarter_more_than_the_first_plan_took(
     spent: float, enough: bool
 ) -> None:
-    search = SimpleNamespace(cast_setup=CastSetup(CABLE, ARM, hf.MotorLimits()), peg=EASY, candidates=[])
+    search = SimpleNamespace(problem=Problem(CABLE, ARM, hf.MotorLimits()), peg=EASY, candidates=[])
     work = cast_planner.CastPlanner(search, 60.0, clock=SimpleNamespace(spent=spent))  # type: ignore[arg-type]
     cast = SimpleNamespace(
         success=True,
@@ -606,7 +606,7 @@ def test_a_full_turn_that_nobody_asked_for_is_sought_for_a_quarter_more_than_the
 
 
 def test_a_plan_that_stands_ends_a_search_at_the_time_that_is_enough() -> None:
-    work = cast_planner.CastPlanner(ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), 50.0, enough=30.0)
+    work = cast_planner.CastPlanner(ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY), 50.0, enough=30.0)
     assert work.until == np.inf  # while none stands
     for first, until in ((10.0, 30.0), (40.0, 40.0)):
         work.first = first
@@ -658,7 +658,7 @@ def test_the_best_of_the_throws_that_two_verifications_bear_out_without_a_margin
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The one whose verification ends sooner, where none has a margin; not those that fail."""
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=8)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=8)
     throws = [SimpleNamespace(name=name, count=2) for name in "abcd"]
     points = [np.full(2 * search.parametrizations[1].strokes + 4, float(k)) for k in range(4)]
     search.candidates = [
@@ -716,9 +716,9 @@ def test_a_throw_that_touches_at_another_time_with_shorter_links_does_not_stand(
     finer = foreseen(first, replace(first, touch_time=touch))
     assert finer.success is holds
     assert holds or ("sooner" if touch < 5.0 else "later") in failure(first, finer, False)
-    search, seen = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), [first, replace(first, touch_time=touch)]
+    search, seen = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY), [first, replace(first, touch_time=touch)]
     work = cast_planner.CastPlanner(search, 60.0)
-    monkeypatch.setattr(work, "run_once", lambda cast_setup, *_: seen[cast_setup.rope.n_links > CABLE.n_links])
+    monkeypatch.setattr(work, "run_once", lambda problem, *_: seen[problem.rope.n_links > CABLE.n_links])
     _, second = work.verify_twice(cast_planner.Candidate(2.0, 2.0, 1, np.zeros(3), None))  # type: ignore[arg-type]
     assert second is not None
     assert second.success is holds
@@ -743,7 +743,7 @@ def test_a_throw_that_passes_its_arm_by_less_than_two_runs_differ_does_not_stand
 def test_what_may_be_passed_closely_leaves_nothing_to_chance() -> None:
     """An arm that the rope may go through is near, or inside it; obstacles are looked at on their own."""
     arm, far, narrow = (Clearance(value, 1.0, "") for value in (5e-4, 0.2, 1e-3))
-    free = CastSetup(CABLE, ARM, hf.MotorLimits(), clearance=-np.inf)
+    free = Problem(CABLE, ARM, hf.MotorLimits(), clearance=-np.inf)
     assert spare_clearance(free, (arm,)) == np.inf
     assert spare_clearance(free, (arm._replace(value=-0.01), narrow)) == 1e-3
     asked = replace(free, clearance=0.03)
@@ -760,11 +760,11 @@ def test_a_throw_without_a_margin_is_simulated_once_with_links_of_each_length(mo
     """Its first two runs are not made again where a third tells whether it stands."""
     outcome = planned().outcome
     assert outcome is not None
-    work = cast_planner.CastPlanner(ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), 60.0)
+    work = cast_planner.CastPlanner(ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY), 60.0)
     links: list[int] = []
 
-    def run_once(cast_setup: CastSetup, *_: object) -> object:
-        links.append(cast_setup.rope.n_links)
+    def run_once(problem: Problem, *_: object) -> object:
+        links.append(problem.rope.n_links)
         return replace(outcome, slip=3e-3, tip_hangs=True)
 
     monkeypatch.setattr(work, "run_once", run_once)
@@ -778,7 +778,7 @@ def test_a_throw_without_a_margin_is_simulated_once_with_links_of_each_length(mo
 def test_where_no_plan_stands_a_throw_without_a_margin_is_verified_before_others_are_looked_at(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
     size = 2 * search.parametrizations[1].strokes + 4
     search.candidates = [
         cast_planner.Candidate(3.0 - k, 2.0, 1, np.full(size, float(k)), SimpleNamespace(name=name, count=2), True)  # type: ignore[arg-type]
@@ -804,7 +804,7 @@ def test_where_no_plan_stands_a_throw_without_a_margin_is_verified_before_others
 
 
 def test_throws_that_barely_wind_are_verified_later() -> None:
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=20)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=20)
     x, throw = np.zeros(2 * search.parametrizations[1].strokes + 4), SimpleNamespace(count=2)
     told = [(2.6, 2.3), (1.6, 1.3), (1.4, 1.4), (1.1, 2.0), (0.9, 2.0)]  # score, turns
     search.candidates = [
@@ -822,7 +822,7 @@ def test_throws_that_barely_wind_are_verified_later() -> None:
 
 def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     search = SimpleNamespace(
-        cast_setup=CastSetup(CABLE, ARM, hf.MotorLimits()),
+        problem=Problem(CABLE, ARM, hf.MotorLimits()),
         peg=EASY,
         holding_force=0.0,
         workers=2,
@@ -864,7 +864,7 @@ def test_of_two_throws_the_one_that_more_verifications_bear_out_is_kept(monkeypa
 def test_poor_throws_are_refined_only_where_swings_do_not_lack_time(
     scores: list[float], late: bool, worth: bool
 ) -> None:
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY)
     search.candidates = [cast_planner.Candidate(score, 1.0, 1, np.zeros(3), None) for score in scores]  # type: ignore[arg-type]
     assert cast_planner.CastPlanner(search, 60.0).worth_refining(late) is worth
 
@@ -887,10 +887,10 @@ def test_poor_throws_are_refined_only_where_swings_do_not_lack_time(
 def test_a_throw_that_ends_on_top_of_the_peg_is_verified_with_shorter_and_shorter_links(
     monkeypatch: pytest.MonkeyPatch, threads: int, ends: list[float | None], told: float, most: int | None
 ) -> None:
-    search, links = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=threads), set()
+    search, links = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=threads), set()
 
-    def verify_cast(cast_setup: CastSetup, *_: object, time_budget: Deadline, **__: object) -> object:
-        pieces, ended = cast_setup.rope.n_links // CABLE.n_links, time_budget.left() < 0.0
+    def verify_cast(problem: Problem, *_: object, time_budget: Deadline, **__: object) -> object:
+        pieces, ended = problem.rope.n_links // CABLE.n_links, time_budget.left() < 0.0
         links.update(() if ended else (pieces,))
         turns = None if ended else ends[min(pieces, 4) - 1]
         success, completed = turns is not None and turns > 1.25, turns is not None
@@ -916,13 +916,13 @@ def test_a_throw_that_ends_on_top_of_the_peg_is_verified_with_shorter_and_shorte
 def test_a_throw_without_a_margin_fails_where_its_third_verification_takes_too_long(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def verify_cast(cast_setup: CastSetup, *_: object, **__: object) -> object:
-        completed = cast_setup.rope.n_links // CABLE.n_links != 2
+    def verify_cast(problem: Problem, *_: object, **__: object) -> object:
+        completed = problem.rope.n_links // CABLE.n_links != 2
         told = {"slip": 3e-3, "load_ratio": 0.5, "contact_angle": 3.0, "tip_hangs": True, "spare_clearance": 0.1}
         more = told | {"touch_time": 5.0, "folded": False, "message": "" if completed else TOO_LONG}
         return SimpleNamespace(success=completed, turns=1.6 if completed else 0.0, completed=completed, **more)
 
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY)
     monkeypatch.setattr(cast_planner, "verify_cast", verify_cast)
     throw = SimpleNamespace(motion=lambda limits: None)
     found = cast_planner.CastPlanner(search, 60.0).verify(cast_planner.Candidate(1.0, 2.0, 1, np.zeros(3), throw))  # type: ignore[arg-type]
@@ -935,7 +935,7 @@ def test_of_candidates_verified_at_once_none_is_told_after_the_search_was_ended(
     some = [cast_planner.Candidate(1.0, 2.0, 1, np.full(3, float(k)), f"throw {k}") for k in range(2)]  # type: ignore[arg-type]
     told = {"slip": 1e-3, "load_ratio": 0.5, "contact_angle": 3.0, "tip_hangs": True, "spare_clearance": 0.1}
     more = told | {"touch_time": 5.0, "folded": False, "success": True, "completed": True, "message": ""}
-    work = cast_planner.CastPlanner(ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=4), 60.0)
+    work = cast_planner.CastPlanner(ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=4), 60.0)
 
     def verify_twice(one: cast_planner.Candidate) -> object:
         cast = SimpleNamespace(turns=1.5 + one.x[0], **more)
@@ -959,15 +959,15 @@ def test_what_is_in_reach_is_asked_for_the_time_that_the_search_takes() -> None:
     """A short arm swings a rope up in more than five periods."""
     high = hf.Peg(1.2 * np.sin(np.radians(80.0)), -1.2 * np.cos(np.radians(80.0)), 0.03)
     short = hf.Arm(length=0.04)
-    assert not check_feasibility(CastSetup(CABLE, short, hf.MotorLimits()), high).feasible
+    assert not check_feasibility(Problem(CABLE, short, hf.MotorLimits()), high).feasible
     plan = hf.plan_cast(CABLE, short, high, time_budget=1e-3)
-    assert plan.feasibility == check_feasibility(plan.cast_setup, high)
+    assert plan.feasibility == check_feasibility(plan.problem, high)
     assert plan.feasibility.feasible
     assert "out of reach" not in plan.message
 
 
 def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=2)
     motion, strokes = SimpleNamespace(motion=lambda limits: None, count=2), search.parametrizations[1].strokes
     points = [np.full(2 * strokes + 4, float(k)) for k in range(3)]
     search.candidates = [
@@ -1002,13 +1002,13 @@ def test_a_throw_that_a_verification_refutes_leads_the_search_no_longer(monkeypa
 
 def test_a_high_target_gets_time_to_swing_the_rope_up_to_it_unless_the_user_says_how_long() -> None:
     """A target above the shaft needs more strokes than five periods have, one below it does not."""
-    usual, high = CastSetup(CABLE, ARM, hf.MotorLimits()).time, hf.Peg(1.1, 0.5, 0.03)
+    usual, high = Problem(CABLE, ARM, hf.MotorLimits()).time, hf.Peg(1.1, 0.5, 0.03)
     asked = {"time_budget": 1e-3, "skip_feasibility": True}
-    assert hf.plan_cast(CABLE, ARM, high, **asked).cast_setup.time > 1.4 * usual
-    assert hf.plan_cast(CABLE, ARM, hf.Peg(0.05, -1.3, 0.03), **asked).cast_setup.time == usual
-    assert hf.plan_cast(CABLE, ARM, high, time_limit=6.0, **asked).cast_setup.time == 6.0
+    assert hf.plan_cast(CABLE, ARM, high, **asked).problem.time > 1.4 * usual
+    assert hf.plan_cast(CABLE, ARM, hf.Peg(0.05, -1.3, 0.03), **asked).problem.time == usual
+    assert hf.plan_cast(CABLE, ARM, high, time_limit=6.0, **asked).problem.time == 6.0
     slow = hf.MotorLimits(speed=0.05, acceleration=0.1)
-    assert hf.plan_cast(CABLE, ARM, high, slow, **asked).cast_setup.time == pytest.approx(11.0 / 5.0 * usual)
+    assert hf.plan_cast(CABLE, ARM, high, slow, **asked).problem.time == pytest.approx(11.0 / 5.0 * usual)
 
 
 def test_other_directions_of_gravity_are_refused() -> None:
@@ -1019,13 +1019,13 @@ def test_other_directions_of_gravity_are_refused() -> None:
 def test_sides_are_those_from_which_the_motor_can_begin() -> None:
     """A rope that hangs from the arm at half a radian, not at a quarter turn."""
     limits, arm = MotorLimits(angles=(-0.5, 0.5)), hf.Arm(length=0.5)
-    who = CastSetup(CABLE, arm, limits)
+    who = Problem(CABLE, arm, limits)
     assert set(ThrowSearch(who, hf.Peg(0.5, -0.6, 0.03)).parametrizations) == {-1, 1}
     assert set(ThrowSearch(who, hf.Peg(0.5 * np.sin(0.5), -1.2, 0.03)).parametrizations) == {-1}
 
 
 def test_rounds_of_swings_are_stroke_by_stroke_and_in_whole_by_turns(monkeypatch: pytest.MonkeyPatch) -> None:
-    work, made = cast_planner.CastPlanner(ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY), 60.0), []
+    work, made = cast_planner.CastPlanner(ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY), 60.0), []
     monkeypatch.setattr(ThrowSearch, "beam_search", lambda self, _: made.append("stroke by stroke") or 0.5)
     monkeypatch.setattr(ThrowSearch, "evolve_swings", lambda self: made.append("whole") or 0.7)
     assert [work.swing() for _ in range(4)] == [0.5, 0.5, 0.7, 0.5]
@@ -1034,7 +1034,7 @@ def test_rounds_of_swings_are_stroke_by_stroke_and_in_whole_by_turns(monkeypatch
 
 
 def test_many_swings_are_tried_with_a_few_last_moves_before_some_with_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), hf.Peg(0.9, -0.4, 0.03), threads=1)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), hf.Peg(0.9, -0.4, 0.03), threads=1)
     x, tried = search.parametrizations[1].centre(), []
     search.swings = [Swing(1.0 - 0.1 * k, 1, x + 0.2 * k, 5.0) for k in range(TRIED + 1)]
     search.swings.append(Swing(-0.2, 1, x - 0.2, 5.0))  # with shorter links it does not strike
@@ -1059,7 +1059,7 @@ def test_many_swings_are_tried_with_a_few_last_moves_before_some_with_more(monke
 
 
 def test_swings_that_were_tried_get_other_moves_though_there_are_fresh_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), hf.Peg(0.9, -0.4, 0.03), threads=1)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), hf.Peg(0.9, -0.4, 0.03), threads=1)
     x, tried = search.parametrizations[1].centre(), []
     monkeypatch.setattr(search, "evaluate", lambda points, until: tried.append([p[-4:-1].tolist() for _, p in points]))
     search.swings = [Swing(1.0, 1, x, 5.0)]
@@ -1074,7 +1074,7 @@ def test_swings_that_were_tried_get_other_moves_though_there_are_fresh_ones(monk
 def test_other_moves_are_tried_while_no_throw_winds(
     winds: bool, calls: list[bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
     work, told = cast_planner.CastPlanner(search, 1e3), list[bool]()
 
     def tries(self: ThrowSearch, *, fresh: bool = True) -> None:
@@ -1091,7 +1091,7 @@ def test_other_moves_are_tried_while_no_throw_winds(
 def test_last_moves_end_towards_the_targets_side(monkeypatch: pytest.MonkeyPatch) -> None:
     ends = {}
     for x in (-0.9, 0.9):
-        search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), hf.Peg(x, -0.4, 0.03), threads=1)
+        search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), hf.Peg(x, -0.4, 0.03), threads=1)
         search.swings = [Swing(1.0, 1, search.parametrizations[1].centre(), 5.0)]
         monkeypatch.setattr(search, "evaluate", lambda points, until, x=x: ends.update({x: [p[-3] for _, p in points]}))
         search.try_last_moves()
@@ -1100,17 +1100,17 @@ def test_last_moves_end_towards_the_targets_side(monkeypatch: pytest.MonkeyPatch
 
 def test_where_no_throw_winds_shorter_links_are_tried() -> None:
     """With links as long as the peg is thick, throws that wind may seem not to."""
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
     x = search.parametrizations[1].centre()
     search.swings = [Swing(1.0, 1, x + 0.2 * k, 5.0) for k in range(2 * TRIED)]
     links: list[int] = []
 
-    def wind(cast_setup: CastSetup, throws: list, struck: object) -> WindingScores:
-        links.append(cast_setup.rope.n_links)
+    def wind(problem: Problem, throws: list, struck: object) -> WindingScores:
+        links.append(problem.rope.n_links)
         return WindingScores(np.zeros(len(throws)), np.full(len(throws), 0.3))
 
     found = strikes.Strikes(*np.zeros((3, 99)), np.full(99, 5.0), *np.zeros((2, 99, 1)), np.full(99, 9))
-    search._wind, search._strikes = wind, lambda cast_setup, throws, until: found  # type: ignore[method-assign,assignment]
+    search._wind, search._strikes = wind, lambda problem, throws, until: found  # type: ignore[method-assign,assignment]
     for _ in range(MAX_FAILED + 3):
         search.try_last_moves()
     assert links == MAX_FAILED * [CABLE.n_links] + 3 * [2 * CABLE.n_links]
@@ -1121,14 +1121,14 @@ def test_late_swings_are_tried_beside_the_peg_once_they_are_worth_it(
     monkeypatch: pytest.MonkeyPatch, strike: float, tries: int
 ) -> None:
     """Those that strike early are tried at once."""
-    search = ThrowSearch(CastSetup(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
+    search = ThrowSearch(Problem(CABLE, ARM, hf.MotorLimits()), EASY, threads=1)
     work, tried = cast_planner.CastPlanner(search, 1e3), list[float]()
     scores = [part * work.worthy for part in (0.62, 0.69, 0.75, 0.81, 1.0)]
     all_scores = scores.copy()
 
     def swing(self: cast_planner.CastPlanner) -> float:
         search.runs += 1
-        search.swings[:] = [Swing(scores[0], 1, np.zeros(3), strike * search.cast_setup.time)]
+        search.swings[:] = [Swing(scores[0], 1, np.zeros(3), strike * search.problem.time)]
         return scores.pop(0)
 
     monkeypatch.setattr(cast_planner.CastPlanner, "swing", swing)

@@ -12,13 +12,13 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastOutcome, CastPlan, FallbackTarget, SuccessProbability, Throw, verify_cast
-from hyperflex.planning.cast_setup import SETTLING_TIME
 from hyperflex.planning.outcome import WATCH_TIME
 from hyperflex.planning.plan import to_table
+from hyperflex.planning.problem import SETTLING_TIME
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.throw_search import ThrowSearch
 from tests.faults.interrupting import left_by
-from tests.planning.known import PEG, WINDS, cast_setup, late, planned, stopped, unreachable
+from tests.planning.known import PEG, WINDS, late, planned, problem, stopped, unreachable
 
 
 def test_the_motors_table_holds_the_planned_angles(tmp_path):
@@ -29,7 +29,7 @@ def test_the_motors_table_holds_the_planned_angles(tmp_path):
     np.testing.assert_array_equal(rows[:, 1], plan.motion.angle(rows[:, 0]))
     np.testing.assert_allclose(np.diff(rows[:, 0]), 1.0 / 250.0, rtol=1e-9)  # rounding of k / 250
     assert plan.motion.breaks[-1] <= rows[-1, 0] < plan.motion.breaks[-1] + 1.0 / 250.0
-    assert rows[-1, 1] == plan.throw.angles(plan.cast_setup.limits)[-1]
+    assert rows[-1, 1] == plan.throw.angles(plan.problem.limits)[-1]
 
 
 def test_the_motors_table_reads_back_as_the_motion(tmp_path):
@@ -43,13 +43,13 @@ def test_the_motors_table_reads_back_as_the_motion(tmp_path):
     files.write_table(tmp_path / "moved.csv", table.names, table.values, notes=table.notes)
     back, t = hf.read_motion(tmp_path / "moved.csv"), np.linspace(0.0, 9.0, 5001)
     np.testing.assert_allclose(back.angle(t), plan.motion.angle(t), atol=7.1e-5)
-    assert np.abs(back.acceleration(t)).max() > 1.25 * plan.cast_setup.limits.acceleration
+    assert np.abs(back.acceleration(t)).max() > 1.25 * plan.problem.limits.acceleration
 
 
 @pytest.mark.parametrize("rate", [50.0, 200.0, 1000.0])
 def test_what_the_motors_table_asks_is_within_the_motors_limits(tmp_path, rate):
     """Read back, and by differences of its rows: means of rate and acceleration between them."""
-    plan, limits = planned(), planned().cast_setup.limits
+    plan, limits = planned(), planned().problem.limits
     plan.to_csv(tmp_path / "motion.csv", rate=rate)
     back, t = hf.read_motion(tmp_path / "motion.csv"), np.linspace(0.0, 9.0, 90001)
     assert np.abs(back.acceleration(t)).max() <= limits.acceleration * (1.0 + 1e-9)
@@ -94,7 +94,7 @@ def test_a_plan_reads_back_as_it_was_written(tmp_path, made):
     plan.to_toml(tmp_path / "plan.toml")
     back = hf.read_plan(tmp_path / "plan.toml")
     assert isinstance(back, CastPlan)
-    assert (back.cast_setup, back.target, back.feasibility) == (plan.cast_setup, PEG, plan.feasibility)
+    assert (back.problem, back.target, back.feasibility) == (plan.problem, PEG, plan.feasibility)
     assert (back.success, back.status, back.message) == (plan.success, plan.status, plan.message)
     assert back.motion == plan.motion
     assert (back.refuted, back.unfinished, back.notes()) == (plan.refuted, plan.unfinished, plan.notes())
@@ -115,7 +115,7 @@ def test_parts_read_back_as_their_classes(tmp_path):
     for part, kind in ((back.throw, Throw), (back.outcome, CastOutcome), (back.fallback.plan, CastPlan)):
         assert type(part) is kind
     assert type(back.throw.strokes) is np.ndarray
-    assert type(back.fallback.plan.cast_setup.limits.angles) is tuple
+    assert type(back.fallback.plan.problem.limits.angles) is tuple
     assert back.remedies == ("a rope of 2.94 m", "an arm of 120 mm")
 
 
@@ -123,7 +123,7 @@ def test_a_throw_that_is_read_back_does_the_same_again(tmp_path):
     plan = planned()
     plan.to_toml(tmp_path / "plan.toml")
     back = hf.read_plan(tmp_path / "plan.toml")
-    again = verify_cast(back.cast_setup, back.target, back.motion)
+    again = verify_cast(back.problem, back.target, back.motion)
     assert (again.turns, again.slip) == (plan.outcome.turns, plan.outcome.slip)
 
 
@@ -157,7 +157,7 @@ def test_the_set_up_of_a_plan_without_a_run_lasts_as_long_as_one(tmp_path, made)
     plan = made()
     plan.to_toml(tmp_path / "plan.toml")
     setup = hf.Setup.from_toml(tmp_path / "plan.toml")
-    assert setup.duration == pytest.approx(WINDS.stops(plan.cast_setup.limits) + SETTLING_TIME + WATCH_TIME)
+    assert setup.duration == pytest.approx(WINDS.stops(plan.problem.limits) + SETTLING_TIME + WATCH_TIME)
     assert setup.duration == planned().outcome.run.setup.duration
 
 
@@ -200,7 +200,7 @@ def test_an_interrupt_leaves_the_best_throw_that_was_not_verified(tmp_path, monk
 
     monkeypatch.setattr(ThrowSearch, "evolve_swings", swing)
     monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self, **_: None)
-    plan = left_by(lambda: hf.plan_cast(cast_setup().rope, cast_setup().arm, PEG))
+    plan = left_by(lambda: hf.plan_cast(problem().rope, problem().arm, PEG))
     assert plan.interrupted
     assert (plan.throw, plan.outcome) == (WINDS, None)
     plan.to_csv(tmp_path / "motion.csv")
@@ -216,14 +216,12 @@ def test_a_plan_without_a_throw_has_nothing_to_write(tmp_path):
 
 
 def test_a_set_up_is_no_plan(tmp_path):
-    hf.Setup(cast_setup().rope).to_toml(tmp_path / "setup.toml")
+    hf.Setup(problem().rope).to_toml(tmp_path / "setup.toml")
     with pytest.raises(InvalidInput, match="holds no plan"):
         hf.read_plan(tmp_path / "setup.toml")
 
 
-@pytest.mark.parametrize(
-    ("old", "new"), [("[plan.cast_setup.limits]", "[plan.cast_setup.limit]"), ("turns = ", "rounds = ")]
-)
+@pytest.mark.parametrize(("old", "new"), [("[plan.problem.limits]", "[plan.problem.limit]"), ("turns = ", "rounds = ")])
 def test_a_plan_that_lacks_a_part_is_refused(tmp_path, old, new):
     planned().to_toml(tmp_path / "plan.toml")
     text = (tmp_path / "plan.toml").read_text()
@@ -237,5 +235,5 @@ def test_what_is_read_back_can_be_printed(tmp_path):
     planned().to_toml(tmp_path / "plan.toml")
     back = hf.read_plan(tmp_path / "plan.toml")
     assert repr(back.motion) == "Motion(moves, 0 to 8.05965 s, 21 pieces)"
-    assert repr(back.cast_setup.rope) == "Rope(50 links, 2 m, 0.125 kg)"
+    assert repr(back.problem.rope) == "Rope(50 links, 2 m, 0.125 kg)"
     assert repr(hf.arm_swings(t_move=0.7, t_rest=0.3)).endswith("repeats from 0 s on)")

@@ -10,12 +10,12 @@ from scipy.integrate import quad
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastSetup, MotorLimits, check_feasibility
-from hyperflex.planning.cast_setup import MIN_TURNS
+from hyperflex.planning import MotorLimits, Problem, check_feasibility
+from hyperflex.planning.problem import MIN_TURNS
 from hyperflex.planning.wind.feasibility import GAIN, HANGING, MARGIN, MIN_ENERGY, WIDEST
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-CAST_SETUP = CastSetup(CABLE, hf.Arm(length=0.105), MotorLimits())
+CAST_SETUP = Problem(CABLE, hf.Arm(length=0.105), MotorLimits())
 
 
 def at(far: float, aside: float, radius: float = 0.03) -> hf.Peg:
@@ -145,7 +145,7 @@ def test_the_hold_asked_for_counts() -> None:
 
 def test_what_is_down_is_where_gravity_points() -> None:
     """Gravity along x: the same target turned by a right angle."""
-    turned = CastSetup(CABLE.replace(gravity=(9.81, 0.0)), CAST_SETUP.arm, CAST_SETUP.limits)
+    turned = Problem(CABLE.replace(gravity=(9.81, 0.0)), CAST_SETUP.arm, CAST_SETUP.limits)
     there, here = (
         check_feasibility(turned, hf.Peg(0.9, 0.4, 0.03)),
         check_feasibility(CAST_SETUP, hf.Peg(-0.4, -0.9, 0.03)),
@@ -157,4 +157,4 @@ def test_what_is_down_is_where_gravity_points() -> None:
 def test_a_rope_of_few_links_is_refused(links: int) -> None:
     rope = hf.Rope.uniform(length=2.0, mass=0.125, n_links=links, radius=0.0025)
     with pytest.raises(InvalidInput, match="too few links"):
-        CastSetup(rope, CAST_SETUP.arm, CAST_SETUP.limits)
+        Problem(rope, CAST_SETUP.arm, CAST_SETUP.limits)

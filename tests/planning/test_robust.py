@@ -51,7 +51,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     monkeypatch.setattr(refinement, "scenario_scores", scenario_scores)
     monkeypatch.setattr(
-        refinement, "nominal_strike_times", lambda cast_setup, peg, throws, **_: np.full(len(throws), np.nan)
+        refinement, "nominal_strike_times", lambda problem, peg, throws, **_: np.full(len(throws), np.nan)
     )
     return sizes
 
@@ -168,7 +168,7 @@ def test_throws_that_strike_too_late_are_no_plans(made_up: list[int], monkeypatc
     met: list[RobustCandidate] = []
     evaluate = work.evaluate
 
-    def strike_times(cast_setup: object, peg: object, throws: list, **_: object) -> np.ndarray:
+    def strike_times(problem: object, peg: object, throws: list, **_: object) -> np.ndarray:
         return np.array([late if k % 2 or len(throws) == 1 else 0.9 * CAST_SETUP.time for k in range(len(throws))])
 
     monkeypatch.setattr(refinement, "nominal_strike_times", strike_times)

@@ -7,7 +7,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastSetup, MotorLimits
+from hyperflex.planning import MotorLimits, Problem
 from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps, samples_clear_of_arm
 from hyperflex.planning.search.contact_phase import MIN_BUDGET, TIME_BUDGET, run_budget
 from hyperflex.planning.search.known_strikes import moved_to
@@ -27,7 +27,7 @@ from hyperflex.planning.throw import ThrowParametrization
 from tests.planning.known import simulated_strikes
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-CAST_SETUP = CastSetup(CABLE, hf.Arm(length=0.105), MotorLimits())
+CAST_SETUP = Problem(CABLE, hf.Arm(length=0.105), MotorLimits())
 
 
 def test_the_gap_is_that_of_many_points_along_the_rope() -> None:
@@ -117,8 +117,8 @@ def test_a_swing_that_goes_through_its_arm_does_not_strike() -> None:
     q, motion = np.broadcast_to(0.3 + turn, (t.size, 12))[None], hf.hold_arm(0.5 * np.pi)
     strike = {}
     for clearance in (0.0, -np.inf):
-        cast_setup = CastSetup(rope, arm, MotorLimits(), clearance=clearance)
-        found = find_strikes(cast_setup, hf.Peg(-0.5, -0.3, 0.02), [motion], t, q, np.ones_like(q))
+        problem = Problem(rope, arm, MotorLimits(), clearance=clearance)
+        found = find_strikes(problem, hf.Peg(-0.5, -0.3, 0.02), [motion], t, q, np.ones_like(q))
         strike[clearance] = float(found.t[0]), float(found.score[0])
     assert np.isnan(strike[0.0][0])
     assert strike[0.0][1] < NEVER
@@ -129,13 +129,13 @@ def test_a_swing_that_was_folded_flat_before_its_strike_is_worth_less() -> None:
     """What a rope does after it was folded depends on its contact with itself."""
     t = 0.02 * np.arange(1.0, 21.0)
     rope, n = hf.Rope.uniform(1.2, 0.06, 12, 0.003), 12
-    cast_setup, motion = CastSetup(rope, hf.Arm(length=0.2), MotorLimits()), hf.hold_arm(0.0)
+    problem, motion = Problem(rope, hf.Arm(length=0.2), MotorLimits()), hf.hold_arm(0.0)
     q = np.repeat(np.linspace(-0.8, 0.6, t.size)[None, :, None], n, axis=2)
     folded, afterwards = q.copy(), q.copy()
     folded[0, 2, -1] += 3.1  # the last link upon the one before
     afterwards[0, -1, -1] += 3.1
     found = [
-        find_strikes(cast_setup, hf.Peg(0.2, -1.0, 0.02), [motion], t, each, np.full_like(each, 5.0))
+        find_strikes(problem, hf.Peg(0.2, -1.0, 0.02), [motion], t, each, np.full_like(each, 5.0))
         for each in (q, folded, afterwards)
     ]
     assert 0.1 < found[0].t[0] < 0.35
@@ -170,10 +170,10 @@ def test_strikes_are_looked_for_until_a_time() -> None:
 
 def test_a_side_on_which_the_rope_starts_inside_the_peg_is_left_out() -> None:
     arm = hf.Arm(length=0.5)
-    cast_setup = CastSetup(CABLE, arm, MotorLimits())
-    assert list(ThrowSearch(cast_setup, hf.Peg(0.5, -0.6, 0.03)).parametrizations) == [-1]
-    assert list(ThrowSearch(cast_setup, hf.Peg(0.545, -0.6, 0.03)).parametrizations) == [-1, 1]
-    wide = ThrowSearch(cast_setup, hf.Peg(0.0, -1.0, 0.6))
+    problem = Problem(CABLE, arm, MotorLimits())
+    assert list(ThrowSearch(problem, hf.Peg(0.5, -0.6, 0.03)).parametrizations) == [-1]
+    assert list(ThrowSearch(problem, hf.Peg(0.545, -0.6, 0.03)).parametrizations) == [-1, 1]
+    wide = ThrowSearch(problem, hf.Peg(0.0, -1.0, 0.6))
     with pytest.raises(InvalidInput, match="on either side"):
         wide.evolve_swings()
 
@@ -208,7 +208,7 @@ def test_what_a_turning_rod_promises() -> None:
 
 
 def test_a_weight_at_the_tip_counts() -> None:
-    heavy = CastSetup(CABLE.replace(tip_mass=1e5), CAST_SETUP.arm, CAST_SETUP.limits)
+    heavy = Problem(CABLE.replace(tip_mass=1e5), CAST_SETUP.arm, CAST_SETUP.limits)
     peg, w = hf.Peg(0.0, -1.0, 0.01), 4.0
     q, qd = np.zeros((1, 50)), np.where(np.arange(50) < 25, 0.0, w)[None]
     ratio, _ = tail_energy(heavy, peg, (q, qd), (np.zeros((1, 2)), np.zeros((1, 2))), np.array([25]))

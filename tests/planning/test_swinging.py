@@ -12,7 +12,7 @@ from hyperflex import winding
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.model import divided, refine_rope
-from hyperflex.planning import CastPlan, CastSetup
+from hyperflex.planning import CastPlan, Problem
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.verification import verified_setup
@@ -22,7 +22,7 @@ ARM = hf.Arm(length=0.2)
 PEG = hf.Peg(-0.45, -0.5, 0.04, 0.4)
 BEFORE = 0.3  # s from what is seen to the motion's begin
 SEEN = RopeState(-BEFORE, np.linspace(0.3, 0.5, 12), np.full(12, -0.5))
-SWINGS = CastSetup(CORD, ARM, hf.MotorLimits(), side=-1, q0=tuple(SEEN.q), qd0=tuple(SEEN.qd))
+SWINGS = Problem(CORD, ARM, hf.MotorLimits(), side=-1, q0=tuple(SEEN.q), qd0=tuple(SEEN.qd))
 
 
 def test_a_plan_from_a_swinging_rope_winds_in_a_run_from_what_was_seen(tmp_path) -> None:
@@ -45,8 +45,8 @@ def test_a_plan_from_a_swinging_rope_winds_in_a_run_from_what_was_seen(tmp_path)
     rest = hf.simulate(replace(plan.setup(), q0=None, qd0=None), t_eval=[0.5])
     assert np.abs(rest.q[-1] - hf.simulate(plan.setup(), t_eval=[0.5]).q[-1]).max() > 0.1  # the swing matters
     plan.to_toml(tmp_path / "cast.toml")
-    assert hf.read_plan(tmp_path / "cast.toml").cast_setup == plan.cast_setup
-    assert plan.cast_setup.q0
+    assert hf.read_plan(tmp_path / "cast.toml").problem == plan.problem
+    assert plan.problem.q0
 
 
 def test_a_start_is_that_of_the_same_rope_with_shorter_links() -> None:

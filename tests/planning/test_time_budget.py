@@ -32,7 +32,7 @@ from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.report import CastReport
 from hyperflex.simulation import OUT_OF_TIME, Deadline
 from hyperflex.simulation.batch.contact import run_blocks
-from tests.planning.known import CABLE, PEG, WINDS, cast_setup, planned, simulated_strikes
+from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_strikes
 from tests.planning.known_whip import planned_whip
 
 OVER = Deadline(math.inf, lambda: -1.0)  # processor time enough, and none by the clock
@@ -55,7 +55,7 @@ def test_a_run_ends_when_no_time_is_left() -> None:
 
 
 def test_verifications_do_not_outlast_the_time() -> None:
-    work = CastPlanner(ThrowSearch(cast_setup(), PEG), 60.0)
+    work = CastPlanner(ThrowSearch(problem(), PEG), 60.0)
     work.clock = SimpleNamespace(spent=60.1)  # type: ignore[assignment]
     outcome, finer = work.verify(Candidate(2.0, 2.0, 1, np.zeros(3), WINDS))
     assert (outcome.completed, finer) == (False, None)
@@ -69,14 +69,14 @@ def test_the_time_counts_from_the_call_on(monkeypatch: pytest.MonkeyPatch) -> No
     begun: list[CastPlanner] = []
     monkeypatch.setattr(casting, "Clock", lambda: SimpleNamespace(spent=59.9))
     monkeypatch.setattr(CastPlanner, "run", lambda self, report: begun.append(self))
-    plan = hf.plan_cast(CABLE, cast_setup().arm, PEG, time_budget=60.0)
+    plan = hf.plan_cast(CABLE, problem().arm, PEG, time_budget=60.0)
     assert (plan.seconds, begun[0].late) == (59.9, True)
     assert begun[0].left() < 0.0
 
 
 def test_a_time_that_is_over_before_the_search_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(casting, "Clock", lambda: SimpleNamespace(spent=60.1))
-    plan = hf.plan_cast(CABLE, cast_setup().arm, PEG, time_budget=60.0)
+    plan = hf.plan_cast(CABLE, problem().arm, PEG, time_budget=60.0)
     assert (plan.message, plan.runs) == ("the time budget was over before the search began", 0)
     assert plan.status == 2  # nothing found; not: infeasible
 
@@ -85,10 +85,10 @@ def test_runs_of_a_search_do_not_outlast_it() -> None:
     budget = run_budget(lambda: -1.0, 2 / 16)
     assert isinstance(budget, Deadline)
     assert budget.left() == -1.0
-    strike = simulated_strikes(cast_setup(), PEG, [WINDS])
-    motions = [WINDS.motion(cast_setup().limits).shifted(-float(strike.t[0]))]
+    strike = simulated_strikes(problem(), PEG, [WINDS])
+    motions = [WINDS.motion(problem().limits).shifted(-float(strike.t[0]))]
     batch = RolloutBatch([CABLE], [PEG], motions, strike.q, strike.qd)
-    cut = simulate_contact(batch, strike.t, cast_setup(), time_budget=budget)
+    cut = simulate_contact(batch, strike.t, problem(), time_budget=budget)
     assert cut.turns[0] == 0.0  # with the time that it takes: 2.4
 
 
@@ -120,16 +120,16 @@ def test_blocks_that_a_thread_waits_for_end_at_an_interrupt(monkeypatch: pytest.
 @pytest.mark.parametrize("threads", [0, -1, 2000])
 def test_threads_that_cannot_be_used_are_refused(threads: int) -> None:
     with pytest.raises(InvalidInput, match="threads"):
-        ThrowSearch(cast_setup(), PEG, threads=threads).beam_search()
+        ThrowSearch(problem(), PEG, threads=threads).beam_search()
 
 
 def test_free_swings_of_a_search_do_not_outlast_it() -> None:
-    search = ThrowSearch(cast_setup(), PEG)
-    struck = search._strikes(search.cast_setup, [WINDS])
+    search = ThrowSearch(problem(), PEG)
+    struck = search._strikes(search.problem, [WINDS])
     assert np.isfinite(struck.t).all()
     search.left = lambda: -1.0
-    assert np.isnan(search._strikes(search.cast_setup, [WINDS]).t).all()
-    beam = BeamSearch(cast_setup(), PEG, [-1], np.random.default_rng(0))
+    assert np.isnan(search._strikes(search.problem, [WINDS]).t).all()
+    beam = BeamSearch(problem(), PEG, [-1], np.random.default_rng(0))
     left = iter([1.0])  # to begin with a stroke; then none
     assert beam.extend(3.0, 8, lambda: next(left, -1.0)) == []
     assert not beam.ready(3.0, 8)  # no swing that was cut short is gone on with
@@ -137,10 +137,10 @@ def test_free_swings_of_a_search_do_not_outlast_it() -> None:
 
 def test_whips_are_not_verified_beyond_the_time() -> None:
     plan = planned_whip()
-    motion = plan.strokes.motion(plan.cast_setup.limits)
+    motion = plan.strokes.motion(plan.problem.limits)
     with pytest.raises(OutOfTime):
-        verify_whip(plan.cast_setup, plan.target, motion, plan.outcome.t, time_budget=OVER)
-    whip_map = WhipMap(plan.cast_setup, (), None)  # type: ignore[arg-type]
+        verify_whip(plan.problem, plan.target, motion, plan.outcome.t, time_budget=OVER)
+    whip_map = WhipMap(plan.problem, (), None)  # type: ignore[arg-type]
     work = TipPlanner(WhipTask(whip_map, plan.target), 0.0, 0, 1)
     found = {"place": plan.outcome.place, "velocity": plan.outcome.velocity, "speed": plan.outcome.speed}
     work.aims = [SimpleNamespace(strokes=plan.strokes, t=plan.outcome.t, position_std=0.0, **found)]  # type: ignore[list-item]
@@ -151,7 +151,7 @@ def test_whips_are_not_verified_beyond_the_time() -> None:
 
 
 def test_a_map_has_the_swings_that_there_was_time_for() -> None:
-    setup = replace(planned_whip().cast_setup, time=0.5)
+    setup = replace(planned_whip().problem, time=0.5)
     whole = build_whip_map(setup, swings=2 * TOGETHER + 6)
     left = iter([0.0, -1.0])
     part = build_whip_map(setup, swings=2 * TOGETHER + 6, left=lambda: next(left))
@@ -172,7 +172,7 @@ def test_a_probability_counts_the_samples_that_there_was_time_for(monkeypatch: p
 
     monkeypatch.setattr(scenario_rollouts, "scenario_scores", scores)
     monkeypatch.setattr(scenario_rollouts, "Clock", lambda: SimpleNamespace(spent=0.0))
-    given = (cast_setup(), PEG, WINDS, Uncertainty())
+    given = (problem(), PEG, WINDS, Uncertainty())
     assert estimate_success_probability(*given, samples=40).samples == 40
 
     class Now:
@@ -191,7 +191,7 @@ def test_a_probability_counts_the_samples_that_there_was_time_for(monkeypatch: p
 
 
 def test_a_probability_is_not_estimated_beyond_the_time() -> None:
-    given = (cast_setup(), PEG, WINDS, Uncertainty())
+    given = (problem(), PEG, WINDS, Uncertainty())
     estimate_success_probability(*given, samples=1)  # so that kernels are loaded
     clock = Clock()
     found = estimate_success_probability(*given, time_budget=0.1)
@@ -204,7 +204,7 @@ def test_a_plan_says_that_no_time_was_left_for_its_probability(monkeypatch: pyte
     monkeypatch.setattr(casting, "Clock", lambda: SimpleNamespace(spent=60.1))
     monkeypatch.setattr(CastPlanner, "run", lambda self, report: setattr(self, "best", stands))
     monkeypatch.setattr(casting, "refine_robustly", lambda *_: None)
-    plan = hf.plan_cast(CABLE, cast_setup().arm, PEG, uncertainty=Uncertainty(), time_budget=60.0)
+    plan = hf.plan_cast(CABLE, problem().arm, PEG, uncertainty=Uncertainty(), time_budget=60.0)
     assert plan.success
     assert plan.success_probability == SuccessProbability(0, 0)
     assert plan.summary()["success_probability"]["interval"] == (0.0, 1.0)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hyperflex.planning import CastSetup, MotorLimits, Strokes
+from hyperflex.planning import MotorLimits, Problem, Strokes
 from hyperflex.planning.insert.entry import BESIDE, DEEPER, MARGIN, SLACK, Entry, entry_residuals
 from hyperflex.planning.insert.search import insert_candidates
 from hyperflex.planning.insert.task import FREE, MORE, InsertTask
@@ -24,7 +24,7 @@ from hyperflex.planning.tip.task import AFTER, NEVER, TipCandidate
 from tests.planning.known_insert import ARM, NEAR, ROPE, SLOT, STROKES
 
 LIMITS = MotorLimits()
-WHO = CastSetup(ROPE, ARM, LIMITS, 3.0)
+WHO = Problem(ROPE, ARM, LIMITS, 3.0)
 
 
 def test_strokes_added_in_rests_leave_the_others_where_they_are() -> None:
@@ -53,7 +53,7 @@ def test_an_instant_that_would_be_far_off_is_not_tried() -> None:
     nears: list[float] = []
 
     class Task:
-        cast_setup, close, runs = WHO, 1e-9, 0
+        problem, close, runs = WHO, 1e-9, 0
 
         def find(self, strokes: Strokes, near: float) -> SimpleNamespace:
             nears.append(near)
@@ -102,7 +102,7 @@ def test_starts_differ_in_side_and_strokes_first() -> None:
 class Asked:
     """A task that notes until when its swings are to be simulated, and finds none cheaper."""
 
-    cast_setup, ready, runs = WHO, 0.02, 0
+    problem, ready, runs = WHO, 0.02, 0
 
     def __init__(self) -> None:
         self.until: list[float] = []

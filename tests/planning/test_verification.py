@@ -11,7 +11,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastSetup, MotorLimits, Throw, verify_cast
+from hyperflex.planning import MotorLimits, Problem, Throw, verify_cast
 from hyperflex.planning.clearance import FINE, rope_clearance
 from hyperflex.planning.verification import folded_flat, greatest_bend, limit_bend, motor_torques, verified_setup
 from hyperflex.planning.whip.outcome import verify_whip
@@ -19,11 +19,11 @@ from hyperflex.planning.whip.task import failure
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.planning.wind import planner as cast_planner
 from hyperflex.planning.wind.feasibility import check_feasibility
-from tests.planning.known import PEG, WINDS, cast_setup, late, planned
+from tests.planning.known import PEG, WINDS, late, planned, problem
 from tests.planning.known_whip import planned_whip
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=15, radius=0.004, friction=2e-5)
-QUICK = CastSetup(CORD, hf.Arm(length=0.2), MotorLimits(speed=12.0, acceleration=80.0), 3.0)
+QUICK = Problem(CORD, hf.Arm(length=0.2), MotorLimits(speed=12.0, acceleration=80.0), 3.0)
 FOLDS = Throw(-1, np.array([3.0, 2.9, 3.0]), np.array([0.2, 0.5, 0.5]), -1.5, 0.3, 1.0, 3)
 
 
@@ -103,19 +103,19 @@ def test_clearance_between_samples_is_found() -> None:
 def test_a_throw_whose_rope_comes_too_near_its_arm_fails(tmp_path: Path) -> None:
     seen = planned().outcome
     assert seen.clearance == planned().clearance == planned().summary()["clearance"] > 0.02
-    near = replace(cast_setup(), arm=hf.Arm(length=0.105, shaft_radius=0.0999))  # the body of a motor
+    near = replace(problem(), arm=hf.Arm(length=0.105, shaft_radius=0.0999))  # the body of a motor
     whole = verify_cast(near, PEG, WINDS.motion(near.limits))
     assert (whole.wound, whole.held, whole.success) == (True, True, False)
     assert "the rope goes through the motor's shaft at" in whole.message
-    asked = verify_cast(replace(cast_setup(), clearance=0.05), PEG, WINDS.motion(near.limits))
+    asked = verify_cast(replace(problem(), clearance=0.05), PEG, WINDS.motion(near.limits))
     assert asked.message.startswith(f"the rope comes within {1e3 * seen.clearance:.1f} mm of the arm at")
     assert asked.message.endswith("and 50 mm are asked")
     before = replace(near, clearance=-np.inf)
     assert verify_cast(before, PEG, WINDS.motion(near.limits)).success  # it swings in front of the motor
-    plan = replace(planned(), cast_setup=before, finer_outcome=late().outcome)
+    plan = replace(planned(), problem=before, finer_outcome=late().outcome)
     assert plan.clearance == seen.clearance  # what was not run to its end tells none
     plan.to_toml(tmp_path / "plan.toml")
-    assert hf.read_plan(tmp_path / "plan.toml").cast_setup == before
+    assert hf.read_plan(tmp_path / "plan.toml").problem == before
 
 
 def test_torque_is_that_of_all_steps() -> None:
@@ -145,23 +145,23 @@ def test_what_the_rope_covers_is_asked_and_told() -> None:
     seen = planned().outcome
     assert np.degrees(seen.contact_angle) == pytest.approx(616, abs=3)  # 643 at its end
     assert 0.25 < abs(seen.turns) - seen.contact_angle / (2.0 * np.pi) < 0.8
-    motion = WINDS.motion(cast_setup().limits)
-    assert verify_cast(replace(cast_setup(), contact=10.5), PEG, motion).success
-    more = verify_cast(replace(cast_setup(), contact=12.0), PEG, motion)
+    motion = WINDS.motion(problem().limits)
+    assert verify_cast(replace(problem(), contact=10.5), PEG, motion).success
+    more = verify_cast(replace(problem(), contact=12.0), PEG, motion)
     assert (more.wound, more.held, more.success) == (True, True, False)
     assert more.message.endswith("degrees of the peg, and 688 are asked")
 
 
 def test_contact_that_is_asked_needs_rope() -> None:
-    known = [check_feasibility(replace(cast_setup(), contact=contact), PEG) for contact in (0.0, 6.0, 7.0, 60.0)]
+    known = [check_feasibility(replace(problem(), contact=contact), PEG) for contact in (0.0, 6.0, 7.0, 60.0)]
     needed = [each.needed_turns for each in known]
     assert needed == sorted(needed)
     assert needed[1] == needed[2] == pytest.approx(needed[0] + 1.0)  # another time round
     assert [each.feasible for each in known] == [True, True, True, False]
     with pytest.raises(InvalidInput, match="contact"):
-        hf.plan_cast(cast_setup().rope, cast_setup().arm, PEG, contact=-1.0)
+        hf.plan_cast(problem().rope, problem().arm, PEG, contact=-1.0)
     with pytest.raises(InvalidInput, match="clearance"):
-        hf.plan_cast(cast_setup().rope, cast_setup().arm, PEG, clearance=-1.0)
+        hf.plan_cast(problem().rope, problem().arm, PEG, clearance=-1.0)
 
 
 @pytest.mark.parametrize(("radius", "contact", "enough"), [(0.04, 6.5, True), (0.04, 5.0, False), (0.085, 5.0, True)])
@@ -169,7 +169,7 @@ def test_a_search_goes_on_for_a_full_turn_of_contact_where_the_rope_is_long_enou
     radius: float, contact: float, enough: bool
 ) -> None:
     peg = replace(PEG, radius=radius)
-    work = cast_planner.CastPlanner(SimpleNamespace(cast_setup=cast_setup(), peg=peg, candidates=[]), 1.0)
+    work = cast_planner.CastPlanner(SimpleNamespace(problem=problem(), peg=peg, candidates=[]), 1.0)
     good = SimpleNamespace(
         success=True,
         turns=2.0,
@@ -192,7 +192,7 @@ def test_a_whip_through_its_own_arm_fails() -> None:
     plan = planned_whip()
     assert plan.success
     assert 0.0 < plan.clearance == min(plan.outcome.clearance, plan.finer_outcome.clearance)
-    near = replace(plan.cast_setup, clearance=1.01 * plan.outcome.clearance)
+    near = replace(plan.problem, clearance=1.01 * plan.outcome.clearance)
     motion = plan.strokes.motion(near.limits)
     seen = verify_whip(near, plan.target, motion, plan.outcome.t)
     assert "comes within" in seen.message
@@ -203,7 +203,7 @@ def test_a_whip_that_only_finer_links_refuse_fails() -> None:
     """Speed and direction are asked of the links as planned; what no run may do is asked of both."""
     plan = planned_whip()
     most = 1.1 * max(plan.outcome.torque, plan.finer_outcome.torque)
-    given = replace(plan.cast_setup, limits=MotorLimits(torque=most))
+    given = replace(plan.problem, limits=MotorLimits(torque=most))
 
     def told(**finer: object) -> str:
         return failure(given, plan.outcome, replace(plan.finer_outcome, **finer), plan.position_std)

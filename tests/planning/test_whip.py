@@ -15,8 +15,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.motion import Motion
 from hyperflex.planning import (
     IMPACT_RADIUS,
-    CastSetup,
     MotorLimits,
+    Problem,
     Strokes,
     WhipMap,
     build_whip_map,
@@ -37,7 +37,7 @@ LIMITS = MotorLimits()
 
 @pytest.fixture(scope="module")
 def known() -> WhipMap:
-    return build_whip_map(CastSetup(ROPE, ARM, LIMITS, 4.0), swings=96)
+    return build_whip_map(Problem(ROPE, ARM, LIMITS, 4.0), swings=96)
 
 
 def swing(side: int = 1) -> Strokes:
@@ -114,13 +114,13 @@ def test_derivatives_of_a_peak(known: WhipMap) -> None:
     """Against central differences of peaks that are found anew."""
     found = known.candidates(TipTarget(0.3, -0.9, 0.0, 3.0))[0]
     strokes = found.strokes.cut(found.t, LIMITS)
-    aim = find_peak(known.cast_setup, strokes, found.t)
+    aim = find_peak(known.problem, strokes, found.t)
     assert aim is not None
     h, size = 1e-4, strokes.parameters.size
     for k in range(size):
         change = np.zeros(size)
         change[k] = h
-        plus, minus = (find_peak(known.cast_setup, strokes.varied(s * change), aim.t) for s in (1.0, -1.0))
+        plus, minus = (find_peak(known.problem, strokes.varied(s * change), aim.t) for s in (1.0, -1.0))
         assert plus is not None
         assert minus is not None
         by = (plus.place - minus.place) / (2.0 * h)
@@ -131,8 +131,8 @@ def test_derivatives_of_a_peak(known: WhipMap) -> None:
 def test_residuals_count_from_the_shaft_wherever_it_is(known: WhipMap) -> None:
     """A direction that is 0.5 rad off counts as if the tip were off by that angle as seen from the shaft."""
     target = TipTarget(0.0, 0.0, direction=0.0, angle_tolerance=0.1)
-    setup = replace(known.cast_setup, arm=hf.Arm(length=0.1, pivot=(0.0, 1.5)))
-    task = WhipTask(SimpleNamespace(cast_setup=setup), target)  # type: ignore[arg-type]
+    setup = replace(known.problem, arm=hf.Arm(length=0.1, pivot=(0.0, 1.5)))
+    task = WhipTask(SimpleNamespace(problem=setup), target)  # type: ignore[arg-type]
     aim = SimpleNamespace(speed=9.0, place=np.zeros(2), velocity=9.0 * np.array([np.cos(0.5), np.sin(0.5)]))
     aim.dplace = aim.dvelocity = np.zeros((2, 4))
     aim.gaps = SpareGaps(np.zeros(0), np.zeros((0, 4)), np.zeros(0))
@@ -146,7 +146,7 @@ def test_a_plan() -> None:
     With 24 links and an early peak: eight leave too little of a rope's shape for half their length to do the same.
     """
     rope = hf.Rope.uniform(length=1.0, mass=0.06, n_links=24, radius=0.0025, friction=5e-4)
-    known = build_whip_map(CastSetup(rope, ARM, LIMITS, 4.0), swings=48)
+    known = build_whip_map(Problem(rope, ARM, LIMITS, 4.0), swings=48)
     peak = known.peaks
     k = int(np.argmax(np.where((peak.speed >= peak.highest) & (peak.t < 1.5), peak.speed, 0.0)))
     way = peak.velocity[k] / peak.speed[k]
@@ -180,13 +180,13 @@ def turning(run: hf.Trajectory) -> np.ndarray:
 def test_impact_is_what_turns_the_rope() -> None:
     """Without friction in the joints, gravity and the blow alone turn the rope about its first joint, which rests."""
     rope = ROPE.replace(friction=0.0)
-    cast_setup = CastSetup(rope, ARM, LIMITS, 3.0)
+    problem = Problem(rope, ARM, LIMITS, 3.0)
     motion = Strokes(1, np.array([-1.4]), np.array([0.1])).motion(LIMITS)
     free = hf.simulate(rope, motion, arm=ARM, duration=3.0, t_eval=np.arange(0.0, 3.0, 2e-3), tol=1e-7)
     peak = find_peaks(free.t, free.tip[None], free.tip_velocity[None])
     k = int(np.where(peak.t > motion.breaks[-1] + 0.1, peak.speed, 0.0).argmax())
     mark = TipTarget(*peak.place[k], direction=float(np.arctan2(peak.velocity[k, 1], peak.velocity[k, 0])))
-    blow = simulate_impact(cast_setup, mark, motion, peak.t[k])
+    blow = simulate_impact(problem, mark, motion, peak.t[k])
     assert blow.t == pytest.approx(peak.t[k], abs=0.02)
     assert blow.link == ROPE.n_links - 1
     assert blow.success
@@ -218,7 +218,7 @@ def test_a_peg_that_the_tip_does_not_strike_first_has_no_impact(
 ) -> None:
     """What the rope's middle does to it long before the tip comes near is no impact of the whip."""
     motion = Strokes(-1, np.array([1.4, -1.4]), np.array([0.05, 0.1])).motion(LIMITS)
-    blow = simulate_impact(CastSetup(ROPE, ARM, LIMITS, 3.0), TipTarget(*point, direction=direction), motion, 1.9)
+    blow = simulate_impact(Problem(ROPE, ARM, LIMITS, 3.0), TipTarget(*point, direction=direction), motion, 1.9)
     assert not blow.success
     assert words in blow.message
     assert (blow.impulse, blow.impulse_along, blow.energy) == (0.0, 0.0, 0.0)
@@ -319,7 +319,7 @@ def test_one_bar_stands_over_the_whole_of_a_plan(known: WhipMap, monkeypatch: py
 def test_a_joint_at_its_limit_touches_no_peg() -> None:
     """It loses energy as a blow on a peg does, a metre away from this one."""
     motion = Strokes(-1, np.array([1.4, -1.4]), np.array([0.05, 0.1])).motion(LIMITS)
-    stiff = CastSetup(ROPE.replace(max_bend=np.array([np.inf, *7 * [0.3]])), ARM, LIMITS, 3.0)
+    stiff = Problem(ROPE.replace(max_bend=np.array([np.inf, *7 * [0.3]])), ARM, LIMITS, 3.0)
     blow = simulate_impact(stiff, TipTarget(2.5, 2.5, direction=0.0), motion, 1.9)
     assert blow.message == "the rope does not touch the peg"
     assert np.isnan(blow.t)

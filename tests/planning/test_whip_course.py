@@ -13,7 +13,7 @@ import hyperflex as hf
 from hyperflex.core import jit
 from hyperflex.errors import InvalidInput
 from hyperflex.model import divided
-from hyperflex.planning import CastSetup, MotorLimits, TipTarget, WhipMap, build_whip_map, plan_whip, time_budget
+from hyperflex.planning import MotorLimits, Problem, TipTarget, WhipMap, build_whip_map, plan_whip, time_budget
 from hyperflex.planning.search import rollouts
 from hyperflex.planning.tip import planner as tip_planner
 from hyperflex.planning.tip.obstacle_gaps import SpareGaps
@@ -30,7 +30,7 @@ FAR = ([1.5, 0.0], [0.0, 1.0])  # no rope gets there: what is asked of the map i
 
 @pytest.fixture(scope="module")
 def known() -> WhipMap:
-    return build_whip_map(CastSetup(ROPE, ARM, MotorLimits(), 2.0), swings=4)
+    return build_whip_map(Problem(ROPE, ARM, MotorLimits(), 2.0), swings=4)
 
 
 def seen_as(*found: tuple[float, float]) -> list[Any]:
@@ -76,7 +76,7 @@ def test_ctrl_c_while_the_map_is_made_is_a_plan(monkeypatch: pytest.MonkeyPatch)
         raise hf.Interrupted(replace(batch, status=(*batch.status[:-1], "interrupted")))
 
     monkeypatch.setattr(rollouts, "simulate_batch", cut)
-    monkeypatch.setattr(planner, "build_whip_map", lambda cast_setup, **_: build_whip_map(cast_setup, swings=2))
+    monkeypatch.setattr(planner, "build_whip_map", lambda problem, **_: build_whip_map(problem, swings=2))
     plan = left_by(lambda: plan_whip(ROPE, ARM, [0.3, -0.9], [1.0, 0.0], time_limit=1.0))
     assert plan.interrupted
     assert not plan.success
@@ -104,7 +104,7 @@ def test_a_time_in_which_no_tip_peaks_is_refused() -> None:
 
 
 def test_a_rope_that_cannot_be_cut_is_refused_before_the_search(known: WhipMap) -> None:
-    other = replace(known, cast_setup=replace(known.cast_setup, rope=ROPE.replace(com=0.05)))
+    other = replace(known, problem=replace(known.problem, rope=ROPE.replace(com=0.05)))
     with pytest.raises(InvalidInput, match="not uniform"):
         course(other)
 
@@ -199,7 +199,7 @@ def test_a_motor_that_is_too_weak_is_a_reason() -> None:
     assert plan.outcome is not None
     asked = np.abs(plan.outcome.run.motor_torque).max()
     for part, words in ((1.001, ""), (0.99, f"it asks {asked:.3g} N m of a motor that gives {0.99 * asked:.3g}")):
-        who = replace(plan.cast_setup, limits=MotorLimits(torque=part * asked))
+        who = replace(plan.problem, limits=MotorLimits(torque=part * asked))
         assert failure(who, plan.outcome, plan.finer_outcome, plan.position_std) == words
 
 
@@ -215,5 +215,5 @@ def test_a_motor_that_is_too_weak_is_a_reason() -> None:
 def test_finer_links_may_move_the_peak_by_its_doubt_or_3_mm(miss: float, doubt: float, words: str) -> None:
     plan = planned_whip()
     assert plan.finer_outcome is not None
-    assert failure(plan.cast_setup, plan.outcome, replace(plan.finer_outcome, miss=miss), doubt) == words
-    assert "no peak there" in failure(plan.cast_setup, plan.outcome, None, doubt)
+    assert failure(plan.problem, plan.outcome, replace(plan.finer_outcome, miss=miss), doubt) == words
+    assert "no peak there" in failure(plan.problem, plan.outcome, None, doubt)

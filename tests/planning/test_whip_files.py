@@ -32,7 +32,7 @@ def test_a_whip_reads_back_as_it_was_written(tmp_path, made):
     plan.to_toml(tmp_path / "whip.toml")
     back = hf.read_plan(tmp_path / "whip.toml")
     assert isinstance(back, WhipPlan)
-    assert (back.cast_setup, back.target, back.feasibility) == (plan.cast_setup, plan.target, plan.feasibility)
+    assert (back.problem, back.target, back.feasibility) == (plan.problem, plan.target, plan.feasibility)
     assert (back.success, back.status, back.message) == (plan.success, plan.status, plan.message)
     assert back.motion == plan.motion
     assert files.dumps_toml(to_table(back)) == files.dumps_toml(to_table(plan))
@@ -44,7 +44,7 @@ def test_a_whip_that_is_read_back_strikes_again(tmp_path):
     plan = planned_whip()
     plan.to_toml(tmp_path / "whip.toml")
     back = hf.read_plan(tmp_path / "whip.toml")
-    again = verify_whip(back.cast_setup, back.target, back.motion, plan.outcome.t)
+    again = verify_whip(back.problem, back.target, back.motion, plan.outcome.t)
     assert again.miss == plan.outcome.miss == back.outcome.miss
     assert back.outcome.angle_error == pytest.approx(0.1)
     assert back.finer_outcome.n_links == 2 * back.outcome.n_links

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import hyperflex as hf
 from hyperflex.model import Obstacle
-from hyperflex.planning import CastSetup, MotorLimits, build_whip_map, check_whip_feasibility
+from hyperflex.planning import MotorLimits, Problem, build_whip_map, check_whip_feasibility
 from hyperflex.planning.clearance import obstacle_gaps, sampled_obstacle_gaps
 from hyperflex.planning.insert.entry import find_entry
 from hyperflex.planning.tip.aim import WINDOW, swing_derivatives
@@ -28,7 +28,7 @@ from tests.planning import known_insert
 from tests.planning.known_whip import NEAR, ROPE, STROKES
 
 ARM, LIMITS = hf.Arm(length=0.1), MotorLimits()
-WHO = CastSetup(ROPE, ARM, LIMITS, 4.0)
+WHO = Problem(ROPE, ARM, LIMITS, 4.0)
 WALL, POST, FLOOR = hf.Wall(0.2, -0.4, 0.5, 0.6), hf.Peg(0.1, 0.2, 0.15), hf.Ground(0.3, -0.2, nx=0.6, ny=0.8)
 
 
@@ -70,7 +70,7 @@ def test_a_link_through_a_wall_is_as_deep_as_the_nearest_end_is_far() -> None:
 @pytest.mark.parametrize("obstacle", [WALL, POST, FLOOR], ids=["wall", "post", "floor"])
 def test_derivatives_of_gaps(obstacle: Obstacle) -> None:
     """Against central differences, by both coordinates of a link of fixed length and its angle."""
-    cast_setup: Any = SimpleNamespace(rope=SimpleNamespace(radius=0.0), obstacles=(obstacle,), clearance=2.0)
+    problem: Any = SimpleNamespace(rope=SimpleNamespace(radius=0.0), obstacles=(obstacle,), clearance=2.0)
     begin, end = links(400, 5)
     h, kinds = 1e-6, set[bool]()
     for each in np.concatenate([begin, end], axis=1):
@@ -80,7 +80,7 @@ def test_derivatives_of_gaps(obstacle: Obstacle) -> None:
         motion: Any = SimpleNamespace(
             places=each[None], changes=lambda _, along=along: along, run=SimpleNamespace(dtip=np.zeros((1, 2, 3)))
         )
-        (gap,), (change,), (asked,) = least_spare_gaps(cast_setup, motion, 1, np.full(1, BESIDE))
+        (gap,), (change,), (asked,) = least_spare_gaps(problem, motion, 1, np.full(1, BESIDE))
         assert asked == min(BESIDE, max(gap, 0.0))  # no more than at the start
         kinds.add(bool(gap + 2.0 < 0.0))
         moved = each[None, None] + h * np.array([1.0, -1.0])[:, None, None, None] * np.moveaxis(along, 2, 0)
@@ -166,7 +166,7 @@ def test_derivatives_of_joints_by_the_length_of_the_rope() -> None:
 
 def test_what_a_whip_lacks_beside_obstacles() -> None:
     """A gap counts as it lacks to BESIDE while it is aimed, and fails where there is none."""
-    task = WhipTask(SimpleNamespace(cast_setup=WHO), TipTarget(0.3, -0.9, least_speed=1.0))  # type: ignore[arg-type]
+    task = WhipTask(SimpleNamespace(problem=WHO), TipTarget(0.3, -0.9, least_speed=1.0))  # type: ignore[arg-type]
     aim: Any = SimpleNamespace(speed=9.0, place=np.array([0.3, -0.9]), velocity=np.array([9.0, 0.0]))
     aim.dplace = aim.dvelocity = np.zeros((2, 4))
     spare = np.array([-0.004, 0.003, BESIDE + 0.001])
@@ -203,7 +203,7 @@ def test_margins_are_half_of_what_the_target_leaves() -> None:
     place = np.array([[0.3 + ROPE.radius + 0.004 + 0.006, -0.9]])
     assert margins(who, place) == pytest.approx([0.003, BESIDE])
     assert margins(who, np.append(place, [[0.2, -1.995]], axis=0)) == pytest.approx([0.003, 0.0])
-    assert WhipTask(SimpleNamespace(cast_setup=who), TipTarget(*place[0])).beside[0] == pytest.approx(0.003)  # type: ignore[arg-type]
+    assert WhipTask(SimpleNamespace(problem=who), TipTarget(*place[0])).beside[0] == pytest.approx(0.003)  # type: ignore[arg-type]
 
 
 def test_the_rope_may_touch_an_obstacle_after_the_peak_only() -> None:
@@ -318,7 +318,7 @@ def test_the_peak_before_a_touch_counts_where_it_is_expected_then() -> None:
 
 def test_insertions_are_aimed_past_obstacles() -> None:
     """Beyond the gaps of its walls, an entry has those of what the rope comes near on its way."""
-    who = CastSetup(known_insert.ROPE, known_insert.ARM, LIMITS, 4.0)
+    who = Problem(known_insert.ROPE, known_insert.ARM, LIMITS, 4.0)
     free = find_entry(who, known_insert.SLOT, known_insert.STROKES, known_insert.NEAR)
     assert free is not None
     run = hf.simulate(
@@ -378,7 +378,7 @@ def test_a_target_too_near_an_obstacle_is_refused_at_once() -> None:
     wall, target = hf.Wall(0.3, -1.2, 0.3, -0.5), TipTarget(0.305, -0.9, least_speed=1.0)
     known = build_whip_map(replace(WHO, obstacles=(wall,)), swings=64)
     assert check_whip_feasibility(known, target).message == ""
-    asked = replace(known, cast_setup=replace(known.cast_setup, clearance=0.003))
+    asked = replace(known, problem=replace(known.problem, clearance=0.003))
     message = check_whip_feasibility(asked, target).message
     assert message.startswith("the target is 5.0 mm from the wall at")
     assert message.endswith("with its radius and clearance the rope needs 5.5 mm")

@@ -299,7 +299,7 @@ def test_a_plan_that_stands_can_be_carried_out_while_a_better_one_is_sought(serv
 
 def test_the_planning_process_tells_each_plan_that_stands(monkeypatch):
     known = planned()
-    where = (known.cast_setup.rope, known.cast_setup.arm, known.target, (), known.cast_setup.limits, 60.0)
+    where = (known.problem.rope, known.problem.arm, known.target, (), known.problem.limits, 60.0)
 
     def plan_cast(*_, on_plan, **__):
         on_plan(replace(known, seconds=1.0))
@@ -326,7 +326,7 @@ def test_plans_know_the_obstacles_of_the_set_up_that_was_opened(server, page):
     server.runner.plan = None
     page.ask(button="plan")
     assert page.until(lambda _: server.runner.plan is not None)
-    assert server.runner.plan.cast_setup.obstacles == (aside, floor)
+    assert server.runner.plan.problem.obstacles == (aside, floor)
 
 
 def test_plans_keep_the_limits_of_the_motor_that_the_opened_file_says(server, page, folder):
@@ -339,10 +339,10 @@ def test_plans_keep_the_limits_of_the_motor_that_the_opened_file_says(server, pa
     server.runner.plan = None
     page.ask(button="plan")
     assert page.until(lambda _: server.runner.plan is not None)
-    assert server.runner.plan.cast_setup.limits == hf.MotorLimits(speed=6.0, torque=0.3, angles=(-1.0, 1.5))
+    assert server.runner.plan.problem.limits == hf.MotorLimits(speed=6.0, torque=0.3, angles=(-1.0, 1.5))
     planned().to_toml(folder / "cast.toml")
     page.ask(open="cast.toml")
-    assert session.limits == planned().cast_setup.limits
+    assert session.limits == planned().problem.limits
     page.ask(open="setup.toml")
     assert session.limits.torque == np.inf
     (folder / "wrong.toml").write_text(rope + "[limits]\npace = 4.0\n")

@@ -67,12 +67,12 @@ def test_the_page_names_target_swings_turns_and_hold(tmp_path, held):
 
 
 def test_the_page_tells_the_turns_and_the_watch_that_were_asked_where_they_are_not_usual():
-    asked = dataclasses.replace(planned().cast_setup, turns=2.0, settle=1.5)
+    asked = dataclasses.replace(planned().problem, turns=2.0, settle=1.5)
     for known, turns, watch in (
-        (planned().cast_setup, "1.25", ""),
+        (planned().problem, "1.25", ""),
         (asked, "2", ", from 1.5 s after the arm's stop on,"),
     ):
-        plan = dataclasses.replace(planned(), cast_setup=known)
+        plan = dataclasses.replace(planned(), problem=known)
         told = CastReport(plan, None)
         assert any(line.endswith(f"end; {turns} are needed") for _, line in told.tiles)
         assert any(f"In the last 2 s{watch} the rope slips" in line for line in told.story)
@@ -141,11 +141,9 @@ def test_a_target_in_reach_that_is_not_to_blame_comes_with_advice(tmp_path, made
 )
 def test_advice_is_about_what_failed(change, told):
     plan = planned()
-    who = dataclasses.replace(plan.cast_setup, limits=hf.MotorLimits(torque=0.3))
+    who = dataclasses.replace(plan.problem, limits=hf.MotorLimits(torque=0.3))
     cast = dataclasses.replace(plan.outcome, **({"torque": 0.1} | change))
-    failed = dataclasses.replace(
-        plan, cast_setup=who, outcome=cast, message="it fails", fallback=FallbackTarget(PEG, 0.0)
-    )
+    failed = dataclasses.replace(plan, problem=who, outcome=cast, message="it fails", fallback=FallbackTarget(PEG, 0.0))
     given = " ".join(CastReport(failed, None).advice)
     assert told in given
     assert ("--seed" in given) == ("--seed" in told)
@@ -178,7 +176,7 @@ def test_a_target_in_reach_that_no_throw_winds_is_not_said_to_be_out_of_reach():
 
 
 def test_what_the_rule_of_thumb_says_is_said_to_be_that():
-    rope, arm = planned().cast_setup.rope, planned().cast_setup.arm
+    rope, arm = planned().problem.rope, planned().problem.arm
     asked = CastReport(hf.plan_cast(rope, arm, PEG, holding_force=20.0), None)
     assert "out of reach by a rule of thumb: its holding force is 2.94 N at most" in asked.verdict
     assert (
@@ -204,7 +202,7 @@ def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
     low, high = axis.get_xlim()
     assert low < -2.105 < 2.53 < high
     walls = (hf.Wall(1.0, -1.0, 1.0, 1.0), hf.Peg(9.0, 0.0, 0.1))
-    past = dataclasses.replace(plan, cast_setup=dataclasses.replace(plan.cast_setup, obstacles=walls))
+    past = dataclasses.replace(plan, problem=dataclasses.replace(plan.problem, obstacles=walls))
     words = [text.get_text() for text in target_map(past).legends[0].get_texts()]
     assert [word for word in words if "obstacle" in word] == ["wall, an obstacle"]  # the peg is beyond the picture
 

@@ -35,8 +35,8 @@ def test_the_page_tells_a_great_torque(tmp_path, monkeypatch):
     words = "Give --torque to plan for a weaker motor"
     assert words not in words_of(InsertReport(plan).write(tmp_path / "calm")["page"])
     monkeypatch.setattr(plan_report, "STRONG", 0.0)
-    rope, arm = plan.cast_setup.rope, plan.cast_setup.arm
-    heavy = replace(plan, cast_setup=replace(plan.cast_setup, rope=rope.replace(tip_mass=0.5)))
+    rope, arm = plan.problem.rope, plan.problem.arm
+    heavy = replace(plan, problem=replace(plan.problem, rope=rope.replace(tip_mass=0.5)))
     page = html.unescape(words_of(InsertReport(heavy).write(tmp_path / "heavy")["page"]))
     assert words in page
     assert f"the rope's weight at the arm makes {(rope.mass.sum() + 0.5) * 9.81 * arm.length:.2g} N m" in page
@@ -44,7 +44,7 @@ def test_the_page_tells_a_great_torque(tmp_path, monkeypatch):
 
 def test_a_probability_that_knows_no_torque_says_so():
     plan = planned_insert()
-    weak = replace(plan, cast_setup=replace(plan.cast_setup, limits=hf.MotorLimits(torque=10.0)))
+    weak = replace(plan, problem=replace(plan.problem, limits=hf.MotorLimits(torque=10.0)))
     for shown, said in ((plan, False), (weak, True)):
         assert any("what the motor must give is not looked at" in told for _, told in InsertReport(shown).tiles) is said
 

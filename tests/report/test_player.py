@@ -180,9 +180,9 @@ def test_pegs_that_turn_walls_and_floors_are_drawn(browser, tmp_path):
 def test_what_the_rope_must_not_touch_is_told_apart(browser, tmp_path):
     walls = (hf.Wall(-1.9, -1.8, -1.7, -0.6), hf.Ground(0.0, -2.4), hf.Peg(1.4, 0.3, 0.12))
     plan = planned()
-    known = replace(plan.cast_setup, obstacles=walls)
+    known = replace(plan.problem, obstacles=walls)
     run = replace(plan.run, setup=plan.run.setup.replace(pegs=(plan.target, *known.obstacles)))
-    page = CastReport(replace(plan, cast_setup=known, outcome=replace(plan.outcome, run=run)), None).add_page(tmp_path)
+    page = CastReport(replace(plan, problem=known, outcome=replace(plan.outcome, run=run)), None).add_page(tmp_path)
     browser.open(page["page"].as_uri())
     words = browser.evaluate("document.body.innerText")
     assert words.count("Violet: obstacles, which the rope must not touch.") == 2  # below the film and the strike

@@ -136,10 +136,10 @@ def test_obstacles_are_drawn_beside_the_target():
     x, y = plan.target.point
     walls = (hf.Wall(x + 0.05, y - 1.0, x + 0.05, y + 0.02), hf.Peg(x, y - 0.05, 0.01), hf.Ground(0.0, y - 0.1))
     for each, name in zip(walls, ("wall", "peg", "ground"), strict=True):
-        beside = replace(plan, cast_setup=replace(plan.cast_setup, obstacles=(each,)))
+        beside = replace(plan, problem=replace(plan.problem, obstacles=(each,)))
         words = [text.get_text() for text in passing_figure(beside).legends[0].get_texts()]
         assert f"{name}, an obstacle" in words
         far = replace(each, y=each.y - 9.0, **({"y2": each.y2 - 9.0} if name == "wall" else {}))
-        beside = replace(plan, cast_setup=replace(plan.cast_setup, obstacles=(far,)))
+        beside = replace(plan, problem=replace(plan.problem, obstacles=(far,)))
         words = [text.get_text() for text in passing_figure(beside).legends[0].get_texts()]
         assert f"{name}, an obstacle" not in words

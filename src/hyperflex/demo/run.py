@@ -11,7 +11,7 @@ from hyperflex.identification import Identification, identify
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import arm_swings
 from hyperflex.paper import DURATION, T_MOVE, T_REST, casting_arm
-from hyperflex.planning import CastOutcome, CastPlan, CastSetup, HoldingForce, plan_cast, verify_cast
+from hyperflex.planning import CastOutcome, CastPlan, HoldingForce, Problem, plan_cast, verify_cast
 from hyperflex.recording import Recording
 from hyperflex.report import Progress, silent
 from hyperflex.simulation import simulate
@@ -113,5 +113,5 @@ def _wind(rope: Rope, progress: Progress) -> tuple[CastPlan, HoldingForce | None
     if plan.motion is None:
         return plan, held, None
     progress("throwing the rope that made the recording")
-    proof = verify_cast(CastSetup(twin.fine_rope(), casting_arm(), plan.cast_setup.limits), TARGET, plan.motion)
+    proof = verify_cast(Problem(twin.fine_rope(), casting_arm(), plan.problem.limits), TARGET, plan.motion)
     return plan, held, proof

@@ -9,7 +9,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Peg, Rope
-from hyperflex.planning import CastSetup, MotorLimits, Uncertainty, check_feasibility, scaled_rope
+from hyperflex.planning import MotorLimits, Problem, Uncertainty, check_feasibility, scaled_rope
 
 ROPE = ("length", "mass", "friction")  # factors that a mismatch and a randomization name
 SWAY = 0.1  # rad, by which a rope may hang to either side at the start
@@ -54,7 +54,7 @@ class Drawing:
         checks.keys("randomization", checks.mapping("randomization", randomization), (*ROPE, "mu"))
         factors = [checks.number(f"mismatch {name}", mismatch.get(name, 1.0), sign="positive") for name in ROPE]
         self.model, self.arm, self.limits, self.true = rope, arm, limits, scaled_rope(rope, *factors)
-        self._cast = CastSetup(self.true, arm, limits) if randomization else None
+        self._cast = Problem(self.true, arm, limits) if randomization else None
         spreads: dict[str, Any] = {**dict.fromkeys((*ROPE, "mu", "lag", "timing"), 0.0), **randomization}
         self._uncertainty = Uncertainty(**spreads)
 
@@ -70,13 +70,13 @@ class Drawing:
         InvalidInput
             If none of DRAWS is in reach.
         """
-        cast_setup = CastSetup(self.model, self.arm, self.limits, side=-1)
+        problem = Problem(self.model, self.arm, self.limits, side=-1)
         length, (x, y) = self.model.total_length, self.arm.pivot
         for _ in range(DRAWS):
             side = 1.0 if rng.random() < 0.5 else -1.0
             aside, up = (length * rng.uniform(*between) for between in (ASIDE, UP))
             peg = Peg(x + side * aside, y + up, RADIUS)
-            found = check_feasibility(cast_setup, peg)
+            found = check_feasibility(problem, peg)
             if found.feasible:
                 return peg
         raise InvalidInput(

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.planning.cast_setup import MIN_TURNS, SETTLING_TIME, CastSetup, MotorLimits
     from hyperflex.planning.feedback.closed_loop import Decision, FollowResult, follow_plan
     from hyperflex.planning.feedback.simulated_ropes import MotorStateSource, ScenarioStateSource
     from hyperflex.planning.insert.chance import estimate_insert_probability
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     )
     from hyperflex.planning.plan import RATE
     from hyperflex.planning.plan_files import read_limits, read_plan
+    from hyperflex.planning.problem import MIN_TURNS, SETTLING_TIME, MotorLimits, Problem
     from hyperflex.planning.robust.posterior import RopePosterior
     from hyperflex.planning.robust.scenario_rollouts import SuccessProbability, estimate_success_probability
     from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty, scaled_rope

@@ -11,8 +11,8 @@ from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import Clearance, named
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.routing import runs_behind
 from hyperflex.planning.verification import (
     clearances,
@@ -126,7 +126,7 @@ class CastOutcome:
 
 @interruptible()
 def verify_cast(
-    cast_setup: CastSetup,
+    problem: Problem,
     peg: Peg,
     motion: Motion,
     *,
@@ -152,8 +152,8 @@ def verify_cast(
     """
     watch_time = checks.number("watch_time", watch_time, sign="positive", unit="s")
     stop = float(motion.breaks[-1])
-    duration = stop + cast_setup.settle + watch_time
-    setup = verified_setup(cast_setup, motion, duration, (peg,), tol=tol, contact_step=contact_step)
+    duration = stop + problem.settle + watch_time
+    setup = verified_setup(problem, motion, duration, (peg,), tol=tol, contact_step=contact_step)
     t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)
     t[-1] = min(t[-1], duration)
     try:
@@ -162,46 +162,46 @@ def verify_cast(
         nan, late = float("nan"), error.status == OUT_OF_TIME
         message = TOO_LONG if late else f"the simulation failed ({error.status})"
         return CastOutcome(False, False, 0.0, *6 * (nan,), False, *4 * (nan,), message, 0)
-    return evaluate_cast(cast_setup, peg, run, stop)
+    return evaluate_cast(problem, peg, run, stop)
 
 
-def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float) -> CastOutcome:
+def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> CastOutcome:
     """Evaluate a run whose arm stopped at `stop`, s."""
     wound = winding.measure_winding(run, peg)
-    watched = run.t >= stop + cast_setup.settle
+    watched = run.t >= stop + problem.settle
     turns = wound.turns[watched]
     sense = np.sign(turns[-1])
-    slips = winding.rope_slip(run, peg, since=stop + cast_setup.settle)[watched]
+    slips = winding.rope_slip(run, peg, since=stop + problem.settle)[watched]
     on = bool(np.isfinite(slips).all())
     slip = float(np.abs(slips).max())
-    enough = bool((sense * turns >= cast_setup.turns).all())
+    enough = bool((sense * turns >= problem.turns).all())
     held = on and slip < MAX_SLIP
     touched = np.isfinite(wound.before)
     torque, torque_peak = motor_torques(run)
-    max_bend, near = greatest_bend(run), clearances(cast_setup, run)
+    max_bend, near = greatest_bend(run), clearances(problem, run)
     covered = float(wound.contact[watched].min())
     above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
-    led = runs_behind(run.setup.rope, peg, cast_setup.behind, run.q[watched], run.joints[watched])
+    led = runs_behind(run.setup.rope, peg, problem.behind, run.q[watched], run.joints[watched])
     message = ""
     if not touched.any():
         message = "the rope does not touch the peg"
     elif not enough:
         least, most = max(0.0, float((sense * turns).min())), float(np.abs(wound.turns).max())
-        message = f"of {most:.2f} turns {least:.2f} stay while it is watched, and {cast_setup.turns:g} are asked"
+        message = f"of {most:.2f} turns {least:.2f} stay while it is watched, and {problem.turns:g} are asked"
     elif not held:
         message = (
             "the rope leaves the peg" if not on else f"it slips by {1e3 * slip:.1f} mm, {1e3 * MAX_SLIP:g} allowed"
         )
-    elif refused := refusal(cast_setup, max_bend, near):
+    elif refused := refusal(problem, max_bend, near):
         message = refused
     elif not all(led):
-        message = f"the rope does not run behind {named(cast_setup.behind[led.index(False)])}"
-    elif covered < cast_setup.contact:
-        asked = f"{np.degrees(cast_setup.contact):.0f} are asked"
+        message = f"the rope does not run behind {named(problem.behind[led.index(False)])}"
+    elif covered < problem.contact:
+        asked = f"{np.degrees(problem.contact):.0f} are asked"
         message = f"it covers {np.degrees(covered):.0f} degrees of the peg, and {asked}"
-    elif torque > cast_setup.limits.torque:
-        message = f"it asks {torque:.3g} N m of a motor that gives {cast_setup.limits.torque:.3g}"
-    if not (enough and held) and (refused := refusal(cast_setup, 0.0, (FREE, *near[1:]))):
+    elif torque > problem.limits.torque:
+        message = f"it asks {torque:.3g} N m of a motor that gives {problem.limits.torque:.3g}"
+    if not (enough and held) and (refused := refusal(problem, 0.0, (FREE, *near[1:]))):
         message += f"; {refused}"
     return CastOutcome(
         wound=enough,
@@ -215,7 +215,7 @@ def evaluate_cast(cast_setup: CastSetup, peg: Peg, run: Trajectory, stop: float)
         max_bend=max_bend,
         folded=folded_flat(run),
         clearance=min(each.value for each in near),
-        spare_clearance=spare_clearance(cast_setup, near),
+        spare_clearance=spare_clearance(problem, near),
         torque=torque,
         torque_peak=torque_peak,
         message=message,

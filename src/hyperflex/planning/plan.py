@@ -15,7 +15,7 @@ from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN, Rope, Setup, obstacle_tables, obstacles_of
 from hyperflex.motion import MOVES, Motion
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.throw import Moves
 from hyperflex.trajectory import Trajectory
 
@@ -27,7 +27,7 @@ MAX_ROWS = 10_000_000
 HEAD = """# A planned {kind}. SI units: m, kg, s, N, N m, J; angles in rad: an arm or link at 0 hangs
 # down, at pi/2 it points along +x (to the right; y is up).
 # First the set-up of the verified run, its links cut where they may touch: hyperflex simulate runs it. From [plan] on,
-# what was planned for whom: the rope as given and the motor's limits (plan.cast_setup), the moves, and what became of
+# what was planned for whom: the rope as given and the motor's limits (plan.problem), the moves, and what became of
 # them in simulation (plan.outcome; with shorter links, plan.finer_outcome). A plan that succeeds has no message.
 
 """
@@ -40,7 +40,7 @@ class Plan(ABC):
 
     Attributes
     ----------
-    cast_setup : CastSetup
+    problem : Problem
         Rope, arm, motor limits and time.
     message : str
         Why the plan fails; empty if it succeeds.
@@ -53,7 +53,7 @@ class Plan(ABC):
     """
 
     kind: ClassVar[str]  # in files
-    cast_setup: CastSetup
+    problem: Problem
     target: Any
     outcome: Any
     finer_outcome: Any
@@ -70,7 +70,7 @@ class Plan(ABC):
     @property
     def motion(self) -> Motion | None:
         """Motion of the arm, from rest at t = 0; None if no motion was found."""
-        return None if self.moves is None else self.moves.motion(self.cast_setup.limits)
+        return None if self.moves is None else self.moves.motion(self.problem.limits)
 
     @property
     def run(self) -> Trajectory | None:
@@ -129,7 +129,7 @@ class Plan(ABC):
         if self.success and self.outcome is not None:
             ended += f": {self.outcome.in_short()}"
         place = f"target ({self.target.x:.4g}, {self.target.y:.4g}) m"
-        return f"{type(self).__name__}({place}, {self.cast_setup.rope!r}, {self.runs} runs, {ended})"
+        return f"{type(self).__name__}({place}, {self.problem.rope!r}, {self.runs} runs, {ended})"
 
     def _repr_html_(self) -> str:
         from hyperflex.report import plan_html
@@ -140,7 +140,7 @@ class Plan(ABC):
         """Return success, status, clearance and all fields but the set-up as nested tables, for JSON."""
         told = {"success": self.success, "status": self.status, "clearance": self.clearance}
         table = {"source": "simulated", **told, **to_table(self)}
-        del table["cast_setup"]
+        del table["problem"]
         return table
 
     def to_csv(self, path: files.PathLike, *, rate: float = RATE) -> None:

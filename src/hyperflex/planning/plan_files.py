@@ -7,9 +7,9 @@ from typing import Any
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN
-from hyperflex.planning.cast_setup import MotorLimits
 from hyperflex.planning.insert.insert_plan import InsertPlan
 from hyperflex.planning.plan import from_table
+from hyperflex.planning.problem import MotorLimits
 from hyperflex.planning.whip.whip_plan import WhipPlan
 from hyperflex.planning.wind.cast_plan import CastPlan
 
@@ -55,7 +55,7 @@ def read_limits(path: files.PathLike) -> MotorLimits | None:
     Raises FileProblem or InvalidInput if the file cannot be read, or holds limits that cannot be.
     """
     content: Mapping[str, Any] = files.read_toml(path)
-    for name in (PLAN, "cast_setup") if PLAN in content else ():
+    for name in (PLAN, "problem") if PLAN in content else ():
         content = checks.mapping(f"{name} of {path}", content.get(name, {}))
     if "limits" not in content:
         return None

@@ -9,7 +9,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.motion import Motion, arm_moves
-from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.problem import MotorLimits, Problem
 
 MIN_STROKE = 0.05  # rad
 MIN_REST = 1e-4  # s; shorter rests are left out
@@ -143,23 +143,23 @@ class ThrowParametrization:
     The arm starts on a side, -1 or 1.
     """
 
-    cast_setup: CastSetup
+    problem: Problem
     side: int
 
     @cached_property
     def strokes(self) -> int:
         """Number of strokes k that the time allows, at least one."""
-        return max(1, int(np.ceil(self.cast_setup.time / (self.stroke_time + self.rest))) + 1)
+        return max(1, int(np.ceil(self.problem.time / (self.stroke_time + self.rest))) + 1)
 
     @property
     def period(self) -> float:
         """Period of a small swing, s."""
-        return self.cast_setup.period
+        return self.problem.period
 
     @cached_property
     def stroke_time(self) -> float:
         """Duration of the initial stroke, s."""
-        return float(self.cast_setup.limits.fastest_moves([self._initial_stroke])[0][0])
+        return float(self.problem.limits.fastest_moves([self._initial_stroke])[0][0])
 
     @cached_property
     def rest(self) -> float:
@@ -168,7 +168,7 @@ class ThrowParametrization:
 
     @cached_property
     def _initial_stroke(self) -> float:
-        least, greatest = self.cast_setup.limits.angles
+        least, greatest = self.problem.limits.angles
         return min(STROKE, greatest - least)
 
     def centre(self) -> Array:

@@ -9,8 +9,8 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg, Rope, Setup, Wall, refine_rope
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import Clearance, obstacle_clearance, rope_clearance
+from hyperflex.planning.problem import Problem
 from hyperflex.trajectory import Trajectory
 
 FOLD = 1e-3  # rad past half a turn, above which a rope has folded through itself: a limit may be passed by less
@@ -33,7 +33,7 @@ def limit_bend(rope: Rope) -> Rope:
 
 
 def verified_setup(
-    cast_setup: CastSetup,
+    problem: Problem,
     motion: Motion,
     duration: float,
     pegs: tuple[Peg | Wall, ...] = (),
@@ -46,15 +46,15 @@ def verified_setup(
     Links are refined near `pegs`, and near those that the rope is to run behind. The set-up's obstacles, which are not
     to be touched, are there as well.
     """
-    pegs = (*pegs, *cast_setup.behind)
-    rope = limit_bend(refine_rope(cast_setup.rope, pegs, arm=cast_setup.arm))
-    arm = cast_setup.arm
+    pegs = (*pegs, *problem.behind)
+    rope = limit_bend(refine_rope(problem.rope, pegs, arm=problem.arm))
+    arm = problem.arm
     setup = Setup(
-        rope, motion, arm, duration=duration, tol=tol, pegs=(*pegs, *cast_setup.obstacles), contact_step=contact_step
+        rope, motion, arm, duration=duration, tol=tol, pegs=(*pegs, *problem.obstacles), contact_step=contact_step
     )
-    if not cast_setup.q0:
+    if not problem.q0:
         return setup
-    q0, qd0 = cast_setup.start_on(rope)
+    q0, qd0 = problem.start_on(rope)
     return replace(setup, q0=q0, qd0=qd0)
 
 
@@ -96,23 +96,23 @@ def motor_torques(run: Trajectory) -> tuple[float, float]:
     return mean, max(float(peak), mean)
 
 
-def clearances(cast_setup: CastSetup, run: Trajectory, until: float = np.inf) -> tuple[Clearance, ...]:
+def clearances(problem: Problem, run: Trajectory, until: float = np.inf) -> tuple[Clearance, ...]:
     """Return how near the rope of a run comes to its own arm, and to obstacles, if any, `until` a time, s."""
-    some = cast_setup.obstacles
+    some = problem.obstacles
     return (rope_clearance(run), *((obstacle_clearance(run, some, until),) if some else ()))
 
 
-def asked_clearances(cast_setup: CastSetup) -> tuple[float, float]:
+def asked_clearances(problem: Problem) -> tuple[float, float]:
     """Return the distances, m, asked from the own arm (-inf: the rope may go through it) and from obstacles."""
-    return cast_setup.clearance, max(cast_setup.clearance, 0.0)
+    return problem.clearance, max(problem.clearance, 0.0)
 
 
-def spare_clearance(cast_setup: CastSetup, near: Sequence[Clearance]) -> float:
+def spare_clearance(problem: Problem, near: Sequence[Clearance]) -> float:
     """Return the least of the distances `near`, as :func:`clearances` tells them, less what is asked, m."""
-    return min(each.value - asked for each, asked in zip(near, asked_clearances(cast_setup), strict=False))
+    return min(each.value - asked for each, asked in zip(near, asked_clearances(problem), strict=False))
 
 
-def refusal(cast_setup: CastSetup, max_bend: float, near: Sequence[Clearance]) -> str:
+def refusal(problem: Problem, max_bend: float, near: Sequence[Clearance]) -> str:
     """Return why a run is refused whatever its goal; "" if it is not.
 
     The rope goes through itself, or too near its own arm or an obstacle, as :func:`clearances` tells.
@@ -120,7 +120,7 @@ def refusal(cast_setup: CastSetup, max_bend: float, near: Sequence[Clearance]) -
     if max_bend > np.pi + FOLD:
         return f"the rope folds through itself, by {np.degrees(max_bend):.0f} degrees at a joint"
     verbs = ("goes through", "touches")
-    for each, asked, words in zip(near, asked_clearances(cast_setup), verbs, strict=False):
+    for each, asked, words in zip(near, asked_clearances(problem), verbs, strict=False):
         where = f"{each.what} at {each.t:.2f} s"
         if each.value <= min(asked, 0.0):
             return f"the rope {words} {where}"

@@ -14,10 +14,10 @@ from hyperflex.planning import (
     RATE,
     CastOutcome,
     CastPlan,
-    CastSetup,
     InsertOutcome,
     InsertPlan,
     MotorLimits,
+    Problem,
     TipStrike,
     WhipPlan,
 )
@@ -134,8 +134,8 @@ class PlanReport(ABC, Generic[PlanT]):
     def pictures(self, drawn: Mapping[str, Path]) -> dict[str, Picture | Film]:
         """Return the player of the run, if there is one, and what :meth:`draw` drew, with captions."""
         run, captions = self.plan.run, self.captions
-        violet = " Violet: obstacles, which the rope must not touch." if self.plan.cast_setup.obstacles else ""
-        words = " Red as well: pegs that the rope is to run behind." if self.plan.cast_setup.behind else ""
+        violet = " Violet: obstacles, which the rope must not touch." if self.plan.problem.obstacles else ""
+        words = " Red as well: pegs that the rope is to run behind." if self.plan.problem.behind else ""
         words += violet
         films = {} if run is None else {"film": Film(player_html(run, **self.film()), captions["film"] + words)}
         shown = {kind: caption for kind, caption in captions.items() if kind in drawn}
@@ -157,10 +157,8 @@ class PlanReport(ABC, Generic[PlanT]):
                 sections.append(Section(title, pictures=own))
         if plan.motion is not None:
             sections.append(Section("Check with a finer rope", table=self.checks, notes=self.checks_note))
-            sections.append(
-                Section("Motor", table=_motor_table(plan.cast_setup.limits, plan.motion, self.plan.outcome))
-            )
-        setup = f"{_rope_and_arm(plan.cast_setup)} Target: {self.target}.{_obstacles(plan.cast_setup)}"
+            sections.append(Section("Motor", table=_motor_table(plan.problem.limits, plan.motion, self.plan.outcome)))
+        setup = f"{_rope_and_arm(plan.problem)} Target: {self.target}.{_obstacles(plan.problem)}"
         return [*sections, Section("Set-up", text=(setup,))]
 
 
@@ -180,7 +178,7 @@ def _motor_table(limits: MotorLimits, motion: Motion, seen: Outcome | None) -> T
     return TextTable(("motor", "needed", "limit"), tuple(rows))
 
 
-def _rope_and_arm(setup: CastSetup) -> str:
+def _rope_and_arm(setup: Problem) -> str:
     """Return rope and arm in words, each with a full stop."""
     rope = setup.rope
     name = f" ({rope.name})" if rope.name else ""
@@ -191,7 +189,7 @@ def _rope_and_arm(setup: CastSetup) -> str:
     )
 
 
-def _obstacles(setup: CastSetup) -> str:
+def _obstacles(setup: Problem) -> str:
     """Return pegs to run behind and obstacles in a sentence each, after a space; "" without any."""
     told = ""
     for head, some in (
@@ -213,7 +211,7 @@ def in_words(each: Obstacle) -> str:
     return f"a ground through {place} m"
 
 
-def clear_of(setup: CastSetup) -> str:
+def clear_of(setup: Problem) -> str:
     """Return what a clearance is of, as the head of a table's column."""
     return "clear of arm and obstacles" if setup.obstacles else "clear of the arm"
 
@@ -222,8 +220,8 @@ def clearance_tiles(plan: Plan) -> list[tuple[str, str]]:
     """Return how near the rope comes to its own arm, as a key figure; none if nothing was verified to its end."""
     if math.isnan(plan.clearance):
         return []
-    asked = 1e3 * max(plan.cast_setup.clearance, 0.0)
-    beside = ", obstacles" if plan.cast_setup.obstacles else ""
+    asked = 1e3 * max(plan.problem.clearance, 0.0)
+    beside = ", obstacles" if plan.problem.obstacles else ""
     told = f"clearance: least distance of the rope from arm{beside} and shaft; {asked:g} mm are needed"
     return [(f"{1e3 * plan.clearance:.1f} mm", told)]
 
@@ -232,16 +230,16 @@ def torque_tiles(plan: Plan, seen: Outcome | None) -> list[tuple[str, str]]:
     """Return what a plan asks of the motor, as a key figure; none if nothing was verified to its end."""
     if seen is None or math.isnan(seen.torque):
         return []
-    limit = plan.cast_setup.limits.torque
+    limit = plan.problem.limits.torque
     allowed = f"{limit:.3g} N m are allowed" if math.isfinite(limit) else "no limit was given"
     return [(f"{seen.torque:.3g} N m", f"greatest torque of the motor over 5 ms; {allowed}")]
 
 
 def torque_warning(plan: Plan, seen: Outcome | None) -> str:
     """Return that a plan without a limit of the torque asks for far more of it than the rope's weight does, else ""."""
-    if seen is None or not plan.success or math.isfinite(plan.cast_setup.limits.torque):
+    if seen is None or not plan.success or math.isfinite(plan.problem.limits.torque):
         return ""
-    rope, arm = plan.cast_setup.rope, plan.cast_setup.arm
+    rope, arm = plan.problem.rope, plan.problem.arm
     weight = rope.total_mass * math.hypot(*rope.gravity) * arm.length
     if not seen.torque > STRONG * weight:
         return ""

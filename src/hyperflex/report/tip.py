@@ -22,7 +22,7 @@ def stroke_story(plan: WhipPlan | InsertPlan) -> str:
     """Return in words how the rope hangs at first, and what the arm does; empty without strokes."""
     if plan.strokes is None:
         return ""
-    limits = plan.cast_setup.limits
+    limits = plan.problem.limits
     starts, angles = plan.strokes.starts(limits), np.degrees(plan.strokes.angles(limits))
     to = ", ".join(f"{end:.0f} degrees from {start:.2f} s on" for start, end in zip(starts, angles[1:], strict=True))
     return (
@@ -33,7 +33,7 @@ def stroke_story(plan: WhipPlan | InsertPlan) -> str:
 
 def stroke_note(plan: WhipPlan | InsertPlan, t: float) -> str:
     """Return which stroke the arm makes at a time, s, or made last."""
-    begun = 0 if plan.strokes is None else int((plan.strokes.starts(plan.cast_setup.limits) <= t).sum())
+    begun = 0 if plan.strokes is None else int((plan.strokes.starts(plan.problem.limits) <= t).sum())
     return f"arm: stroke {begun} of {stroke_count(plan)}" if begun else f"arm: {stroke_count(plan)} to come"
 
 
@@ -41,7 +41,7 @@ def stroke_moves(plan: WhipPlan | InsertPlan) -> ArmMoves | None:
     """Return the strokes that begin within the run."""
     if plan.strokes is None:
         return None
-    limits = plan.cast_setup.limits
+    limits = plan.problem.limits
     starts, angles = plan.strokes.starts(limits), plan.strokes.angles(limits)
     ends = np.minimum(
         starts + limits.fastest_moves(np.diff(angles))[0], plan.required(plan.motion, "motion").breaks[-1]

@@ -138,7 +138,7 @@ def read_task(
     that are not given are None.
     """
     from hyperflex.model import PLAN, PLANNING, Arm, Rope, Setup, check_tables
-    from hyperflex.planning import CastSetup, MotorLimits
+    from hyperflex.planning import MotorLimits, Problem
 
     content = {} if setup is None else files.read_toml(setup)
     again = dict(criterion)
@@ -167,7 +167,7 @@ def read_task(
     if arm_length is not None:
         arm = replace(arm, length=arm_length)
     places = (content.get("target", {}), content.get("slot", {}))
-    usual: dict[str, Any] = {each.name: each.default for each in fields(CastSetup)} | {"contact": None}
+    usual: dict[str, Any] = {each.name: each.default for each in fields(Problem)} | {"contact": None}
     asked: dict[str, Any] = {name: usual[name] if again.get(name) is None else again[name] for name in CRITERION}
     return Task(read.rope, arm, MotorLimits(**given), read.pegs, *places, **asked, behind=_behind(content))
 
@@ -196,7 +196,7 @@ def _of_plan(path: Path, again: dict[str, float | None]) -> dict[str, Any]:
     from hyperflex.planning import CastPlan, InsertPlan, read_plan
 
     plan = read_plan(path)
-    known = plan.cast_setup
+    known = plan.problem
     there = Setup.from_toml(path).pegs
     if gone := [each for each in (*known.obstacles, *known.behind) if each not in there]:
         fix = "Plan from a set-up file of your own, with the obstacles that stand there now"

@@ -13,8 +13,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import Motor, RopeState, StateSource
 from hyperflex.interruption import interruptible
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.feedback.matching import Goal, features, match
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.robust.refinement import robust_values
 from hyperflex.planning.robust.scenario_rollouts import free_flight, winding_scores
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
@@ -164,18 +164,18 @@ def follow_plan(
     """
     if not isinstance(plan, CastPlan):
         raise InvalidInput("only casts are followed", got=type(plan).__name__, allowed="a CastPlan")
-    cast_setup, throw = plan.cast_setup, plan.required(plan.throw, "throw")
-    if cast_setup.obstacles:
-        raise InvalidInput("casts past obstacles are not followed", got=f"{len(cast_setup.obstacles)} obstacles")
-    refuse_behind(cast_setup.behind, "a plan that is followed")
-    if cast_setup.q0:
+    problem, throw = plan.problem, plan.required(plan.throw, "throw")
+    if problem.obstacles:
+        raise InvalidInput("casts past obstacles are not followed", got=f"{len(problem.obstacles)} obstacles")
+    refuse_behind(problem.behind, "a plan that is followed")
+    if problem.q0:
         fix = "Follow a plan without state0"
         raise InvalidInput("casts that begin with a swinging rope are not followed", got="q0 and qd0", fix=fix)
     pause = checks.number("decision_time", decision_time, sign="nonnegative", unit="s")
     known = uncertainty or Uncertainty()
-    samples = known.sample(SAMPLES, cast_setup, plan.target, seed=[checks.count("seed", seed, least=0), 1])
-    goal = Goal.of(cast_setup, plan.target, throw)
-    loop = _Loop(cast_setup, throw, ScenarioRanking(cast_setup, samples), threads)
+    samples = known.sample(SAMPLES, problem, plan.target, seed=[checks.count("seed", seed, least=0), 1])
+    goal = Goal.of(problem, plan.target, throw)
+    loop = _Loop(problem, throw, ScenarioRanking(problem, samples), threads)
     if motor is not None:
         motor.set_motion(loop.motion(), 0.0)
     decisions: list[Decision] = []
@@ -184,7 +184,7 @@ def follow_plan(
         if now > goal.t + loop.delay - BLIND_TIME:
             break
         begin = time.monotonic()
-        left = float(loop.throw.starts(cast_setup.limits)[loop.move]) - now
+        left = float(loop.throw.starts(problem.limits)[loop.move]) - now
         state = source.state(now, loop.motion())
         arm_error = float("nan") if motor is None else motor.angle(now) - float(loop.motion().angle(now))
         loop.first, planned = loop.move if left >= pause else loop.move + 1, (loop.throw, loop.delay)
@@ -216,10 +216,10 @@ class ScenarioRanking:
     velocities (:func:`matching.features`) add up. Delays of moves are not part of the prediction.
     """
 
-    def __init__(self, cast_setup: CastSetup, scenarios: Sequence[Scenario]) -> None:
-        self.cast_setup, self.scenarios = cast_setup, list(scenarios)
+    def __init__(self, problem: Problem, scenarios: Sequence[Scenario]) -> None:
+        self.problem, self.scenarios = problem, list(scenarios)
         self.errors = np.zeros(len(self.scenarios))
-        self._last = hanging_state(cast_setup.rope)
+        self._last = hanging_state(problem.rope)
 
     def observe(self, state: RopeState, motion: Motion, *, threads: int | None = None) -> None:
         """Add the errors in predicting an observed state, under a commanded motion of moves until then."""
@@ -228,9 +228,9 @@ class ScenarioRanking:
         motions = [scenario.without_delays().executed_motion(motion) for scenario in self.scenarios]
         ropes = [scenario.rope for scenario in self.scenarios]
         batch = RolloutBatch.from_state(ropes, [], motions, self._last)
-        _, q, qd = free_flight(batch, self.cast_setup.arm, state.t - batch.since, at_end=True, threads=threads)
+        _, q, qd = free_flight(batch, self.problem.arm, state.t - batch.since, at_end=True, threads=threads)
         for m, (rope, executed) in enumerate(zip(ropes, motions, strict=True)):
-            base = arm_tip(self.cast_setup.arm, executed, np.array([state.t]))
+            base = arm_tip(self.problem.arm, executed, np.array([state.t]))
             observed = features(rope, state.q[None], state.qd[None], *base)
             predicted = features(rope, q[m, -1:], qd[m, -1:], *base)
             self.errors[m] += float(np.nan_to_num(((predicted - observed) ** 2).sum(), nan=np.inf))
@@ -244,18 +244,18 @@ class ScenarioRanking:
 class _Loop:
     """The throw as planned so far, the next move, the first move that may still be changed, and the delay so far, s."""
 
-    def __init__(self, cast_setup: CastSetup, throw: Throw, ranking: ScenarioRanking, threads: int | None) -> None:
-        self.cast_setup, self.throw, self.ranking, self.threads = cast_setup, throw, ranking, threads
+    def __init__(self, problem: Problem, throw: Throw, ranking: ScenarioRanking, threads: int | None) -> None:
+        self.problem, self.throw, self.ranking, self.threads = problem, throw, ranking, threads
         self.move, self.first, self.delay = 1, 1, 0.0
 
     def motion(self) -> Motion:
         """Return the commanded motion."""
-        return self.throw.motion(self.cast_setup.limits)
+        return self.throw.motion(self.problem.limits)
 
     def rest_start(self) -> float:
         """Time at which the arm comes to rest before the next move, s."""
         rests = np.append(self.throw.rests[: self.throw.count], self.throw.rest)
-        return float(self.throw.starts(self.cast_setup.limits)[self.move] - abs(rests[self.move]))
+        return float(self.throw.starts(self.problem.limits)[self.move] - abs(rests[self.move]))
 
     def decide(self, goal: Goal, state: RopeState, pause: float, min_probability: float) -> tuple[float, float, str]:
         """Plan the rest of the throw; return the success probabilities before and after, and the action."""
@@ -265,7 +265,7 @@ class _Loop:
         probability, value = self.probabilities(throws, state, scenarios)
         if self.first < self.throw.count and probability[0] < 1.0:
             best = scenarios[0].without_delays()
-            others = match(self.cast_setup, best, goal, self.throw, self.first, state, pause, threads=self.threads)
+            others = match(self.problem, best, goal, self.throw, self.first, state, pause, threads=self.threads)
             if others:
                 first = self.probabilities(others, state, scenarios[:1])[1]
                 throws.append(others[int(np.argmax(first))])
@@ -273,14 +273,14 @@ class _Loop:
                 probability, value = np.append(probability, more[0]), np.append(value, more[1])
         chosen = int(np.argmax(value))
         chosen = chosen if value[chosen] > value[0] + MIN_GAIN else 0
-        begun = int((self.throw.starts(self.cast_setup.limits) < goal.t + self.delay).sum())
+        begun = int((self.throw.starts(self.problem.limits) < goal.t + self.delay).sum())
         before, after = float(probability[0]), float(probability[chosen])
         if after < min_probability and self.move >= begun - LATEST and self.first <= self.throw.count:
             return before, after, self.abort(pause)
         changed = throws[chosen] is not self.throw
-        old = self.throw.starts(self.cast_setup.limits)[-1]
+        old = self.throw.starts(self.problem.limits)[-1]
         self.throw = throws[chosen]
-        self.delay += float(self.throw.starts(self.cast_setup.limits)[-1] - old)
+        self.delay += float(self.throw.starts(self.problem.limits)[-1] - old)
         return before, after, "changed" if changed else "kept"
 
     def abort(self, pause: float) -> str:
@@ -293,10 +293,10 @@ class _Loop:
     ) -> tuple[Array, Array]:
         """Return the fraction of the scenarios in which each throw succeeds, and its mean value (W,)."""
         pairs = [(throw, scenario) for throw in throws for scenario in scenarios]
-        motions = [scenario.motion(throw, self.cast_setup) for throw, scenario in pairs]
+        motions = [scenario.motion(throw, self.problem) for throw, scenario in pairs]
         ropes, pegs = [scenario.rope for _, scenario in pairs], [scenario.peg for _, scenario in pairs]
         batch = RolloutBatch.from_state(ropes, pegs, motions, state)
-        found = winding_scores(batch, self.cast_setup, threads=self.threads)
+        found = winding_scores(batch, self.problem, threads=self.threads)
         shape = (len(throws), len(scenarios))
-        won = (found.turns >= self.cast_setup.turns).reshape(shape)
-        return won.mean(axis=1), robust_values(found, self.cast_setup).reshape(shape).mean(axis=1)
+        won = (found.turns >= self.problem.turns).reshape(shape)
+        return won.mean(axis=1), robust_values(found, self.problem).reshape(shape).mean(axis=1)

@@ -7,7 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Peg, Rope
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.robust.scenario_rollouts import first_strikes, free_flight
 from hyperflex.planning.robust.uncertainty import Scenario
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -31,14 +31,14 @@ class Goal:
     features: Array
 
     @classmethod
-    def of(cls, cast_setup: CastSetup, peg: Peg, throw: Throw) -> "Goal | None":
+    def of(cls, problem: Problem, peg: Peg, throw: Throw) -> "Goal | None":
         """Return the goal of a throw; None without a strike."""
-        motion = throw.motion(cast_setup.limits)
-        one = RolloutBatch.from_start(cast_setup, [cast_setup.rope], [peg], [motion])
-        t, q, qd, _ = first_strikes(one, cast_setup)
+        motion = throw.motion(problem.limits)
+        one = RolloutBatch.from_start(problem, [problem.rope], [peg], [motion])
+        t, q, qd, _ = first_strikes(one, problem)
         if not np.isfinite(t[0]):
             return None
-        return cls(float(t[0]), features(cast_setup.rope, q, qd, *arm_tip(cast_setup.arm, motion, t))[0])
+        return cls(float(t[0]), features(problem.rope, q, qd, *arm_tip(problem.arm, motion, t))[0])
 
 
 def features(rope: Rope, q: Array, qd: Array, base: Array, base_velocity: Array) -> Array:
@@ -54,7 +54,7 @@ def features(rope: Rope, q: Array, qd: Array, base: Array, base_velocity: Array)
 
 
 def match(
-    cast_setup: CastSetup,
+    problem: Problem,
     scenario: Scenario,
     goal: Goal,
     throw: Throw,
@@ -74,7 +74,7 @@ def match(
     Gauss-Newton with finite differences, each a free flight. Changes have a quadratic cost; a delay of the whole costs
     as well.
     """
-    work = _Match(cast_setup, scenario, goal, move, state, pause, threads)
+    work = _Match(problem, scenario, goal, move, state, pause, threads)
     x = work.parameters(throw)
     misses, rows, drift = work.simulate(throw, [x])
     tried = [(misses[0], throw)]
@@ -110,7 +110,7 @@ def squared_distance(rows: Array, goal: Array) -> Array:
 class _Match:
     """The problem of one match: its parameters x (2 k,) are the rests, s, and strokes, rad, from `move` on."""
 
-    cast_setup: CastSetup
+    problem: Problem
     scenario: Scenario
     goal: Goal
     move: int
@@ -137,15 +137,15 @@ class _Match:
 
     def simulate(self, throw: Throw, points: list[Array]) -> tuple[Array, Array, Array]:
         """Simulate points (M); return squared distances from the goal (M,), features at its time, and their rates."""
-        cast_setup, rope, since = self.cast_setup, self.scenario.rope, self.state.t
-        motions = [self.scenario.motion(self.throw(throw, x), cast_setup) for x in points]
+        problem, rope, since = self.problem, self.scenario.rope, self.state.t
+        motions = [self.scenario.motion(self.throw(throw, x), problem) for x in points]
         batch = RolloutBatch.from_state([rope] * len(points), [], motions, self.state)
-        t, q, qd = free_flight(batch, cast_setup.arm, self.goal.t - since + WINDOW, threads=self.threads)
+        t, q, qd = free_flight(batch, problem.arm, self.goal.t - since + WINDOW, threads=self.threads)
         near = np.flatnonzero(np.abs(t + since - self.goal.t) <= WINDOW)
         at = int(np.abs(t[near] + since - self.goal.t).argmin())
         rows = np.stack(
             [
-                features(rope, q[m, near], qd[m, near], *arm_tip(cast_setup.arm, motion, t[near]))
+                features(rope, q[m, near], qd[m, near], *arm_tip(problem.arm, motion, t[near]))
                 for m, motion in enumerate(batch.motions)
             ]
         )

@@ -12,9 +12,9 @@ from hyperflex.checks import Array
 from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_TOL, Peg, Rope, recut
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import FINE, clear_samples, obstacle_gaps, samples_clear_of_arm
 from hyperflex.planning.insert.slot import Slot, frame, nearest_passage, tip_speed
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.robust.scenario_rollouts import STREAM, SuccessProbability
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -35,7 +35,7 @@ def usual_uncertainty() -> Uncertainty:
 
 
 def insert_scenarios(
-    cast_setup: CastSetup,
+    problem: Problem,
     slot: Slot,
     strokes: Strokes,
     uncertainty: Uncertainty,
@@ -46,8 +46,8 @@ def insert_scenarios(
 
     A peg in its gap stands for the slot there.
     """
-    peg, motion = Peg(slot.x, slot.y, 0.5 * slot.width), strokes.motion(cast_setup.limits)
-    scenarios = uncertainty.sample(samples, cast_setup, peg, seed=seed)
+    peg, motion = Peg(slot.x, slot.y, 0.5 * slot.width), strokes.motion(problem.limits)
+    scenarios = uncertainty.sample(samples, problem, peg, seed=seed)
     return [
         (finer_rope(each.rope), replace(slot, x=each.peg.x, y=each.peg.y), each.executed_motion(motion))
         for each in scenarios
@@ -61,7 +61,7 @@ def finer_rope(rope: Rope) -> Rope:
 
 @interruptible()
 def estimate_insert_probability(
-    cast_setup: CastSetup,
+    problem: Problem,
     slot: Slot,
     strokes: Strokes,
     near: float,
@@ -99,7 +99,7 @@ def estimate_insert_probability(
     clock = Clock()
     known = uncertainty or usual_uncertainty()
     stream = [STREAM, checks.count("seed", seed, least=0)]
-    drawn = insert_scenarios(cast_setup, slot, strokes, known, samples, stream)
+    drawn = insert_scenarios(problem, slot, strokes, known, samples, stream)
     t = sample_times(near)
     won = done = 0
 
@@ -108,9 +108,9 @@ def estimate_insert_probability(
 
     while done < samples and left() > 0.0:
         some = drawn[done : done + TOGETHER]
-        flights = _flights(cast_setup, some, t, Deadline(math.inf, left), threads)
+        flights = _flights(problem, some, t, Deadline(math.inf, left), threads)
         entered = [
-            left() > 0.0 and _enters(cast_setup, rope, where, near, t, q, cast_setup.arm.tip(motion.angle(t)))
+            left() > 0.0 and _enters(problem, rope, where, near, t, q, problem.arm.tip(motion.angle(t)))
             for (rope, where, motion), q in zip(some, flights, strict=True)
         ]
         if left() < 0.0:  # some were cut short
@@ -120,7 +120,7 @@ def estimate_insert_probability(
 
 
 def _flights(
-    cast_setup: CastSetup,
+    problem: Problem,
     drawn: Sequence[tuple[Rope, Slot, Motion]],
     t: Array,
     time_budget: Deadline,
@@ -128,12 +128,12 @@ def _flights(
 ) -> Array:
     """Return the link angles (M, T, n), rad, of free flights at times t (T,), s; NaN in those cut short."""
     ropes, _, motions = zip(*drawn, strict=True)
-    batch = RolloutBatch.from_start(replace(cast_setup, rope=ropes[0]), ropes, [], motions)
+    batch = RolloutBatch.from_start(replace(problem, rope=ropes[0]), ropes, [], motions)
     how: dict[str, Any] = {"tol": DEFAULT_TOL, "keep": ("q",), "time_budget": time_budget, "threads": threads}
-    return batch.run(cast_setup.arm, t, **how).q
+    return batch.run(problem.arm, t, **how).q
 
 
-def _enters(cast_setup: CastSetup, rope: Rope, slot: Slot, near: float, t: Array, q: Array, base: Array) -> bool:
+def _enters(problem: Problem, rope: Rope, slot: Slot, near: float, t: Array, q: Array, base: Array) -> bool:
     """Whether a free flight passes what a verified run is asked for next to time `near`, s, as far as it can tell.
 
     Angles q (T, n), rad, of the links, and places `base` (T, 2), m, of the first joint at times t (T,), s.
@@ -147,7 +147,7 @@ def _enters(cast_setup: CastSetup, rope: Rope, slot: Slot, near: float, t: Array
     fast = tip_speed(t, depth[:, -1], offset[:, -1], end) > slot.max_speed
     if depth[end, -1] < slot.depth or fast or _touches(slot, rope.radius, joints[until], depth[until], offset[until]):
         return False
-    return _keeps_clear(cast_setup, rope, q, base) and not at_limits(limit_bend(rope), q[until], -FOLD).any()
+    return _keeps_clear(problem, rope, q, base) and not at_limits(limit_bend(rope), q[until], -FOLD).any()
 
 
 def _touches(slot: Slot, radius: float, joints: Array, depth: Array, offset: Array) -> bool:
@@ -164,9 +164,9 @@ def _touches(slot: Slot, radius: float, joints: Array, depth: Array, offset: Arr
     return bool((gaps <= least).any())
 
 
-def _keeps_clear(cast_setup: CastSetup, rope: Rope, q: Array, base: Array) -> bool:
+def _keeps_clear(problem: Problem, rope: Rope, q: Array, base: Array) -> bool:
     """Whether a flight keeps as clear of arm, shaft and obstacles as verified runs must, with what these take off."""
-    least, flight = cast_setup.clearance, (q[None], base[None])
-    arm = samples_clear_of_arm(rope, cast_setup.arm, *flight, least + 0.5 * FINE)
-    others = clear_samples([rope], cast_setup.obstacles, *flight, max(least, 0.0) + 0.5 * FINE)
+    least, flight = problem.clearance, (q[None], base[None])
+    arm = samples_clear_of_arm(rope, problem.arm, *flight, least + 0.5 * FINE)
+    others = clear_samples([rope], problem.obstacles, *flight, max(least, 0.0) + 0.5 * FINE)
     return bool(min(arm[0], others[0]) == len(q))

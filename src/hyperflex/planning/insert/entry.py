@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import sampled_clearance
 from hyperflex.planning.insert.slot import Slot, find_crossings, frame, passages, tip_speed
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.tip.aim import position_std, swing_derivatives, swing_times
 from hyperflex.planning.tip.joint_motion import JointMotion
 from hyperflex.planning.tip.obstacle_gaps import BESIDE, SpareGaps, least_spare_gaps, margins
@@ -76,14 +76,14 @@ class _Run:
         return self.at(int(found[0])) if found.size else None
 
 
-def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float) -> Entry | None:
+def find_entry(problem: Problem, slot: Slot, strokes: Strokes, near: float) -> Entry | None:
     """Find the way of the tip through a slot that ends next to time `near`, s; None if there is none."""
     t = swing_times(near)
-    derivatives = swing_derivatives(cast_setup, strokes, t)
+    derivatives = swing_derivatives(problem, strokes, t)
     if derivatives is None:
         return None
-    motion = JointMotion(cast_setup.rope, derivatives)
-    run = _Run(slot, cast_setup.rope.radius, motion)
+    motion = JointMotion(problem.rope, derivatives)
+    run = _Run(slot, problem.rope.radius, motion)
     depth = run.depth[:, -1]
     found = list(zip(passages(depth, slot.depth), passages(depth, DEEPER * slot.depth), strict=True))
     if not found:
@@ -96,8 +96,8 @@ def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float)
     if slot.tube > 0.0:
         told += [_tip_at(run, level * slot.depth, begin, end) for level in LEVELS[1:]]
     doffset = np.array([each[3] for each in told])
-    asked = margins(cast_setup, slot.point + np.array([[0.0], [slot.depth]]) * slot.axes[0])
-    walls, others = _least_gaps(run, begin, end), least_spare_gaps(cast_setup, motion, end + 1, asked)
+    asked = margins(problem, slot.point + np.array([[0.0], [slot.depth]]) * slot.axes[0])
+    walls, others = _least_gaps(run, begin, end), least_spare_gaps(problem, motion, end + 1, asked)
     gaps, dgaps, beside = (np.concatenate(each) for each in zip(walls, others, strict=True))
     return Entry(
         strokes,
@@ -114,7 +114,7 @@ def find_entry(cast_setup: CastSetup, slot: Slot, strokes: Strokes, near: float)
         beside=beside,
         clearance=float(
             sampled_clearance(
-                cast_setup.rope, cast_setup.arm, *(each[::SPARSE] for each in (derivatives.q, motion.places[:, 0]))
+                problem.rope, problem.arm, *(each[::SPARSE] for each in (derivatives.q, motion.places[:, 0]))
             ).min()
         ),
     )
@@ -189,7 +189,7 @@ def _at_level(level: float, a: Array, b: Array, da: Array, db: Array) -> tuple[f
     return part, dpart, value, (1.0 - part) * db[0] + part * db[1] + (b[1] - b[0]) * dpart
 
 
-def entry_residuals(cast_setup: CastSetup, slot: Slot, entry: Entry) -> tuple[Array, Array]:
+def entry_residuals(problem: Problem, slot: Slot, entry: Entry) -> tuple[Array, Array]:
     """Return the residuals (m,), m, and their Jacobian (m, P): the offsets, and depth and other gaps if they fail.
 
     As long as one of these fails, offsets count only beyond SLACK of what is allowed.
@@ -197,26 +197,26 @@ def entry_residuals(cast_setup: CastSetup, slot: Slot, entry: Entry) -> tuple[Ar
     lacks = [(entry.depth - DEEPER * slot.depth, entry.ddepth)]
     lacks += zip((entry.gaps - entry.beside).tolist(), entry.dgaps, strict=True)
     failing = [each for each in lacks if each[0] < 0.0]
-    slack = SLACK * _allowed_offset(cast_setup, slot) if failing else 0.0
+    slack = SLACK * _allowed_offset(problem, slot) if failing else 0.0
     beyond = np.maximum(np.abs(entry.offset) - slack, 0.0)
     residuals = np.append(np.copysign(beyond, entry.offset), [value for value, _ in failing])
     return residuals, np.array([*((beyond > 0.0)[:, None] * entry.doffset), *(change for _, change in failing)])
 
 
-def _allowed_offset(cast_setup: CastSetup, slot: Slot) -> float:
+def _allowed_offset(problem: Problem, slot: Slot) -> float:
     """Return how far from the middle of the gap the rope may go through, m.
 
     At least MARGIN of the gap beside a rope in its middle shall be left, where it may not touch the walls.
     """
-    return (1.0 - (0.0 if slot.touching else MARGIN)) * (0.5 * slot.width - cast_setup.rope.radius)
+    return (1.0 - (0.0 if slot.touching else MARGIN)) * (0.5 * slot.width - problem.rope.radius)
 
 
-def entry_shortfall(cast_setup: CastSetup, slot: Slot, entry: Entry) -> float:
+def entry_shortfall(problem: Problem, slot: Slot, entry: Entry) -> float:
     """Return by how much an entry fails, m: in the gap beside the rope, its depth, other gaps, clearance and speed."""
     return float(
-        max(0.0, np.abs(entry.offset).max() - _allowed_offset(cast_setup, slot))
+        max(0.0, np.abs(entry.offset).max() - _allowed_offset(problem, slot))
         + max(0.0, slot.depth - entry.depth)
         + max(0.0, -entry.gap)
-        + max(0.0, cast_setup.clearance - entry.clearance)
+        + max(0.0, problem.clearance - entry.clearance)
         + max(0.0, SLOWER * entry.speed / slot.max_speed - 1.0)
     )

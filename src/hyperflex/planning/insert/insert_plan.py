@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from hyperflex.model import Wall
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.insert.outcome import InsertOutcome
 from hyperflex.planning.insert.search import InsertFeasibility
 from hyperflex.planning.insert.slot import Slot
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
 from hyperflex.planning.tip.stroke_plan import StrokePlan
 from hyperflex.planning.tip.strokes import Strokes
@@ -20,7 +20,7 @@ class InsertPlan(StrokePlan):
 
     Attributes
     ----------
-    cast_setup, message, runs, seconds, interrupted
+    problem, message, runs, seconds, interrupted
         As of :class:`Plan`.
     target : Slot
     feasibility : InsertFeasibility
@@ -39,7 +39,7 @@ class InsertPlan(StrokePlan):
     """
 
     kind: ClassVar[str] = "insert"
-    cast_setup: CastSetup
+    problem: Problem
     target: Slot
     feasibility: InsertFeasibility
     strokes: Strokes | None = None

@@ -9,9 +9,9 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import obstacle_clearance, obstacle_gaps
 from hyperflex.planning.insert.slot import Slot, frame, nearest_passage
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.contact_phase import starts_outside
 from hyperflex.planning.tip.outcome import TipOutcome, excess_torque, run_figures, sample_times, simulate_in_time
 from hyperflex.planning.verification import verified_setup
@@ -49,7 +49,7 @@ class InsertOutcome(TipOutcome):
 
 
 def verify_insert(
-    cast_setup: CastSetup,
+    problem: Problem,
     slot: Slot,
     motion: Motion,
     near: float,
@@ -65,30 +65,28 @@ def verify_insert(
     :func:`hyperflex.simulate`.
     """
     t = sample_times(near)
-    setup = verified_setup(cast_setup, motion, float(t[-1]), slot.walls, tol=tol, contact_step=contact_step)
+    setup = verified_setup(problem, motion, float(t[-1]), slot.walls, tol=tol, contact_step=contact_step)
     run = simulate_in_time(setup, t, time_budget) if starts_outside(setup) else None
     if run is None:
         return None
     depth, _ = frame(slot, run.tip)
     way = nearest_passage(depth, slot.depth, run.t, near)
-    return None if way is None else evaluate_insert(cast_setup, slot, run, depth, *way)
+    return None if way is None else evaluate_insert(problem, slot, run, depth, *way)
 
 
-def evaluate_insert(
-    cast_setup: CastSetup, slot: Slot, run: Trajectory, depth: Array, begin: int, end: int
-) -> InsertOutcome:
+def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, depth: Array, begin: int, end: int) -> InsertOutcome:
     """Evaluate a run whose tip comes between the walls at sample `begin` and is deep at sample `end`.
 
     `depth` (T,), m, is that of the tip.
     """
     t_enter, t = _time_at(run.t, depth, begin, 0.0), _time_at(run.t, depth, end, slot.depth)
-    touched = _wall_touches(cast_setup, slot, run)
+    touched = _wall_touches(problem, slot, run)
     left = begin + np.flatnonzero(np.append(depth[begin:], -1.0) <= 0.0)[0]
     last = min([int(left), *([] if slot.touching else touched[touched >= begin].tolist()), run.t.size - 1])
     deepest = float(depth[begin : last + 1].max())
     walls = obstacle_clearance(run, slot.walls, t)
     gap = min(walls.value, 0.0) if (touched <= end).any() else walls.value
-    figures = run_figures(cast_setup, run)
+    figures = run_figures(problem, run)
     message = figures["refused"]
     velocity = np.array([np.interp(t, run.t, each) for each in run.tip_velocity.T])
     speed = float(np.hypot(*velocity))
@@ -106,15 +104,15 @@ def evaluate_insert(
         depth=deepest,
         time_inside=float(run.t[last]) - t_enter,
         wall_clearance=gap,
-        message=message or excess_torque(cast_setup, figures["torque"]),
+        message=message or excess_torque(problem, figures["torque"]),
         **figures,
     )
 
 
-def _wall_touches(cast_setup: CastSetup, slot: Slot, run: Trajectory) -> npt.NDArray[np.int64]:
+def _wall_touches(problem: Problem, slot: Slot, run: Trajectory) -> npt.NDArray[np.int64]:
     """Return the samples at which a link is pushed that is as near to a wall of the slot as to any obstacle."""
     row, link = np.nonzero(np.abs(np.asarray(run.contact_force)).sum(axis=2))
-    gaps = obstacle_gaps((*slot.walls, *cast_setup.obstacles), run.joints[row, link], run.joints[row, link + 1])
+    gaps = obstacle_gaps((*slot.walls, *problem.obstacles), run.joints[row, link], run.joints[row, link + 1])
     walls = len(slot.walls)
     near = gaps[:walls].min(axis=0) <= gaps[walls:].min(axis=0, initial=np.inf)
     return np.unique(row[near])

@@ -8,12 +8,12 @@ from hyperflex import checks
 from hyperflex.control import swing_period
 from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Rope, checked_obstacles
-from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.insert.chance import SAMPLES, estimate_insert_probability
 from hyperflex.planning.insert.insert_plan import InsertPlan
 from hyperflex.planning.insert.search import check_insert_feasibility, insert_candidates, missing_length
 from hyperflex.planning.insert.slot import Slot
 from hyperflex.planning.insert.task import InsertTask
+from hyperflex.planning.problem import MotorLimits, Problem
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.search.contact_phase import check_start
 from hyperflex.planning.time_budget import Clock
@@ -85,31 +85,31 @@ def plan_insert(
         time_limit = PERIODS * swing_period(rope)
     time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
     walls = checked_obstacles(obstacles, "obstacles")
-    cast_setup = CastSetup(rope, arm, limits or MotorLimits(), time_limit, clearance, obstacles=walls)
-    check_start(cast_setup)
+    problem = Problem(rope, arm, limits or MotorLimits(), time_limit, clearance, obstacles=walls)
+    check_start(problem)
 
-    known = check_insert_feasibility(cast_setup, slot, None)
+    known = check_insert_feasibility(problem, slot, None)
     swings: list[TipCandidate] = []
     planner, found = None, dict[str, Any]()
     with catch_interrupt() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
-        if missing_length(cast_setup, slot) <= 0.0:
-            swings = insert_candidates(cast_setup, slot, lambda: SWINGING * time_budget - clock.spent, threads)
-            known = check_insert_feasibility(cast_setup, slot, swings)
+        if missing_length(problem, slot) <= 0.0:
+            swings = insert_candidates(problem, slot, lambda: SWINGING * time_budget - clock.spent, threads)
+            known = check_insert_feasibility(problem, slot, swings)
             if not known.feasible and clock.spent > SWINGING * time_budget:
                 short = "the time budget ended before swings were made of which one goes through near to it"
                 known = replace(known, message=short)
         if swings and (known.feasible or skip_feasibility):
-            task = InsertTask(cast_setup, slot, swings)
+            task = InsertTask(problem, slot, swings)
             planner = TipPlanner(task, max(0.0, time_budget - clock.spent), seed, threads)
             planner.run(None if report is None else lambda: report(min(clock.spent, time_budget)))
             if planner.best is not None and not planner.best.message:
-                given: tuple[Any, ...] = (cast_setup, slot, planner.best.aim.strokes, planner.best.aim.t, uncertainty)
+                given: tuple[Any, ...] = (problem, slot, planner.best.aim.strokes, planner.best.aim.t, uncertainty)
                 options: dict[str, Any] = {"samples": samples, "seed": seed, "threads": threads}
                 found["success_probability"] = estimate_insert_probability(
                     *given, **options, time_budget=time_budget - clock.spent
                 )
     found |= {"seconds": clock.elapsed, "interrupted": stop.received}
     if planner is None:
-        return stop.deliver(InsertPlan(cast_setup, slot, known, message=known.message, **found))
+        return stop.deliver(InsertPlan(problem, slot, known, message=known.message, **found))
     nothing = "interrupted before any entry was found" if stop.received else "no swing brings the tip through it"
-    return stop.deliver(InsertPlan(cast_setup, slot, known, **planner.fields(nothing), **found))
+    return stop.deliver(InsertPlan(problem, slot, known, **planner.fields(nothing), **found))

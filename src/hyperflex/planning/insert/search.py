@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import clear_samples
 from hyperflex.planning.insert.slot import Slot, find_crossings, frame, passages, tip_speed
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.swings import random_swings, simulate_swings
 from hyperflex.planning.tip.task import NEVER, Left, TipCandidate
@@ -41,16 +41,14 @@ class InsertFeasibility:
         return not self.message
 
 
-def missing_length(cast_setup: CastSetup, slot: Slot) -> float:
+def missing_length(problem: Problem, slot: Slot) -> float:
     """Return by how much arm and rope are too short for the depth asked, m; <= 0 if they are not."""
-    return _distance(cast_setup, slot) - cast_setup.rope.total_length - cast_setup.arm.length
+    return _distance(problem, slot) - problem.rope.total_length - problem.arm.length
 
 
-def check_insert_feasibility(
-    cast_setup: CastSetup, slot: Slot, candidates: list[TipCandidate] | None
-) -> InsertFeasibility:
+def check_insert_feasibility(problem: Problem, slot: Slot, candidates: list[TipCandidate] | None) -> InsertFeasibility:
     """Check whether a slot is within the rope's length and close enough to what a swing does; None: none is known."""
-    distance, short = _distance(cast_setup, slot), missing_length(cast_setup, slot)
+    distance, short = _distance(problem, slot), missing_length(problem, slot)
     cost = candidates[0].cost if candidates else math.inf
     message = ""
     if short > 0.0:
@@ -62,21 +60,21 @@ def check_insert_feasibility(
     return InsertFeasibility(distance, cost, message)
 
 
-def _distance(cast_setup: CastSetup, slot: Slot) -> float:
+def _distance(problem: Problem, slot: Slot) -> float:
     """Distance of the place asked for the tip from the arm's pivot, m."""
-    return math.hypot(*(slot.point + slot.depth * slot.axes[0] - cast_setup.arm.pivot))
+    return math.hypot(*(slot.point + slot.depth * slot.axes[0] - problem.arm.pivot))
 
 
 def score_entries(
-    cast_setup: CastSetup, slot: Slot, strokes: list[Strokes], threads: int | None = None
+    problem: Problem, slot: Slot, strokes: list[Strokes], threads: int | None = None
 ) -> tuple[Array, Array]:
     """Simulate free swings (M) from rest; return cost (M,), m, and time, s, of the cheapest entry of each.
 
     Of a rope that touches an obstacle what comes before counts.
     """
-    t, batch, angle, _ = simulate_swings(cast_setup, strokes, SAMPLE_TIME, threads)
-    rope, base = cast_setup.rope, cast_setup.arm.tip(angle)
-    clear = clear_samples([rope] * len(strokes), cast_setup.obstacles, batch.q, base, cast_setup.clearance)
+    t, batch, angle, _ = simulate_swings(problem, strokes, SAMPLE_TIME, threads)
+    rope, base = problem.rope, problem.arm.tip(angle)
+    clear = clear_samples([rope] * len(strokes), problem.obstacles, batch.q, base, problem.clearance)
     scored = [
         cheapest_entry(slot, rope.radius, t[:rows], rope.joints(q[:rows], first[:rows])) if rows else (NEVER, math.nan)
         for q, first, rows in zip(batch.q, base, clear, strict=True)
@@ -112,16 +110,16 @@ def cheapest_entry(slot: Slot, radius: float, t: Array, joints: Array) -> tuple[
     return best
 
 
-def insert_candidates(cast_setup: CastSetup, slot: Slot, left: Left, threads: int | None = None) -> list[TipCandidate]:
+def insert_candidates(problem: Problem, slot: Slot, left: Left, threads: int | None = None) -> list[TipCandidate]:
     """Return random swings whose tip enters a slot, the cheapest first; of those that there is time for.
 
     The first TOGETHER are simulated in any case. `left` returns the time that is left, s.
     """
-    strokes, found = random_swings(cast_setup, SWINGS, slot.walls), []
+    strokes, found = random_swings(problem, SWINGS, slot.walls), []
     for low in range(0, SWINGS, TOGETHER):
         if low and left() < 0.0:
             break
         some = strokes[low : low + TOGETHER]
-        cost, t = score_entries(cast_setup, slot, some, threads)
+        cost, t = score_entries(problem, slot, some, threads)
         found += [TipCandidate(float(cost[k]), float(t[k]), some[k]) for k in np.flatnonzero(cost < NEVER)]
     return sorted(found, key=lambda one: one.cost)

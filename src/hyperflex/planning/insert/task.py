@@ -9,12 +9,12 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.insert.chance import FINER, PLACE, finer_rope
 from hyperflex.planning.insert.entry import Entry, entry_residuals, entry_shortfall, find_entry
 from hyperflex.planning.insert.outcome import InsertOutcome, verify_insert
 from hyperflex.planning.insert.search import score_entries
 from hyperflex.planning.insert.slot import Slot
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.tip.aim import WINDOW
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.task import AFTER, NEVER, TipCandidate, TipTask, Verified
@@ -37,9 +37,9 @@ class InsertTask(TipTask[Entry]):
 
     close, direct, ready, rounds = 2e-3, DIRECT, READY, ROUNDS
 
-    def __init__(self, cast_setup: CastSetup, slot: Slot, swings: list[TipCandidate]) -> None:
-        self.cast_setup, self.slot, self.swings = cast_setup, slot, swings
-        self.finer = replace(cast_setup, rope=finer_rope(cast_setup.rope))
+    def __init__(self, problem: Problem, slot: Slot, swings: list[TipCandidate]) -> None:
+        self.problem, self.slot, self.swings = problem, slot, swings
+        self.finer = replace(problem, rope=finer_rope(problem.rope))
 
     def candidates(self) -> list[TipCandidate]:
         """Return the swings, the cheapest first."""
@@ -47,14 +47,14 @@ class InsertTask(TipTask[Entry]):
 
     def score(self, strokes: list[Strokes], threads: int | None, until: float) -> tuple[Array, Array]:
         """Return cost, m, and time, s, of the cheapest entry of each swing."""
-        sooner = replace(self.cast_setup, time=min(self.cast_setup.time, until))
+        sooner = replace(self.problem, time=min(self.problem.time, until))
         return score_entries(sooner, self.slot, strokes, threads)
 
     def starts(self) -> Iterator[TipCandidate]:
         """Yield the cheapest swing of each side and number of strokes, then the second of each, and so on."""
         alike, number = Counter[tuple[int, int]](), list[int]()
         for each in self.swings:
-            cut = each.strokes.cut(each.t + WINDOW, self.cast_setup.limits)
+            cut = each.strokes.cut(each.t + WINDOW, self.problem.limits)
             alike[kind := (cut.side, cut.ends.size)] += 1
             number.append(alike[kind])
         for k in np.argsort(number, kind="stable").tolist():
@@ -62,7 +62,7 @@ class InsertTask(TipTask[Entry]):
 
     def freed(self, found: TipCandidate, number: int) -> TipCandidate:
         """Return a swing with strokes enough to vary all that an entry is asked for, and with more each time."""
-        limits, late = self.cast_setup.limits, LATE * self.cast_setup.period
+        limits, late = self.problem.limits, LATE * self.problem.period
         cut = found.strokes.cut(found.t + WINDOW, limits)
         more = cut.with_more(FREE + number * MORE, found.t - late, limits)
         (cost,), (t,) = self.score([more], 1, found.t + AFTER)
@@ -71,25 +71,25 @@ class InsertTask(TipTask[Entry]):
 
     def find(self, strokes: Strokes, near: float) -> Entry | None:
         """Return the way through the slot that ends next to time `near`, s."""
-        return find_entry(self.cast_setup, self.slot, strokes, near)
+        return find_entry(self.problem, self.slot, strokes, near)
 
     def residuals(self, aim: Entry) -> tuple[Array, Array]:
         """Return the rope's offsets from the middle of the gap, and depth and other gaps if they fail."""
-        return entry_residuals(self.cast_setup, self.slot, aim)
+        return entry_residuals(self.problem, self.slot, aim)
 
     def shortfall(self, aim: Entry) -> float:
         """Return by how much offsets, depth and gaps fail, m, 0 if they do not."""
-        return entry_shortfall(self.cast_setup, self.slot, aim)
+        return entry_shortfall(self.problem, self.slot, aim)
 
     def uncertainty(self, aim: Entry) -> float:
         """Return how uncertain the rope's way through the gap is, in parts of the room that it leaves on one side."""
-        room = 0.5 * self.slot.width - self.cast_setup.rope.radius - float(np.abs(aim.offset).max())
+        room = 0.5 * self.slot.width - self.problem.rope.radius - float(np.abs(aim.offset).max())
         return math.hypot(aim.position_std, PLACE) / max(room, 1e-9)
 
     def verify(self, aim: Entry, end: Deadline | None) -> Verified:
         """Simulate an insertion beside the walls, with the links as planned, and with more at a tighter tolerance."""
-        motion = aim.strokes.motion(self.cast_setup.limits)
-        outcome = verify_insert(self.cast_setup, self.slot, motion, aim.t, time_budget=end)
+        motion = aim.strokes.motion(self.problem.limits)
+        outcome = verify_insert(self.problem, self.slot, motion, aim.t, time_budget=end)
         if outcome is None or outcome.message:
             return Verified(aim, outcome, None, failure(outcome, None))
         finer = verify_insert(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.robust.scenario_rollouts import nominal_strike_times, scenario_scores
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
 from hyperflex.planning.search.candidates import Candidate, near, same_swing
@@ -86,7 +86,7 @@ class RobustRefinement:
 
     def _scenarios(self, count: int, *stream: int) -> list[Scenario]:
         seed = [stream[0], self.search.seed, *stream[1:]]
-        return self.uncertainty.sample(count, self.search.cast_setup, self.search.peg, seed=seed)
+        return self.uncertainty.sample(count, self.search.problem, self.search.peg, seed=seed)
 
     @property
     def incumbent(self) -> RobustCandidate:
@@ -137,7 +137,7 @@ class RobustRefinement:
 
     def halve(self, found: Sequence[Candidate], seeded: Sequence[Candidate] = ()) -> None:
         """Compare candidates, those `seeded` among them, by successive halving, as far as there is time."""
-        self.order = [RobustCandidate(candidate) for candidate in _pool(found, self.search.cast_setup.turns, seeded)]
+        self.order = [RobustCandidate(candidate) for candidate in _pool(found, self.search.problem.turns, seeded)]
         try:
             self._sort(self.order, self.common, POOL_ROUNDS)
         except OutOfTime:
@@ -184,7 +184,7 @@ class RobustRefinement:
 
     def _late(self, one: Candidate) -> bool:
         """Whether a candidate strikes later than it may; one that does not strike does so in other scenarios."""
-        return self.search.cast_setup.time < one.t < math.inf
+        return self.search.problem.time < one.t < math.inf
 
     def _challenge(self, candidate: Candidate) -> None:
         """Let a candidate become the incumbent if it is better in the common scenarios, and no worse before."""
@@ -199,13 +199,13 @@ class RobustRefinement:
 
     def candidates(self, side: int, points: list[Array]) -> list[Candidate]:
         """Return points as throws that are cut at their strikes in the nominal scenario."""
-        cast_setup = self.search.cast_setup
+        problem = self.search.problem
         throws = [self.search.parametrizations[side].throw(x) for x in points]
         given: dict[str, Any] = {"time_budget": Deadline(math.inf, self.left), "threads": self.search.threads}
-        times = nominal_strike_times(cast_setup, self.search.peg, throws, **given)
+        times = nominal_strike_times(problem, self.search.peg, throws, **given)
         self.runs += len(points)
         cut = [
-            throw if np.isnan(t) else throw.cut(float(t), cast_setup.limits)
+            throw if np.isnan(t) else throw.cut(float(t), problem.limits)
             for throw, t in zip(throws, times, strict=True)
         ]
         strikes = np.where(np.isnan(times), math.inf, times)
@@ -216,24 +216,24 @@ class RobustRefinement:
         """Simulate each candidate in each scenario, and add its successes and values; OutOfTime if no time is left."""
         if not (runners and scenarios):
             return
-        cast_setup = self.search.cast_setup
+        problem = self.search.problem
         pairs = [(one.candidate.throw, scenario) for one in runners for scenario in scenarios]
         end = Deadline(TIME_BUDGET, self.left)
-        found = scenario_scores(cast_setup, pairs, time_budget=end, threads=self.search.threads)
+        found = scenario_scores(problem, pairs, time_budget=end, threads=self.search.threads)
         self.runs += 2 * len(pairs)
         if self.left() < 0.0:  # some were cut short
             raise OutOfTime
-        won = (found.turns >= cast_setup.turns).reshape(len(runners), -1)
-        values = robust_values(found, cast_setup).reshape(won.shape)
+        won = (found.turns >= problem.turns).reshape(len(runners), -1)
+        values = robust_values(found, problem).reshape(won.shape)
         for one, successes, each in zip(runners, won, values, strict=True):
             one.successes += successes.tolist()
             one.values += each.tolist()
 
 
-def robust_values(found: WindingScores, cast_setup: CastSetup) -> Array:
+def robust_values(found: WindingScores, problem: Problem) -> Array:
     """Return the values (M,) of throws: one for the turns that are asked, and SHADE at most for the score."""
-    most = MAX_SCORE + cast_setup.more_turns
-    return np.asarray((found.turns >= cast_setup.turns) + SHADE * np.clip(found.score / most, -1.0, 1.0))
+    most = MAX_SCORE + problem.more_turns
+    return np.asarray((found.turns >= problem.turns) + SHADE * np.clip(found.score / most, -1.0, 1.0))
 
 
 def _pool(found: Sequence[Candidate], asked: float, seeded: Sequence[Candidate] = ()) -> list[Candidate]:

@@ -15,8 +15,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import clear_samples, samples_clear_of_arm
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.contact_phase import TIME_BUDGET, WindingScores, simulate_contact
@@ -35,22 +35,22 @@ STREAM = 7001  # random stream of an estimate, apart from those of a search
 
 
 def scenario_scores(
-    cast_setup: CastSetup,
+    problem: Problem,
     pairs: Sequence[tuple[Throw, Scenario]],
     *,
     time_budget: float | Deadline = TIME_BUDGET,
     threads: int | None = None,
 ) -> WindingScores:
     """Simulate throws in scenarios (M), each rope from its start; see :func:`winding_scores`."""
-    motions = [scenario.motion(throw, cast_setup) for throw, scenario in pairs]
+    motions = [scenario.motion(throw, problem) for throw, scenario in pairs]
     ropes, pegs = [each.rope for _, each in pairs], [each.peg for _, each in pairs]
-    batch = RolloutBatch.from_start(cast_setup, ropes, pegs, motions)
-    return winding_scores(batch, cast_setup, time_budget=time_budget, threads=threads)
+    batch = RolloutBatch.from_start(problem, ropes, pegs, motions)
+    return winding_scores(batch, problem, time_budget=time_budget, threads=threads)
 
 
 def winding_scores(
     batch: RolloutBatch,
-    cast_setup: CastSetup,
+    problem: Problem,
     *,
     time_budget: float | Deadline = TIME_BUDGET,
     threads: int | None = None,
@@ -66,7 +66,7 @@ def winding_scores(
         rows = range(low, min(low + TOGETHER, len(batch)))
         part = batch.select(rows)
         end = Deadline(math.inf, time_budget.left) if isinstance(time_budget, Deadline) else None
-        t, q, qd, gap = first_strikes(part, cast_setup, time_budget=end, threads=threads)
+        t, q, qd, gap = first_strikes(part, problem, time_budget=end, threads=threads)
         score[low : rows.stop] -= gap
         hit = np.flatnonzero(np.isfinite(t))
         if hit.size:
@@ -74,13 +74,13 @@ def winding_scores(
             motions = [motion.shifted(-at) for motion, at in zip(some.motions, t[hit], strict=True)]
             struck = replace(some, motions=motions, q=q[hit], qd=qd[hit])
             begin = t[hit] + batch.since
-            found = simulate_contact(struck, begin, cast_setup, time_budget=time_budget, threads=threads)
+            found = simulate_contact(struck, begin, problem, time_budget=time_budget, threads=threads)
             score[low + hit], turns[low + hit] = found.score, found.turns
     return WindingScores(score, turns)
 
 
 def first_strikes(
-    batch: RolloutBatch, cast_setup: CastSetup, *, time_budget: Deadline | None = None, threads: int | None = None
+    batch: RolloutBatch, problem: Problem, *, time_budget: Deadline | None = None, threads: int | None = None
 ) -> tuple[Array, Array, Array, Array]:
     """Simulate free flight until the first strikes; one before which the rope came too near its arm is none.
 
@@ -95,8 +95,8 @@ def first_strikes(
     gap : (M,) float64
         Smallest gap until then, m.
     """
-    arm, clearance = cast_setup.arm, cast_setup.clearance
-    least = max(cast_setup.time - batch.since, MIN_FLIGHT)
+    arm, clearance = problem.arm, problem.clearance
+    least = max(problem.time - batch.since, MIN_FLIGHT)
     until = np.array([max(least, float(motion.breaks[-1]) + AFTER_STOP) for motion in batch.motions])
     t, q, qd = free_flight(batch, arm, float(until.max()), time_budget=time_budget, threads=threads)
     base = np.stack([strikes.arm_tip(arm, motion, t)[0] for motion in batch.motions])
@@ -136,7 +136,7 @@ def free_flight(
 
 
 def nominal_strike_times(
-    cast_setup: CastSetup,
+    problem: Problem,
     peg: Peg,
     throws: Sequence[Throw],
     *,
@@ -144,9 +144,9 @@ def nominal_strike_times(
     threads: int | None = None,
 ) -> Array:
     """Return the times (M,), s, at which throws strike in the nominal scenario; NaN without a strike."""
-    motions = [throw.motion(cast_setup.limits) for throw in throws]
-    batch = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(throws), [peg] * len(throws), motions)
-    return first_strikes(batch, cast_setup, time_budget=time_budget, threads=threads)[0]
+    motions = [throw.motion(problem.limits) for throw in throws]
+    batch = RolloutBatch.from_start(problem, [problem.rope] * len(throws), [peg] * len(throws), motions)
+    return first_strikes(batch, problem, time_budget=time_budget, threads=threads)[0]
 
 
 @dataclass(frozen=True)
@@ -189,7 +189,7 @@ class SuccessProbability:
 
 @interruptible()
 def estimate_success_probability(
-    cast_setup: CastSetup,
+    problem: Problem,
     peg: Peg,
     throw: Throw,
     uncertainty: Uncertainty | None = None,
@@ -210,11 +210,11 @@ def estimate_success_probability(
     COUNTED by default (see ``docs/how-to/many-machines.md``; WorkerLost if they kill its workers).
     """
     known = uncertainty or Uncertainty()
-    scenarios = known.sample(samples, cast_setup, peg, seed=[STREAM, checks.count("seed", seed, least=0)])
+    scenarios = known.sample(samples, problem, peg, seed=[STREAM, checks.count("seed", seed, least=0)])
     executor, size = checked_chunks(executor, chunk_size, COUNTED)
     if executor is not None:
         wins: dict[int, int] = {}
-        work = partial(_wins, cast_setup=cast_setup, throw=throw, threads=threads or 1)
+        work = partial(_wins, problem=problem, throw=throw, threads=threads or 1)
         refuse_lost(run_chunks(work, scenarios, executor, size, wins.__setitem__), "samples")
         return SuccessProbability(sum(wins.values()), len(scenarios))
     clock, won, counted = Clock(), 0, 0
@@ -225,14 +225,14 @@ def estimate_success_probability(
     while counted < samples and left() > 0.0:
         some = [(throw, scenario) for scenario in scenarios[counted : counted + COUNTED]]
         end = Deadline(TIME_BUDGET, left)
-        found = scenario_scores(cast_setup, some, time_budget=end, threads=threads)
+        found = scenario_scores(problem, some, time_budget=end, threads=threads)
         if left() < 0.0:  # some were cut short
             break
-        won, counted = won + int((found.turns >= cast_setup.turns).sum()), counted + len(some)
+        won, counted = won + int((found.turns >= problem.turns).sum()), counted + len(some)
     return SuccessProbability(won, counted)
 
 
-def _wins(scenarios: list[Scenario], cast_setup: CastSetup, throw: Throw, threads: int) -> int:
+def _wins(scenarios: list[Scenario], problem: Problem, throw: Throw, threads: int) -> int:
     """Return in how many scenarios a throw succeeds."""
-    found = scenario_scores(cast_setup, [(throw, scenario) for scenario in scenarios], threads=threads)
-    return int((found.turns >= cast_setup.turns).sum())
+    found = scenario_scores(problem, [(throw, scenario) for scenario in scenarios], threads=threads)
+    return int((found.turns >= problem.turns).sum())

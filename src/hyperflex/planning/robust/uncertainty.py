@@ -12,7 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DAMPING, Peg, Rope
 from hyperflex.motion import Motion, arm_moves, lagged
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.robust.posterior import RopePosterior
 from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.throw import MIN_REST, Throw
@@ -45,9 +45,9 @@ class Scenario:
         """Return the same scenario with moves that start in time."""
         return replace(self, delays=np.zeros_like(self.delays))
 
-    def motion(self, throw: Throw, cast_setup: CastSetup) -> Motion:
+    def motion(self, throw: Throw, problem: Problem) -> Motion:
         """Return the arm's motion when this throw is commanded."""
-        return self.executed_motion(throw.motion(cast_setup.limits))
+        return self.executed_motion(throw.motion(problem.limits))
 
     def executed_motion(self, motion: Motion) -> Motion:
         """Return the arm's motion when a motion of moves and rests is commanded."""
@@ -99,10 +99,10 @@ class Uncertainty:
     Examples
     --------
     >>> import hyperflex as hf
-    >>> from hyperflex.planning import CastSetup, MotorLimits, Uncertainty
+    >>> from hyperflex.planning import Problem, MotorLimits, Uncertainty
     >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    >>> cast_setup = CastSetup(cable, hf.Arm(length=0.105), MotorLimits())
-    >>> scenarios = Uncertainty().sample(200, cast_setup, hf.Peg(0.9, -0.8, 0.03))
+    >>> problem = Problem(cable, hf.Arm(length=0.105), MotorLimits())
+    >>> scenarios = Uncertainty().sample(200, problem, hf.Peg(0.9, -0.8, 0.03))
     >>> round(float(np.std([each.rope.total_length for each in scenarios])), 2)
     0.02
     """
@@ -164,25 +164,25 @@ class Uncertainty:
             parts.append(f"the fit could not tell all of {', '.join(self.posterior.undetermined_properties)}")
         return "; ".join([*parts, assumed] if assumed else parts)
 
-    def sample(self, count: int, cast_setup: CastSetup, peg: Peg, *, seed: int | Sequence[int] = 0) -> list[Scenario]:
-        """Return `count` scenarios sampled for a `cast_setup` and a `peg`.
+    def sample(self, count: int, problem: Problem, peg: Peg, *, seed: int | Sequence[int] = 0) -> list[Scenario]:
+        """Return `count` scenarios sampled for a `problem` and a `peg`.
 
         Scenario number m of a `seed`, an integer or several, is the same for any `count`.
         """
-        refuse_behind(cast_setup.behind, "an uncertainty")
+        refuse_behind(problem.behind, "an uncertainty")
         stem = [seed] if isinstance(seed, int | np.integer) else list(seed)
         rngs = [np.random.default_rng([*stem, m]) for m in range(checks.count("samples", count))]
-        return [self._sample(rng, cast_setup, peg) for rng in rngs]
+        return [self._sample(rng, problem, peg) for rng in rngs]
 
-    def _sample(self, rng: np.random.Generator, cast_setup: CastSetup, peg: Peg) -> Scenario:
+    def _sample(self, rng: np.random.Generator, problem: Problem, peg: Peg) -> Scenario:
         """Sample a scenario; numbers are drawn in a fixed order, so that leaving out one part changes no other."""
         spreads = np.array([self.length, self.mass, self.friction, self.mu])
         sigma = np.sqrt(np.log1p(spreads**2))
         factors = np.exp(sigma * rng.standard_normal(4) - 0.5 * sigma**2)
         lag = self.lag * abs(float(rng.standard_normal()))
         delays = self.timing * rng.standard_normal(MOVES)
-        rope = cast_setup.rope if self.posterior is None else self.posterior.sample(rng)
-        thrown, known = cast_setup.rope, rope if self.posterior is None else self.posterior.rope
+        rope = problem.rope if self.posterior is None else self.posterior.sample(rng)
+        thrown, known = problem.rope, rope if self.posterior is None else self.posterior.rope
         if known.n_links != thrown.n_links or abs(known.total_length / thrown.total_length - 1.0) > OTHER:
             got, asked = (f"{each.n_links} links, {each.total_length:.3g} m" for each in (known, thrown))
             raise InvalidInput("posterior is of another rope", got=got, allowed=f"{asked}, as thrown")

@@ -15,8 +15,8 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.model import Peg, Rope, divided
 from hyperflex.motion import Motion, arm_moves
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import samples_clear_of_arm
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.search import strikes
 from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
 from hyperflex.planning.throw import MIN_STROKE, STROKE
@@ -81,7 +81,7 @@ class BeamSearch:
 
     Parameters
     ----------
-    cast_setup : CastSetup
+    problem : Problem
         Its time is not used.
     peg : Peg
     sides : sequence of {-1, 1}
@@ -95,22 +95,20 @@ class BeamSearch:
 
     def __init__(
         self,
-        cast_setup: CastSetup,
+        problem: Problem,
         peg: Peg,
         sides: Sequence[int],
         random: np.random.Generator,
         threads: int | None = None,
         sizes: Sequence[tuple[float, float]] = SIZES,
     ) -> None:
-        self.cast_setup, self.peg, self.threads, self.runs = cast_setup, peg, threads, 0
+        self.problem, self.peg, self.threads, self.runs = problem, peg, threads, 0
         self._sizes = sizes
-        self._random, self._period = random, cast_setup.period
+        self._random, self._period = random, problem.period
         self._strikes: list[Strike] = []
         self._moves: dict[tuple[float, float], Motion] = {}  # full strokes go to and fro between the same angles
-        q, qd = (part[None] for part in cast_setup.start)
-        self._swings = [
-            _Swing(0.0, side, (), (), cast_setup.limits.start_angle(side), 0.0, 0.0, q, qd) for side in sides
-        ]
+        q, qd = (part[None] for part in problem.start)
+        self._swings = [_Swing(0.0, side, (), (), problem.limits.start_angle(side), 0.0, 0.0, q, qd) for side in sides]
         self._levels = {0: self._swings}  # swings by their number of strokes, as they were first reached
 
     def restart(self, sizes: Sequence[tuple[float, float]]) -> None:
@@ -152,7 +150,7 @@ class BeamSearch:
         if not tries:
             return [], []
         self.runs += len(tries)
-        step, rope = strikes.SAMPLE_TIME, self.cast_setup.rope
+        step, rope = strikes.SAMPLE_TIME, self.problem.rope
         span = max(one.duration for one in tries) + WATCHED * self._period
         t = step * np.arange(np.ceil(span / step) + 1.0)
         flights, q, qd, seen = self._flown(tries, t, budget)
@@ -187,7 +185,7 @@ class BeamSearch:
 
         An equal part of them on each thread, what is computed from its samples, too.
         """
-        rope, arm = self.cast_setup.rope, self.cast_setup.arm
+        rope, arm = self.problem.rope, self.problem.arm
         q = np.stack([one.swing.q[one.at] for one in tries])
         qd = np.stack([one.swing.qd[one.at] for one in tries])
         whole = RolloutBatch([rope] * len(tries), [self.peg] * len(tries), [one.motion for one in tries], q, qd)
@@ -198,7 +196,7 @@ class BeamSearch:
             batch = some.run(arm, t[1:], tol=strikes.COARSE_TOL, **given)
             q = np.concatenate([some.q[:, None], batch.q], axis=1)
             qd = np.concatenate([some.qd[:, None], batch.qd], axis=1)
-            return q, qd, strikes.find_strikes(self.cast_setup, self.peg, some.motions, t, q, qd, own_arm=False)
+            return q, qd, strikes.find_strikes(self.problem, self.peg, some.motions, t, q, qd, own_arm=False)
 
         shares = np.array_split(np.arange(len(tries)), min(len(tries), usable_threads(self.threads)))
         parts = [rows.tolist() for rows in shares]
@@ -210,9 +208,9 @@ class BeamSearch:
         self, onward: list[tuple[int, _Swing]], flights: RolloutBatch, t: Array, q: Array, ended: Array
     ) -> list[tuple[int, _Swing]]:
         """Swings by their rows of q (M, T, n), with the samples before the rope comes too near its arm, if any."""
-        rows, arm = [k for k, _ in onward], self.cast_setup.arm
+        rows, arm = [k for k, _ in onward], self.problem.arm
         base = np.array([strikes.arm_tip(arm, flights.motions[k], t)[0] for k in rows]).reshape(len(rows), t.size, 2)
-        clear = samples_clear_of_arm(self.cast_setup.rope, arm, q[rows], base, self.cast_setup.clearance) - ended[rows]
+        clear = samples_clear_of_arm(self.problem.rope, arm, q[rows], base, self.problem.clearance) - ended[rows]
         return [
             (k, one._replace(q=one.q[:count], qd=one.qd[:count]))
             for (k, one), count in zip(onward, clear.tolist(), strict=True)
@@ -228,7 +226,7 @@ class BeamSearch:
         """
         if not rows:
             return set()
-        rope = self.cast_setup.rope
+        rope = self.problem.rope
         # Without limits of its own: a joint of the given rope bends further than one between shorter links may
         finer, some, last = divided(rope.replace(max_bend=np.inf), FINER), flights.select(rows), ended[rows]
         some = replace(
@@ -239,7 +237,7 @@ class BeamSearch:
         )
         t = strikes.SAMPLE_TIME * np.arange(1.0, last.max() + 1.0)
         how: dict[str, Any] = {"tol": strikes.COARSE_TOL, "time_budget": budget, "threads": self.threads}
-        batch = some.run(self.cast_setup.arm, t, keep=("q",), **how)
+        batch = some.run(self.problem.arm, t, keep=("q",), **how)
         self.runs += len(rows)
         there = _tip(finer, batch.q[np.arange(len(rows)), last - 1])
         away = np.hypot(*(there - _tip(rope, q[rows, last])).T) / rope.total_length
@@ -248,7 +246,7 @@ class BeamSearch:
 
     def _continuations(self, swing: _Swing) -> list[_Continuation]:
         """Return the strokes that are tried after a swing, within its samples."""
-        limits, step, tries = self.cast_setup.limits, strikes.SAMPLE_TIME, []
+        limits, step, tries = self.problem.limits, strikes.SAMPLE_TIME, []
         usual = min(STROKE, limits.angles[1] - limits.angles[0])
         sense = -swing.side * (1 if len(swing.strokes) % 2 == 0 else -1)
         rests = (np.arange(RESTS) + self._random.uniform()) * MAX_REST * self._period / RESTS
@@ -269,13 +267,13 @@ class BeamSearch:
     def _move(self, start: float, end: float) -> Motion:
         """Return the fastest move between two arm angles, rad; the same one where it was asked for before."""
         if (start, end) not in self._moves:
-            (time,), ramp = self.cast_setup.limits.fastest_moves([end - start])
+            (time,), ramp = self.problem.limits.fastest_moves([end - start])
             self._moves[start, end] = arm_moves([start, end], [0.0], [time], ramp)
         return self._moves[start, end]
 
     def _energy(self, tries: list[_Continuation], q: Array, qd: Array, at: Array) -> Array:
         """Energy (M,), J, at samples `at` (M,), where the arm rests, of point masses at the links' centres of mass."""
-        rope, arm, rows = self.cast_setup.rope, self.cast_setup.arm, np.arange(len(tries))
+        rope, arm, rows = self.problem.rope, self.problem.arm, np.arange(len(tries))
         angle = np.array([one.angle for one in tries])
         base = np.stack([np.sin(angle), -np.cos(angle)], axis=1) * arm.length + np.array(arm.pivot)
         places, speeds = strikes.mass_points(rope, q[rows, at], qd[rows, at], base, np.zeros_like(base))

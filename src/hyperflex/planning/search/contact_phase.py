@@ -11,8 +11,8 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Obstacle, Peg, Setup
 from hyperflex.motion import hold_arm
-from hyperflex.planning.cast_setup import MIN_TURNS, SETTLING_TIME, CastSetup
 from hyperflex.planning.clearance import sampled_clearance, sampled_obstacle_gaps
+from hyperflex.planning.problem import MIN_TURNS, SETTLING_TIME, Problem
 from hyperflex.planning.routing import way_gaps
 from hyperflex.planning.search.rollouts import RolloutBatch, usable_threads
 from hyperflex.planning.search.strikes import arm_tip
@@ -73,16 +73,16 @@ class _Thresholds(NamedTuple):
     end: float
 
     @classmethod
-    def of(cls, cast_setup: CastSetup) -> "_Thresholds":
-        more, part = cast_setup.more_turns, min(1.0, cast_setup.turns / MIN_TURNS)
-        end = END_TIME + (cast_setup.settle - SETTLING_TIME)
-        return cls(cast_setup.turns, MAX_TURNS + more, PLAIN + more, MIN_HOPE * part, MIN_SWEEP * part, end)
+    def of(cls, problem: Problem) -> "_Thresholds":
+        more, part = problem.more_turns, min(1.0, problem.turns / MIN_TURNS)
+        end = END_TIME + (problem.settle - SETTLING_TIME)
+        return cls(problem.turns, MAX_TURNS + more, PLAIN + more, MIN_HOPE * part, MIN_SWEEP * part, end)
 
 
 def simulate_contact(
     batch: RolloutBatch,
     begin: Array,
-    cast_setup: CastSetup,
+    problem: Problem,
     *,
     sweeping: bool = False,
     folding: bool = True,
@@ -102,7 +102,7 @@ def simulate_contact(
     """
 
     def one(k: int) -> tuple[float, float]:
-        return _simulate_one(batch.select([k]), float(begin[k]), cast_setup, sweeping, folding, time_budget)
+        return _simulate_one(batch.select([k]), float(begin[k]), problem, sweeping, folding, time_budget)
 
     with ThreadPoolExecutor(usable_threads(threads)) as pool:
         found = list(pool.map(one, range(len(batch))))
@@ -122,7 +122,7 @@ def run_budget(left: Callable[[], float] | None, share: float) -> float | Deadli
 def _simulate_one(
     one: RolloutBatch,
     begin: float,
-    cast_setup: CastSetup,
+    problem: Problem,
     sweeping: bool,
     folding: bool,
     time_budget: float | Deadline,
@@ -134,7 +134,7 @@ def _simulate_one(
     then, or comes too near it later, but its score is that of the turns asked at most, less what the arm costs. A rope
     that lies too deep in its peg at the start is not simulated, and makes no turn.
     """
-    arm, asked, rope = cast_setup.arm, _Thresholds.of(cast_setup), one.ropes[0]
+    arm, asked, rope = problem.arm, _Thresholds.of(problem), one.ropes[0]
     limited = limit_bend(rope)
     if not _clear_of_peg(one, arm) or (not folding and at_limits(limited, one.q, -FOLD).any()):
         return -LATE_COST * begin, 0.0  # its run could not begin, or would not count: as one that makes no turn
@@ -154,7 +154,7 @@ def _simulate_one(
         score, stay = score - min(stay, asked.most), 0.0
     elif not hopeful:
         score, stay = score - max(min(stay, asked.most) - asked.hope, 0.0), min(stay, asked.hope)
-    elif (near := _time_near_arm(one, q, qd, t, arm, cast_setup.clearance)) > 0.0:
+    elif (near := _time_near_arm(one, q, qd, t, arm, problem.clearance)) > 0.0:
         score, stay = _come_undone(score, stay, near, asked)
     else:
         further, whole, settled, rates, _ = _run_on(now, t[-1], stop + asked.end, arm, time_budget)
@@ -162,7 +162,7 @@ def _simulate_one(
         score, stay = score_winding(*ended, stop + asked.end, begin, most=asked.most)
         if stay >= asked.turns:
             score -= SLIP_COST * _slip(now, settled, further - t[-1], arm)
-        if (near := _time_near_arm(now, settled, rates, further - t[-1], arm, cast_setup.clearance)) > 0.0:
+        if (near := _time_near_arm(now, settled, rates, further - t[-1], arm, problem.clearance)) > 0.0:
             score, stay = _come_undone(score, stay, near, asked)
         if (apart := _way_apart(now, settled, further - t[-1], arm)) > TOUCH:
             score -= max(min(stay, asked.most) - asked.turns, 0.0) + _way_cost(apart)
@@ -207,11 +207,11 @@ def starts_outside(setup: Setup, *start: Any) -> bool:
     return True
 
 
-def free_sides(cast_setup: CastSetup, pegs: Sequence[Obstacle]) -> list[int]:
+def free_sides(problem: Problem, pegs: Sequence[Obstacle]) -> list[int]:
     """Return the sides on which the arm may stand at first without the rope in one of the `pegs`."""
-    may = [side for side in (-1, 1) if cast_setup.side in (side, 0)]
-    (q, _), angle = cast_setup.start, cast_setup.limits.start_angle
-    starts = [Setup(cast_setup.rope, hold_arm(angle(side)), cast_setup.arm, pegs=tuple(pegs)) for side in may]
+    may = [side for side in (-1, 1) if problem.side in (side, 0)]
+    (q, _), angle = problem.start, problem.limits.start_angle
+    starts = [Setup(problem.rope, hold_arm(angle(side)), problem.arm, pegs=tuple(pegs)) for side in may]
     return [side for side, start in zip(may, starts, strict=True) if starts_outside(start, 0.0, q)]
 
 
@@ -222,12 +222,12 @@ def check_sides(sides: Collection[int], peg: Peg) -> None:
         raise InvalidInput("the rope starts inside the target on either side of the arm", got=peg, fix=fix)
 
 
-def check_start(cast_setup: CastSetup) -> None:
+def check_start(problem: Problem) -> None:
     """Raise InvalidInput if the rope begins in an obstacle, or a peg that it is to run behind, on all sides."""
-    either = (*cast_setup.behind, *cast_setup.obstacles)
+    either = (*problem.behind, *problem.obstacles)
     some_pegs, both = "a peg that it is to run behind", "an obstacle or a peg that it is to run behind"
-    for what, some in (("an obstacle", cast_setup.obstacles), (some_pegs, cast_setup.behind), (both, either)):
-        if not free_sides(cast_setup, some):
+    for what, some in (("an obstacle", problem.obstacles), (some_pegs, problem.behind), (both, either)):
+        if not free_sides(problem, some):
             fix = "Move it; the rope hangs from the arm, which points to one side"
             raise InvalidInput(f"the rope begins in {what}, whatever the arm's side", fix=fix)
 

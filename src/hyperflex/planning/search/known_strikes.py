@@ -11,7 +11,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Rope, Setup
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.strikes import Strikes
 from hyperflex.planning.throw import LAST, Throw
 from hyperflex.simulation import check_limits, check_outside
@@ -22,7 +22,7 @@ SHORT = 0.2  # of a link's length; a place that is nearer to its first joint tel
 class KnownStrikes:
     """Strikes of a rope with shorter links, of those of `finer`, by the side and the strokes of their throws."""
 
-    def __init__(self, finer: CastSetup, peg: Peg) -> None:
+    def __init__(self, finer: Problem, peg: Peg) -> None:
         self.finer, self.peg = finer, peg
         self._struck: dict[tuple[int, bytes], Strikes] = {}
 
@@ -35,17 +35,17 @@ class KnownStrikes:
         known = self._struck.get(strokes_of(side, x))
         return known if known is not None and known.t[0] == t else None
 
-    def on_links(self, cast_setup: CastSetup, side: int, x: Array, throw: Throw) -> Strikes | None:
-        """Return the strike of a throw on other links, those of `cast_setup`; None if it is not known.
+    def on_links(self, problem: Problem, side: int, x: Array, throw: Throw) -> Strikes | None:
+        """Return the strike of a throw on other links, those of `problem`; None if it is not known.
 
         Nor is one given in which these reach into the target or an obstacle, or joints are past their limits.
         """
         known = self._struck.get(strokes_of(side, x))
         if known is None:
             return None
-        moved = moved_to(known, self.finer.rope, cast_setup.rope)
-        motion = throw.cut(cast_setup.time, cast_setup.limits).motion(cast_setup.limits)
-        setup = Setup(cast_setup.rope, motion, cast_setup.arm, pegs=cast_setup.beside(self.peg))
+        moved = moved_to(known, self.finer.rope, problem.rope)
+        motion = throw.cut(problem.time, problem.limits).motion(problem.limits)
+        setup = Setup(problem.rope, motion, problem.arm, pegs=problem.beside(self.peg))
         try:
             for check in (check_outside, check_limits):
                 check(setup, float(moved.t[0]), moved.q[0])

@@ -12,7 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Obstacle, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.simulation import Batch, simulate_batch
 
 
@@ -36,11 +36,11 @@ class RolloutBatch:
 
     @classmethod
     def from_start(
-        cls, cast_setup: CastSetup, ropes: Sequence[Rope], pegs: Sequence[Peg], motions: Sequence[Motion]
+        cls, problem: Problem, ropes: Sequence[Rope], pegs: Sequence[Peg], motions: Sequence[Motion]
     ) -> "RolloutBatch":
         """Return rollouts of ropes (M,) from the start of a cast set-up."""
-        q, qd = (np.tile(part, (len(ropes), 1)) for part in cast_setup.start)
-        return cls(ropes, pegs, motions, q, qd, obstacles=cast_setup.obstacles, behind=cast_setup.behind)
+        q, qd = (np.tile(part, (len(ropes), 1)) for part in problem.start)
+        return cls(ropes, pegs, motions, q, qd, obstacles=problem.obstacles, behind=problem.behind)
 
     @classmethod
     def from_state(

@@ -16,8 +16,8 @@ from hyperflex.checks import Array
 from hyperflex.core.batch import proximity
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import clear_samples, samples_clear_of_arm
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.verification import at_limits, limit_bend
 from hyperflex.simulation import Deadline
@@ -61,7 +61,7 @@ def joined(parts: Sequence[Strikes]) -> Strikes:
 
 
 def simulate_strikes(
-    cast_setup: CastSetup,
+    problem: Problem,
     peg: Peg,
     motions: Sequence[Motion],
     *,
@@ -74,16 +74,16 @@ def simulate_strikes(
     Or on one that the rope is to run behind, as of :func:`find_strikes`. Strikes are looked for `until` a time, s, at
     most. Swings that are not done when the time is over do not strike.
     """
-    count = max(2, int(np.ceil(min(cast_setup.time, until) / SAMPLE_TIME - 0.5)))
+    count = max(2, int(np.ceil(min(problem.time, until) / SAMPLE_TIME - 0.5)))
     t: Array = SAMPLE_TIME * np.arange(1.0, count + 1.0)
-    swings = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(motions), [], motions)
+    swings = RolloutBatch.from_start(problem, [problem.rope] * len(motions), [], motions)
     how: dict[str, Any] = {"tol": COARSE_TOL, "keep": ("q", "qd"), "time_budget": time_budget, "threads": threads}
-    batch = swings.run(cast_setup.arm, t, **how)
-    return find_strikes(cast_setup, peg, motions, t, batch.q, batch.qd)
+    batch = swings.run(problem.arm, t, **how)
+    return find_strikes(problem, peg, motions, t, batch.q, batch.qd)
 
 
 def find_strikes(
-    cast_setup: CastSetup,
+    problem: Problem,
     peg: Peg,
     motions: Sequence[Motion],
     t: Array,
@@ -97,26 +97,26 @@ def find_strikes(
     `peg`, of what reaches beyond it. A rope that comes too near an obstacle before, or with `own_arm` its arm or shaft,
     does not strike.
     """
-    tips = {id(motion): arm_tip(cast_setup.arm, motion, t) for motion in {id(each): each for each in motions}.values()}
+    tips = {id(motion): arm_tip(problem.arm, motion, t) for motion in {id(each): each for each in motions}.values()}
     base, base_velocity = (np.stack(each) for each in zip(*(tips[id(motion)] for motion in motions), strict=True))
-    rows, pegs = np.arange(len(motions)), (peg, *cast_setup.behind)
-    seen = [first_contact(q, base, cast_setup.rope.length, each, cast_setup.rope.radius) for each in pegs]
+    rows, pegs = np.arange(len(motions)), (peg, *problem.behind)
+    seen = [first_contact(q, base, problem.rope.length, each, problem.rope.radius) for each in pegs]
     which = np.stack([np.where(at > 0, at, t.size) for at, *_ in seen]).argmin(axis=0)
     at, link, least = (np.stack(part)[which, rows] for part in zip(*seen, strict=True))
-    clear = clear_samples([cast_setup.rope] * len(q), cast_setup.obstacles, q, base, cast_setup.clearance)
+    clear = clear_samples([problem.rope] * len(q), problem.obstacles, q, base, problem.clearance)
     if own_arm:
         before = np.where(at > 0, at, t.size)
-        given = cast_setup.rope, cast_setup.arm, q, base, cast_setup.clearance
+        given = problem.rope, problem.arm, q, base, problem.clearance
         clear = np.minimum(clear, samples_clear_of_arm(*given, before))
     struck = (at > 0) & (at <= clear) & np.isfinite(q).all(axis=(1, 2))
     blocked = (at > 0) & ~struck & (clear < t.size)
     least += np.where(blocked, 1.0 - clear / np.maximum(at, 1), 0.0)
     at = np.where(struck, at, 1)
     state, joint = (q[rows, at], qd[rows, at]), (base[rows, at], base_velocity[rows, at])
-    energies = [_tail(cast_setup, each, peg, state, joint, link) for each in pegs]
+    energies = [_tail(problem, each, peg, state, joint, link) for each in pegs]
     ratio, left = (np.stack(part)[which, rows] for part in zip(*energies, strict=True))
-    tail = np.clip(left - HANGING_TAIL, 0.0, MAX_TAIL + cast_setup.more_turns)
-    share = np.where(samples_unfolded(cast_setup.rope, q) < at, FOLDED, 1.0)
+    tail = np.clip(left - HANGING_TAIL, 0.0, MAX_TAIL + problem.more_turns)
+    share = np.where(samples_unfolded(problem.rope, q) < at, FOLDED, 1.0)
     return Strikes(
         np.where(struck, share * np.minimum(ratio, MAX_RATIO) * tail, NEVER - least),
         np.where(struck, ratio, 0.0),
@@ -129,7 +129,7 @@ def find_strikes(
 
 
 def _tail(
-    cast_setup: CastSetup,
+    problem: Problem,
     struck: Peg,
     target: Peg,
     state: tuple[Array, Array],
@@ -137,10 +137,10 @@ def _tail(
     link: npt.NDArray[np.int64],
 ) -> tuple[Array, Array]:
     """As of :func:`tail_energy`, about the peg that is struck; turns are those about the target beyond it."""
-    ratio, left = tail_energy(cast_setup, struck, state, base, link)
+    ratio, left = tail_energy(problem, struck, state, base, link)
     if struck is target:
         return ratio, left
-    radius, axis = cast_setup.rope.radius, struck.radius + cast_setup.rope.radius
+    radius, axis = problem.rope.radius, struck.radius + problem.rope.radius
     beyond = 2.0 * np.pi * axis * left - np.hypot(target.x - struck.x, target.y - struck.y)
     return ratio, np.maximum(beyond, 0.0) / (2.0 * np.pi * (target.radius + radius))
 
@@ -194,14 +194,14 @@ def mass_points(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -
 
 
 def tail_energy(
-    cast_setup: CastSetup, peg: Peg, state: tuple[Array, Array], base: tuple[Array, Array], link: npt.NDArray[np.int64]
+    problem: Problem, peg: Peg, state: tuple[Array, Array], base: tuple[Array, Array], link: npt.NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """Return the energy ratio and the turns of tail (M,) of strikes with link `link` (M,); see :class:`Strikes`.
 
     `state` is (q, qd), (M, n) each, rad and rad/s; `base` position and velocity of the first joint, (M, 2) each, m and
     m/s.
     """
-    rope = cast_setup.rope
+    rope = problem.rope
     places, speeds = mass_points(rope, *state, *base)
     places -= np.array([peg.x, peg.y])
     mass = np.append(rope.mass, rope.tip_mass) * (np.arange(rope.n_links + 1) >= link[:, None])

@@ -9,7 +9,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.model import Peg
-from hyperflex.planning.cast_setup import MIN_TURNS, CastSetup
+from hyperflex.planning.problem import MIN_TURNS, Problem
 from hyperflex.planning.search import contact_phase, strikes
 from hyperflex.planning.search.beam import FINER, FULL, SIZES, BeamSearch, Strike
 from hyperflex.planning.search.candidates import Candidate, Swing, corrected, distinct, same_swing, unconfirmed
@@ -45,7 +45,7 @@ class ThrowSearch:
     folded flat are simulated on in contact.
     """
 
-    cast_setup: CastSetup
+    problem: Problem
     peg: Peg
     seed: int = 0
     threads: int | None = None
@@ -58,10 +58,10 @@ class ThrowSearch:
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
-        sides = contact_phase.free_sides(self.cast_setup, self.cast_setup.beside(self.peg))
-        self.parametrizations = {side: ThrowParametrization(self.cast_setup, side) for side in sides}
-        self._known = KnownStrikes(self.cast_setup.cut(FINER), self.peg)
-        self._in_contact = self.cast_setup  # its links are those of runs in contact
+        sides = contact_phase.free_sides(self.problem, self.problem.beside(self.peg))
+        self.parametrizations = {side: ThrowParametrization(self.problem, side) for side in sides}
+        self._known = KnownStrikes(self.problem.cut(FINER), self.peg)
+        self._in_contact = self.problem  # its links are those of runs in contact
         self._forgotten: list[Candidate] = []
         self.begin_anew()
 
@@ -104,7 +104,7 @@ class ThrowSearch:
     def climbing(self) -> bool:
         """Whether the last beam search can be continued."""
         most = max(each.strokes for each in self.parametrizations.values())
-        return self._beam is not None and self._beam.ready(self.cast_setup.time, most)
+        return self._beam is not None and self._beam.ready(self.problem.time, most)
 
     def beam_search(self, enough: float = np.inf) -> float:
         """Search free swings stroke by stroke; continues the last beam search if it can be, else begins again.
@@ -113,11 +113,11 @@ class ThrowSearch:
         does; where none of its swings scores that, the next one follows at once. Returns the best score so far.
         """
         contact_phase.check_sides(self.parametrizations, self.peg)
-        time, most = self.cast_setup.time, max(each.strokes for each in self.parametrizations.values())
+        time, most = self.problem.time, max(each.strokes for each in self.parametrizations.values())
         first = self._beam is None
         if self._beam is None:
             sides = list(self.parametrizations)
-            self._beam = BeamSearch(self.cast_setup, self.peg, sides, self._random, self.threads, FULL)
+            self._beam = BeamSearch(self.problem, self.peg, sides, self._random, self.threads, FULL)
         elif not self.climbing:
             self._beam.restart((FULL, SIZES)[self._restarts % 2])
             self._restarts += 1
@@ -141,8 +141,7 @@ class ThrowSearch:
         some = distinct(sorted(found, key=lambda one: -one.score), self.swings, CONFIRMED)
         if some:
             throws = [
-                self.parametrizations[one.side].throw(one.x).cut(self.cast_setup.time, self.cast_setup.limits)
-                for one in some
+                self.parametrizations[one.side].throw(one.x).cut(self.problem.time, self.problem.limits) for one in some
             ]
             again = self._strikes(self._known.finer, throws, until=max(one.t for one in some) + LATER)
             self.runs += len(some)
@@ -156,12 +155,12 @@ class ThrowSearch:
         return self.swings[0].score if self.swings else strikes.NEVER
 
     def _strikes(
-        self, cast_setup: CastSetup, throws: list[Throw], threads: int | None = None, until: float = np.inf
+        self, problem: Problem, throws: list[Throw], threads: int | None = None, until: float = np.inf
     ) -> strikes.Strikes:
-        motions = [throw.motion(cast_setup.limits) for throw in throws]
+        motions = [throw.motion(problem.limits) for throw in throws]
         budget = None if self.left is None else Deadline(np.inf, self.left)
         given: dict[str, Any] = {"time_budget": budget, "threads": threads or self.threads, "until": until}
-        return strikes.simulate_strikes(cast_setup, self.peg, motions, **given)
+        return strikes.simulate_strikes(problem, self.peg, motions, **given)
 
     def evolve_swings(self) -> float:
         """Simulate one generation of free swings from each side; return the best score so far."""
@@ -172,7 +171,7 @@ class ThrowSearch:
         each = max(1, self.workers // len(asked))
 
         def simulated(side: int) -> strikes.Strikes:
-            return self._strikes(self.cast_setup, [self.parametrizations[side].throw(x) for x in asked[side]], each)
+            return self._strikes(self.problem, [self.parametrizations[side].throw(x) for x in asked[side]], each)
 
         with ThreadPoolExecutor(len(asked)) as pool:
             found = dict(zip(asked, pool.map(simulated, asked), strict=True))
@@ -189,12 +188,12 @@ class ThrowSearch:
     def late(self) -> bool:
         """Whether the best swings strike late in the time allowed, or none strikes."""
         times = [one.t for one in self.swings[:KEPT]]
-        return not times or float(np.median(times)) > LATE * self.cast_setup.time
+        return not times or float(np.median(times)) > LATE * self.problem.time
 
     @property
     def winds(self) -> bool:
         """Whether a throw in contact winds."""
-        return any(one.turns >= self.cast_setup.turns for one in self.candidates)
+        return any(one.turns >= self.problem.turns for one in self.candidates)
 
     def untried(self, score: float) -> bool:
         """Whether a swing of such a score was not tried in contact yet."""
@@ -211,8 +210,8 @@ class ThrowSearch:
         MAX_FAILED tries in which no throw winds all are tried again with shorter links.
         """
         self._failed_tries += bool(self.candidates) and not self.winds
-        if self._failed_tries == MAX_FAILED and self._in_contact is self.cast_setup:
-            self._in_contact = self.cast_setup.cut(PIECES)
+        if self._failed_tries == MAX_FAILED and self._in_contact is self.problem:
+            self._in_contact = self.problem.cut(PIECES)
             self._try_again()
         some = self._fresh(0.0, TRIED) if fresh else []
         self._tried += some
@@ -222,7 +221,7 @@ class ThrowSearch:
             return
         rows = [k for k, made in enumerate(self._made) if made == least]
         rows = sorted(rows, key=lambda k: -self._tried[k].score)[:TRIED]
-        towards = 1.0 if self.peg.x >= self.cast_setup.arm.pivot[0] else -1.0
+        towards = 1.0 if self.peg.x >= self.problem.arm.pivot[0] else -1.0
         points = [
             (self._tried[k].side, np.append(self._tried[k].x[:-LAST], [more, towards * end, rest, 1.0]))
             for k in rows
@@ -256,7 +255,7 @@ class ThrowSearch:
     def _unrefined(self) -> Candidate:
         """Return the best candidate that winds or whose swing no evolution began from; after all from the best on."""
         for one in self.candidates:
-            if one.turns >= self.cast_setup.turns or not any(same_swing(one, other) for other in self._centres):
+            if one.turns >= self.problem.turns or not any(same_swing(one, other) for other in self._centres):
                 break
         else:
             one, self._centres = self.candidates[0], []
@@ -269,9 +268,7 @@ class ThrowSearch:
 
     def confirm(self) -> None:
         """Simulate the best throws that wind with shorter links, until the best one winds with these too."""
-        while (self.left is None or self.left() > 0.0) and (
-            some := unconfirmed(self.candidates, self.cast_setup.turns)
-        ):
+        while (self.left is None or self.left() > 0.0) and (some := unconfirmed(self.candidates, self.problem.turns)):
             throws = [one.throw for one in some]
             known = [self._known.find(one.side, one.x, one.t) for one in some]
             new = [k for k, each in enumerate(known) if each is None]
@@ -290,8 +287,8 @@ class ThrowSearch:
 
     def correct(self, one: Candidate, turns: float, score: float) -> None:
         """Correct a candidate by a better run; if it does not wind then, restart from another one."""
-        self.candidates = corrected(self.candidates, one, turns, score, self.cast_setup.turns)
-        if turns < self.cast_setup.turns and any(one.x is each.x for each in self.candidates):
+        self.candidates = corrected(self.candidates, one, turns, score, self.problem.turns)
+        if turns < self.problem.turns and any(one.x is each.x for each in self.candidates):
             self.restart()
 
     def evaluate(self, points: Sequence[tuple[int, Array]], until: float = np.inf) -> Array:
@@ -305,7 +302,7 @@ class ThrowSearch:
         struck = np.flatnonzero(np.isfinite(found.t))
         self.runs += len(points)
         if struck.size:
-            cut = [throws[k].cut(float(found.t[k]), self.cast_setup.limits) for k in struck]
+            cut = [throws[k].cut(float(found.t[k]), self.problem.limits) for k in struck]
             ended = self._wind(self._in_contact, cut, found.select(struck.tolist()))
             score[struck] = ended.score
             for k, throw, value, turns in zip(struck, cut, ended.score, ended.turns, strict=True):
@@ -317,14 +314,14 @@ class ThrowSearch:
         score[~np.isfinite(found.t)] = np.minimum(score[~np.isfinite(found.t)], 0.0)
         return score
 
-    def _wind(self, cast_setup: CastSetup, throws: list[Throw], struck: strikes.Strikes) -> contact_phase.WindingScores:
+    def _wind(self, problem: Problem, throws: list[Throw], struck: strikes.Strikes) -> contact_phase.WindingScores:
         """Simulate throws (M), which are already cut, in contact from their strikes."""
-        motions = [throw.motion(cast_setup.limits).shifted(-t) for throw, t in zip(throws, struck.t, strict=True)]
+        motions = [throw.motion(problem.limits).shifted(-t) for throw, t in zip(throws, struck.t, strict=True)]
         count, budget = len(motions), contact_phase.run_budget(self.left, self.workers / len(motions))
-        ropes, pegs, walls = [cast_setup.rope] * count, [self.peg] * count, cast_setup.obstacles
-        batch = RolloutBatch(ropes, pegs, motions, struck.q, struck.qd, obstacles=walls, behind=cast_setup.behind)
+        ropes, pegs, walls = [problem.rope] * count, [self.peg] * count, problem.obstacles
+        batch = RolloutBatch(ropes, pegs, motions, struck.q, struck.qd, obstacles=walls, behind=problem.behind)
         given: dict[str, Any] = {"folding": self.folding, "time_budget": budget, "threads": self.threads}
-        return contact_phase.simulate_contact(batch, struck.t, cast_setup, sweeping=True, **given)
+        return contact_phase.simulate_contact(batch, struck.t, problem, sweeping=True, **given)
 
     def _first_strikes(self, points: Sequence[tuple[int, Array]], throws: list[Throw], until: float) -> strikes.Strikes:
         """Strikes of throws before their last moves, on the links of contact: known ones, others simulated once."""
@@ -336,7 +333,7 @@ class ThrowSearch:
                 if (known := self._known.on_links(self._in_contact, side, x, throw)) is not None:
                     found[key] = known
                 else:
-                    new[key] = throw.cut(self.cast_setup.time, self.cast_setup.limits)
+                    new[key] = throw.cut(self.problem.time, self.problem.limits)
         if new:
             self.runs += len(new)
             seen = self._strikes(self._in_contact, list(new.values()), until=until)

@@ -7,7 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
 from hyperflex.model import DAMPING
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.tip.swings import SPREAD_ENDS, SPREAD_RESTS
 from hyperflex.planning.tip.task import AimedT, Left, TipCandidate, TipTask
@@ -30,16 +30,16 @@ def swing_times(near: float) -> Array:
     return np.append(np.arange(SAMPLE_TIME, closely - GRID, SAMPLE_TIME), np.arange(closely, near + WINDOW, GRID))
 
 
-def swing_derivatives(cast_setup: CastSetup, strokes: Strokes, t: Array) -> Sensitivities | None:
+def swing_derivatives(problem: Problem, strokes: Strokes, t: Array) -> Sensitivities | None:
     """Simulate strokes with derivatives at times t (T,), s, by their parameters, the rope's length and its friction.
 
     The last two are by factors of length and friction. None if the run fails.
     """
-    rope, arm = cast_setup.rope, cast_setup.arm
+    rope, arm = problem.rope, problem.arm
     scaled = {"length": rope.length, "com": rope.com, "inertia": 2.0 * rope.inertia}
-    wrt = [{f"x{k}": part} for k, part in enumerate(strokes.variations(cast_setup.limits))]
+    wrt = [{f"x{k}": part} for k, part in enumerate(strokes.variations(problem.limits))]
     wrt += [{"rope's length": scaled}, {"rope's friction": {name: getattr(rope, name) for name in DAMPING}}]
-    motion = strokes.motion(cast_setup.limits)
+    motion = strokes.motion(problem.limits)
     try:
         return sensitivities(rope, motion, arm=arm, duration=float(t[-1]), t_eval=t, tol=AIM_TOL, wrt=wrt)
     except SimulationError:
@@ -62,7 +62,7 @@ def aim_strokes(task: TipTask[AimedT], found: TipCandidate, left: Left = lambda:
     `left` returns the time that is left, s; without any the best until then is returned. None if the tip does nothing
     of the kind at the start.
     """
-    limits, period = task.cast_setup.limits, task.cast_setup.period
+    limits, period = task.problem.limits, task.problem.period
     best = task.find(found.strokes.cut(found.t + WINDOW, limits), found.t)
     task.runs += 1
     if best is None:
@@ -76,7 +76,7 @@ def aim_strokes(task: TipTask[AimedT], found: TipCandidate, left: Left = lambda:
         step = scale * _damped_step(jacobian * scale, residuals, damping)
         step = step / max(1.0, float(np.abs(step / scale).max()) / MAX_STEP)
         at = best.t + float(best.dt @ step)  # far off where the tip's instant depends on nearly nothing
-        tried = task.find(best.strokes.varied(step), at) if 0.0 <= at <= task.cast_setup.time + WINDOW else None
+        tried = task.find(best.strokes.varied(step), at) if 0.0 <= at <= task.problem.time + WINDOW else None
         task.runs += 1
         new, new_jacobian = (residuals, jacobian) if tried is None else task.residuals(tried)
         if tried is None or np.linalg.norm(new) >= np.linalg.norm(residuals):

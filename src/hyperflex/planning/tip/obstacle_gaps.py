@@ -12,8 +12,8 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.model import Obstacle, Peg, Wall
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import gap_of, obstacle_gaps
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.tip.joint_motion import JointMotion
 
 BESIDE = 0.01  # m, that a rope shall keep from what it must not touch, beyond the clearance asked
@@ -50,43 +50,43 @@ def signed_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Arra
     return gaps
 
 
-def blocked(cast_setup: CastSetup, q: Array, base: Array) -> Array:
+def blocked(problem: Problem, q: Array, base: Array) -> Array:
     """Return how far, m, swings have come too near obstacles until each sample: (M, T), 0 as long as they have not.
 
     Link angles q (M, T, n), rad; `base` (M, T, 2), m, is the arm's tip.
     """
-    rope, lacks = cast_setup.rope, np.zeros(q.shape[:2])
-    if cast_setup.obstacles:
+    rope, lacks = problem.rope, np.zeros(q.shape[:2])
+    if problem.obstacles:
         for swing, places, first in zip(lacks, np.nan_to_num(q), base, strict=True):
             joints = rope.joints(places, first)
-            gaps = signed_gaps(cast_setup.obstacles, joints[:, :-1], joints[:, 1:]).min(axis=(1, 2)) - rope.radius
-            swing[:] = np.maximum.accumulate(np.maximum(max(cast_setup.clearance, 0.0) - gaps, 0.0))
+            gaps = signed_gaps(problem.obstacles, joints[:, :-1], joints[:, 1:]).min(axis=(1, 2)) - rope.radius
+            swing[:] = np.maximum.accumulate(np.maximum(max(problem.clearance, 0.0) - gaps, 0.0))
     return lacks
 
 
-def margins(cast_setup: CastSetup, places: Array) -> Array:
+def margins(problem: Problem, places: Array) -> Array:
     """Return what gaps from obstacles shall be at least (w,), m, where the tip is asked at `places` (K, 2), m.
 
     That is BESIDE, or half of what those places leave of it.
     """
-    needed = cast_setup.rope.radius + max(cast_setup.clearance, 0.0)
-    left = [min(gap_of(each, *place) for place in places) - needed for each in cast_setup.obstacles]
+    needed = problem.rope.radius + max(problem.clearance, 0.0)
+    left = [min(gap_of(each, *place) for place in places) - needed for each in problem.obstacles]
     return np.clip(0.5 * np.array(left), 0.0, BESIDE)
 
 
 def least_spare_gaps(
-    cast_setup: CastSetup, motion: JointMotion, until: int, beside: Array, last: tuple[Array, Array] | None = None
+    problem: Problem, motion: JointMotion, until: int, beside: Array, last: tuple[Array, Array] | None = None
 ) -> SpareGaps:
     """Return the gaps before row `until`, from obstacles from which they shall be `beside` (w,), m, and derivatives.
 
     Or less, where the rope begins nearer. `last` are places of the joints at a later end, and their derivatives.
     """
-    rope, obstacles = cast_setup.rope, cast_setup.obstacles
+    rope, obstacles = problem.rope, problem.obstacles
     spare, changes, least = list[float](), list[Array](), list[float]()
     if obstacles:
         places = motion.places[:until] if last is None else np.append(motion.places[:until], last[0][None], axis=0)
         begin, end = places[:, :-1], places[:, 1:]
-        gaps = signed_gaps(obstacles, begin, end) - rope.radius - max(cast_setup.clearance, 0.0)
+        gaps = signed_gaps(obstacles, begin, end) - rope.radius - max(problem.clearance, 0.0)
         for k, each in enumerate(obstacles):
             gap, links = gaps[:, k].min(axis=1), gaps[:, k].argmin(axis=1)
             asked = min(float(beside[k]), max(float(gap[0]), 0.0))

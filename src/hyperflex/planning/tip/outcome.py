@@ -10,8 +10,8 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
 from hyperflex.model import Obstacle, Setup
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import obstacle_gaps
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.time_budget import OutOfTime
 from hyperflex.planning.verification import clearances, folded_flat, greatest_bend, motor_torques, refusal
 from hyperflex.simulation import OUT_OF_TIME, Deadline, simulate
@@ -78,16 +78,16 @@ def simulate_in_time(setup: Setup, t: Array, time_budget: Deadline | None) -> Tr
         return None
 
 
-def run_figures(cast_setup: CastSetup, run: Trajectory, until: float = np.inf) -> dict[str, Any]:
+def run_figures(problem: Problem, run: Trajectory, until: float = np.inf) -> dict[str, Any]:
     """Return what a :class:`TipOutcome` tells of its whole run; of obstacles `until` a time, s, alone."""
-    max_bend, near, (torque, torque_peak) = greatest_bend(run), clearances(cast_setup, run, until), motor_torques(run)
+    max_bend, near, (torque, torque_peak) = greatest_bend(run), clearances(problem, run, until), motor_torques(run)
     return {
         "max_bend": max_bend,
         "folded": folded_flat(run),
         "clearance": min(each.value for each in near),
         "torque": torque,
         "torque_peak": torque_peak,
-        "refused": refusal(cast_setup, max_bend, near),
+        "refused": refusal(problem, max_bend, near),
         "n_links": run.q.shape[1],
         "run": run,
     }
@@ -109,7 +109,7 @@ def touched_samples(run: Trajectory, obstacles: Sequence[Obstacle]) -> npt.NDArr
     return np.asarray((lost & (near < reach)) | (np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0))
 
 
-def excess_torque(cast_setup: CastSetup, torque: float) -> str:
+def excess_torque(problem: Problem, torque: float) -> str:
     """Return that a run asks more `torque`, N m, of the motor than it gives; empty if it does not."""
-    given = cast_setup.limits.torque
+    given = problem.limits.torque
     return "" if torque <= given else f"it asks {torque:.3g} N m of a motor that gives {given:.3g}"

@@ -36,11 +36,11 @@ class StrokePlan(Plan):
         """
         motion = self.required(self.motion, "motion")
         end = float(motion.breaks[-1]) if self.outcome is None else self.outcome.t + WINDOW
-        return verified_setup(self.cast_setup, motion, end, self.walls)
+        return verified_setup(self.problem, motion, end, self.walls)
 
     def summary(self) -> dict[str, Any]:
         """Return the plan in figures, for JSON: its fields, and each stroke's start, s, and the arm's angles, rad."""
         if self.strokes is None:
             return super().summary()
-        limits = self.cast_setup.limits
+        limits = self.problem.limits
         return super().summary() | {"starts": self.strokes.starts(limits), "angles": self.strokes.angles(limits)}

@@ -7,7 +7,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.model import Obstacle
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.contact_phase import free_sides
 from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.planning.search.rollouts import RolloutBatch
@@ -23,19 +23,19 @@ MEMBERS, GENERATIONS = 16, 16  # of a generation; of a search before what it fou
 NARROW = 0.3  # step size of CMA-ES about a swing, relative to the standard deviations of random swings
 
 
-def random_swings(cast_setup: CastSetup, count: int, walls: Sequence[Obstacle] = ()) -> list[Strokes]:
+def random_swings(problem: Problem, count: int, walls: Sequence[Obstacle] = ()) -> list[Strokes]:
     """Return strokes that pump a swing up more or less well, the same ones each time.
 
     They begin on sides on which the rope hangs clear of obstacles and `walls`; on either side where it does on none.
     """
-    sides = free_sides(cast_setup, (*cast_setup.obstacles, *walls)) or [-1, 1]
-    rng, limits, period = np.random.default_rng(SEED), cast_setup.limits, cast_setup.period
+    sides = free_sides(problem, (*problem.obstacles, *walls)) or [-1, 1]
+    rng, limits, period = np.random.default_rng(SEED), problem.limits, problem.period
     strokes = []
     for number in range(count):
         side = sides[number % len(sides)]
         stroke, step = np.pi * rng.uniform(*STROKES), period * rng.uniform(*STEPS)
         rest = max(0.0, step - float(limits.fastest_moves([stroke])[0][0]))
-        size = max(1, int(np.ceil(cast_setup.time / step)))
+        size = max(1, int(np.ceil(problem.time / step)))
         ends = 0.5 * side * np.pi - side * stroke * (np.arange(size) % 2 == 0)
         ends = ends + np.pi * SPREAD_ENDS * rng.standard_normal(size)
         rests = np.abs(rest + period * SPREAD_RESTS * rng.standard_normal(size))
@@ -44,16 +44,16 @@ def random_swings(cast_setup: CastSetup, count: int, walls: Sequence[Obstacle] =
 
 
 def simulate_swings(
-    cast_setup: CastSetup, strokes: list[Strokes], step: float, threads: int | None = None
+    problem: Problem, strokes: list[Strokes], step: float, threads: int | None = None
 ) -> tuple[Array, Batch, Array, Array]:
     """Simulate free swings (M) from rest; return times (T,), s, every `step`, s, the runs, and arm angles and rates.
 
     The last two are (M, T), rad and rad/s.
     """
-    t = np.asarray(step * np.arange(round(cast_setup.time / step) + 1.0))
-    motions = [each.motion(cast_setup.limits) for each in strokes]
-    swings = RolloutBatch.from_start(cast_setup, [cast_setup.rope] * len(motions), [], motions)
-    batch = swings.run(cast_setup.arm, t, tol=COARSE_TOL, keep=("tip", "q", "qd"), threads=threads)
+    t = np.asarray(step * np.arange(round(problem.time / step) + 1.0))
+    motions = [each.motion(problem.limits) for each in strokes]
+    swings = RolloutBatch.from_start(problem, [problem.rope] * len(motions), [], motions)
+    batch = swings.run(problem.arm, t, tol=COARSE_TOL, keep=("tip", "q", "qd"), threads=threads)
     angle, rate = (np.stack(each) for each in zip(*((m.angle(t), m.rate(t)) for m in motions), strict=True))
     return t, batch, angle, rate
 
@@ -65,7 +65,7 @@ class StrokeSearch:
         self.task, self.threads = task, threads
         self.best, self._until = begin, begin.t + AFTER
         k = begin.strokes.ends.size
-        self._scale = np.repeat([np.pi, task.cast_setup.period], k)
+        self._scale = np.repeat([np.pi, task.problem.period], k)
         spread = np.repeat([SPREAD_ENDS, SPREAD_RESTS], k)
         random = np.random.default_rng([SEED, seed])
         self._optimizer = CmaEs(begin.strokes.parameters / self._scale, NARROW, spread, MEMBERS, random)

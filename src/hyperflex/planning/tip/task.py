@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from hyperflex.checks import Array
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.simulation import Deadline
 
@@ -56,7 +56,7 @@ class TipTask(ABC, Generic[AimedT]):
     simulated since.
     """
 
-    cast_setup: CastSetup
+    problem: Problem
     close: float
     direct: int
     ready: float

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.tip.aim import GRID, WINDOW, position_std, swing_derivatives, swing_times
 from hyperflex.planning.tip.joint_motion import JointMotion
 from hyperflex.planning.tip.obstacle_gaps import BESIDE, SpareGaps, least_spare_gaps
@@ -36,17 +36,17 @@ class AimedPeak(Aimed):
         return float(np.hypot(*self.velocity))
 
 
-def find_peak(cast_setup: CastSetup, strokes: Strokes, near: float, beside: Array | None = None) -> AimedPeak | None:
+def find_peak(problem: Problem, strokes: Strokes, near: float, beside: Array | None = None) -> AimedPeak | None:
     """Find the peak of the tip's speed next to time `near`, s, and its derivatives; None if there is none.
 
     `beside` (w,), m, are the gaps asked from obstacles, as of :func:`margins`, by default BESIDE.
     """
     window = np.arange(max(GRID, near - WINDOW), near + WINDOW, GRID)
-    t = swing_times(near) if cast_setup.obstacles else window
-    run, motion = swing_derivatives(cast_setup, strokes, t), strokes.motion(cast_setup.limits)
+    t = swing_times(near) if problem.obstacles else window
+    run, motion = swing_derivatives(problem, strokes, t), strokes.motion(problem.limits)
     if run is None:
         return None
-    v = tip_velocity(cast_setup, run.q, run.qd, motion.angle(t), motion.rate(t))
+    v = tip_velocity(problem, run.q, run.qd, motion.angle(t), motion.rate(t))
     square = (v**2).sum(axis=1)
     at = 1 + np.flatnonzero((square[1:-1] > square[:-2]) & (square[1:-1] >= square[2:]))
     at = at[np.abs(t[at] - near) < WINDOW]
@@ -62,10 +62,10 @@ def find_peak(cast_setup: CastSetup, strokes: Strokes, near: float, beside: Arra
     peak = v[i] + late * slope
     dplace = run.dtip[i] + late * dv[i] + peak[:, None] * later
     dvelocity = dv[i] + slope[:, None] * later
-    moved, count = JointMotion(cast_setup.rope, run), len(cast_setup.obstacles)
+    moved, count = JointMotion(problem.rope, run), len(problem.obstacles)
     last = moved.between(i, late / GRID, later, GRID) if count else None
     asked = np.full(count, BESIDE) if beside is None else beside
-    gaps = least_spare_gaps(cast_setup, moved, i + int(late >= 0.0), asked, last)
+    gaps = least_spare_gaps(problem, moved, i + int(late >= 0.0), asked, last)
     return AimedPeak(
         strokes,
         float(t[i]) + late,

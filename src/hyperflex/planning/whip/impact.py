@@ -8,7 +8,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.model import DEFAULT_CONTACT_STEP, Peg, Setup
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.contact_phase import starts_outside
 from hyperflex.planning.tip.outcome import touched_samples
 from hyperflex.planning.verification import limit_bend
@@ -57,7 +57,7 @@ class Impact:
 
 
 def simulate_impact(
-    cast_setup: CastSetup,
+    problem: Problem,
     target: TipTarget,
     motion: Motion,
     near: float,
@@ -73,13 +73,13 @@ def simulate_impact(
     """
     radius = checks.number("radius", radius, sign="positive", unit="m")
     way = np.array([np.cos(target.direction), np.sin(target.direction)])
-    x, y = target.point + (radius + cast_setup.rope.radius) * way
+    x, y = target.point + (radius + problem.rope.radius) * way
     step = 0.5 * DEFAULT_CONTACT_STEP
     begin = max(step, near - WINDOW)
     t = begin + step * np.arange(np.ceil((near - begin + WINDOW + IMPACT_TIME) / step))
     t = np.append(np.arange(0.0, begin - 0.5 * EARLIER, EARLIER), t)
     peg = Peg(float(x), float(y), radius, mu)
-    setup = Setup(limit_bend(cast_setup.rope), motion, cast_setup.arm, duration=float(t[-1]), pegs=(peg,))
+    setup = Setup(limit_bend(problem.rope), motion, problem.arm, duration=float(t[-1]), pegs=(peg,))
     if not starts_outside(setup):
         return Impact(0.0, 0.0, 0.0, 0.0, -1, "the rope lies on the peg from the start")
     run = simulate(setup, t_eval=t)

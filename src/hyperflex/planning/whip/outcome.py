@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import named, obstacle_gaps
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.contact_phase import starts_outside
 from hyperflex.planning.tip.outcome import (
     WINDOW,
@@ -55,7 +55,7 @@ class TipStrike(TipOutcome):
 
 
 def verify_whip(
-    cast_setup: CastSetup,
+    problem: Problem,
     target: TipTarget,
     motion: Motion,
     near: float,
@@ -70,7 +70,7 @@ def verify_whip(
     it does not end within a `time_budget`.
     """
     t = sample_times(near)
-    setup = verified_setup(cast_setup, motion, float(t[-1]), tol=tol)
+    setup = verified_setup(problem, motion, float(t[-1]), tol=tol)
     if not starts_outside(setup):
         return None
     run = simulate_in_time(replace(setup, pegs=()), t, time_budget)
@@ -84,16 +84,16 @@ def verify_whip(
         run = simulate_in_time(setup, np.union1d(t, found.t[about]), time_budget)
         if run is None:
             return None
-        there = touched_samples(run, cast_setup.obstacles)
+        there = touched_samples(run, problem.obstacles)
         touched = float(run.t[there.argmax()]) if there.any() else math.inf
     before = about & (found.t < touched)
     nearest = int(np.where(about, np.abs(found.t - near), np.inf).argmin())
     k = int(np.where(before, found.speed, 0.0).argmax()) if before[nearest] else nearest
     earlier = found.speed[found.t < found.t[k]]
     error, speed = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k])
-    figures, touch = run_figures(cast_setup, run, float(found.t[k])), ""
+    figures, touch = run_figures(problem, run, float(found.t[k])), ""
     if touched < math.inf:
-        touch = _touches(cast_setup, run, touched)
+        touch = _touches(problem, run, touched)
     if touched <= found.t[k]:  # however short, and whatever distance the samples show
         figures |= {"refused": f"the rope touches {touch}", "clearance": min(figures["clearance"], 0.0)}
     message = figures["refused"]
@@ -115,8 +115,8 @@ def verify_whip(
     )
 
 
-def _touches(cast_setup: CastSetup, run: Trajectory, t: float) -> str:
+def _touches(problem: Problem, run: Trajectory, t: float) -> str:
     """Return which obstacle the rope touches at time t, s, and when."""
     joints = run.joints[int(np.searchsorted(run.t, t))]
-    gaps = obstacle_gaps(cast_setup.obstacles, joints[:-1], joints[1:]).min(axis=-1)
-    return f"{named(cast_setup.obstacles[int(gaps.argmin())])} at {t:.2f} s"
+    gaps = obstacle_gaps(problem.obstacles, joints[:-1], joints[1:]).min(axis=-1)
+    return f"{named(problem.obstacles[int(gaps.argmin())])} at {t:.2f} s"

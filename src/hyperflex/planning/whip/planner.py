@@ -12,7 +12,7 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Rope, checked_obstacles
-from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.problem import MotorLimits, Problem
 from hyperflex.planning.search.contact_phase import check_start
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.tip.planner import TipPlanner
@@ -94,50 +94,50 @@ def plan_whip(
     seed = checks.count("seed", seed, least=0)
     if time_limit is not None:
         time_limit = checks.number("time_limit", time_limit, sign="positive", unit="s")
-    cast_setup = replace(_cast_setup(rope, arm, limits, time_limit, obstacles, whip_map), clearance=clearance)
-    check_start(cast_setup)
+    problem = replace(_problem(rope, arm, limits, time_limit, obstacles, whip_map), clearance=clearance)
+    check_start(problem)
 
-    distance = pivot_distance(cast_setup, target)
+    distance = pivot_distance(problem, target)
     known = WhipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
     planner = None
     with catch_interrupt() as stop, progress_bar(0.0, time_budget, progress, "planning") as report:
         if whip_map is None:
-            whip_map = build_whip_map(cast_setup, threads=threads, left=lambda: MAPPING * time_budget - clock.spent)
+            whip_map = build_whip_map(problem, threads=threads, left=lambda: MAPPING * time_budget - clock.spent)
         known = check_whip_feasibility(whip_map, target)
         if math.isfinite(known.cost) and (known.feasible or skip_feasibility):
             left = max(0.0, time_budget - clock.spent)
-            task = WhipTask(replace(whip_map, cast_setup=cast_setup), target)
+            task = WhipTask(replace(whip_map, problem=problem), target)
             planner = TipPlanner(task, left, seed, threads)
             planner.run(None if report is None else lambda: report(min(clock.spent, time_budget)))
     found: dict[str, Any] = {"seconds": clock.elapsed, "interrupted": stop.received}
     if planner is None:
-        return stop.deliver(WhipPlan(cast_setup, target, known, message=known.message, **found))
+        return stop.deliver(WhipPlan(problem, target, known, message=known.message, **found))
     nothing = "interrupted before any whip was found" if stop.received else "no peak of the tip's speed comes near it"
-    return stop.deliver(WhipPlan(cast_setup, target, known, **planner.fields(nothing), **found))
+    return stop.deliver(WhipPlan(problem, target, known, **planner.fields(nothing), **found))
 
 
-def _cast_setup(
+def _problem(
     rope: Rope,
     arm: Arm,
     limits: MotorLimits | None,
     time_limit: float | None,
     obstacles: Sequence[Obstacle],
     whip_map: WhipMap | None,
-) -> CastSetup:
+) -> Problem:
     """Return the set-up of the map, if there is one, which must be the one that is asked for."""
     checks.instance("rope", rope, Rope)
     obstacles = checked_obstacles(obstacles, "obstacles")
     if whip_map is None:
         usual = PERIODS * swing_period(rope)
         time = usual if time_limit is None else time_limit
-        return CastSetup(rope, arm, limits or MotorLimits(), time, obstacles=obstacles)
+        return Problem(rope, arm, limits or MotorLimits(), time, obstacles=obstacles)
     if limits is not None:
         checks.instance("limits", limits, MotorLimits)
-    made = checks.instance("whip_map", whip_map, WhipMap).cast_setup
+    made = checks.instance("whip_map", whip_map, WhipMap).problem
     same = made.rope == rope and made.arm == arm and made.obstacles == obstacles
     if not same or limits not in (None, made.limits) or time_limit not in (None, made.time):
         raise InvalidInput(
             "map was made for another rope, arm, motor or time, or other obstacles",
-            fix="Make one: build_whip_map(CastSetup(rope, arm, limits, time_limit, obstacles=...))",
+            fix="Make one: build_whip_map(Problem(rope, arm, limits, time_limit, obstacles=...))",
         )
     return made

@@ -8,8 +8,8 @@ import numpy as np
 
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import gap_of, holds, named
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.tip.obstacle_gaps import blocked
 from hyperflex.planning.tip.strokes import Strokes
@@ -31,13 +31,13 @@ class WhipMap:
 
     Attributes
     ----------
-    cast_setup : CastSetup
+    problem : Problem
     strokes : tuple of Strokes
         Of each swing.
     peaks : Peaks
     """
 
-    cast_setup: CastSetup
+    problem: Problem
     strokes: tuple[Strokes, ...]
     peaks: Peaks
 
@@ -68,22 +68,22 @@ class WhipFeasibility:
         return not self.message
 
 
-def pivot_distance(cast_setup: CastSetup, target: TipTarget) -> float:
+def pivot_distance(problem: Problem, target: TipTarget) -> float:
     """Distance of a target from the arm's pivot, m."""
-    return math.hypot(target.x - cast_setup.arm.pivot[0], target.y - cast_setup.arm.pivot[1])
+    return math.hypot(target.x - problem.arm.pivot[0], target.y - problem.arm.pivot[1])
 
 
 def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibility:
     """Check whether a target is close enough to a peak of a map; swings of a search may pass by obstacles."""
-    cast_setup = whip_map.cast_setup
-    distance = pivot_distance(cast_setup, target)
-    short = distance - cast_setup.rope.total_length - cast_setup.arm.length
+    problem = whip_map.problem
+    distance = pivot_distance(problem, target)
+    short = distance - problem.rope.total_length - problem.arm.length
     if short > 0.0:
         return WhipFeasibility(distance, math.inf, f"out of reach: the rope ends {short:.2f} m short of the target")
-    for each in cast_setup.obstacles:
+    for each in problem.obstacles:
         if holds(each, target.x, target.y):
             return WhipFeasibility(distance, math.inf, f"the target lies in {named(each)}")
-        gap, least = gap_of(each, target.x, target.y), cast_setup.rope.radius + max(cast_setup.clearance, 0.0)
+        gap, least = gap_of(each, target.x, target.y), problem.rope.radius + max(problem.clearance, 0.0)
         if gap <= least:
             near = f"the target is {1e3 * gap:.1f} mm from {named(each)}"
             return WhipFeasibility(
@@ -103,16 +103,16 @@ def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibil
     return WhipFeasibility(distance, cost, message)
 
 
-def simulate_peaks(cast_setup: CastSetup, strokes: list[Strokes], threads: int | None = None) -> Peaks:
+def simulate_peaks(problem: Problem, strokes: list[Strokes], threads: int | None = None) -> Peaks:
     """Simulate free swings from rest and find the peaks of the tip's speed."""
-    t, batch, angle, rate = simulate_swings(cast_setup, strokes, SAMPLE_TIME, threads)
-    lacks = blocked(cast_setup, batch.q, cast_setup.arm.tip(angle))
-    return find_peaks(t, batch.tip, tip_velocity(cast_setup, batch.q, batch.qd, angle, rate), lacks)
+    t, batch, angle, rate = simulate_swings(problem, strokes, SAMPLE_TIME, threads)
+    lacks = blocked(problem, batch.q, problem.arm.tip(angle))
+    return find_peaks(t, batch.tip, tip_velocity(problem, batch.q, batch.qd, angle, rate), lacks)
 
 
 @interruptible()
 def build_whip_map(
-    cast_setup: CastSetup,
+    problem: Problem,
     swings: int = SWINGS,
     threads: int | None = None,
     *,
@@ -122,7 +122,7 @@ def build_whip_map(
 
     Parameters
     ----------
-    cast_setup : CastSetup
+    problem : Problem
     swings : int
     threads : int, optional
         One a processor by default.
@@ -134,19 +134,19 @@ def build_whip_map(
     InvalidInput
         If the time of the set-up is too short for a peak.
     """
-    refuse_behind(cast_setup.behind, "a whip")
-    if cast_setup.time < MIN_TIME:
+    refuse_behind(problem.behind, "a whip")
+    if problem.time < MIN_TIME:
         raise InvalidInput(
             "time_limit is too short for any whip",
-            got=cast_setup.time,
+            got=problem.time,
             allowed=f"at least {MIN_TIME:g} s; three periods of the rope's swing are usual",
         )
-    strokes = random_swings(cast_setup, swings)
+    strokes = random_swings(problem, swings)
     found: list[Peaks] = []
     for low in range(0, swings, TOGETHER):
         if found and left() < 0.0:
             strokes = strokes[:low]
             break
-        some = simulate_peaks(cast_setup, strokes[low : low + TOGETHER], threads)
+        some = simulate_peaks(problem, strokes[low : low + TOGETHER], threads)
         found.append(some._replace(row=some.row + low))
-    return WhipMap(cast_setup, tuple(strokes), Peaks(*map(np.concatenate, zip(*found, strict=True))))
+    return WhipMap(problem, tuple(strokes), Peaks(*map(np.concatenate, zip(*found, strict=True))))

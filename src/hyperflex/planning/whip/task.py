@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.model import divided
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.tip.obstacle_gaps import margins
 from hyperflex.planning.tip.outcome import excess_torque
 from hyperflex.planning.tip.strokes import Strokes
@@ -30,9 +30,9 @@ class WhipTask(TipTask[AimedPeak]):
     close, direct, ready, rounds = 2e-4, 8, 0.06, 1
 
     def __init__(self, whip_map: WhipMap, target: TipTarget) -> None:
-        self.whip_map, self.target, self.cast_setup = whip_map, target, whip_map.cast_setup
-        self.finer = replace(self.cast_setup, rope=divided(self.cast_setup.rope, FINER))
-        self.beside = margins(self.cast_setup, target.point[None])
+        self.whip_map, self.target, self.problem = whip_map, target, whip_map.problem
+        self.finer = replace(self.problem, rope=divided(self.problem.rope, FINER))
+        self.beside = margins(self.problem, target.point[None])
 
     def candidates(self) -> list[TipCandidate]:
         """Return the cheapest peak of each swing of the map, the cheapest first."""
@@ -40,7 +40,7 @@ class WhipTask(TipTask[AimedPeak]):
 
     def score(self, strokes: list[Strokes], threads: int | None, until: float) -> tuple[Array, Array]:
         """Return cost, m, and time, s, of the cheapest peak of each swing."""
-        sooner = replace(self.cast_setup, time=min(self.cast_setup.time, until))
+        sooner = replace(self.problem, time=min(self.problem.time, until))
         peaks = simulate_peaks(sooner, strokes, threads)
         each = np.append(peak_costs(self.target, peaks), NEVER)
         best = cheapest_peaks(each[:-1], peaks.row, len(strokes))
@@ -48,11 +48,11 @@ class WhipTask(TipTask[AimedPeak]):
 
     def find(self, strokes: Strokes, near: float) -> AimedPeak | None:
         """Return the peak of the tip's speed next to time `near`, s."""
-        return find_peak(self.cast_setup, strokes, near, self.beside)
+        return find_peak(self.problem, strokes, near, self.beside)
 
     def residuals(self, aim: AimedPeak) -> tuple[Array, Array]:
         """Return the peak's way to the target, and direction, speed and gaps from obstacles if they fail."""
-        return aim_residuals(self.target, aim, pivot_distance(self.cast_setup, self.target))
+        return aim_residuals(self.target, aim, pivot_distance(self.problem, self.target))
 
     def shortfall(self, aim: AimedPeak) -> float:
         """Return by how much place, direction, speed and gaps from obstacles fail, 0 if they do not."""
@@ -64,12 +64,12 @@ class WhipTask(TipTask[AimedPeak]):
 
     def verify(self, aim: AimedPeak, end: Deadline | None) -> Verified:
         """Simulate a whip with the links as planned and half as long."""
-        both, motion = (self.cast_setup, self.finer), aim.strokes.motion(self.cast_setup.limits)
+        both, motion = (self.problem, self.finer), aim.strokes.motion(self.problem.limits)
         outcome, again = (verify_whip(each, self.target, motion, aim.t, time_budget=end) for each in both)
-        return Verified(aim, outcome, again, failure(self.cast_setup, outcome, again, aim.position_std))
+        return Verified(aim, outcome, again, failure(self.problem, outcome, again, aim.position_std))
 
 
-def failure(cast_setup: CastSetup, outcome: TipStrike | None, finer: TipStrike | None, position_std: float) -> str:
+def failure(problem: Problem, outcome: TipStrike | None, finer: TipStrike | None, position_std: float) -> str:
     """Return why a whip fails, empty if it succeeds; `position_std` is the standard deviation of its place, m."""
     if outcome is None:
         return "in the verified run the tip's speed has no peak there"
@@ -77,11 +77,11 @@ def failure(cast_setup: CastSetup, outcome: TipStrike | None, finer: TipStrike |
         return outcome.message
     if outcome.miss > MAX_MISS:
         return f"the tip misses the target by {1e3 * outcome.miss:.1f} mm"
-    if asked := excess_torque(cast_setup, outcome.torque):
+    if asked := excess_torque(problem, outcome.torque):
         return asked
     if finer is None:
         return "with links of half the length the tip's speed has no peak there"
-    if refused := finer.refused or excess_torque(cast_setup, finer.torque):
+    if refused := finer.refused or excess_torque(problem, finer.torque):
         return f"with links of half the length {refused}"
     allowed = max(MAX_FINER_MISS, position_std)
     if finer.miss > allowed:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 
 ANGLE_MARGIN, SPEED_MARGIN = 0.6, 1.05  # of the allowed angle and the asked speed, at which a search aims
 ANGLE_COST, SPEED_COST = 0.3, 1.0  # m/rad; m per missing fraction of the speed
@@ -112,9 +112,9 @@ class Peaks(NamedTuple):
     blocked: Array
 
 
-def tip_velocity(cast_setup: CastSetup, q: Array, qd: Array, angle: Array, rate: Array) -> Array:
+def tip_velocity(problem: Problem, q: Array, qd: Array, angle: Array, rate: Array) -> Array:
     """Velocity of the tip (..., 2), m/s, from q, qd (..., n) and the arm's angle and rate (...), rad and rad/s."""
-    spin, arm = cast_setup.rope.length * qd, cast_setup.arm.length * rate
+    spin, arm = problem.rope.length * qd, problem.arm.length * rate
     vx = (spin * np.cos(q)).sum(axis=-1) + arm * np.cos(angle)
     vy = (spin * np.sin(q)).sum(axis=-1) + arm * np.sin(angle)
     return np.stack([vx, vy], axis=-1)

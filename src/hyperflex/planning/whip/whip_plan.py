@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.tip.stroke_plan import StrokePlan
 from hyperflex.planning.tip.strokes import Strokes
 from hyperflex.planning.whip.impact import IMPACT_RADIUS, Impact, simulate_impact
@@ -21,7 +21,7 @@ class WhipPlan(StrokePlan):
 
     Attributes
     ----------
-    cast_setup, message, runs, seconds, interrupted
+    problem, message, runs, seconds, interrupted
         As of :class:`Plan`.
     target : TipTarget
     feasibility : WhipFeasibility
@@ -38,7 +38,7 @@ class WhipPlan(StrokePlan):
     """
 
     kind: ClassVar[str] = "whip"
-    cast_setup: CastSetup
+    problem: Problem
     target: TipTarget
     feasibility: WhipFeasibility
     strokes: Strokes | None = None
@@ -59,4 +59,4 @@ class WhipPlan(StrokePlan):
         if target.any_direction:
             target = replace(target, direction=float(np.arctan2(*outcome.velocity[::-1])))
         motion = self.required(self.motion, "motion")
-        return simulate_impact(self.cast_setup, target, motion, outcome.t, radius=radius, mu=mu)
+        return simulate_impact(self.problem, target, motion, outcome.t, radius=radius, mu=mu)

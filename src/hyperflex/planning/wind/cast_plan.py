@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from hyperflex.model import Peg, Setup
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import (
     MAX_SLIP,
     WATCH_TIME,
@@ -13,6 +12,7 @@ from hyperflex.planning.outcome import (
     measure_holding_force,
 )
 from hyperflex.planning.plan import INFEASIBLE, NOT_FOUND, Plan
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
 from hyperflex.planning.throw import Throw
 from hyperflex.planning.verification import verified_setup
@@ -25,7 +25,7 @@ class CastPlan(Plan):
 
     Attributes
     ----------
-    cast_setup, message, runs, seconds, interrupted
+    problem, message, runs, seconds, interrupted
         As of :class:`Plan`.
     target : Peg
     feasibility : Feasibility
@@ -46,7 +46,7 @@ class CastPlan(Plan):
     """
 
     kind: ClassVar[str] = "cast"
-    cast_setup: CastSetup
+    problem: Problem
     target: Peg
     feasibility: Feasibility
     throw: Throw | None = None
@@ -89,8 +89,8 @@ class CastPlan(Plan):
     def setup(self) -> Setup:
         """Return the set-up of the verified run, with links refined near the target, and joint limits."""
         motion = self.required(self.motion, "throw")
-        end = float(motion.breaks[-1]) + self.cast_setup.settle + WATCH_TIME
-        return verified_setup(self.cast_setup, motion, end, (self.target,))
+        end = float(motion.breaks[-1]) + self.problem.settle + WATCH_TIME
+        return verified_setup(self.problem, motion, end, (self.target,))
 
     def measure_holding_force(self) -> HoldingForce | None:
         """Tug at the rope from the end of the verified run; None unless it is wound and does not slip by itself."""
@@ -100,19 +100,19 @@ class CastPlan(Plan):
 
     def notes(self) -> dict[str, str]:
         """Return notes for the head of the motor's file."""
-        peg, rope, motion = self.target, self.cast_setup.rope, self.required(self.motion, "throw")
+        peg, rope, motion = self.target, self.problem.rope, self.required(self.motion, "throw")
         return super().notes() | {
             "target": f"x {peg.x:g} m, y {peg.y:g} m, radius {peg.radius:g} m, mu {peg.mu:g}",
             "rope": f"{rope.total_length:.4g} m, {rope.total_mass:.4g} kg",
-            "arm": f"{self.cast_setup.arm.length:g} m, begins at {motion.angle(0.0):.4f} rad",
-            "start": "the rope swings, by q0 and qd0 of the plan" if self.cast_setup.q0 else "the rope hangs at rest",
+            "arm": f"{self.problem.arm.length:g} m, begins at {motion.angle(0.0):.4f} rad",
+            "start": "the rope swings, by q0 and qd0 of the plan" if self.problem.q0 else "the rope hangs at rest",
         }
 
     def summary(self) -> dict[str, Any]:
         """Return the plan in figures, for JSON: its fields, and the start of each move and the arm's stop, s."""
         table = super().summary()
         if self.throw is not None:
-            limits = self.cast_setup.limits
+            limits = self.problem.limits
             table |= {"starts": self.throw.starts(limits), "stop": self.throw.stops(limits)}
         if self.fallback is not None and self.fallback.plan is not None:
             table["fallback"]["plan"] = self.fallback.plan.summary()

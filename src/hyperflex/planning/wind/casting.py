@@ -14,8 +14,8 @@ from hyperflex.interfaces import RopeState
 from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, checked_obstacles, cuts
 from hyperflex.motion import hold_arm
-from hyperflex.planning.cast_setup import MIN_TURNS, SETTLING_TIME, CastSetup, MotorLimits
 from hyperflex.planning.clearance import obstacle_clearance, rope_clearance
+from hyperflex.planning.problem import MIN_TURNS, SETTLING_TIME, MotorLimits, Problem
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.routing import checked_behind, refuse_behind
@@ -90,11 +90,11 @@ def plan_cast(
         Least angle of the target that the rope must cover, rad. By default none is asked for, but where the rope is
         long enough a full turn is sought until 1.25 times the time in which the first plan stood; with 0 it is not.
     turns : float
-        Least turns of the rope about the target, from the arm's tip to its end, as of :class:`CastSetup`.
+        Least turns of the rope about the target, from the arm's tip to its end, as of :class:`Problem`.
     settle : float
         Time from the arm's stop, s, after which the rope is watched for 2 s, in which it must stay wound and hold.
     clearance : float
-        Least distance of the rope from its own arm, the motor's shaft and obstacles, m, as of :class:`CastSetup`.
+        Least distance of the rope from its own arm, the motor's shaft and obstacles, m, as of :class:`Problem`.
     obstacles : sequence of Peg, Wall, Ground
         That the rope must not touch on its way to the target and while it is watched: a wall, the floor, a person.
     behind : sequence of Peg
@@ -176,32 +176,32 @@ def plan_cast(
     obstacles, behind = checked_obstacles(obstacles, "obstacles"), checked_behind(behind)
     asked: dict[str, Any] = {"clearance": clearance, "turns": turns, "settle": settle}
     asked |= {"obstacles": obstacles, "behind": behind}
-    cast_setup = CastSetup(rope, arm, motor, time, contact=contact or 0.0, side=side or 0, **asked)
+    problem = Problem(rope, arm, motor, time, contact=contact or 0.0, side=side or 0, **asked)
     if uncertainty is not None:
-        refuse_behind(cast_setup.behind, "a plan with an uncertainty")
-    cast_setup, touch = (cast_setup, "") if state0 is None else _swinging(cast_setup, state0, target)
+        refuse_behind(problem.behind, "a plan with an uncertainty")
+    problem, touch = (problem, "") if state0 is None else _swinging(problem, state0, target)
     # Refuses, before any search, what cannot touch a peg
-    Setup(cast_setup.rope, arm=cast_setup.arm, pegs=cast_setup.beside(target))
-    cuts(cast_setup.rope, (target, *behind), arm=cast_setup.arm)  # or not be wound round it
+    Setup(problem.rope, arm=problem.arm, pegs=problem.beside(target))
+    cuts(problem.rope, (target, *behind), arm=problem.arm)  # or not be wound round it
     if rope.gravity[0] != 0.0 or rope.gravity[1] > 0.0:
         raise InvalidInput("casts are planned with gravity along -y", got=rope.gravity, fix="Turn the axes: y up")
-    check_start(cast_setup)
+    check_start(problem)
     if time_limit is None:
-        cast_setup = replace(cast_setup, time=search_time(cast_setup, target))
-    known = check_feasibility(cast_setup, target, holding_force=holding_force)
-    search = ThrowSearch(cast_setup, target, checks.count("seed", seed, least=0), threads, holding_force)
+        problem = replace(problem, time=search_time(problem, target))
+    known = check_feasibility(problem, target, holding_force=holding_force)
+    search = ThrowSearch(problem, target, checks.count("seed", seed, least=0), threads, holding_force)
     if touch or not search.parametrizations:
         inside = "the rope begins in the target, or beside it in an obstacle"
         known = replace(known, impossible=True, message=touch or inside)
     if known.impossible or not (known.feasible or skip_feasibility):
-        plan = CastPlan(cast_setup, target, known, message=known.message)
+        plan = CastPlan(problem, target, known, message=known.message)
     else:
         free = {"full_turn": contact is None, "clock": clock}
         throws = [one.throw for one in start_from if one.throw is not None]
         plan = _search(search, known, throws, uncertainty, time_budget, progress, on_plan, **free)
     with catch_interrupt() as stop:
         if not (plan.success or plan.interrupted):
-            plan = replace(plan, remedies=find_remedies(cast_setup, target, holding_force=holding_force))
+            plan = replace(plan, remedies=find_remedies(problem, target, holding_force=holding_force))
             plan = replace(plan, fallback=expected_fallback(plan, holding_force))
             if fallback:
                 given: dict[str, Any] = {
@@ -247,13 +247,13 @@ def _search(
         if uncertainty is not None:
             refine_robustly(planner, uncertainty, report)
             if (throw := planner.best[0]) is not None:
-                given = (search.cast_setup, search.peg, throw, uncertainty)
+                given = (search.problem, search.peg, throw, uncertainty)
                 seed, threads, left = search.seed, search.threads, time_budget - planner.spent
                 probability = estimate_success_probability(*given, seed=seed, threads=threads, time_budget=left)
     return replace(planner.plan(known, stop.received), success_probability=probability)
 
 
-def _swinging(cast_setup: CastSetup, state: RopeState, target: Peg) -> tuple[CastSetup, str]:
+def _swinging(problem: Problem, state: RopeState, target: Peg) -> tuple[Problem, str]:
     """Return the set-up whose rope begins in a state, or in what becomes of that until t = 0 while the arm stands.
 
     And what the rope touches until then, in words; empty if nothing.
@@ -263,14 +263,14 @@ def _swinging(cast_setup: CastSetup, state: RopeState, target: Peg) -> tuple[Cas
     t = checks.number("state0.t", state.t, unit="s")
     if t > 0.0:
         raise InvalidInput("state0 is after the motion's begin", got=t, allowed="t <= 0 s", fix="Count t from there")
-    begins = replace(cast_setup, q0=tuple(state.q), qd0=tuple(state.qd))
+    begins = replace(problem, q0=tuple(state.q), qd0=tuple(state.qd))
     if t == 0.0:
         return begins, ""
-    held = hold_arm(cast_setup.limits.start_angle(cast_setup.side))
+    held = hold_arm(problem.limits.start_angle(problem.side))
     looks = np.linspace(0.0, -t, math.ceil(-t / LOOK) + 1)
-    run = simulate(cast_setup.rope, held, arm=cast_setup.arm, duration=-t, q0=state.q, qd0=state.qd, t_eval=looks)
-    near = [obstacle_clearance(run, cast_setup.beside(target))]
-    near += [] if cast_setup.clearance == -math.inf else [rope_clearance(run)]
+    run = simulate(problem.rope, held, arm=problem.arm, duration=-t, q0=state.q, qd0=state.qd, t_eval=looks)
+    near = [obstacle_clearance(run, problem.beside(target))]
+    near += [] if problem.clearance == -math.inf else [rope_clearance(run)]
     least = min(near)
     touch = f"the rope touches {least.what} {-t - least.t:.2f} s before the motion begins" if least.value < 0.0 else ""
     return replace(begins, q0=tuple(run.q[-1]), qd0=tuple(run.qd[-1])), touch

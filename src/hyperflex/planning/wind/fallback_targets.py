@@ -9,7 +9,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.interruption import catch_interrupt
 from hyperflex.model import Peg
-from hyperflex.planning.cast_setup import CastSetup
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget
@@ -40,7 +40,7 @@ def _expected(plan: CastPlan, holding_force: float, number: int = 0) -> Fallback
     margin = MARGINS[number]
     if plan.feasibility.feasible:
         margin = plan.feasibility.margin(holding_force) + MARGINS[min(number + 1, len(MARGINS) - 1)]
-    return nearest_feasible(plan.cast_setup, plan.target, holding_force=holding_force, margin=margin)
+    return nearest_feasible(plan.problem, plan.target, holding_force=holding_force, margin=margin)
 
 
 def plan_fallback(
@@ -95,11 +95,11 @@ def _with_existing_throws(plan: CastPlan, search: ThrowSearch, time_budget: floa
     for beside in searches_near_by(search, left):
         if left() < 0.0:
             return None
-        if beside.candidates and beside.candidates[0].turns >= beside.cast_setup.turns:
+        if beside.candidates and beside.candidates[0].turns >= beside.problem.turns:
             planner, peg = CastPlanner(beside, time_budget, clock=clock), beside.peg
             planner.verify_new()
             planner.verify_best()
-            other = planner.plan(check_feasibility(beside.cast_setup, peg))
+            other = planner.plan(check_feasibility(beside.problem, peg))
             if other.success:
                 distance = math.dist((plan.target.x, plan.target.y), (peg.x, peg.y))
                 return FallbackTarget(peg, distance, other)
@@ -111,14 +111,14 @@ def searches_near_by(search: ThrowSearch, left: Callable[[], float] | None = Non
 
     Yields a search for each peg, with the throws that strike it as candidates.
     """
-    best, cast_setup = search.candidates[:THROWS], search.cast_setup
+    best, problem = search.candidates[:THROWS], search.problem
     for radius in RADII:
         for angle in 2.0 * np.pi * np.arange(PER_RING) / PER_RING:
-            way = radius * cast_setup.rope.total_length * np.array([np.cos(angle), np.sin(angle)])
+            way = radius * problem.rope.total_length * np.array([np.cos(angle), np.sin(angle)])
             peg = _at(search.peg, np.array([search.peg.x, search.peg.y]) + way)
-            if check_feasibility(cast_setup, peg).impossible:
+            if check_feasibility(problem, peg).impossible:
                 continue
-            beside = ThrowSearch(cast_setup, peg, search.seed, search.threads, search.holding_force)
+            beside = ThrowSearch(problem, peg, search.seed, search.threads, search.holding_force)
             beside.left = left
             if points := [(one.side, one.x) for one in best if one.side in beside.parametrizations]:
                 beside.evaluate(points)
@@ -126,7 +126,7 @@ def searches_near_by(search: ThrowSearch, left: Callable[[], float] | None = Non
 
 
 def nearest_feasible(
-    cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0, margin: float = 0.0
+    problem: Problem, peg: Peg, *, holding_force: float = 0.0, margin: float = 0.0
 ) -> FallbackTarget | None:
     """Find the nearest place at which a peg passes the feasibility check; None if there is none.
 
@@ -139,15 +139,15 @@ def nearest_feasible(
     """
 
     def good(place: Array) -> bool:
-        if not geometry_allows(cast_setup, there := _at(peg, place)):
+        if not geometry_allows(problem, there := _at(peg, place)):
             return False
-        known = check_feasibility(cast_setup, there)
+        known = check_feasibility(problem, there)
         return known.feasible and known.margin(holding_force) >= margin
 
-    unit = 10.0 ** math.floor(math.log10(1e-3 * cast_setup.rope.total_length))
+    unit = 10.0 ** math.floor(math.log10(1e-3 * problem.rope.total_length))
     asked: Array = np.array([peg.x, peg.y])
-    found = _nearest(_polar_grid(cast_setup, asked), asked, unit, good)
-    cell = cast_setup.rope.total_length / RINGS
+    found = _nearest(_polar_grid(problem, asked), asked, unit, good)
+    cell = problem.rope.total_length / RINGS
     for _ in range(LEVELS):
         if found is None:
             return None
@@ -158,13 +158,13 @@ def nearest_feasible(
     return None if found is None else FallbackTarget(_at(peg, found), float(np.hypot(*(found - asked))))
 
 
-def _polar_grid(cast_setup: CastSetup, asked: Array) -> Array:
+def _polar_grid(problem: Problem, asked: Array) -> Array:
     """Places (k, 2), m, that the rope might reach, on the target's side of the vertical through the shaft."""
-    arm, gravity = cast_setup.arm, cast_setup.rope.gravity
+    arm, gravity = problem.arm, problem.rope.gravity
     down = np.array(gravity) / math.hypot(*gravity)
     right = np.array([-down[1], down[0]])
     side = math.copysign(1.0, float((asked - arm.pivot) @ right))
-    far = arm.length + cast_setup.rope.total_length * (np.arange(RINGS) + 0.5) / RINGS
+    far = arm.length + problem.rope.total_length * (np.arange(RINGS) + 0.5) / RINGS
     angle: Array = np.linspace(0.0, np.pi, RAYS)
     rays = np.cos(angle)[:, None] * down + side * np.sin(angle)[:, None] * right
     return np.asarray((far[:, None, None] * rays + np.array(arm.pivot)).reshape(-1, 2))

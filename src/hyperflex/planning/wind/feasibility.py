@@ -18,8 +18,8 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.model import Peg
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.clearance import holds, named, obstacle_gaps
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.throw import KEEPING_STEP
 
@@ -79,7 +79,7 @@ class Feasibility:
         return -1.0 if self.impossible else min(parts) - 1.0
 
 
-def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0) -> Feasibility:
+def check_feasibility(problem: Problem, peg: Peg, *, holding_force: float = 0.0) -> Feasibility:
     """Check whether a target is feasible; `holding_force` is the pull that the wound rope must withstand, N.
 
     Notes
@@ -91,23 +91,23 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     """
     asked = checks.number("holding_force", holding_force, sign="nonnegative", unit="N")
     if asked > 0.0:
-        refuse_behind(cast_setup.behind, "a holding force")
-    rope = cast_setup.rope
-    far, aside, axis, way, room, needed = _distances(cast_setup, peg)
-    energy = _energy(cast_setup, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
-    holding = _hold(cast_setup, peg, room, _contact(way, aside, axis), _straight(way, axis))
-    impossible, message = _geometry(cast_setup, far, way, axis, room, needed)
-    if inside := [each for each in (*cast_setup.behind, *cast_setup.obstacles) if holds(each, peg.x, peg.y)]:
+        refuse_behind(problem.behind, "a holding force")
+    rope = problem.rope
+    far, aside, axis, way, room, needed = _distances(problem, peg)
+    energy = _energy(problem, far, aside, axis) if 0.0 < far < rope.total_length else 0.0
+    holding = _hold(problem, peg, room, _contact(way, aside, axis), _straight(way, axis))
+    impossible, message = _geometry(problem, far, way, axis, room, needed)
+    if inside := [each for each in (*problem.behind, *problem.obstacles) if holds(each, peg.x, peg.y)]:
         impossible, message = True, f"the target lies in {named(inside[0])}"
-    elif not message and (blocked := _blocked(cast_setup, peg)):
+    elif not message and (blocked := _blocked(problem, peg)):
         message = f"out of reach: {blocked}"
-    if (torque := _start_torque(cast_setup)) > cast_setup.limits.torque:
+    if (torque := _start_torque(problem)) > problem.limits.torque:
         impossible = True
         message = f"the motor is too weak: the rope that hangs from the arm asks {torque:.3g} N m of it at the start"
     if not message and energy < MIN_ENERGY:
-        slow = _gain(cast_setup) < 0.5 * _gain(cast_setup, fast=True)
+        slow = _gain(problem) < 0.5 * _gain(problem, fast=True)
         why = "the motor is too slow to swing the rope up" if slow else "too little energy"
-        high = f"it is higher than the rope swings, {math.degrees(_widest(cast_setup)):.0f} degrees from hanging"
+        high = f"it is higher than the rope swings, {math.degrees(_widest(problem)):.0f} degrees from hanging"
         ratio = f"at the strike {energy:.2f} of what lifts the tail over it, {MIN_ENERGY:g} needed"
         message = f"out of reach: {why}: {high if energy < 0.0 else ratio}"
     if not message and holding < asked:
@@ -115,62 +115,60 @@ def check_feasibility(cast_setup: CastSetup, peg: Peg, *, holding_force: float =
     return Feasibility(room, needed, energy, holding, impossible, message)
 
 
-def geometry_allows(cast_setup: CastSetup, peg: Peg) -> bool:
+def geometry_allows(problem: Problem, peg: Peg) -> bool:
     """Return whether distance and length of rope do not rule a target out, as :func:`check_feasibility` begins."""
-    far, _, axis, way, room, needed = _distances(cast_setup, peg)
-    return not _geometry(cast_setup, far, way, axis, room, needed)[1]
+    far, _, axis, way, room, needed = _distances(problem, peg)
+    return not _geometry(problem, far, way, axis, room, needed)[1]
 
 
-def _distances(cast_setup: CastSetup, peg: Peg) -> tuple[float, float, float, float, float, float]:
+def _distances(problem: Problem, peg: Peg) -> tuple[float, float, float, float, float, float]:
     """Distance of a target, m, angle from hanging, rad, radius of the rope's axis on it and way to it, m.
 
     And turns for which there is rope beyond its near side, and that are needed.
     """
-    far, aside = _place(cast_setup, peg)
-    axis, way = peg.radius + cast_setup.rope.radius, _way(cast_setup, peg, far)
-    room = (cast_setup.rope.total_length - way + axis) / (2.0 * math.pi * axis)
-    return far, aside, axis, way, room, _needed(cast_setup, way, aside, axis)
+    far, aside = _place(problem, peg)
+    axis, way = peg.radius + problem.rope.radius, _way(problem, peg, far)
+    room = (problem.rope.total_length - way + axis) / (2.0 * math.pi * axis)
+    return far, aside, axis, way, room, _needed(problem, way, aside, axis)
 
 
-def _geometry(
-    cast_setup: CastSetup, far: float, way: float, axis: float, room: float, needed: float
-) -> tuple[bool, str]:
+def _geometry(problem: Problem, far: float, way: float, axis: float, room: float, needed: float) -> tuple[bool, str]:
     """Return whether geometry alone rules the target out, and a message; empty if nothing is wrong."""
-    short = way - axis - cast_setup.rope.total_length - cast_setup.arm.length
+    short = way - axis - problem.rope.total_length - problem.arm.length
     if short > 0.0:
         return True, f"out of reach: the rope ends {short:.2f} m short of the target"
-    if far - axis <= cast_setup.arm.length:
+    if far - axis <= problem.arm.length:
         return True, "inside the arm's circle: the arm would strike the target"
-    most = _most(cast_setup, way, axis)
-    if most < cast_setup.turns and not cast_setup.behind:  # round a peg it comes to the target from another side
-        reason = f"with all of the rope round the target it makes {most:.2f} turns, {cast_setup.turns:g} asked"
+    most = _most(problem, way, axis)
+    if most < problem.turns and not problem.behind:  # round a peg it comes to the target from another side
+        reason = f"with all of the rope round the target it makes {most:.2f} turns, {problem.turns:g} asked"
         return True, f"out of reach: {reason}"
     if room < needed:
         left = f"rope for {max(room, 0.0):.2f} turns is left beyond the target"
-        wound = f" to wind {cast_setup.turns:g}" if cast_setup.more_turns else ""
+        wound = f" to wind {problem.turns:g}" if problem.more_turns else ""
         return False, f"out of reach: {left}, {needed:.2f} needed{wound}"
     return False, ""
 
 
-def _blocked(cast_setup: CastSetup, peg: Peg) -> str:
+def _blocked(problem: Problem, peg: Peg) -> str:
     """Return which obstacle leaves a wound rope no room, and where, in words; "" if there is room.
 
     It goes round the target, and straight to one of its sides from where the arm may stand, unless behind pegs.
     """
-    obstacles, rope, arm = (*cast_setup.behind, *cast_setup.obstacles), cast_setup.rope, cast_setup.arm
+    obstacles, rope, arm = (*problem.behind, *problem.obstacles), problem.rope, problem.arm
     if not obstacles:
         return ""
     centre: Array = np.array([[peg.x, peg.y]])
     room = obstacle_gaps(obstacles, centre, centre)[:, 0] - peg.radius
-    free = np.where(np.arange(len(obstacles)) < len(cast_setup.behind), 0.0, max(cast_setup.clearance, 0.0))
+    free = np.where(np.arange(len(obstacles)) < len(problem.behind), 0.0, max(problem.clearance, 0.0))
     beside = int((room - free).argmin())
     needed = 2.0 * rope.radius + free[beside]
     if room[beside] < needed:
         left = f"leaves {1e3 * max(room[beside], 0.0):.3g} mm beside the target"
         return f"{named(obstacles[beside])} {left}, the rope takes {1e3 * needed:.3g}"
-    if cast_setup.behind:  # its way is not straight
+    if problem.behind:  # its way is not straight
         return ""
-    tips = arm.tip(np.linspace(*cast_setup.limits.angles, ARM_ANGLES))
+    tips = arm.tip(np.linspace(*problem.limits.angles, ARM_ANGLES))
     ways = centre - tips
     aside = (peg.radius + rope.radius) * np.stack([-ways[:, 1], ways[:, 0]], axis=-1) / np.hypot(*ways.T)[:, None]
     ends = np.concatenate([centre + side * aside for side in (-1.0, 0.0, 1.0)])
@@ -180,20 +178,20 @@ def _blocked(cast_setup: CastSetup, peg: Peg) -> str:
     return f"{named(obstacles[int((gaps <= 0.0).sum(axis=1).argmax())])} stands between the arm and the target"
 
 
-def _start_torque(cast_setup: CastSetup) -> float:
+def _start_torque(problem: Problem) -> float:
     """Torque that holds the hanging rope before the cast, N m: the lesser of the two sides."""
-    rope = cast_setup.rope
+    rope = problem.rope
     gx, gy = rope.gravity
-    starts = [cast_setup.limits.start_angle(side) for side in (-1, 1)]
-    lever = cast_setup.arm.length * min(abs(math.cos(angle) * gx + math.sin(angle) * gy) for angle in starts)
+    starts = [problem.limits.start_angle(side) for side in (-1, 1)]
+    lever = problem.arm.length * min(abs(math.cos(angle) * gx + math.sin(angle) * gy) for angle in starts)
     return float(rope.total_mass * lever)
 
 
-def _most(cast_setup: CastSetup, far: float, axis: float) -> float:
+def _most(problem: Problem, far: float, axis: float) -> float:
     """Turns that no rope of this length can exceed: the arm points to the target, all that is left lies on it."""
-    near = far - cast_setup.arm.length
+    near = far - problem.arm.length
     straight = math.sqrt(near**2 - axis**2)
-    return (math.acos(axis / near) + (cast_setup.rope.total_length - straight) / axis) / (2.0 * math.pi)
+    return (math.acos(axis / near) + (problem.rope.total_length - straight) / axis) / (2.0 * math.pi)
 
 
 def _contact(far: float, aside: float, axis: float) -> float:
@@ -206,9 +204,9 @@ def _straight(far: float, axis: float) -> float:
     return (math.sqrt(max(far**2 - axis**2, 0.0)) - far + axis) / axis
 
 
-def _needed(cast_setup: CastSetup, far: float, aside: float, axis: float) -> float:
+def _needed(problem: Problem, far: float, aside: float, axis: float) -> float:
     """Least room of a rope that makes the turns asked and MARGIN turns, covers what is asked, and hangs, in turns."""
-    turns, contact = cast_setup.turns + MARGIN, cast_setup.contact
+    turns, contact = problem.turns + MARGIN, problem.contact
     angle = _contact(far, aside, axis)
     rooms: list[float] = []
     while len(rooms) < 2:
@@ -220,60 +218,60 @@ def _needed(cast_setup: CastSetup, far: float, aside: float, axis: float) -> flo
     return min(rooms)
 
 
-def _gain(cast_setup: CastSetup, *, fast: bool = False) -> float:
+def _gain(problem: Problem, *, fast: bool = False) -> float:
     """Angle by which one stroke widens a swing, rad; `fast`: with a motor without limits."""
-    least, greatest = cast_setup.limits.angles
+    least, greatest = problem.limits.angles
     stroke = min(math.pi, greatest - least)
-    gain = GAIN * 2.0 * cast_setup.arm.length * math.sin(0.5 * stroke) / _pendulum(cast_setup)
-    time = float(cast_setup.limits.fastest_moves([stroke])[0][0])
-    return gain if fast else gain * min(1.0, 0.5 * cast_setup.period / time)
+    gain = GAIN * 2.0 * problem.arm.length * math.sin(0.5 * stroke) / _pendulum(problem)
+    time = float(problem.limits.fastest_moves([stroke])[0][0])
+    return gain if fast else gain * min(1.0, 0.5 * problem.period / time)
 
 
-def search_time(cast_setup: CastSetup, peg: Peg) -> float:
+def search_time(problem: Problem, peg: Peg) -> float:
     """Time, s, until the strike that a search allows if nobody says: what strokes take to swing the rope up, and SPARE.
 
     They swing it from rest to the target and a stroke's gain beyond it. At least the time of the set-up, and MOST_TIME
     periods at most. At three targets 89, 104 and 108 degrees from hanging a beam search found strikes of scores 0.7, 0
     and none in five periods, and of 3.7, 2.8 and 3.4 in seven and a half.
     """
-    gain = _gain(cast_setup)
-    strokes = (_place(cast_setup, peg)[1] + gain) / (GROWN * gain)
-    return max(cast_setup.time, min(KEEPING_STEP * strokes + SPARE, MOST_TIME) * cast_setup.period)
+    gain = _gain(problem)
+    strokes = (_place(problem, peg)[1] + gain) / (GROWN * gain)
+    return max(problem.time, min(KEEPING_STEP * strokes + SPARE, MOST_TIME) * problem.period)
 
 
-def _place(cast_setup: CastSetup, peg: Peg) -> tuple[float, float]:
+def _place(problem: Problem, peg: Peg) -> tuple[float, float]:
     """Distance of a target from the shaft, m, and its angle from straight down, rad, in [0, pi]."""
-    down, (x0, y0) = np.array(cast_setup.rope.gravity), cast_setup.arm.pivot
+    down, (x0, y0) = np.array(problem.rope.gravity), problem.arm.pivot
     x, y = peg.x - x0, peg.y - y0
     return math.hypot(x, y), math.atan2(abs(x * down[1] - y * down[0]), x * down[0] + y * down[1])
 
 
-def _way(cast_setup: CastSetup, peg: Peg, far: float) -> float:
+def _way(problem: Problem, peg: Peg, far: float) -> float:
     """Least way from the shaft to a target at distance `far`, all in m, by any one of the pegs to run behind."""
-    (x0, y0), ways = cast_setup.arm.pivot, [far]
-    for each in cast_setup.behind:
+    (x0, y0), ways = problem.arm.pivot, [far]
+    for each in problem.behind:
         past = math.hypot(each.x - x0, each.y - y0) + math.hypot(peg.x - each.x, peg.y - each.y)
-        ways.append(past - 2.0 * (each.radius + cast_setup.rope.radius))
+        ways.append(past - 2.0 * (each.radius + problem.rope.radius))
     return max(ways)
 
 
-def _widest(cast_setup: CastSetup) -> float:
+def _widest(problem: Problem) -> float:
     """Angle to which the rope can be swung, rad."""
-    return float(np.interp(_pendulum(cast_setup) / cast_setup.rope.total_length, OUTWARD, WIDEST))
+    return float(np.interp(_pendulum(problem) / problem.rope.total_length, OUTWARD, WIDEST))
 
 
-def _pendulum(cast_setup: CastSetup) -> float:
+def _pendulum(problem: Problem) -> float:
     """Length of a pendulum that swings as the rope does, m."""
-    return math.hypot(*cast_setup.rope.gravity) * (cast_setup.period / (2.0 * math.pi)) ** 2
+    return math.hypot(*problem.rope.gravity) * (problem.period / (2.0 * math.pi)) ** 2
 
 
-def _energy(cast_setup: CastSetup, far: float, aside: float, axis: float) -> float:
+def _energy(problem: Problem, far: float, aside: float, axis: float) -> float:
     """Energy ratio of the tail at the strike, for rods; below 0 if the swing does not get there."""
-    rope, gain = cast_setup.rope, _gain(cast_setup)
+    rope, gain = problem.rope, _gain(problem)
     near = aside - math.asin(min(1.0, axis / far))
-    strokes = cast_setup.time / (0.5 * cast_setup.period)
+    strokes = problem.time / (0.5 * problem.period)
     last = gain * float(np.interp(near, (0.0, SWINGING_ROOM), (FROM_REST, 1.0)))
-    wide = min(near + last, gain * strokes, _widest(cast_setup))
+    wide = min(near + last, gain * strokes, _widest(problem))
     mass = np.append(rope.mass, rope.tip_mass)
     along = np.append(np.cumsum(rope.length) - rope.length + rope.com, rope.total_length)
     tail = np.where(along > far, mass, 0.0)
@@ -283,9 +281,9 @@ def _energy(cast_setup: CastSetup, far: float, aside: float, axis: float) -> flo
     return float(share * drop / max(lift, 1e-12))
 
 
-def _hold(cast_setup: CastSetup, peg: Peg, room: float, contact: float, straight: float) -> float:
+def _hold(problem: Problem, peg: Peg, room: float, contact: float, straight: float) -> float:
     """Greatest pull that a wound rope withstands, N, of all the turns that it has room for."""
-    rope, axis = cast_setup.rope, peg.radius + cast_setup.rope.radius
+    rope, axis = problem.rope, peg.radius + problem.rope.radius
     weight = math.hypot(*rope.gravity)
     # Mass beyond each joint over the length of rope there, from the tip on
     beyond = np.cumsum(np.append(0.0, rope.length[::-1])), np.cumsum(np.append(rope.tip_mass, rope.mass[::-1]))

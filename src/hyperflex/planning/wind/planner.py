@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 
 from hyperflex.model import DEFAULT_CONTACT_STEP
-from hyperflex.planning.cast_setup import CastSetup
 from hyperflex.planning.outcome import CastOutcome, require_holding_force, verify_cast
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.candidates import Candidate, distinct, same_swing
 from hyperflex.planning.search.contact_phase import SLIP_COST
 from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
@@ -85,12 +85,12 @@ class CastPlanner:
     ) -> None:
         self.search, self.time_budget, self.clock, self.enough = search, time_budget, clock or Clock(), enough
         search.left = lambda: min(SEARCHING * time_budget, self.until) - self.spent
-        cast_setup = search.cast_setup
-        self.finer = [cast_setup.cut(k) for k in FINER]
-        self.rounds, self.verifying, self.more = 0, 1.0, cast_setup.more_turns
-        asked = cast_setup, replace(cast_setup, contact=FULL_TURN)
+        problem = search.problem
+        self.finer = [problem.cut(k) for k in FINER]
+        self.rounds, self.verifying, self.more = 0, 1.0, problem.more_turns
+        asked = problem, replace(problem, contact=FULL_TURN)
         known, full = (check_feasibility(each, search.peg) for each in asked)
-        self.asked = Asked(cast_setup.turns, FULL_TURN * (full_turn and full.available_turns >= full.needed_turns))
+        self.asked = Asked(problem.turns, FULL_TURN * (full_turn and full.available_turns >= full.needed_turns))
         tail = float(np.clip(known.available_turns - HANGING_TAIL, MIN_TAIL, MAX_TAIL + self.more))
         self.worthy = WORTHY * tail * float(np.clip(known.energy_ratio, MIN_ENERGY, 1.0))
         self.checked: list[Candidate] = []
@@ -117,8 +117,8 @@ class CastPlanner:
 
     def run(self, report: Callable[..., None] | None) -> None:
         """Search until a plan succeeds with a margin or the time is over; `report` gets the time spent and words."""
-        score, idle, contact, begun, cast_setup = 0.0, 0, 0, self.spent, self.search.cast_setup
-        each = max(ANEW * self.time_budget, SHORT) * max(1.0, cast_setup.time / replace(cast_setup, time=0.0).time) ** 2
+        score, idle, contact, begun, problem = 0.0, 0, 0, self.spent, self.search.problem
+        each = max(ANEW * self.time_budget, SHORT) * max(1.0, problem.time / replace(problem, time=0.0).time) ** 2
         if self.search.candidates:
             self.verify_new()
         while not (self.late or self.done()):
@@ -251,7 +251,7 @@ class CastPlanner:
     def fresh(self) -> list[Candidate]:
         """Return confirmed candidates that wind, unlike those verified and each other; early on none that barely do."""
         last = not self.stands and self.spent > FOLDING * self.time_budget
-        least, score = max(self.asked.turns, self.search.cast_setup.contact / FULL_TURN), LEAST if last else SOUND
+        least, score = max(self.asked.turns, self.search.problem.contact / FULL_TURN), LEAST if last else SOUND
         if self.early and self.search.swings:  # not where given throws are tried before any swing
             least, score = least + SPARE_TURNS, SOUND + SPARE_SCORE
         some, score = self.search.candidates, score + self.more
@@ -319,13 +319,11 @@ class CastPlanner:
     def verify_twice(self, one: Candidate) -> tuple[CastOutcome, CastOutcome | None]:
         """Verify a throw on the rope as given and, beside that, with links of a third unless that fails."""
         until = self.spent + max(LONGEST * self.time_budget, 0.5 * self.left())
-        given = self.search.cast_setup, one, lambda: min(until - self.spent, self.left()), DEFAULT_CONTACT_STEP
+        given = self.search.problem, one, lambda: min(until - self.spent, self.left()), DEFAULT_CONTACT_STEP
         first, second = self.beside(partial(self.run_once, *given), self.finer[0], one)
         return first, foreseen(first, second) if first.success else None
 
-    def beside(
-        self, begin: Callable[[], CastOutcome], cut: CastSetup, one: Candidate
-    ) -> tuple[CastOutcome, CastOutcome]:
+    def beside(self, begin: Callable[[], CastOutcome], cut: Problem, one: Candidate) -> tuple[CastOutcome, CastOutcome]:
         """Verify a throw, and beside that with links cut, which ends where the first run fails."""
 
         def other(failed: Callable[[], bool]) -> CastOutcome:
@@ -333,10 +331,10 @@ class CastPlanner:
 
         return both(begin, other, self.search.workers)
 
-    def run_once(self, cast_setup: CastSetup, one: Candidate, left: Callable[[], float], step: float) -> CastOutcome:
+    def run_once(self, problem: Problem, one: Candidate, left: Callable[[], float], step: float) -> CastOutcome:
         """Simulate a throw on a rope with a contact `step`, s, and a tug at its end, in the time that is `left`, s."""
-        peg, budget, motion = self.search.peg, Deadline(np.inf, left), one.throw.motion(cast_setup.limits)
-        outcome = verify_cast(cast_setup, peg, motion, contact_step=step, time_budget=budget)
+        peg, budget, motion = self.search.peg, Deadline(np.inf, left), one.throw.motion(problem.limits)
+        outcome = verify_cast(problem, peg, motion, contact_step=step, time_budget=budget)
         return require_holding_force(outcome, peg, self.search.holding_force, budget)
 
     def plan(self, known: Feasibility, interrupted: bool = False) -> CastPlan:
@@ -347,4 +345,4 @@ class CastPlanner:
         if outcome is None and not (search.runs or interrupted):
             message = "the time budget was over before the search began"
         found = (throw, outcome, finer, message, search.runs, self.spent, interrupted)
-        return CastPlan(search.cast_setup, search.peg, known, *found)
+        return CastPlan(search.problem, search.peg, known, *found)

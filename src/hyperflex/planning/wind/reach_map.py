@@ -15,8 +15,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope, Setup, checked_obstacles
-from hyperflex.planning.cast_setup import CastSetup, MotorLimits
 from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED
+from hyperflex.planning.problem import MotorLimits, Problem
 from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.many import plan_each
@@ -46,9 +46,9 @@ class ReachMap:
 
     Attributes
     ----------
-    cast_setup : CastSetup
+    problem : Problem
     x, y : (X,), (Y,) float64
-        Of the targets' middles, m; the arm's pivot is at ``cast_setup.arm.pivot``.
+        Of the targets' middles, m; the arm's pivot is at ``problem.arm.pivot``.
     radius, mu : float
         Of the targets, m, and their friction with the rope.
     time_budget : float
@@ -66,7 +66,7 @@ class ReachMap:
         Time of planning, s.
     """
 
-    cast_setup: CastSetup
+    problem: Problem
     x: Array
     y: Array
     radius: float
@@ -123,7 +123,7 @@ class ReachMap:
         held = {
             name: Variable(("y", "x"), getattr(self, name), _attributes(*about)) for name, about in VARIABLES.items()
         }
-        known = self.cast_setup
+        known = self.problem
         limits = {f"motor_{each.name}": getattr(known.limits, each.name) for each in fields(MotorLimits)}
         own = {name: getattr(known, name) for name in OWN}
         about: dict[str, Any] = {
@@ -205,12 +205,12 @@ def build_reach_map(
     named = ("clearance", "turns", "settle", "side", "obstacles", "behind")
     known = {name: options[name] for name in named if options.get(name) is not None}
     known |= {"time": options.get("time_limit") or 0.0, "contact": options.get("contact") or 0.0}
-    cast_setup = CastSetup(rope, arm, MotorLimits() if limits is None else limits, **known)
-    refuse_behind(cast_setup.behind, "a reach map")
+    problem = Problem(rope, arm, MotorLimits() if limits is None else limits, **known)
+    refuse_behind(problem.behind, "a reach map")
     if options.get("state0") is not None:
         fix = "Plan these targets one by one"
         raise InvalidInput("a reach map begins with a rope that hangs", got="state0", allowed="none", fix=fix)
-    middle, far = cast_setup.arm.pivot, cast_setup.arm.length + cast_setup.rope.total_length
+    middle, far = problem.arm.pivot, problem.arm.length + problem.rope.total_length
     count = checks.count("cells", cells)
     steps = (np.arange(count) + 0.5) * far / count
     places = middle[0] + steps if x is None else _increasing("x", x)
@@ -231,7 +231,7 @@ def build_reach_map(
             values[name][number] = value
     shaped: dict[str, Any] = {name: each.reshape(levels.size, places.size) for name, each in values.items()}
     asked = time_budget, options.get("holding_force", 0.0), options.get("seed", 0)
-    return stop.deliver(ReachMap(cast_setup, places, levels, targets[0].radius, targets[0].mu, *asked, **shaped))
+    return stop.deliver(ReachMap(problem, places, levels, targets[0].radius, targets[0].mu, *asked, **shaped))
 
 
 def read_reach_map(path: str | Path) -> ReachMap:
@@ -270,7 +270,7 @@ def read_reach_map(path: str | Path) -> ReachMap:
     setup = Setup.loads(str(about["setup"]), f"the set-up in {path}")
     motor = MotorLimits(**{name: _plain(about[key]) for name, key in limits.items()})
     rest: Mapping[str, Any] = {name: _plain(about[name]) for name in OWN}
-    known = CastSetup(
+    known = Problem(
         setup.rope, setup.arm or Arm(), motor, **{**rest, "side": int(rest["side"]), "obstacles": setup.pegs}
     )
     asked: dict[str, Any] = {name: float(about[name]) for name in ASKED} | {"seed": int(about["seed"])}

@@ -9,22 +9,22 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Rope
-from hyperflex.planning.cast_setup import CastSetup, MotorLimits
+from hyperflex.planning.problem import MotorLimits, Problem
 from hyperflex.planning.wind.feasibility import check_feasibility
 
 MAX_FACTOR, MAX_SPEED_FACTOR = 3.0, 10.0  # greatest factor of a remedy; of the motor
 TOLERANCE = 0.01  # relative, of a factor
 
 
-def find_remedies(cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0) -> tuple[str, ...]:
+def find_remedies(problem: Problem, peg: Peg, *, holding_force: float = 0.0) -> tuple[str, ...]:
     """Return in words the changes that would each make a target feasible; none if it is feasible.
 
     `holding_force` is the pull that the wound rope must withstand, N. The factor of each change is searched from 1 up
     in steps of 5 % or less, then by bisection.
     """
-    rope, arm, limits = cast_setup.rope, cast_setup.arm, cast_setup.limits
+    rope, arm, limits = problem.rope, problem.arm, problem.limits
 
-    def least(changed: Callable[[float], tuple[CastSetup, Peg]], most: float = MAX_FACTOR) -> float:
+    def least(changed: Callable[[float], tuple[Problem, Peg]], most: float = MAX_FACTOR) -> float:
         def good(factor: float) -> bool:
             try:
                 known = changed(factor)
@@ -35,13 +35,13 @@ def find_remedies(cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0
         return _least(good, most)
 
     factors = {
-        "speed": least(lambda f: (replace(cast_setup, limits=_faster(limits, f, 1.0)), peg), MAX_SPEED_FACTOR),
-        "acceleration": least(lambda f: (replace(cast_setup, limits=_faster(limits, 1.0, f)), peg), MAX_SPEED_FACTOR),
-        "motor": least(lambda f: (replace(cast_setup, limits=_faster(limits, f, f**2)), peg), MAX_SPEED_FACTOR),
-        "arm": least(lambda f: (replace(cast_setup, arm=replace(arm, length=f * arm.length)), peg)),
-        "rope": least(lambda f: (replace(cast_setup, rope=_longer(rope, f)), peg)),
-        "time": least(lambda f: (replace(cast_setup, time=f * cast_setup.time), peg)),
-        "peg": least(lambda f: (cast_setup, replace(peg, radius=peg.radius / f))),
+        "speed": least(lambda f: (replace(problem, limits=_faster(limits, f, 1.0)), peg), MAX_SPEED_FACTOR),
+        "acceleration": least(lambda f: (replace(problem, limits=_faster(limits, 1.0, f)), peg), MAX_SPEED_FACTOR),
+        "motor": least(lambda f: (replace(problem, limits=_faster(limits, f, f**2)), peg), MAX_SPEED_FACTOR),
+        "arm": least(lambda f: (replace(problem, arm=replace(arm, length=f * arm.length)), peg)),
+        "rope": least(lambda f: (replace(problem, rope=_longer(rope, f)), peg)),
+        "time": least(lambda f: (replace(problem, time=f * problem.time), peg)),
+        "peg": least(lambda f: (problem, replace(peg, radius=peg.radius / f))),
     }
     if min(factors["speed"], factors["acceleration"]) < np.inf:
         factors["motor"] = np.inf  # one limit alone is enough
@@ -52,7 +52,7 @@ def find_remedies(cast_setup: CastSetup, peg: Peg, *, holding_force: float = 0.0
         "motor": f"a motor of {_up(faster)} rad/s and {_up(acceleration)} rad/s^2",
         "arm": f"an arm of {_up(1e3 * factors['arm'] * arm.length)} mm",
         "rope": f"a rope of {_up(factors['rope'] * rope.total_length)} m",
-        "time": f"{_up(factors['time'] * cast_setup.time)} s to strike",
+        "time": f"{_up(factors['time'] * problem.time)} s to strike",
         "peg": f"a peg of {_up(1e3 * peg.radius / factors['peg'], -1)} mm radius",
     }
     return tuple(words[name] for name, factor in factors.items() if 1.0 < factor < np.inf)

@@ -23,16 +23,16 @@ def strike_figure(plan: CastPlan) -> "Figure":
     run = plan.required(plan.run, "run")
     middle = _strike(plan) if np.isfinite(_strike(plan)) else _stop(plan) - _AFTER
     start, end = max(middle - _BEFORE, run.t[0]), min(middle + _AFTER, run.t[-1])
-    red = "the target, and pegs before it" if plan.cast_setup.behind else "the target"
+    red = "the target, and pegs before it" if plan.problem.behind else "the target"
     title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); red: {red}"
-    walls = plan.cast_setup.obstacles
+    walls = plan.problem.obstacles
     return strobe_figure(run, start=float(start), end=float(end), count=56, title=title, obstacles=walls)
 
 
 def course_figure(plan: CastPlan) -> "Figure":
     """Draw arm angle, turns, tension and the motor's torque over time."""
-    run, strike, watched = plan.required(plan.run, "run"), _strike(plan), _stop(plan) + plan.cast_setup.settle
-    wound, needed = winding.measure_winding(run, plan.target), plan.cast_setup.turns
+    run, strike, watched = plan.required(plan.run, "run"), _strike(plan), _stop(plan) + plan.problem.settle
+    wound, needed = winding.measure_winding(run, plan.target), plan.problem.turns
 
     def draw(turns: Any, pull: Any) -> None:
         turns.plot(run.t, sense(plan) * wound.turns, color=GREEN)
@@ -97,7 +97,7 @@ def way(plan: CastPlan) -> str:
 def behind_sentence(plan: CastPlan) -> str:
     """Return a sentence about the pegs that the rope is to run behind, after a space; "" without any."""
     runs = () if plan.outcome is None else plan.outcome.runs_behind
-    pegs = zip(plan.cast_setup.behind, runs, strict=False)
+    pegs = zip(plan.problem.behind, runs, strict=False)
     told = [f"{'behind' if there else 'not behind'} {in_words(peg)}" for peg, there in pegs]
     return f" On its way from the arm it runs {', and '.join(told)}." if told else ""
 
@@ -114,7 +114,7 @@ def _moves(plan: CastPlan) -> ArmMoves | None:
     """Return the swings and the last move."""
     if plan.throw is None:
         return None
-    limits = plan.cast_setup.limits
+    limits = plan.problem.limits
     starts, angles = plan.throw.starts(limits), plan.throw.angles(limits)
     names = (*(str(k + 1) for k in range(plan.throw.count)), "last")
     return ArmMoves(starts, starts + limits.fastest_moves(np.diff(angles), 1.0)[0], angles, names)

@@ -17,8 +17,8 @@ _OUT, _FAILED = "#e3e6ea", "#f0b7b0"
 
 def reach_figure(reach: ReachMap) -> "Figure":
     """Draw a reach map to scale: angle covered of the targets that are wound, the others by the reason."""
-    arm = reach.cast_setup.arm
-    far = arm.length + reach.cast_setup.rope.total_length
+    arm = reach.problem.arm
+    far = arm.length + reach.problem.rope.total_length
     edges = [_edges(reach.x), _edges(reach.y)]
     width, height = (float(np.ptp(each)) for each in edges)
     tall = float(np.clip(6.0 * height / width, 3.0, 8.0))
@@ -38,7 +38,7 @@ def reach_figure(reach: ReachMap) -> "Figure":
         for radius, colour, words in ((far, GREY, "the rope's end comes no farther"), (arm.length, BLUE, "arm's tip")):
             circle = [middle + radius * turn(angle) for middle, turn in zip(arm.pivot, (np.cos, np.sin), strict=True)]
             axis.plot(*circle, color=colour, ls="--", lw=1.1, label=words)
-        draw_obstacles(axis, reach.cast_setup.obstacles, 4.0 * far)
+        draw_obstacles(axis, reach.problem.obstacles, 4.0 * far)
         axis.plot(*arm.pivot, "o", color=INK, ms=5.0, label="motor's shaft")
         axis.set(xlabel="x, m", ylabel="y, m (up)", aspect="equal", title=_title(reach))
         legend(figure, axis, place="lower center", columns=2)
@@ -47,7 +47,7 @@ def reach_figure(reach: ReachMap) -> "Figure":
 
 def _title(reach: ReachMap) -> str:
     searched = int((~reach.infeasible & (reach.status >= 0)).sum())
-    rope, radius = reach.cast_setup.rope, 1e3 * reach.radius
+    rope, radius = reach.problem.rope, 1e3 * reach.radius
     return (
         f"Rope of {rope.total_length:.3g} m, {1e3 * rope.total_mass:.3g} g; targets of {radius:.3g} mm radius\n"
         f"{int(reach.wound.sum())} of {searched} feasible ones wound, {reach.time_budget:g} s each (simulated)"

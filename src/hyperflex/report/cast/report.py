@@ -89,11 +89,11 @@ class CastReport(PlanReport[CastPlan]):
         if cast is not None and cast.completed:
             if math.isfinite(cast.strike_time):
                 shown.append((f"{cast.strike_time:.2f} s", "after the start the rope strikes the target"))
-                needed = f"{plan.cast_setup.turns:g} are needed"
+                needed = f"{plan.problem.turns:g} are needed"
                 counted_from = f"in the end, {way(plan)}, from the arm's tip to the rope's end; {needed}"
                 shown.append((f"{abs(cast.turns):.2f} turns", counted_from))
                 covered = f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}"
-                shown.append((covered, _covered(cast.contact_angle, plan.cast_setup.contact)))
+                shown.append((covered, _covered(cast.contact_angle, plan.problem.contact)))
             else:
                 shown.append(("never", "the rope strikes the target"))
         elif plan.throw is not None:
@@ -110,13 +110,13 @@ class CastReport(PlanReport[CastPlan]):
         return tuple(shown)
 
     def _story(self) -> tuple[str, ...]:
-        plan, cast, limits = self.plan, self.plan.outcome, self.plan.cast_setup.limits
+        plan, cast, limits = self.plan, self.plan.outcome, self.plan.problem.limits
         if plan.throw is None:
             return ()
         starts, stop = plan.throw.starts(limits), plan.throw.stops(limits)
         times = ", ".join(f"{start:.2f}" for start in starts[:-1])
         begin = np.degrees(plan.throw.angles(limits)[0])
-        start = "swings, in the state that the plan's file holds (q0, qd0)," if plan.cast_setup.q0 else "hangs at rest"
+        start = "swings, in the state that the plan's file holds (q0, qd0)," if plan.problem.q0 else "hangs at rest"
         lines = [
             f"Target: a round peg, {_place(plan.target)}.",
             (
@@ -153,7 +153,7 @@ class CastReport(PlanReport[CastPlan]):
         plots = (Plot(f"turns, {way(self.plan)}", "", (Line("", turns),)),)
         strike = math.nan if self.plan.outcome is None else self.plan.outcome.strike_time
         marks = (strike,) if math.isfinite(strike) else ()
-        walls = self.plan.cast_setup.obstacles
+        walls = self.plan.problem.obstacles
         words = {"title": "planned cast, simulated", "note": self.film_note()}
         return {**words, "plots": plots, "marks": marks, "obstacles": walls}
 
@@ -178,7 +178,7 @@ class CastReport(PlanReport[CastPlan]):
     def _arm_words(self, t: float) -> str:
         if self.plan.throw is None:
             return ""
-        limits, count = self.plan.cast_setup.limits, self.plan.throw.count
+        limits, count = self.plan.problem.limits, self.plan.throw.count
         begun = int((self.plan.throw.starts(limits) <= t).sum())
         if begun == 0:
             return f"at rest, {_swings(self.plan)} to come"
@@ -264,7 +264,7 @@ def _nearest(plan: CastPlan, near: FallbackTarget) -> str:
 
 def _lacks(plan: CastPlan) -> str:
     """Return what a throw that winds but fails needs, where more search does not help; else ""."""
-    cast, given = plan.outcome, plan.cast_setup.limits.torque
+    cast, given = plan.outcome, plan.problem.limits.torque
     if cast is None or not cast.wound:
         return ""
     if cast.torque > given:
@@ -294,7 +294,7 @@ def _outcome(plan: CastPlan, cast: CastOutcome) -> str:
 
 def _watched(plan: CastPlan) -> str:
     """Return when the watch begins, where that is not as usual; else ""."""
-    settle = plan.cast_setup.settle
+    settle = plan.problem.settle
     return "" if settle == SETTLING_TIME else f", from {settle:g} s after the arm's stop on,"
 
 
@@ -333,7 +333,7 @@ def _checks(plan: CastPlan) -> TextTable:
             contact, clear = f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}", f"{1e3 * cast.clearance:.1f} mm"
             good = "yes" if cast.success else "no"
             rows.append((name, str(cast.n_links), strike, turns, contact, slip, clear, good))
-    names = ("run", "links", "strikes", "turns", "contact", "slips", clear_of(plan.cast_setup), "winds and holds")
+    names = ("run", "links", "strikes", "turns", "contact", "slips", clear_of(plan.problem), "winds and holds")
     return TextTable(names, tuple(rows))
 
 

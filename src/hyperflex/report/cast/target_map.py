@@ -21,7 +21,7 @@ _MARGIN = 1.08
 
 def target_map(plan: CastPlan) -> "Figure":
     """Draw the target, the arm with its rope at rest, and the circle beyond which the rope does not come."""
-    arm, far = plan.cast_setup.arm, plan.cast_setup.arm.length + plan.cast_setup.rope.total_length
+    arm, far = plan.problem.arm, plan.problem.arm.length + plan.problem.rope.total_length
     pivot: Array = np.array(arm.pivot, dtype=np.float64)
     pegs = [plan.target] if plan.fallback is None else [plan.target, plan.fallback.target]
     corners = [pivot - far, pivot + far]
@@ -38,8 +38,8 @@ def target_map(plan: CastPlan) -> "Figure":
         axis.plot(*np.stack([tip, end], axis=1), color="#d99a1c", lw=2.0, label="rope, hanging at rest")
         axis.plot(*np.stack([pivot, tip], axis=1), color=INK, lw=3.0, label="arm", solid_capstyle="round")
         axis.plot(*pivot, "o", color=INK, ms=5.0, label="motor's shaft")
-        draw_obstacles(axis, plan.cast_setup.obstacles, 8.0 * far)
-        for k, each in enumerate(plan.cast_setup.behind):
+        draw_obstacles(axis, plan.problem.obstacles, 8.0 * far)
+        for k, each in enumerate(plan.problem.behind):
             _peg(axis, each, 2.0 * half[0], INK, "" if k else "peg that the rope is to run behind")
         _peg(axis, plan.target, 2.0 * half[0], RED, "target")
         if plan.fallback is not None:
@@ -70,10 +70,10 @@ def _kind(plan: CastPlan) -> str:
 
 def _at_rest(plan: CastPlan) -> tuple[Array, Array]:
     """Places (2,) of the arm's tip and the rope's end at the start, m; the arm to the left where there is no throw."""
-    arm, limits, gravity = plan.cast_setup.arm, plan.cast_setup.limits, np.array(plan.cast_setup.rope.gravity)
+    arm, limits, gravity = plan.problem.arm, plan.problem.limits, np.array(plan.problem.rope.gravity)
     angle = float(np.clip(-0.5 * np.pi, *limits.angles) if plan.throw is None else plan.throw.angles(limits)[0])
     tip: Array = np.array(arm.pivot) + arm.length * np.array([math.sin(angle), -math.cos(angle)])
-    return tip, tip + plan.cast_setup.rope.total_length * gravity / np.hypot(*gravity)
+    return tip, tip + plan.problem.rope.total_length * gravity / np.hypot(*gravity)
 
 
 def _circle(axis: Any, centre: Array, radius: float, colour: str, label: str) -> None:

@@ -24,7 +24,7 @@ def entry_figure(plan: InsertPlan) -> "Figure":
     seen, run = plan.required(plan.outcome, "outcome"), plan.required(plan.run, "run")
     start, end = max(seen.t_enter - _BEFORE, run.t[0]), min(seen.t + _AFTER, run.t[-1])
     title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); red: the walls"
-    others = plan.cast_setup.obstacles
+    others = plan.problem.obstacles
     return strobe_figure(run, start=float(start), end=float(end), count=48, title=title, obstacles=others)
 
 

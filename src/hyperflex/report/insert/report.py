@@ -74,7 +74,7 @@ class InsertReport(PlanReport[InsertPlan]):
             shown.append((length(seen.depth, 2), "greatest depth before it leaves, touches or the run ends"))
         if (chance := plan.success_probability) is not None:
             told = "success probability with a slot 2 mm and strokes 2 ms off, unless planned for something else"
-            weak = plan.cast_setup.limits.torque < math.inf
+            weak = plan.problem.limits.torque < math.inf
             told += "; what the motor must give is not looked at there" if weak else ""
             shown.append((f"{100 * chance.estimate:.0f} %", told) if chance.samples else ("?", f"{told}: {chance}"))
         return (*shown, *clearance_tiles(plan), *torque_tiles(plan, seen))
@@ -112,7 +112,7 @@ class InsertReport(PlanReport[InsertPlan]):
             "note": self.film_note(),
             "speed": _SLOW,
             "marks": (inside,),
-            "obstacles": self.plan.cast_setup.obstacles,
+            "obstacles": self.plan.problem.obstacles,
         }
 
     def film_note(self) -> Callable[[float], str]:
@@ -133,7 +133,7 @@ def _checks(plan: InsertPlan) -> TextTable:
     rows = [
         _check(name, seen) for name, seen in (("as planned", plan.outcome), ("2.5 times the links", plan.finer_outcome))
     ]
-    names = ("run", "links", "inside", "depth", "speed", "clear of the walls", clear_of(plan.cast_setup))
+    names = ("run", "links", "inside", "depth", "speed", "clear of the walls", clear_of(plan.problem))
     return TextTable(names, tuple(rows))
 
 

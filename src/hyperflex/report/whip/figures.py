@@ -27,7 +27,7 @@ def peak_figure(plan: WhipPlan) -> "Figure":
     run = plan.required(plan.run, "run")
     start, end = max(seen.t - _BEFORE, run.t[0]), min(seen.t + _AFTER, run.t[-1])
     title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); ring: the target"
-    place, walls = plan.target.point[None], plan.cast_setup.obstacles
+    place, walls = plan.target.point[None], plan.problem.obstacles
     return strobe_figure(run, start=float(start), end=float(end), count=48, title=title, targets=place, obstacles=walls)
 
 
@@ -53,7 +53,7 @@ def passing_figure(plan: WhipPlan) -> "Figure":
         axis.plot(0.0, 0.0, "o", ms=13.0, mfc="none", mec=RED, mew=1.8, label="target")
         axis.plot(*place, "o", ms=4.5, color=INK, label=f"tip at its peak, {length(seen.miss, 2)} off")
         axis.set(xlim=(-1e3 * half, 1e3 * half), ylim=(-1e3 * half, 1e3 * half), aspect="equal")
-        draw_obstacles(axis, plan.cast_setup.obstacles, 8.0 * half, origin=target.point, scale=1e3)
+        draw_obstacles(axis, plan.problem.obstacles, 8.0 * half, origin=target.point, scale=1e3)
         axis.set(xlabel="x from the target, mm", ylabel="y from the target, mm (up)")
         axis.set_title("How the tip passes the target, simulated")
         legend(figure, axis, place="lower center", columns=2)

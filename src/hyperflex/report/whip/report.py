@@ -125,7 +125,7 @@ class WhipReport(PlanReport[WhipPlan]):
         """Return title, notes and speed of the film, the target, and when the tip's speed peaks."""
         peak, target = self.plan.required(self.plan.outcome, "outcome").t, self.plan.target.point[None]
         note = self.film_note()
-        shown = {"targets": target, "marks": (peak,), "obstacles": self.plan.cast_setup.obstacles}
+        shown = {"targets": target, "marks": (peak,), "obstacles": self.plan.problem.obstacles}
         return {"title": "planned whip, simulated", "note": note, "speed": _SLOW, **shown}
 
     def film_note(self) -> Callable[[float], str]:
@@ -184,7 +184,7 @@ def _checks(plan: WhipPlan) -> TextTable:
         links = str(seen.n_links)
         peak, speed, clear = f"{seen.t:.3f} s", f"{seen.speed:.2f} m/s", f"{1e3 * seen.clearance:.1f} mm"
         rows.append((name, links, peak, speed, length(seen.miss, 2), off, clear))
-    names = ("run", "links", "peak", "speed", "misses by", "off the direction", clear_of(plan.cast_setup))
+    names = ("run", "links", "peak", "speed", "misses by", "off the direction", clear_of(plan.problem))
     return TextTable(names, tuple(rows))
 
 

@@ -88,7 +88,7 @@ class MotorLimits:
 
 
 @dataclass(frozen=True)
-class CastSetup:
+class Problem:
     """A rope on an arm, with the motor's limits and the time until the strike.
 
     Parameters
@@ -234,7 +234,7 @@ class CastSetup:
         q, qd = self.start
         return q[link], qd[link]
 
-    def cut(self, pieces: int) -> "CastSetup":
+    def cut(self, pieces: int) -> "Problem":
         """Return the same with each link of the rope cut into pieces."""
         q0, qd0 = (tuple(np.repeat(each, pieces)) for each in (self.q0, self.qd0))
         return replace(self, rope=divided(self.rope, pieces), q0=q0, qd0=qd0)
