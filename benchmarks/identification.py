@@ -12,13 +12,14 @@ import recorded
 from clock import NOTE, alternately
 
 import hyperflex as hf
-from hyperflex.identification import identify, iterative_revision
+from hyperflex.identification import identify
 from hyperflex.identification.fit.stages import Measurements, fit_in_stages
 from hyperflex.identification.fit.windows import usual_length
 from hyperflex.identification.measurements import measure as measured
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
+from hyperflex.paper import iterative_revision
 
 RATE = 7.5  # frames a second
 # The paper's identification rope, as far as it can be inferred: 1.0 m, cylinder moment for a first guess

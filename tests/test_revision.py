@@ -14,7 +14,7 @@ from hyperflex.identification import (
     squared_error,
     swing_period,
 )
-from hyperflex.identification.baselines import simplex as _simplex
+from hyperflex.paper import simplex as _simplex
 from tests.faults.interrupting import left_by
 
 T = np.arange(41) / 7.5

@@ -26,15 +26,11 @@ if TYPE_CHECKING:
         Experiment,
         ExperimentDesign,
         Identification,
-        IterativeRevision,
         ModelComparison,
         bootstrap,
         compare_models,
         design_experiment,
-        estimate_initial_state,
-        fit_regression,
         identify,
-        iterative_revision,
     )
     from hyperflex.interfaces import Motor, RopeState, StateSource
     from hyperflex.model import Arm, Ground, Peg, Rope, Setup, Wall, refine_rope
@@ -50,6 +46,7 @@ if TYPE_CHECKING:
         sampled_motion,
         torque_profile,
     )
+    from hyperflex.paper import IterativeRevision, estimate_initial_state, fit_regression, iterative_revision
     from hyperflex.planning import (
         CastPlan,
         FollowResult,

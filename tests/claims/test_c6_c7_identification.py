@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.identification import iterative_revision
+from hyperflex.paper import iterative_revision
 from hyperflex.paper.identification import (
     FINER,
     FRICTION,

@@ -7,9 +7,10 @@ import pytest
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import identify, iterative_revision
+from hyperflex.identification import identify
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.model import Rope
+from hyperflex.paper import iterative_revision
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
 

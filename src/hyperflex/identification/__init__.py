@@ -5,20 +5,6 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.identification.baselines.natural_frequency import (
-        cylinder_inertia,
-        natural_frequency_inertia,
-        natural_period,
-        swing_period,
-    )
-    from hyperflex.identification.baselines.regression import LeastSquares, Regression, fit_regression
-    from hyperflex.identification.baselines.revision import (
-        IterativeRevision,
-        RevisionProfile,
-        Round,
-        iterative_revision,
-    )
-    from hyperflex.identification.baselines.simplex import InitialState, estimate_initial_state, squared_error
     from hyperflex.identification.comparison.compare import compare_models
     from hyperflex.identification.comparison.result import FittedModel, ModelComparison
     from hyperflex.identification.diagnosis.grade import Grade

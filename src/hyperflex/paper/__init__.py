@@ -6,8 +6,22 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.paper.casting import DURATION, READINGS, T_MOVE, T_REST, Reading, cable, casting_arm
+    from hyperflex.paper.natural_frequency import (
+        cylinder_inertia,
+        natural_frequency_inertia,
+        natural_period,
+        swing_period,
+    )
+    from hyperflex.paper.regression import LeastSquares, Regression, fit_regression
     from hyperflex.paper.report.part import verdicts
     from hyperflex.paper.report.reproduce import reproduce
     from hyperflex.paper.results import Claim, Table
+    from hyperflex.paper.revision import (
+        IterativeRevision,
+        RevisionProfile,
+        Round,
+        iterative_revision,
+    )
+    from hyperflex.paper.simplex import InitialState, estimate_initial_state, squared_error
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -15,20 +15,11 @@ from functools import cache
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification import (
-    InitialState,
-    IterativeRevision,
-    RevisionProfile,
-    cylinder_inertia,
-    estimate_initial_state,
-    iterative_revision,
-    natural_frequency_inertia,
-    natural_period,
-    squared_error,
-    swing_period,
-)
 from hyperflex.model import Rope
+from hyperflex.paper.natural_frequency import cylinder_inertia, natural_frequency_inertia, natural_period, swing_period
 from hyperflex.paper.results import Claim, Table
+from hyperflex.paper.revision import IterativeRevision, RevisionProfile, iterative_revision
+from hyperflex.paper.simplex import InitialState, estimate_initial_state, squared_error
 from hyperflex.recording import Recording
 from hyperflex.simulation import angles, simulate
 

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperflex.identification import IterativeRevision, RevisionProfile
 from hyperflex.paper import identification as results
 from hyperflex.paper.identification import (
     CURVES,
@@ -28,6 +27,7 @@ from hyperflex.paper.identification import (
     true_rope,
 )
 from hyperflex.paper.report.part import Item, Part
+from hyperflex.paper.revision import IterativeRevision, RevisionProfile
 from hyperflex.report import BLUE, GREEN, GREY, INK, RED, Picture, Section, TextTable, new_figure
 
 if TYPE_CHECKING:

@@ -11,8 +11,13 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.dynamics import bias, mass_matrix
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
-from hyperflex.identification.baselines.regression import fit_regression
-from hyperflex.identification.baselines.simplex import (
+from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
+from hyperflex.identification.excitation import check_motion, check_times
+from hyperflex.identification.fit.multiple_shooting import one_thread
+from hyperflex.interruption import catch_interrupt, interruptible
+from hyperflex.model import Rope, Setup
+from hyperflex.paper.regression import fit_regression
+from hyperflex.paper.simplex import (
     MAX_EVALUATIONS,
     RATES,
     Rates,
@@ -21,11 +26,6 @@ from hyperflex.identification.baselines.simplex import (
     matching_angles,
     squared_error,
 )
-from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
-from hyperflex.identification.excitation import check_motion, check_times
-from hyperflex.identification.fit.multiple_shooting import one_thread
-from hyperflex.interruption import catch_interrupt, interruptible
-from hyperflex.model import Rope, Setup
 from hyperflex.recording import Recording
 from hyperflex.simulation import AngleJacobian, angles
 

@@ -1,1 +1,0 @@
-"""The paper's identification methods and its baselines."""
