@@ -7,7 +7,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import IdentificationError, InvalidInput
-from hyperflex.identification import (
+from hyperflex.paper import (
     cylinder_inertia,
     natural_frequency_inertia,
     natural_period,
