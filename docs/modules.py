@@ -1,4 +1,4 @@
-"""Write the tree in ARCHITECTURE.md from the first sentences of the modules: ``python docs/generate_map.py``."""
+"""MkDocs hook: the page on all modules, made from the first sentences of their docstrings while the site is built."""
 
 from __future__ import annotations
 
@@ -6,12 +6,20 @@ import ast
 import re
 import tomllib
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "src" / "hyperflex"
-MAP = ROOT / "ARCHITECTURE.md"
-BLOCK = re.compile(r"(?<=```\nsrc/hyperflex/\n).*?(?=```)", re.S)
-WIDTH = 32  # of the names
+WIDTH = 36  # characters of the names' column
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the page to the site's files."""
+    from mkdocs.structure.files import File
+
+    text = f"# Modules\n\nWhat a module imports stands above it.\n\n```text\nsrc/hyperflex/\n{tree()}```\n"
+    files.append(File.generated(config, "modules.md", content=text))
+    return files
 
 
 def tree() -> str:
@@ -21,7 +29,7 @@ def tree() -> str:
     order = {name: number for number, names in enumerate(reversed(layers)) for name in names}
 
     def place(path: Path) -> tuple[int, bool, str]:
-        return (order[path.stem] if path.parent == PACKAGE else 0, path.is_dir(), path.name)
+        return (order.get(path.stem, 0) if path.parent == PACKAGE else 0, path.is_dir(), path.name)
 
     def lines(folder: Path, depth: int) -> list[str]:
         inside = [p for p in folder.iterdir() if p.suffix == ".py" or (p / "__init__.py").is_file()]
@@ -34,17 +42,10 @@ def tree() -> str:
                 found += lines(path, depth + 1)
         return found
 
-    first = f"{'  __init__.py'.ljust(WIDTH - 1)} {sentence(PACKAGE / '__init__.py')}"
-    return "\n".join([first, *lines(PACKAGE, 1)]) + "\n"
+    return "\n".join(lines(PACKAGE, 1)) + "\n"
 
 
 def sentence(path: Path) -> str:
-    """Return the first paragraph of a module's docstring in one line, without the stop."""
+    """Return the first paragraph of a module's docstring in one line, without the full stop."""
     text = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
     return " ".join(text.split("\n\n")[0].split()).rstrip(".")
-
-
-if __name__ == "__main__":
-    from hyperflex import files
-
-    files.write_text(MAP, BLOCK.sub(lambda _: tree(), MAP.read_text("utf-8")))
