@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import doctest
 import importlib
-import inspect
 import os
 import pkgutil
 import re
 import subprocess
 import sys
-import tomllib
 import warnings
 from dataclasses import fields
 from inspect import signature
@@ -142,38 +139,11 @@ def test_page_on_accuracy_has_a_row_for_every_status_of_a_run() -> None:
     assert set(re.findall(r"^\| `([^`]+)` \|", table, re.M)) == {*ends, OUT_OF_TIME, INTERRUPTED} - {"ok"}
 
 
-def public_names() -> set[str]:
-    """Return the names that users meet: of public objects and modules, their attributes and arguments."""
-    rooms = [
-        importlib.import_module(name) for name in MODULES if name.count(".") == 1 and not name.endswith("__main__")
-    ]
-    offered = [getattr(room, name) for room in (hyperflex, *rooms) for name in getattr(room, "__all__", ())]
-    members = [getattr(each, name) for each in offered if inspect.isclass(each) for name in dir(each)]
-    names = {part for module in MODULES for part in module.split(".")} | {"hf", "benchmarks"}
-    names |= {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
-    for each in (*offered, *members):
-        names |= {getattr(each, "__name__", ""), *(dir(each) if inspect.isclass(each) else ())}
-        names |= set(getattr(each, "__annotations__", ()))
-        with contextlib.suppress(TypeError, ValueError):  # what has no signature
-            names |= set(signature(each).parameters)
-    return names
-
-
-def test_changelog_uses_the_names_of_today() -> None:
-    text = re.sub(r"\(before[^()]*(\([^()]*\)[^()]*)*\)", "", (ROOT / "CHANGELOG.md").read_text("utf-8"))
-    cli, known = (ROOT / "docs" / "cli.md").read_text("utf-8"), public_names()
-    known |= set(tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"])
-    files_of_benchmarks = "\n".join(path.read_text("utf-8") for path in (ROOT / "benchmarks").glob("*.py"))
-    stale = []
-    for word in sorted(set(re.findall(r"`([^`]+)`", text))):
-        stale += [option for option in re.findall(r"--[a-z-]+", word) if option not in cli + files_of_benchmarks]
-        if "/" in word and "/p1" not in word and not (ROOT / word).exists():
-            stale.append(word)
-        if re.fullmatch(r"(\w+\.)*\w+(\(.*\))?", word):  # a name, or a call
-            plain = re.sub(r"\"[^\"]*\"|=[^,)]*", "", word)
-            more = code_names() if re.match(r"[A-Z]\w+\.", word) else set()  # attributes that __init__ makes
-            stale += [f"{name} in {word}" for name in re.findall(r"[A-Za-z_]\w+", plain) if name not in known | more]
-    assert stale == [], stale
+@pytest.mark.parametrize("page", ["README.md", "CHANGELOG.md", "ARCHITECTURE.md"])
+def test_front_pages_use_names_of_the_code(page: str) -> None:
+    quoted = re.findall(r"`(\w+)(?:\([^`]*\))?`", (ROOT / page).read_text("utf-8"))
+    known = code_names() | {part for module in MODULES for part in module.split(".")}
+    assert {name for name in quoted if "_" in name} - known == set()
 
 
 def glossary_names() -> set[str]:
