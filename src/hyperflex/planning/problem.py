@@ -7,11 +7,12 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
+from hyperflex import checks, options
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Obstacle, Peg, Rope, checked_obstacles, divided
+from hyperflex.options import option
 from hyperflex.planning.clearance import named, obstacle_gaps
 from hyperflex.planning.routing import checked_behind
 
@@ -51,16 +52,17 @@ class MotorLimits:
     ([0.447, 0.85], [0.5, 0.294])
     """
 
-    speed: float = 2.0 * math.pi / 0.73
-    acceleration: float = 4.0 * math.pi / 0.73**2
-    torque: float = math.inf
+    speed: float = option(2.0 * math.pi / 0.73, "greatest speed of the arm", unit="rad/s", sign="positive")
+    acceleration: float = option(
+        4.0 * math.pi / 0.73**2, "greatest acceleration of the arm", unit="rad/s^2", sign="positive"
+    )
+    torque: float = option(
+        math.inf, "greatest torque of the motor", unit="N m", sign="positive", infinite=True, shown="not limited"
+    )
     angles: tuple[float, float] = (-math.pi, math.pi)
 
     def __post_init__(self) -> None:
-        for name, unit in (("speed", "rad/s"), ("acceleration", "rad/s^2"), ("torque", "N m")):
-            value, may = getattr(self, name), name == "torque"
-            value = checks.number(f"motor {name}", value, sign="positive", unit=unit, infinite=may)
-            object.__setattr__(self, name, value)
+        options.check(self, "motor")
         least, greatest = checks.array("motor angles", self.angles, (2,), unit="rad").tolist()
         checks.meant("motor angles", (least, greatest), "rad")
         if greatest - least < 0.1:

@@ -1,16 +1,17 @@
 """A slot between two walls, and where a rope crosses the line of these walls."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
+from hyperflex import checks, options
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope, Wall
+from hyperflex.options import option
 
 NARROWEST = 3.0  # diameters of the rope
 
@@ -50,26 +51,22 @@ class Slot:
     [0.21, 0.19]
     """
 
-    x: float
-    y: float
-    direction: float
-    width: float = 0.02
-    depth: float = 0.05
-    wall: float = 0.1
-    tube: float = 0.0
-    max_speed: float = math.inf
-    touching: bool = False
+    x: float = option(MISSING, "middle of the gap, to the right", unit="m")
+    y: float = option(MISSING, "middle of the gap, up", unit="m")
+    direction: float = option(MISSING, "the way in, across the walls: 0 is +x, pi/2 is up", unit="rad")
+    width: float = option(0.02, "width of the gap: three diameters of the rope or more", unit="m", sign="positive")
+    depth: float = option(0.05, "how far beyond the walls the tip must come", unit="m", sign="positive")
+    wall: float = option(0.1, "length of each wall", unit="m", sign="positive")
+    tube: float = option(
+        0.0, "length of the tube: walls that run inwards from the gap's edges", unit="m", sign="nonnegative"
+    )
+    max_speed: float = option(
+        math.inf, "greatest speed of the tip at that depth", unit="m/s", sign="positive", infinite=True, shown="any"
+    )
+    touching: bool = option(False, "the rope may touch the walls")
 
     def __post_init__(self) -> None:
-        for name, unit in (("x", "m"), ("y", "m"), ("direction", "rad")):
-            object.__setattr__(self, name, checks.number(f"slot {name}", getattr(self, name), unit=unit))
-        for name in ("width", "depth", "wall"):
-            value = checks.number(f"slot {name}", getattr(self, name), sign="positive", unit="m")
-            object.__setattr__(self, name, value)
-        tube = checks.number("slot tube", self.tube, sign="nonnegative", unit="m")
-        object.__setattr__(self, "tube", tube)
-        most = checks.number("slot max_speed", self.max_speed, sign="positive", unit="m/s", infinite=True)
-        object.__setattr__(self, "max_speed", most)
+        options.check(self, "slot")
         object.__setattr__(self, "touching", checks.flag("slot touching", self.touching))
 
     @property

@@ -1,14 +1,16 @@
 """The target of a whip's tip, and the cost of peaks of the tip's speed."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import MISSING, dataclass
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
+from hyperflex import checks, options
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.options import option
 from hyperflex.planning.problem import Problem
 
 ANGLE_MARGIN, SPEED_MARGIN = 0.6, 1.05  # of the allowed angle and the asked speed, at which a search aims
@@ -40,22 +42,23 @@ class TipTarget:
         If a value is not finite or has the wrong sign.
     """
 
-    x: float
-    y: float
-    direction: float = None  # type: ignore[assignment]  # a number once it is made
-    least_speed: float = 5.0
-    angle_tolerance: float = float(np.radians(20.0))
+    x: float = option(MISSING, "place of the target, to the right", unit="m")
+    y: float = option(MISSING, "place of the target, up", unit="m")
+    direction: float = option(  # None becomes 0 when it is made
+        None, "direction of the tip's velocity there: 0 is +x, pi/2 is up", unit="rad", shown="any"
+    )
+    least_speed: float = option(5.0, "least speed of the tip there", unit="m/s", sign="positive")
+    angle_tolerance: float = option(
+        math.radians(20.0), "greatest angle between velocity and direction, at most pi", unit="rad", sign="positive"
+    )
 
     def __post_init__(self) -> None:
         if self.direction is None:
             object.__setattr__(self, "direction", 0.0)
             object.__setattr__(self, "angle_tolerance", float(np.pi))
+        options.check(self, "target")
         for name, unit in (("x", "m"), ("y", "m"), ("direction", "rad")):
-            object.__setattr__(self, name, checks.number(f"target {name}", getattr(self, name), unit=unit))
             checks.meant(f"target {name}", getattr(self, name), unit)
-        for name, unit in (("least_speed", "m/s"), ("angle_tolerance", "rad")):
-            value = checks.number(f"target {name}", getattr(self, name), sign="positive", unit=unit)
-            object.__setattr__(self, name, value)
         if self.angle_tolerance > np.pi:
             raise InvalidInput("target angle_tolerance is too large", got=self.angle_tolerance, allowed="<= pi, in rad")
 

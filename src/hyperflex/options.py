@@ -1,0 +1,51 @@
+"""Options: dataclass fields that carry their unit, sign and help.
+
+:func:`check` validates them, a set-up file's table and the command line are made from them: an option is declared once.
+"""
+
+from collections.abc import Iterator
+from dataclasses import Field, field, fields
+from typing import Any
+
+from hyperflex import checks
+from hyperflex.checks import Sign
+
+
+def option(
+    default: Any, text: str, *, unit: str = "", sign: Sign = "any", infinite: bool = False, shown: str = ""
+) -> Any:
+    """Return a dataclass field for an option.
+
+    Parameters
+    ----------
+    default
+        Its default; None if the option may be absent.
+    text : str
+        What it is: a phrase without a full stop, which the command line shows with unit and default.
+    unit, sign, infinite
+        As of :func:`hyperflex.checks.number`. An option without a unit may be a text, a flag or a count.
+    shown : str
+        What the command line shows in place of the default ("any", "five periods").
+    """
+    metadata = {"help": text, "unit": unit, "sign": sign, "infinite": infinite, "shown": shown}
+    return field(default=default, metadata=metadata)
+
+
+def options_of(kind: type) -> Iterator[Field[Any]]:
+    """Yield the fields of a dataclass that are options."""
+    return (each for each in fields(kind) if "help" in each.metadata)
+
+
+def check(instance: Any, name: str) -> None:
+    """Validate the numbers among the options of a dataclass, and store them as float; for its ``__post_init__``.
+
+    `name` comes before the option's name in messages. Raises InvalidInput for a value that is not a number, not finite
+    or of the wrong sign.
+    """
+    for each in options_of(type(instance)):
+        value, rule = getattr(instance, each.name), each.metadata
+        if not isinstance(each.default, float) and not (rule["unit"] and value is not None):
+            continue
+        where = f"{name} {each.name}".lstrip()
+        value = checks.number(where, value, sign=rule["sign"], unit=rule["unit"], infinite=rule["infinite"])
+        object.__setattr__(instance, each.name, value)
