@@ -8,7 +8,7 @@ INSTALLED := .venv/.installed
 # --no-compile: Python compiles what is imported, a small part of the packages, when it is imported
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 
-.PHONY: help demo test faults browser lint docs bench clean
+.PHONY: help demo test nightly browser lint docs bench clean
 .DEFAULT_GOAL := help
 
 help: ## this list
@@ -16,14 +16,17 @@ help: ## this list
 	@echo "  PYTHON=python3.12 picks the interpreter, WORKERS=4 the processes of the tests,"
 	@echo "  REQUIRE_DATA=1 makes tests fail where real recordings are missing."
 
-demo: $(INSTALLED) ## recording -> identified rope -> cast: a folder of figures, an animation and a report
+demo: $(INSTALLED) ## video -> identified rope -> cast: a folder of figures, an animation and a report
 	$(BIN)/hyperflex demo
 
-test: $(INSTALLED) browser ## kernels once without the compiler, then the whole suite
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q tests/core
-	$(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(if $(filter 1,$(REQUIRE_DATA)),--require-data)
+PYTEST = $(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(if $(filter 1,$(REQUIRE_DATA)),--require-data)
 
-faults: $(INSTALLED) ## faults by the thousand, an hour or two: damage, odd values, full disks, signals
+test: $(INSTALLED) browser ## the gate: all tests that take seconds
+	$(PYTEST) -m "not nightly"
+
+nightly: $(INSTALLED) browser docs ## all tests, kernels without the compiler, faults by the thousand, the strict site: hours
+	$(PYTEST)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q tests/core
 	$(BIN)/python -m tests.faults
 
 browser: # for the tests of pages, which skip without one (and fail in CI, and with REQUIRE_DATA=1)
@@ -35,17 +38,17 @@ browser: # for the tests of pages, which skip without one (and fail in CI, and w
 	fi; \
 	echo "No browser ($(BROWSERS)): install chromium to run the tests of pages." >&2
 
-lint: $(INSTALLED) ## ruff, mypy, import-linter
+lint: $(INSTALLED) ## ruff, mypy and import-linter
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache --no-logo
 
-docs: $(INSTALLED) ## the documentation, into site/
+docs: $(INSTALLED) ## the documentation site, in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@echo "Open site/index.html (with search: $(BIN)/python -m http.server --directory site)"
 
-bench: $(INSTALLED) ## speed and accuracy, beside other simulators in the same run
+bench: $(INSTALLED) ## speed and accuracy, compared with other simulators in the same run
 	$(BIN)/python benchmarks/run.py
 
 clean: ## remove what the other targets made, except .venv

@@ -30,7 +30,7 @@ def filmed(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_commands_find_what_the_page_says(hyperflex_json, filmed):
     told = []
     for command in commands(PAGE):

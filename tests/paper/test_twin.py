@@ -60,7 +60,7 @@ def test_a_coarse_joint_does_the_work_of_fine_ones_in_series():
     assert fine.friction[0] == coarse.friction[0]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_mapped_truth_is_what_a_fit_without_noise_finds():
     found = twin.fit(twin.exact()).values
     for name, value in twin.mapped_truth().items():

@@ -34,7 +34,7 @@ ARM = hf.Arm(length=0.105)
 EASY = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04, 0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_target_in_reach_is_wound_and_held() -> None:
     """And by an independent run: half the step, and links that the planner did not know."""
     found = hf.plan_cast(CABLE, ARM, EASY, time_budget=300.0)  # as long as it takes on a busy machine
