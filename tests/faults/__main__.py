@@ -49,8 +49,8 @@ def section(tally: Tally, asked: str, seconds: float) -> str:
 
     return (
         "\n## What was tried\n\n"
-        "`make nightly` tries these. It fails where a fault does not end as it should: with a traceback, a crash, a hang, "
-        "half a file, a lost result, or a partial one that does not say so. `make test` tries a part "
+        "`make nightly` tries these. It fails where a fault does not end as it should: with a traceback, a crash, "
+        "a hang, half a file, a lost result, or a partial one that does not say so. `make test` tries a part "
         f"of them, the same in each run.\n\n{tally.table()}\n\n{datetime.now(UTC):%Y-%m-%d}, {asked}, in "
         f"{seconds / 60.0:.0f} minutes. {machine.sentence(machine.describe())}\n"
     )
