@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-import math
+import itertools
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
+import hyperflex.budget
+from hyperflex.budget import Budget
 from hyperflex.errors import InvalidInput
-from hyperflex.simulation import Deadline
+from hyperflex.simulation.batch.contact import run_blocks
 from hyperflex.winding import turns
 
 ARM = hf.Arm(length=0.105)
@@ -87,7 +92,7 @@ def test_a_member_that_takes_too_long_has_failed() -> None:
     ropes, motions = family()
     how = {"pegs": PEGS, "q0": np.full(10, 1.2), "t_eval": [0.1, DURATION], "keep": ("tip",), **HOW}
     batch = hf.simulate_batch(ropes, motions, time_budget=1e-6, **how)
-    assert batch.status == ("time budget exceeded",) * 3
+    assert batch.status == ("out of time",) * 3
     assert np.isnan(batch.tip[:, -1]).all()
     assert (batch.reached < DURATION).all()
     alone = hf.simulate_batch(ropes, motions, time_budget=1e-6, **how | {"t_eval": None})  # not one output is reached
@@ -96,20 +101,46 @@ def test_a_member_that_takes_too_long_has_failed() -> None:
     assert set(hf.simulate_batch(ropes, motions, time_budget=1e3, **how).status) == {"ok"}
     with pytest.raises(InvalidInput, match="time_budget has the wrong sign"):
         hf.simulate_batch(ropes, motions, time_budget=-1.0, **how)
-    with pytest.raises(InvalidInput, match="with pegs"):
-        hf.simulate_batch(ropes, motions, time_budget=1.0, arm=ARM, duration=0.1)
 
 
 @pytest.mark.parametrize("pegs", [PEGS, []])
-def test_a_deadline_ends_all_members_those_that_have_not_begun_at_once(pegs: list[list[hf.Peg]]) -> None:
-    """Many members for a long time on one thread, and time for a few of them: by a clock that each look moves on."""
+def test_a_budget_ends_all_members_those_that_have_not_begun_at_once(pegs: list[list[hf.Peg]]) -> None:
+    """Many members for a long time on one thread, and time for a few of them: by a clock that each check advances."""
     ropes, motions = family()
-    looks = iter(range(1000))
-    end = Deadline(math.inf, lambda: 0.02 - 0.01 * next(looks))
-    how = {"pegs": pegs * 100, "time_budget": end, **HOW, "duration": 1e4, "threads": 1}
+    ticks = itertools.count()
+    budget = Budget(0.02, clock=lambda: 0.01 * next(ticks))
+    how = {"pegs": pegs * 100, "time_budget": budget, **HOW, "duration": 1e4, "threads": 1}
     batch = hf.simulate_batch(ropes * 100, motions * 100, **how)  # type: ignore[arg-type]
-    assert set(batch.status) == {"time budget exceeded"}
+    assert set(batch.status) == {"out of time"}
     assert (batch.reached[-10:] == 0.0).all()
-    assert "time budget exceeded" in batch.message
-    how = {"pegs": pegs, "time_budget": Deadline(math.inf, lambda: 1e3), **HOW}
+    assert "out of time" in batch.message
+    how = {"pegs": pegs, "time_budget": 1e3, **HOW}
     assert set(hf.simulate_batch(ropes, motions, **how).status) == {"ok"}  # type: ignore[arg-type]
+
+
+def test_no_block_of_a_batch_begins_when_the_time_is_over() -> None:
+    begun: list[int] = []
+    over = Budget()
+    over.cancel()
+    assert run_blocks(lambda low, high: begun.append(low), 1, 4, 1, False, over).status == "out of time"
+    assert begun == []
+
+
+def test_blocks_that_a_thread_waits_for_end_at_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The main thread alone receives signals; others poll for them."""
+    halt = np.zeros(1, dtype=np.int64)
+
+    def interrupted() -> None:
+        if threading.current_thread() is not threading.main_thread():
+            raise KeyboardInterrupt
+
+    def block(_low: int, _high: int) -> None:
+        began = time.monotonic()
+        while not halt[0] and time.monotonic() < began + 20.0:
+            time.sleep(0.01)
+
+    monkeypatch.setattr(hyperflex.budget, "raise_if_cancelled", interrupted)
+    with ThreadPoolExecutor(1) as pool:
+        stopped = pool.submit(run_blocks, block, 1, 2, 1, False, Budget(), halt).result()
+    assert stopped.received
+    assert halt[0] == 1

@@ -13,12 +13,10 @@ from typing import Any
 
 from hyperflex import checks
 from hyperflex.core.jit import compiling
-from hyperflex.interruption import look
+from hyperflex.interruption import OutOfTime, raise_if_cancelled
 from hyperflex.progress import progress_bar
 
-
-class OutOfTime(Exception):
-    """Raised by :meth:`Budget.check` when the time is over. It never leaves the library."""
+__all__ = ["Budget", "OutOfTime"]
 
 
 class Budget:
@@ -106,7 +104,7 @@ class Budget:
 
     def check(self) -> None:
         """Raise OutOfTime if the time is over, and KeyboardInterrupt if the user has interrupted the work."""
-        look()
+        raise_if_cancelled()
         if self.expired:
             raise OutOfTime
 

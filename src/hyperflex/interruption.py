@@ -1,9 +1,9 @@
-"""Interruption: how Ctrl-C, and in the command line SIGTERM, end what is at work. The one place that says so.
+"""Interruption: how Ctrl-C, and SIGTERM on the command line, end a running call and keep its partial result.
 
-The first signal raises KeyboardInterrupt where Python code runs, and is remembered. What a library that is called back
-swallows, and what no thread but the main one hears, is raised again by the next :func:`look`, and at the end of the
-call at the latest. Who has something to keep catches it (:func:`catch_interrupt`) and raises it again as
-:class:`~hyperflex.errors.Interrupted` with that. A second signal ends what is then still being made of it.
+The first signal raises KeyboardInterrupt in the main thread and is remembered. If a library suppresses that exception,
+or if other threads do the work, the next call of :func:`raise_if_cancelled` raises it again, at the latest when the
+public call ends. Code with a partial result to keep runs its work in :func:`stoppable`; the public call then raises
+:class:`~hyperflex.errors.Interrupted` with the partial result. A second signal ends what is made of the partial result.
 """
 
 import functools
@@ -18,19 +18,25 @@ from types import FrameType, TracebackType
 from typing import Any, ParamSpec, TypeVar
 
 from hyperflex.errors import Interrupted
+from hyperflex.status import Status
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _USUAL: dict[int, object] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 
 
+class OutOfTime(Exception):
+    """Raised when the time of a budget is over; :func:`stoppable` catches it, and it never leaves the library."""
+
+
 class _State:
-    """What has come: the first signal's number (0: none); whether it still has to end something; how many defer it.
+    """Signals received in this process."""
 
-    And whether compilers are listened to, and how many signals have come at all.
-    """
-
-    number, pending, deferred, compilers, count = 0, False, 0, False, 0
+    number = 0  # of the first signal; 0: none
+    pending = False  # whether it has still to end something
+    count = 0  # of all signals
+    deferred = 0  # blocks that defer signals
+    compilers = False  # whether numba's compilers are watched
 
 
 # ``handled``: the count of signals at the last one that this thread has handled; ``limits``: its time limits
@@ -38,7 +44,7 @@ _thread = threading.local()
 
 
 def _notice(number: int, frame: FrameType | None) -> None:
-    """Handle a signal. What a finaliser raises Python prints and forgets: there, it waits for the next look."""
+    """Handle a signal. Python ignores exceptions in finalisers; there the signal stays pending."""
     _State.number, _State.pending, _State.count = _State.number or number, True, _State.count + 1
     if not (_State.deferred or _ending(frame)):
         raise KeyboardInterrupt
@@ -55,19 +61,19 @@ def _ending(frame: FrameType | None) -> bool:
 
 
 def number() -> int:
-    """Return the number of the signal that has ended what was at work last; SIGINT where none was noticed."""
+    """Return the number of the signal that ended the last interrupted call; SIGINT if no signal was noticed."""
     return _State.number or signal.SIGINT
 
 
-def look() -> None:
-    """Raise KeyboardInterrupt, in any thread, if a signal has come and the thread has not handled it yet.
-
-    And if the time of a :class:`time_limit` of the thread is over.
-    """
+def raise_if_cancelled() -> None:
+    """Raise KeyboardInterrupt, in any thread, if a signal was received that this thread has not handled yet."""
     if _State.pending and not _State.deferred and getattr(_thread, "handled", 0) != _State.count:
         raise KeyboardInterrupt
     for limit in getattr(_thread, "limits", ()):
         limit.look()
+
+
+look = raise_if_cancelled
 
 
 class time_limit:
@@ -174,50 +180,68 @@ class _Compiling:
         self._stack.pop().__exit__(None, None, None)
 
 
-class CaughtInterrupt:
-    """Whether a block was interrupted, and by what."""
+class Stop:
+    """Whether a :func:`stoppable` block was ended early, and why.
 
+    Attributes
+    ----------
+    status : Status or None
+        INTERRUPTED or OUT_OF_TIME; None if the block came to its end.
+    error : BaseException or None
+        The exception that ended it.
+    """
+
+    status: Status | None = None
     error: BaseException | None = None
 
     @property
     def received(self) -> bool:
-        """Whether the block was interrupted."""
-        return self.error is not None
+        """Whether the user interrupted the block."""
+        return self.status is Status.INTERRUPTED
 
     @property
     def partial(self) -> Any:
-        """The partial result of the call that was interrupted in the block; None if it left none."""
+        """Partial result of the call that was interrupted in the block; None if it left none."""
         return getattr(self.error, "partial", None)
 
     def deliver(self, result: _R) -> _R:
-        """Return a result; if the block was interrupted, raise Interrupted with it instead."""
+        """Return a result; if the user interrupted the block, raise Interrupted with it instead."""
         if self.received:
             raise Interrupted(result)
         return result
 
 
 @contextmanager
-def catch_interrupt() -> Iterator[CaughtInterrupt]:
-    """Catch an interrupt of the block, also one that a library reports as another error, to keep what was done.
+def stoppable() -> Iterator[Stop]:
+    """Catch the end of a budget and interrupts of the block, also if a library reports an interrupt as another error.
 
-    What follows may take long again. The block must not return: what came at its end would be lost.
+    Code after the block works on the partial result, as long as it needs. The block must not return from its function:
+    an interrupt at its very end would be lost.
     """
-    stop = CaughtInterrupt()
+    stop = Stop()
     try:
         yield stop
-        look()
+        raise_if_cancelled()
     except (KeyboardInterrupt, Exception) as error:
-        if not (_State.pending or isinstance(error, KeyboardInterrupt)):
+        if _State.pending or isinstance(error, KeyboardInterrupt):
+            stop.status, _thread.handled = Status.INTERRUPTED, _State.count
+            if threading.current_thread() is threading.main_thread():  # other threads end by themselves
+                _State.pending = False
+        elif isinstance(error, OutOfTime):
+            stop.status = Status.OUT_OF_TIME
+        else:
             raise
-        stop.error, _thread.handled = error, _State.count
-        if threading.current_thread() is threading.main_thread():  # others are to end as well
-            _State.pending = False
+        stop.error = error
+
+
+CaughtInterrupt = Stop
+catch_interrupt = stoppable
 
 
 def interruptible(kind: type | None = None) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:
-    """Decorate a function that may take long: an interrupt comes out of it as Interrupted.
+    """Decorate a function that may take long, so that an interrupt leaves it as Interrupted.
 
-    Its ``partial`` is what the function delivers of `kind`, by :class:`CaughtInterrupt`, or None.
+    Its ``partial`` is the result of type `kind` that the function gave to :meth:`Stop.deliver`, or None.
     """
 
     def decorate(function: Callable[_P, _R]) -> Callable[_P, _R]:

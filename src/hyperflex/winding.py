@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.errors import InvalidInput
@@ -228,7 +229,7 @@ def tug_test(
     speed: float = 0.02,
     distance: float | None = None,
     allowed: float = 5e-3,
-    time_budget: float | Deadline | None = None,
+    time_budget: float | Budget | Deadline | None = None,
 ) -> TugTest:
     """Pull the rope's motor-side end slowly away from a peg, from where a run ended, and see what holds.
 
@@ -244,7 +245,7 @@ def tug_test(
         fast, and PULL more.
     allowed : float
         Slip on the peg, m, up to which the rope holds.
-    time_budget : float, optional
+    time_budget : float or Budget, optional
         As of :func:`hyperflex.simulate`, s.
 
     Returns

@@ -24,6 +24,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import files, memory, progress
+from hyperflex.budget import Budget, OutOfTime
 from hyperflex.cli.app import run
 from hyperflex.demo import report as demo_report
 from hyperflex.errors import FileProblem, IdentificationError, InvalidInput, SimulationError
@@ -116,13 +117,14 @@ def test_what_fails_all_the_same_is_a_message(tmp_path, monkeypatch, capsys, err
 # ---- time
 
 
-def test_a_run_that_came_to_its_end_is_kept_however_long_it_took():
-    short = hf.simulate(hf.Rope.uniform(1.0, 0.1, 3), duration=0.01, time_budget=1e-9)
+def test_a_run_that_came_to_its_end_is_kept_however_long_it_took() -> None:
+    ticks = iter([0.0, 0.5, *[2.0] * 100])
+    short = hf.simulate(hf.Rope.uniform(1.0, 0.1, 3), duration=0.01, time_budget=Budget(1.0, clock=lambda: next(ticks)))
     assert (short.status, short.t[-1]) == ("ok", 0.01)
 
 
 def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(time_budget, "JUDGED", 0.0)
+    monkeypatch.setattr(time_budget, "PREDICTED", 0.0)
     monkeypatch.setattr(time_budget, "LONGEST", 0.0)
     times = np.linspace(0.0, 1e4, 10_001)
     with pytest.raises(SimulationError, match=r"minutes in all\. Check units and gravity.*time_budget=inf"):
@@ -149,7 +151,7 @@ def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, t
     hf.simulate(ROPE, torque=lambda *_: 1e-3, **{**how, "duration": 0.1})  # loads the kernels
     capsys.readouterr()
     if throw:
-        with pytest.raises(SimulationError, match="its processor time was over"):
+        with pytest.raises(SimulationError, match="its time budget is over"):
             hf.simulate(ROPE, torque=torque, time_budget=0.3, **how)
     else:
         part = hf.simulate(ROPE, torque=torque, time_budget=0.3, throw=False, **how)
@@ -167,28 +169,26 @@ def test_progress_is_told_to_a_hundredth_of_the_whole(monkeypatch: pytest.Monkey
     assert said == ["simulating: 0.9 of 60 s", "simulating: 0.00123 of 0.005 s", "simulating: 17 of 400 s"]
 
 
-def test_half_an_hour_is_judged_by_the_speed_of_late_and_in_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A slow beginning ends no run, and one that stalls near its end does not go on for days."""
+def test_half_an_hour_is_predicted_from_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that stalls near its end does not continue for days."""
     worked = [0.0]
     monkeypatch.setattr(time, "thread_time", lambda: worked[0])
 
     def ends_after(reached: Callable[[float], float]) -> float | None:
         """Return the work, s, after which a run of 1 s ends that has come to `reached` then."""
         worked[0] = 0.0
-        heard = time_budget.enforce_budget(None, None, (0.0, 1.0))
+        watch = time_budget.Watch(None, (0.0, 1.0))
         while reached(worked[0]) < 1.0:
             worked[0] += 1.0
             try:
-                heard(reached(worked[0]))
-            except time_budget.TimeBudgetExceeded:
+                watch(reached(worked[0]))
+            except OutOfTime:
                 return worked[0]
         return None
 
     assert ends_after(lambda work: work / 1700.0) is None
     assert ends_after(lambda work: work / 2e4) == pytest.approx(11.0, abs=1.0)
-    assert ends_after(lambda work: 0.006 * work / 10.0 if work < 10.0 else 0.006 + (work - 10.0) / 600.0) is None
-    stalled = ends_after(lambda work: min(work / 20.0, 0.99))
-    assert stalled == pytest.approx(time_budget.LONGEST, rel=0.05)
+    assert ends_after(lambda work: min(work / 20.0, 0.99)) == pytest.approx(time_budget.LONGEST, rel=0.05)
 
 
 def test_a_fit_ends_when_its_time_budget_is_over() -> None:

@@ -28,7 +28,7 @@ from hyperflex.demo import write_demo
 from hyperflex.estimate import track_video
 from hyperflex.files import atomic_path
 from hyperflex.identification.uncertainty import covariance
-from hyperflex.interruption import catch_interrupt, deferred, handle_signals, interruptible, look
+from hyperflex.interruption import deferred, handle_signals, interruptible, raise_if_cancelled, stoppable
 from hyperflex.paper import reproduce
 from hyperflex.simulation.contact import runs
 from hyperflex.vision import calibrate_camera, track_bars
@@ -119,7 +119,7 @@ def test_what_a_library_swallows_comes_out_at_the_end_of_the_call() -> None:
 
     assert left_by(loop) == [1]
     assert len(calls) == 1
-    look()  # it is not pending any more
+    raise_if_cancelled()  # it is not pending any more
 
 
 def test_what_a_library_swallows_is_raised_by_the_next_look_in_any_thread() -> None:
@@ -127,7 +127,7 @@ def test_what_a_library_swallows_is_raised_by_the_next_look_in_any_thread() -> N
 
     def listen() -> None:
         try:
-            look()
+            raise_if_cancelled()
         except KeyboardInterrupt:
             heard.append(True)
 
@@ -150,12 +150,12 @@ def test_what_a_library_makes_another_error_of_is_an_interrupt() -> None:
                 swallowed()
             raise ValueError("cannot convert")
 
-    with handle_signals(), catch_interrupt() as stop:
+    with handle_signals(), stoppable() as stop:
         convert(interrupt=True)
     assert stop.received
     with pytest.raises(KeyboardInterrupt):
         convert(interrupt=True)
-    with pytest.raises(ValueError, match="cannot"), handle_signals(), catch_interrupt():
+    with pytest.raises(ValueError, match="cannot"), handle_signals(), stoppable():
         convert(interrupt=False)
 
 
@@ -182,14 +182,14 @@ def test_a_partial_result_may_be_made_when_it_is_asked_for() -> None:
 
 def test_what_follows_a_caught_interrupt_may_take_long_until_the_second_one() -> None:
     with handle_signals():
-        with catch_interrupt() as stop:
+        with stoppable() as stop:
             signal.raise_signal(signal.SIGINT)
-        look()
+        raise_if_cancelled()
         assert stop.received
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
-        with catch_interrupt():
-            look()
+        with stoppable():
+            raise_if_cancelled()
 
 
 def test_a_short_block_comes_to_its_end_first() -> None:
@@ -211,7 +211,7 @@ def test_a_handler_of_somebody_else_stays() -> None:
     try:
         with handle_signals():
             signal.raise_signal(signal.SIGINT)
-            look()
+            raise_if_cancelled()
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     assert heard

@@ -154,7 +154,7 @@ def test_arguments_of_the_wrong_kind_are_refused_in_words(call, words: str) -> N
 
 
 def test_a_gravity_that_takes_for_ever_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(time_budget, "JUDGED", 0.2)  # s, and ten outside of tests
+    monkeypatch.setattr(time_budget, "PREDICTED", 0.2)  # s, and ten outside of tests
     with bounded(), pytest.raises(SimulationError, match="Check units and gravity"):
         hf.simulate(CABLE.replace(gravity=(0.0, -1e12)), duration=100.0, q0=[0.5] * 12, t_eval=[50.0, 100.0])
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,7 +10,6 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex import interruption
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.planning import SuccessProbability, Uncertainty, WhipMap, build_whip_map, estimate_success_probability
 from hyperflex.planning.outcome import TOO_LONG, require_holding_force
@@ -31,7 +28,6 @@ from hyperflex.planning.wind import casting
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.report import CastReport
 from hyperflex.simulation import OUT_OF_TIME, Deadline
-from hyperflex.simulation.batch.contact import run_blocks
 from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_strikes
 from tests.planning.known_whip import planned_whip
 
@@ -39,7 +35,7 @@ OVER = Deadline(math.inf, lambda: -1.0)  # processor time enough, and none by th
 
 
 def test_a_run_ends_when_no_time_is_left() -> None:
-    left = iter([1.0, 1.0, 0.0, -1.0])
+    left = iter([1.0, 1.0, 1.0, 0.0])
     cut = hf.simulate(
         planned().setup(), time_budget=Deadline(math.inf, lambda: next(left)), throw=False, t_eval=[0.0, 11.0]
     )
@@ -47,8 +43,8 @@ def test_a_run_ends_when_no_time_is_left() -> None:
     assert 0.0 < cut.state.t < 11.0
     assert next(left, None) is None
     for budget, words in (
-        (OVER, "the time that it shares with other runs was over by the clock"),
-        (Deadline(1e-9, lambda: 1.0), "its processor time was over"),
+        (OVER, "its time budget is over"),
+        (Deadline(1e-9, lambda: 1.0), "its time budget is over"),
     ):
         with pytest.raises(SimulationError, match=words):
             hf.simulate(planned().setup(), time_budget=budget)
@@ -90,31 +86,6 @@ def test_runs_of_a_search_do_not_outlast_it() -> None:
     batch = RolloutBatch([CABLE], [PEG], motions, strike.q, strike.qd)
     cut = simulate_contact(batch, strike.t, problem(), time_budget=budget)
     assert cut.turns[0] == 0.0  # with the time that it takes: 2.4
-
-
-def test_no_block_of_a_batch_begins_when_the_time_is_over() -> None:
-    begun: list[int] = []
-    run_blocks(lambda low, high: begun.append(low), 1, 4, 1, False, OVER)
-    assert begun == []
-
-
-def test_blocks_that_a_thread_waits_for_end_at_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Signals are the main thread's: others hear of them by looking."""
-    stop = np.zeros(1, dtype=np.int64)
-
-    def look() -> None:
-        raise KeyboardInterrupt
-
-    def block(_low: int, _high: int) -> None:
-        began = time.monotonic()
-        while not stop[0] and time.monotonic() < began + 20.0:
-            time.sleep(0.01)
-
-    monkeypatch.setattr(interruption, "look", look)
-    with ThreadPoolExecutor(1) as pool:
-        stopped = pool.submit(run_blocks, block, 1, 2, 1, False, None, stop).result()
-    assert stopped.received
-    assert stop[0] == 1
 
 
 @pytest.mark.parametrize("threads", [0, -1, 2000])

@@ -8,7 +8,7 @@ from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.integrate import dense_output as output
 from hyperflex.errors import SimulationError
-from hyperflex.interruption import look
+from hyperflex.interruption import raise_if_cancelled
 from hyperflex.model import Setup
 from hyperflex.simulation.contact.runs import split_samples
 from hyperflex.simulation.contact.turning_pegs import shown, spin_energy
@@ -100,7 +100,7 @@ def _observe(run: Rollout) -> _Seen:
     at_once = max(1, AT_ONCE // run.y.shape[1])
     for first in range(0, done, at_once):
         rows = slice(first, min(first + at_once, done))
-        look()
+        raise_if_cancelled()
         output.observe(run.chain, run.drive, run.t[rows], run.y[rows], *(each[rows] for each in seen))
     last = (each[done:] for each in seen)
     output.observe(run.chain, run.drive, np.array([run.time]), run.progress.y[None], *last)

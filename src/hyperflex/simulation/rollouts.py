@@ -21,7 +21,7 @@ from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import MOST_ORDER, scheme
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
-from hyperflex.interruption import defer_while_compiling, look
+from hyperflex.interruption import defer_while_compiling, raise_if_cancelled
 from hyperflex.model import Rope, Setup
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
 
@@ -158,18 +158,18 @@ def end_at_event(run: Rollout) -> None:
     clock[INDEX], clock[MARK] = run.t.size, -np.inf
 
 
-def finish_rollout(run: Rollout, report: Callable[[float], None] | None = None, most: float = np.inf) -> int:
-    """Run to the end and return the status code; `report` is called with the simulated time between budgets.
+def finish_rollout(run: Rollout, watch: Callable[[float], None] | None = None, most: float = np.inf) -> int:
+    """Run to the end and return the status code; `watch` is called with the time reached, s, between its budgets.
 
-    After `most` budgets it is still RUNNING.
+    After `most` budgets of steps the code is RUNNING.
     """
     code, budgets = status.RUNNING, 0
     run.progress.clock[MARK] = -np.inf
     while code == status.RUNNING and budgets < most:
         code, budgets = run.advance(), budgets + 1
-        look()
-        if report is not None:
-            report(run.time)
+        raise_if_cancelled()
+        if watch is not None and code == status.RUNNING:
+            watch(run.time)
     return code
 
 
@@ -197,12 +197,14 @@ def controlled(
     control: Control,
     period: float,
     go: Callable[[], int],
+    watch: Callable[[float], None],
     applied: list[tuple[float, float]],
 ) -> int:
     """Run with a torque that `control` sets every `period`, s; return the last status code.
 
-    The run is driven by the interval's drive; `go` runs until ``run.limits.stop`` and returns the status code. When
-    the torque was set, s, and what it was, N m, joins `applied`, also where the run is ended.
+    The interval's drive drives the run; `go` runs until ``run.limits.stop`` and returns the status code. `watch` is
+    called after each period with the time reached, s. Each torque, N m, and the time when it was set, s, are appended
+    to `applied`, also if an exception ends the run.
     """
     n, limit = run.chain.length.size, run.drive.torque_limit
     begin, stop, code = run.time, run.limits.stop, status.OK
@@ -216,6 +218,8 @@ def controlled(
         run.limits = run.limits._replace(stop=until)
         code = go()
         restart(run.progress.clock)
+        if run.time < stop:
+            watch(run.time)
     return code
 
 

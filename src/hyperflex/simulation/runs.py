@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.drive import TORQUE
 from hyperflex.core.integrate.end_conditions import NEVER, Until
 from hyperflex.errors import Interrupted, InvalidInput
-from hyperflex.interruption import catch_interrupt, interruptible
+from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, checked_obstacles
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.progress import progress_bar
@@ -34,14 +35,7 @@ from hyperflex.simulation.rollouts import (
     prepare_rollout,
     rollout_limits,
 )
-from hyperflex.simulation.time_budget import (
-    INTERRUPTED,
-    OUT_OF_TIME,
-    Deadline,
-    TimeBudgetExceeded,
-    budget_error,
-    enforce_budget,
-)
+from hyperflex.simulation.time_budget import INTERRUPTED, OUT_OF_TIME, Deadline, Watch, out_of_time
 from hyperflex.trajectory import State, Trajectory
 
 
@@ -69,7 +63,7 @@ def simulate(
     tip_force: npt.ArrayLike | None = None,
     refine: bool = True,
     throw: bool = True,
-    time_budget: float | Deadline | None = None,
+    time_budget: float | Budget | Deadline | None = None,
     progress: bool = False,
 ) -> Trajectory:
     """Simulate a rope on a moving arm, on a torque-driven arm, or hanging from a point.
@@ -131,10 +125,10 @@ def simulate(
     throw : bool
         False returns the part that holds, with its ``status`` and ``message``, where True raises; also after Ctrl-C,
         with the status "interrupted".
-    time_budget : float, optional
-        Processor time, s, after which the run ends as a failure ("time budget exceeded"). It is looked at between some
-        hundred steps. By default a run that would take more than half an hour, as every ten seconds of work promise,
-        ends there; inf lets it take as long as it takes.
+    time_budget : float or Budget, optional
+        Time by the clock, s, after which the run ends as a failure ("out of time"). It is checked every few hundred
+        steps; compiling does not count. By default the run ends as soon as its progress predicts more than half an hour
+        of processor time in all; inf lets it take as long as it needs.
     progress : bool
         Show a progress bar on standard error.
 
@@ -193,28 +187,25 @@ def simulate(
     run = prepare_rollout(chain, setup.drive(), setup.start(), np.append(begin, t) if skip else t, bounds)
     if state is not None:
         resume(run, state, setup)
-    code, name = status.RUNNING, INTERRUPTED
-    applied: list[tuple[float, float]] = []
-    with catch_interrupt():
-        try:
-            with progress_bar(begin, begin + length, progress) as bar:
-                report = enforce_budget(bar, time_budget, (begin, begin + length))
-                code = _finished(run, setup, state, report, control, control_rate, applied)
-        except TimeBudgetExceeded:
-            if throw:
-                raise budget_error(run.time, time_budget) from None
-            name = OUT_OF_TIME
+    code, applied = status.RUNNING, list[tuple[float, float]]()
+    with stoppable() as stop, progress_bar(begin, begin + length, progress) as bar:
+        watch = Watch(time_budget, (begin, begin + length), bar)
+        watch.budget.check()
+        code = _finished(run, setup, state, watch, control, control_rate, applied)
+        watch.report(run.time)
     if applied and control_rate is not None:  # for a replay
         times, torques = np.transpose(applied)
         setup = replace(setup, torque=_constant_torques(times, torques, begin + length + 1.0 / control_rate))
         run.drive = setup.drive()
-    if code == status.RUNNING and name == INTERRUPTED and throw:
-        raise Interrupted(partial(conclude, run, setup, code, name, throw=False, skip=skip))
+    if code == status.RUNNING and throw:
+        if stop.status is OUT_OF_TIME:
+            raise out_of_time(run.time, stop.error, "; or allow its time: time_budget=inf")
+        raise Interrupted(partial(conclude, run, setup, code, INTERRUPTED, throw=False, skip=skip))
     event = None
     if code == status.REACHED and until is not None:
         code, event = status.OK, (until.name, run.time)
         end_at_event(run)
-    name = name if code == status.RUNNING else status.NAMES[code]
+    name = stop.status or INTERRUPTED if code == status.RUNNING else status.NAMES[code]
     trajectory = conclude(run, setup, code, name, throw=throw, skip=skip)
     return trajectory if event is None else replace(trajectory, event=event)
 
@@ -243,18 +234,18 @@ def _finished(
     run: Rollout,
     setup: Setup,
     state: State | None,
-    report: Callable[[float], None],
+    watch: Watch,
     control: Control | None,
     control_rate: float | None,
     applied: list[tuple[float, float]],
 ) -> int:
     """Run to the end and return the status code; the torques that `control` sets join `applied`."""
     if control is None or control_rate is None:
-        return runner(run, setup, state)(report)
+        return runner(run, setup, state)(watch)
     interval = Interval(run.drive)
     run.drive = interval.drive
-    go = partial(runner(run, setup, state), report)
-    return controlled(run, interval, control, 1.0 / control_rate, go, applied)
+    go = partial(runner(run, setup, state), watch)
+    return controlled(run, interval, control, 1.0 / control_rate, go, watch, applied)
 
 
 def runner(run: Rollout, setup: Setup, state: State | None) -> Callable[..., int]:

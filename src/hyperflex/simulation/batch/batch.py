@@ -2,7 +2,8 @@
 
 import math
 import os
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -12,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks, extras, memory
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
@@ -27,7 +29,7 @@ from hyperflex.simulation.batch.contact import TURNS, run_blocks, run_members, u
 from hyperflex.simulation.batch.members import columns, members_of, setups_of, starts_of, terms_of
 from hyperflex.simulation.batch.pieces import run_pieces
 from hyperflex.simulation.rollouts import balanced, least_scale, stored
-from hyperflex.simulation.time_budget import Deadline
+from hyperflex.simulation.time_budget import Deadline, budget_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -139,7 +141,7 @@ def simulate_batch(
     pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]] = (),
     contact_step: float = DEFAULT_CONTACT_STEP,
     refine: bool = True,
-    time_budget: float | Deadline | None = None,
+    time_budget: float | Budget | Deadline | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     chunk_size: int | None = None,
@@ -169,9 +171,9 @@ def simulate_batch(
         each as :func:`hyperflex.simulate` runs it and with the same result.
     contact_step, refine
         As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
-    time_budget : float or Deadline, optional
-        Processor time, s, after which a member with pegs or with joint limits has failed ("time budget exceeded"); the
-        default is that of :func:`simulate`. A Deadline ends members in free flight too, once its clock leaves no time.
+    time_budget : float or Budget, optional
+        Time by the clock for all members, s; those that are not finished then have the status "out of time". By default
+        there is no limit but that of :func:`simulate` for each member with pegs or with joint limits.
     threads : int, optional
         By default one a processor, or one in each worker of an executor. Results do not depend on it.
     executor : concurrent.futures.Executor, optional
@@ -217,17 +219,21 @@ def simulate_batch(
     touches = any(setup.touches for setup in setups)
     if touches and step is not None:
         raise InvalidInput("step is not there with pegs or with joint limits", got=step, fix="Give contact_step or tol")
-    if not touches and not (time_budget is None or isinstance(time_budget, Deadline)):
-        what = "processor time is a budget of members with pegs or with joint limits, and there are none"
-        raise InvalidInput(what, got=time_budget, allowed="None or a Deadline", fix="Leave time_budget out")
     chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
     executor, size = checked_chunks(executor, chunk_size, CONTACT_CHUNK if touches else CHUNK)
     run = _in_contact if touches else partial(_in_flight, step=chosen)
-    run = partial(run, t=t, keep=keep, workers=workers, time_budget=time_budget)
+    budget = time_budget if time_budget is None or isinstance(time_budget, Deadline) else Budget.of(time_budget)
+    run = partial(run, t=t, keep=keep, workers=workers)
     if executor is None:
-        return run(setups, progress=progress)
-    values, names, reached, interrupt = run_pieces(run, setups, executor, size, progress)
-    return interrupt.deliver(Batch(t, values, tuple(names), reached))
+        return run(setups, progress=progress, time_budget=budget)
+    run = partial(_until, None if budget is None else time.time() + budget_of(budget).remaining, run)
+    values, names, reached, stop = run_pieces(run, setups, executor, size, progress)
+    return stop.deliver(Batch(t, values, tuple(names), reached))
+
+
+def _until(end: float | None, run: Callable[..., Batch], setups: list[Setup]) -> Batch:
+    """Run members in a process of an executor until `end`, s, by the clock of all machines (``time.time``)."""
+    return run(setups, time_budget=None if end is None else Budget(end - time.time()))
 
 
 def _in_contact(
@@ -235,13 +241,13 @@ def _in_contact(
     t: Array,
     keep: tuple[str, ...],
     workers: int,
-    time_budget: float | Deadline | None,
+    time_budget: Budget | Deadline | None,
     progress: bool = False,
 ) -> Batch:
     """Run members with pegs or with joint limits in this process, on threads."""
     shapes = {name: KEPT[name][0] for name in keep}
-    values, names, reached, interrupt = run_members(setups, t, shapes, time_budget, workers, progress)
-    return interrupt.deliver(Batch(t, values, tuple(names), reached))
+    values, names, reached, stop = run_members(setups, t, shapes, time_budget, workers, progress)
+    return stop.deliver(Batch(t, values, tuple(names), reached))
 
 
 def _in_flight(
@@ -250,13 +256,15 @@ def _in_flight(
     keep: tuple[str, ...],
     workers: int,
     step: float,
-    time_budget: Deadline | None,
+    time_budget: Budget | Deadline | None,
     progress: bool = False,
 ) -> Batch:
     """Run members in free flight in this process, on threads."""
     chains = [setup.chain() for setup in setups]
     members = members_of(chains, [setup.drive() for setup in setups], starts_of(setups))
-    return _Work(members, terms_of(setups[0], chains[0], step), t, keep, setups).run(workers, progress, time_budget)
+    return _Work(members, terms_of(setups[0], chains[0], step), t, keep, setups).run(
+        workers, progress, budget_of(time_budget)
+    )
 
 
 class _Work:
@@ -265,7 +273,7 @@ class _Work:
     def __init__(self, members: Members, terms: Terms, t: Array, keep: tuple[str, ...], setups: list[Setup]) -> None:
         self.members, self.terms, self.t = members, terms, t
         self.first = 1 if t[0] > 0.0 else 0  # row of start and outputs to show first: the start, where it is asked for
-        self.stop = np.zeros(1, dtype=np.int64)  # 1: blocks at work end where they are
+        self.halt = np.zeros(1, dtype=np.int64)  # 1: blocks at work end where they are
         self.ropes = [setup.rope for setup in setups]
         self.floor = np.array([least_scale(rope) for rope in self.ropes])
         count, _, n = members.links.shape
@@ -280,7 +288,7 @@ class _Work:
         after = self.t[1 - self.first :].copy()  # times after the start
         y = np.full((high - low, after.size, 2 * n + 2), np.nan)
         codes, reached = np.full(high - low, -1), np.zeros(high - low)
-        core.run_block(self.members, self.terms, low, high, after, y, codes, reached, self.stop)
+        core.run_block(self.members, self.terms, low, high, after, y, codes, reached, self.halt)
         rows = slice(low, high)
         states = np.concatenate([self.members.start[rows, None], y], axis=1)
         times = np.append(self.terms.begin, after)
@@ -319,16 +327,16 @@ class _Work:
                 states[m, good:] = np.nan
         return joint
 
-    def run(self, workers: int, progress: bool, time_budget: Deadline | None) -> Batch:
-        """Run all blocks on threads; Ctrl-C, or the end of the time, keeps what is finished."""
+    def run(self, workers: int, progress: bool, budget: Budget) -> Batch:
+        """Run all blocks on threads; what is finished when it is stopped is kept."""
         count = self.codes.size
         even = -(-count // (workers * BLOCKS * len(MEMBERS))) * len(MEMBERS)
         states = self.t.size * (2 * self.members.links.shape[2] + 2)
         held = int(STATES / states) // len(MEMBERS) * len(MEMBERS)
         size = max(len(MEMBERS), min(even, LARGEST_BLOCK, held))
-        interrupt = run_blocks(self.block, size, count, workers, progress, time_budget, self.stop)
-        names = tuple(status.NAMES[int(code)] if code >= 0 else unfinished(interrupt) for code in self.codes)
-        return interrupt.deliver(Batch(self.t, self.values, names, self.reached))
+        stop = run_blocks(self.block, size, count, workers, progress, budget, self.halt)
+        names = tuple(status.NAMES[int(code)] if code >= 0 else unfinished(stop) for code in self.codes)
+        return stop.deliver(Batch(self.t, self.values, names, self.reached))
 
 
 def _outputs(t_eval: npt.ArrayLike | None, duration: float) -> Array:

@@ -6,14 +6,14 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import interruption
+from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
-from hyperflex.interruption import CaughtInterrupt, catch_interrupt
+from hyperflex.interruption import Stop, stoppable
 from hyperflex.model import Setup
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.runs import simulate
-from hyperflex.simulation.time_budget import INTERRUPTED, OUT_OF_TIME, Deadline
+from hyperflex.simulation.time_budget import INTERRUPTED, Deadline, budget_of
 from hyperflex.trajectory import Trajectory, swept
 
 TURNS = "turns"
@@ -23,11 +23,11 @@ def run_members(
     setups: Sequence[Setup],
     t: Array,
     keep: dict[str, tuple[str, ...]],
-    time_budget: float | Deadline | None,
+    time_budget: Budget | Deadline | None,
     threads: int,
     progress: bool,
-) -> tuple[dict[str, Array], list[str], Array, CaughtInterrupt]:
-    """Run all members with outputs at t (T,), s; Ctrl-C keeps those that are finished.
+) -> tuple[dict[str, Array], list[str], Array, Stop]:
+    """Run all members with outputs at t (T,), s; those that are finished when it is stopped are kept.
 
     `keep` names what to keep, with the dimensions of one sample: "link", "axis" or "peg".
 
@@ -39,13 +39,14 @@ def run_members(
         "ok", the name of the failure, INTERRUPTED or OUT_OF_TIME.
     reached : (M,) float64
         Time that each member reached, s.
-    interrupt : CaughtInterrupt
+    stop : Stop
     """
     for m, setup in enumerate(setups):
         check_start(setup, who=f"the rope of member {m}")
     sizes = {"link": max(s.rope.n_links for s in setups), "axis": 2, "peg": len(setups[0].round_pegs)}
     values = {k: np.full((len(setups), t.size, *(sizes[d] for d in dims)), np.nan) for k, dims in keep.items()}
-    names, reached = [INTERRUPTED] * len(setups), np.zeros(len(setups))
+    names: list[str] = [INTERRUPTED] * len(setups)
+    reached = np.zeros(len(setups))
 
     def one(m: int, _: int) -> None:
         run = simulate(setups[m], t_eval=t, throw=False, time_budget=time_budget)
@@ -55,8 +56,8 @@ def run_members(
             target[m][whole] = found
         reached[m], names[m] = run.state.t, run.status
 
-    interrupt = run_blocks(one, 1, len(setups), threads, progress, time_budget)
-    return values, [unfinished(interrupt) if name == INTERRUPTED else name for name in names], reached, interrupt
+    stop = run_blocks(one, 1, len(setups), threads, progress, budget_of(time_budget))
+    return values, [unfinished(stop) if name == INTERRUPTED else name for name in names], reached, stop
 
 
 def run_blocks(
@@ -65,58 +66,44 @@ def run_blocks(
     count: int,
     threads: int,
     progress: bool,
-    time_budget: float | Deadline | None,
-    stop: npt.NDArray[np.int64] | None = None,
-) -> CaughtInterrupt:
+    budget: Budget,
+    halt: npt.NDArray[np.int64] | None = None,
+) -> Stop:
     """Run a function for the members low..high - 1 of each block of `size`, until all `count` are done.
 
-    After Ctrl-C, and once a Deadline is over, blocks that have not begun are left out, and `stop` (1,), if given, is
-    set to 1 for those at work. Returns whether Ctrl-C did so.
+    After an interrupt, and once the budget is spent, blocks that have not begun are omitted, and `halt` (1,), if given,
+    is set to 1 for those that are running. Returns whether and why that happened.
     """
-    left = time_budget.left if isinstance(time_budget, Deadline) else None
     with (
-        catch_interrupt() as interrupt,
+        stoppable() as stop,
         ThreadPoolExecutor(threads) as pool,
         progress_bar(0, count, progress, unit="members") as report,
     ):
-        begins = range(0, count if left is None or left() >= 0.0 else 0, size)
-        spans = [(low, min(low + size, count)) for low in begins]
         futures: list[Future[None]] = []
-
-        def end() -> None:
-            if stop is not None:
-                stop[0] = 1
-            for future in futures:
-                future.cancel()
-
         try:
+            budget.check()
+            spans = [(low, min(low + size, count)) for low in range(0, count, size)]
             futures += (pool.submit(block, *span) for span in spans)
             for (_, high), future in zip(spans, futures, strict=True):
-                if not _in_time(future, left):
-                    end()
-                    left = None
-                if future.cancelled():
-                    continue
+                while not future.done():
+                    wait([future], timeout=min(max(budget.remaining, 1e-3), 1.0))
+                    if not future.done():
+                        budget.check()
                 future.result()
                 if report is not None:
                     report(high)
-        except KeyboardInterrupt:
-            end()
+        except (KeyboardInterrupt, OutOfTime):
+            if halt is not None:
+                halt[0] = 1
+            for future in futures:
+                future.cancel()
             raise
-    return interrupt
+    return stop
 
 
-def unfinished(interrupt: CaughtInterrupt) -> str:
-    """Return the status of members that were left out or ended before they were done."""
-    return INTERRUPTED if interrupt.received else OUT_OF_TIME
-
-
-def _in_time(future: Future[None], left: Callable[[], float] | None) -> bool:
-    """Wait for a block until no time is left, s; return whether it is done. Signals are seen in any thread."""
-    while not future.done() and (seconds := 1.0 if left is None else left()) >= 0.0:
-        interruption.look()
-        wait([future], timeout=min(max(seconds, 1e-3), 1.0))
-    return future.done()
+def unfinished(stop: Stop) -> str:
+    """Return the status of members that were omitted or ended before they were done."""
+    return stop.status or INTERRUPTED
 
 
 def _kept(run: Trajectory, name: str) -> Array:

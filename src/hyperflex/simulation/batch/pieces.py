@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.executor import run_chunks
-from hyperflex.interruption import CaughtInterrupt, catch_interrupt
+from hyperflex.interruption import Stop, stoppable
 from hyperflex.model import Setup
 from hyperflex.progress import progress_bar
 from hyperflex.simulation.time_budget import INTERRUPTED
@@ -18,7 +18,7 @@ LOST = "worker lost"  # status of members whose chunk killed each worker that ra
 
 def run_pieces(
     run: Callable[[list[Setup]], Any], setups: Sequence[Setup], executor: Executor, size: int, progress: bool
-) -> tuple[dict[str, Array], list[str], Array, CaughtInterrupt]:
+) -> tuple[dict[str, Array], list[str], Array, Stop]:
     """Run chunks of `size` members on an executor; Ctrl-C keeps those that are finished.
 
     `run` simulates the members of a list of set-ups; what it returns has values, status and reached of a batch.
@@ -31,12 +31,13 @@ def run_pieces(
         "ok", the name of the failure, INTERRUPTED or LOST.
     reached : (M,) float64
         Time that each member reached, s.
-    interrupt : CaughtInterrupt
+    stop : Stop
     """
     count = len(setups)
     found: dict[int, Any] = {}
-    names, reached = [INTERRUPTED] * count, np.zeros(count)
-    with catch_interrupt() as interrupt, progress_bar(0, count, progress, unit="members") as report:
+    names: list[str] = [INTERRUPTED] * count
+    reached = np.zeros(count)
+    with stoppable() as stop, progress_bar(0, count, progress, unit="members") as report:
 
         def done(low: int, part: Any) -> None:
             found[low] = part
@@ -54,4 +55,4 @@ def run_pieces(
         for low, part in found.items():
             value = part.values[name]
             values[name][(slice(low, low + len(value)), *(slice(0, width) for width in value.shape[1:]))] = value
-    return values, names, reached, interrupt
+    return values, names, reached, stop

@@ -21,7 +21,7 @@ from hyperflex.core.contact import run as core
 from hyperflex.core.contact.arrays import STICK
 from hyperflex.core.contact.warm_start import new_contact_memory
 from hyperflex.core.integrate.progress import INDEX, MARK, T
-from hyperflex.interruption import deferred, look
+from hyperflex.interruption import deferred, raise_if_cancelled
 from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refine_rope
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.contact.turning_pegs import coast, spin_energy, starting_spin
@@ -74,16 +74,16 @@ class ContactRun:
         if STEP in saved and np.array_equal(saved["y"], contact.y):
             contact.clock[at.STEP], contact.clock[at.IMPACT_DUE] = min(float(saved[STEP]), self.longest), 0.0
 
-    def finish(self, report: Callable[[float], None] | None = None) -> int:
-        """Run to the end and return the status code; `report` is called with the simulated time now and then."""
+    def finish(self, watch: Callable[[float], None] | None = None) -> int:
+        """Run to the end and return the status code; `watch` is called with the time reached, s, now and then."""
         code = status.RUNNING
         while code in (status.RUNNING, status.LEFT):
             code = self._fly()
             if code == status.LEFT:
                 code = self._touch()
-            look()
-            if report is not None:
-                report(self.run.time)
+            raise_if_cancelled()
+            if watch is not None and code in (status.RUNNING, status.LEFT):
+                watch(self.run.time)
         self.run.progress.clock[MARK] = -np.inf  # where the run stands is where it goes on from
         self.run.facts = self._facts()
         names = zip(KEPT, self.contact.memory, strict=True)
@@ -110,7 +110,7 @@ class ContactRun:
         code = status.RUNNING
         while code == status.RUNNING:
             code = self._advance()
-            look()
+            raise_if_cancelled()
         run.limits = run.limits._replace(stop=stop)
         if code not in (status.OK, status.LIMIT):
             return code

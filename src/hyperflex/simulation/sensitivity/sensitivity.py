@@ -21,7 +21,7 @@ from hyperflex.core.tangent import forward_sensitivity as core
 from hyperflex.core.tangent.dense_output import acceleration_derivatives
 from hyperflex.core.tangent.directions import Directions, place_changes
 from hyperflex.core.tangent.extrapolation import new_tangent_workspace
-from hyperflex.interruption import interruptible
+from hyperflex.interruption import OutOfTime, interruptible
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import output_times, setup_of
@@ -29,7 +29,7 @@ from hyperflex.simulation.outcome import refuse_failure, refuse_unbalanced
 from hyperflex.simulation.rollouts import TABLES, Rollout, finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.sensitivity.directions import ParameterDirections, Wrt, check_smooth, parameter_directions
 from hyperflex.simulation.sensitivity.stiction import stiction_projection
-from hyperflex.simulation.time_budget import TimeBudgetExceeded, endless, enforce_budget
+from hyperflex.simulation.time_budget import Watch, out_of_time
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -250,9 +250,9 @@ def record_steps(
         run = prepare_rollout(chain, drive, start, times, bounds, log=np.empty((count, width)))
         run.progress.clock[STEP] = first_step
         try:
-            code = finish_rollout(run, enforce_budget(None, None, (begin, bounds.stop)))
-        except TimeBudgetExceeded:
-            raise endless(run.time) from None
+            code = finish_rollout(run, Watch(None, (begin, bounds.stop)))
+        except OutOfTime as cause:
+            raise out_of_time(run.time, cause) from None
         refuse_failure(code, run)
         steps = int(run.progress.clock[TAKEN] - run.progress.clock[REJECTED])
         if steps <= count:
