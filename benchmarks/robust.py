@@ -206,7 +206,7 @@ class Case:
                 done = follow_plan(plan, source, uncertainty=self.uncertainty, seed=k, threads=1)
             except HyperflexError:
                 return throw, True, ["failed"]
-            return done.throw, not done.success, [each.action for each in done.decisions]
+            return done.throw, not done.completed, [each.action for each in done.decisions]
 
         with ThreadPoolExecutor(self.options.threads or os.cpu_count()) as pool:
             found = list(pool.map(one, range(count)))

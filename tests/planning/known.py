@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 import hyperflex as hf
+from hyperflex.planning.feasibility import check_feasibility
 from hyperflex.planning.outcome import verify_cast
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.contact_phase import WindingScores, simulate_contact
@@ -16,7 +17,6 @@ from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.strikes import Strikes, simulate_strikes
 from hyperflex.planning.throw import Throw
 from hyperflex.planning.wind.cast_plan import CastPlan
-from hyperflex.planning.wind.feasibility import check_feasibility
 from hyperflex.planning.wind.planner import failure
 
 PEG = hf.Peg(1.36 * np.sin(-0.66), -1.36 * np.cos(-0.66), 0.04, 0.3)

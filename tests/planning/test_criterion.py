@@ -13,7 +13,6 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import CastPlan, Problem, check_feasibility, estimate_success_probability, verify_cast
-from hyperflex.planning.feedback.closed_loop import ScenarioRanking, _Loop
 from hyperflex.planning.outcome import WATCH_TIME, evaluate_cast
 from hyperflex.planning.problem import MIN_TURNS, SETTLING_TIME
 from hyperflex.planning.robust import refinement, scenario_rollouts
@@ -335,16 +334,6 @@ def test_scenarios_are_won_by_the_turns_that_are_asked(monkeypatch: pytest.Monke
         stated = estimate_success_probability(asks(turns=asked), PEG, WINDS, samples=3)
         assert stated.successes == 3 * wins
         assert scenario_rollouts._wins([None], asks(turns=asked), WINDS, 1) == wins  # type: ignore[list-item]
-
-
-def test_a_plan_that_is_followed_is_judged_by_the_turns_that_it_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hyperflex.planning.feedback import closed_loop
-
-    monkeypatch.setattr(closed_loop, "winding_scores", lambda *_, **__: WindingScores(np.ones(1), np.full(1, 2.0)))
-    scenario, state = Uncertainty().sample(1, problem(), PEG, seed=1)[0], hf.RopeState(0.0, *problem().start)
-    for asked, wins in ((2.0, 1.0), (3.0, 0.0)):
-        loop = _Loop(asks(turns=asked), WINDS, ScenarioRanking(asks(turns=asked), [scenario]), 1)
-        assert loop.probabilities([WINDS], state, [scenario])[0] == pytest.approx([wins])
 
 
 def test_fallback_targets_are_asked_for_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from types import SimpleNamespace
@@ -12,18 +11,15 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.control import swing_period
-from hyperflex.planning import MotorLimits, Problem, Uncertainty, check_feasibility
+from hyperflex.planning import MotorLimits, Uncertainty, check_feasibility
 from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.throw import ThrowParametrization
 from hyperflex.planning.wind import casting, fallback_targets
 from hyperflex.planning.wind.cast_plan import CastPlan
-from hyperflex.planning.wind.feasibility import geometry_allows
 from hyperflex.planning.wind.planner import CastPlanner
-from hyperflex.planning.wind.remedies import find_remedies
 from tests.faults.interrupting import left_by
-from tests.planning.known import CABLE, PEG, WINDS, late, planned, problem, stopped, unreachable
+from tests.planning.known import PEG, WINDS, late, planned, problem, stopped, unreachable
 
 CAST_SETUP = problem()
 FAR = hf.Peg(1.72 * np.sin(0.9), -1.72 * np.cos(0.9), 0.04)  # some 10 cm beyond what is in reach in its direction
@@ -34,151 +30,12 @@ def distance(one: hf.Peg, other: hf.Peg) -> float:
     return float(np.hypot(one.x - other.x, one.y - other.y))
 
 
-@pytest.mark.parametrize("peg", [FAR, hf.Peg(-FAR.x, FAR.y, 0.04), hf.Peg(0.14, -0.9, 0.03), hf.Peg(0.02, 0.05, 0.02)])
-def test_the_nearest_place_is_in_reach_and_none_is_nearer(peg: hf.Peg) -> None:
-    found = fallback_targets.nearest_feasible(CAST_SETUP, peg)
-    assert found is not None
-    assert check_feasibility(CAST_SETUP, found.target).feasible
-    assert not check_feasibility(CAST_SETUP, peg).feasible
-    assert found.plan is None
-    assert found.distance == pytest.approx(distance(found.target, peg))
-    assert (found.target.radius, found.target.mu) == (peg.radius, peg.mu)
-    random = np.random.default_rng(1)
-    far, angle = 0.97 * found.distance * np.sqrt(random.uniform(size=400)), random.uniform(-np.pi, np.pi, 400)
-    assert not any(
-        check_feasibility(CAST_SETUP, replace(peg, x=peg.x + r * np.sin(a), y=peg.y + r * np.cos(a))).feasible
-        for r, a in zip(far, angle, strict=True)
-    )
-
-
-def test_where_geometry_rules_a_target_out_it_is_not_feasible() -> None:
-    grid = [
-        hf.Peg(x, y, r) for x in np.linspace(-2.3, 2.3, 12) for y in np.linspace(-2.3, 2.0, 12) for r in (0.03, 0.3)
-    ]
-    allowed = [geometry_allows(CAST_SETUP, peg) for peg in grid]
-    feasible = [check_feasibility(CAST_SETUP, peg).feasible for peg in grid]
-    assert all(may for may, can in zip(allowed, feasible, strict=True) if can)
-    assert 0 < sum(feasible) < sum(allowed) < len(grid)
-    refused = [hf.Peg(2.5, 0.0, 0.03), hf.Peg(0.05, -0.05, 0.02), FAR]  # beyond the rope, in the arm's circle, too far
-    assert not any(geometry_allows(CAST_SETUP, peg) for peg in refused)
-
-
-def test_a_set_up_knows_the_period_of_its_rope() -> None:
-    longer = replace(CAST_SETUP, rope=CABLE.replace(tip_mass=0.1))
-    assert CAST_SETUP.period == swing_period(CABLE)
-    assert longer.period == swing_period(longer.rope) != CAST_SETUP.period
-
-
-def test_a_target_ten_centimetres_too_far_has_one_near_by() -> None:
-    found = fallback_targets.nearest_feasible(CAST_SETUP, FAR)
-    assert found is not None
-    assert 0.05 < found.distance < 0.15
-    assert found.target.x == pytest.approx(round(found.target.x, 3), abs=1e-12)  # a place that can be said
-
-
-def test_what_the_nearest_place_shall_have_to_spare_and_hold_counts() -> None:
-    plain, safe = (fallback_targets.nearest_feasible(CAST_SETUP, FAR, margin=margin) for margin in (0.0, 0.5))
-    firm = fallback_targets.nearest_feasible(CAST_SETUP, FAR, holding_force=2.0)
-    assert plain is not None and safe is not None and firm is not None  # noqa: PT018
-    spares = [check_feasibility(CAST_SETUP, one.target).margin() for one in (plain, safe)]
-    assert 0.0 <= spares[0] < 0.1
-    assert 0.5 <= spares[1] < 0.6
-    assert plain.distance < safe.distance
-    assert (
-        check_feasibility(CAST_SETUP, firm.target).holding_force
-        >= 2.0
-        > check_feasibility(CAST_SETUP, plain.target).holding_force
-    )
-
-
-def test_a_motor_too_slow_for_everything_reaches_nothing() -> None:
-    asleep = replace(CAST_SETUP, limits=MotorLimits(speed=0.01, acceleration=0.1))
-    assert fallback_targets.nearest_feasible(asleep, PEG) is None
-
-
-def test_down_is_where_gravity_points() -> None:
-    turned = replace(CAST_SETUP, rope=CABLE.replace(gravity=(9.81, 0.0)))
-    there, here = (
-        fallback_targets.nearest_feasible(turned, hf.Peg(-FAR.y, FAR.x, 0.04)),
-        fallback_targets.nearest_feasible(CAST_SETUP, FAR),
-    )
-    assert there is not None
-    assert here is not None
-    assert (there.target.x, there.target.y) == pytest.approx(
-        (-here.target.y, here.target.x), abs=1.5e-3
-    )  # in whole millimetres
-
-
-def with_speed(speed: float) -> tuple[Problem, hf.Peg]:
-    return replace(SLOW, limits=MotorLimits(speed, SLOW.limits.acceleration)), PEG
-
-
-def with_acceleration(acceleration: float) -> tuple[Problem, hf.Peg]:
-    return replace(LAZY, limits=MotorLimits(LAZY.limits.speed, acceleration)), PEG
-
-
-def with_motor(speed: float, acceleration: float) -> tuple[Problem, hf.Peg]:
-    return replace(SLOW, limits=MotorLimits(speed, acceleration)), PEG
-
-
-def with_rope(length: float) -> tuple[Problem, hf.Peg]:
-    """A rope of the same kind; the time stays as it was."""
-    longer = hf.Rope.uniform(length, 0.0625 * length, 50, 0.0025, friction=5e-4)
-    return replace(CAST_SETUP, rope=longer, time=CAST_SETUP.time), FAR
-
-
-def with_arm(length: float) -> tuple[Problem, hf.Peg]:
-    return replace(CAST_SETUP, arm=hf.Arm(length=1e-3 * length)), hf.Peg(0.068, -1.179, 0.025)
-
-
-def with_time(time: float) -> tuple[Problem, hf.Peg]:
-    return replace(CAST_SETUP, time=time), PEG
-
-
-def with_peg(radius: float) -> tuple[Problem, hf.Peg]:
-    return CAST_SETUP, replace(FAR, radius=1e-3 * radius)
-
-
-@pytest.mark.parametrize(
-    ("who", "target", "words", "changed"),
-    [
-        (SLOW, PEG, r"a motor of (\S+) rad/s", with_speed),
-        (LAZY, PEG, r"a motor of (\S+) rad/s\^2", with_acceleration),
-        (WEAK, PEG, r"a motor of (\S+) rad/s and (\S+) rad/s\^2", with_motor),
-        (CAST_SETUP, FAR, r"a rope of (\S+) m", with_rope),
-        (CAST_SETUP, hf.Peg(0.068, -1.179, 0.025), r"an arm of (\S+) mm", with_arm),
-        (replace(CAST_SETUP, time=1.5), PEG, r"(\S+) s to strike", with_time),
-        (CAST_SETUP, FAR, r"a peg of (\S+) mm radius", with_peg),
-    ],
-)
-def test_a_remedy_helps_and_less_of_it_does_not(
-    who: Problem, target: hf.Peg, words: str, changed: Callable[..., tuple[Problem, hf.Peg]]
-) -> None:
-    assert not check_feasibility(who, target).feasible
-    told = next(found for text in find_remedies(who, target) if (found := re.fullmatch(words, text)))
-    numbers = np.array([float(text) for text in told.groups()])
-    sense = -1.0 if "radius" in words else 1.0
-    assert check_feasibility(*changed(*numbers)).feasible  # rounded to what is enough
-    assert not check_feasibility(*changed(*(numbers * (1.0 - sense * 0.02)))).feasible  # a factor is found to 1 %
-
-
-def test_a_faster_motor_makes_each_move_in_the_same_part_of_the_time() -> None:
-    told = next(found for text in find_remedies(WEAK, PEG) if (found := re.search(r"(\S+) rad/s and (\S+) rad", text)))
-    speed, acceleration = (float(text) for text in told.groups())
-    before, after = (MotorLimits(*pair).fastest_moves([0.1, 3.0])[0] for pair in ((0.8, 1.0), (speed, acceleration)))
-    assert after / before == pytest.approx(0.8 / speed, rel=0.02)  # three digits are told
-
-
 def test_places_about_a_peg_are_tried_from_the_sides_that_are_clear_there() -> None:
     """A long arm, whose rope hangs where the target is moved to."""
     who = replace(CAST_SETUP, arm=hf.Arm(length=0.5))
     search = ThrowSearch(who, hf.Peg(0.56, -1.1, 0.03))
     search.candidates.append(Candidate(1.0, 1.0, 1, search.parametrizations[1].centre(), WINDS))
     assert any(list(beside.parametrizations) == [-1] for beside in fallback_targets.searches_near_by(search))
-
-
-def test_a_target_in_reach_needs_no_remedy() -> None:
-    assert find_remedies(CAST_SETUP, PEG) == ()
 
 
 def test_a_plan_that_fails_says_where_one_should_do() -> None:

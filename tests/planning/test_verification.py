@@ -13,12 +13,12 @@ import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import MotorLimits, Problem, Throw, verify_cast
 from hyperflex.planning.clearance import FINE, rope_clearance
+from hyperflex.planning.feasibility import check_feasibility
 from hyperflex.planning.verification import folded_flat, greatest_bend, limit_bend, motor_torques, verified_setup
 from hyperflex.planning.whip.outcome import verify_whip
 from hyperflex.planning.whip.task import failure
 from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.planning.wind import planner as cast_planner
-from hyperflex.planning.wind.feasibility import check_feasibility
 from tests.planning.known import PEG, WINDS, late, planned, problem
 from tests.planning.known_whip import planned_whip
 

@@ -5,8 +5,15 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.planning.feedback.closed_loop import Decision, FollowResult, follow_plan
-    from hyperflex.planning.feedback.simulated_ropes import MotorStateSource, ScenarioStateSource
+    from hyperflex.planning.feasibility import Feasibility, check_feasibility
+    from hyperflex.planning.feedback import (
+        Decision,
+        FollowOptions,
+        FollowResult,
+        MotorStateSource,
+        ScenarioStateSource,
+        follow_plan,
+    )
     from hyperflex.planning.insert.chance import estimate_insert_probability
     from hyperflex.planning.insert.insert_plan import InsertPlan
     from hyperflex.planning.insert.outcome import InsertOutcome
@@ -46,7 +53,6 @@ if TYPE_CHECKING:
     from hyperflex.planning.whip.whip_plan import WhipPlan
     from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget
     from hyperflex.planning.wind.casting import plan_cast
-    from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility
     from hyperflex.planning.wind.many import plan_casts
     from hyperflex.planning.wind.reach_map import NOT_PLANNED, ReachMap, build_reach_map, read_reach_map
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from hyperflex.model import Peg, Setup
+from hyperflex.planning.feasibility import Feasibility
 from hyperflex.planning.outcome import (
     MAX_SLIP,
     WATCH_TIME,
@@ -16,7 +17,6 @@ from hyperflex.planning.problem import Problem
 from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
 from hyperflex.planning.throw import Throw
 from hyperflex.planning.verification import verified_setup
-from hyperflex.planning.wind.feasibility import Feasibility
 
 
 @dataclass(frozen=True, eq=False, repr=False)

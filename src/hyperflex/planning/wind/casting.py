@@ -15,6 +15,7 @@ from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, checked_obstacles, cuts
 from hyperflex.motion import hold_arm
 from hyperflex.planning.clearance import obstacle_clearance, rope_clearance
+from hyperflex.planning.feasibility import Feasibility, check_feasibility, find_remedies, search_time
 from hyperflex.planning.problem import MIN_TURNS, SETTLING_TIME, MotorLimits, Problem
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
 from hyperflex.planning.robust.uncertainty import Uncertainty
@@ -25,9 +26,7 @@ from hyperflex.planning.throw import Throw
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.fallback_targets import expected_fallback, plan_fallback
-from hyperflex.planning.wind.feasibility import Feasibility, check_feasibility, search_time
 from hyperflex.planning.wind.planner import CastPlanner
-from hyperflex.planning.wind.remedies import find_remedies
 from hyperflex.planning.wind.robust_phase import ENOUGH, NOMINAL, refine_robustly
 from hyperflex.progress import progress_bar
 from hyperflex.simulation import simulate

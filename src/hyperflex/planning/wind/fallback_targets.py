@@ -6,22 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from hyperflex.checks import Array
 from hyperflex.interruption import catch_interrupt
 from hyperflex.model import Peg
-from hyperflex.planning.problem import Problem
+from hyperflex.planning.feasibility import check_feasibility, moved, nearest_feasible
 from hyperflex.planning.search.throw_search import ThrowSearch
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget
-from hyperflex.planning.wind.feasibility import check_feasibility, geometry_allows
 from hyperflex.planning.wind.planner import CastPlanner
 
 # Margins of the targets that are planned for, one after another, beyond the margin of the one asked for if it is
 # feasible. The last one is not planned for.
 MARGINS = (0.0, 0.25, 0.75, 1.5)
 EXISTING = 0.5  # fraction of the time budget for trying existing throws on targets near by
-RINGS, RAYS = 40, 60  # of the first grid about the shaft, on the target's side
-ZOOM, LEVELS, ACROSS = 4.0, 4, 9  # each finer grid has cells so much smaller, and so many points a side
 RADII = (0.01, 0.02, 0.035, 0.05, 0.075, 0.1)  # of the rings of targets near by, in rope lengths
 PER_RING, THROWS = 8, 6  # targets of a ring, and throws tried on each
 
@@ -40,7 +36,8 @@ def _expected(plan: CastPlan, holding_force: float, number: int = 0) -> Fallback
     margin = MARGINS[number]
     if plan.feasibility.feasible:
         margin = plan.feasibility.margin(holding_force) + MARGINS[min(number + 1, len(MARGINS) - 1)]
-    return nearest_feasible(plan.problem, plan.target, holding_force=holding_force, margin=margin)
+    peg = nearest_feasible(plan.problem, plan.target, holding_force=holding_force, margin=margin)
+    return None if peg is None else FallbackTarget(peg, math.dist((plan.target.x, plan.target.y), (peg.x, peg.y)))
 
 
 def plan_fallback(
@@ -115,7 +112,7 @@ def searches_near_by(search: ThrowSearch, left: Callable[[], float] | None = Non
     for radius in RADII:
         for angle in 2.0 * np.pi * np.arange(PER_RING) / PER_RING:
             way = radius * problem.rope.total_length * np.array([np.cos(angle), np.sin(angle)])
-            peg = _at(search.peg, np.array([search.peg.x, search.peg.y]) + way)
+            peg = moved(search.peg, np.array([search.peg.x, search.peg.y]) + way)
             if check_feasibility(problem, peg).impossible:
                 continue
             beside = ThrowSearch(problem, peg, search.seed, search.threads, search.holding_force)
@@ -123,59 +120,3 @@ def searches_near_by(search: ThrowSearch, left: Callable[[], float] | None = Non
             if points := [(one.side, one.x) for one in best if one.side in beside.parametrizations]:
                 beside.evaluate(points)
             yield beside
-
-
-def nearest_feasible(
-    problem: Problem, peg: Peg, *, holding_force: float = 0.0, margin: float = 0.0
-) -> FallbackTarget | None:
-    """Find the nearest place at which a peg passes the feasibility check; None if there is none.
-
-    `holding_force` is the pull that the wound rope must withstand, N, `margin` the least :meth:`Feasibility.margin`.
-
-    Notes
-    -----
-    A polar grid about the shaft, on the target's side, and finer ones about the nearest place found. The result is
-    within a thousandth of the rope's length of the nearest place, unless that lies between points of the first grid.
-    """
-
-    def good(place: Array) -> bool:
-        if not geometry_allows(problem, there := _at(peg, place)):
-            return False
-        known = check_feasibility(problem, there)
-        return known.feasible and known.margin(holding_force) >= margin
-
-    unit = 10.0 ** math.floor(math.log10(1e-3 * problem.rope.total_length))
-    asked: Array = np.array([peg.x, peg.y])
-    found = _nearest(_polar_grid(problem, asked), asked, unit, good)
-    cell = problem.rope.total_length / RINGS
-    for _ in range(LEVELS):
-        if found is None:
-            return None
-        side: Array = np.linspace(-cell, cell, ACROSS)
-        around = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-        found = _nearest(np.concatenate([found + around, found[None]]), asked, unit, good)
-        cell /= ZOOM
-    return None if found is None else FallbackTarget(_at(peg, found), float(np.hypot(*(found - asked))))
-
-
-def _polar_grid(problem: Problem, asked: Array) -> Array:
-    """Places (k, 2), m, that the rope might reach, on the target's side of the vertical through the shaft."""
-    arm, gravity = problem.arm, problem.rope.gravity
-    down = np.array(gravity) / math.hypot(*gravity)
-    right = np.array([-down[1], down[0]])
-    side = math.copysign(1.0, float((asked - arm.pivot) @ right))
-    far = arm.length + problem.rope.total_length * (np.arange(RINGS) + 0.5) / RINGS
-    angle: Array = np.linspace(0.0, np.pi, RAYS)
-    rays = np.cos(angle)[:, None] * down + side * np.sin(angle)[:, None] * right
-    return np.asarray((far[:, None, None] * rays + np.array(arm.pivot)).reshape(-1, 2))
-
-
-def _nearest(places: Array, asked: Array, unit: float, good: Callable[[Array], bool]) -> Array | None:
-    """Return the good place nearest to the one asked for, in multiples of `unit`; None if there is none."""
-    places = unit * np.round(places / unit)
-    order = np.argsort(np.hypot(*(places - asked).T), kind="stable")
-    return next((places[k] for k in order if good(places[k])), None)
-
-
-def _at(peg: Peg, place: Array) -> Peg:
-    return replace(peg, x=round(float(place[0]), 9) + 0.0, y=round(float(place[1]), 9) + 0.0)

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from hyperflex.model import DEFAULT_CONTACT_STEP
+from hyperflex.planning.feasibility import SWING, Feasibility, check_feasibility
 from hyperflex.planning.outcome import CastOutcome, require_holding_force, verify_cast
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.candidates import Candidate, distinct, same_swing
@@ -16,7 +17,6 @@ from hyperflex.planning.search.strikes import HANGING_TAIL, MAX_TAIL
 from hyperflex.planning.search.throw_search import SOUND, ThrowSearch
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind.cast_plan import CastPlan
-from hyperflex.planning.wind.feasibility import MIN_ENERGY, Feasibility, check_feasibility
 from hyperflex.planning.wind.verified import (
     SPARE_TURNS,
     Asked,
@@ -92,7 +92,7 @@ class CastPlanner:
         known, full = (check_feasibility(each, search.peg) for each in asked)
         self.asked = Asked(problem.turns, FULL_TURN * (full_turn and full.available_turns >= full.needed_turns))
         tail = float(np.clip(known.available_turns - HANGING_TAIL, MIN_TAIL, MAX_TAIL + self.more))
-        self.worthy = WORTHY * tail * float(np.clip(known.energy_ratio, MIN_ENERGY, 1.0))
+        self.worthy = WORTHY * tail * float(np.clip(known.energy_ratio, SWING.energy_ratio, 1.0))
         self.checked: list[Candidate] = []
         self.waiting: list[tuple[Verified, Candidate]] = []  # that succeed in two verifications without a margin
         self.verified: list[Verified] = []

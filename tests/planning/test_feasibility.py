@@ -1,7 +1,9 @@
-"""What is said of a target before any search."""
+"""Feasibility of a target before any search: necessary conditions, remedies, the nearest feasible target."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +13,8 @@ from scipy.integrate import quad
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import MotorLimits, Problem, check_feasibility
+from hyperflex.planning.feasibility import SWING, find_remedies, nearest_feasible
 from hyperflex.planning.problem import MIN_TURNS
-from hyperflex.planning.wind.feasibility import GAIN, HANGING, MARGIN, MIN_ENERGY, WIDEST
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 CAST_SETUP = Problem(CABLE, hf.Arm(length=0.105), MotorLimits())
@@ -27,7 +29,7 @@ def test_the_energy_is_that_of_rods(far: float, aside: float) -> None:
     """By quadrature along the rope, in place of sums over links."""
     slope, length = abs(aside), 2.0
     pendulum = 2.0 * length / 3.0  # of a rod
-    wide = min(slope - np.arcsin(0.0325 / far) + GAIN * 0.21 / pendulum, WIDEST[0])
+    wide = min(slope - np.arcsin(0.0325 / far) + SWING.gain * 0.21 / pendulum, SWING.widest[0])
     drop = quad(lambda s: s * (np.cos(slope) - np.cos(wide)), 0.0, length)[0]
     share = quad(lambda s: s**2, far, length)[0] / quad(lambda s: s**2, 0.0, length)[0]
     lift = quad(lambda s: (s - far) * (1.0 + np.cos(slope)), far, length)[0]
@@ -46,7 +48,7 @@ def test_a_target_below_leaves_no_room_to_swing() -> None:
     [
         (at(2.5, 0.3), "ends 0.36 m short"),
         (at(2.0, 0.8), "with all of the rope round the target it makes 0.76"),
-        (at(1.8, 0.8), "turns is left beyond"),
+        (at(1.8, 0.8), "turns remains beyond"),
         (at(0.08, 1.0), "inside the arm's circle"),
         (at(0.9, 0.0), "too little energy"),
         (at(0.6, 2.5), "too little energy: it is higher than the rope swings"),
@@ -68,7 +70,7 @@ def test_a_slow_motor_is_told_from_little_energy() -> None:
     assert "higher than the rope swings" in told.message
 
 
-@pytest.mark.parametrize(("tip", "widest"), [(0.0, WIDEST[0]), (0.02, WIDEST[1]), (0.5, WIDEST[1])])
+@pytest.mark.parametrize(("tip", "widest"), [(0.0, SWING.widest[0]), (0.02, SWING.widest[1]), (0.5, SWING.widest[1])])
 def test_a_rope_with_a_weight_at_its_end_swings_less_far_beyond_level(tip: float, widest: float) -> None:
     """Just below the widest swing there is energy left, just above it there is none."""
     who = replace(CAST_SETUP, rope=CABLE.replace(tip_mass=tip))
@@ -100,7 +102,7 @@ def test_the_pull_borne_is_that_of_the_end_that_hangs() -> None:
 def test_a_wider_swing_reaches_more() -> None:
     energies = [check_feasibility(CAST_SETUP, at(1.0, a)).energy_ratio for a in (0.1, 0.3, 0.6, 0.9)]
     assert np.all(np.diff(energies) > 0.0)
-    assert energies[0] < MIN_ENERGY < energies[-1]
+    assert energies[0] < SWING.energy_ratio < energies[-1]
 
 
 def wound(far: float, aside: float, axis: float, more: int, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -121,9 +123,11 @@ def wound(far: float, aside: float, axis: float, more: int, ends: np.ndarray) ->
 @pytest.mark.parametrize("radius", [0.03, 0.05])
 def test_the_room_needed_is_that_of_a_rope_wound_and_hanging(aside: float, radius: float) -> None:
     far, axis = 1.0, radius + 0.0025
-    ends = axis * np.linspace(HANGING, 40.0, 20001)
+    ends = axis * np.linspace(SWING.hanging, 40.0, 20001)
     drawn = [wound(far, aside, axis, more, ends) for more in (0, 1, 2)]
-    rooms = [(length[turns >= MIN_TURNS + MARGIN] - far + axis).min(initial=np.inf) for length, turns in drawn]
+    rooms = [
+        (length[turns >= MIN_TURNS + SWING.spare_turns] - far + axis).min(initial=np.inf) for length, turns in drawn
+    ]
     needed = min(rooms) / (2.0 * np.pi * axis)
     assert check_feasibility(CAST_SETUP, at(far, aside, radius)).needed_turns == pytest.approx(
         needed, abs=1e-3
@@ -140,7 +144,7 @@ def test_the_hold_asked_for_counts() -> None:
         bears.append(weight * (2.0 - bare) * np.exp(0.3 * contact))
     assert known.holding_force == pytest.approx(max(bears), rel=1e-6)  # the polyline's arc is shorter by 1e-9
     assert check_feasibility(CAST_SETUP, peg, holding_force=0.9 * known.holding_force).feasible
-    assert "asked" in check_feasibility(CAST_SETUP, peg, holding_force=1.1 * known.holding_force).message
+    assert "required" in check_feasibility(CAST_SETUP, peg, holding_force=1.1 * known.holding_force).message
 
 
 def test_what_is_down_is_where_gravity_points() -> None:
@@ -158,3 +162,125 @@ def test_a_rope_of_few_links_is_refused(links: int) -> None:
     rope = hf.Rope.uniform(length=2.0, mass=0.125, n_links=links, radius=0.0025)
     with pytest.raises(InvalidInput, match="too few links"):
         Problem(rope, CAST_SETUP.arm, CAST_SETUP.limits)
+
+
+PEG = hf.Peg(-0.8338, -1.0743, 0.04)
+FAR = hf.Peg(1.72 * np.sin(0.9), -1.72 * np.cos(0.9), 0.04)  # some 10 cm beyond what is in reach in its direction
+SLOW, LAZY, WEAK = (replace(CAST_SETUP, limits=MotorLimits(*pair)) for pair in ((0.8, 8.0), (8.6, 0.5), (0.8, 1.0)))
+
+
+def distance(one: hf.Peg, other: hf.Peg) -> float:
+    return float(np.hypot(one.x - other.x, one.y - other.y))
+
+
+@pytest.mark.parametrize("peg", [FAR, hf.Peg(-FAR.x, FAR.y, 0.04), hf.Peg(0.14, -0.9, 0.03), hf.Peg(0.02, 0.05, 0.02)])
+def test_the_nearest_place_is_in_reach_and_none_is_nearer(peg: hf.Peg) -> None:
+    found = nearest_feasible(CAST_SETUP, peg)
+    assert found is not None
+    assert check_feasibility(CAST_SETUP, found).feasible
+    assert not check_feasibility(CAST_SETUP, peg).feasible
+    assert (found.radius, found.mu) == (peg.radius, peg.mu)
+    random = np.random.default_rng(1)
+    far, angle = 0.97 * distance(found, peg) * np.sqrt(random.uniform(size=400)), random.uniform(-np.pi, np.pi, 400)
+    assert not any(
+        check_feasibility(CAST_SETUP, replace(peg, x=peg.x + r * np.sin(a), y=peg.y + r * np.cos(a))).feasible
+        for r, a in zip(far, angle, strict=True)
+    )
+
+
+def test_a_target_ten_centimetres_too_far_has_one_near_by() -> None:
+    found = nearest_feasible(CAST_SETUP, FAR)
+    assert found is not None
+    assert 0.05 < distance(found, FAR) < 0.15
+    assert found.x == pytest.approx(round(found.x, 3), abs=1e-12)  # a place that can be said
+
+
+def test_what_the_nearest_place_shall_have_to_spare_and_hold_counts() -> None:
+    plain, safe = (nearest_feasible(CAST_SETUP, FAR, margin=margin) for margin in (0.0, 0.5))
+    firm = nearest_feasible(CAST_SETUP, FAR, holding_force=2.0)
+    assert plain is not None and safe is not None and firm is not None  # noqa: PT018
+    spares = [check_feasibility(CAST_SETUP, one).margin() for one in (plain, safe)]
+    assert 0.0 <= spares[0] < 0.1
+    assert 0.5 <= spares[1] < 0.6
+    assert distance(plain, FAR) < distance(safe, FAR)
+    assert check_feasibility(CAST_SETUP, firm).holding_force >= 2.0 > check_feasibility(CAST_SETUP, plain).holding_force
+
+
+def test_a_motor_too_slow_for_everything_reaches_nothing() -> None:
+    asleep = replace(CAST_SETUP, limits=MotorLimits(speed=0.01, acceleration=0.1))
+    assert nearest_feasible(asleep, PEG) is None
+
+
+def test_down_is_where_gravity_points() -> None:
+    turned = replace(CAST_SETUP, rope=CABLE.replace(gravity=(9.81, 0.0)))
+    there, here = (
+        nearest_feasible(turned, hf.Peg(-FAR.y, FAR.x, 0.04)),
+        nearest_feasible(CAST_SETUP, FAR),
+    )
+    assert there is not None
+    assert here is not None
+    assert (there.x, there.y) == pytest.approx((-here.y, here.x), abs=1.5e-3)  # in whole millimetres
+
+
+def with_speed(speed: float) -> tuple[Problem, hf.Peg]:
+    return replace(SLOW, limits=MotorLimits(speed, SLOW.limits.acceleration)), PEG
+
+
+def with_acceleration(acceleration: float) -> tuple[Problem, hf.Peg]:
+    return replace(LAZY, limits=MotorLimits(LAZY.limits.speed, acceleration)), PEG
+
+
+def with_motor(speed: float, acceleration: float) -> tuple[Problem, hf.Peg]:
+    return replace(SLOW, limits=MotorLimits(speed, acceleration)), PEG
+
+
+def with_rope(length: float) -> tuple[Problem, hf.Peg]:
+    """A rope of the same kind; the time stays as it was."""
+    longer = hf.Rope.uniform(length, 0.0625 * length, 50, 0.0025, friction=5e-4)
+    return replace(CAST_SETUP, rope=longer, time=CAST_SETUP.time), FAR
+
+
+def with_arm(length: float) -> tuple[Problem, hf.Peg]:
+    return replace(CAST_SETUP, arm=hf.Arm(length=1e-3 * length)), hf.Peg(0.068, -1.179, 0.025)
+
+
+def with_time(time: float) -> tuple[Problem, hf.Peg]:
+    return replace(CAST_SETUP, time=time), PEG
+
+
+def with_peg(radius: float) -> tuple[Problem, hf.Peg]:
+    return CAST_SETUP, replace(FAR, radius=1e-3 * radius)
+
+
+@pytest.mark.parametrize(
+    ("who", "target", "words", "changed"),
+    [
+        (SLOW, PEG, r"a motor of (\S+) rad/s", with_speed),
+        (LAZY, PEG, r"a motor of (\S+) rad/s\^2", with_acceleration),
+        (WEAK, PEG, r"a motor of (\S+) rad/s and (\S+) rad/s\^2", with_motor),
+        (CAST_SETUP, FAR, r"a rope of (\S+) m", with_rope),
+        (CAST_SETUP, hf.Peg(0.068, -1.179, 0.025), r"an arm of (\S+) mm", with_arm),
+        (replace(CAST_SETUP, time=1.5), PEG, r"(\S+) s to strike", with_time),
+        (CAST_SETUP, FAR, r"a peg of (\S+) mm radius", with_peg),
+    ],
+)
+def test_a_remedy_helps_and_less_of_it_does_not(
+    who: Problem, target: hf.Peg, words: str, changed: Callable[..., tuple[Problem, hf.Peg]]
+) -> None:
+    assert not check_feasibility(who, target).feasible
+    told = next(found for text in find_remedies(who, target) if (found := re.fullmatch(words, text)))
+    numbers = np.array([float(text) for text in told.groups()])
+    sense = -1.0 if "radius" in words else 1.0
+    assert check_feasibility(*changed(*numbers)).feasible  # rounded to what is enough
+    assert not check_feasibility(*changed(*(numbers * (1.0 - sense * 0.02)))).feasible  # a factor is found to 1 %
+
+
+def test_a_faster_motor_makes_each_move_in_the_same_part_of_the_time() -> None:
+    told = next(found for text in find_remedies(WEAK, PEG) if (found := re.search(r"(\S+) rad/s and (\S+) rad", text)))
+    speed, acceleration = (float(text) for text in told.groups())
+    before, after = (MotorLimits(*pair).fastest_moves([0.1, 3.0])[0] for pair in ((0.8, 1.0), (speed, acceleration)))
+    assert after / before == pytest.approx(0.8 / speed, rel=0.02)  # three digits are told
+
+
+def test_a_target_in_reach_needs_no_remedy() -> None:
+    assert find_remedies(CAST_SETUP, PEG) == ()

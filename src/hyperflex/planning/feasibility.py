@@ -1,0 +1,421 @@
+"""Feasibility of a cast before any search: necessary conditions, changes that would meet them, the nearest target.
+
+A rope that swings as far as the target lets it is modelled as a rigid rod, its tail beyond the target as another rod. A
+wound rope runs straight to the target, round it, and hangs from it.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Peg, Rope
+from hyperflex.planning.clearance import holds, named, obstacle_gaps
+from hyperflex.planning.problem import Problem
+from hyperflex.planning.routing import refuse_behind
+from hyperflex.planning.throw import KEEPING_STEP
+
+
+@dataclass(frozen=True)
+class SwingModel:
+    """Coefficients of the feasibility check.
+
+    They were chosen by hand for the paper's cable: searches of two minutes found plans for all feasible targets of
+    ``benchmarks/reach.py``, up to 127 degrees from hanging, and for none higher. ``benchmarks/results`` counts the
+    targets that are called infeasible and can be wound.
+
+    Parameters
+    ----------
+    spare_turns : float
+        Turns beyond the required ones that a plan aims at, since the tail still swings.
+    hanging : float
+        Length of the rope's end that hangs from the target, at least, in radii of the target.
+    gain : float
+        Angle by which one stroke widens a swing, in units of the chord of the arm tip's path over the length of the
+        equivalent pendulum.
+    mean_gain : float
+        Mean fraction of the gain that a stroke adds on the way from rest to level: ten strokes bring the paper's cable
+        there.
+    first_gain, room : float
+        Below the target a swing has little room: the last stroke adds this fraction of the gain where the target leaves
+        no room at all, and all of it from this angle, rad, on.
+    outward, widest : (float, float)
+        Greatest angle of a swing, rad, for two lengths of the equivalent pendulum over the rope's, linear in between: a
+        uniform rope, and one with a weight at its end, which jerks it after it was slack.
+    energy_ratio : float
+        Least energy at the strike over the energy that lifts the tail over the target.
+    spare_periods, max_periods : float
+        Swing periods that a search allows beyond the pumping, and in all.
+    """
+
+    spare_turns: float = 0.05
+    hanging: float = 2.0
+    gain: float = 2.2
+    mean_gain: float = 0.5
+    first_gain: float = 0.5
+    room: float = 0.05
+    outward: tuple[float, float] = (2.0 / 3.0, 0.74)
+    widest: tuple[float, float] = (2.3, 1.7)
+    energy_ratio: float = 0.2
+    spare_periods: float = 2.0
+    max_periods: float = 11.0
+
+
+SWING = SwingModel()
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """Result of the feasibility check of a target.
+
+    Attributes
+    ----------
+    available_turns : float
+        Length of the rope beyond the target, in turns about it.
+    needed_turns : float
+        The same length for a wound rope and its hanging end; `available_turns` must be more.
+    energy_ratio : float
+        Energy of the tail at the strike, over the energy that lifts its centre of mass over the target; at least
+        ``SwingModel.energy_ratio``.
+    holding_force : float
+        Greatest pull that the wound rope can withstand, N: weight of the hanging end times e^(mu angle of contact).
+    impossible : bool
+        Whether geometry or the motor's torque rule the target out; then no search is made.
+    message : str
+        Why the target is not feasible; empty if it is.
+    """
+
+    available_turns: float
+    needed_turns: float
+    energy_ratio: float
+    holding_force: float
+    impossible: bool
+    message: str
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the target is feasible."""
+        return not self.message
+
+    def margin(self, holding_force: float = 0.0) -> float:
+        """Return the least relative margin of all requirements, including a force, N; below 0: infeasible."""
+        ratios = [self.available_turns / self.needed_turns, self.energy_ratio / SWING.energy_ratio]
+        if holding_force > 0.0:
+            ratios.append(self.holding_force / holding_force)
+        return -1.0 if self.impossible else min(ratios) - 1.0
+
+
+def check_feasibility(problem: Problem, peg: Peg, *, holding_force: float = 0.0) -> Feasibility:
+    """Check whether a target is feasible; `holding_force` is the pull that the wound rope must withstand, N.
+
+    Notes
+    -----
+    Turns are quantised: a wound rope runs straight from the arm to the target, lies on it and hangs from its side, so
+    its angle of contact is a whole number of turns plus an angle that the direction of the target fixes. A long end
+    hangs nearly below the target's centre, a short one at its side and makes up to a quarter turn less. The swing is
+    limited on the target's side by the target itself, on the other side by that and the gain of one stroke.
+    """
+    required = checks.number("holding_force", holding_force, sign="nonnegative", unit="N")
+    if required > 0.0:
+        refuse_behind(problem.behind, "a holding force")
+    target = _Target(problem, peg)
+    energy, holding = target.energy_ratio(), target.holding_force()
+    impossible, message = target.geometry()
+    obstacles = (*problem.behind, *problem.obstacles)
+    torque = _start_torque(problem)
+    if torque > problem.limits.torque:
+        needs = f"the rope that hangs from the arm needs {torque:.3g} N m at the start"
+        impossible, message = True, f"the motor is too weak: {needs}"
+    elif inside := [each for each in obstacles if holds(each, peg.x, peg.y)]:
+        impossible, message = True, f"the target lies in {named(inside[0])}"
+    elif not message and (blocked := _blocked(problem, peg)):
+        message = f"out of reach: {blocked}"
+    elif not message and energy < SWING.energy_ratio:
+        slow = _gain(problem) < 0.5 * _gain(problem, fast=True)
+        why = "the motor is too slow to swing the rope up" if slow else "too little energy"
+        high = f"it is higher than the rope swings, {math.degrees(_widest(problem)):.0f} degrees from hanging"
+        ratio = f"{energy:.2f} of what lifts the tail over it at the strike, {SWING.energy_ratio:g} needed"
+        message = f"out of reach: {why}: {high if energy < 0.0 else ratio}"
+    elif not message and holding < required:
+        message = f"out of reach: its holding force is {holding:.3g} N at most, {required:g} N required"
+    return Feasibility(target.available_turns, target.needed_turns, energy, holding, impossible, message)
+
+
+def search_time(problem: Problem, peg: Peg) -> float:
+    """Time, s, until the strike that a search allows by default.
+
+    The strokes that swing the rope up from rest to the target and a stroke's gain beyond it, and
+    ``SwingModel.spare_periods``; at least the time of the set-up.
+    """
+    gain = _gain(problem)
+    strokes = (_Target(problem, peg).angle + gain) / (SWING.mean_gain * gain)
+    periods = min(KEEPING_STEP * strokes + SWING.spare_periods, SWING.max_periods)
+    return max(problem.time, periods * problem.period)
+
+
+class _Target:
+    """A target as the rope finds it from the shaft.
+
+    Its `distance`, m, and `angle` from hanging, rad, in [0, pi]; the radius of the rope's `axis` round it and the `way`
+    of the rope to it, m; `available_turns` and `needed_turns` of rope beyond its near side.
+    """
+
+    def __init__(self, problem: Problem, peg: Peg) -> None:
+        self.problem, self.peg, self.rope = problem, peg, problem.rope
+        (gx, gy), (x0, y0) = self.rope.gravity, problem.arm.pivot
+        x, y = peg.x - x0, peg.y - y0
+        self.distance, self.angle = math.hypot(x, y), math.atan2(abs(x * gy - y * gx), x * gx + y * gy)
+        self.axis = peg.radius + self.rope.radius
+        ways = [
+            math.hypot(each.x - x0, each.y - y0)
+            + math.hypot(peg.x - each.x, peg.y - each.y)
+            - 2.0 * (each.radius + self.rope.radius)
+            for each in problem.behind
+        ]
+        self.way = max([self.distance, *ways])
+        self.available_turns = (self.rope.total_length - self.way + self.axis) / (2.0 * math.pi * self.axis)
+        touching = math.acos(min(1.0, self.axis / self.way)) if self.way > 0.0 else 0.0
+        # Least angle of contact of a taut rope that is struck from below and hangs from the side, in (-pi, pi]
+        self.contact = 0.5 * math.pi - self.angle - touching if self.way > 0.0 else 0.0
+        # Rope beyond the target's near side that is not on it, in radii
+        self.straight = (math.sqrt(max(self.way**2 - self.axis**2, 0.0)) - self.way + self.axis) / self.axis
+        self.needed_turns = self._needed_turns(touching)
+
+    def _needed_turns(self, touching: float) -> float:
+        """Least room of a rope that makes the required turns, covers the required angle, and hangs, in turns."""
+        angle, rooms = self.contact, list[float]()
+        while len(rooms) < 2:  # a turn more may need less rope: its end may be shorter
+            turns = self.problem.turns + SWING.spare_turns
+            end = 2.0 * math.pi * turns - touching - angle if self.way > 0.0 else 0.0
+            if angle > 0.0 and angle >= self.problem.contact and end < 0.5 * math.pi:
+                hanging = max(SWING.hanging, math.tan(max(end, 0.0)))
+                rooms.append((self.straight + angle + hanging) / (2.0 * math.pi))
+            angle += 2.0 * math.pi
+        return min(rooms)
+
+    def geometry(self) -> tuple[bool, str]:
+        """Return whether distance and length rule the target out, and why it is infeasible; empty if it is not."""
+        turns, behind = self.problem.turns, self.problem.behind
+        arm, length = self.problem.arm, self.rope.total_length
+        short = self.way - self.axis - length - arm.length
+        if short > 0.0:
+            return True, f"out of reach: the rope ends {short:.2f} m short of the target"
+        if self.distance - self.axis <= arm.length:
+            return True, "inside the arm's circle: the arm would strike the target"
+        near = self.way - arm.length  # the arm points to the target, and all that remains of the rope lies on it
+        straight = math.sqrt(near**2 - self.axis**2)
+        most = (math.acos(self.axis / near) + (length - straight) / self.axis) / (2.0 * math.pi)
+        if most < turns and not behind:  # round a peg it comes to the target from another side
+            reason = f"with all of the rope round the target it makes {most:.2f} turns, {turns:g} required"
+            return True, f"out of reach: {reason}"
+        if self.available_turns < self.needed_turns:
+            left = f"rope for {max(self.available_turns, 0.0):.2f} turns remains beyond the target"
+            wound = f" to wind {turns:g}" if self.problem.more_turns else ""
+            return False, f"out of reach: {left}, {self.needed_turns:.2f} needed{wound}"
+        return False, ""
+
+    def energy_ratio(self) -> float:
+        """Energy ratio of the tail at the strike, for rods; below 0 if the swing does not get there."""
+        rope, far = self.rope, self.distance
+        if not 0.0 < far < rope.total_length:
+            return 0.0
+        gain, time = _gain(self.problem), self.problem.time
+        near = self.angle - math.asin(min(1.0, self.axis / far))
+        last = gain * float(np.interp(near, (0.0, SWING.room), (SWING.first_gain, 1.0)))
+        wide = min(near + last, gain * time / (0.5 * self.problem.period), _widest(self.problem))
+        mass = np.append(rope.mass, rope.tip_mass)
+        along = np.append(np.cumsum(rope.length) - rope.length + rope.com, rope.total_length)
+        tail = np.where(along > far, mass, 0.0)
+        share = (tail * along**2).sum() / (mass * along**2).sum()
+        drop = (mass * along).sum() * (math.cos(self.angle) - math.cos(wide))
+        lift = (tail * (along - far)).sum() * (1.0 + math.cos(self.angle))
+        return float(share * drop / max(lift, 1e-12))
+
+    def holding_force(self) -> float:
+        """Greatest pull that a wound rope withstands, N, of all the turns that it has room for (capstan equation)."""
+        rope, contact, best = self.rope, self.contact, 0.0
+        # Mass beyond each joint over the length of rope there, from the tip on
+        beyond = np.cumsum(np.append(0.0, rope.length[::-1])), np.cumsum(np.append(rope.tip_mass, rope.mass[::-1]))
+        hanging = self.axis * (2.0 * math.pi * self.available_turns - self.straight - contact)
+        while hanging > 0.0:
+            if contact > 0.0:
+                weight = float(np.interp(hanging, *beyond)) * math.hypot(*rope.gravity)
+                best = max(best, weight * math.exp(min(self.peg.mu * contact, 700.0)))
+            contact += 2.0 * math.pi
+            hanging -= 2.0 * math.pi * self.axis
+        return best
+
+
+def _blocked(problem: Problem, peg: Peg, arm_angles: int = 73) -> str:
+    """Return which obstacle leaves a wound rope no room, and where; "" if there is room.
+
+    The rope goes round the target, and straight to one of its sides from the arm's tip at some of `arm_angles`, unless
+    it is to run behind pegs.
+    """
+    obstacles, rope, arm = (*problem.behind, *problem.obstacles), problem.rope, problem.arm
+    if not obstacles:
+        return ""
+    centre: Array = np.array([[peg.x, peg.y]])
+    room = obstacle_gaps(obstacles, centre, centre)[:, 0] - peg.radius
+    clearance = np.where(np.arange(len(obstacles)) < len(problem.behind), 0.0, max(problem.clearance, 0.0))
+    nearest = int((room - clearance).argmin())
+    needed = 2.0 * rope.radius + clearance[nearest]
+    if room[nearest] < needed:
+        gap = f"is {1e3 * max(room[nearest], 0.0):.3g} mm from the target"
+        return f"{named(obstacles[nearest])} {gap}, the rope needs {1e3 * needed:.3g}"
+    if problem.behind:
+        return ""
+    tips = arm.tip(np.linspace(*problem.limits.angles, arm_angles))
+    ways = centre - tips
+    aside = (peg.radius + rope.radius) * np.stack([-ways[:, 1], ways[:, 0]], axis=-1) / np.hypot(*ways.T)[:, None]
+    ends = np.concatenate([centre + side * aside for side in (-1.0, 0.0, 1.0)])
+    gaps = obstacle_gaps(obstacles, np.tile(tips, (3, 1)), ends) - rope.radius
+    if gaps.min(axis=0).max() > 0.0:
+        return ""
+    return f"{named(obstacles[int((gaps <= 0.0).sum(axis=1).argmax())])} is between the arm and the target"
+
+
+def _start_torque(problem: Problem) -> float:
+    """Torque that holds the hanging rope before the cast, N m: the lesser of the two sides."""
+    gx, gy = problem.rope.gravity
+    starts = [problem.limits.start_angle(side) for side in (-1, 1)]
+    lever = min(abs(math.cos(angle) * gx + math.sin(angle) * gy) for angle in starts)
+    return float(problem.rope.total_mass * problem.arm.length * lever)
+
+
+def _gain(problem: Problem, *, fast: bool = False) -> float:
+    """Angle by which one stroke widens a swing, rad; `fast`: with a motor without limits."""
+    least, greatest = problem.limits.angles
+    stroke = min(math.pi, greatest - least)
+    gain = SWING.gain * 2.0 * problem.arm.length * math.sin(0.5 * stroke) / _pendulum(problem)
+    time = float(problem.limits.fastest_moves([stroke])[0][0])
+    return gain if fast else gain * min(1.0, 0.5 * problem.period / time)
+
+
+def _widest(problem: Problem) -> float:
+    """Angle to which the rope can be swung, rad."""
+    return float(np.interp(_pendulum(problem) / problem.rope.total_length, SWING.outward, SWING.widest))
+
+
+def _pendulum(problem: Problem) -> float:
+    """Length of the pendulum with the period of the rope's small swing, m."""
+    return math.hypot(*problem.rope.gravity) * (problem.period / (2.0 * math.pi)) ** 2
+
+
+def find_remedies(
+    problem: Problem, peg: Peg, *, holding_force: float = 0.0, most: float = 3.0, motor: float = 10.0
+) -> tuple[str, ...]:
+    """Return changes, as text, that would each make a target feasible; none if it is feasible.
+
+    `holding_force` is the pull that the wound rope must withstand, N; `most` is the greatest factor of a change,
+    `motor` that of a change of the motor. Factors are found to 1 %.
+    """
+    rope, arm, limits = problem.rope, problem.arm, problem.limits
+
+    def faster(speed: float, acceleration: float) -> tuple[Problem, Peg]:
+        changed = replace(limits, speed=speed * limits.speed, acceleration=acceleration * limits.acceleration)
+        return replace(problem, limits=changed), peg
+
+    def longer(f: float) -> Rope:
+        return rope.replace(length=f * rope.length, mass=f * rope.mass, com=f * rope.com, inertia=f**3 * rope.inertia)
+
+    def least(changed: Callable[[float], tuple[Problem, Peg]], most: float = most) -> float:
+        def feasible(factor: float) -> bool:
+            try:
+                return check_feasibility(*changed(factor), holding_force=holding_force).feasible
+            except InvalidInput:  # no such set-up: a longer arm hits an obstacle, for example
+                return False
+
+        return _least_factor(feasible, most)
+
+    speed, acceleration = least(lambda f: faster(f, 1.0), motor), least(lambda f: faster(1.0, f), motor)
+    either = min(speed, acceleration) < math.inf  # one limit alone is enough
+    both = math.inf if either else least(lambda f: faster(f, f**2), motor)
+    longer_arm = least(lambda f: (replace(problem, arm=replace(arm, length=f * arm.length)), peg))
+    longer_rope = least(lambda f: (replace(problem, rope=longer(f)), peg))
+    later = least(lambda f: (replace(problem, time=f * problem.time), peg))
+    thinner = least(lambda f: (problem, replace(peg, radius=peg.radius / f)))
+    found = {
+        f"a motor of {_rounded(speed * limits.speed)} rad/s": speed,
+        f"a motor of {_rounded(acceleration * limits.acceleration)} rad/s^2": acceleration,
+        f"a motor of {_rounded(both * limits.speed)} rad/s and {_rounded(both**2 * limits.acceleration)} rad/s^2": both,
+        f"an arm of {_rounded(1e3 * longer_arm * arm.length)} mm": longer_arm,
+        f"a rope of {_rounded(longer_rope * rope.total_length)} m": longer_rope,
+        f"{_rounded(later * problem.time)} s to strike": later,
+        f"a peg of {_rounded(1e3 * peg.radius / thinner, up=False)} mm radius": thinner,
+    }
+    return tuple(text for text, factor in found.items() if 1.0 < factor < math.inf)
+
+
+def _rounded(value: float, *, up: bool = True) -> str:
+    """Write a value with three digits, rounded to the side on which it is enough."""
+    if not 0.0 < value < math.inf:
+        return str(value)
+    unit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    digits = math.ceil(value / unit - 1e-9) if up else math.floor(value / unit + 1e-9)
+    return f"{digits * unit:.3g}"
+
+
+def _least_factor(feasible: Callable[[float], bool], most: float) -> float:
+    """Return the least feasible factor from 1 up: the first in steps of 5 %, then bisection to 1 %; inf: none."""
+    tried = np.geomspace(1.0, most, math.ceil(math.log(most) / math.log(1.05)) + 1).tolist()
+    first = next((k for k, factor in enumerate(tried) if feasible(factor)), None)
+    if first is None:
+        return math.inf
+    low, high = tried[max(first - 1, 0)], tried[first]
+    while high > 1.01 * low:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if feasible(middle) else (middle, high)
+    return float(high)
+
+
+def nearest_feasible(
+    problem: Problem, peg: Peg, *, holding_force: float = 0.0, margin: float = 0.0, fineness: int = 40
+) -> Peg | None:
+    """Find the nearest place at which a peg passes the feasibility check; None if there is none.
+
+    `holding_force` is the pull that the wound rope must withstand, N, `margin` the least :meth:`Feasibility.margin`.
+
+    Notes
+    -----
+    A polar grid about the shaft, on the target's side, with `fineness` radii of the rope's length; then grids about the
+    nearest place found, each four times as fine. The result is within a thousandth of the rope's length of the nearest
+    place, unless that lies between points of the first grid.
+    """
+    arm, length, unit = problem.arm, problem.rope.total_length, 10.0
+    unit **= math.floor(math.log10(1e-3 * length))
+    wanted: Array = np.array([peg.x, peg.y])
+
+    def nearest(places: Array) -> Array | None:
+        places = unit * np.round(places / unit)
+        for k in np.argsort(np.hypot(*(places - wanted).T), kind="stable"):
+            there = moved(peg, places[k])
+            if _Target(problem, there).geometry()[1]:
+                continue
+            known = check_feasibility(problem, there)
+            if known.feasible and known.margin(holding_force) >= margin:
+                return np.asarray(places[k])
+        return None
+
+    down = np.array(problem.rope.gravity) / math.hypot(*problem.rope.gravity)
+    right = np.array([-down[1], down[0]])
+    side = math.copysign(1.0, float((wanted - arm.pivot) @ right))
+    far = arm.length + length * (np.arange(fineness) + 0.5) / fineness
+    angle: Array = np.linspace(0.0, np.pi, 3 * fineness // 2)
+    rays = np.cos(angle)[:, None] * down + side * np.sin(angle)[:, None] * right
+    found = nearest((far[:, None, None] * rays + np.array(arm.pivot)).reshape(-1, 2))
+    cell = length / fineness
+    while found is not None and cell > 1e-4 * length:
+        steps: Array = np.linspace(-cell, cell, 9)
+        around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        found, cell = nearest(np.concatenate([found + around, found[None]])), 0.25 * cell
+    return None if found is None else moved(peg, found)
+
+
+def moved(peg: Peg, place: Array) -> Peg:
+    """Return the same peg at a `place` (2,), m, rounded to a nanometre."""
+    return replace(peg, x=round(float(place[0]), 9) + 0.0, y=round(float(place[1]), 9) + 0.0)

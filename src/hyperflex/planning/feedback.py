@@ -1,0 +1,469 @@
+"""A planned throw in closed loop: at each rest of the arm, the rest of the throw is planned again."""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.control import TrueState, hanging_state
+from hyperflex.errors import InvalidInput
+from hyperflex.hardware import SAMPLE_TIME, SimulatedMotor
+from hyperflex.interfaces import Motor, RopeState, StateSource
+from hyperflex.interruption import interruptible
+from hyperflex.model import Arm, Peg, Rope
+from hyperflex.motion import Motion
+from hyperflex.planning.problem import Problem
+from hyperflex.planning.robust.refinement import robust_values
+from hyperflex.planning.robust.scenario_rollouts import first_strikes, free_flight, winding_scores
+from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
+from hyperflex.planning.routing import refuse_behind
+from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.search.strikes import arm_tip
+from hyperflex.planning.throw import MIN_SPEED, MIN_STROKE, Throw
+from hyperflex.planning.wind.cast_plan import CastPlan
+from hyperflex.status import Status
+
+
+@dataclass(frozen=True)
+class FollowOptions:
+    """Options of :func:`follow_plan`.
+
+    Parameters
+    ----------
+    decision_time : float
+        Time that a decision may take, s: moves that are due sooner are made as planned.
+    real_time : bool
+        Whether the rope moves on while a decision is made: one that takes longer than `decision_time` is not carried
+        out then. By default the rope waits, as a simulated one does.
+    min_probability : float
+        Fraction of the likely scenarios in which a throw must succeed before the last stroke and the last move; else it
+        is aborted.
+    max_arm_error : float
+        Angle, rad, between arm and command at a rest, above which a throw is aborted.
+    samples, likely : int
+        Scenarios that may be the true one, and how many of them, those that predict the observations best, a throw is
+        tried in.
+    min_gain : float
+        Increase of the mean score, about one per success, by which a changed throw must be better.
+    blind_time : float
+        Time before the expected strike, s, within which the rope is no longer observed.
+    position_scale, speed_scale : float
+        Errors of a joint's position, m, and velocity, m/s, that count one in the distance from the planned strike.
+    rest_scale, stroke_scale, delay_scale : float
+        Changes of a rest, s, of a stroke, rad, and of the time of the strike, s, that count one.
+    rounds : int
+        Gauss-Newton steps of a correction.
+    fractions : tuple of float
+        Fractions of each step that are tried.
+    difference : float
+        Step of the finite differences, in scales.
+    window : float
+        Time about the planned strike within which flights are compared, s.
+    corrections : int
+        Corrected throws, the nearest to the planned strike, of which the best in the likeliest scenario is considered.
+    """
+
+    decision_time: float = 0.1
+    real_time: bool = False
+    min_probability: float = 0.2
+    max_arm_error: float = 0.2
+    samples: int = 48
+    likely: int = 4
+    min_gain: float = 0.05
+    blind_time: float = 0.15
+    position_scale: float = 0.05
+    speed_scale: float = 0.5
+    rest_scale: float = 0.15
+    stroke_scale: float = 0.6
+    delay_scale: float = 0.3
+    rounds: int = 2
+    fractions: tuple[float, ...] = (1.0, 0.5, 0.2)
+    difference: float = 0.06
+    window: float = 0.3
+    corrections: int = 3
+
+    def __post_init__(self) -> None:
+        for name in ("decision_time", "min_probability", "max_arm_error", "blind_time"):
+            object.__setattr__(self, name, checks.number(name, getattr(self, name), sign="nonnegative"))
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Observation and decision at one rest.
+
+    Attributes
+    ----------
+    move : int
+        Number of the next move.
+    t : float
+        Time of the observation, s.
+    left : float
+        Time until that move, as planned before the decision, s.
+    before, after : float
+        Fraction of the likely scenarios in which the throw succeeds, before and after the decision.
+    action : {"kept", "changed", "aborted", "late"}
+        Late: the decision came too late and was not carried out.
+    seconds : float
+        Time that the decision took by the clock, s, with the observation of the state; it may be more than `left`.
+    arm_error : float
+        Angle of the motor's encoder less the commanded one, rad; NaN without a motor.
+    """
+
+    move: int
+    t: float
+    left: float
+    before: float
+    after: float
+    action: str
+    seconds: float
+    arm_error: float = math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class FollowResult:
+    """A plan as it was executed in closed loop.
+
+    Attributes
+    ----------
+    throw : Throw
+        The throw that was commanded in the end.
+    motion : Motion
+        Its motion.
+    decisions : tuple of Decision
+    options : FollowOptions
+    """
+
+    throw: Throw
+    motion: Motion
+    decisions: tuple[Decision, ...]
+    options: FollowOptions
+
+    @property
+    def late(self) -> int:
+        """Number of decisions that took longer than ``decision_time``: a rope that does not wait had moved on."""
+        return sum(one.seconds > self.options.decision_time for one in self.decisions)
+
+    @property
+    def completed(self) -> bool:
+        """Whether the throw was made to its end, not aborted."""
+        return not (self.decisions and self.decisions[-1].action == "aborted")
+
+    @property
+    def message(self) -> str:
+        """Why the throw failed; empty if it did not."""
+        if not self.decisions:
+            return ""
+        last = self.decisions[-1]
+        chance = f"it succeeds in {100 * last.after:.0f} % of the likely scenarios"
+        if abs(last.arm_error) > self.options.max_arm_error:
+            chance = f"the arm is {abs(last.arm_error):.2g} rad from its command"
+        if not self.completed:
+            return f"aborted at {last.t:.2f} s: {chance}"
+        return "" if last.after >= 0.5 else f"expected to miss: at {last.t:.2f} s {chance}"
+
+    @property
+    def status(self) -> Status:
+        """SUCCESS: made to its end, and at the last observation it succeeds in most of the likely scenarios."""
+        return Status.FAILED if self.message else Status.SUCCESS
+
+    @property
+    def success(self) -> bool:
+        """Whether the status is SUCCESS."""
+        return not self.message
+
+
+@interruptible()
+def follow_plan(
+    plan: CastPlan,
+    source: StateSource,
+    *,
+    motor: Motor | None = None,
+    uncertainty: Uncertainty | None = None,
+    options: FollowOptions | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+) -> FollowResult:
+    """Follow a planned throw; at each rest before the strike, plan the rest of it again from the observed state.
+
+    Parameters
+    ----------
+    plan : CastPlan
+        With a throw, as it was planned or read by :func:`hyperflex.read_plan`.
+    source : StateSource
+        Source of the rope's state, with as many links as the plan's rope.
+    motor : Motor, optional
+        Gets the plan at t = 0 and each change at a rest; its angle is read there. Without a motor only `source` gets
+        the commands.
+    uncertainty : Uncertainty, optional
+        Prior of the scenarios that may be the true one; by default realistic.
+    options : FollowOptions, optional
+    seed : int
+    threads : int, optional
+
+    Raises
+    ------
+    InvalidInput
+        If the plan is no cast or has no throw, or a number is out of range.
+
+    Notes
+    -----
+    Sampled scenarios are ranked by how well they predict the observed states. In the best ones the rest of the throw is
+    tried as it is, and corrected so that the rope strikes in the planned state: Gauss-Newton on the remaining strokes
+    and rests with finite differences, each a free flight. Contact before the last observation is not noticed.
+
+    A decision takes 0.3 to 0.9 s of processor time with 50 links. The default ``decision_time`` therefore suits only a
+    rope that waits: in real time give a second, which the rests of a throw must leave.
+    """
+    if not isinstance(plan, CastPlan):
+        raise InvalidInput("only casts are followed", got=type(plan).__name__, allowed="a CastPlan")
+    problem, throw = plan.problem, plan.required(plan.throw, "throw")
+    if problem.obstacles:
+        raise InvalidInput("casts past obstacles are not followed", got=f"{len(problem.obstacles)} obstacles")
+    refuse_behind(problem.behind, "a plan that is followed")
+    if problem.q0:
+        fix = "Follow a plan without state0"
+        raise InvalidInput("casts that begin with a swinging rope are not followed", got="q0 and qd0", fix=fix)
+    chosen = options or FollowOptions()
+    prior, seeds = uncertainty or Uncertainty(), [checks.count("seed", seed, least=0), 1]
+    loop = _Loop(plan, throw, chosen, prior.sample(chosen.samples, problem, plan.target, seed=seeds), threads)
+    if motor is not None:
+        motor.set_motion(loop.motion(), 0.0)
+    decisions: list[Decision] = []
+    while (decision := loop.decide(source, motor)) is not None:
+        decisions.append(decision)
+        if motor is not None and decision.action in ("changed", "aborted"):
+            motor.set_motion(loop.motion(), decision.t)
+        if decision.action == "aborted":
+            break
+    return FollowResult(loop.throw, loop.motion(), tuple(decisions), chosen)
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """The planned state at the strike: its time `t`, s, and `features` (4 n,) of the joints, see :func:`features`."""
+
+    t: float
+    features: Array
+
+    @classmethod
+    def of(cls, problem: Problem, peg: Peg, throw: Throw, options: FollowOptions) -> "Goal | None":
+        """Return the goal of a throw; None without a strike."""
+        motion = throw.motion(problem.limits)
+        one = RolloutBatch.from_start(problem, [problem.rope], [peg], [motion])
+        t, q, qd, _ = first_strikes(one, problem)
+        if not np.isfinite(t[0]):
+            return None
+        return cls(float(t[0]), features(problem.rope, problem.arm, motion, t, q, qd, options)[0])
+
+
+def features(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array, options: FollowOptions) -> Array:
+    """Positions and velocities of the joints (T, 4 n) at times t (T,), s, over their scales and sqrt(n).
+
+    `q`, rad, and `qd`, rad/s, are (T, n); the motion is the arm's.
+    """
+    base, base_velocity = arm_tip(arm, motion, t)
+    along, across = np.stack([np.sin(q), -np.cos(q)], axis=-1), np.stack([np.cos(q), np.sin(q)], axis=-1)
+    places = base[:, None] + np.cumsum(rope.length[:, None] * along, axis=1)
+    speeds = base_velocity[:, None] + np.cumsum(rope.length[:, None] * across * qd[..., None], axis=1)
+    scaled = np.concatenate([places / options.position_scale, speeds / options.speed_scale], axis=2)
+    return np.asarray(scaled.reshape(len(q), -1) / np.sqrt(rope.n_links))
+
+
+class _Loop:
+    """The throw as decided so far, the next move, and the delay of the strike so far, s.
+
+    Scenarios are ranked by the sum of squared errors (of :func:`features`) in predicting each observed state from the
+    one before. Delays of moves are not part of the prediction.
+    """
+
+    def __init__(
+        self, plan: CastPlan, throw: Throw, options: FollowOptions, scenarios: Sequence[Scenario], threads: int | None
+    ) -> None:
+        self.problem, self.throw, self.options, self.threads = plan.problem, throw, options, threads
+        self.scenarios, self.errors = list(scenarios), np.zeros(len(scenarios))
+        self.goal = Goal.of(plan.problem, plan.target, throw, options)
+        self.move, self.delay = 1, 0.0
+        self._last = hanging_state(plan.problem.rope)
+
+    def motion(self) -> Motion:
+        """Return the commanded motion."""
+        return self.throw.motion(self.problem.limits)
+
+    def starts(self) -> Array:
+        """Return the starts of the moves, s."""
+        return self.throw.starts(self.problem.limits)
+
+    def decide(self, source: StateSource, motor: Motor | None) -> Decision | None:
+        """Observe the rope at the rest before the next move, and decide; None after the last observation."""
+        if self.goal is None or self.move > self.throw.count:
+            return None
+        options, move, begin = self.options, self.move, time.monotonic()
+        rests = np.append(self.throw.rests[: self.throw.count], self.throw.rest)
+        now = float(self.starts()[move] - abs(rests[move]))
+        if now > self.goal.t + self.delay - options.blind_time:
+            return None
+        left, planned = float(self.starts()[move]) - now, (self.throw, self.delay)
+        state = source.state(now, self.motion())
+        arm_error = math.nan if motor is None else motor.angle(now) - float(self.motion().angle(now))
+        first = move if left >= options.decision_time else move + 1  # that may still be changed
+        if far := abs(arm_error) > options.max_arm_error:
+            before, after, action = 0.0, 0.0, self.abort(first)
+        else:
+            self.observe(state)
+            before, after, action = self.choose(self.goal, state, first)
+        seconds = time.monotonic() - begin
+        if options.real_time and seconds > options.decision_time and action != "kept" and not far:
+            (self.throw, self.delay), after, action = planned, before, "late"
+        self.move += 1
+        return Decision(move, now, left, before, after, action, seconds, arm_error)
+
+    def observe(self, state: RopeState) -> None:
+        """Add the scenarios' errors in predicting an observed state."""
+        if state.t <= self._last.t:
+            return
+        motions = [each.without_delays().executed_motion(self.motion()) for each in self.scenarios]
+        ropes, arm, t = [each.rope for each in self.scenarios], self.problem.arm, np.array([state.t])
+        batch = RolloutBatch.from_state(ropes, [], motions, self._last)
+        _, q, qd = free_flight(batch, arm, state.t - batch.since, at_end=True, threads=self.threads)
+        for m, (rope, motion) in enumerate(zip(ropes, motions, strict=True)):
+            observed = features(rope, arm, motion, t, state.q[None], state.qd[None], self.options)
+            predicted = features(rope, arm, motion, t, q[m, -1:], qd[m, -1:], self.options)
+            self.errors[m] += float(np.nan_to_num(((predicted - observed) ** 2).sum(), nan=np.inf))
+        self._last = state
+
+    def likely(self) -> list[Scenario]:
+        """Return the scenarios with the least errors, best first."""
+        return [self.scenarios[m] for m in np.argsort(self.errors, kind="stable")[: self.options.likely]]
+
+    def choose(self, goal: Goal, state: RopeState, first: int) -> tuple[float, float, str]:
+        """Plan the throw again from move `first` on; return its success probabilities before and after, and the action.
+
+        It may be aborted from one move before the last one that starts before the strike.
+        """
+        scenarios, throws, begun = self.likely(), [self.throw], int((self.starts() < goal.t + self.delay).sum())
+        probability, value = self.probabilities(throws, state, scenarios)
+        if first < self.throw.count and probability[0] < 1.0:
+            others = self.corrections(goal, scenarios[0].without_delays(), state, first)
+            if others:
+                throws.append(others[int(np.argmax(self.probabilities(others, state, scenarios[:1])[1]))])
+                probability, value = self.probabilities(throws, state, scenarios)
+        chosen = int(value[-1] > value[0] + self.options.min_gain)
+        before, after = float(probability[0]), float(probability[chosen])
+        if after < self.options.min_probability and self.move >= begun - 1 and first <= self.throw.count:
+            return before, after, self.abort(first)
+        last = self.starts()[-1]
+        self.throw = throws[chosen]
+        self.delay += float(self.starts()[-1] - last)
+        return before, after, "changed" if chosen else "kept"
+
+    def abort(self, first: int) -> str:
+        """Take the arm slowly to hanging, from move `first` on; return the action."""
+        made = min(first, self.throw.count)
+        self.throw = replace(self.throw, count=made, end=0.0, rest=self.options.decision_time, speed=MIN_SPEED)
+        return "aborted"
+
+    def probabilities(
+        self, throws: Sequence[Throw], state: RopeState, scenarios: Sequence[Scenario]
+    ) -> tuple[Array, Array]:
+        """Return the fraction of the scenarios in which each throw succeeds, and its mean score (W,)."""
+        pairs = [(throw, scenario) for throw in throws for scenario in scenarios]
+        motions = [scenario.motion(throw, self.problem) for throw, scenario in pairs]
+        ropes, pegs = [scenario.rope for _, scenario in pairs], [scenario.peg for _, scenario in pairs]
+        batch = RolloutBatch.from_state(ropes, pegs, motions, state)
+        found = winding_scores(batch, self.problem, threads=self.threads)
+        shape = (len(throws), len(scenarios))
+        succeeds = (found.turns >= self.problem.turns).reshape(shape)
+        return succeeds.mean(axis=1), robust_values(found, self.problem).reshape(shape).mean(axis=1)
+
+    def corrections(self, goal: Goal, scenario: Scenario, state: RopeState, first: int) -> list[Throw]:
+        """Change strokes and rests from move `first` on so that the rope comes near the goal in a scenario.
+
+        Returns throws that come nearer than the present one, the nearest first. Changes have a quadratic cost; a delay
+        of the whole does as well.
+        """
+        options, rest = self.options, slice(first, self.throw.count)
+        x = np.concatenate([np.abs(self.throw.rests[rest]), self.throw.strokes[rest]])
+        k = x.size // 2
+        scales = np.repeat([options.rest_scale, options.stroke_scale], k)
+        least = np.repeat([0.0, MIN_STROKE], k)
+        least[0] = min(options.decision_time, x[0])
+
+        def throw(point: Array) -> Throw:
+            rests, strokes = self.throw.rests.copy(), self.throw.strokes.copy()
+            rests[rest], strokes[rest] = point[:k], point[k:]
+            return replace(self.throw, rests=rests, strokes=strokes)
+
+        misses, rows, drift = self._distances(goal, scenario, state, [throw(x)])
+        tried = [(float(misses[0]), self.throw)]
+        step = options.difference * np.where(np.arange(2 * k) < k, scales, -scales)  # a longer stroke may not fit
+        weights = np.append(scales, options.delay_scale)
+        for _ in range(options.rounds):
+            _, moved, _ = self._distances(goal, scenario, state, [throw(x + row) for row in np.diag(step)])
+            jacobian = np.column_stack([((moved - rows[0]) / step[:, None]).T, drift[0]])
+            matrix = np.vstack([jacobian, np.diag(1.0 / weights)])
+            wanted = np.concatenate([goal.features - rows[0], np.zeros(weights.size)])
+            change = np.linalg.lstsq(matrix, wanted, rcond=None)[0][:-1]
+            points = [np.maximum(x + part * change, least) for part in options.fractions]
+            misses, rows_new, drifts = self._distances(goal, scenario, state, [throw(point) for point in points])
+            tried += [(float(miss), throw(point)) for miss, point in zip(misses, points, strict=True)]
+            best = int(np.argmin(misses))
+            if misses[best] >= tried[0][0]:
+                break
+            x, rows, drift = points[best], rows_new[best : best + 1], drifts[best : best + 1]
+        better = sorted((one for one in tried if one[0] < tried[0][0]), key=lambda one: one[0])
+        return [changed for _, changed in better[: options.corrections]]
+
+    def _distances(
+        self, goal: Goal, scenario: Scenario, state: RopeState, throws: Sequence[Throw]
+    ) -> tuple[Array, Array, Array]:
+        """Simulate throws (M) from a state.
+
+        Returns least squared distances of their flights from the goal (M,), and features at its time (M, 4 n) with
+        their rates of change.
+        """
+        arm, options = self.problem.arm, self.options
+        motions = [scenario.motion(throw, self.problem) for throw in throws]
+        batch = RolloutBatch.from_state([scenario.rope] * len(throws), [], motions, state)
+        t, q, qd = free_flight(batch, arm, goal.t - state.t + options.window, threads=self.threads)
+        near = np.flatnonzero(np.abs(t + state.t - goal.t) <= options.window)
+        at = int(np.abs(t[near] + state.t - goal.t).argmin())
+        flights = [
+            features(scenario.rope, arm, motion, t[near], q[m, near], qd[m, near], options)
+            for m, motion in enumerate(batch.motions)
+        ]
+        rows = np.nan_to_num(np.stack(flights), nan=1e3)
+        after = min(at + 1, near.size - 1)
+        rate = (rows[:, after] - rows[:, after - 1]) / (t[1] - t[0])
+        way, behind = np.diff(rows, axis=1), goal.features - rows[:, :-1]
+        part = np.clip((behind * way).sum(axis=2) / np.maximum((way**2).sum(axis=2), 1e-300), 0.0, 1.0)
+        return ((behind - part[..., None] * way) ** 2).sum(axis=2).min(axis=1), rows[:, at], rate
+
+
+class ScenarioStateSource:
+    """True state of the rope of a scenario, under the motion that the scenario's motor makes of the command."""
+
+    def __init__(self, scenario: Scenario, arm: Arm) -> None:
+        self.scenario, self._true = scenario, TrueState(scenario.rope, arm)
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        """Return the simulated state at `t`, s, under the command `motion`, made of moves."""
+        return self._true.state(t, self.scenario.executed_motion(motion))
+
+
+class MotorStateSource:
+    """True state of a rope on a simulated motor, under the motion that the motor has made.
+
+    The motor is the one that is commanded; it begins where the arm is at t = 0.
+    """
+
+    def __init__(self, rope: Rope, arm: Arm, motor: SimulatedMotor) -> None:
+        self.motor, self._true = motor, TrueState(rope, arm)
+
+    def state(self, t: float, motion: Motion) -> RopeState:
+        """Return the simulated state at `t`, s, under the motor's motion; `motion` is not used."""
+        self.motor.true_angle(t)
+        return self._true.state(t, motion if t < 2.0 * SAMPLE_TIME else self.motor.motion())

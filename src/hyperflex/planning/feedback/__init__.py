@@ -1,1 +1,0 @@
-"""A planned cast followed in closed loop."""
