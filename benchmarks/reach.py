@@ -28,7 +28,7 @@ from benchmarks.casting import RESULTS, TIP, problem, target
 from hyperflex import files
 from hyperflex.core.jit import SOURCE_HASH
 from hyperflex.planning import Feasibility, check_feasibility, plan_cast
-from hyperflex.planning.feasibility import SWING
+from hyperflex.planning.feasibility import SWING as MODEL
 
 FIRST, COUNTED = 300, 10_000
 TIME_BUDGET, COUNT = 110.0, 16  # s, targets of a kind
@@ -51,7 +51,7 @@ def kind(told: Feasibility) -> str:
         return IN
     if told.energy_ratio < 0.0:
         return HIGH
-    return SWING if told.energy_ratio < SWING.energy_ratio else ROPE
+    return SWING if told.energy_ratio < MODEL.energy_ratio else ROPE
 
 
 def main() -> None:
