@@ -17,7 +17,7 @@ from hyperflex.demo import twin
 from hyperflex.paper.report import casting, estimation, identification
 from hyperflex.report.identification.figures import prediction_figure
 from hyperflex.report.identification.fitted import fitted_channels
-from hyperflex.report.strobe import strobe_figure
+from hyperflex.report.pictures import strobe_figure
 from hyperflex.report.style import BLUE, GREY, RED, new_figure, save_png
 from hyperflex.vision import VideoReader
 

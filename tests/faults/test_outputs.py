@@ -17,8 +17,7 @@ import pytest
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import FileProblem
-from hyperflex.report import CastReport, whole_folder
-from hyperflex.report.animation import animate
+from hyperflex.report import CastReport, animate, whole_folder
 from hyperflex.report.page import Section, write_page
 from hyperflex.report.style import save_png
 from hyperflex.vision import VideoWriter

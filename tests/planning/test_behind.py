@@ -19,7 +19,7 @@ from hyperflex.planning.routing import runs_behind, way_gaps
 from hyperflex.planning.search.contact_phase import MIN_HOPE, WAY_COST, _way_apart, _way_cost, simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.verification import verified_setup
-from hyperflex.report.cast.report import _outcome
+from hyperflex.report import CastReport
 from hyperflex.report.plan import _obstacles
 from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_strikes
 
@@ -137,9 +137,9 @@ def test_pegs_to_run_behind_go_with_a_plan_through_its_files(tmp_path: Path) -> 
     assert hf.Setup.from_toml(tmp_path / "cast.toml").pegs == (PEG, *pegs, hf.Ground(0.0, -2.5))
     task = read_task(tmp_path / "cast.toml", None, None, {}, {"clearance": None})
     assert (task.behind, task.obstacles) == (pegs, (PEG, hf.Ground(0.0, -2.5)))
-    story, said = _outcome(known, known.outcome), _obstacles(known.problem)
+    story, said = " ".join(CastReport(known).story), _obstacles(known.problem)
     assert "it runs behind a peg at (-0.25, -0.35) m, radius 30 mm, and not behind a peg at (-0.4, -0.5) m" in story
-    assert "run on its way from the arm to the target: a peg at (-0.25, -0.35) m, radius" in said
+    assert "on its way from the arm to the target: a peg at (-0.25, -0.35) m, radius" in said
 
 
 def test_a_setup_file_tells_what_to_run_behind(tmp_path: Path) -> None:

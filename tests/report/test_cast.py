@@ -14,10 +14,10 @@ from PIL import Image
 import hyperflex as hf
 from hyperflex.planning import FallbackTarget
 from hyperflex.planning.outcome import TOO_LONG
-from hyperflex.report.animation import animate
-from hyperflex.report.cast import CastReport
-from hyperflex.report.cast.figures import course_figure, strike_figure, tug_figure
-from hyperflex.report.cast.target_map import target_map
+from hyperflex.report.cast import CastReport, tug_figure
+from hyperflex.report.maps import target_map
+from hyperflex.report.pictures import animate
+from hyperflex.report.scene import Overlay
 from hyperflex.report.style import png
 from tests.planning.known import PEG, late, planned, stopped, unreachable
 
@@ -28,6 +28,14 @@ def opened(path):
 
 def write_cast(folder, plan, held=None):
     return CastReport(plan, held).write(folder)
+
+
+def course_figure(plan):
+    return CastReport(plan).figures()["course"]
+
+
+def strike_figure(plan):
+    return CastReport(plan).figures()["strike"]
 
 
 def words_of(path):
@@ -74,10 +82,10 @@ def test_the_page_tells_the_turns_and_the_watch_that_were_asked_where_they_are_n
     ):
         plan = dataclasses.replace(planned(), problem=known)
         told = CastReport(plan, None)
-        assert any(line.endswith(f"end; {turns} are needed") for _, line in told.tiles)
+        assert any(line.endswith(f"end; {turns} are required") for _, line in told.tiles)
         assert any(f"In the last 2 s{watch} the rope slips" in line for line in told.story)
         turned = course_figure(plan).axes[1]
-        assert any(text.get_text() == f" {turns} turns are needed" for text in turned.texts)
+        assert any(text.get_text() == f" {turns} turns are required" for text in turned.texts)
         assert any(line.get_ydata()[0] == known.turns == line.get_ydata()[-1] for line in turned.get_lines())
         (green,) = [span.get_x() for span in turned.patches]
         assert green == pytest.approx(plan.motion.breaks[-1] + known.settle)
@@ -134,8 +142,8 @@ def test_a_target_in_reach_that_is_not_to_blame_comes_with_advice(tmp_path, made
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"held": False, "slip": 0.077}, "winds but slips: with more friction"),
-        ({"torque": 0.4}, "a motor of 0.4 N m is needed; 0.3 N m are given"),
+        ({"held": False, "slip": 0.077}, "winds but slips: it would hold with more friction"),
+        ({"torque": 0.4}, "needs a motor of 0.4 N m; 0.3 N m are given"),
         ({"wound": False}, "another --seed may help"),
     ],
 )
@@ -143,7 +151,9 @@ def test_advice_is_about_what_failed(change, told):
     plan = planned()
     who = dataclasses.replace(plan.problem, limits=hf.MotorLimits(torque=0.3))
     cast = dataclasses.replace(plan.outcome, **({"torque": 0.1} | change))
-    failed = dataclasses.replace(plan, problem=who, outcome=cast, message="it fails", fallback=FallbackTarget(PEG, 0.0))
+    failed = dataclasses.replace(
+        plan, problem=who, outcome=cast, message="it fails", fallback=FallbackTarget(PEG, 0.0)
+    )
     given = " ".join(CastReport(failed, None).advice)
     assert told in given
     assert ("--seed" in given) == ("--seed" in told)
@@ -188,7 +198,7 @@ def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
     plan = unreachable()
     page = write_cast(tmp_path / "out", plan)["page"].read_text("utf-8")
     assert page.count("data:image/png") == 1
-    figure = target_map(plan)
+    figure = target_map(plan, "nearest")
     (axis,) = figure.axes
     discs = [(patch.center, patch.radius) for patch in axis.patches]
     assert discs[0][0] == (2.5, 0.0)
@@ -203,12 +213,12 @@ def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
     assert low < -2.105 < 2.53 < high
     walls = (hf.Wall(1.0, -1.0, 1.0, 1.0), hf.Peg(9.0, 0.0, 0.1))
     past = dataclasses.replace(plan, problem=dataclasses.replace(plan.problem, obstacles=walls))
-    words = [text.get_text() for text in target_map(past).legends[0].get_texts()]
+    words = [text.get_text() for text in target_map(past, "nearest").legends[0].get_texts()]
     assert [word for word in words if "obstacle" in word] == ["wall, an obstacle"]  # the peg is beyond the picture
 
 
 def test_the_film_tells_the_course(held):
-    note = CastReport(planned(), held).film_note()
+    note = CastReport(planned(), held).film_note
     assert "6 swings to come" in note(0.2)
     assert "arm: swing 1 of 6" in note(0.8)
     assert "arm: rests after swing 1 of 6" in note(1.4)
@@ -221,13 +231,13 @@ def test_the_film_tells_the_course(held):
 
 
 def test_the_film_of_a_miss_says_why():
-    note = CastReport(planned(winds=False), None).film_note()
+    note = CastReport(planned(winds=False), None).film_note
     assert "FAILS: the rope does not touch the peg" in note(planned(winds=False).run.t[-1])
 
 
 def test_the_target_is_drawn_as_large_as_it_is(tmp_path):
     run = planned(winds=False).run
-    animate(run, tmp_path / "a.gif", end=0.1, frame_rate=10, width=300, note=lambda _: "one\ntwo")
+    animate(run, tmp_path / "a.gif", end=0.1, frame_rate=10, width=300, overlay=Overlay(lambda _: "one\ntwo"))
     frame = np.asarray(opened(tmp_path / "a.gif").convert("RGB"))
     _, columns = np.nonzero((frame[..., 0] > 180) & (frame[..., 1] < 120))
     across = np.ptp(columns) + 1
@@ -242,7 +252,7 @@ def test_a_film_has_room_for_its_words(tmp_path):
     run = planned(winds=False).run
     heights = []
     for note in (None, lambda _: "one", lambda _: "one\ntwo\nthree"):
-        animate(run, tmp_path / "a.gif", end=0.1, frame_rate=10, width=200, note=note)
+        animate(run, tmp_path / "a.gif", end=0.1, frame_rate=10, width=200, overlay=Overlay(note))
         heights.append(opened(tmp_path / "a.gif").height)
     assert heights == [heights[0], heights[0] + 36, heights[0] + 72]
 
@@ -267,7 +277,7 @@ def test_pictures_of_a_miss_and_of_a_tug(held):
 
 def test_a_pull_that_did_not_slip_is_a_lower_bound(held):
     firm = dataclasses.replace(held, tug=dataclasses.replace(held.tug, slipped=False))
-    assert "or more (tug)" in CastReport(planned(), firm).film_note()(11.0)
+    assert "or more (tug)" in CastReport(planned(), firm).film_note(11.0)
     labels = [text.get_text() for text in tug_figure(firm).axes[0].get_legend().get_texts()]
     assert f"hold force at least {held.force:.2f} N" in labels
     assert any(f"at least {held.force:.2f}" in value for value, _ in CastReport(planned(), firm).tiles)
@@ -276,7 +286,7 @@ def test_a_pull_that_did_not_slip_is_a_lower_bound(held):
 
 def test_a_long_reason_has_room_in_a_film():
     plan = dataclasses.replace(planned(), message=f"with shorter links {TOO_LONG}")
-    lines = CastReport(plan, None).film_note()(11.0).split("\n")
+    lines = CastReport(plan, None).film_note(11.0).split("\n")
     assert "the time allowed for it" in " ".join(lines)
     assert max(len(line) for line in lines) <= 90
 

@@ -34,19 +34,19 @@ def test_the_page_tells_a_great_torque(tmp_path, monkeypatch):
     plan = planned_insert()
     words = "Give --torque to plan for a weaker motor"
     assert words not in words_of(InsertReport(plan).write(tmp_path / "calm")["page"])
-    monkeypatch.setattr(plan_report, "STRONG", 0.0)
+    monkeypatch.setattr(plan_report, "GREAT_TORQUE", 0.0)
     rope, arm = plan.problem.rope, plan.problem.arm
     heavy = replace(plan, problem=replace(plan.problem, rope=rope.replace(tip_mass=0.5)))
     page = html.unescape(words_of(InsertReport(heavy).write(tmp_path / "heavy")["page"]))
     assert words in page
-    assert f"the rope's weight at the arm makes {(rope.mass.sum() + 0.5) * 9.81 * arm.length:.2g} N m" in page
+    assert f"The rope's weight at the arm makes {(rope.mass.sum() + 0.5) * 9.81 * arm.length:.2g} N m" in page
 
 
 def test_a_probability_that_knows_no_torque_says_so():
     plan = planned_insert()
     weak = replace(plan, problem=replace(plan.problem, limits=hf.MotorLimits(torque=10.0)))
     for shown, said in ((plan, False), (weak, True)):
-        assert any("what the motor must give is not looked at" in told for _, told in InsertReport(shown).tiles) is said
+        assert any("the torque of the motor is not checked" in told for _, told in InsertReport(shown).tiles) is said
 
 
 def test_a_probability_that_there_was_no_time_for_is_called_so():
@@ -62,12 +62,12 @@ def test_a_plan_without_strokes_is_a_page_with_the_reason(tmp_path):
 
 
 def test_the_film_tells_the_course():
-    note = InsertReport(planned_insert()).film_note()
+    note = InsertReport(planned_insert()).film_note
     assert "2 strokes to come" in note(0.0)
     assert "stroke 1 of 2" in note(0.5)
     assert "inside" not in note(1.5)
     assert "inside at 2.00 s" in note(2.05)
-    assert "FAILS: the rope touches" in InsertReport(planned_insert(enters=False)).film_note()(2.2)
+    assert "FAILS: the rope touches" in InsertReport(planned_insert(enters=False)).film_note(2.2)
 
 
 def test_a_notebook_shows_it():

@@ -13,9 +13,8 @@ import hyperflex as hf
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.paper.casting import READINGS, casts
 from hyperflex.paper.report import casting
-from hyperflex.report.animation import animate
-from hyperflex.report.shapes import shapes
-from hyperflex.report.strobe import GROUND, OBSTACLE, PEG, strobe_figure
+from hyperflex.report.pictures import GROUND, OBSTACLE, PEG, animate, strobe_figure
+from hyperflex.report.scene import Overlay, shapes
 from hyperflex.report.style import png, save_png
 from hyperflex.vision import VideoReader
 
@@ -106,7 +105,8 @@ def test_what_the_rope_must_not_touch_has_a_colour_of_its_own():
     target, wall = hf.Peg(0.8, -0.5, 0.1), hf.Wall(1.4, -0.9, 1.4, -0.5)
     run = hf.simulate(hf.Setup(rope, duration=0.1, pegs=(target, wall, hf.Ground(0.0, -1.2)), q0=np.full(6, 1.5)))
     alone, beside = (
-        strobe_figure(run, title="t", obstacles=there).axes[0] for there in ((), (wall, *run.setup.pegs[2:]))
+        strobe_figure(run, title="t", overlay=Overlay(obstacles=there)).axes[0]
+        for there in ((), (wall, *run.setup.pegs[2:]))
     )
     colours = [[mpl.colors.to_hex(patch.get_edgecolor()) for patch in axis.patches] for axis in (alone, beside)]
     assert colours[0][1:] == [PEG, GROUND]

@@ -160,7 +160,7 @@ def test_the_page_of_a_plan_plays_its_run(browser, tmp_path, made):
     (tmp_path / "alone.html").write_text(document, "utf-8")
     browser.open(f"{(tmp_path / 'alone.html').as_uri()}#t={report.plan.run.t[-1]}")
     note = browser.evaluate("document.getElementById('note').textContent")
-    assert note == report.film_note()(report.plan.run.t[-1]).rstrip()
+    assert note == report.film_note(report.plan.run.t[-1]).rstrip()
     titles = browser.evaluate("Array.from(document.querySelectorAll('.plot b')).map((b) => b.textContent)")
     assert ("turns, clockwise: " in titles) == (made == "cast")
     assert browser.complaints == []

@@ -105,7 +105,7 @@ def test_a_great_torque_is_warned_of_where_no_limit_was_given(monkeypatch):
     plan = planned()
     assert CastReport(plan, None).warning == ""
     assert any("no limit was given" in words for _, words in CastReport(plan, None).tiles)
-    monkeypatch.setattr(plan_report, "STRONG", 0.0)
+    monkeypatch.setattr(plan_report, "GREAT_TORQUE", 0.0)
     assert "Give --torque to plan for a weaker motor" in CastReport(plan, None).warning
 
 

@@ -10,7 +10,7 @@ from hyperflex.estimate import MovingHorizon, Observations, smooth
 from hyperflex.model import Rope
 from hyperflex.planning import RopePosterior
 from hyperflex.recording import Recording, read_recording
-from hyperflex.report import Dots, Line, Plot, player_html
+from hyperflex.report import Dots, Line, Overlay, Plot, player_html
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 
@@ -57,14 +57,13 @@ def comparison_page(recording: Path, rope: Path) -> str:
     lines = tuple(Line(f"joint {k + 1}", off[k]) for k in (0, len(off) - 1)[: len(off)])
     unsure = "state alone" if posterior is None else "state and parameters"
     words = f"simulated from the first {min(LEAD, t[-1]):g} s on; rings: measured; thin: {DRAWN} draws of {unsure}"
-    return player_html(
-        run,
-        title=f"{recording.name} and {rope.name}",
+    overlay = Overlay(
         note=lambda _: words,
         dots=Dots(times, places[: times.size]),
-        ropes=others,
-        plots=[Plot("simulated less measured", "m", lines)],
+        ropes=tuple(others),
+        plots=(Plot("simulated less measured", "m", lines),),
     )
+    return player_html(run, title=f"{recording.name} and {rope.name}", overlay=overlay)
 
 
 def _joints(read: Recording, rope: Rope) -> tuple[Array, Array]:

@@ -5,23 +5,22 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.report.animation import animate
-    from hyperflex.report.cast.reach_map import reach_figure
-    from hyperflex.report.cast.report import CastReport
+    from hyperflex.report.cast import CastReport
+    from hyperflex.report.curves import run_figure
     from hyperflex.report.folder import Progress, check_folder, silent, whole_folder
     from hyperflex.report.identification.figures import fit_figure
     from hyperflex.report.identification.fitted import fitted_channels
     from hyperflex.report.identification.page import identification_page, write_found, write_identification
     from hyperflex.report.identification.parameters import parameters_table, ratios_table
-    from hyperflex.report.insert.report import InsertReport
+    from hyperflex.report.maps import reach_figure
     from hyperflex.report.notebook import identification_html, plan_html, rope_html, run_html
     from hyperflex.report.page import Film, Picture, Section, TextTable, render, sections_markdown, write_page
+    from hyperflex.report.pictures import animate, strobe_figure
     from hyperflex.report.plan import PlanReport, search_summary
-    from hyperflex.report.player import Dots, Line, Plot, player_html, write_player
-    from hyperflex.report.strobe import strobe_figure
+    from hyperflex.report.player import player_html, write_player
+    from hyperflex.report.scene import Dots, Line, Overlay, Plot
     from hyperflex.report.style import BLUE, GREEN, GREY, INK, OUTCOME_COLOUR, RED, legend, new_figure, png, save_png
-    from hyperflex.report.time_course import run_figure
+    from hyperflex.report.tip import InsertReport, WhipReport
     from hyperflex.report.units import readable_unit
-    from hyperflex.report.whip.report import WhipReport
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -7,18 +7,14 @@ import numpy as np
 
 from hyperflex.identification import Identification
 from hyperflex.model import LINK_PROPERTIES, PROPERTIES, Rope
-from hyperflex.planning import CastPlan, WhipPlan
 from hyperflex.report.cast import CastReport
 from hyperflex.report.identification.parameters import parameters_table, present
-from hyperflex.report.insert import InsertReport
 from hyperflex.report.page import TextTable, render
 from hyperflex.report.plan import Plan, PlanReport
 from hyperflex.report.player import FRAME_RATE, player_html
+from hyperflex.report.tip import InsertReport, WhipReport
 from hyperflex.report.units import readable_unit
-from hyperflex.report.whip import WhipReport
 from hyperflex.trajectory import Trajectory
-
-MOST_FRAMES = 600  # of a player: notebooks keep what they show
 
 
 def rope_html(rope: Rope) -> str:
@@ -45,20 +41,16 @@ def identification_html(found: Identification) -> str:
 
 def plan_html(plan: Plan) -> str:
     """Return a plan's verdict, its key figures and its verified run."""
-    report: PlanReport[Any]
-    if isinstance(plan, CastPlan):
-        report = CastReport(plan, None)
-    else:
-        report = WhipReport(plan, None) if isinstance(plan, WhipPlan) else InsertReport(plan)
-    figures = TextTable(("", ""), report.tiles)
+    kinds: dict[str, type[PlanReport[Any]]] = {"cast": CastReport, "whip": WhipReport, "insert": InsertReport}
+    report = kinds[plan.kind](plan)
     document = "" if plan.run is None else _player(plan.run, **report.film())
-    return _shown(report.title, (report.verdict, *report.advice), figures, document)
+    return _shown(report.title, (report.verdict, *report.advice), TextTable(("", ""), report.tiles), document)
 
 
 def _player(run: Trajectory, **options: object) -> str:
     if run.t.size < 2:
         return ""
-    frame_rate = min(FRAME_RATE, MOST_FRAMES / float(np.ptp(run.t)))
+    frame_rate = min(FRAME_RATE, 600.0 / float(np.ptp(run.t)))  # a notebook's file keeps the frames: 600 at most
     return player_html(run, **{"autoplay": False, "frame_rate": frame_rate, **options})  # type: ignore[arg-type]
 
 

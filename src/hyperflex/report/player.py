@@ -1,10 +1,10 @@
 """A player of a run in one HTML file: rope, arm, obstacles and plots, to scrub and slow down, without a network."""
 
 import base64
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,39 +12,13 @@ import numpy.typing as npt
 from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.model import Obstacle, Peg
+from hyperflex.report.curves import energy_plot, speed_plot
 from hyperflex.report.page import render
-from hyperflex.report.shapes import NO_TARGETS, shapes, span, view
+from hyperflex.report.scene import PLAIN, Line, Overlay, Plot, shapes, span, view
 from hyperflex.trajectory import Trajectory
 
-Note = Callable[[float], str]
-FRAME_RATE = 60.0  # frames a second, unless a run is so long that these would be more than
-MOST_FRAMES = 3600
-_PLOTTED = 1500  # samples of a curve, about
-_ALIKE = 1e-6  # by which a sampling interval may be longer than a frame's
-_PRECISION = 5e-5  # m, greatest error of a position
-_NARROW, _WIDE = 2**15 - 1, 2**31 - 1
-
-
-class Line(NamedTuple):
-    """A curve: its label, empty where it is the only one of its plot, and its values (T,) at the run's samples."""
-
-    label: str
-    values: Array
-
-
-class Dots(NamedTuple):
-    """Measured places to mark: times (K,), s, and places (K, m, 2), m, NaN where there are none."""
-
-    t: Array
-    places: Array
-
-
-class Plot(NamedTuple):
-    """A plot over time: what it shows, the unit, and its curves, three at most."""
-
-    title: str
-    unit: str
-    lines: tuple[Line, ...]
+FRAME_RATE = 60.0  # Hz, of screens: frames a second of simulated time
+MOST_FRAMES = 3600  # of a page, which stays small enough to be sent: a minute at FRAME_RATE
 
 
 def player_html(
@@ -55,61 +29,44 @@ def player_html(
     frame_rate: float | None = None,
     speed: float = 1.0,
     title: str = "",
-    note: Note | None = None,
-    targets: Array | None = None,
-    obstacles: Sequence[Obstacle] = (),
-    plots: Sequence[Plot] = (),
-    marks: Sequence[float] = (),
-    dots: Dots | None = None,
-    ropes: Sequence[Trajectory] = (),
+    overlay: Overlay = PLAIN,
     autoplay: bool = True,
 ) -> str:
     """Return the HTML document that plays a run; ``#t=1.5`` behind its address shows the run at that time, s.
 
     Parameters
     ----------
-    run
-        What to show.
+    run : Trajectory
     start, end : float, optional
         Simulated time to show, s; the whole run by default.
     frame_rate : float, optional
-        Frames a simulated second, Hz; the page moves the rope between them on cubics. Where the run has samples as
-        close as that, the frames are samples. By default they are all samples, if these are as close as FRAME_RATE and
-        at most MOST_FRAMES; else FRAME_RATE, or as many as make MOST_FRAMES.
+        Frames a simulated second, Hz; the page interpolates between them by cubics. By default the frames are the
+        samples of the run if these are at least FRAME_RATE and not more than MOST_FRAMES; else FRAME_RATE, or as many
+        as make MOST_FRAMES.
     speed : float
         Simulated seconds a second at first, > 0.
-    title, note : str, callable, optional
-        Written above the picture; called with the simulated time, s, for the words below the title.
-    targets : (k, 2) float64, optional
-        Points to mark with a ring, m.
-    obstacles : sequence of Peg, Wall, Ground, optional
-        Those of the set-up that the rope must not touch, in a colour of their own.
-    plots : sequence of Plot, optional
-        Shown after arm angle, speed of the tip and energy.
-    marks : sequence of float, optional
-        Times that the plots mark, s.
-    dots : Dots, optional
-        Measured places, marked by rings; those that are next in time.
-    ropes : sequence of Trajectory, optional
-        Further runs of as many links, drawn thin beside it, such as draws of what is not known exactly.
+    title : str
+        Text above the picture.
+    overlay : Overlay
+        What is shown in addition to the run.
     autoplay : bool
         Whether it plays at once.
 
     Raises
     ------
     InvalidInput
-        Another frame rate, speed or span than allowed.
+        If the frame rate, the speed or the times cannot be used.
     """
     first, last = span(run, start, end)
     if frame_rate is not None:
         checks.number("frame_rate", frame_rate, sign="positive", unit="Hz")
-    times = _frame_times(run, first, last, frame_rate)
-    targets = NO_TARGETS if targets is None else targets
+    times, note = _frame_times(run, first, last, frame_rate), overlay.note
     drawn = shapes(run, times)
     arm = run.setup.arm is not None
     points = np.concatenate([drawn.pivots[:, None], drawn.joints], axis=1) if arm else drawn.joints
+    dots = overlay.dots
     words = [] if note is None else [(float(t), note(float(t))) for t in times]
-    low, high = view(run, np.concatenate([points.reshape(-1, 2), targets]), above=1.0)
+    low, high = view(run, np.concatenate([points.reshape(-1, 2), overlay.targets]), above=1.0)
     data = {
         "times": _packed(times),
         **_places(points),
@@ -117,18 +74,18 @@ def player_html(
         "arm": arm,
         "radius": run.setup.rope.radius,
         "view": [*low, *high],
-        "obstacles": _obstacles(run, obstacles),
+        "obstacles": _obstacles(run, overlay.obstacles),
         "peg_angles": None if run.peg_angle is None else _packed(_at(run, run.peg_angle, times).astype("<f4")),
-        "targets": targets.tolist(),
-        "dots": None if dots is None else {"t": _packed(dots.t), "places": _packed(dots.places.astype("<f4"))},
-        "ropes": [_packed(shapes(each, times).joints.astype("<f4")) for each in ropes],
+        "targets": overlay.targets.tolist(),
+        "dots": dots and {"t": _packed(dots.t), "places": _packed(dots.places.astype("<f4"))},
+        "ropes": [_packed(shapes(each, times).joints.astype("<f4")) for each in overlay.ropes],
         "notes": [each for k, each in enumerate(words) if not k or each[1] != words[k - 1][1]],
         "note_lines": max((text.count("\n") + 1 for _, text in words), default=0),
-        "marks": [[t] for t in marks],
+        "marks": [[t] for t in overlay.marks],
         "speed": checks.number("speed", speed, sign="positive"),
-        "trail": 0.8,
+        "trail": overlay.trail,
         "autoplay": autoplay,
-        **_curves(run, first, last, plots),
+        **_curves(run, first, last, overlay.plots),
     }
     return render("player.html", title=title, data=files.plain(data))
 
@@ -138,37 +95,29 @@ def write_player(run: Trajectory, path: str | Path, **options: Any) -> None:
     files.write_text(path, player_html(run, **options))
 
 
-def _frame_times(run: Trajectory, first: float, last: float, given: float | None) -> Array:
-    """Return the frames' times: samples, all or those next to a uniform grid, or the grid if they are too few."""
-    rate = min(FRAME_RATE, MOST_FRAMES / (last - first)) if given is None else given
-    grid = np.linspace(first, last, max(round((last - first) * rate), 1) + 1)
+def _frame_times(run: Trajectory, first: float, last: float, rate: float | None) -> Array:
+    """Return the times of the frames, s: the run's samples, if these are close enough and not too many, else a grid."""
     samples = run.t[(run.t >= first) & (run.t <= last)]
-    if samples.size < 2 or np.diff(samples, prepend=first, append=last).max() > (1.0 + _ALIKE) / rate:
-        return grid
-    if given is None and samples.size <= MOST_FRAMES + 1:
-        return np.asarray(samples)
-    right = np.clip(samples.searchsorted(grid), 1, samples.size - 1)
-    nearest = right - (grid - samples[right - 1] < samples[right] - grid)
-    return np.asarray(samples[np.unique(nearest)])
+    if rate is None:
+        rate = min(FRAME_RATE, MOST_FRAMES / (last - first))
+        if samples.size <= MOST_FRAMES + 1 and np.diff(samples, prepend=first, append=last).max() < 1.001 / rate:
+            return np.asarray(samples)
+    return np.linspace(first, last, max(round((last - first) * rate), 1) + 1)
 
 
 def _places(points: Array) -> dict[str, Any]:
-    """Return positions (k, m, 2), m, as whole numbers of steps from a centre; of two bytes where that is precise."""
+    """Return positions (k, m, 2), m, as whole numbers of steps from a centre; two bytes each where that is precise."""
     low, high = points.min(axis=(0, 1)), points.max(axis=(0, 1))
     extent = max(float((high - low).max()), 1e-9)
-    step = 0.5 * extent / _NARROW
-    wide = step > np.sqrt(2.0) * _PRECISION  # half a step off in x and y
-    step = 0.5 * extent / _WIDE if wide else step
-    centre = 0.5 * (low + high)
-    steps = np.rint((points - centre) / step).astype("<i4" if wide else "<i2")
-    return {"places": _packed(steps), "wide": bool(wide), "centre": centre.tolist(), "step": step}
+    wide = extent > 4.6  # m: with two bytes a coordinate, positions would be off by more than 0.05 mm
+    kind = np.dtype("<i4" if wide else "<i2")
+    step, centre = 0.5 * extent / np.iinfo(kind).max, 0.5 * (low + high)
+    steps = np.rint((points - centre) / step).astype(kind)
+    return {"places": _packed(steps), "wide": wide, "centre": centre.tolist(), "step": step}
 
 
 def _obstacles(run: Trajectory, avoided: Sequence[Obstacle]) -> list[dict[str, Any]]:
-    """Return what there is beside the rope; `turns` is the place of a round peg among those, None of one that is fixed.
-
-    `avoided` are those that it must not touch.
-    """
+    """Return pegs, walls and grounds; `turns` is the index of a peg that turns among round pegs, None of the others."""
     found, pegs = [], run.setup.round_pegs
     for each in run.setup.pegs:
         turns = pegs.index(each) if isinstance(each, Peg) and each.turns else None
@@ -177,22 +126,10 @@ def _obstacles(run: Trajectory, avoided: Sequence[Obstacle]) -> list[dict[str, A
 
 
 def _curves(run: Trajectory, first: float, last: float, plots: Sequence[Plot]) -> dict[str, Any]:
-    """Return the curves of arm, tip and energy, and those given, at samples between two times, thinned out."""
+    """Return the curves of arm, tip, energy and further plots at samples between two times, thinned out."""
     kept = np.flatnonzero((run.t >= first) & (run.t <= last))
-    kept = kept[:: max(kept.size // _PLOTTED, 1)]
-    lines = [
-        Plot("speed of the tip", "m/s", (Line("", np.hypot(*run.tip_velocity.T)),)),
-        Plot(
-            "energy",
-            "J",
-            (
-                Line("kinetic", run.kinetic_energy),
-                Line("potential", run.potential_energy - run.potential_energy[0]),
-                Line("motor's work", run.motor_work),
-            ),
-        ),
-        *plots,
-    ]
+    kept = kept[:: max(kept.size // 1500, 1)]  # a plot has fewer pixels
+    lines = [speed_plot(run), energy_plot(run), *plots]
     if run.setup.arm is not None:
         lines.insert(0, Plot("arm", "degrees", (Line("", np.degrees(run.arm_angle)),)))
     series = [

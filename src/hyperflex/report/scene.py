@@ -1,5 +1,7 @@
-"""What pictures and films of a run share: shapes of the rope between its samples, the span of time, the view."""
+"""What pictures, films and players of a run share: the overlay, shapes between samples, the span of time, the view."""
 
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -7,12 +9,67 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Ground, Wall
+from hyperflex.model import Ground, Obstacle, Wall
 from hyperflex.trajectory import Trajectory, interpolated
 
-_TALLEST = 1.15  # height of a picture, in widths
-_MARGIN = 0.06  # of the larger extent, on each side
-NO_TARGETS = np.zeros((0, 2))
+
+class Line(NamedTuple):
+    """A curve: its label, empty where it is the only one of its plot, and its values (T,) at the run's samples."""
+
+    label: str
+    values: Array
+
+
+class Plot(NamedTuple):
+    """A plot over time: what it shows, the unit, and its curves, three at most."""
+
+    title: str
+    unit: str
+    lines: tuple[Line, ...]
+
+
+class Dots(NamedTuple):
+    """Measured places to mark: times (K,), s, and places (K, m, 2), m, NaN where there are none."""
+
+    t: Array
+    places: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """What a picture, a film or a player shows in addition to the run itself; each shows what it can.
+
+    Attributes
+    ----------
+    note : callable, optional
+        Called with the simulated time, s; returns the text of a film's or player's frame.
+    trail : float
+        Time for which the path of the tip stays visible in a film or player, s.
+    targets : (k, 2) float64
+        Points to mark with a ring, m.
+    obstacles : tuple of Peg, Wall, Ground
+        Those of the run's set-up that the rope must not touch: violet.
+    marks : tuple of float
+        Times that the plots of a player mark, s.
+    plots : tuple of Plot
+        Plots of a player in addition to arm angle, speed of the tip and energy.
+    dots : Dots, optional
+        Measured places: a player marks the nearest in time with rings.
+    ropes : tuple of Trajectory
+        Further runs with as many links, drawn thin by a player, such as samples of an uncertain rope.
+    """
+
+    note: Callable[[float], str] | None = None
+    trail: float = 0.8
+    targets: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    obstacles: tuple[Obstacle, ...] = ()
+    marks: tuple[float, ...] = ()
+    plots: tuple[Plot, ...] = ()
+    dots: Dots | None = None
+    ropes: tuple[Trajectory, ...] = ()
+
+
+PLAIN = Overlay()
 
 
 class Shapes(NamedTuple):
@@ -45,18 +102,18 @@ def span(run: Trajectory, start: float | None, end: float | None) -> tuple[float
 
 
 def view(run: Trajectory, points: Array, above: float) -> tuple[Array, Array]:
-    """Return the lower left and upper right corner (2,), m, of a view of points (k, 2), m, and of pegs and walls.
+    """Return the lower left and upper right corner (2,), m, of a view of points (k, 2), m, pegs and walls.
 
-    The margin at the top is `above` times that at the other sides.
+    The margin at the top is `above` times the margin of the other sides.
     """
     pegs = [(peg.x + side * peg.radius, peg.y + side * peg.radius) for peg in run.setup.round_pegs for side in (-1, 1)]
     pegs += [end for wall in run.setup.pegs if isinstance(wall, Wall) for end in wall_ends(wall)]
     points = np.concatenate([points, np.reshape(pegs, (-1, 2))])
     low, high = points.min(axis=0), points.max(axis=0)
-    margin = _MARGIN * (high - low).max()
+    margin = 0.06 * (high - low).max()
     low, high = low - margin, high + np.array([margin, above * margin])
     across, up = high - low
-    side = np.array([0.5 * max(0.0, up / _TALLEST - across), 0.0])
+    side = np.array([0.5 * max(0.0, up / 1.15 - across), 0.0])  # a picture is at most 1.15 times as tall as wide
     return low - side, high + side
 
 

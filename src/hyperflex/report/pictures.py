@@ -1,0 +1,306 @@
+"""Pictures and films of a run on a dark ground: arm, rope, path of the tip and obstacles, drawn with Matplotlib."""
+
+import io
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks, files
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.model import Obstacle, Peg, Wall
+from hyperflex.report.scene import PLAIN, Overlay, ground_corners, shapes, span, view, wall_ends
+from hyperflex.report.style import new_figure
+from hyperflex.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Frame = npt.NDArray[np.uint8]
+
+NIGHT, PALE, GROUND = "#0c1322", "#aab6c8", "#1c263a"
+ROPE, TRAIL, PEG, OBSTACLE = "#f2d479", "#4fc3c0", "#d65c46", "#a07be0"
+_FIRST_TO_LAST = ("#27406b", "#2f7fb5", TRAIL, ROPE, "#ff8a4c")  # colours of a strobe's instants
+_DPI = 100  # pixels an inch of a film
+_GIF_RATES = (10, 20, 25, 50)  # Hz: a GIF counts in hundredths of a second
+
+
+def strobe_figure(
+    run: Trajectory,
+    *,
+    start: float | None = None,
+    end: float | None = None,
+    count: int = 48,
+    title: str = "",
+    width: float = 9.0,
+    overlay: Overlay = PLAIN,
+) -> "Figure":
+    """Draw the rope at `count` instants of a run, early ones dark, late ones bright, with the path of the tip.
+
+    A bar in the lower left corner shows the colours with the first and the last time.
+
+    Parameters
+    ----------
+    run : Trajectory
+    start, end : float, optional
+        First and last instant, s; the whole run by default.
+    count : int
+        Number of instants, at least 2.
+    title : str
+        Text in the upper left corner.
+    width : float
+        Width of the picture, inches; the height follows from the rope's reach.
+    overlay : Overlay
+        Targets, and obstacles, whose colour the title then explains.
+
+    Raises
+    ------
+    InvalidInput
+        If the instants are fewer than 2 or not within the run.
+    """
+    from matplotlib.collections import LineCollection
+
+    first, last = span(run, start, end)
+    drawn = shapes(run, np.linspace(first, last, checks.count("count", count, least=2)))
+    trail = shapes(run, np.linspace(first, last, 800)).joints[:, -1]
+    low, high = view(
+        run, np.concatenate([drawn.joints.reshape(-1, 2), trail, drawn.pivots, overlay.targets]), above=1.5
+    )
+    with new_figure(width, width * (high[1] - low[1]) / (high[0] - low[0]), layout=None) as figure:
+        axis = _stage(figure, run, low, high, overlay)
+        colours, fade = _dusk(count), np.linspace(0.35, 1.0, count) ** 1.5
+        for glow, opacity in ((5.5, 0.07), (3.0, 0.16), (1.4, 1.0)):
+            shades = np.column_stack([colours, opacity * fade])
+            axis.add_collection(LineCollection(list(drawn.joints), colors=shades, linewidths=glow, capstyle="round"))
+        steps = _pieces(trail)
+        axis.add_collection(LineCollection(steps, colors=_dusk(len(steps)), linewidths=0.7, alpha=0.55))
+        axis.scatter(*drawn.joints[:, -1].T, s=7.0, c=colours, zorder=3, lw=0)
+        if run.setup.arm is not None:
+            arms = list(np.stack([drawn.pivots, drawn.joints[:, 0]], axis=1))
+            axis.add_collection(LineCollection(arms, colors=PALE, linewidths=1.0, alpha=0.12))
+            axis.plot(*arms[-1].T, color="white", lw=2.6, zorder=5)
+        axis.plot(*drawn.pivots[-1], "o", color="white", ms=5.5, mec=NIGHT, mew=1.2, zorder=6)
+        _draw_scale(axis, high[0] - low[0])
+        _draw_key(axis, first, last)
+        words = f"{title}; violet: obstacles" if overlay.obstacles else title
+        place = {"transform": axis.transAxes, "va": "top"}
+        axis.text(0.018, 0.965, words, color="white", fontsize=11.0, fontweight="bold", **place)
+    return figure
+
+
+def animate(
+    run: Trajectory,
+    path: str | Path,
+    *,
+    start: float | None = None,
+    end: float | None = None,
+    frame_rate: int = 25,
+    speed: float = 1.0,
+    width: int = 640,
+    title: str = "",
+    overlay: Overlay = PLAIN,
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write an animated GIF, or an MP4 video, of a run, whole or not at all.
+
+    Parameters
+    ----------
+    run : Trajectory
+    path : path-like
+        File to write: a name that ends in .gif or .mp4.
+    start, end : float, optional
+        Simulated time to show, s; the whole run by default.
+    frame_rate : int
+        Frames per second; of a GIF 10, 20, 25 or 50.
+    speed : float
+        Simulated seconds per second of the film, > 0.
+    width : int
+        Width of the picture, pixels; the height follows from the rope's reach.
+    title : str
+        Text in the upper left corner.
+    overlay : Overlay
+        Trail of the tip, targets, obstacles, and a note, which has as many lines at each time.
+    progress : callable, optional
+        Called with the numbers of frames done and in all.
+
+    Raises
+    ------
+    InvalidInput
+        If the file's suffix, the frame rate, the speed or the times cannot be used.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".gif", ".mp4"):
+        allowed = "a name ending in .gif or .mp4"
+        raise InvalidInput("animation has an unknown kind of file", got=str(path), allowed=allowed)
+    if checks.count("frame_rate", frame_rate, most=240) not in _GIF_RATES and suffix == ".gif":
+        allowed = "10, 20, 25 or 50 frames per second"
+        raise InvalidInput("frame_rate does not fit a GIF", got=frame_rate, allowed=allowed)
+    step = checks.number("speed", speed, sign="positive") / frame_rate
+    first, last = span(run, start, end)
+    times = np.arange(first, last + 0.5 * step, step)
+    draw = _film(run, times, checks.count("width", width, least=64), title, overlay)
+
+    def frames() -> Iterator[Frame]:
+        for k in range(times.size):
+            yield draw(k)
+            if progress is not None:
+                progress(k + 1, times.size)
+
+    if suffix == ".gif":
+        files.write_bytes(path, _gif(frames(), draw(times.size - 1), frame_rate))
+        return
+    from hyperflex.vision import VideoWriter
+
+    height, width = draw(0).shape[:2]
+    with VideoWriter(path, (width, height)) as video:
+        for k, frame in enumerate(frames()):
+            video.write(frame[..., ::-1], k / frame_rate)  # blue, green, red
+
+
+def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overlay) -> Callable[[int], Frame]:
+    """Return a function that draws frame k, uint8 (height, width, 3), at ``times[k]``, s."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import to_rgb
+
+    note = overlay.note or (lambda _: "")
+    low, high = view(run, np.concatenate([run.joints.reshape(-1, 2), overlay.targets]), above=2.0)
+    header = 0 if overlay.note is None else 18 * (note(float(times[-1])).count("\n") + 2)  # pixels, for the note
+    height = header + 2 * round(0.5 * width * (high[1] - low[1]) / (high[0] - low[0]))
+    with new_figure(width / _DPI, height / _DPI, layout=None) as figure:
+        figure.set_dpi(_DPI)
+        axis = _stage(figure, run, low, high, overlay)
+        axis.set_position((0.0, 0.0, 1.0, 1.0 - header / height))
+        for line in (axis.axhline, axis.axvline):
+            line(0.0, color=GROUND, lw=0.7, zorder=0)
+        ghosts = LineCollection([], linewidths=0.8, colors=[(*to_rgb(ROPE), 0.067 * k) for k in range(1, 6)])
+        trail = LineCollection(
+            [], linewidths=1.4, colors=[(*to_rgb(TRAIL), part) for part in np.linspace(0.15, 0.9, 79)]
+        )
+        rope, arm = axis.plot([], [], color=ROPE, lw=2.1)[0], axis.plot([], [], color="white", lw=3.5)[0]
+        dots = axis.scatter([0.0, 0.0], [0.0, 0.0], s=30.0, color="white", zorder=5)
+        axis.add_collection(ghosts)
+        axis.add_collection(trail)
+        place: dict[str, Any] = {"va": "top", "color": PALE, "linespacing": 1.35}
+        figure.text(14.0 / width, 1.0 - 12.0 / height, title, fontsize=10.0, **place | {"color": "white"})
+        text = figure.text(14.0 / width, 1.0 - 33.0 / height, "", fontsize=8.5, **place)
+    moving = (ghosts, trail, rope, dots, arm, text)
+    for artist in moving:
+        artist.set_animated(True)
+    canvas: Any = figure.canvas
+    canvas.draw()
+    background = canvas.copy_from_bbox(figure.bbox)
+    step = times[1] - times[0] if times.size > 1 else 0.0
+
+    def draw(k: int) -> Frame:
+        t = float(times[k])
+        now = shapes(run, np.maximum(t - step * np.arange(5.0, -1.0, -1.0), run.t[0]))  # five earlier ropes, and now's
+        ghosts.set_segments(list(now.joints[:-1]))
+        trail.set_segments(_pieces(shapes(run, np.linspace(max(t - overlay.trail, run.t[0]), t, 80)).joints[:, -1]))
+        rope.set_data(*now.joints[-1].T)
+        arm.set_data(*np.stack([now.pivots[-1], now.joints[-1, 0]]).T)
+        dots.set_offsets(np.stack([now.pivots[-1], now.joints[-1, -1]]))
+        text.set_text(f"t = {t:5.2f} s\n{note(t)}")
+        canvas.restore_region(background)
+        for artist in moving:
+            figure.draw_artist(artist)
+        return np.array(canvas.buffer_rgba())[..., :3]
+
+    return draw
+
+
+def _gif(frames: Iterator[Frame], colours: Frame, frame_rate: int) -> bytes:
+    """Return frames as an animated GIF, all with the palette of a picture with all `colours`."""
+    from PIL import Image
+
+    palette = Image.fromarray(colours).quantize(96)
+    indexed = (Image.fromarray(each).quantize(palette=palette, dither=Image.Dither.NONE) for each in frames)
+    buffer, duration = io.BytesIO(), 1000 // frame_rate
+    options: dict[str, Any] = {"save_all": True, "append_images": indexed, "loop": 0, "optimize": False}
+    next(indexed).save(buffer, format="GIF", duration=duration, **options)
+    return buffer.getvalue()
+
+
+def draw_obstacles(
+    axis: Any, obstacles: Sequence[Obstacle], far: float, *, origin: npt.ArrayLike = (0.0, 0.0), scale: float = 1.0
+) -> None:
+    """Draw obstacles in violet into a plot whose limits are set; its legend names the kinds that lie within them.
+
+    Of grounds the part within `far`, m, of their points is drawn. The plot shows places relative to `origin` (2,), m,
+    times `scale`.
+    """
+    from matplotlib.transforms import Affine2D
+
+    x, y = np.asarray(origin, dtype=np.float64)
+    shown = set()
+    for each in obstacles:
+        patch = _draw_obstacle(axis, each, far, OBSTACLE)
+        outline = patch.get_path().transformed(Affine2D().translate(-x, -y).scale(scale))
+        patch.set_path(outline)
+        if outline.intersects_bbox(axis.viewLim, filled=not isinstance(each, Wall)):
+            shown.add(type(each).__name__.lower())
+    for kind in sorted(shown):
+        face = GROUND if kind == "ground" else OBSTACLE
+        axis.plot([], [], "s", color=face, mec=OBSTACLE, mew=1.5, ms=6.0, label=f"{kind}, an obstacle")
+
+
+def _stage(figure: "Figure", run: Trajectory, low: Array, high: Array, overlay: Overlay) -> Any:
+    """Return axes in metres that fill a dark figure, with the pegs, walls and grounds of the run and the targets."""
+    figure.set_facecolor(NIGHT)
+    axis: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), facecolor=NIGHT)
+    axis.set_axis_off()
+    for each in run.setup.pegs:
+        _draw_obstacle(axis, each, 10.0 * float((high - low).max()), OBSTACLE if each in overlay.obstacles else PEG)
+    axis.plot(*overlay.targets.T, "o", ms=15.0, mfc="none", mec=PEG, mew=1.8, zorder=7)
+    return axis
+
+
+def _draw_obstacle(axis: Any, obstacle: Obstacle, far: float, colour: str) -> Any:
+    """Draw a peg, wall or ground and return it; only the surface of a ground has an obstacle's colour."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path
+
+    if isinstance(obstacle, Peg):
+        outline = Path.circle((obstacle.x, obstacle.y), obstacle.radius)
+        style: Any = {"facecolor": colour, "edgecolor": colour, "lw": 0.7, "zorder": 1}  # below the rope
+    elif isinstance(obstacle, Wall):
+        outline, style = Path(wall_ends(obstacle)), {"edgecolor": colour, "lw": 2.2, "zorder": 4}
+    else:
+        outline = Path(ground_corners(obstacle, far)[[0, 1, 2, 3, 0]], closed=True)
+        style = {"facecolor": GROUND, "edgecolor": colour if colour == OBSTACLE else GROUND, "lw": 2.2, "zorder": 0}
+    return axis.add_patch(PathPatch(outline, **style))
+
+
+def _draw_scale(axis: Any, width: float) -> None:
+    """Draw a bar of a round length in the lower right corner of a picture of a `width`, m."""
+    length = 10.0 ** np.floor(np.log10(0.4 * width))
+    axis.plot([0.97 - length / width, 0.97], [0.045, 0.045], color=PALE, lw=1.2, transform=axis.transAxes)
+    style = {"color": PALE, "fontsize": 8.0, "ha": "center", "transform": axis.transAxes}
+    axis.text(0.97 - 0.5 * length / width, 0.057, f"{length:g} m", **style)
+
+
+def _draw_key(axis: Any, first: float, last: float) -> None:
+    """Draw the colours from the first instant to the last, s, in the lower left corner."""
+    from matplotlib.collections import LineCollection
+
+    x = np.linspace(0.03, 0.19, 65)
+    pieces, style = _pieces(np.column_stack([x, np.full(65, 0.045)])), {"transform": axis.transAxes}
+    key = LineCollection(pieces, colors=_dusk(64), linewidths=5.0, label="key", antialiaseds=False, **style)
+    axis.add_collection(key, autolim=False)
+    for place, t, side in ((x[0], first, "left"), (x[-1], last, "right")):
+        axis.text(place, 0.057, f"{t:.2f} s", color=PALE, fontsize=8.0, ha=side, zorder=5, **style)
+
+
+def _dusk(count: int) -> Array:
+    """Return colours (count, 3) from the first instant to the last."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return np.asarray(LinearSegmentedColormap.from_list("dusk", _FIRST_TO_LAST)(np.linspace(0.0, 1.0, count))[:, :3])
+
+
+def _pieces(path: Array) -> list[Array]:
+    """Return the pieces (2, 2) of a path (k, 2), one for each colour."""
+    return list(np.stack([path[:-1], path[1:]], axis=1))
