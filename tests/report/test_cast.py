@@ -151,9 +151,7 @@ def test_advice_is_about_what_failed(change, told):
     plan = planned()
     who = dataclasses.replace(plan.problem, limits=hf.MotorLimits(torque=0.3))
     cast = dataclasses.replace(plan.outcome, **({"torque": 0.1} | change))
-    failed = dataclasses.replace(
-        plan, problem=who, outcome=cast, message="it fails", fallback=FallbackTarget(PEG, 0.0)
-    )
+    failed = dataclasses.replace(plan, problem=who, outcome=cast, message="it fails", fallback=FallbackTarget(PEG, 0.0))
     given = " ".join(CastReport(failed, None).advice)
     assert told in given
     assert ("--seed" in given) == ("--seed" in told)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from hyperflex.model import Obstacle, Peg, Wall
-from hyperflex.planning import RATE, CastPlan, Problem, InsertPlan, WhipPlan
+from hyperflex.planning import RATE, CastPlan, InsertPlan, Problem, WhipPlan
 from hyperflex.report.curves import Moves
 from hyperflex.report.folder import Progress, silent, whole_folder
 from hyperflex.report.page import Film, Picture, Section, TextTable, write_page
@@ -205,9 +205,7 @@ class PlanReport(ABC, Generic[PlanT]):
     @property
     def n_moves(self) -> int:
         """Number of moves of the arm."""
-        return (
-            0 if self.plan.moves is None else self.plan.moves.starts(self.plan.problem.limits).size - self.last_move
-        )
+        return 0 if self.plan.moves is None else self.plan.moves.starts(self.plan.problem.limits).size - self.last_move
 
     def move_count(self) -> str:
         """Return how many moves the arm makes, with their name."""
