@@ -61,7 +61,7 @@ class Experiment(NamedTuple):
     guess: hf.Rope
     free: list[str]
     truth: dict[str, float]
-    options: dict[str, Any] | None = None
+    setup: dict[str, Any] | None = None
 
 
 Draw = Callable[[np.random.Generator], Experiment]
@@ -149,8 +149,7 @@ def places(random: np.random.Generator, scale: float, roll: float) -> Experiment
     where = scale * run.joints @ np.array([[c, s], [-s, c]])
     where = (where + PLACE_NOISE * random.standard_normal(where.shape))[:, 1:]
     recording = hf.Recording(t, where.reshape(t.size, -1), "markers", noise=PLACE_NOISE)
-    options = {"arc_lengths": [0.3, 0.55], "origin": (0.0, 0.0)}
-    return Experiment(recording, guess, free, truth, options)
+    return Experiment(recording, guess, free, truth, {"arc_lengths": [0.3, 0.55], "origin": (0.0, 0.0)})
 
 
 def too_large(random: np.random.Generator) -> Experiment:
@@ -289,8 +288,9 @@ def examine(draw: Draw, random: np.random.Generator) -> dict[str, Any]:
     case = draw(random)
     began = time.perf_counter()
     try:
-        options = {"window": np.inf, "train": np.inf} | (case.options or {})
-        found = hf.identify(case.recording, case.guess, case.free, **options)
+        setup = hf.RecordingSetup(**(case.setup or {}))
+        options = hf.FitOptions(window=np.inf, train=np.inf)
+        found = hf.identify(case.recording, case.guess, case.free, setup=setup, options=options)
     except HyperflexError as error:
         return {"status": type(error).__name__, "numbers": {}}
     if found.message == "interrupted":

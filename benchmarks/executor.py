@@ -43,7 +43,7 @@ def fits() -> Callable[[Executor | None], Any]:
     t, rope = np.arange(120) / 60.0, hf.Rope.uniform(length=0.6, mass=0.06, n_links=3, radius=0.0025, friction=1e-4)
     run = hf.simulate(rope, duration=float(t[-1]), t_eval=t, q0=[0.9, 0.6, 0.3])
     noisy = run.q + 0.01 * np.random.default_rng(0).standard_normal(run.q.shape)
-    found = hf.identify(hf.Recording(t, noisy), rope, ["friction", "inertia"], intervals=None)
+    found = hf.identify(hf.Recording(t, noisy), rope, ["friction", "inertia"], options=hf.FitOptions(intervals=None))
     return lambda executor: hf.bootstrap(found, 200, executor=executor, chunk_size=10).samples
 
 

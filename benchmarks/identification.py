@@ -62,7 +62,12 @@ def paper_problem(recording: hf.Recording, repeats: int) -> list[dict[str, Any]]
     """The new method from the cylinder's moment: the fit with its covariance, and with profiled intervals too."""
 
     def run(intervals: Literal["profile"] | None = None) -> hf.Identification:
-        return identify(recording, PAPER.replace(**GUESS), FREE, window=np.inf, train=np.inf, intervals=intervals)
+        return identify(
+            recording,
+            PAPER.replace(**GUESS),
+            FREE,
+            options=hf.FitOptions(window=np.inf, train=np.inf, intervals=intervals),
+        )
 
     def profiled() -> hf.Identification:
         return run("profile")
@@ -120,7 +125,13 @@ def cable_problem(repeats: int) -> dict[str, Any]:
     guess = CABLE.replace(friction=1.5e-3)
 
     def fit() -> hf.Identification:
-        return identify(recording, guess, ["friction:shared"], arc_lengths=0.04 * joints, window=np.inf, train=np.inf)
+        return identify(
+            recording,
+            guess,
+            ["friction:shared"],
+            setup=hf.RecordingSetup(arc_lengths=0.04 * joints),
+            options=hf.FitOptions(window=np.inf, train=np.inf),
+        )
 
     found = fit()
     if not found.success:

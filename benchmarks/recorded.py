@@ -68,7 +68,7 @@ def real_double() -> tuple[float, float, str]:
     recording = run16(10.0, 30.0)
     guess = hf.Rope(length=recording.link_lengths(), mass=0.1, friction=1e-5)
     free = [*FREE, "dry_friction", "gravity_angle"]
-    found, seconds, clock = _timed(lambda: hf.identify(recording, guess, free, train=np.inf))
+    found, seconds, clock = _timed(lambda: hf.identify(recording, guess, free, options=hf.FitOptions(train=np.inf)))
     off = np.abs(figures(found) / KNOWN - 1.0).max()
     profiled = sum(each.kind == "profile" for each in found.intervals.values())
     return seconds, clock, f"ratios within {100 * off:.2g} % of those known; {profiled} profiles; {found.grade.name}"
@@ -84,7 +84,11 @@ def arm_driven() -> tuple[float, float, str]:
     recording = hf.Recording(t, run.q + ANGLE_NOISE * random.standard_normal(run.q.shape), noise=ANGLE_NOISE)
     guess = rope.replace(friction=2.0 * FRICTION, stiffness=2.0 * rope.stiffness)
     free = ["friction:factor", "stiffness:factor"]
-    found, seconds, clock = _timed(lambda: hf.identify(recording, guess, free, motion=motion, arm=arm, train=np.inf))
+    found, seconds, clock = _timed(
+        lambda: hf.identify(
+            recording, guess, free, setup=hf.RecordingSetup(motion=motion, arm=arm), options=hf.FitOptions(train=np.inf)
+        )
+    )
     off = max(abs(float(found.values[name]) - 0.5) / float(found.std[name]) for name in free)
     return seconds, clock, f"truth within {off:.1f} standard deviations; {found.grade.name}"
 
@@ -100,7 +104,9 @@ def coarse() -> tuple[float, float, str]:
     recording = hf.Recording(t, angles + ANGLE_NOISE * random.standard_normal(angles.shape), noise=ANGLE_NOISE)
     guess = chain.replace(friction=2.0 * FRICTION, stiffness=2.0 * chain.stiffness)
     found, seconds, clock = _timed(
-        lambda: hf.identify(recording, guess, ["friction:factor", "stiffness:factor"], train=np.inf)
+        lambda: hf.identify(
+            recording, guess, ["friction:factor", "stiffness:factor"], options=hf.FitOptions(train=np.inf)
+        )
     )
     holds = 0.5 in found.intervals["stiffness:factor"]
     words = "use more links" if "use more links" in str(found.grade) else "more links are not asked for"
@@ -117,13 +123,20 @@ def guesses(name: str, seen: slice, seed: int, count: int) -> Row:
     every = run16(10.0, 20.0)
     length, origin = every.link_lengths(), np.nanmedian(every.data[:, :2], axis=0)
     full = hf.Rope(length=length, mass=0.1, inertia=[4e-5, 2e-5], com=[0.06, 0.02], friction=2e-5)
-    best = hf.identify(every, full, FREE, intervals=None, train=np.inf).rope
+    best = hf.identify(every, full, FREE, options=hf.FitOptions(intervals=None, train=np.inf)).rope
     shown = hf.Recording(every.t, every.data[:, seen], kind="markers", noise=1e-3)
     arcs = np.cumsum(length)[-(shown.data.shape[1] // 2) :]
     residuals, times = [], Times()
     for guess in (best, *drawn(best, seed, count)):
         found = once(
-            lambda rope=guess: hf.identify(shown, rope, FREE, arc_lengths=arcs, origin=origin, intervals=None), times
+            lambda rope=guess: hf.identify(
+                shown,
+                rope,
+                FREE,
+                setup=hf.RecordingSetup(arc_lengths=arcs, origin=origin),
+                options=hf.FitOptions(intervals=None),
+            ),
+            times,
         )
         residuals.append(found.residual_rms_all)  # type: ignore[attr-defined]
     good = sum(each < SAME * min(residuals) for each in residuals[1:])

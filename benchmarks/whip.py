@@ -139,7 +139,13 @@ def identified(true: hf.Rope, index: int, tape: bool) -> tuple[hf.Rope, dict[str
     # A marker's place does not grow with the rope's length in a fit: a second one starts where it has.
     for free in [["friction:factor"]] if tape else 2 * [["friction:factor", "length:factor"]]:
         arc_lengths = np.minimum(parts * rope.total_length, rope.total_length)
-        found = identify(recording, rope, free, arc_lengths=arc_lengths, window=np.inf, train=np.inf, intervals=None)
+        found = identify(
+            recording,
+            rope,
+            free,
+            setup=hf.RecordingSetup(arc_lengths=arc_lengths),
+            options=hf.FitOptions(window=np.inf, train=np.inf, intervals=None),
+        )
         rope, status = found.rope, found.message
     told = {
         "length": rope.total_length / true.total_length,

@@ -64,7 +64,7 @@ def measure(folder: Path, name: str, count: int) -> list[dict[str, Any]]:
     for begin in whole.t[0] + whole.duration / count * np.arange(count):
         part = whole.window(float(begin), float(begin + whole.duration / count))
         began = time.process_time()
-        found = hf.identify(part, guess, free, train=np.inf)
+        found = hf.identify(part, guess, free, options=hf.FitOptions(train=np.inf))
         row = {"recording": name, "begin": float(begin), "seconds": time.process_time() - began}
         row |= {"grade": found.grade.name, "reason": found.grade.reasons[0] if found.grade.reasons else ""}
         said = FRICTION.search(str(found))

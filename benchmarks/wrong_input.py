@@ -80,7 +80,8 @@ class Case:
     guess: hf.Rope
     truth: dict[str, Array]
     free: tuple[str, ...] | None = FREE
-    options: dict[str, Any] = field(default_factory=dict)
+    setup: dict[str, Any] = field(default_factory=dict)
+    loss: Any = "squares"
     error: dict[str, Array] = field(default_factory=dict)  # standard deviations of a truth that was measured
     undetectable: bool = False  # another rope makes exactly this recording
     widest: float = NARROW  # half of an interval over its value, at most
@@ -163,7 +164,7 @@ def poor(t: Array, q: Array, guess: hf.Rope, truth: dict[str, Array]) -> Iterato
     spoiled = q.copy()
     spoiled[random.random(q.shape) < 0.03] += 2.0
     yield case("3 % outliers", spoiled)
-    yield case("3 % outliers, robust", spoiled, options={"loss": "cauchy"})
+    yield case("3 % outliers, robust", spoiled, loss="cauchy")
     yield case("noise of a tenth of the motion", noisy(q, 0.06, 2))
     yield case("nothing moves", 1e-5 * q)
     yield case("a motor hums: a force that is not declared", q + 0.02 * np.sin(2.0 * np.pi * 3.0 * t)[:, None])
@@ -233,13 +234,13 @@ def of_markers(guess: hf.Rope, truth: dict[str, Array]) -> Iterator[Case]:
     twice = (t > 1.0) & (t < 2.0) | (t > 3.5) & (t < 4.5)
     yield case("the last two swapped in two intervals", np.where(twice[:, None, None], places[:, [0, 2, 1]], places))
     yield case("scale x 1.1", 1.1 * places)
-    yield case("scale x 1.1, places fitted", 1.1 * places, options={"arc_lengths": [0.0, 0.3, 0.55]})
+    yield case("scale x 1.1, places fitted", 1.1 * places, setup={"arc_lengths": [0.0, 0.3, 0.55]})
     yield case("millimetres read as metres", 1e3 * places)
     arcs = {"arc_lengths": [0.55], "origin": (0.0, 0.0)}
-    yield case("the tip's alone", places[:, 2:], options=arcs)
-    yield case("the tip's alone, the origin off by 3 cm", places[:, 2:], options=arcs | {"origin": (0.03, 0.0)})
-    yield case("the tip's alone, camera turned by 5 degrees", turned(places, 0.09)[:, 2:], options=arcs)
-    yield case("the tip's alone, y points down", places[:, 2:] * [1.0, -1.0], options=arcs)
+    yield case("the tip's alone", places[:, 2:], setup=arcs)
+    yield case("the tip's alone, the origin off by 3 cm", places[:, 2:], setup=arcs | {"origin": (0.03, 0.0)})
+    yield case("the tip's alone, camera turned by 5 degrees", turned(places, 0.09)[:, 2:], setup=arcs)
+    yield case("the tip's alone, y points down", places[:, 2:] * [1.0, -1.0], setup=arcs)
 
 
 def driven(guess: hf.Rope, truth: dict[str, Array]) -> Iterator[Case]:
@@ -336,9 +337,9 @@ def real_double(folder: Path) -> Iterator[Case]:
     yield from slips("real double", part.t, part.data, guess, truth, error=error)
     every = hf.read_recording(folder / "run06_500Hz.csv", time_unit="s", unit="m", y_axis="up").window(20.0, 28.0)
     tip = hf.Recording(every.t, every.data[:, 4:], kind="markers", noise=1e-3)
-    options = {"arc_lengths": [every.link_lengths().sum()], "origin": np.nanmedian(every.data[:, :2], axis=0)}
+    setup = {"arc_lengths": [every.link_lengths().sum()], "origin": np.nanmedian(every.data[:, :2], axis=0)}
     guess = hf.Rope(every.link_lengths(), mass=0.1, inertia=[4e-5, 2e-5], com=[0.06, 0.02], friction=2e-5)
-    yield Case("real double: the tip's alone of IBM 06", lambda: tip, guess, truth, options=options, error=error)
+    yield Case("real double: the tip's alone of IBM 06", lambda: tip, guess, truth, setup=setup, error=error)
 
 
 class Outcome(NamedTuple):
@@ -366,7 +367,13 @@ class Compared(NamedTuple):
 def outcome(case: Case) -> Outcome:
     """Fit, and compare with the truth."""
     try:
-        found = hf.identify(case.recording(), case.guess, case.free, **case.options)
+        found = hf.identify(
+            case.recording(),
+            case.guess,
+            case.free,
+            setup=hf.RecordingSetup(**case.setup),
+            options=hf.FitOptions(loss=case.loss),
+        )
     except HyperflexError as error:
         return Outcome("refused", str(error))
     line = str(found.grade)

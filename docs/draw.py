@@ -93,7 +93,10 @@ def tutorial(folder: Path) -> None:
     rope = hf.Rope.from_toml(folder / "finer.toml")
     recording = hf.read_recording(folder / "markers.nc")
     found = hf.identify(
-        recording, rope, ["friction:shared", "inertia:shared"], arc_lengths=twin.ARC_LENGTHS, origin=(0.0, 0.0)
+        recording,
+        rope,
+        ["friction:shared", "inertia:shared"],
+        setup=hf.RecordingSetup(arc_lengths=twin.ARC_LENGTHS, origin=(0.0, 0.0)),
     )
     if found.held_out is None:
         raise SystemExit("nothing is held out")

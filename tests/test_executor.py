@@ -134,7 +134,12 @@ def test_bootstrap_and_scores_are_the_same(two: Executor) -> None:
     one = hf.Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
     run = hf.simulate(one, duration=float(t[-1]), t_eval=t, q0=[0.9])
     noisy = run.q + 0.01 * np.random.default_rng(0).standard_normal(run.q.shape)
-    found = identify(hf.Recording(t, noisy), one, ["friction"], window=np.inf, train=np.inf, intervals=None)
+    found = identify(
+        hf.Recording(t, noisy),
+        one,
+        ["friction"],
+        options=hf.FitOptions(window=np.inf, train=np.inf, intervals=None),
+    )
     want = bootstrap(found, 4)
     for size in (None, 3):
         np.testing.assert_array_equal(bootstrap(found, 4, executor=two, chunk_size=size).samples, want.samples)

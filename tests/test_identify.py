@@ -15,7 +15,7 @@ import pytest
 from hyperflex import files, progress
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
-from hyperflex.identification import Identification, identify, lumped, ratios
+from hyperflex.identification import FitOptions, Identification, RecordingSetup, identify, lumped, ratios
 from hyperflex.identification.diagnosis.grade import Findings, grade
 from hyperflex.identification.fit.multiple_shooting import Fit, Linear, fit, fit_state
 from hyperflex.identification.fit.stages import Measurements
@@ -202,7 +202,9 @@ def test_a_value_at_its_bound_does_not_hide_what_is_known() -> None:
 
 def test_known_masses_and_centres_give_the_values(free_swing: Recording) -> None:
     guess = DOUBLE.replace(inertia=5e-4, friction=1e-3)
-    result = identify(free_swing, guess, ["inertia", "friction[1]", "friction[0]"], length_std=0.0, clock_std=0.0)
+    result = identify(
+        free_swing, guess, ["inertia", "friction[1]", "friction[0]"], options=FitOptions(length_std=0.0, clock_std=0.0)
+    )
     assert result.identifiable
     within(result.values, result.std, {"inertia": DOUBLE.inertia, "friction": DOUBLE.friction})
     assert result.parameters == ("inertia[0]", "inertia[1]", "friction[1]", "friction[0]")
@@ -251,7 +253,9 @@ def test_a_led_first_joint() -> None:
     t = np.linspace(0.0, 5.0, 301)
     run = simulate(cable, motion, arm=arm, duration=5.0, t_eval=t, tol=1e-9)
     recording = Recording(t, run.q + NOISE * np.random.default_rng(3).standard_normal(run.q.shape))
-    result = identify(recording, cable.replace(friction=1e-3), ["friction:shared"], motion=motion, arm=arm)
+    result = identify(
+        recording, cable.replace(friction=1e-3), ["friction:shared"], setup=RecordingSetup(motion=motion, arm=arm)
+    )
     within(result.values, result.std, {"friction": cable.friction})
     hung = identify(recording, cable, ["friction:shared"])  # told nothing of the arm
     assert any("fit is poor" in text for text in hung.verdict)
@@ -271,7 +275,7 @@ def test_gaps_uneven_times_and_markers(seed: int) -> None:
         Recording(recording.t[kept], angles, noise=NOISE),
         Recording(recording.t[kept], places.reshape(kept.size, -1), kind="markers", noise=1e-3),
     ):
-        result = identify(given, GUESS, ["inertia", "com", "friction"], train=np.inf)
+        result = identify(given, GUESS, ["inertia", "com", "friction"], options=FitOptions(train=np.inf))
         assert result.success
         within(result.ratios, result.ratio_std, ratios(DOUBLE))
         assert result.settings["left_out"] >= 1
@@ -291,7 +295,7 @@ POOR_GUESSES = {
 @pytest.mark.parametrize("guess", POOR_GUESSES.values(), ids=POOR_GUESSES.keys())
 def test_a_poor_guess_arrives_at_the_same_place(free_swing: Recording, fitted: Identification, guess: Rope) -> None:
     window = fitted.settings["window"]
-    result = identify(free_swing, guess, ["inertia", "com", "mass", "friction"], window=window)
+    result = identify(free_swing, guess, ["inertia", "com", "mass", "friction"], options=FitOptions(window=window))
     assert result.success
     for name, value in fitted.ratios.items():  # convergence stops at a small part of the std
         np.testing.assert_allclose(result.ratios[name], value, atol=0.2 * float(fitted.ratio_std[name].max()))
@@ -317,7 +321,12 @@ def test_correlated_noise_widens_the_uncertainty(free_swing: Recording) -> None:
         noise[k] = 0.9 * noise[k - 1] + np.sqrt(1.0 - 0.9**2) * noise[k]
     free = ["inertia", "com", "friction"]
     white, result = (
-        identify(each, GUESS, free, window=2.0, length_std=0.0, clock_std=0.0)
+        identify(
+            each,
+            GUESS,
+            free,
+            options=FitOptions(window=2.0, length_std=0.0, clock_std=0.0),
+        )
         for each in (free_swing, Recording(free_swing.t, clean + NOISE * noise))
     )
     within(result.ratios, result.ratio_std, ratios(DOUBLE))
@@ -549,7 +558,7 @@ def test_a_prediction_that_diverges_counts_as_infinitely_wrong(free_swing: Recor
 
 def test_failed_predictions_are_in_the_grade(free_swing: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hyperflex.identification.problem.Plant", Wild)
-    result = identify(free_swing, DOUBLE, ["friction"], train=4.0)
+    result = identify(free_swing, DOUBLE, ["friction"], options=FitOptions(train=4.0))
     assert "predictions of what was not fitted failed" in result.grade.reasons[0]
     assert result.summary()["held_out"]["rms"] == [None, None]  # JSON has no infinity
 
@@ -558,12 +567,12 @@ def test_held_out_part_is_not_fitted(free_swing: Recording) -> None:
     spoilt = free_swing.data.copy()
     spoilt[free_swing.t >= 5.0] *= 0.5
     other = Recording(free_swing.t, spoilt)
-    ours, theirs = (identify(r, DOUBLE, ["friction"], train=5.0) for r in (free_swing, other))
+    ours, theirs = (identify(r, DOUBLE, ["friction"], options=FitOptions(train=5.0)) for r in (free_swing, other))
     np.testing.assert_array_equal(ours.values["friction"], theirs.values["friction"])
     assert ours.held_out is not None
     assert theirs.held_out is not None
     assert (theirs.held_out.rms > 5.0 * ours.held_out.rms).all()
-    assert identify(free_swing, DOUBLE, ["friction"], train=np.inf).held_out is None
+    assert identify(free_swing, DOUBLE, ["friction"], options=FitOptions(train=np.inf)).held_out is None
 
 
 # ---- bad input

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperflex.identification import Identification, compare_models, identify
+from hyperflex.identification import FitOptions, Identification, RecordingSetup, compare_models, identify
 from hyperflex.model import Rope
 from hyperflex.recording import Recording, read_recording
 from hyperflex.simulation import simulate
@@ -25,7 +25,7 @@ Note = Callable[[str, object], None]
 @pytest.fixture(scope="module")
 def triple(data_dir: Path) -> Identification:
     recording = read_recording(data_dir / "multiarm_triple" / "TriplePendulumDataForParameterEstimation.mat")
-    return identify(recording, TRIPLE, FREE, train=33.858)
+    return identify(recording, TRIPLE, FREE, options=FitOptions(train=33.858))
 
 
 def test_triple_pendulum_ratios(triple: Identification) -> None:
@@ -53,7 +53,7 @@ def test_triple_pendulum_prediction(triple: Identification, record_property: Not
 
 def test_dry_friction_predicts_better_than_viscous_alone(triple: Identification, data_dir: Path) -> None:
     recording = read_recording(data_dir / "multiarm_triple" / "TriplePendulumDataForParameterEstimation.mat")
-    viscous = identify(recording, TRIPLE, ["inertia", "com", "friction"], train=33.858)
+    viscous = identify(recording, TRIPLE, ["inertia", "com", "friction"], options=FitOptions(train=33.858))
     np.testing.assert_allclose(viscous.ratios["J/p1"], J, rtol=0.02)  # as above: ratios do not hang on friction
     assert viscous.held_out is not None
     assert triple.held_out is not None
@@ -69,7 +69,7 @@ def test_the_air_brakes_the_triple_pendulum(data_dir: Path) -> None:
     """
     recording = read_recording(data_dir / "multiarm_triple" / "TriplePendulumDataForParameterEstimation.mat")
     models = {"joints": FREE, "joints and air": [*FREE, "drag"]}
-    found = compare_models(recording, TRIPLE.replace(dry_friction=1e-4), models, train=33.858)
+    found = compare_models(recording, TRIPLE.replace(dry_friction=1e-4), models, options=FitOptions(train=33.858))
     joints, air = (found[name] for name in models)
     assert found.preferred == "joints and air"
     assert joints.bic is not None
@@ -86,7 +86,7 @@ def test_the_air_brakes_the_triple_pendulum(data_dir: Path) -> None:
 def test_triple_pendulum_from_markers(data_dir: Path) -> None:
     path = data_dir / "multiarm_triple" / "markers_200Hz_from_angles.csv"
     recording = read_recording(path, time_unit="s", unit="m", y_axis="up")
-    result = identify(recording, TRIPLE, ["inertia", "com", "friction"], train=33.858)
+    result = identify(recording, TRIPLE, ["inertia", "com", "friction"], options=FitOptions(train=33.858))
     np.testing.assert_allclose(result.ratios["J/p1"], J, rtol=0.02)  # the same motion
     np.testing.assert_allclose(result.ratios["p/p1"], P, rtol=0.02)
 
@@ -94,7 +94,7 @@ def test_triple_pendulum_from_markers(data_dir: Path) -> None:
 def test_single_pendulum(data_dir: Path) -> None:
     recording = read_recording(data_dir / "multiarm_single" / "SinglePendulumDataForParameterEstimation.mat")
     guess = Rope(length=[0.3], mass=[0.1], friction=1e-4)  # its length is not known, nor does a single link need it
-    result = identify(recording, guess, FREE, train=36.668)
+    result = identify(recording, guess, FREE, options=FitOptions(train=36.668))
     np.testing.assert_allclose(result.ratios["J/p1"], 0.1529, rtol=0.01)  # 1 %: authors .15259, independent .15294
     assert result.held_out is not None
     assert (result.held_out.rms < 8e-3).all()
@@ -105,7 +105,7 @@ def double(data_dir: Path, run: int, masses: tuple[float, ...] = (0.1, 0.1)) -> 
     path = data_dir / "ibm_double_pendulum" / f"run{run:02d}_500Hz.csv"
     recording = read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 30.0)
     guess = Rope(length=recording.link_lengths(), mass=masses, friction=1e-5)
-    return identify(recording, guess, [*FREE, "gravity_angle"], window=0.2, train=np.inf)
+    return identify(recording, guess, [*FREE, "gravity_angle"], options=FitOptions(window=0.2, train=np.inf))
 
 
 def figures(found: Identification) -> tuple[list[float], list[float]]:
@@ -139,7 +139,9 @@ def test_a_pendulum_is_found_from_its_two_markers_and_a_known_first_joint(data_d
     guess = Rope(length=length, mass=0.1, inertia=[4e-5, 2e-5], com=[0.06, 0.02], friction=2e-5)
     origin = np.nanmedian(every.data[:, :2], axis=0)
     free, arcs = ["inertia", "com", "friction"], np.cumsum(length)
-    found = identify(seen, guess, free, arc_lengths=arcs, origin=origin, intervals=None)
+    found = identify(
+        seen, guess, free, setup=RecordingSetup(arc_lengths=arcs, origin=origin), options=FitOptions(intervals=None)
+    )
     assert found.success
     assert found.residual_rms_all < 6e-4  # m; the camera's own noise is about 0.3 mm
     np.testing.assert_allclose(figures(found)[0], [0.0905, 0.00686, 0.1019], rtol=0.02)
@@ -154,7 +156,13 @@ def test_a_pendulum_is_found_from_its_tip_alone(data_dir: Path) -> None:
     guess = Rope(length=length, mass=0.1, inertia=[7.2e-5, 1.88e-4], com=[0.037, 0.047], friction=[6.6e-5, 1.2e-5])
     origin = np.nanmedian(every.data[:, :2], axis=0)
     free, arcs = ["inertia", "com", "friction"], [length.sum()]
-    found = identify(seen, guess, free, arc_lengths=arcs, origin=origin, train=np.inf, intervals=None)
+    found = identify(
+        seen,
+        guess,
+        free,
+        setup=RecordingSetup(arc_lengths=arcs, origin=origin),
+        options=FitOptions(train=np.inf, intervals=None),
+    )
     assert found.success
     assert found.residual_rms_all < 5e-4  # m; 0.46 mm is the best known, of 20 guesses
     np.testing.assert_allclose(figures(found)[0], [0.0906, 0.00694, 0.1033], rtol=0.02)
@@ -166,7 +174,9 @@ def test_a_little_more_data_hardly_moves_standard_deviations(data_dir: Path) -> 
     recording = read_recording(path, time_unit="s", unit="m", y_axis="up").window(0.0, 15.0)
     guess = Rope(length=[0.0917, 0.0701], mass=[0.05, 0.03], friction=1e-5)
     free = ["inertia", "com", "friction", "gravity_angle"]
-    short, long = (identify(recording, guess, free, train=end, intervals=None) for end in (14.0, 14.14))
+    short, long = (
+        identify(recording, guess, free, options=FitOptions(train=end, intervals=None)) for end in (14.0, 14.14)
+    )
     for name, std in short.ratio_std.items():
         known = std > 0.0  # p/p1 of the first link is 1
         # 1 % more data: less than a factor 2 was asked for; the noise itself is known to a tenth

@@ -345,7 +345,13 @@ def test_the_bar_moves_forward_and_tells_stage_and_round(monkeypatch, capsys):
 def test_a_fit_tells_its_stages(swing):
     recording = hf.read_recording(swing / "swing.csv", time_unit="ms", unit="deg")
     heard = []
-    hf.identify(recording, hf.Rope.from_toml(swing / "guess.toml"), ["friction"], window=3.0, progress=heard.append)
+    hf.identify(
+        recording,
+        hf.Rope.from_toml(swing / "guess.toml"),
+        ["friction"],
+        options=hf.FitOptions(window=3.0),
+        progress=heard.append,
+    )
     assert {entry["stage"] for entry in heard} == {0, 1, 2}  # 0.75, 1.5 and 3 s: the usual length is 1.1 s
     assert [entry["stage"] for entry in heard] == sorted(entry["stage"] for entry in heard)
     assert heard[-1]["stage"] == heard[-1]["stages"] - 1

@@ -51,7 +51,13 @@ def test_the_commands_find_what_the_page_says(hyperflex_json, filmed):
     arcs = [float(each) for each in twin.ARC_LENGTHS]
     places = hf.Recording(exact.t, exact.data[:, 2:], kind="markers")
     guess = hf.Rope.uniform(2.0, 0.125, 20, 0.0025, friction=3e-3)
-    best = identify(places, guess, twin.FREE, arc_lengths=arcs, origin=(0.0, 0.0), intervals=None)
+    best = identify(
+        places,
+        guess,
+        twin.FREE,
+        setup=hf.RecordingSetup(arc_lengths=arcs, origin=(0.0, 0.0)),
+        options=hf.FitOptions(intervals=None),
+    )
     assert best.values["friction"][0] == pytest.approx(920 * MICRO, rel=0.01)
     assert intervals["low"] < best.values["friction"][0] < intervals["high"]
     errors = [max(json.loads((filmed / name).read_text())["held_out"]["rms"]) for name in FIGURES]

@@ -125,7 +125,9 @@ def test_a_video_becomes_a_rope(video: tuple[Path, Truth], tmp_path: Path) -> No
     assert run([str(word) for word in words]) == 0
     recording = hf.read_recording(tmp_path / "markers.nc")
     guess = rope(12).replace(friction=1.3 * rope(12).friction)
-    result = hf.identify(recording, guess, ["friction:factor"], arc_lengths=ARCS, origin=(0.0, 0.0))
+    result = hf.identify(
+        recording, guess, ["friction:factor"], setup=hf.RecordingSetup(arc_lengths=ARCS, origin=(0.0, 0.0))
+    )
     assert result.success
     assert result.rope.friction[3] == pytest.approx(rope(12).friction[3], rel=0.2)
 

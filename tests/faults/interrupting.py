@@ -177,7 +177,7 @@ def calls() -> dict[str, Callable[[], Any]]:
     noisy = hf.Recording(t, clean + np.random.default_rng(1).normal(0.0, 2e-3, clean.shape), noise=2e-3)
     guess = rods.replace(friction=1e-3, inertia=1.2 * rods.inertia)
     free = ["inertia", "friction"]
-    fitted = hf.identify(noisy, guess, free, intervals=None)
+    fitted = hf.identify(noisy, guess, free, options=hf.FitOptions(intervals=None))
     peg, near = hf.Peg(0.3, -1.0, 0.03), hf.Peg(-0.7, -1.2, 0.04)
     many = [hf.arm_swings(t_move=0.73, t_rest=rest) for rest in np.linspace(0.4, 0.7, 128)]
     some = [hf.Peg(x, -1.0, 0.03) for x in np.linspace(0.2, 0.5, 24)]
@@ -195,7 +195,7 @@ def calls() -> dict[str, Callable[[], Any]]:
         "contact batch": lambda: hf.simulate_batch(cable, swings, arm=arm, duration=6.0, pegs=[[p] for p in some]),
         "sensitivities": lambda: hf.sensitivities(cable, swings, arm=arm, duration=60.0, wrt=["friction", "inertia"]),
         "predictability": lambda: hf.predictability(cable, swings, arm=arm, duration=30.0),
-        "identify": lambda: hf.identify(noisy, guess, free, intervals="profile"),
+        "identify": lambda: hf.identify(noisy, guess, free, options=hf.FitOptions(intervals="profile")),
         "identify default": lambda: hf.identify(noisy, guess),
         "compare models": lambda: hf.compare_models(noisy, guess),
         "bootstrap": lambda: hf.bootstrap(fitted, 20),

@@ -200,9 +200,8 @@ CALLS: dict[str, tuple[Callable[..., Any], Callable[[], dict[str, Any]]]] = {
     "identify": (
         hf.identify,
         lambda: (
-            {"recording": swing(), "rope_guess": PENDULUM, "free": ("friction",), "window": 1.0, "train": None}
-            | {"motion": None, "arm": None, "arc_lengths": None, "origin": None, "torque": None, "torque_noise": None}
-            | {"loss": "squares", "lead": 0.5, "ahead": 1.0, "intervals": None, "progress": False}
+            {"recording": swing(), "rope_guess": PENDULUM, "free": ("friction",), "setup": None}
+            | {"options": hf.FitOptions(window=1.0, intervals=None), "time_budget": None, "progress": False}
         ),
     ),
     "fit_regression": (
@@ -216,7 +215,7 @@ CALLS: dict[str, tuple[Callable[..., Any], Callable[[], dict[str, Any]]]] = {
         hf.compare_models,
         lambda: (
             {"recording": swing(), "rope_guess": PENDULUM, "models": None, "free": ("friction",), "links": ()}
-            | {"progress": False}
+            | {"setup": None, "options": None, "progress": False}
         ),
     ),
     "estimate_initial_state": (

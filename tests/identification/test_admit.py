@@ -7,7 +7,7 @@ import pytest
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import identify
+from hyperflex.identification import FitOptions, RecordingSetup, identify
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.model import Rope
 from hyperflex.paper import iterative_revision
@@ -46,7 +46,7 @@ def test_noise_of_markers_is_no_motion() -> None:
     t, _, places = swing(0.0, 81)
     recording = Recording(t, places + 0.2 * noise(places.shape), kind="markers", noise=0.2 * NOISE)
     with pytest.raises(InvalidInput, match="no motion beyond noise"):
-        identify(recording, ROPE, ["friction:shared"], arc_lengths=ARCS)
+        identify(recording, ROPE, ["friction:shared"], setup=RecordingSetup(arc_lengths=ARCS))
 
 
 def moves(*recordings: Recording) -> bool:
@@ -114,10 +114,16 @@ def test_the_tip_alone_identifies_a_rope(links: int) -> None:
     )
     guess, free = rope.replace(friction=1e-3), ["friction:shared"]
     with pytest.raises(InvalidInput, match=r"origin=\(x, y\)"):
-        identify(recording, guess, free, arc_lengths=[0.4])
+        identify(recording, guess, free, setup=RecordingSetup(arc_lengths=[0.4]))
     with pytest.raises(InvalidInput, match="marker alone"):
         recording.angles()
-    found = identify(recording, guess, free, arc_lengths=[0.4], origin=(0.3, 0.1), intervals=None)
+    found = identify(
+        recording,
+        guess,
+        free,
+        setup=RecordingSetup(arc_lengths=[0.4], origin=(0.3, 0.1)),
+        options=FitOptions(intervals=None),
+    )
     assert found.success
     value, std = float(found.values["friction"][0]), float(found.std["friction"][0])
     assert abs(value - 3e-4) < 4.0 * std < 6e-5  # chance of more: 6e-5; far less than the guess is off

@@ -35,7 +35,7 @@ def real_single(data_dir: Path, factor: float = 1.0, drift: float = 0.0) -> tupl
 @pytest.mark.parametrize("free", [["inertia", "friction"], None], ids=["named", "default"])
 def test_a_real_pendulum_read_too_small_or_too_large(data_dir: Path, factor: float, free: list[str] | None) -> None:
     t, q, guess = real_single(data_dir, factor)
-    found = hf.identify(hf.Recording(t, q), guess, free, intervals=None)
+    found = hf.identify(hf.Recording(t, q), guess, free, options=hf.FitOptions(intervals=None))
     assert told(found) == pytest.approx(1.0 / factor, rel=0.01)
     assert not any("drift" in each for each in found.grade.reasons)
     assert ANGLES not in found.settings["free"]
@@ -45,7 +45,9 @@ def test_a_real_pendulum_read_too_small_or_too_large(data_dir: Path, factor: flo
 def test_a_pendulum_read_too_small_or_too_large(factor: float) -> None:
     """Noise hides most of it, and J/p1 is 2 % off; a spring only makes a pendulum faster, and does the same then."""
     t, q = swing(SINGLE, [1.0])
-    found = hf.identify(hf.Recording(t, factor * noisy(q)), GUESS, ["inertia", "friction"], intervals=None)
+    found = hf.identify(
+        hf.Recording(t, factor * noisy(q)), GUESS, ["inertia", "friction"], options=hf.FitOptions(intervals=None)
+    )
     assert told(found) == pytest.approx(1.0 / factor, rel=0.01)
     assert ("'stiffness' free" in str(found.grade)) == (factor > 1.0)
 
@@ -54,7 +56,7 @@ def test_a_pendulum_read_too_small_or_too_large(factor: float) -> None:
 def test_a_double_pendulum_shows_a_small_factor(factor: float) -> None:
     t, q = swing(DOUBLE, [0.9, 0.6])
     guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
-    found = hf.identify(hf.Recording(t, factor * noisy(q)), guess, FREE, intervals=None)
+    found = hf.identify(hf.Recording(t, factor * noisy(q)), guess, FREE, options=hf.FitOptions(intervals=None))
     assert "angles multiplied by" in str(found.grade)
     test = next(each for each in found.score_tests if each.name == ANGLES)
     assert test.values[0] == pytest.approx(factor, abs=2e-3)
@@ -62,7 +64,7 @@ def test_a_double_pendulum_shows_a_small_factor(factor: float) -> None:
 
 def test_a_clock_that_drifts_keeps_its_name(data_dir: Path) -> None:
     t, q, guess = real_single(data_dir, drift=0.02)
-    found = hf.identify(hf.Recording(t, q), guess, ["inertia", "friction"], intervals=None)
+    found = hf.identify(hf.Recording(t, q), guess, ["inertia", "friction"], options=hf.FitOptions(intervals=None))
     assert str(found.grade).startswith("Do not use: the clock drifts")
     gains = {each.name: each.gain for each in found.score_tests}
     assert gains[DRIFT] > gains[ANGLES]
@@ -72,10 +74,12 @@ def test_a_spring_keeps_its_name() -> None:
     """One of a single pendulum does exactly, to third order in the angle, what angles read too large do."""
     t, q = swing(DOUBLE.replace(stiffness=[0.02, 0.01]), [0.9, 0.6])
     guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
-    found = hf.identify(hf.Recording(t, noisy(q)), guess, FREE, intervals=None)
+    found = hf.identify(hf.Recording(t, noisy(q)), guess, FREE, options=hf.FitOptions(intervals=None))
     assert "with 'stiffness' free, " in str(found.grade)
     t, q = swing(SINGLE.replace(stiffness=0.02), [1.0])
-    found = hf.identify(hf.Recording(t, noisy(q)), GUESS, ["inertia", "friction"], intervals=None)
+    found = hf.identify(
+        hf.Recording(t, noisy(q)), GUESS, ["inertia", "friction"], options=hf.FitOptions(intervals=None)
+    )
     assert "with 'stiffness' free, or with angles multiplied by 0.9" in str(found.grade)
 
 
@@ -83,7 +87,9 @@ def test_a_spring_keeps_its_name() -> None:
 def test_a_stiffness_that_was_freed_may_be_angles_read_too_large(data_dir: Path, more: list[str]) -> None:
     """J/p1 would be 17 % off, by nine standard deviations."""
     t, q, guess = real_single(data_dir, 1.1)
-    found = hf.identify(hf.Recording(t, q), guess, ["inertia", "friction", "stiffness", *more], intervals=None)
+    found = hf.identify(
+        hf.Recording(t, q), guess, ["inertia", "friction", "stiffness", *more], options=hf.FitOptions(intervals=None)
+    )
     assert str(found.grade).startswith("Do not use: stiffness was freed, but angles multiplied by 0.9")
     assert not any("times were to be multiplied" in each for each in found.grade.reasons)
 
@@ -91,7 +97,9 @@ def test_a_stiffness_that_was_freed_may_be_angles_read_too_large(data_dir: Path,
 def test_places_have_no_such_factor_and_none_can_be_free() -> None:
     t, q = swing(DOUBLE, [0.9, 0.6], 3.0)
     places = np.stack([DOUBLE.joints(row, np.zeros(2)) for row in q]).reshape(t.size, -1)
-    found = hf.identify(hf.Recording(t, noisy(places, 5e-4), kind="markers"), DOUBLE, FREE, intervals=None)
+    found = hf.identify(
+        hf.Recording(t, noisy(places, 5e-4), kind="markers"), DOUBLE, FREE, options=hf.FitOptions(intervals=None)
+    )
     assert ANGLES not in {each.name for each in found.score_tests}
     with pytest.raises(InvalidInput, match="unknown name"):
         hf.identify(hf.Recording(t, q), DOUBLE, [*FREE, ANGLES])

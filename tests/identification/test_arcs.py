@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.wrong_input import DOUBLE, FREE, noisy, swing
 
-from hyperflex.identification import Identification, identify
+from hyperflex.identification import Identification, RecordingSetup, identify
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
@@ -17,7 +17,7 @@ GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
 
 def found(off: float, seed: int, guess: Rope = GUESS) -> Identification:
     recording = Recording(T, noisy(PLACES, 3e-4, seed), kind="markers")
-    return identify(recording, guess, FREE, arc_lengths=[0.3 + off, 0.55], origin=(0.0, 0.0))
+    return identify(recording, guess, FREE, setup=RecordingSetup(arc_lengths=[0.3 + off, 0.55], origin=(0.0, 0.0)))
 
 
 @pytest.mark.parametrize("off", [0.003, 0.006])

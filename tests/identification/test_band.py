@@ -110,7 +110,7 @@ def recorded(seed: int) -> hf.Recording:
 
 
 def test_the_band_holds_what_it_says() -> None:
-    result = identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], train=5.0)
+    result = identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], options=hf.FitOptions(train=5.0))
     held = result.held_out
     assert held is not None
     assert held.std.shape == held.measured.shape
@@ -126,7 +126,10 @@ def test_outliers_do_not_widen_the_band() -> None:
     spoilt = clean.data + np.where(rng.random(clean.data.shape) < 0.05, 0.3, 0.0)
     spoilt[clean.t > 5.0] = clean.data[clean.t > 5.0]
     result = identify(
-        hf.Recording(clean.t, spoilt), ROPE.replace(friction=1e-3), ["friction"], train=5.0, loss="cauchy"
+        hf.Recording(clean.t, spoilt),
+        ROPE.replace(friction=1e-3),
+        ["friction"],
+        options=hf.FitOptions(train=5.0, loss="cauchy"),
     )
     assert result.held_out is not None
     assert np.median(result.held_out.std) < 1.5 * NOISE  # 0.07 with the outliers as noise
@@ -141,7 +144,11 @@ def test_a_rope_with_few_markers_is_predicted_to_its_noise() -> None:
     data = places.reshape(t.size, -1) + np.random.default_rng(3).normal(0.0, 1e-3, (t.size, 8))
     recording = hf.Recording(t, data, kind="markers", noise=1e-3)
     result = identify(
-        recording, rope.replace(friction=1e-3), ["friction:shared"], arc_lengths=[0.2, 0.4, 0.6, 0.8], train=2.4
+        recording,
+        rope.replace(friction=1e-3),
+        ["friction:shared"],
+        setup=hf.RecordingSetup(arc_lengths=[0.2, 0.4, 0.6, 0.8]),
+        options=hf.FitOptions(train=2.4),
     )
     assert result.held_out is not None
     assert (
@@ -158,7 +165,9 @@ def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch: pytest.MonkeyPatch) 
         raise KeyboardInterrupt
 
     monkeypatch.setattr(_identify, "predict", interrupted)
-    result = left_by(lambda: identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], train=5.0))
+    result = left_by(
+        lambda: identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], options=hf.FitOptions(train=5.0))
+    )
     assert result.message == "interrupted"
     assert result.held_out is None
     assert (np.abs(result.values["friction"] - ROPE.friction) < 5.0 * result.std["friction"]).all()
@@ -170,7 +179,9 @@ def test_markers_without_given_noise_are_not_outweighed_by_the_prior() -> None:
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=0.4 + 0.15 * np.arange(8))
     data = run.joints[:, [2, 4, 6, 8]].reshape(t.size, -1) + np.random.default_rng(3).normal(0.0, 1e-3, (t.size, 8))
     recording = hf.Recording(t, data, kind="markers")
-    places = {"arc_lengths": [0.2, 0.4, 0.6, 0.8], "origin": [0.0, 0.0]}
-    result = identify(recording, rope.replace(friction=1e-3), ["friction:shared"], train=np.inf, **places)  # type: ignore[arg-type]
+    places = hf.RecordingSetup(arc_lengths=[0.2, 0.4, 0.6, 0.8], origin=[0.0, 0.0])
+    result = identify(
+        recording, rope.replace(friction=1e-3), ["friction:shared"], setup=places, options=hf.FitOptions(train=np.inf)
+    )  # type: ignore[arg-type]
     assert (np.abs(result.values["friction"] - 5e-4) < 4.0 * result.std["friction"]).all()
     assert (result.residual_rms < 1.5e-3).all()  # noise of 1 mm; 6 to 34 mm where a prior in std beats errors in m

@@ -10,7 +10,7 @@ import pytest
 
 from hyperflex.core.tangent.forward_sensitivity import forward_sensitivities
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import Identification, bootstrap, identify
+from hyperflex.identification import FitOptions, Identification, bootstrap, identify
 from hyperflex.identification.fit.multiple_shooting import Fit, fit
 from hyperflex.identification.uncertainty import bootstrap as _bootstrap
 from hyperflex.identification.uncertainty.bootstrap import Bootstrap, _Draws, _Noise
@@ -30,7 +30,12 @@ def found() -> Identification:
     run = simulate(ROPE, duration=t[-1], t_eval=t, q0=[0.9], tol=1e-9)
     data = run.q + 0.01 * np.random.default_rng(0).standard_normal(run.q.shape)
     data[10:14] = np.nan
-    return identify(Recording(t, data), ROPE, ["inertia", "friction"], window=np.inf, train=np.inf, intervals=None)
+    return identify(
+        Recording(t, data),
+        ROPE,
+        ["inertia", "friction"],
+        options=FitOptions(window=np.inf, train=np.inf, intervals=None),
+    )
 
 
 def noise_of(basis: Basis, draws: int) -> np.ndarray:

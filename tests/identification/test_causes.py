@@ -15,7 +15,7 @@ GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
 
 def fitted(true: hf.Rope, guess: hf.Rope, free: Sequence[str], clock: float = 1.0) -> hf.Identification:
     t, q = swing(true, np.linspace(0.9, 0.6, true.n_links))
-    return hf.identify(hf.Recording(clock * t, noisy(q)), guess, free, intervals=None)
+    return hf.identify(hf.Recording(clock * t, noisy(q)), guess, free, options=hf.FitOptions(intervals=None))
 
 
 def reasons(found: hf.Identification) -> tuple[str, ...]:
@@ -64,7 +64,9 @@ def test_deviations_grow_with_a_clock_that_is_off_also_beside_a_drag_of_nearly_n
     inertia = np.array([0.1687, 0.1644, 0.0377])  # over p1, by other parts of the recording
     stds = []
     for clock in (1.005, 1.01):
-        found = hf.identify(hf.Recording(clock * part.t, part.data), guess, [*FREE, "drag"], intervals=None)
+        found = hf.identify(
+            hf.Recording(clock * part.t, part.data), guess, [*FREE, "drag"], options=hf.FitOptions(intervals=None)
+        )
         stds.append(found.ratio_std["J/p1"])
         assert (np.abs(found.ratios["J/p1"] - inertia) < 2.0 * stds[-1]).all()
     assert (stds[1] > stds[0]).all()

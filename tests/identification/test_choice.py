@@ -102,7 +102,11 @@ def test_one_channel_without_a_fit_is_the_test_of_ljung_and_box() -> None:
 
 def test_bic_is_schwarz_s_with_states_counted_in_their_own_window() -> None:
     recording = swing(DOUBLE)
-    fits = [basis for free in MODELS.values() if (basis := identify(recording, GUESS, free, window=1.0)._basis)]
+    fits = [
+        basis
+        for free in MODELS.values()
+        if (basis := identify(recording, GUESS, free, options=hf.FitOptions(window=1.0))._basis)
+    ]
     simple, rich = criteria(fits)
     assert simple is not None
     assert rich is not None
@@ -216,7 +220,7 @@ def test_all_candidates_are_cut_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     windows: list[object] = []
 
     def noted(*arguments: object, **options: object) -> object:
-        windows.append(options.get("window"))
+        windows.append(options["options"].window)  # type: ignore[attr-defined]
         return identify(*arguments, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(_choice, "identify", noted)
@@ -308,7 +312,9 @@ def test_numbers_of_links_are_compared_by_the_places_of_markers() -> None:
     places = run.joints.reshape(t.size, -1) + 1e-3 * np.random.default_rng(0).standard_normal((t.size, 10))
     recording = Recording(t, places, kind="markers", noise=1e-3)  # type: ignore[arg-type]
     guess = true.replace(friction=3e-4)
-    found = compare_models(recording, guess, {"4 links": ["friction:shared"]}, links=[1, 2, 4], train=4.0)
+    found = compare_models(
+        recording, guess, {"4 links": ["friction:shared"]}, links=[1, 2, 4], options=hf.FitOptions(train=4.0)
+    )
     assert found.preferred == "4 links"
     assert [model.links for model in found.models] == [4, 1, 2]
     assert found.unit == "m"

@@ -10,6 +10,7 @@ import pytest
 
 from hyperflex import Arm, Experiment, Recording, Rope, arm_swings, design_experiment, identify, simulate
 from hyperflex.errors import InvalidInput
+from hyperflex.identification import FitOptions, RecordingSetup
 from hyperflex.identification.experiment_design import choice as _design
 from hyperflex.identification.experiment_design.experiments import default_experiments, variations
 from hyperflex.identification.experiment_design.fisher_information import expected_information
@@ -28,7 +29,9 @@ def test_predicted_deviations_are_those_of_many_fits() -> None:
     values, stated = [], []
     for seed in range(40):
         noise = NOISE * np.random.default_rng(seed).standard_normal(run.q.shape)
-        found = identify(Recording(SHORT.t, run.q + noise), SINGLE, ["inertia", "friction"], train=np.inf)
+        found = identify(
+            Recording(SHORT.t, run.q + noise), SINGLE, ["inertia", "friction"], options=FitOptions(train=np.inf)
+        )
         values.append([float(found.values[name][0]) for name in ("inertia", "friction")])
         parts = [(found.std[name][0], found.model_std[name][0]) for name in ("inertia", "friction")]
         stated.append([float(np.sqrt(std**2 - model**2)) for std, model in parts])  # what noise does
@@ -50,7 +53,13 @@ def test_markers_are_foreseen_as_a_fit_of_places_sees_them() -> None:
     seen = places.reshape(look.t.size, -1) + 1e-3 * np.random.default_rng(0).standard_normal((look.t.size, 6))
     recording = Recording(look.t, seen, kind="markers", noise=1e-3)  # type: ignore[arg-type]
     exact = {"length_std": 0.0, "clock_std": 0.0}
-    found = identify(recording, DOUBLE, ["inertia", "friction"], arc_lengths=arc_lengths, train=np.inf, **exact)
+    found = identify(
+        recording,
+        DOUBLE,
+        ["inertia", "friction"],
+        setup=RecordingSetup(arc_lengths=arc_lengths),
+        options=FitOptions(train=np.inf, **exact),
+    )
     np.testing.assert_allclose(found.std["inertia"], list(planned.std.values()), rtol=0.1)
 
 

@@ -44,7 +44,10 @@ def test_drag_is_known_beside_joint_friction(windy: tuple[Recording, Array]) -> 
     recording, arc_lengths = windy
     guess = CORD.replace(drag=0.0, friction=1e-4)
     found = hf.identify(
-        recording, guess, ["friction:shared", "drag:shared"], arc_lengths=arc_lengths, origin=(0.0, 0.0)
+        recording,
+        guess,
+        ["friction:shared", "drag:shared"],
+        setup=hf.RecordingSetup(arc_lengths=arc_lengths, origin=(0.0, 0.0)),
     )
     assert found.success
     assert within(found, "drag:shared", DRAG)
@@ -56,7 +59,7 @@ def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tup
     """Drag grows with the masses; over the first moment it is known as well as if the rope had been weighed."""
     recording, arc_lengths = windy
     words = ["mass:factor", "inertia:factor", "friction:shared", "drag:shared"]
-    found = hf.identify(recording, CORD, words, arc_lengths=arc_lengths, origin=(0.0, 0.0))
+    found = hf.identify(recording, CORD, words, setup=hf.RecordingSetup(arc_lengths=arc_lengths, origin=(0.0, 0.0)))
     assert not found.identifiable
     assert "One common factor of mass, inertia, friction, drag" in found.verdict[0]
     assert np.isinf(found.std["drag"]).all()
@@ -70,7 +73,9 @@ def test_drag_is_told_from_joint_friction(rope: hf.Rope) -> None:
     """Twins with only one of them: their own model is preferred, though both have one parameter."""
     recording, arc_lengths = swing(rope)
     guess = CORD.replace(friction=0.0, drag=0.0)
-    found = hf.compare_models(recording, guess, MODELS, arc_lengths=arc_lengths, origin=(0.0, 0.0))
+    found = hf.compare_models(
+        recording, guess, MODELS, setup=hf.RecordingSetup(arc_lengths=arc_lengths, origin=(0.0, 0.0))
+    )
     assert found.preferred == ("drag" if rope.drag.any() else "joint friction")
     both = found["both"].identification
     assert both is not None

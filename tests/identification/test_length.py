@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from hyperflex import Recording, Rope, identify, simulate
+from hyperflex.identification import FitOptions
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.model import divided
@@ -62,12 +65,13 @@ def test_a_rope_of_fitted_length_can_be_cut() -> None:
     t, noise = np.arange(121) / 60.0, 1e-3
     run = simulate(true, duration=2.0, t_eval=t, q0=[0.9, 0.6, 1.2], tol=1e-9)
     recording = Recording(t, run.q + noise * np.random.default_rng(0).standard_normal(run.q.shape))
-    free, whole = ["length:factor", "friction:factor"], {"window": np.inf, "train": np.inf, "intervals": None}
-    found = identify(recording, GUESS, free, clock_std=0.0, **whole)
+    free: list[str] = ["length:factor", "friction:factor"]
+    whole: dict[str, Any] = {"window": np.inf, "train": np.inf, "intervals": None}
+    found = identify(recording, GUESS, free, options=FitOptions(clock_std=0.0, **whole))
     assert found.success
     factor, std = float(found.values["length:factor"]), float(found.std["length:factor"])
     assert abs(factor - 1.04) < 4.0 * std < 0.004  # held centres of mass leave it 3 % away
-    clock = identify(recording, GUESS, free, clock_std=0.005, **whole).std["length:factor"]
+    clock = identify(recording, GUESS, free, options=FitOptions(clock_std=0.005, **whole)).std["length:factor"]
     assert 0.008 < float(clock) / factor <= 0.01  # twice clock_std: with times x a lengths x a^2 move nearly alike
     assert divided(found.rope, 2).n_links == 6
     np.testing.assert_allclose(found.rope.inertia, true.inertia, rtol=0.01)

@@ -7,7 +7,7 @@ import pytest
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import identify
+from hyperflex.identification import FitOptions, RecordingSetup, identify
 from hyperflex.identification.measurements import measure
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings
@@ -35,7 +35,11 @@ def test_fewer_markers_than_links_find_friction_within_its_interval() -> None:
     places = seen(run.joints, CABLE, arc_lengths) + noise + np.array([0.4, 1.2])
     recording = Recording(t, places.reshape(t.size, -1), kind="markers", noise=NOISE)
     found = identify(
-        recording, CABLE.replace(friction=1e-3), ["friction:shared"], arc_lengths=arc_lengths, train=np.inf
+        recording,
+        CABLE.replace(friction=1e-3),
+        ["friction:shared"],
+        setup=RecordingSetup(arc_lengths=arc_lengths),
+        options=FitOptions(train=np.inf),
     )
     assert found.success
     assert found.unit == "m"
@@ -73,7 +77,11 @@ def test_where_a_marker_sits_can_be_found() -> None:
     guess = arc_lengths + np.array([0.0, 0.0, 0.03, 0.0, 0.0])
     recording = Recording(t, places, kind="markers", noise=NOISE)
     found = identify(
-        recording, CABLE, ["friction:shared", "arc[2]"], arc_lengths=guess, origin=(0.0, 0.0), train=np.inf
+        recording,
+        CABLE,
+        ["friction:shared", "arc[2]"],
+        setup=RecordingSetup(arc_lengths=guess, origin=(0.0, 0.0)),
+        options=FitOptions(train=np.inf),
     )
     assert found.success
     assert found.values["arc"].shape == (5,)
@@ -93,12 +101,12 @@ def test_gaps_and_gross_outliers_move_nothing_by_three_deviations() -> None:
     spoilt[random.uniform(size=clean.shape) < 0.3] = np.nan
     guess = DOUBLE.replace(inertia=5e-4, friction=1e-3)
     free = ["inertia", "friction"]
-    one = identify(Recording(t, clean), guess, free, train=np.inf)
-    other = identify(Recording(t, spoilt), guess, free, train=np.inf, loss="cauchy")
+    one = identify(Recording(t, clean), guess, free, options=FitOptions(train=np.inf))
+    other = identify(Recording(t, spoilt), guess, free, options=FitOptions(train=np.inf, loss="cauchy"))
     assert other.success
     for name in free:  # three of the clean run's deviations: what the task asks
         assert (np.abs(other.values[name] - one.values[name]) < 3.0 * one.std[name]).all()
-    ruled = identify(Recording(t, spoilt), guess, free, train=np.inf)
+    ruled = identify(Recording(t, spoilt), guess, free, options=FitOptions(train=np.inf))
     off = np.concatenate([np.abs(ruled.values[name] - one.values[name]) / one.std[name] for name in free])
     assert off.max() > 10.0  # squares alone are ruled by the outliers
 
@@ -110,7 +118,12 @@ def test_a_camera_with_its_own_clock() -> None:
     late = 0.018  # s: the motion begins so much later than the camera's clock says
     run = simulate(cable, motion.shifted(late), arm=arm, duration=5.0, t_eval=t, tol=1e-9)
     recording = Recording(t, run.q + NOISE * np.random.default_rng(3).standard_normal(run.q.shape))
-    found = identify(recording, cable.replace(friction=6e-4), ["friction:shared", "delay"], motion=motion, arm=arm)
+    found = identify(
+        recording,
+        cable.replace(friction=6e-4),
+        ["friction:shared", "delay"],
+        setup=RecordingSetup(motion=motion, arm=arm),
+    )
     assert abs(found.values["delay"] - late) < 4.0 * found.std["delay"]
     assert found.std["delay"] < 1e-3
     assert abs(found.values["friction"][0] - 2e-4) < 4.0 * found.std["friction"][0]
@@ -121,7 +134,9 @@ def test_a_taper_is_found_as_two_numbers() -> None:
     t = np.arange(151) / 50.0
     run = simulate(true, duration=t[-1], t_eval=t, q0=np.full(12, 0.8), tol=1e-8)
     recording = Recording(t, run.q + NOISE * np.random.default_rng(4).standard_normal(run.q.shape))
-    found = identify(recording, CABLE.replace(friction=2e-4), ["friction:factor", "friction:taper"], train=np.inf)
+    found = identify(
+        recording, CABLE.replace(friction=2e-4), ["friction:factor", "friction:taper"], options=FitOptions(train=np.inf)
+    )
     assert abs(found.values["friction:factor"] - 1.5) < 4.0 * found.std["friction:factor"]
     assert abs(found.values["friction:taper"] - 1.2) < 4.0 * found.std["friction:taper"]
     np.testing.assert_allclose(found.rope.friction, true.friction, rtol=0.1)
@@ -151,7 +166,9 @@ def test_arcs_off_the_rope_are_refused(arc_lengths: list[float]) -> None:
     t = np.linspace(0.0, 2.0, 101)
     places = np.stack([np.cos(5.0 * t), np.sin(t), np.cos(6.0 * t), np.sin(2.0 * t)], axis=1)
     with pytest.raises(InvalidInput, match="arc_lengths"):
-        identify(Recording(t, places, kind="markers"), DOUBLE, ["friction"], arc_lengths=arc_lengths)
+        identify(
+            Recording(t, places, kind="markers"), DOUBLE, ["friction"], setup=RecordingSetup(arc_lengths=arc_lengths)
+        )
 
 
 @pytest.mark.parametrize("told", [True, False], ids=["arc_lengths", "at the joints"])
@@ -162,4 +179,6 @@ def test_a_marker_that_never_moves_is_named(told: bool) -> None:
     places[:, 2:4] = [0.1, -0.28]
     arc_lengths = [0.0, 0.3, 0.55] if told else None
     with pytest.raises(InvalidInput, match="marker 1 never moves"):
-        identify(Recording(t, places, kind="markers"), DOUBLE, ["friction"], arc_lengths=arc_lengths)
+        identify(
+            Recording(t, places, kind="markers"), DOUBLE, ["friction"], setup=RecordingSetup(arc_lengths=arc_lengths)
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from benchmarks.coverage import KINDS, chords
 from benchmarks.wrong_input import DOUBLE, FREE, longer, noisy, swing
 
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import Identification, identify
+from hyperflex.identification import FitOptions, Identification, RecordingSetup, identify
 from hyperflex.identification.diagnosis.model_error import DeclaredStds, with_model_error
 from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.uncertainty.ratios import ratios
@@ -29,17 +30,19 @@ def held(found: Identification, truth: dict[str, float]) -> list[str]:
 
 def test_lengths_that_are_one_per_cent_off_are_in_the_intervals() -> None:
     case = KINDS["length"][0](np.random.default_rng([1, 5, 1]))
-    whole = {"window": np.inf, "train": np.inf, "clock_std": 0.0}
-    found = identify(case.recording, case.guess, case.free, **whole)
+    whole: dict[str, Any] = {"window": np.inf, "train": np.inf, "clock_std": 0.0}
+    found = identify(case.recording, case.guess, case.free, options=FitOptions(**whole))
     assert held(found, case.truth) == list(case.truth)
-    exact = identify(case.recording, case.guess, case.free, length_std=0.0, **whole)
+    exact = identify(case.recording, case.guess, case.free, options=FitOptions(length_std=0.0, **whole))
     assert held(exact, case.truth) == []
     np.testing.assert_array_equal(exact.ratios["J/p1"], found.ratios["J/p1"])
     own = found.length_covariance
     np.testing.assert_allclose(found.covariance - np.outer(own[:-1], own[:-1]) / own[-1], exact.covariance, rtol=1e-6)
     assert not exact.length_covariance.any()
     for length_std in (0.0, 0.01):
-        one = identify(case.recording, case.guess, ["inertia", "friction"], length_std=length_std, **whole)
+        one = identify(
+            case.recording, case.guess, ["inertia", "friction"], options=FitOptions(length_std=length_std), **whole
+        )
         stds = [one.std[label.name][label.place or 0] for label in map(parse_label, one.parameters) if label]
         np.testing.assert_allclose(np.sqrt(np.diag(one.covariance)), stds, rtol=1e-12)
     posterior = RopePosterior.from_identification(found)
@@ -49,7 +52,7 @@ def test_lengths_that_are_one_per_cent_off_are_in_the_intervals() -> None:
         np.testing.assert_allclose(scatter, std, rtol=0.2, err_msg=name)  # 300 draws tell it to 4 %
     assert found.settings["length_std"] == 0.01
     with pytest.raises(InvalidInput, match="length_std has the wrong sign"):
-        identify(case.recording, case.guess, case.free, length_std=-0.01)
+        identify(case.recording, case.guess, case.free, options=FitOptions(length_std=-0.01))
 
 
 @pytest.mark.parametrize("factor", [0.99, 1.0, 1.01])
@@ -59,7 +62,9 @@ def test_a_drive_tells_lengths_and_deviations_hold_them(factor: float) -> None:
     t, q = swing(DOUBLE, None, motion=motion, arm=arm)
     guess = longer(DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4), factor)
     recording = Recording(t, noisy(q), noise=2e-3)  # type: ignore[arg-type]
-    found = identify(recording, guess, FREE, motion=motion, arm=arm, intervals=None)
+    found = identify(
+        recording, guess, FREE, setup=RecordingSetup(motion=motion, arm=arm), options=FitOptions(intervals=None)
+    )
     truth = ratios(DOUBLE)
     assert ("lengths seem" in str(found.grade)) == (factor != 1.0)
     assert np.all(np.abs(found.ratios["J/p1"] - truth["J/p1"]) < 1.96 * found.ratio_std["J/p1"])
@@ -73,7 +78,9 @@ def test_clock_and_lengths_that_are_off_together_are_in_the_deviations() -> None
     def found(factor: float, **stds: float) -> tuple[float, float]:
         recording = replace(case.recording, t=np.sqrt(factor) * case.recording.t)
         guess = case.guess.replace(length=factor * case.guess.length, com=factor * case.guess.com)
-        one = identify(recording, guess, case.free, train=np.inf, window=np.inf, intervals=None, **stds)
+        one = identify(
+            recording, guess, case.free, options=FitOptions(train=np.inf, window=np.inf, intervals=None, **stds)
+        )
         return float(one.ratios["J/p1"][0]), float(one.ratio_std["J/p1"][0])
 
     (right, _), (wrong, std), (same, noise) = found(1.0), found(1.01), found(1.01, length_std=0.0, clock_std=0.0)
@@ -88,7 +95,12 @@ def test_a_clock_is_in_the_deviation_of_a_single_pendulum() -> None:
     """Its inertia goes with the square of the times, its friction with them."""
     case = KINDS["single"][0](np.random.default_rng(4))
     own, more = (
-        identify(case.recording, case.guess, case.free, intervals=None, length_std=0.0, clock_std=std)
+        identify(
+            case.recording,
+            case.guess,
+            case.free,
+            options=FitOptions(intervals=None, length_std=0.0, clock_std=std),
+        )
         for std in (0.0, 0.01)
     )
     for name, power in (("J/p1", 2.0), ("c/p1", 1.0)):
@@ -98,7 +110,7 @@ def test_a_clock_is_in_the_deviation_of_a_single_pendulum() -> None:
 
 def test_ratios_of_what_was_held_have_no_error() -> None:
     case = KINDS["double"][0](np.random.default_rng(0))
-    found = identify(case.recording, case.guess, ["friction"], train=np.inf, intervals=None)
+    found = identify(case.recording, case.guess, ["friction"], options=FitOptions(train=np.inf, intervals=None))
     assert (found.ratio_std["J/p1"] == 0.0).all()
 
 
@@ -112,7 +124,7 @@ def fit_of_15_links(pieces: int) -> Identification:
     angles = chords(run.joints[:, ::pieces], np.random.default_rng(0), 3e-3)
     guess = chain.replace(friction=4e-4, stiffness=2.0 * chain.stiffness)
     free = ["friction:factor", "stiffness:factor"]
-    return identify(Recording(t, angles, noise=3e-3), guess, free, train=np.inf)
+    return identify(Recording(t, angles, noise=3e-3), guess, free, options=FitOptions(train=np.inf))
 
 
 def test_a_rope_of_more_links_is_told_and_its_stiffness_held() -> None:
@@ -140,7 +152,13 @@ def fit_of_four_links(n_links: int, drag: float, free: list[str] | None) -> Iden
     places = places + 1e-3 * np.random.default_rng(1).standard_normal(places.shape)
     guess = Rope.uniform(length=0.8, mass=0.1, n_links=4, friction=8e-4)
     recording = Recording(t, places, kind="markers")
-    return identify(recording, guess, free, arc_lengths=[0.2, 0.4, 0.6, 0.8], origin=[0.0, 0.0], intervals=None)
+    return identify(
+        recording,
+        guess,
+        free,
+        setup=RecordingSetup(arc_lengths=[0.2, 0.4, 0.6, 0.8], origin=[0.0, 0.0]),
+        options=FitOptions(intervals=None),
+    )
 
 
 @pytest.mark.parametrize("free", [None, ["inertia:shared", "friction:shared"]], ids=["default", "shared"])
@@ -189,7 +207,9 @@ def test_a_law_that_was_left_out_is_not_taken_for_links_that_are_too_long(left_o
     t = np.arange(120) / 30.0
     run = simulate(rope.replace(**left_out), duration=t[-1], t_eval=t, q0=np.linspace(0.7, 1.1, 8), tol=1e-8)
     angles = run.q + 3e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
-    found = identify(Recording(t, angles, noise=3e-3), rope, ["friction:shared"], train=np.inf, intervals=None)
+    found = identify(
+        Recording(t, angles, noise=3e-3), rope, ["friction:shared"], options=FitOptions(train=np.inf, intervals=None)
+    )
     (test,) = (each for each in found.score_tests if each.name == "links")
     assert test.excess_gain < 0.5
     assert "more links" not in str(found)

@@ -14,7 +14,7 @@ from scipy.stats import f, norm
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import Identification, identify, profile
+from hyperflex.identification import FitOptions, Identification, identify, profile
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, fit
 from hyperflex.identification.model.plant import PredictedChannels
@@ -45,7 +45,7 @@ def recording() -> Recording:
 
 
 def swung(recording: Recording, rope: Rope, free: list[str], **options: object) -> Identification:
-    return identify(recording, rope, free, window=np.inf, train=np.inf, **options)  # type: ignore[arg-type]
+    return identify(recording, rope, free, options=FitOptions(window=np.inf, train=np.inf, **options))  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")

@@ -40,9 +40,14 @@ def test_the_papers_recording_with_gaps_and_outliers(seed: int) -> None:
     rng = np.random.default_rng([seed, 45])
     clean = run.q + 0.01 * rng.standard_normal(run.q.shape)
     guess, free = PAPER.replace(inertia=5.09e-6, friction=1.26e-3), ["inertia:shared", "friction:shared"]
-    whole = hf.identify(hf.Recording(t, clean), guess, free, train=np.inf, intervals=None)
+    whole = hf.identify(hf.Recording(t, clean), guess, free, options=hf.FitOptions(train=np.inf, intervals=None))
     recording = hf.Recording(t, spoilt(rng, clean, 1.5))
-    found = hf.identify(recording, guess, free, train=np.inf, loss="cauchy", intervals=None)
+    found = hf.identify(
+        recording,
+        guess,
+        free,
+        options=hf.FitOptions(train=np.inf, loss="cauchy", intervals=None),
+    )
     assert found.success
     for name in ("inertia", "friction"):
         assert abs(found.values[name][0] - whole.values[name][0]) < 3.0 * whole.std[name][0]
@@ -57,7 +62,12 @@ def test_windows_whose_first_states_outliers_spoilt(seed: int) -> None:
         spoilt(np.random.default_rng(seed), run.q + np.random.default_rng(seed).normal(0.0, 2e-3, run.q.shape), 2.0),
     )
     guess = PAIR.replace(friction=1e-3)
-    found = hf.identify(recording, guess, motion=motion, arm=arm, loss="cauchy", train=np.inf, intervals=None)
+    found = hf.identify(
+        recording,
+        guess,
+        setup=hf.RecordingSetup(motion=motion, arm=arm),
+        options=hf.FitOptions(loss="cauchy", train=np.inf, intervals=None),
+    )
     basis = found._basis
     assert basis is not None
     for window, state in zip(basis.windows, basis.fit.states, strict=True):
@@ -79,7 +89,11 @@ def test_friction_does_not_fall_to_its_bound_and_stay_there() -> None:
     recording = hf.Recording(t, (places + noise).reshape(t.size, -1), kind="markers", noise=2e-3)
     guess, arc_lengths = rope.replace(friction=6e-4), [0.25, 0.5, 0.75, 1.0]
     found = hf.identify(
-        recording, guess, ["friction:shared"], arc_lengths=arc_lengths, origin=(0.0, 0.0), train=np.inf, intervals=None
+        recording,
+        guess,
+        ["friction:shared"],
+        setup=hf.RecordingSetup(arc_lengths=arc_lengths, origin=(0.0, 0.0)),
+        options=hf.FitOptions(train=np.inf, intervals=None),
     )
     assert abs(found.values["friction"][0] - 3e-4) < 3.0 * found.std["friction"][0]
 
@@ -95,7 +109,9 @@ def dry() -> hf.Recording:
 def test_a_state_that_is_caught_is_started_elsewhere() -> None:
     """Half a turn wrong and at rest: no small change of that state improves it; where the last window ends does."""
     guess = hf.Rope(length=[0.3], mass=[0.1], friction=[3e-4], dry_friction=[2.5e-3])
-    basis = hf.identify(dry(), guess, ["friction", "dry_friction"], train=np.inf, intervals=None)._basis
+    basis = hf.identify(
+        dry(), guess, ["friction", "dry_friction"], options=hf.FitOptions(train=np.inf, intervals=None)
+    )._basis
     assert basis is not None
     plant, windows, good = basis.plant, basis.windows, basis.fit
     assert poor_windows(windows, good, known_noise=False) == []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.identification import Identification, identify
+from hyperflex.identification import FitOptions, Identification, identify
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.scale import in_common_factor, scaling
@@ -27,7 +27,7 @@ def recording() -> Recording:
 
 def guessed(recording: Recording, factor: float) -> Identification:
     guess = TRUE.replace(mass=TRUE.mass * factor, inertia=1.3 * factor * TRUE.inertia, friction=1e-3 * factor)
-    return identify(recording, guess, FREE, train=np.inf)
+    return identify(recording, guess, FREE, options=FitOptions(train=np.inf))
 
 
 def test_what_is_at_0_beside_an_unknown_factor_has_no_interval_of_its_own(recording: Recording) -> None:

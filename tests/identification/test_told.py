@@ -68,7 +68,13 @@ def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back() -> None:
     recording = hf.Recording(T, run.q)
     with threadpool_limits(limits=2, user_api="blas"):
         before = threads()
-        hf.identify(recording, PAIR, ["friction"], intervals=None, progress=lambda _: inside.append(threads()))
+        hf.identify(
+            recording,
+            PAIR,
+            ["friction"],
+            options=hf.FitOptions(intervals=None),
+            progress=lambda _: inside.append(threads()),
+        )
         hf.iterative_revision(recording, PAIR, rounds=1, max_evaluations=3, progress=lambda _: inside.append(threads()))
         assert threads() == before
     assert len(inside) > 1
@@ -81,7 +87,10 @@ def test_a_delay_far_off_is_found(late: float) -> None:
     run = hf.simulate(PAIR, motion, arm=arm, duration=4.0, t_eval=T)
     data = run.q + 2e-3 * np.random.default_rng(1).standard_normal(run.q.shape)
     found = hf.identify(
-        hf.Recording(T + late, data), PAIR.replace(friction=1e-3), ["friction", "delay"], motion=motion, arm=arm
+        hf.Recording(T + late, data),
+        PAIR.replace(friction=1e-3),
+        ["friction", "delay"],
+        setup=hf.RecordingSetup(motion=motion, arm=arm),
     )
     assert found.success
     assert abs(found.values["delay"] - late) < 4.0 * found.std["delay"] < 4e-3
@@ -106,7 +115,7 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
     recording = hf.Recording(T, run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape))
     tests = [pipeline.score_tests, stopped]
     monkeypatch.setattr(pipeline, "score_tests", lambda *asked, **how: tests.pop(0)(*asked, **how))
-    found = left_by(lambda: hf.identify(recording, PAIR, intervals=None))
+    found = left_by(lambda: hf.identify(recording, PAIR, options=hf.FitOptions(intervals=None)))
     assert tests == []
     assert found.message == "interrupted"
     assert found.settings["free"] == ["inertia", "friction"]
@@ -136,7 +145,9 @@ def test_ratios_of_which_none_is_known_are_not_to_be_used() -> None:
     """Half a second of much noise: intervals hold the truth, and 0, and tell nothing."""
     q = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8]).q[:30]
     q = q + 0.05 * np.random.default_rng(0).standard_normal(q.shape)
-    found = hf.identify(hf.Recording(T[:30], q), PAIR, ["inertia", "com"], intervals=None, train=np.inf)
+    found = hf.identify(
+        hf.Recording(T[:30], q), PAIR, ["inertia", "com"], options=hf.FitOptions(intervals=None, train=np.inf)
+    )
     assert found.success
     assert (found.ratio_std["J/p1"] > 0.3 * found.ratios["J/p1"]).all()
     assert str(found.grade).startswith("Do not use: no ratio of moments and inertias is known better than to 15 % of")
@@ -228,8 +239,8 @@ def test_a_fit_that_leaves_far_more_than_the_declared_noise(noise: float | None,
     run = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8])
     data = run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
     free = ["inertia", "com", "friction"]
-    found = hf.identify(hf.Recording(T, data, noise=noise), PAIR, free, intervals=None)
+    found = hf.identify(hf.Recording(T, data, noise=noise), PAIR, free, options=hf.FitOptions(intervals=None))
     assert any("nothing that was tested explains it" in each for each in found.grade.reasons) is told
-    slow = hf.identify(hf.Recording(1.03 * T, data, noise=noise), PAIR, free, intervals=None)
+    slow = hf.identify(hf.Recording(1.03 * T, data, noise=noise), PAIR, free, options=hf.FitOptions(intervals=None))
     assert slow.grade.reasons[0].startswith("times or lengths are not as declared")
     assert not any("nothing that was tested explains it" in each for each in slow.grade.reasons)

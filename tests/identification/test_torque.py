@@ -23,6 +23,7 @@ from hyperflex import (
 )
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.identification import FitOptions, RecordingSetup
 from hyperflex.identification.model.plant import ARM_LENGTH, TORQUE, Plant, extended
 from hyperflex.identification.problem import build_plant
 from hyperflex.sensors import MotorTorque
@@ -206,10 +207,16 @@ BARE = Arm(length=0.1, mass=0.05, com=0.04, friction=1e-3)
 def fit(*, torque: bool) -> Identification:
     recording, values = measured()
     if not torque:
-        return identify(recording, GUESS, SCALED, motion=MOVE, arm=LIGHT)
+        return identify(recording, GUESS, SCALED, setup=RecordingSetup(motion=MOVE, arm=LIGHT))
     free = [*SCALED, "arm_inertia"]
     exact = {"length_std": 0.0, "clock_std": 0.0, "torque_std": 0.0}
-    return identify(recording, GUESS, free, motion=MOVE, arm=LIGHT, torque=values, torque_noise=TORQUE_NOISE, **exact)
+    return identify(
+        recording,
+        GUESS,
+        free,
+        setup=RecordingSetup(motion=MOVE, arm=LIGHT, torque=values, torque_noise=TORQUE_NOISE),
+        options=FitOptions(**exact),
+    )
 
 
 def test_without_the_torque_the_scale_is_unknown() -> None:
@@ -249,8 +256,8 @@ def test_what_is_left_of_the_torque_stands_beside_the_angles() -> None:
 def test_a_torque_of_the_wrong_sign_is_told() -> None:
     """Masses then go where the torque is least, and angles alone still fit."""
     recording, values = measured()
-    options: dict[str, Any] = {"motion": MOVE, "arm": LIGHT, "torque": -values, "torque_noise": TORQUE_NOISE}
-    found = identify(recording, GUESS, [*SCALED, "arm_inertia"], intervals=None, **options)
+    setup = RecordingSetup(motion=MOVE, arm=LIGHT, torque=-values, torque_noise=TORQUE_NOISE)
+    found = identify(recording, GUESS, [*SCALED, "arm_inertia"], setup=setup, options=FitOptions(intervals=None))
     told = [text for text in found.verdict if text.startswith("The torque does not fit")]
     assert len(told) == 1
     assert "sign" in told[0]
@@ -265,10 +272,16 @@ def test_an_arm_that_has_more_inertia_than_declared_is_told(inertia: float, said
     """Its torque goes into masses otherwise, by their own deviations and more."""
     motion, t = arm_swings(0.7, 0.4, "minimum-jerk"), np.arange(300) / 50.0
     run = simulate(DOUBLE, motion, arm=Arm(length=0.1, inertia=inertia), duration=t[-1], t_eval=t, tol=1e-9)
-    measured = {"torque": noisy(run.motor_torque, 1e-3, 1), "torque_noise": 1e-3, "motion": motion}
+    measured: dict[str, Any] = {"torque": noisy(run.motor_torque, 1e-3, 1), "torque_noise": 1e-3, "motion": motion}
     recording = Recording(t, noisy(run.q), noise=2e-3)  # type: ignore[arg-type]
     guess = DOUBLE.replace(inertia=5e-4, friction=3e-4)
-    found = identify(recording, guess, ["mass", "inertia", "friction"], arm=Arm(length=0.1), intervals=None, **measured)
+    found = identify(
+        recording,
+        guess,
+        ["mass", "inertia", "friction"],
+        setup=RecordingSetup(arm=Arm(length=0.1), **measured),
+        options=FitOptions(intervals=None),
+    )
     assert said in str(found.grade)
     assert (found.grade.name == "do not use") == (inertia == 1e-3)
     np.testing.assert_array_less(np.abs(found.rope.mass - DOUBLE.mass), 2.0 * found.std["mass"])
@@ -278,12 +291,16 @@ def driven(*, length: float = 1.0, arm: float = 1.0, clock: float = 1.0, scale: 
     """Fit a twin whose lengths, arm, clock or torque are declared as so many times what they are."""
     t = np.arange(300) / 50.0
     run = simulate(DOUBLE, MOVE, arm=Arm(length=0.1), duration=t[-1], t_eval=t, tol=1e-9)
-    measured = {"torque": scale * noisy(run.motor_torque, 1e-3, 1), "torque_noise": 1e-3}
+    measured: dict[str, Any] = {"torque": scale * noisy(run.motor_torque, 1e-3, 1), "torque_noise": 1e-3}
     recording = Recording(clock * t, noisy(run.q), noise=2e-3)  # type: ignore[arg-type]
     guess = longer(DOUBLE.replace(inertia=5e-4, friction=3e-4), length)
     motion = arm_swings(0.7 * clock, 0.4 * clock, "minimum-jerk")
     return identify(
-        recording, guess, SCALED, motion=motion, arm=Arm(length=0.1 * arm), intervals=None, **measured, **exact
+        recording,
+        guess,
+        SCALED,
+        setup=RecordingSetup(motion=motion, arm=Arm(length=0.1 * arm), **measured),
+        options=FitOptions(intervals=None, **exact),
     )
 
 
@@ -327,8 +344,8 @@ def test_gaps_in_the_torque_and_a_held_out_part() -> None:
     torque = torque.copy()
     torque[::3] = np.nan
     free = [*SCALED, "arm_inertia"]
-    options: dict[str, Any] = {"motion": MOVE, "arm": LIGHT, "torque": torque, "torque_noise": TORQUE_NOISE}
-    found = identify(recording, GUESS, free, train=3.4, **options)
+    setup = RecordingSetup(motion=MOVE, arm=LIGHT, torque=torque, torque_noise=TORQUE_NOISE)
+    found = identify(recording, GUESS, free, setup=setup, options=FitOptions(train=3.4))
     assert found.held_out is not None
     assert found.held_out.rms.shape == (2,)  # of the angles: nothing is predicted of the torque
     np.testing.assert_allclose(found.held_out.rms, NOISE, rtol=0.5)  # 50 samples, and the error of the state
@@ -340,8 +357,9 @@ def test_gaps_in_the_torque_and_a_held_out_part() -> None:
 def test_models_are_compared_with_the_torque() -> None:
     recording, torque = measured()
     models = {"arm with inertia": [*SCALED, "arm_inertia"], "without": SCALED}
-    options: dict[str, Any] = {"torque": torque, "torque_noise": TORQUE_NOISE}
-    found = compare_models(recording, GUESS, models, motion=MOVE, arm=BARE, **options)
+    found = compare_models(
+        recording, GUESS, models, setup=RecordingSetup(MOVE, BARE, torque=torque, torque_noise=TORQUE_NOISE)
+    )
     assert found.preferred == "arm with inertia"
 
 
@@ -357,11 +375,11 @@ def test_torque_that_cannot_be_used_is_refused() -> None:
         ({**arm, "torque": np.full(torque.size, np.nan), "torque_noise": 1e-3}, "no value at all"),
     ):
         with pytest.raises(InvalidInput, match=message):
-            identify(recording, GUESS, SCALED, **options)
+            identify(recording, GUESS, SCALED, setup=RecordingSetup(**options))
     with pytest.raises(InvalidInput, match="noise of the recording"):
-        identify(bare, GUESS, SCALED, torque=torque, torque_noise=1e-3, **arm)
+        identify(bare, GUESS, SCALED, setup=RecordingSetup(torque=torque, torque_noise=1e-3, **arm))
     with pytest.raises(InvalidInput, match="no torque is measured"):
-        identify(recording, GUESS, ["arm_inertia"], **arm)
+        identify(recording, GUESS, ["arm_inertia"], setup=RecordingSetup(**arm))
 
 
 def test_an_arm_that_is_held_tells_the_scale_as_well() -> None:
@@ -373,6 +391,11 @@ def test_an_arm_that_is_held_tells_the_scale_as_well() -> None:
     rng = np.random.default_rng(5)
     recording = Recording(t, swing.q + NOISE * rng.standard_normal(swing.q.shape), noise=NOISE)  # type: ignore[arg-type]
     torque = swing.motor_torque + TORQUE_NOISE * rng.standard_normal(t.size)
-    found = identify(recording, GUESS, SCALED, motion=motion, arm=ARM, torque=torque, torque_noise=TORQUE_NOISE)
+    found = identify(
+        recording,
+        GUESS,
+        SCALED,
+        setup=RecordingSetup(motion=motion, arm=ARM, torque=torque, torque_noise=TORQUE_NOISE),
+    )
     assert found.identifiable
     assert (np.abs(found.values["mass"] - rope.mass) < 4.0 * found.std["mass"]).all()

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom
 
 from hyperflex.checks import Array
-from hyperflex.identification import identify
+from hyperflex.identification import FitOptions, identify
 from hyperflex.identification.fit.loss import LossName
 from hyperflex.identification.uncertainty.noise import (
     Piece,
@@ -134,7 +134,9 @@ def test_gaps_cost_a_real_recording_as_much_as_they_hide(data_dir: Path) -> None
     fifth = np.where(np.random.default_rng(3).random(seen.data.shape) < 0.2, np.nan, seen.data)
     total, noise = [], []
     for data in (seen.data, one, fifth):
-        found = identify(Recording(seen.t, data), guess, ["inertia", "com", "friction"], intervals=None)
+        found = identify(
+            Recording(seen.t, data), guess, ["inertia", "com", "friction"], options=FitOptions(intervals=None)
+        )
         total.append(found.ratio_std["J/p1"])
         noise.append(np.sqrt(found.ratio_std["J/p1"] ** 2 - found.ratio_model_std["J/p1"] ** 2))
     for std in (total, noise):
@@ -277,7 +279,9 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     held = np.zeros(2, dtype=int)
     for k in range(count):
         recording = Recording(t, swing + 0.01 * np.random.default_rng(k).standard_normal(swing.shape))
-        found = identify(recording, rope, ["inertia", "friction"], window=np.inf, train=np.inf, **exact)
+        found = identify(
+            recording, rope, ["inertia", "friction"], options=FitOptions(window=np.inf, train=np.inf, **exact)
+        )
         held += [
             rope.inertia[0] in found.intervals["inertia[0]"],
             rope.friction[0] in found.intervals["friction[0]"],

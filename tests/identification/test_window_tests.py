@@ -15,7 +15,7 @@ GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
 
 
 def identified(t: Array, q: Array, guess: hf.Rope = GUESS, free: tuple[str, ...] | None = FREE) -> hf.Identification:
-    return hf.identify(hf.Recording(t, noisy(q)), guess, free, intervals=None)
+    return hf.identify(hf.Recording(t, noisy(q)), guess, free, options=hf.FitOptions(intervals=None))
 
 
 def in_turn(ropes: list[hf.Rope], q0: list[float], duration: float) -> tuple[Array, Array]:
@@ -75,7 +75,7 @@ def test_a_drift_that_hardly_moves_ratios_is_in_their_deviations() -> None:
 @pytest.mark.parametrize("seed", range(2))
 def test_a_clock_that_does_not_drift_is_not_told(seed: int) -> None:
     t, q = swing(DOUBLE, [0.9, 0.6], 12.0)
-    found = hf.identify(hf.Recording(t, noisy(q, 2e-3, seed)), GUESS, FREE, intervals=None)
+    found = hf.identify(hf.Recording(t, noisy(q, 2e-3, seed)), GUESS, FREE, options=hf.FitOptions(intervals=None))
     assert abs(drift(found)) < 2e-3
     said = " ".join(found.grade.reasons)
     assert not [words for words in ("drift", "disagree", "scatters") if words in said]

@@ -56,7 +56,13 @@ def markers() -> Case:
     data[20:23, 2:4] = np.nan
     recording = Recording(t, data, kind="markers", noise=1e-3)
     guess = rope.replace(friction=4e-4)
-    return recording, hf.identify(recording, guess, ["friction"], arc_lengths=[0.2, 0.4, 0.6], train=np.inf)
+    return recording, hf.identify(
+        recording,
+        guess,
+        ["friction"],
+        setup=hf.RecordingSetup(arc_lengths=[0.2, 0.4, 0.6]),
+        options=hf.FitOptions(train=np.inf),
+    )
 
 
 def page(tmp_path: Any, case: Case, guess: hf.Rope | None = None) -> str:

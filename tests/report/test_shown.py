@@ -25,7 +25,9 @@ def found():
     t = np.arange(200) * 0.02
     run = hf.simulate(ROPE, duration=t[-1], t_eval=t, q0=[0.6, 0.9])
     data = run.q + np.random.default_rng(1).normal(0.0, 2e-3, run.q.shape)
-    return hf.identify(hf.Recording(t, data, noise=2e-3, name="two <links>"), ROPE, ["friction"], train=np.inf)
+    return hf.identify(
+        hf.Recording(t, data, noise=2e-3, name="two <links>"), ROPE, ["friction"], options=hf.FitOptions(train=np.inf)
+    )
 
 
 def made(kind, found):

@@ -93,6 +93,7 @@ def identify(
     The exit code is 3 if the fit did not converge, 5 if it did and is not to be used: what was declared or held does
     not fit, say. The rope is written all the same, with the grade.
     """
+    from hyperflex.identification import FitOptions, RecordingSetup
     from hyperflex.identification import identify as run
     from hyperflex.model import Rope
     from hyperflex.recording import read_recording
@@ -101,6 +102,15 @@ def identify(
     driven = _drive(setup)
     places = output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6") if arc_lengths else None
     seen = output.numbers("--origin", [origin], "0.01,-0.02") if origin else None
+    arranged = RecordingSetup(**driven, arc_lengths=places, origin=seen)
+    how = FitOptions(
+        window=window,
+        train=train,
+        loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
+        length_std=length_std,
+        clock_std=clock_std,
+        intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
+    )
     known: dict[str, Any] = {"topic": topic, "plane": plane} | ({} if max_rate is None else {"max_rate": max_rate})
     measured = read_recording(
         recording,
@@ -125,17 +135,10 @@ def identify(
             measured,
             first,
             output.words(free) or None,
-            window=window,
-            train=train,
-            arc_lengths=places,
-            origin=seen,
-            length_std=length_std,
-            clock_std=clock_std,
-            loss=loss,  # type: ignore[arg-type]  # refused there, if unknown
-            intervals=None if intervals == "none" else intervals,  # type: ignore[arg-type]  # likewise
+            setup=arranged,
+            options=how,
             time_budget=time_budget,
             progress=True,
-            **driven,
         )
     )
     summary = result.ending() | {"output": out, **result.summary()}

@@ -7,7 +7,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.demo import twin
-from hyperflex.identification import Identification, identify
+from hyperflex.identification import FitOptions, Identification, identify
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import arm_swings
 from hyperflex.paper import DURATION, T_MOVE, T_REST, casting_arm
@@ -75,7 +75,9 @@ def run_demo(progress: Progress = silent, preview: Path | None = None) -> Demo:
     def report(entry: dict[str, float]) -> None:
         progress(f"identifying, windows of {entry['window']:.2g} s, round {entry['round'] + 1:.0f}")
 
-    found = identify(recording, guess, twin.FREE, train=twin.TRAIN, window=twin.WINDOW, progress=report)
+    found = identify(
+        recording, guess, twin.FREE, options=FitOptions(train=twin.TRAIN, window=twin.WINDOW), progress=report
+    )
     mapped, cut = twin.mapped_truth(), twin.coarse_rope()
     parameters = tuple(
         Parameter(

@@ -8,7 +8,7 @@ import numpy as np
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.estimate import RopeFilter, RopeTracker, VideoTrack, track_video
-from hyperflex.identification import Identification, identify
+from hyperflex.identification import FitOptions, Identification, identify
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
@@ -126,7 +126,7 @@ def exact() -> Recording:
 
 def fit(recording: Recording) -> Identification:
     """Identify friction and inertia of the 10-link chain from a recording, as the demo does it."""
-    return identify(recording, guess(), FREE, train=TRAIN, window=WINDOW)
+    return identify(recording, guess(), FREE, options=FitOptions(train=TRAIN, window=WINDOW))
 
 
 def write_bundled(video: Path = BUNDLED, mapped_path: Path = MAPPED) -> None:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from hyperflex.identification.experiment_design.experiments import Experiment
     from hyperflex.identification.model.names import perturbed
     from hyperflex.identification.model.parameters import lumped
+    from hyperflex.identification.options import FitOptions, RecordingSetup
     from hyperflex.identification.pipeline import identify
     from hyperflex.identification.prediction import BAND, HeldOut
     from hyperflex.identification.result import Identification

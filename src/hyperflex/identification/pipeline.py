@@ -20,26 +20,24 @@ from hyperflex.identification.diagnosis.tolerances import with_ratio_sensitivity
 from hyperflex.identification.diagnosis.window_tests import Scatter, drift_test, scatter_test, window_scores
 from hyperflex.identification.ending import INTERRUPTED, OUT_OF_TIME
 from hyperflex.identification.excitation import check_excitation
-from hyperflex.identification.fit.loss import LOSSES, Loss, LossName
+from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Report, one_thread
 from hyperflex.identification.fit.stages import Measurements, check_memory, fit_in_stages, search_delay, with_delay
 from hyperflex.identification.fit.windows import part_left, usual_length, with_enough_frames
 from hyperflex.identification.measurements import with_torque
+from hyperflex.identification.options import FitOptions, How, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
-from hyperflex.identification.problem import build_plant, checked_measurements, refuse_half_a_drive, split
+from hyperflex.identification.problem import build_plant, checked_measurements, split
 from hyperflex.identification.result import Identification
 from hyperflex.identification.rounds import rounds_shown
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information
-from hyperflex.identification.uncertainty.interval_method import HOWS, How, all_intervals
+from hyperflex.identification.uncertainty.interval_method import all_intervals
 from hyperflex.identification.verdict import POOR, other_lengths, swapped, uneven_scale
 from hyperflex.interruption import catch_interrupt, deferred, interruptible, time_limit
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.recording import Recording
 
-LENGTH_STD = 0.01  # relative: what rulers and pictures measure lengths to
-CLOCK_STD = 0.005  # relative, of times: parts of IBM 06 and 16 fit to a gravity of 1.00 +- 0.01, twice that
-TORQUE_STD = 0.02  # relative: a good calibration of a motor's torque constant, or of a torque sensor on its shaft
 TIME_BUDGET = 1800.0  # s of processor time, where no time budget is given
 
 
@@ -50,21 +48,8 @@ def identify(
     rope_guess: Rope,
     free: Sequence[str] | None = None,
     *,
-    window: float | None = None,
-    train: float | None = None,
-    motion: Motion | None = None,
-    arm: Arm | None = None,
-    arc_lengths: npt.ArrayLike | None = None,
-    origin: npt.ArrayLike | None = None,
-    torque: npt.ArrayLike | None = None,
-    torque_noise: npt.ArrayLike | None = None,
-    length_std: float = LENGTH_STD,
-    clock_std: float = CLOCK_STD,
-    torque_std: float = TORQUE_STD,
-    loss: LossName = "squares",
-    lead: float = 0.5,
-    ahead: float = 1.0,
-    intervals: How | None = "auto",
+    setup: RecordingSetup | None = None,
+    options: FitOptions | None = None,
     time_budget: float | None = None,
     progress: bool | Report = False,
 ) -> Identification:
@@ -90,40 +75,11 @@ def identify(
         ``friction:shared`` one value for all, ``friction:inner`` one for all but the first, ``friction:factor`` one
         factor on all guesses, ``friction:taper`` the logarithm by which it grows along the rope, 0 at its middle. With
         a free length, com and inertia of links that are uniform in the guess follow, unless they are free too.
-    window : float, s, optional
-        Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope; less
-        where links turn fast, more where frames are few.
-    train : float, s, optional
-        Fit the samples with t < train and predict the rest; ``inf`` fits all. By default the first 80 % is fitted if
-        the rest is long enough for a prediction, else all.
-    motion, arm : Motion, Arm, optional
-        Motion of the first joint, in the recording's time; by default it is fixed.
-    arc_lengths : (K,) array_like, m, optional
-        Distance along the rope of each marker from the first joint. A marker alone needs `origin` as well.
-    origin : (2,) array_like, m, optional
-        Origin of the motion (the first joint, if it is fixed) in the camera's frame. With `arc_lengths` alone it is
-        fitted as ``origin_x`` and ``origin_y``.
-    torque : (T,) array_like, N m, optional
-        Measured motor torque, NaN in gaps; it fixes the absolute scale. Needs `motion` and `arm`.
-    torque_noise : float or (T,) array_like, N m, optional
-        Its standard deviation; needed with `torque`, beside the noise of the recording.
-    length_std : float
-        Relative standard deviation of the lengths that were declared, of one factor of all, as a ruler or the scale of
-        a picture has, and of the arm's length. Standard deviations and intervals hold what it would change, as far as
-        the motion does not tell the lengths themselves; 0: lengths are exact.
-    clock_std : float
-        The same of the times, of one factor of all: a clock or frame rate. What lengths and times that are off
-        together would change, no motion tells, and standard deviations hold it; 0: times are exact.
-    torque_std : float
-        The same of `torque`, of one factor of all samples, as a torque constant has. No motion tells it, and masses,
-        inertias and frictions go with it; ratios do not. 0: torques are exact.
-    loss : {"squares", "huber", "cauchy"}
-        ``huber`` and ``cauchy`` are robust; ``cauchy`` also against gross outliers.
-    lead, ahead : float, s
-        Held-out part: states are fitted on `lead`, then predicted `ahead`.
-    intervals : {"auto", "covariance", "profile", None}
-        Method of the 95 % intervals: from standard deviations; by profile likelihood (some six short fits a
-        parameter); ``auto`` profiles where the covariance is skewed, as that of a parameter near 0; None: no intervals.
+    setup : RecordingSetup, optional
+        What moved the rope, where the markers are, and the measured torque; by default the first joint is fixed, and
+        angles or markers are those of the joints.
+    options : FitOptions, optional
+        Windows, loss, held-out part, method of the intervals, and how well lengths, times and torques were measured.
     time_budget : float, s, optional
         Of processor time, compiling left out; 1800 by default, inf: no end. The best so far is returned then, with
         ``message == "time budget exceeded"``.
@@ -160,20 +116,17 @@ def identify(
     True
     """
     began = time.monotonic()
-    checks.choice("loss", loss, LOSSES)
-    if intervals is not None:
-        checks.choice("intervals", intervals, HOWS, also="None (none on the command line)")
+    setup = checks.instance("setup", RecordingSetup() if setup is None else setup, RecordingSetup)
+    options = checks.instance("options", FitOptions() if options is None else options, FitOptions)
+    motion, arm, arc_lengths, origin, torque = setup.motion, setup.arm, setup.arc_lengths, setup.origin, setup.torque
+    train, lead, ahead, window = options.train, options.lead, options.ahead, options.window
     if time_budget is not None:
         checks.number("time_budget", time_budget, sign="positive", unit="s", infinite=True)
-    if window is not None:
-        checks.number("window", window, sign="positive", infinite=True)
-    stds = {"length_std": length_std, "clock_std": clock_std, "torque_std": torque_std}
-    declared = DeclaredStds(*(checks.number(name, each, sign="nonnegative") for name, each in stds.items()))
-    refuse_half_a_drive(motion, arm, torque)
+    declared = DeclaredStds(options.length_std, options.clock_std, options.torque_std)
     measured, places = checked_measurements(recording, rope_guess, arc_lengths, origin, motion, arm)
     fitted, rest = split(measured, train, lead, ahead)
     check_excitation(fitted.channels, fitted.shape, rope_guess, moved=motion is not None)
-    seen = fitted if torque is None else split(with_torque(measured, torque, torque_noise), train, lead, ahead)[0]
+    seen = fitted if torque is None else split(with_torque(measured, torque, setup.torque_noise), train, lead, ahead)[0]
     with rounds_shown(progress) as report:
         problem = _Problem(
             recording=recording,
@@ -189,13 +142,13 @@ def identify(
             torque=torque is not None,
             declared=declared,
             window=window,
-            loss=Loss(loss),
+            loss=Loss(options.loss),
             lead=lead,
             ahead=ahead,
             report=report,
             limit=time_limit(TIME_BUDGET if time_budget is None else time_budget),
         )
-        result = problem.solve(free, intervals, began)
+        result = problem.solve(free, options.intervals, began)
     if result.message == INTERRUPTED:
         raise Interrupted(result)
     return result

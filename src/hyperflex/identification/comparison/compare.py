@@ -1,10 +1,9 @@
 """Comparison of models: candidates fitted to one recording."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from hyperflex.identification.ending import CONVERGED, INTERRUPTED
 from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.identification.model.names import scales
 from hyperflex.identification.model.parameters import GRAVITY
+from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
 from hyperflex.interruption import catch_interrupt, interruptible
@@ -59,8 +59,9 @@ def compare_models(
     *,
     free: Sequence[str] = ("inertia", "friction"),
     links: Sequence[int] = (),
+    setup: RecordingSetup | None = None,
+    options: FitOptions | None = None,
     progress: bool = False,
-    **options: Any,
 ) -> ModelComparison:
     """Fit several models to one recording and say which of them the evidence prefers.
 
@@ -78,11 +79,10 @@ def compare_models(
         What is free in the viscous rope; used where `models` is not given.
     links : sequence of int
         Further numbers of equal links into which the guess is cut, with what is free in the first model. Needs markers.
+    setup, options : RecordingSetup, FitOptions, optional
+        As for :func:`hyperflex.identify`, the same for all candidates; no intervals are computed.
     progress : bool
         Show a bar over the candidates on standard error.
-    **options
-        Of :func:`hyperflex.identify`, the same for all candidates: window, train, motion, arm, arc_lengths, origin,
-        torque, torque_noise, loss, lead, ahead.
 
     Raises
     ------
@@ -109,21 +109,22 @@ def compare_models(
             allowed="a recording of markers",
             fix="Leave links out: the angles of a recording belong to one number of links",
         )
-    if links and options.get("arc_lengths") is None:
-        options["arc_lengths"] = np.append(0.0, np.cumsum(rope_guess.length))
+    setup, options = setup or RecordingSetup(), replace(options or FitOptions(), intervals=None)
+    if links and setup.arc_lengths is None:
+        setup = replace(setup, arc_lengths=np.append(0.0, np.cumsum(rope_guess.length)))
     todo = candidates(rope_guess, free, models, links)
     done: list[Identification | str] = []
     with catch_interrupt() as stop, progress_bar(0.0, float(len(todo)), progress, "comparing", "models") as report:
-        fit: Callable[..., Identification] = partial(identify, recording, intervals=None, progress=False, **options)
+        fit: Callable[..., Identification] = partial(identify, recording, setup=setup, options=options)
         for number, each in enumerate(todo):
             try:
                 found = fit(each.guess, each.free)
+                fit = partial(fit, options=replace(options, window=found.settings["window"]))  # the same for all
                 found = _refit_from_nested(fit, each, found, zip(todo, done, strict=False))
             except HyperflexError as failure:
                 done.append(str(failure))
             else:
                 done.append(found)
-                fit = partial(fit, window=found.settings["window"])  # the same for all
             if report is not None:
                 report(number + 1.0)
     if stop.received and all(isinstance(one, str) for one in done):
@@ -140,7 +141,7 @@ def _refit_from_nested(
             continue
         if before.residual_t.size == found.residual_t.size and WORSE * before.basis.fit.cost < found.basis.fit.cost:
             start = other.starting_guess(candidate, before.rope)
-            again = fit(start, candidate.free, window=found.settings["window"])
+            again = fit(start, candidate.free)
             if again.basis.fit.cost < found.basis.fit.cost:
                 found = again
     return found

@@ -1,20 +1,18 @@
 """Choice of each interval's method: covariance, or profile likelihood where skewed."""
 
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.fit.multiple_shooting import Report, with_entries
+from hyperflex.identification.options import How
 from hyperflex.identification.uncertainty.coordinate import ParameterCoordinate
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, End, Interval, from_covariance
 from hyperflex.identification.uncertainty.profile import BETTER, Profile, profiled
 from hyperflex.identification.uncertainty.threshold import near_bounds, quantile
 from hyperflex.interruption import catch_interrupt
 
-How = Literal["auto", "covariance", "profile"]
-HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
 TIED = 0.1  # correlation with a parameter beside its bound from which the bound is felt
 BENT = 0.1  # part by which the root of the rise may depart from a straight line before the covariance is left
 MOST = 4  # profiles that "auto" takes on, each as dear as two or three fits

@@ -1,0 +1,153 @@
+"""What a user may say of a recording and of its fit."""
+
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.errors import InvalidInput
+from hyperflex.identification.fit.loss import LOSSES, LossName
+from hyperflex.model import Arm
+from hyperflex.motion import Motion
+
+How = Literal["auto", "covariance", "profile"]
+HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
+
+
+def _about(text: str, *, unit: str = "", sign: str = "any", infinite: bool = False) -> dict[str, Any]:
+    """Return the metadata of an option, for checks and for the command line."""
+    return {"help": text, "unit": unit, "sign": sign, "infinite": infinite}
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingSetup:
+    """How a recording was made: what moved the rope, where the markers are, and which torque was measured.
+
+    Parameters
+    ----------
+    motion, arm : Motion, Arm, optional
+        Motion of the first joint, in the recording's time; by default it is fixed.
+    arc_lengths : (K,) array_like, m, optional
+        Distance along the rope of each marker from the first joint; by default markers are at the joints. A marker
+        alone needs `origin` as well.
+    origin : (2,) array_like, m, optional
+        Origin of the motion (the first joint, if it is fixed) in the camera's frame. With `arc_lengths` alone it is
+        fitted as ``origin_x`` and ``origin_y``.
+    torque : (T,) array_like, N m, optional
+        Measured motor torque, NaN in gaps; it fixes the absolute scale. Needs `motion` and `arm`.
+    torque_noise : float or (T,) array_like, N m, optional
+        Its standard deviation; required with `torque`, as is the noise of the recording.
+
+    Raises
+    ------
+    InvalidInput
+        For an arm without its motion, or a torque without its arm.
+    """
+
+    motion: Motion | None = None
+    arm: Arm | None = None
+    arc_lengths: npt.ArrayLike | None = None
+    origin: npt.ArrayLike | None = None
+    torque: npt.ArrayLike | None = None
+    torque_noise: npt.ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        if self.arm is not None and self.motion is None:
+            raise InvalidInput("arm is given without its motion", fix="Pass motion=... as well, or omit arm")
+        if self.torque is not None and self.arm is None:
+            raise InvalidInput("torque is given without the arm it turns", fix="Pass arm=... and motion=... as well")
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How :func:`hyperflex.identify` fits, and how well lengths, times and torques were measured.
+
+    Parameters
+    ----------
+    window : float, s, optional
+        Length of the windows. By default 1.2 periods of a small swing of a straight rod as long as the rope; less
+        where links turn fast, more where frames are few.
+    train : float, s, optional
+        Fit the samples with t < train and predict the rest; ``inf`` fits all. By default the first 80 % is fitted if
+        the rest is long enough for a prediction, else all.
+    loss : {"squares", "huber", "cauchy"}
+        ``huber`` and ``cauchy`` are robust; ``cauchy`` also against gross outliers.
+    lead, ahead : float, s
+        Held-out part: states are fitted on `lead`, then predicted `ahead`.
+    intervals : {"auto", "covariance", "profile", None}
+        Method of the 95 % intervals: from standard deviations; by profile likelihood (about six short fits for each
+        parameter); ``auto`` profiles where the covariance is skewed, as that of a parameter near 0; None: no intervals.
+    length_std : float
+        Relative standard deviation of the declared lengths: of one factor on all of them (a ruler, the scale of a
+        picture), and of the arm's length. Standard deviations and intervals include its effect as far as the motion
+        does not determine the lengths itself; 0: lengths are exact.
+    clock_std : float
+        The same for the times: of one factor on all of them (a clock, a frame rate). No motion shows lengths and times
+        that are wrong together, so standard deviations include that; 0: times are exact.
+    torque_std : float
+        The same for the torque: of one factor on all samples (a torque constant). No motion shows it; masses, inertias
+        and frictions are proportional to it, ratios are not. 0: torques are exact.
+    """
+
+    window: float | None = field(
+        default=None,
+        metadata=_about("Length of the windows that are fitted one by one", unit="s", sign="positive", infinite=True),
+    )
+    train: float | None = field(
+        default=None,
+        metadata=_about("Fit the samples before this time; predict the rest. inf fits all", unit="s", infinite=True),
+    )
+    loss: LossName = field(default="squares", metadata=_about("squares; huber or cauchy where there are outliers"))
+    lead: float = field(
+        default=0.5, metadata=_about("Time on which the state of a prediction is fitted", unit="s", sign="positive")
+    )
+    ahead: float = field(default=1.0, metadata=_about("Time that is predicted without data", unit="s", sign="positive"))
+    intervals: How | None = field(
+        default="auto", metadata=_about("Method of the 95 % intervals: auto, covariance, profile or none")
+    )
+    # What rulers and pictures measure lengths to
+    length_std: float = field(
+        default=0.01,
+        metadata=_about(
+            "Relative standard deviation of the lengths, which intervals include; 0: exact", sign="nonnegative"
+        ),
+    )
+    # Parts of IBM 06 and 16 fit to a gravity of 1.00 +- 0.01, twice this
+    clock_std: float = field(
+        default=0.005,
+        metadata=_about(
+            "Relative standard deviation of the times, which intervals include; 0: exact", sign="nonnegative"
+        ),
+    )
+    # A good calibration of a motor's torque constant, or of a torque sensor on its shaft
+    torque_std: float = field(
+        default=0.02,
+        metadata=_about(
+            "Relative standard deviation of the torque, which intervals include; 0: exact", sign="nonnegative"
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        checks.choice("loss", self.loss, LOSSES)
+        if self.intervals is not None:
+            checks.choice("intervals", self.intervals, HOWS, also="None (none on the command line)")
+        for each in fields(self):
+            value, rule = getattr(self, each.name), each.metadata
+            if isinstance(each.default, float) or (rule["unit"] and value is not None):
+                value = checks.number(each.name, value, sign=rule["sign"], unit=rule["unit"], infinite=rule["infinite"])
+                object.__setattr__(self, each.name, value)
+
+    @property
+    def scale_std(self) -> npt.NDArray[np.float64]:
+        """Standard deviations (4,) of the logarithms of factors on lengths, gravity, the arm's length and torque.
+
+        A clock that is wrong by a factor multiplies gravity by its inverse square.
+        """
+        return np.array([self.length_std, 2.0 * self.clock_std, self.length_std, self.torque_std])
+
+    @property
+    def gravity_std(self) -> float:
+        """Relative standard deviation of gravity, as lengths and times determine it."""
+        return float(np.hypot(self.length_std, 2.0 * self.clock_std))
