@@ -1,7 +1,7 @@
 """What a user may say of a recording and of its fit."""
 
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -11,14 +11,11 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import LOSSES, LossName
 from hyperflex.model import Arm
 from hyperflex.motion import Motion
+from hyperflex.options import check as check_options
+from hyperflex.options import option
 
 How = Literal["auto", "covariance", "profile"]
 HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
-
-
-def _about(text: str, *, unit: str = "", sign: str = "any", infinite: bool = False) -> dict[str, Any]:
-    """Return the metadata of an option, for checks and for the command line."""
-    return {"help": text, "unit": unit, "sign": sign, "infinite": infinite}
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,53 +88,34 @@ class FitOptions:
         and frictions are proportional to it, ratios are not. 0: torques are exact.
     """
 
-    window: float | None = field(
-        default=None,
-        metadata=_about("Length of the windows that are fitted one by one", unit="s", sign="positive", infinite=True),
+    window: float | None = option(
+        None, "Length of the windows that are fitted one by one", unit="s", sign="positive", infinite=True, shown="auto"
     )
-    train: float | None = field(
-        default=None,
-        metadata=_about("Fit the samples before this time; predict the rest. inf fits all", unit="s", infinite=True),
+    train: float | None = option(
+        None, "Fit the samples before this time; predict the rest. inf fits all", unit="s", infinite=True, shown="80 %"
     )
-    loss: LossName = field(default="squares", metadata=_about("squares; huber or cauchy where there are outliers"))
-    lead: float = field(
-        default=0.5, metadata=_about("Time on which the state of a prediction is fitted", unit="s", sign="positive")
-    )
-    ahead: float = field(default=1.0, metadata=_about("Time that is predicted without data", unit="s", sign="positive"))
-    intervals: How | None = field(
-        default="auto", metadata=_about("Method of the 95 % intervals: auto, covariance, profile or none")
-    )
+    loss: LossName = option("squares", "squares; huber or cauchy where there are outliers")
+    lead: float = option(0.5, "Time on which the state of a prediction is fitted", unit="s", sign="positive")
+    ahead: float = option(1.0, "Time that is predicted without data", unit="s", sign="positive")
+    intervals: How | None = option("auto", "Method of the 95 % intervals: auto, covariance, profile or none")
     # What rulers and pictures measure lengths to
-    length_std: float = field(
-        default=0.01,
-        metadata=_about(
-            "Relative standard deviation of the lengths, which intervals include; 0: exact", sign="nonnegative"
-        ),
+    length_std: float = option(
+        0.01, "Relative standard deviation of the lengths, which intervals include; 0: exact", sign="nonnegative"
     )
     # Parts of IBM 06 and 16 fit to a gravity of 1.00 +- 0.01, twice this
-    clock_std: float = field(
-        default=0.005,
-        metadata=_about(
-            "Relative standard deviation of the times, which intervals include; 0: exact", sign="nonnegative"
-        ),
+    clock_std: float = option(
+        0.005, "Relative standard deviation of the times, which intervals include; 0: exact", sign="nonnegative"
     )
     # A good calibration of a motor's torque constant, or of a torque sensor on its shaft
-    torque_std: float = field(
-        default=0.02,
-        metadata=_about(
-            "Relative standard deviation of the torque, which intervals include; 0: exact", sign="nonnegative"
-        ),
+    torque_std: float = option(
+        0.02, "Relative standard deviation of the torque, which intervals include; 0: exact", sign="nonnegative"
     )
 
     def __post_init__(self) -> None:
         checks.choice("loss", self.loss, LOSSES)
         if self.intervals is not None:
             checks.choice("intervals", self.intervals, HOWS, also="None (none on the command line)")
-        for each in fields(self):
-            value, rule = getattr(self, each.name), each.metadata
-            if isinstance(each.default, float) or (rule["unit"] and value is not None):
-                value = checks.number(each.name, value, sign=rule["sign"], unit=rule["unit"], infinite=rule["infinite"])
-                object.__setattr__(self, each.name, value)
+        check_options(self, "")
 
     @property
     def scale_std(self) -> npt.NDArray[np.float64]:
