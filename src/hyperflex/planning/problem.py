@@ -5,15 +5,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperflex import checks, options
+from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Obstacle, Peg, Rope, checked_obstacles, divided
-from hyperflex.options import option
 from hyperflex.planning.clearance import named, obstacle_gaps
+from hyperflex.planning.options import MotorLimits
 from hyperflex.planning.routing import checked_behind
 
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
@@ -23,70 +22,6 @@ MIN_TURNS = 1.25  # turns of a wound rope, from the arm's tip to the rope's end,
 SETTLING_TIME = 1.0  # s from the arm's stop to the watch, unless another is asked
 # Turns that may be asked: more than a rope that only lies over a peg makes. s until the watch, at most
 LEAST_TURNS, MOST_TURNS, MOST_SETTLE = 0.5, 20.0, 10.0
-
-
-@dataclass(frozen=True)
-class MotorLimits:
-    """Limits of the motor that a plan keeps to. The defaults allow the paper's half turn in 0.73 s (bang-bang).
-
-    Parameters
-    ----------
-    speed : float
-        Greatest speed of the arm, rad/s.
-    acceleration : float
-        Greatest acceleration of the arm, rad/s^2.
-    torque : float
-        Greatest torque at the shaft, N m; inf for no limit.
-    angles : (float, float)
-        Least and greatest arm angle, rad; 0 hangs down, pi/2 points along +x.
-
-    Raises
-    ------
-    InvalidInput
-        If a limit is not positive, or the angles are less than 0.1 rad apart.
-
-    Examples
-    --------
-    >>> times, ramps = MotorLimits(speed=5.0, acceleration=20.0).fastest_moves([1.0, 3.0])
-    >>> times.round(3).tolist(), ramps.round(3).tolist()
-    ([0.447, 0.85], [0.5, 0.294])
-    """
-
-    speed: float = option(2.0 * math.pi / 0.73, "greatest speed of the arm", unit="rad/s", sign="positive")
-    acceleration: float = option(
-        4.0 * math.pi / 0.73**2, "greatest acceleration of the arm", unit="rad/s^2", sign="positive"
-    )
-    torque: float = option(
-        math.inf, "greatest torque of the motor", unit="N m", sign="positive", infinite=True, shown="not limited"
-    )
-    angles: tuple[float, float] = (-math.pi, math.pi)
-
-    def __post_init__(self) -> None:
-        options.check(self, "motor")
-        least, greatest = checks.array("motor angles", self.angles, (2,), unit="rad").tolist()
-        checks.meant("motor angles", (least, greatest), "rad")
-        if greatest - least < 0.1:
-            raise InvalidInput(
-                "motor angles leave no room to move", got=[least, greatest], allowed="(least, greatest), 0.1 rad apart"
-            )
-        object.__setattr__(self, "angles", (least, greatest))
-
-    def start_angle(self, side: int) -> float:
-        """Return the arm angle at t = 0, rad: a quarter turn to `side` (-1: left), clipped to the motor's range."""
-        return float(np.clip(side * 0.5 * np.pi, *self.angles))
-
-    def fastest_moves(self, angles: npt.ArrayLike, speed: npt.ArrayLike = 1.0) -> tuple[Array, Array]:
-        """Return duration (k,), s, and ramp (k,) of the fastest moves, as :func:`hyperflex.arm_moves` takes them.
-
-        `angles` (k,) are those to turn through, rad, not 0. `speed`, a number or (k,), is the fraction of the motor's
-        speed that may be used, 0 to 1; of its acceleration it is the square of that. A ramp of 0.5 does not reach the
-        greatest speed.
-        """
-        way, part = np.abs(np.asarray(angles, dtype=np.float64)), np.asarray(speed, dtype=np.float64)
-        top, rise = part * self.speed, part**2 * self.acceleration
-        short = way * rise <= top**2
-        durations = np.where(short, 2.0 * np.sqrt(way / rise), way / top + top / rise)
-        return durations, np.where(short, 0.5, np.minimum(0.5, top / rise / durations))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,123 @@
+"""Casts with ropes drawn at random: how many targets called in reach are planned and held, and how long it takes.
+
+python -m benchmarks.random_ropes --seed 10                 20 ropes, 5 targets each
+python -m benchmarks.random_ropes --seed 10 --ropes 4       a sample
+
+Ropes are 0.5 to 4 m long, weigh 10 to 150 g/m, taper from 1:1 to 10:1 in mass, carry up to 40 % of their mass at the
+tip, bend with and without stiffness, have up to 5e-4 N m of dry friction at each joint, and hang from an arm of 5 to
+15 % of their length. Targets are uniform in area within reach, 20 to 50 mm in radius, and pass the feasibility check.
+Each plan gets 40 s of processor time. A cast is held if it succeeds in a run with 2.5 times the links, half the
+contact step and a fifth of the tolerance, which no planner saw.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import hyperflex as hf
+from hyperflex.budget import Budget
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, recut
+from hyperflex.planning import MotorLimits, Problem, check_feasibility, plan_cast, verify_cast
+
+SECONDS = 40.0  # s of processor time for a plan
+FINER = 2.5  # times the links in the independent run
+
+
+def rope_and_arm(seed: int, number: int) -> tuple[hf.Rope, hf.Arm]:
+    """Draw rope `number` of a seed, and its arm."""
+    rng = np.random.default_rng([seed, number])
+
+    def log_uniform(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(math.log(low), math.log(high))))
+
+    length, density, taper = rng.uniform(0.5, 4.0), log_uniform(0.01, 0.15), log_uniform(1.0, 10.0)
+    n, tip = int(rng.integers(25, 61)), rng.uniform(0.0, 0.4)
+    bending, damping = log_uniform(1e-6, 3e-4) * rng.integers(2), log_uniform(3e-6, 3e-5)  # N m^2, N m^2 s
+    dry, arm = rng.uniform(0.0, 5e-4), rng.uniform(0.05, 0.15)
+    link, mass = length / n, length * density
+    share = np.linspace(1.0, 1.0 / taper, n)
+    share *= n / share.sum()
+    rope = hf.Rope.uniform(length, mass, n, math.sqrt(density / (1000.0 * math.pi)), tip_mass=tip * mass)
+    hinge = np.arange(n) == 0
+    rope = rope.replace(
+        mass=share * rope.mass,
+        inertia=share * rope.inertia,
+        friction=np.full(n, damping / link),
+        stiffness=np.where(hinge, 0.0, bending / link),
+        dry_friction=np.full(n, dry),
+    )
+    return rope, hf.Arm(length=arm * length)
+
+
+def targets(seed: int, number: int, rope: hf.Rope, arm: hf.Arm, count: int) -> Iterator[hf.Peg]:
+    """Draw targets in reach of a rope."""
+    rng, problem = np.random.default_rng([seed, number, 1]), Problem(rope, arm, MotorLimits())
+    reach, found = rope.total_length + arm.length, 0
+    for _ in range(10_000):
+        far, angle = reach * math.sqrt(rng.uniform()), rng.uniform(-math.pi, math.pi)
+        peg = hf.Peg(far * math.sin(angle), -far * math.cos(angle), float(rng.uniform(0.02, 0.05)), 0.3)
+        if check_feasibility(problem, peg).feasible:
+            yield peg
+            found += 1
+        if found == count:
+            return
+
+
+def held(problem: Problem, peg: hf.Peg, plan: hf.CastPlan) -> bool:
+    """Whether a plan succeeds in the independent run."""
+    finer = Problem(recut(problem.rope, round(FINER * problem.rope.n_links)), problem.arm, problem.limits)
+    motion = plan.required(plan.motion, "motion")
+    outcome = verify_cast(finer, peg, motion, tol=0.2 * DEFAULT_TOL, contact_step=0.5 * DEFAULT_CONTACT_STEP)
+    return outcome.success
+
+
+def row(seed: int, number: int, k: int, rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, seconds: float) -> dict[str, Any]:
+    """Plan a cast and check it."""
+    begin = time.process_time()
+    plan = plan_cast(rope, arm, peg, time_budget=Budget(seconds, threads=1, clock=time.process_time))
+    spent = time.process_time() - begin
+    about = {"seed": seed, "rope": number, "target": k, "x": peg.x, "y": peg.y, "radius": peg.radius}
+    good = plan.success and held(Problem(rope, arm, MotorLimits()), peg, plan)
+    return about | {"planned": plan.success, "held": good, "seconds": spent, "runs": plan.runs, "reason": plan.message}
+
+
+def summary(rows: list[dict[str, Any]]) -> str:
+    """Describe the results in one line."""
+    seconds = np.array([each["seconds"] if each["held"] else math.inf for each in rows])
+    planned, good = (sum(each[name] for each in rows) for name in ("planned", "held"))
+    return f"{len(rows)} targets: {planned} planned, {good} held, median {np.median(seconds):.1f} s of processor time"
+
+
+def main() -> None:
+    """Plan, check and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--ropes", type=int, default=20)
+    parser.add_argument("--targets", type=int, default=5, help="targets of each rope")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="of processor time for each plan")
+    parser.add_argument("--out", type=Path, help="JSON lines")
+    options = parser.parse_args()
+    rows = []
+    for number in range(options.ropes):
+        rope, arm = rope_and_arm(options.seed, number)
+        for k, peg in enumerate(targets(options.seed, number, rope, arm, options.targets)):
+            rows.append(row(options.seed, number, k, rope, arm, peg, options.seconds))
+            line = json.dumps(rows[-1])
+            print(line, flush=True)
+            if options.out is not None:
+                with options.out.open("a") as file:
+                    file.write(line + "\n")
+    sys.stdout.write(summary(rows) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,113 @@
+"""Moves of the arm: strokes to and fro, each after a rest, and a last move that may be slower."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.motion import BANG_BANG, Motion, arm_moves, motion_derivatives
+from hyperflex.planning.options import MotorLimits
+
+MIN_MOVE = 0.05  # rad: shorter moves are made so long, so that each has a direction
+MIN_REST = 1e-3  # s; there is always a rest, so that it can vary
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """Moves of the arm, each after a rest, from an arm that points to one side.
+
+    Attributes
+    ----------
+    side : {-1, 1}
+        Whether the arm starts on the left or on the right.
+    ends : (k,) float64
+        Arm angle after each move, rad; clipped to the motor's range.
+    rests : (k,) float64
+        Rest before each move, s; at least MIN_REST.
+    speed : float
+        Fraction of the motor's speed that the last move uses; all others use all of it.
+    """
+
+    side: int
+    ends: Array
+    rests: Array
+    speed: float = 1.0
+
+    @property
+    def parameters(self) -> Array:
+        """Parameters (2 k,): the ends, rad, then the rests, s."""
+        return np.concatenate([self.ends, self.rests])
+
+    def angles(self, limits: MotorLimits) -> Array:
+        """Return the arm angles at the start and after each move (k + 1,), rad."""
+        least, greatest = limits.angles
+        angles = [limits.start_angle(self.side)]
+        for end in np.clip(self.ends, least, greatest):
+            way = end - angles[-1]
+            if abs(way) < MIN_MOVE:
+                up = way >= 0.0 if least < angles[-1] + np.copysign(MIN_MOVE, way) < greatest else way < 0.0
+                end = angles[-1] + (MIN_MOVE if up else -MIN_MOVE)
+            angles.append(float(end))
+        return np.array(angles)
+
+    def timing(self, limits: MotorLimits) -> tuple[Array, Array, Array]:
+        """Return the rest before each move, s, its duration, s, and the fraction of that which speeds up, (k,) each."""
+        ways = np.diff(self.angles(limits))
+        speed = np.append(np.ones(ways.size - 1), self.speed)
+        return np.maximum(self.rests, MIN_REST), *limits.fastest_moves(ways, speed)
+
+    def motion(self, limits: MotorLimits) -> Motion:
+        """Return the motion of the arm; it stays where the last move ends."""
+        return arm_moves(self.angles(limits), *self.timing(limits))
+
+    def starts(self, limits: MotorLimits) -> Array:
+        """Return the start of each move (k,), s."""
+        rests, durations, _ = self.timing(limits)
+        return np.asarray(np.cumsum(rests) + np.cumsum(durations) - durations)
+
+    def stops(self, limits: MotorLimits) -> float:
+        """Return the time at which the arm stops, s."""
+        rests, durations, _ = self.timing(limits)
+        return float(rests.sum() + durations.sum())
+
+    def cut(self, t: float, limits: MotorLimits) -> "Moves":
+        """Return the moves that start before time t, s, at least one."""
+        count = max(1, int((self.starts(limits) < t).sum()))
+        return self if count == self.ends.size else Moves(self.side, self.ends[:count], self.rests[:count])
+
+    def then(self, end: float, rest: float, speed: float = 1.0) -> "Moves":
+        """Return the same moves, at full speed, and one more to arm angle `end`, rad, after a rest, s."""
+        return Moves(self.side, np.append(self.ends, end), np.append(self.rests, rest), speed)
+
+    def varied(self, change: Array) -> "Moves":
+        """Return moves whose `parameters` differ by `change` (2 k,)."""
+        ends, rests = np.split(self.parameters + change, 2)
+        return replace(self, ends=ends, rests=rests)
+
+    def variations(self, limits: MotorLimits) -> list[dict[str, Array]]:
+        """Return the derivatives of the motion's breaks and coefficients by each of `parameters`: a list of 2 k.
+
+        All moves must use all of the motor's speed. Those by an end outside the motor's range, or by a rest of
+        MIN_REST, are 0.
+        """
+        motion, angles = self.motion(limits), self.angles(limits)
+        ways, (_, durations, ramps) = np.diff(angles), self.timing(limits)
+        full = ramps <= BANG_BANG
+        by_way = np.where(full, 1.0 / limits.speed, 0.5 * durations / np.abs(ways)) * np.sign(ways)
+        shorter = np.where(full, -ramps / durations * by_way, 0.0)
+
+        def by(name: str, k: int) -> Array:
+            """Derivatives of breaks and coefficients in one array, by number k of a list of the motion."""
+            return np.concatenate([part.ravel() for part in motion_derivatives(motion, f"{name}[{k}]")])
+
+        # by each move's size alone: its duration, and the fraction of that which speeds up
+        timing = [by_way[k] * by("durations", k) for k in range(ways.size)]
+        timing = [part + shorter[k] * by("ramps", k) if full[k] else part for k, part in enumerate(timing)]
+        free = np.append(np.abs(self.ends - angles[1:]) < 1e-12, self.rests > MIN_REST)
+        found = [by("angles", k + 1) + timing[k] for k in range(ways.size)]
+        found = [part - after for part, after in zip(found, [*timing[1:], 0.0], strict=True)]
+        found += [by("rests", k) for k in range(ways.size)]
+        return [
+            {"breaks": part[: motion.breaks.size], "coef": part[motion.breaks.size :].reshape(motion.coef.shape)}
+            for part in (float(each) * part for each, part in zip(free, found, strict=True))
+        ]

@@ -1,0 +1,238 @@
+"""What a user may vary in a plan besides rope, arm and target: limits, criteria, conditions, search.
+
+Each field has its unit, range and reason in its metadata: ``help`` and ``unit`` also make the command line's options.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.interfaces import RopeState
+from hyperflex.model import Obstacle, Peg, checked_obstacles
+
+
+def option(default: Any, text: str, unit: str = "") -> Any:
+    """Return a field with a default, a help text and a unit, from which options of the command line are made."""
+    return field(default=default, metadata={"help": text, "unit": unit})
+
+
+def checked_behind(pegs: object) -> tuple[Peg, ...]:
+    """Return the pegs of a sequence as a tuple; InvalidInput if they are something else, or rotate."""
+    given = checked_obstacles(pegs, "behind")
+    for each in given:
+        if not isinstance(each, Peg) or each.turns:
+            allowed = "fixed pegs: hyperflex.Peg(x, y, radius, mu)"
+            raise InvalidInput("a rope is led behind fixed pegs alone", got=each, allowed=allowed)
+    return tuple(each for each in given if isinstance(each, Peg))
+
+
+@dataclass(frozen=True)
+class MotorLimits:
+    """Limits of the motor that a plan keeps to. The defaults allow the paper's half turn in 0.73 s (bang-bang).
+
+    Parameters
+    ----------
+    speed : float
+        Greatest speed of the arm, rad/s.
+    acceleration : float
+        Greatest acceleration of the arm, rad/s^2.
+    torque : float
+        Greatest torque at the shaft, N m; inf for no limit.
+    angles : (float, float)
+        Least and greatest arm angle, rad; 0 hangs down, pi/2 points along +x.
+
+    Raises
+    ------
+    InvalidInput
+        If a limit is not positive, or the angles are less than 0.1 rad apart.
+
+    Examples
+    --------
+    >>> times, ramps = MotorLimits(speed=5.0, acceleration=20.0).fastest_moves([1.0, 3.0])
+    >>> times.round(3).tolist(), ramps.round(3).tolist()
+    ([0.447, 0.85], [0.5, 0.294])
+    """
+
+    speed: float = option(2.0 * math.pi / 0.73, "Greatest speed of the arm.", "rad/s")
+    acceleration: float = option(4.0 * math.pi / 0.73**2, "Greatest acceleration of the arm.", "rad/s^2")
+    torque: float = option(math.inf, "Greatest torque at the shaft.", "N m")
+    angles: tuple[float, float] = option((-math.pi, math.pi), "Least and greatest arm angle; 0 hangs down.", "rad")
+
+    def __post_init__(self) -> None:
+        for each in fields(self)[:3]:
+            infinite, unit = each.name == "torque", each.metadata["unit"]
+            value = getattr(self, each.name)
+            value = checks.number(f"motor {each.name}", value, sign="positive", unit=unit, infinite=infinite)
+            object.__setattr__(self, each.name, value)
+        least, greatest = checks.array("motor angles", self.angles, (2,), unit="rad").tolist()
+        checks.meant("motor angles", (least, greatest), "rad")
+        if greatest - least < 0.1:
+            allowed = "(least, greatest), 0.1 rad apart"
+            raise InvalidInput("motor angles leave no room to move", got=[least, greatest], allowed=allowed)
+        object.__setattr__(self, "angles", (least, greatest))
+
+    def start_angle(self, side: int) -> float:
+        """Return the arm angle at t = 0, rad: a quarter turn to `side` (-1: left), clipped to the motor's range."""
+        return float(np.clip(side * 0.5 * np.pi, *self.angles))
+
+    def fastest_moves(self, angles: npt.ArrayLike, speed: npt.ArrayLike = 1.0) -> tuple[Array, Array]:
+        """Return duration (k,), s, and ramp (k,) of the fastest moves, as :func:`hyperflex.arm_moves` takes them.
+
+        `angles` (k,) are the angles to move through, rad, not 0. `speed`, a number or (k,), is the fraction of the
+        motor's speed that may be used, 0 to 1; of its acceleration it is the square of that. A ramp of 0.5 does not
+        reach the greatest speed.
+        """
+        way, part = np.abs(np.asarray(angles, dtype=np.float64)), np.asarray(speed, dtype=np.float64)
+        top, rise = part * self.speed, part**2 * self.acceleration
+        short = way * rise <= top**2
+        durations = np.where(short, 2.0 * np.sqrt(way / rise), way / top + top / rise)
+        return durations, np.where(short, 0.5, np.minimum(0.5, top / rise / durations))
+
+
+@dataclass(frozen=True)
+class WindCriteria:
+    """When a rope counts as wound round a target.
+
+    Parameters
+    ----------
+    turns : float
+        Least turns about the target, from the arm's tip to the rope's end; more than 0.5, which a rope makes that only
+        lies over a peg, and at most 20.
+    contact : float
+        Least angle of the target that the rope covers, rad.
+    settle : float
+        Time from the arm's stop, s, up to 10, after which the rope is watched for `watch`.
+    watch : float
+        Time for which the rope must stay wound and hold, s.
+    max_slip : float
+        Greatest slip on the target in that time, m.
+    holding_force : float
+        Pull that the wound rope must withstand, N, by a simulated tug.
+    behind : sequence of Peg
+        Fixed pegs that the rope must run behind on its way from the arm to the target: in the end it touches each of
+        them between the arm and its first touch of the target. Neither with an uncertainty nor with a holding force.
+
+    Raises
+    ------
+    InvalidInput
+        If a number is out of range, or `behind` holds something else than fixed pegs.
+    """
+
+    turns: float = option(1.25, "Least turns about the target, from the arm's tip to the rope's end.")
+    contact: float = option(0.0, "Least angle of the target that the rope must cover.", "rad")
+    settle: float = option(1.0, "Time from the arm's stop after which the rope is watched.", "s")
+    watch: float = option(2.0, "Time for which the rope must stay wound and hold.", "s")
+    max_slip: float = option(5e-3, "Greatest slip on the target in that time.", "m")
+    holding_force: float = option(0.0, "Pull that the wound rope must withstand.", "N")
+    behind: tuple[Peg, ...] = ()
+
+    def __post_init__(self) -> None:
+        for each in fields(self)[:-1]:
+            sign = "positive" if each.name in ("watch", "max_slip") else "nonnegative"
+            value = checks.number(each.name, getattr(self, each.name), sign=sign, unit=each.metadata["unit"])
+            object.__setattr__(self, each.name, value)
+        if not 0.5 < self.turns <= 20.0:
+            allowed = "more than 0.5 turns, up to 20"
+            raise InvalidInput("turns are not those of a wound rope", got=self.turns, allowed=allowed)
+        if self.settle > 10.0:
+            raise InvalidInput("settle is longer than a rope takes to come to rest", got=self.settle, allowed="<= 10 s")
+        object.__setattr__(self, "behind", checked_behind(self.behind))
+        if self.holding_force > 0.0:
+            refuse_behind(self.behind, "a holding force")
+
+
+def refuse_behind(pegs: Sequence[Peg], what: str) -> None:
+    """Raise InvalidInput if there are pegs that the rope must run behind, because `what` does not support them."""
+    if pegs:
+        words = f"{what} takes no pegs that the rope is to run behind"
+        raise InvalidInput(words, got=f"{len(pegs)} pegs", fix="Leave out behind")
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """Under what conditions a plan is made.
+
+    Parameters
+    ----------
+    time_limit : float, optional
+        Time within which the goal must be reached, s: the strike, the tip's pass or its entry. By default a number of
+        periods of the rope's swing: five of a cast and more if the target is high, three of a whip, two of an
+        insertion.
+    clearance : float
+        Least distance of the rope from its own arm, the motor's shaft and obstacles in verified runs, m, >= 0; -inf
+        allows the rope to pass in front of arm and shaft.
+    obstacles : sequence of Peg, Wall, Ground
+        That the rope must not touch: a wall, the floor, a person.
+    side : {-1, 0, 1}
+        Side on which the arm stands at first, left or right; 0 lets the planner choose.
+    state0 : RopeState, optional
+        State of a rope that swings while the arm stands still, as a tracker measures it: angles, rad, and rates, rad/s,
+        at a time `t` <= 0, s, before the motion begins at 0. It needs a `side`, and casts alone support it. By default
+        the rope hangs at rest.
+    """
+
+    time_limit: float | None = option(None, "Time within which the goal must be reached.", "s")
+    clearance: float = option(0.0, "Least distance of the rope from its arm, the shaft and obstacles.", "m")
+    obstacles: tuple[Obstacle, ...] = ()
+    side: int = option(0, "Side on which the arm stands at first: -1 left, 1 right, 0 either.")
+    state0: RopeState | None = None
+
+    def __post_init__(self) -> None:
+        if self.time_limit is not None:
+            time = checks.number("time_limit", self.time_limit, sign="positive", unit="s")
+            object.__setattr__(self, "time_limit", time)
+        if self.clearance != -math.inf:
+            clearance = checks.number("clearance", self.clearance, sign="nonnegative", unit="m")
+            object.__setattr__(self, "clearance", clearance)
+        object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles, "obstacles"))
+        if self.side not in (-1, 0, 1) or (self.state0 is not None and not self.side):
+            allowed, fix = "-1 (left), 1 (right), or 0 for a rope that hangs", "Give the side on which the arm stands"
+            raise InvalidInput("side of the arm at the start", got=self.side, allowed=allowed, fix=fix)
+        if self.state0 is not None:
+            if not isinstance(self.state0, RopeState):
+                raise InvalidInput("state0 is no rope state", got=self.state0, allowed="hyperflex.RopeState(t, q, qd)")
+            t = checks.number("state0.t", self.state0.t, unit="s")
+            if t > 0.0:
+                allowed, fix = "t <= 0 s", "Count t from the motion's begin"
+                raise InvalidInput("state0 is after the motion's begin", got=t, allowed=allowed, fix=fix)
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """How a plan is searched for.
+
+    Parameters
+    ----------
+    seed : int
+        Of the random numbers. What is searched in a time depends on the machine, so the same seed may give another
+        plan: keep the plan, not the seed.
+    threads : int, optional
+        Threads that the search may use, by default one a processor.
+    skip_feasibility : bool
+        Search even for a target that the feasibility check calls out of reach, unless geometry rules it out.
+    fallback : bool
+        For a cast that fails: plan for the nearest targets until a plan succeeds, three times at most, each with the
+        same time budget. Without it the fallback is only expected to be feasible.
+    progress : bool
+        Show a progress bar.
+    """
+
+    seed: int = option(0, "Of the search's random numbers.")
+    threads: int | None = option(None, "Threads that the search may use. [default: one a processor]")
+    skip_feasibility: bool = option(False, "Search even if the feasibility check calls the target out of reach.")
+    fallback: bool = option(False, "If the plan fails, plan for the nearest targets until one succeeds.")
+    progress: bool = option(False, "Show a progress bar.")
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seed", checks.count("seed", self.seed, least=0))
+        if self.threads is not None:
+            object.__setattr__(self, "threads", checks.count("threads", self.threads, most=checks.MOST_THREADS))
+        for name in ("skip_feasibility", "fallback", "progress"):
+            object.__setattr__(self, name, checks.flag(name, getattr(self, name)))

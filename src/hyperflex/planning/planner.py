@@ -1,0 +1,97 @@
+"""The planner's loop: sample, roll out, verify, until moves succeed with a margin or the time is over.
+
+Each level gets an equal share of the time: the next step is made at the level that has worked least so far among those
+with work to do, the dearest first. So many candidates are sampled, fewer rolled out, and few verified, whatever each
+costs for a given rope.
+"""
+
+from collections.abc import Callable
+
+from hyperflex.budget import Budget, OutOfTime
+from hyperflex.planning.tasks.task import Candidate, Task, Verified
+
+SAMPLE, ROLLOUT, VERIFY = range(3)
+
+
+class Planner:
+    """A search for moves that do a task.
+
+    Parameters
+    ----------
+    task : Task
+    budget : Budget
+    improve : float
+        A plan that succeeds without a margin is improved for this fraction of the time that it took to find.
+    on_improvement : callable, optional
+        Called without arguments when a plan succeeds, and at each better one; ends the search by returning True.
+
+    Attributes
+    ----------
+    best : Verified or None
+        The best verified moves so far.
+    rolled : list of Candidate
+        Candidates after their rollouts, the best first.
+    """
+
+    def __init__(
+        self, task: Task, budget: Budget, improve: float, on_improvement: Callable[[], bool | None] | None = None
+    ) -> None:
+        self.task, self.budget, self.improve, self.on_improvement = task, budget, improve, on_improvement
+        self.best: Verified | None = None
+        self.sampled: list[Candidate] = []
+        self.rolled: list[Candidate] = []
+        self._tried: list[Candidate] = []
+        self._spent = [0.0, 0.0, 0.0]
+        self._exhausted = self._ended = False
+        self._until = float("inf")
+
+    @property
+    def succeeds(self) -> bool:
+        """Whether verified moves succeed."""
+        return self.best is not None and not self.best.message
+
+    def run(self) -> None:
+        """Search until moves succeed with a margin, no time is left, or there is nothing more to try."""
+        while not self._done() and (levels := self._with_work()):
+            level, before = min(levels, key=lambda one: (self._spent[one], -one)), self.budget.elapsed
+            try:
+                (self._sample, self._rollout, self._verify)[level]()
+            except OutOfTime:
+                return
+            self._spent[level] += self.budget.elapsed - before
+            self.budget.report()
+
+    def _done(self) -> bool:
+        enough = self.succeeds and self.best is not None and self.best.margin >= self.task.enough
+        return enough or self._ended or self.budget.expired or self.budget.elapsed > self._until
+
+    def _with_work(self) -> list[int]:
+        """Return the levels that have something to do."""
+        work = [] if self._exhausted else [SAMPLE]
+        work += [ROLLOUT] if self.sampled else []
+        return [*work, VERIFY] if self._promising() is not None else work
+
+    def _promising(self) -> Candidate | None:
+        """Return the best candidate that is worth a verification and was not verified."""
+        return next((one for one in self.rolled if one.good and not any(one is other for other in self._tried)), None)
+
+    def _sample(self) -> None:
+        found = self.task.sample(self.rolled, self.budget)
+        self._exhausted = not found
+        self.sampled = sorted([*self.sampled, *found], key=lambda one: -one.score)
+
+    def _rollout(self) -> None:
+        some, self.sampled = self.sampled[: self.task.batch], self.sampled[self.task.batch :]
+        self.rolled = sorted([*self.rolled, *self.task.rollout(some, self.budget)], key=lambda one: -one.score)
+
+    def _verify(self) -> None:
+        one = self._promising()
+        if one is None:
+            return
+        self._tried.append(one)
+        found = self.task.verify(one, self.budget)
+        if self.best is None or (not found.message, found.margin) > (not self.best.message, self.best.margin):
+            self.best = found
+            if self.succeeds:
+                self._until = min(self._until, (1.0 + self.improve) * self.budget.elapsed)
+                self._ended = self.on_improvement is not None and bool(self.on_improvement())
