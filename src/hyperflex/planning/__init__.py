@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from hyperflex.planning.insert.planner import plan_insert
     from hyperflex.planning.insert.search import InsertFeasibility
     from hyperflex.planning.insert.slot import Slot
+    from hyperflex.planning.options import MotorLimits
     from hyperflex.planning.outcome import (
         BOUNCE_TIME,
         MAX_SLIP,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     )
     from hyperflex.planning.plan import RATE
     from hyperflex.planning.plan_files import read_limits, read_plan
-    from hyperflex.planning.problem import MIN_TURNS, SETTLING_TIME, MotorLimits, Problem
+    from hyperflex.planning.problem import MIN_TURNS, SETTLING_TIME, Problem
     from hyperflex.planning.robust.posterior import RopePosterior
     from hyperflex.planning.robust.scenario_rollouts import SuccessProbability, estimate_success_probability
     from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty, scaled_rope

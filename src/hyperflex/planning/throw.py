@@ -9,7 +9,8 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.motion import Motion, arm_moves
-from hyperflex.planning.problem import MotorLimits, Problem
+from hyperflex.planning.options import MotorLimits
+from hyperflex.planning.problem import Problem
 
 MIN_STROKE = 0.05  # rad
 MIN_REST = 1e-4  # s; shorter rests are left out

@@ -13,7 +13,8 @@ from hyperflex.planning.insert.insert_plan import InsertPlan
 from hyperflex.planning.insert.search import check_insert_feasibility, insert_candidates, missing_length
 from hyperflex.planning.insert.slot import Slot
 from hyperflex.planning.insert.task import InsertTask
-from hyperflex.planning.problem import MotorLimits, Problem
+from hyperflex.planning.options import MotorLimits
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.search.contact_phase import check_start
 from hyperflex.planning.time_budget import Clock

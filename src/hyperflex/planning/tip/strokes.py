@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.motion import BANG_BANG, motion_derivatives
-from hyperflex.planning.problem import MotorLimits
+from hyperflex.planning.options import MotorLimits
 from hyperflex.planning.throw import Moves
 
 MIN_STROKE = 0.05  # rad

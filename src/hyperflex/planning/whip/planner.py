@@ -12,7 +12,8 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Obstacle, Rope, checked_obstacles
-from hyperflex.planning.problem import MotorLimits, Problem
+from hyperflex.planning.options import MotorLimits
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.contact_phase import check_start
 from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.tip.planner import TipPlanner

@@ -16,7 +16,8 @@ from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup, checked_obstacles, 
 from hyperflex.motion import hold_arm
 from hyperflex.planning.clearance import obstacle_clearance, rope_clearance
 from hyperflex.planning.feasibility import Feasibility, check_feasibility, find_remedies, search_time
-from hyperflex.planning.problem import MIN_TURNS, SETTLING_TIME, MotorLimits, Problem
+from hyperflex.planning.options import MotorLimits
+from hyperflex.planning.problem import MIN_TURNS, SETTLING_TIME, Problem
 from hyperflex.planning.robust.scenario_rollouts import estimate_success_probability
 from hyperflex.planning.robust.uncertainty import Uncertainty
 from hyperflex.planning.routing import checked_behind, refuse_behind

@@ -10,7 +10,7 @@ from hyperflex import checks
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.interruption import CaughtInterrupt, catch_interrupt, interruptible
 from hyperflex.model import Arm, Peg, Rope, checked_obstacles
-from hyperflex.planning.problem import MotorLimits
+from hyperflex.planning.options import MotorLimits
 from hyperflex.planning.routing import checked_behind
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.casting import plan_cast

@@ -15,8 +15,9 @@ from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope, Setup, checked_obstacles
+from hyperflex.planning.options import MotorLimits
 from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED
-from hyperflex.planning.problem import MotorLimits, Problem
+from hyperflex.planning.problem import Problem
 from hyperflex.planning.routing import refuse_behind
 from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.many import plan_each
