@@ -135,7 +135,7 @@ class WindCriteria:
 
     def __post_init__(self) -> None:
         for each in fields(self)[:-1]:
-            sign = "positive" if each.name in ("watch", "max_slip") else "nonnegative"
+            sign: checks.Sign = "positive" if each.name in ("watch", "max_slip") else "nonnegative"
             value = checks.number(each.name, getattr(self, each.name), sign=sign, unit=each.metadata["unit"])
             object.__setattr__(self, each.name, value)
         if not 0.5 < self.turns <= 20.0:
