@@ -13,7 +13,7 @@ HEAD = """\
 
 Every command takes `--json`: it then prints one JSON object on standard output and nothing else there. Progress and
 complaints go to standard error. A command that fails prints `{"error": ..., "type": ...}` under `--json`; Ctrl-C and
-SIGTERM give `"error": "interrupted"` ([Interrupt it](how-to/faults.md#interrupt-it)).
+SIGTERM give `"error": "interrupted"` ([Interruptions](how-to/faults.md#interruption)).
 
 Exit codes: 0 done, 1 a bug in hyperflex (with a traceback on standard error), 2 refused or failed with a message, 3 the
 fit of `identify` did not converge (the rope is written and marked so), 4 `cast` found no throw that winds and holds, or

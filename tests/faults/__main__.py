@@ -22,7 +22,7 @@ from tests.faults.counting import Tally
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "how-to" / "faults.md"
-SECTION = re.compile(r"\n## What was tried\n.*\Z", re.S)
+SECTION = re.compile(r"\n## Faults that are tested\n.*\Z", re.S)
 PATHS = ("tests/faults", "tests/core/test_cache.py", "tests/test_bad_input.py", "tests/cli/test_bad_files.py")
 
 
@@ -48,9 +48,9 @@ def section(tally: Tally, asked: str, seconds: float) -> str:
     import machine
 
     return (
-        "\n## What was tried\n\n"
-        "`make nightly` tries these. It fails where a fault does not end as it should: with a traceback, a crash, "
-        "a hang, half a file, a lost result, or a partial one that does not say so. `make test` tries a part "
+        "\n## Faults that are tested\n\n"
+        "`make nightly` tries these faults. It fails if one ends in a traceback, a crash, a hang, half a file, a lost "
+        "result, or a partial result that is not marked as one. `make test` tries a part "
         f"of them, the same in each run.\n\n{tally.table()}\n\n{datetime.now(UTC):%Y-%m-%d}, {asked}, in "
         f"{seconds / 60.0:.0f} minutes. {machine.sentence(machine.describe())}\n"
     )

@@ -63,7 +63,7 @@ class Tally:
 
     def table(self) -> str:
         """Return a table in Markdown."""
-        lines = ["| kind | tried | ended as they should | not |", "|---|---:|---:|---:|"]
+        lines = ["| kind | tried | passed | failed |", "|---|---:|---:|---:|"]
         for kind, tried in self.tried.items():
             lines.append(f"| {kind} | {tried} | {tried - self.wrong[kind]} | {self.wrong[kind]} |")
         tried, wrong = self.tried.total(), self.wrong.total()
