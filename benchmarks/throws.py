@@ -73,7 +73,7 @@ def throw(index: int, fine: bool, max_bend: float = np.inf) -> dict[str, Any]:
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Worst values of each kind, and how many throws break a goal."""
-    result: dict[str, Any] = {"throws": len(rows), "failed": [r["index"] for r in rows if r["status"] != "ok"]}
+    result: dict[str, Any] = {"throws": len(rows), "failed": [r["index"] for r in rows if r["status"] != "success"]}
     for kind, allowed in ALLOWED.items():
         those = [r for r in rows if r["kind"] == kind and r["status"] == "ok"]
         result[kind] = {

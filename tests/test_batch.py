@@ -185,17 +185,17 @@ def test_memory_is_that_of_what_is_kept() -> None:
 def test_ctrl_c_keeps_finished_members(monkeypatch: pytest.MonkeyPatch) -> None:
     ropes, motions = family(64)
     whole = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.3, threads=1)
-    run = simulation_batch._Work.block
+    run = simulation_batch.core.run_block
 
-    def interrupted(self: simulation_batch._Work, low: int, high: int) -> int:
+    def interrupted(members: object, terms: object, low: int, *rest: object) -> None:
         if low >= 32:
             _thread.interrupt_main()
-            return high - low
-        return run(self, low, high)
+        else:
+            run(members, terms, low, *rest)
 
-    monkeypatch.setattr(simulation_batch._Work, "block", interrupted)
+    monkeypatch.setattr(simulation_batch.core, "run_block", interrupted)
     batch = left_by(lambda: hf.simulate_batch(ropes, motions, arm=ARM, duration=0.3, threads=1))
-    assert batch.status[:32] == ("ok",) * 32
+    assert batch.status[:32] == ("success",) * 32
     assert batch.status[32:] == ("interrupted",) * 32
     np.testing.assert_array_equal(batch.tip[:32], whole.tip[:32])
     assert np.isnan(batch.tip[32:]).all()
@@ -216,12 +216,12 @@ def test_ctrl_c_ends_a_block_at_work() -> None:
         clock.join()
     finally:
         signal.signal(signal.SIGINT, before)
-    assert batch.status[:8] == ("ok",) * 8
+    assert batch.status[:8] == ("success",) * 8
     assert batch.status[8:] == ("interrupted",) * 56
     assert np.isfinite(batch.tip[:8]).all()
     assert np.isnan(batch.tip[8:]).all()
     assert 0.0 < batch.reached[8] < 10.0
-    assert "8 ok, 56 interrupted" in repr(batch)
+    assert "8 success, 56 interrupted" in repr(batch)
     with pytest.raises(InvalidInput, match="no such member"):
         batch.why(99)
 
@@ -232,14 +232,14 @@ def test_dataset_is_labelled() -> None:
     assert data.tip.dims == ("member", "time", "axis")
     assert data.q.dims == ("member", "time", "link")
     assert data.tip.attrs["units"] == "m"
-    assert list(data.status.values) == ["ok", "ok"]
+    assert list(data.status.values) == ["success", "success"]
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"ropes": []}, "ropes, motions, q0 and qd0"),
-        ({"ropes": family(3)[0]}, "ropes, motions, q0 and qd0"),
+        ({"ropes": []}, "do not fit together"),
+        ({"ropes": family(3)[0]}, "do not fit together"),
         ({"ropes": [family(1)[0][0], family(1, n=9)[0][0]]}, "differ in links"),
         ({"keep": ("wind",)}, "keep"),
         ({"t_eval": [-0.1, 0.1]}, "t_eval"),

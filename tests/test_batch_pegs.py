@@ -14,7 +14,7 @@ import hyperflex as hf
 import hyperflex.budget
 from hyperflex.budget import Budget
 from hyperflex.errors import InvalidInput
-from hyperflex.simulation.batch.contact import run_blocks
+from hyperflex.simulation.batch.batch import run_blocks
 from hyperflex.winding import turns
 
 ARM = hf.Arm(length=0.105)
@@ -46,7 +46,7 @@ def test_members_are_runs_of_their_own() -> None:
         np.testing.assert_array_equal(batch.turns[m, :, 0], turns(alone, pegs[0]))
         touched += int(alone.attrs["contact_steps"] > 0 and alone.contact_loss[-1] > 0.0)
     assert touched == 3
-    assert batch.status == ("ok",) * 3
+    assert batch.status == ("success",) * 3
     np.testing.assert_array_equal(batch.reached, DURATION)
     one = hf.simulate_batch(ropes, motions, pegs=PEGS, q0=q0, t_eval=t, keep=keep, threads=1, **HOW)
     for name in keep:
@@ -72,10 +72,10 @@ def test_one_rope_from_many_starts() -> None:
 @pytest.mark.parametrize(
     ("what", "words"),
     [
-        ({"pegs": [PEGS[0][0], PEGS[1]]}, "mixes pegs and lists"),
+        ({"pegs": [PEGS[0][0], PEGS[1]]}, "pegs holds something else"),
         ({"pegs": PEGS[:2]}, "do not fit together"),
-        ({"pegs": [PEGS[0], PEGS[1], [*PEGS[2], *PEGS[0]]]}, "different numbers of pegs"),
-        ({"pegs": PEGS, "step": 1e-3}, "step is not there with pegs"),
+        ({"pegs": [PEGS[0], PEGS[1], [*PEGS[2], *PEGS[0]]]}, "differ in number of pegs"),
+        ({"pegs": PEGS, "step": 1e-3}, "step is not available with pegs"),
         ({"pegs": PEGS, "q0": np.zeros(4)}, "q0"),
         ({"pegs": PEGS, "t_eval": [2.0 * DURATION]}, "t_eval leaves the run"),
         ({"keep": ("turns",)}, "there are none"),
@@ -98,7 +98,7 @@ def test_a_member_that_takes_too_long_has_failed() -> None:
     alone = hf.simulate_batch(ropes, motions, time_budget=1e-6, **how | {"t_eval": None})  # not one output is reached
     assert alone.status == batch.status
     assert np.isnan(alone.tip).all()
-    assert set(hf.simulate_batch(ropes, motions, time_budget=1e3, **how).status) == {"ok"}
+    assert set(hf.simulate_batch(ropes, motions, time_budget=1e3, **how).status) == {"success"}
     with pytest.raises(InvalidInput, match="time_budget has the wrong sign"):
         hf.simulate_batch(ropes, motions, time_budget=-1.0, **how)
 
@@ -115,14 +115,14 @@ def test_a_budget_ends_all_members_those_that_have_not_begun_at_once(pegs: list[
     assert (batch.reached[-10:] == 0.0).all()
     assert "out of time" in batch.message
     how = {"pegs": pegs, "time_budget": 1e3, **HOW}
-    assert set(hf.simulate_batch(ropes, motions, **how).status) == {"ok"}  # type: ignore[arg-type]
+    assert set(hf.simulate_batch(ropes, motions, **how).status) == {"success"}  # type: ignore[arg-type]
 
 
 def test_no_block_of_a_batch_begins_when_the_time_is_over() -> None:
     begun: list[int] = []
     over = Budget()
     over.cancel()
-    assert run_blocks(lambda low, high: begun.append(low), 1, 4, 1, False, over).status == "out of time"
+    assert run_blocks(lambda low, high: begun.append(low), 1, 4, 1, over).status == "out of time"
     assert begun == []
 
 
@@ -141,6 +141,6 @@ def test_blocks_that_a_thread_waits_for_end_at_an_interrupt(monkeypatch: pytest.
 
     monkeypatch.setattr(hyperflex.budget, "raise_if_cancelled", interrupted)
     with ThreadPoolExecutor(1) as pool:
-        stopped = pool.submit(run_blocks, block, 1, 2, 1, False, Budget(), halt).result()
+        stopped = pool.submit(run_blocks, block, 1, 2, 1, Budget(), None, halt).result()
     assert stopped.received
     assert halt[0] == 1

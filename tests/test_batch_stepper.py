@@ -39,7 +39,7 @@ def test_each_member_is_a_stepper(command: str, dry: float) -> None:
     batch = hf.BatchStepper(each, arm=ARM, command=command)
     start = batch.start(np.full(N, 0.4), arm_angle=0.1, arm_rate=np.linspace(-1.0, 1.0, COUNT))
     end = walk(batch, start, commands)
-    assert set(end.status) == {"ok"}
+    assert set(end.status) == {"success"}
     for m in range(0, COUNT, 7):
         alone = hf.Stepper(each[m], arm=ARM, command=command, tol=1e-9)
         state = alone.start(np.full(N, 0.4), arm_angle=0.1, arm_rate=float(start.arm_rate[m]))
@@ -81,7 +81,7 @@ def test_a_member_that_fails_fails_alone() -> None:
         later = batch.step(end, 1.0, DT)
     others = np.arange(COUNT) != 4
     for state in (end, later):
-        assert [m for m, word in enumerate(state.status) if word != "ok"] == [4]
+        assert [m for m, word in enumerate(state.status) if word != "success"] == [4]
         assert np.isnan(state.q[4]).all()
     np.testing.assert_array_equal(end.q[others], want.q[others])
     np.testing.assert_array_equal(later.q[others], batch.step(want, 1.0, DT).q[others])
@@ -129,7 +129,7 @@ def test_restarted_members_are_as_in_a_batch_of_their_own() -> None:
         state = batch.step(state, wild, DT)
     which = np.isin(np.arange(COUNT), [2, 5])
     state = batch.restart(state, which, [others[2], others[5]], np.full(N, 0.3), arm_angle=[0.1, 0.2])
-    assert set(state.status) == {"ok"}
+    assert set(state.status) == {"success"}
     end = batch.step(state, 1.0, DT)
     few = hf.BatchStepper([others[2], others[5]], arm=ARM)
     alone = few.step(few.start(np.full(N, 0.3), arm_angle=[0.1, 0.2], t=state.t), 1.0, DT)

@@ -287,8 +287,6 @@ def test_bad_input_is_refused() -> None:
         hf.Stepper(cable, arm=ARM, command="speed")
     with pytest.raises(InvalidInput, match="needs an arm"):
         hf.Stepper(cable)
-    with pytest.raises(InvalidInput, match="beside a whole set-up"):
-        hf.Stepper(hf.Setup(cable, arm=ARM), arm=ARM)
     stepper = hf.Stepper(cable, arm=ARM)
     state = stepper.start()
     for arguments, words in (

@@ -12,6 +12,7 @@ from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import arm_swings
 from hyperflex.simulation import outcome, simulate
+from hyperflex.status import Status
 from hyperflex.trajectory import State, Trajectory, read_trajectory
 
 SAMPLES, LINKS = 7, 3
@@ -153,9 +154,9 @@ def test_netcdf_keeps_every_bit(tmp_path):
 
 
 def test_a_failed_run_keeps_its_status(tmp_path):
-    made_up(status="diverged", message="it blew up at 0.6 s").to_netcdf(tmp_path / "run.nc")
+    made_up(status=Status.NOT_FINITE, message="it blew up at 0.6 s").to_netcdf(tmp_path / "run.nc")
     back = read_trajectory(tmp_path / "run.nc")
-    assert (back.status, back.message) == ("diverged", "it blew up at 0.6 s")
+    assert (back.status, back.message) == (Status.NOT_FINITE, "it blew up at 0.6 s")
 
 
 def test_missing_empty_and_truncated_files_are_named(tmp_path):

@@ -49,7 +49,8 @@ class Budget:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.seconds = seconds
-        self.threads = threads or os.cpu_count() or 1
+        most = checks.MOST_THREADS
+        self.threads = (os.cpu_count() or 1) if threads is None else checks.count("threads", threads, most=most)
         self._clock, self._parent, self._cancelled = clock, None, False
         self._report: Callable[..., None] | None = None
         self._begin, self._compiled = clock(), compiling()

@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from hyperflex.status import Status
+
 
 class HyperflexError(Exception):
     """Base class of everything that hyperflex raises on purpose."""
@@ -64,13 +66,13 @@ class SimulationError(HyperflexError, RuntimeError):
     ----------
     message : str
         What happened, and what to do.
-    status : str
-        Name of the status code (see ``hyperflex.core.status``).
+    status : Status
+        How the run ended.
     time : float
         Simulated time at which it stopped, s.
     """
 
-    def __init__(self, message: str, *, status: str, time: float) -> None:
+    def __init__(self, message: str, *, status: Status, time: float) -> None:
         self.status, self.time = status, time
         super().__init__(message)
 

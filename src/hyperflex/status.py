@@ -21,6 +21,7 @@ class Status(StrEnum):
     ENERGY_NOT_BALANCED = "energy not balanced"
     FRICTION_CHATTERS = "dry friction chatters"
     JOINT_AT_LIMIT = "joint at its limit"
+    WORKER_LOST = "worker lost"  # each worker process that ran it died
 
 
 class Result(Protocol):

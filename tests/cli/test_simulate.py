@@ -120,7 +120,7 @@ def test_ctrl_c_after_the_run_says_that_it_is_written(hyperflex_json, setup_file
 
     monkeypatch.setattr(simulation, "predictability", interrupted)
     code, result = hyperflex_json("simulate", setup_file, "-o", tmp_path / "cast.nc", "--horizon", "0.01")
-    assert (code, result["error"], result["status"]) == (130, "interrupted", "ok")
+    assert (code, result["error"], result["status"]) == (130, "interrupted", "success")
     assert (tmp_path / "cast.nc").exists()
     assert "cast.nc" in result["message"]
 

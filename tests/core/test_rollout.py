@@ -51,9 +51,8 @@ def test_the_kernels_are_compiled_for_one_kind_of_arrays() -> None:
             if setup.torque_driven:
                 interval = rollouts.Interval(run.drive)
                 run.drive = interval.drive
-                rollouts.controlled(
-                    run, interval, lambda *_: 0.0, 0.05, partial(rollouts.finish_rollout, run), lambda t: None, []
-                )
+                go, applied = partial(rollouts.finish_rollout, run), rollouts.AppliedTorques()
+                rollouts.controlled(run, interval, lambda *_: 0.0, 0.05, go, lambda t: None, applied)
             parts = (*run.chain, *run.drive, *run.progress, run.t, run.y)
             arrays = [part for part in parts if isinstance(part, np.ndarray)]
             kinds.add(tuple((a.flags.writeable, a.flags.c_contiguous, a.dtype, a.ndim) for a in arrays))

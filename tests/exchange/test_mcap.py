@@ -49,7 +49,7 @@ def test_a_run_is_read_as_angles_and_as_places(run: hf.Trajectory, tmp_path: Pat
     assert states["joints"][0]["position"] == run.arm_angle[25]
     with path.open("rb") as stream:
         told = next(iter(make_reader(stream).iter_metadata())).metadata
-    assert (told["source"], told["status"]) == ("simulated", "ok")
+    assert (told["source"], told["status"]) == ("simulated", "success")
     assert hf.Setup.loads(told["setup"]).rope == run.setup.rope
 
 

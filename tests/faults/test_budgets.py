@@ -120,7 +120,7 @@ def test_what_fails_all_the_same_is_a_message(tmp_path, monkeypatch, capsys, err
 def test_a_run_that_came_to_its_end_is_kept_however_long_it_took() -> None:
     ticks = iter([0.0, 0.5, *[2.0] * 100])
     short = hf.simulate(hf.Rope.uniform(1.0, 0.1, 3), duration=0.01, time_budget=Budget(1.0, clock=lambda: next(ticks)))
-    assert (short.status, short.t[-1]) == ("ok", 0.01)
+    assert (short.status, short.t[-1]) == ("success", 0.01)
 
 
 def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -228,7 +228,7 @@ def test_folded_chains_find_their_way_with_printed_friction() -> None:
     rope = hf.Rope(length=[0.1] * 5, mass=[0.02] * 5, dry_friction=1e-2, friction_model="printed")
     starts = np.cumsum(np.random.default_rng(1).normal(0.0, 1.0, (60, 5)), axis=1)[48:56]
     batch = hf.simulate_batch([rope] * len(starts), q0=starts, t_eval=[2.0], duration=2.0, keep=("q",), tol=1e-9)
-    assert set(batch.status) == {"ok"}
+    assert set(batch.status) == {"success"}
     for q0, q in zip(starts, batch.q, strict=True):
         run = hf.simulate(rope, q0=q0, duration=2.0, tol=1e-9)
         # What stuck joints take from the rope is a parabola in each step, not under error control: J, of 0.1 J.

@@ -20,6 +20,7 @@ from hyperflex.estimate.process import Process, starting_rows
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
+from hyperflex.status import Status
 from hyperflex.vision import Camera
 
 ROUNDS = 4  # of Gauss-Newton in an update; more at the start
@@ -156,7 +157,7 @@ class RopeFilter:
                 x, columns = self.process.carry(self.x, np.eye(self.x.size), begin, end)
                 transition, rows = columns.T, np.concatenate(carried) @ columns
         if not (np.abs(rows).max() < BEYOND and np.abs(x).max() < BEYOND):
-            raise SimulationError("The state is beyond all numbers.", status="not finite", time=end)
+            raise SimulationError("The state is beyond all numbers.", status=Status.NOT_FINITE, time=end)
         factor, *by_noise = np.split(rows, np.cumsum([len(each) for each in carried])[:-1])
         noise = self.process.noise(end - begin, self.process_noise.value)
         self.factor = sr.compressed(np.concatenate([factor, noise]), self._least)

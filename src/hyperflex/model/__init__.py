@@ -6,7 +6,6 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.model.arm import Arm
-    from hyperflex.model.keys import check_tables
     from hyperflex.model.obstacles import (
         Ground,
         Obstacle,
@@ -30,9 +29,18 @@ if TYPE_CHECKING:
         parse_label,
     )
     from hyperflex.model.refine import cuts, divided, recut, refine_rope
-    from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, Rope
-    from hyperflex.model.rope_table import MOST_LINKS
-    from hyperflex.model.setup import DEFAULT_CONTACT_STEP, DEFAULT_TOL, METHODS, PLAN, PLANNING, Setup
+    from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, MOST_LINKS, Rope
+    from hyperflex.model.setup import (
+        DEFAULT_CONTACT_STEP,
+        DEFAULT_TOL,
+        METHODS,
+        PLAN,
+        PLANNING,
+        Control,
+        Setup,
+        SetupFields,
+        check_tables,
+    )
     from hyperflex.model.stretch import growth, stretched
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperflex import checks
+from hyperflex import checks, options
 from hyperflex.checks import Array
 from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import Chain
@@ -15,6 +15,7 @@ from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.model.properties import LINK_PROPERTIES
 from hyperflex.model.rope import Rope
+from hyperflex.options import option
 
 LONGEST = 10.0  # m, of an arm without a warning
 
@@ -53,28 +54,25 @@ class Arm:
         If a value is not finite or has the wrong sign.
     """
 
-    length: float = 0.105
-    inertia: float = 0.0
-    mass: float = 0.0
-    com: float = 0.0
-    friction: float = 0.0
-    dry_friction: float = 0.0
-    torque_limit: float = math.inf
+    length: float = option(0.105, "from the shaft to the rope", unit="m", sign="nonnegative")
+    inertia: float = option(
+        0.0, "moment of inertia of arm and rotor about the arm's centre of mass", unit="kg m^2", sign="nonnegative"
+    )
+    mass: float = option(0.0, "mass", unit="kg", sign="nonnegative")
+    com: float = option(0.0, "distance of the centre of mass from the shaft", unit="m")
+    friction: float = option(0.0, "viscous friction of the shaft", unit="N m s/rad", sign="nonnegative")
+    dry_friction: float = option(0.0, "Coulomb friction of the shaft", unit="N m", sign="nonnegative")
+    torque_limit: float = option(
+        math.inf, "greatest torque of the motor", unit="N m", sign="positive", infinite=True, shown="not limited"
+    )
     pivot: tuple[float, float] = (0.0, 0.0)
-    shaft_radius: float = 0.0
-    radius: float = 0.0
+    shaft_radius: float = option(
+        0.0, "radius about the shaft that a planned rope keeps clear of", unit="m", sign="nonnegative"
+    )
+    radius: float = option(0.0, "half the width of the arm", unit="m", sign="nonnegative")
 
     def __post_init__(self) -> None:
-        for each in LINK_PROPERTIES:
-            if each.name in vars(self):
-                sign: checks.Sign = "any" if each.sign == "any" else "nonnegative"
-                value = checks.number(f"arm {each.name}", getattr(self, each.name), sign=sign, unit=each.unit)
-                object.__setattr__(self, each.name, value)
-        limit = checks.number("arm torque_limit", self.torque_limit, sign="positive", unit="N m", infinite=True)
-        object.__setattr__(self, "torque_limit", limit)
-        for name in ("shaft_radius", "radius"):
-            value = checks.number(f"arm {name}", getattr(self, name), sign="nonnegative", unit="m")
-            object.__setattr__(self, name, value)
+        options.check(self, "arm")
         checks.meant("arm length", self.length, "m", most=LONGEST)
         x, y = checks.array("arm pivot", self.pivot, (2,), unit="m")
         object.__setattr__(self, "pivot", (float(x), float(y)))

@@ -7,18 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from hyperflex import checks
+from hyperflex import checks, options
 from hyperflex.core.contact.gaps import Pegs
 from hyperflex.errors import InvalidInput
+from hyperflex.options import option
 
 FIXED = (math.inf, 0.0)  # kg m^2 and N m s/rad, of what does not turn
-_BOUNDS: dict[str, tuple[checks.Sign, str]] = {  # sign and unit of fields; of all others: any, in m
-    "radius": ("positive", "m"),
-    "mu": ("nonnegative", ""),
-    "restitution": ("nonnegative", ""),
-    "inertia": ("positive", "kg m^2"),
-    "bearing": ("nonnegative", "N m s/rad"),
-}
 
 
 @dataclass(frozen=True)
@@ -52,13 +46,15 @@ class Peg:
     0.03
     """
 
-    x: float
-    y: float
-    radius: float
-    mu: float = 0.3
-    restitution: float = 0.0
-    inertia: float | None = None
-    bearing: float = 0.0
+    x: float = option(MISSING, "centre, to the right", unit="m")
+    y: float = option(MISSING, "centre, up", unit="m")
+    radius: float = option(MISSING, "radius", unit="m", sign="positive")
+    mu: float = option(0.3, "coefficient of friction between rope and peg", sign="nonnegative")
+    restitution: float = option(0.0, "part of the speed with which a point bounces back", sign="nonnegative")
+    inertia: float | None = option(
+        None, "moment of inertia about the axle of a peg that turns", unit="kg m^2", sign="positive", shown="fixed"
+    )
+    bearing: float = option(0.0, "viscous friction of the axle", unit="N m s/rad", sign="nonnegative")
 
     def __post_init__(self) -> None:
         _check(self, "peg")
@@ -103,12 +99,12 @@ class Wall:
     0.3
     """
 
-    x: float
-    y: float
-    x2: float
-    y2: float
-    mu: float = 0.3
-    restitution: float = 0.0
+    x: float = option(MISSING, "one end, to the right", unit="m")
+    y: float = option(MISSING, "one end, up", unit="m")
+    x2: float = option(MISSING, "other end, to the right", unit="m")
+    y2: float = option(MISSING, "other end, up", unit="m")
+    mu: float = option(0.3, "coefficient of friction between rope and wall", sign="nonnegative")
+    restitution: float = option(0.0, "part of the speed with which a point bounces back", sign="nonnegative")
 
     def __post_init__(self) -> None:
         _check(self, "wall")
@@ -135,12 +131,12 @@ class Ground:
         If a value is not finite, has the wrong sign, or the vector is zero.
     """
 
-    x: float
-    y: float
-    nx: float = 0.0
-    ny: float = 1.0
-    mu: float = 0.3
-    restitution: float = 0.0
+    x: float = option(MISSING, "point of the surface, to the right", unit="m")
+    y: float = option(MISSING, "point of the surface, up", unit="m")
+    nx: float = option(0.0, "vector out of the ground, to the right")
+    ny: float = option(1.0, "vector out of the ground, up")
+    mu: float = option(0.3, "coefficient of friction between rope and ground", sign="nonnegative")
+    restitution: float = option(0.0, "part of the speed with which a point bounces back", sign="nonnegative")
 
     def __post_init__(self) -> None:
         _check(self, "ground")
@@ -164,11 +160,7 @@ def checked_obstacles(pegs: object, name: str = "pegs") -> tuple[Obstacle, ...]:
 
 def _check(obstacle: Obstacle, what: str) -> None:
     """Convert all fields to floats; InvalidInput for a wrong sign, or a restitution above 1."""
-    for each in fields(obstacle):
-        value, (sign, unit) = getattr(obstacle, each.name), _BOUNDS.get(each.name, ("any", "m"))
-        if value is not None or each.default is not None:
-            number = checks.number(f"{what} {each.name}", value, sign=sign, unit=unit)
-            object.__setattr__(obstacle, each.name, number)
+    options.check(obstacle, what)
     if obstacle.restitution > 1.0:
         raise InvalidInput(f"{what} restitution is too large", got=obstacle.restitution, allowed="0 to 1")
 

@@ -9,10 +9,9 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model.arm import Arm
-from hyperflex.model.bend_limits import bend_limits, bend_ratios
 from hyperflex.model.obstacles import Obstacle, Peg, checked_obstacles
 from hyperflex.model.properties import LINK_PROPERTIES
-from hyperflex.model.rope import Rope
+from hyperflex.model.rope import Rope, bend_limits, bend_ratios
 from hyperflex.model.stretch import across, uniform
 
 _LEAST = 1e-12  # m, of a link

@@ -14,10 +14,11 @@ from hyperflex.core.chain.articulated_body import MUTUAL, ONE_SIDED, Chain
 from hyperflex.core.chain.articulated_body import joints as write_joints
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
-from hyperflex.model.bend_limits import bend_limits
-from hyperflex.model.properties import LINK_NAMES, LINK_PROPERTIES
-from hyperflex.model.rope_table import MOST_LINKS, check_density, from_table, to_table
+from hyperflex.model.properties import LINK_NAMES, LINK_PROPERTIES, PROPERTIES
 
+MOST_LINKS = 100_000  # far beyond use: a typing error must not fill the memory
+DENSITIES = (0.01, 1e5)  # kg/m^3: a hundredth of air's, and four times that of the densest metal
+TOTALS = ("length", "mass")  # in a file of the whole rope or of each link: the key says which
 GRAVITY = (0.0, -9.81)  # m/s^2
 AIR_DENSITY = 1.204  # kg/m^3, at 20 degrees Celsius and 1013 hPa
 FrictionModel = Literal["relative", "printed"]
@@ -202,7 +203,7 @@ class Rope:
         total = checks.number("length", length, sign="positive", unit="m")
         weight = checks.number("mass", mass, sign="nonnegative", unit="kg")
         link_mass = np.full(n, weight / n)
-        _check_names(others)
+        checks.keys("a rope", others, Rope.__dataclass_fields__)
         r = checks.number("radius", radius, sign="nonnegative", unit="m")
         if coefficient := checks.number("drag_coefficient", drag_coefficient, sign="nonnegative"):
             if "drag" in others or not r:
@@ -253,7 +254,7 @@ class Rope:
 
     def replace(self, **changes: Any) -> "Rope":
         """Return a rope with the fields named in `changes` replaced; com and inertia stay unless named."""
-        _check_names(changes)
+        checks.keys("a rope", changes, Rope.__dataclass_fields__)
         return replace(self, **changes)
 
     def with_bend_radius(self, radius: float) -> "Rope":
@@ -297,13 +298,45 @@ class Rope:
 
     def table(self) -> dict[str, Any]:
         """Return the ``[rope]`` table of a TOML file; equal entries are written once."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        return to_table(self.n_links, values)
+        content: dict[str, Any] = {"n_links": self.n_links}
+        for each in fields(self):
+            name, value = each.name, getattr(self, each.name)
+            if name in LINK_NAMES and bool((value == value[0]).all()):
+                content[f"link_{name}" if name in TOTALS else name] = float(value[0])
+            else:
+                content[name] = value.tolist() if isinstance(value, np.ndarray) else value
+        return content
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> "Rope":
-        """Build a rope from a ``[rope]`` table, see docs/how-to/files.md."""
-        return cls(**from_table(table, [f.name for f in fields(cls)]))
+        """Build a rope from a ``[rope]`` table, see docs/how-to/files.md.
+
+        Length and mass are arrays with one entry a link, or ``total_length`` and ``total_mass`` of the whole rope, or
+        ``link_length`` and ``link_mass`` of each of ``n_links`` equal links.
+        """
+        content = dict(checks.mapping("the rope table", table))
+        checks.keys("the rope table", content, table_keys())
+        sizes = [np.size(content[name]) for name in LINK_NAMES if np.ndim(content.get(name, 0.0)) == 1]
+        if "n_links" not in content and not sizes:
+            raise InvalidInput("rope table lacks n_links", allowed="n_links = 50, or arrays with one entry a link")
+        n = checks.count("rope n_links", content.pop("n_links", sizes[0] if sizes else None), most=MOST_LINKS)
+        for name in TOTALS:
+            given = [key for key in (name, f"total_{name}", f"link_{name}") if key in content]
+            allowed = f"one of total_{name} (of the whole rope), link_{name} (of each link) or {name} (an array)"
+            if len(given) != 1:
+                raise InvalidInput(f"rope table gives the {name} {len(given)} times", got=given, allowed=allowed)
+            value = content.pop(given[0])
+            if np.ndim(value) == 0:
+                if given[0] == name and n > 1:
+                    raise InvalidInput(f"rope {name} is one number for {n} links", got=value, allowed=allowed)
+                each = PROPERTIES[name]
+                number = checks.number(f"rope {given[0]}", value, sign=each.sign, unit=each.unit)
+                value = np.full(n, number / n if given[0].startswith("total") else number)
+            content[name] = value
+        if (size := np.size(content["length"])) != n:
+            raise InvalidInput("rope n_links differs from its arrays", got=n, allowed=f"{size}, as length has")
+        check_density(content["length"], content["mass"], content.get("radius", 0.0))
+        return cls(**content)
 
     def to_toml(self, path: str | Path) -> None:
         """Write the rope to the TOML file `path`, wholly or not at all."""
@@ -325,10 +358,35 @@ class Rope:
             return cls.from_table(content["rope"])
 
 
-def _check_names(given: Mapping[str, object]) -> None:
-    known = [f.name for f in fields(Rope)]
-    if unknown := sorted(set(given) - set(known)):
-        raise InvalidInput("unknown property of a rope", got=unknown, allowed=", ".join(known))
+def table_keys() -> list[str]:
+    """Return the keys that a ``[rope]`` table may have."""
+    return [*Rope.__dataclass_fields__, "n_links", *(f"{kind}_{name}" for kind in ("total", "link") for name in TOTALS)]
+
+
+def bend_ratios(max_bend: Array) -> Array:
+    """Return twice the bend radius of joints over the length that each stands for; 0 for a joint without a limit."""
+    return np.where(max_bend < np.pi, 1.0 / np.tan(0.5 * np.minimum(max_bend, np.pi)), 0.0)
+
+
+def bend_limits(ratios: Array) -> Array:
+    """Return the joint limits, rad, that belong to such ratios; inf where one is 0."""
+    return np.where(ratios > 0.0, 2.0 * np.arctan2(1.0, ratios), np.inf)
+
+
+def check_density(length: Any, mass: Any, radius: Any) -> None:
+    """Refuse a density that no material has: most likely grams were given for kilograms, or mm for m."""
+    try:
+        r, total_length, total = float(radius), float(np.sum(length)), float(np.sum(mass))
+    except (TypeError, ValueError, OverflowError):
+        return  # refused by its own check
+    volume = np.pi * r**2 * total_length
+    if r <= 0.5 * total_length and volume > 0.0 < total and not DENSITIES[0] <= total / volume <= DENSITIES[1]:
+        raise InvalidInput(
+            "length, mass and radius of the rope make an impossible density",
+            got=f"{total / volume:.3g} kg/m^3",
+            allowed="0.01 to 100,000 kg/m^3; cords have some 1000, steel has 7900",
+            fix="Give length and radius in m and mass in kg: 2.5 mm are 0.0025, 125 g are 0.125",
+        )
 
 
 def _number_of_links(values: Mapping[str, npt.ArrayLike | None]) -> int:

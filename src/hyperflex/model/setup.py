@@ -1,13 +1,15 @@
 """A simulation set-up: rope, arm, motion, obstacles, start, and its TOML file."""
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
+import numpy.typing as npt
 
-from hyperflex import checks, files
+from hyperflex import checks, files, options
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import TORQUE, Drive, X, Y
@@ -15,10 +17,10 @@ from hyperflex.core.contact.gaps import Pegs
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput, located
 from hyperflex.model.arm import Arm
-from hyperflex.model.keys import check_tables
 from hyperflex.model.obstacles import KINDS, Obstacle, Peg, checked_obstacles, obstacle_tables, obstacles_of, packed
-from hyperflex.model.rope import Rope
-from hyperflex.motion import Motion, from_spec, hold_arm, to_spec
+from hyperflex.model.rope import Rope, table_keys
+from hyperflex.motion import Motion, from_spec, hold_arm, motion_keys, to_spec, torque_profile
+from hyperflex.options import option
 
 METHODS = ("extrapolation", "rk4")
 _STILL = hold_arm(0.0)
@@ -26,6 +28,27 @@ PLAN = "plan"  # table in which a planner keeps what a run does not need
 PLANNING = (PLAN, "target", "slot", "limits", "behind")  # tables of a planner, which a run leaves alone
 DEFAULT_TOL = 1e-5  # m
 DEFAULT_CONTACT_STEP = 2e-4  # s
+FOREVER = 1e6  # s, end of a constant torque
+Control = Callable[[float, float, float, Array, Array], float]
+
+
+class SetupFields(TypedDict, total=False):
+    """Fields of a :class:`Setup` that functions such as :func:`hyperflex.simulate` take as keywords."""
+
+    arm: Arm | None
+    torque: Motion | float | Control | None
+    control_rate: float | None
+    duration: float | None
+    q0: npt.ArrayLike | None
+    qd0: npt.ArrayLike | None
+    arm_angle0: float | None
+    arm_rate0: float | None
+    tol: float | None
+    method: str | None
+    step: float | None
+    pegs: Sequence[Obstacle]
+    contact_step: float | None
+    tip_force: npt.ArrayLike | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,29 +59,39 @@ class Setup:
     ----------
     rope : Rope
     motion : Motion, optional
-        Prescribed motion of the arm (or of the point that the rope hangs from); by default everything stands still.
+        Prescribed motion of the arm, or of the point that the rope hangs from (``moving_pivot``); by default both rest.
     arm : Arm, optional
-        None: the rope hangs from a fixed or moving point.
-    torque : Motion, optional
-        Torque on the arm; then the arm moves as it must, about a pivot that stands still.
+        The arm; without one the rope hangs from the point itself.
+    torque : Motion, float or callable, optional
+        Drives the arm by a torque, N m: a ``torque_profile``, a constant, or ``torque(t, arm_angle, arm_rate, q, qd)``,
+        which becomes `control`.
     duration : float
         Simulated time, s.
     q0, qd0 : (n,) array_like, optional
-        Angles, rad, and rates, rad/s, at the start; by default the rope hangs at rest.
+        Absolute link angles, rad, and rates, rad/s, at the start; by default the rope hangs at rest.
     arm_angle0, arm_rate0 : float
         Start of a torque-driven arm, rad and rad/s.
     tol : float
-        Error that a step may make in the position of any joint, m.
+        Error that one step may make in the position of any joint, m. The error at the tip after some seconds of casting
+        is of the order of ten times as much (docs/models.md). In contact with pegs it also bounds, in proportion, the
+        energy error: at the default a millionth per second of the energy scale; 1e-3 suits a search.
     method : {"extrapolation", "rk4"}
+        The linearly implicit extrapolation with error control, or, as a check, classical Runge-Kutta with a fixed
+        `step`. A step beyond its stability limit, which holds for a hanging rope, is refused.
     step : float, optional
         Step of ``"rk4"``, s.
     pegs : sequence of Peg, Wall or Ground, optional
-        What the rope may touch; for ropes with friction_model="relative".
+        What the rope may touch and wind round; for ropes with friction_model="relative".
     contact_step : float
-        Longest step with a peg, or with a joint at its limit, s; what closes slower than 1 cm/s, or than 50 m/s^2
-        times it, does not bounce.
+        Longest step with a peg or with a joint at its limit, s. Contacts that close slower than 1 cm/s, or than
+        50 m/s^2 times this, do not bounce.
     tip_force : (2,) array_like
-        Constant force on the tip beside gravity, N; only in a set-up with pegs.
+        Constant force on the tip in addition to gravity, N; only in a set-up with pegs.
+    control : callable, optional
+        Returns the motor torque; called at the `control_rate`, and the torque is held in between. Such a set-up cannot
+        be written to a file; that of its trajectory has the torques that were applied.
+    control_rate : float, optional
+        Rate at which `control` is called, Hz.
 
     Raises
     ------
@@ -70,46 +103,49 @@ class Setup:
     motion: Motion | None = None
     arm: Arm | None = None
     torque: Motion | None = None
-    duration: float = 10.0
+    duration: float = option(10.0, "simulated time", unit="s", sign="positive")
     q0: Array | None = None
     qd0: Array | None = None
-    arm_angle0: float = 0.0
-    arm_rate0: float = 0.0
-    tol: float = DEFAULT_TOL
-    method: str = "extrapolation"
-    step: float | None = None
+    arm_angle0: float = option(0.0, "angle of a torque-driven arm at the start", unit="rad")
+    arm_rate0: float = option(0.0, "rate of a torque-driven arm at the start", unit="rad/s")
+    tol: float = option(DEFAULT_TOL, "error of a step in the position of any joint", unit="m", sign="positive")
+    method: str = option("extrapolation", "integrator: extrapolation, or rk4 with a fixed step")
+    step: float | None = option(None, "step of rk4", unit="s", sign="positive")
     pegs: tuple[Obstacle, ...] = ()
-    contact_step: float = DEFAULT_CONTACT_STEP
+    contact_step: float = option(DEFAULT_CONTACT_STEP, "longest step in contact", unit="s", sign="positive")
     tip_force: tuple[float, float] = (0.0, 0.0)
+    control: Control | None = None
+    control_rate: float | None = option(None, "rate at which the control is called", unit="Hz", sign="positive")
 
     def __post_init__(self) -> None:
+        values: dict[str, Any] = {"pegs": checked_obstacles(self.pegs)}
+        torque: object = self.torque
+        if callable(torque):
+            values["control"], torque = torque, 0.0
+        if torque is not None and not isinstance(torque, Motion):
+            values["torque"] = torque_profile([0.0, FOREVER], [checks.number("torque", torque, unit="N m")] * 2)
+        x, y = checks.array("tip_force", self.tip_force, (2,), unit="N")
+        values["tip_force"] = (float(x), float(y))
+        for name, unit in (("q0", "rad"), ("qd0", "rad/s")):
+            if getattr(self, name) is not None:
+                n = checks.instance("rope", self.rope, Rope).n_links
+                values[name] = checks.array(name, getattr(self, name), (n,), unit=unit)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        options.check(self, "")
         for name, kind in (("rope", Rope), ("motion", Motion), ("arm", Arm), ("torque", Motion)):
             if getattr(self, name) is not None or name == "rope":
                 checks.instance(name, getattr(self, name), kind)
-        n = self.rope.n_links
-        values: dict[str, Any] = {
-            "duration": checks.number("duration", self.duration, sign="positive", unit="s"),
-            "tol": checks.number("tol", self.tol, sign="positive", unit="m"),
-            "method": checks.choice("method", self.method, METHODS),
-            "arm_angle0": checks.number("arm_angle0", self.arm_angle0, unit="rad"),
-            "arm_rate0": checks.number("arm_rate0", self.arm_rate0, unit="rad/s"),
-        }
+        checks.choice("method", self.method, METHODS)
         if (self.method == "rk4") != (self.step is not None):
             raise InvalidInput("step belongs to method='rk4'", got=self.step, allowed="a step in s with rk4 alone")
-        if self.step is not None:
-            values["step"] = checks.number("step", self.step, sign="positive", unit="s")
-        for name, unit in (("q0", "rad"), ("qd0", "rad/s")):
-            if getattr(self, name) is not None:
-                values[name] = checks.array(name, getattr(self, name), (n,), unit=unit)
-        if not np.any(values.get("qd0", 0.0)):  # where a run has ended angles may count many turns
-            checks.meant("q0", values.get("q0", 0.0), "rad")
-        if values["arm_rate0"] == 0.0:
+        if (self.control is None) != (self.control_rate is None):
+            got, allowed = self.control_rate, "both, or neither"
+            raise InvalidInput("control_rate belongs to a torque callback", got=got, allowed=allowed)
+        if self.qd0 is None or not self.qd0.any():  # the angles of a rope in motion may count many turns
+            checks.meant("q0", 0.0 if self.q0 is None else self.q0, "rad")
+        if self.arm_rate0 == 0.0:
             checks.meant("arm_angle0", self.arm_angle0, "rad")
-        values["contact_step"] = checks.number("contact_step", self.contact_step, sign="positive", unit="s")
-        x, y = checks.array("tip_force", self.tip_force, (2,), unit="N")
-        values |= {"tip_force": (float(x), float(y)), "pegs": checked_obstacles(self.pegs)}
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
         self._check_drive()
         self._check_pegs()
 
@@ -155,9 +191,7 @@ class Setup:
 
     def replace(self, **changes: Any) -> "Setup":
         """Return a set-up with the fields named in `changes` replaced; raises InvalidInput as Setup does."""
-        names = [f.name for f in fields(self)]
-        if unknown := set(changes) - set(names):
-            raise InvalidInput("unknown field of a set-up", got=sorted(unknown), allowed=", ".join(names))
+        checks.keys("a set-up", changes, [each.name for each in fields(self)])
         return replace(self, **changes)
 
     @property
@@ -211,23 +245,19 @@ class Setup:
 
     def dumps(self) -> str:
         """Return the set-up as TOML text, from which :meth:`loads` builds an equal one."""
-        content: dict[str, Any] = {"duration": self.duration, "tol": self.tol, "method": self.method}
-        if self.step is not None:
-            content["step"] = self.step
-        for name in ("q0", "qd0"):
-            value = getattr(self, name)
-            if value is not None:
-                content[name] = value.tolist()
-        content |= {"arm_angle0": self.arm_angle0, "arm_rate0": self.arm_rate0, "rope": self.rope.table()}
-        if self.arm is not None:
-            content["arm"] = self.arm.table()
+        if self.control is not None:
+            fix = "Write the set-up of its trajectory, which has the torques"
+            raise InvalidInput("a set-up with a torque callback cannot be written", fix=fix)
+        numbers = [each.name for each in options.options_of(Setup) if self.touches or each.name != "contact_step"]
+        content = {name: getattr(self, name) for name in numbers if getattr(self, name) is not None}
+        content |= {name: getattr(self, name).tolist() for name in ("q0", "qd0") if getattr(self, name) is not None}
         if self.touches:
-            content |= {"contact_step": self.contact_step, "tip_force": list(self.tip_force)}
-            content |= obstacle_tables(self.pegs)
-        for name, motion in (("motion", self.motion), ("torque", self.torque)):
-            if motion is not None:
-                content[name] = to_spec(motion)
-        return files.dumps_toml(content)
+            content["tip_force"] = list(self.tip_force)
+        tables = {"rope": self.rope.table(), **obstacle_tables(self.pegs)}
+        if self.arm is not None:
+            tables["arm"] = self.arm.table()
+        tables |= {name: to_spec(getattr(self, name)) for name in ("motion", "torque") if getattr(self, name)}
+        return files.dumps_toml({**content, **tables})
 
     @classmethod
     def loads(cls, text: str, name: str = "the set-up", folder: Path | None = None) -> "Setup":
@@ -236,7 +266,7 @@ class Setup:
         The tables of a planner, ``[target]``, ``[slot]``, ``[limits]`` and ``[plan]``, are left out.
         """
         content = {key: value for key, value in files.loads_toml(text, name).items() if key not in PLANNING}
-        check_tables(name, content, [f.name for f in fields(cls)])
+        check_tables(name, content)
         with located(name, files.toml_words):
             content["rope"] = Rope.from_table(content["rope"])
             if "arm" in content:
@@ -261,3 +291,24 @@ class Setup:
             If the file cannot be read or does not describe a set-up.
         """
         return cls.loads(files.read_text(path, "TOML file"), str(path), Path(path).parent)
+
+
+def check_tables(name: str, content: Mapping[str, Any], more: Sequence[str] = ()) -> None:
+    """Refuse tables and keys of the file `name` that are not known where they are, and say where they belong.
+
+    `more` are tables that are known in addition to those of a set-up.
+    """
+    known: dict[str, Sequence[str]] = {"rope": table_keys(), "arm": [each.name for each in fields(Arm)]}
+    known |= {table: [each.name for each in fields(kind)] for table, kind in KINDS.items()}
+    for table in ("motion", "torque"):
+        spec = content.get(table)
+        known[table] = motion_keys(spec.get("kind") if isinstance(spec, Mapping) else None)
+    top = [each.name for each in fields(Setup) if each.name not in (*known, "control", "control_rate")]
+    places = {f"in the table [{table}]": keys for table, keys in known.items()}
+    places["at the top, above all tables"] = top
+    checks.keys(name, content, (*known, *top, *more), needed=("rope",), elsewhere=places)
+    for table, keys in known.items():
+        if table in content and not isinstance(content[table], Mapping):
+            raise InvalidInput(f"{name}: {table} is not a table", got=content[table], allowed=f"[{table}]")
+        if table in content:
+            checks.keys(f"{name}, table [{table}]", content[table], keys, elsewhere=places)

@@ -1,7 +1,8 @@
 """Arguments of a run: a set-up or its parts, and output times."""
 
+import dataclasses
 import math
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,45 +11,49 @@ import numpy.typing as npt
 from hyperflex import checks, memory
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Rope, Setup
+from hyperflex.model import Rope, Setup, checked_obstacles, cuts, refine_rope
 
+Pieces = npt.NDArray[np.int64]
 SAMPLE_TIME = 0.01  # s, between outputs if the user does not choose
 # Numbers for each link and output, without contact and with it: in memory while a run is written, and in its file
 IN_MEMORY, IN_FILE = (11, 15), (5.5, 7.5)
 MOST_OUTPUTS = 1e7  # of a run whose user has not chosen; more of them would fill the memory first
 
 
-def whole_setup(rope: object, given: dict[str, Any], allowed: str) -> Setup:
-    """Return the set-up that was given in place of a rope and stands for all arguments.
+def setup_of(rope: Rope | Setup, fields: Mapping[str, Any], *, refine: bool = False) -> tuple[Setup, Pieces | None]:
+    """Return the set-up of a rope and of the fields that are not None; or a set-up with these fields replaced.
 
-    `given` has by name what may not be given beside it, None where it was not, and `allowed` says what may.
+    With `refine` a rope is cut where its pegs need it; the second value is then the number of pieces of each link.
     """
-    if not isinstance(rope, Setup):
+    given = {name: value for name, value in fields.items() if value is not None}
+    if isinstance(rope, Setup):
+        return rope.replace(**given) if given else rope, None
+    if not isinstance(rope, Rope):
         raise InvalidInput("rope is not a rope", got=rope, allowed="a Rope or a whole Setup")
-    if names := list(chosen(given)):
-        fix = "Put them into the set-up: dataclasses.replace(setup, ...)"
-        raise InvalidInput("arguments beside a whole set-up", got=names, allowed=allowed, fix=fix)
-    return rope
-
-
-def chosen(given: dict[str, Any]) -> dict[str, Any]:
-    """Return the arguments that are not None."""
-    return {name: value for name, value in given.items() if value is not None}
-
-
-def setup_of(rope: Rope | Setup, duration: float | None, allowed: str, **given: Any) -> Setup:
-    """Return the set-up of what is given, a whole one or its parts; `allowed` as in :func:`whole_setup`."""
-    if isinstance(rope, Rope):
-        return Setup(rope, duration=needed(duration), **chosen(given))
-    setup = whole_setup(rope, given, allowed)
-    return setup if duration is None else replace(setup, duration=duration)
-
-
-def needed(duration: float | None) -> float:
-    """Return a duration, s, which must be given."""
-    if duration is None:
+    if "duration" not in given:
         raise InvalidInput("duration is missing", allowed="a number > 0, in s", fix="Give duration=10.0, say")
-    return duration
+    names = [name for name in ("arm_angle0", "arm_rate0") if name in given]
+    if names and "torque" not in given:
+        fix = "A motion defines where the arm begins; without one the arm rests at 0"
+        raise InvalidInput("no torque drives the arm that these begin", got=names, allowed="with torque=...", fix=fix)
+    pieces, pegs = None, checked_obstacles(given.get("pegs", ()))
+    if pegs and refine:
+        arm = given.get("arm")
+        pieces = cuts(rope, pegs, arm=arm)
+        rope = refine_rope(rope, pegs, arm=arm)
+        given |= {name: per_piece(given[name], pieces) for name in ("q0", "qd0") if name in given}
+    return build(rope, given), pieces
+
+
+def build(rope: Rope, given: Mapping[str, Any]) -> Setup:
+    """Return a set-up of a rope; a name that is no field of a set-up is refused."""
+    checks.keys("a set-up", given, [each.name for each in dataclasses.fields(Setup)])
+    return Setup(rope, **given)
+
+
+def per_piece(values: Any, pieces: Pieces) -> Any:
+    """Return values (n,) of links as values of the pieces that each link was cut into; others as they are."""
+    return np.repeat(values, pieces) if np.shape(values) == pieces.shape else values
 
 
 def check_memory(setup: Setup, samples: int) -> None:

@@ -19,18 +19,14 @@ COMMANDS = ("acceleration", "angle", "torque")
 def setup_for(command: str, setup: Setup) -> Setup:
     """Return a set-up with an arm that a stepper can command, without a motion or a torque of its own."""
     if setup.arm is None:
-        raise InvalidInput(
-            "a stepper needs an arm to command",
-            allowed="arm=Arm(...)",
-            fix=""
-            if command == "torque"
-            else "Give Arm(length=0.0) for a rope that hangs from the motor's shaft itself",
-        )
+        fix = "Give Arm(length=0.0) for a rope that hangs from the motor's shaft itself"
+        fix = "" if command == "torque" else fix
+        raise InvalidInput("a stepper needs an arm to command", allowed="arm=Arm(...)", fix=fix)
     torque = torque_profile([0.0, 1.0], [0.0, 0.0]) if command == "torque" else None
     angle, rate = setup.arm_angle0, setup.arm_rate0
     if setup.motion is not None:
         angle, rate = float(setup.motion.angle(0.0)), float(setup.motion.rate(0.0))
-    return replace(setup, motion=None, torque=torque, arm_angle0=angle, arm_rate0=rate)
+    return replace(setup, motion=None, torque=torque, arm_angle0=angle, arm_rate0=rate, control=None, control_rate=None)
 
 
 def arm_polynomials(command: str, dt: float) -> tuple[Array, Array]:

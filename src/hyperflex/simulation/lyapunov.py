@@ -2,15 +2,15 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Unpack
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import Arm, Rope, Setup
+from hyperflex.model import Rope, Setup, SetupFields
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import setup_of
 from hyperflex.simulation.outcome import refuse_failure
@@ -102,26 +102,17 @@ def predictability(
     rope: Rope | Setup,
     motion: Motion | None = None,
     *,
-    arm: Arm | None = None,
-    duration: float | None = None,
-    q0: npt.ArrayLike | None = None,
-    qd0: npt.ArrayLike | None = None,
-    tol: float | None = None,
     nudges: int = NUDGES,
     seed: int = 0,
     sample_time: float = SAMPLE_TIME,
+    **setup: Unpack[SetupFields],
 ) -> Predictability:
     """Measure how fast small errors grow along a run: for how long comparing it point by point means anything.
 
     Parameters
     ----------
-    rope : Rope or Setup
-        The rope; or a whole set-up (needed for a torque-driven arm), and then only `duration`, `nudges`, `seed` and
-        `sample_time` may be given beside it.
-    motion, arm, duration, q0, qd0
-        As in :func:`hyperflex.simulate`.
-    tol : float
-        Tolerance of the runs to be compared, m: the error that :meth:`Predictability.horizon` speaks of.
+    rope, motion, **setup
+        As in :func:`hyperflex.simulate`. The `tol` is the error, m, that :meth:`Predictability.horizon` starts from.
     nudges : int
         How many runs go beside the one asked for, each nudged at random in all angles and rates.
     seed : int
@@ -151,14 +142,13 @@ def predictability(
     >>> bool(growth.exponent() > 1.0), bool(growth.horizon(1e-3) < 4.0)
     (True, True)
     """
-    allowed = "duration, nudges, seed, sample_time"
-    setup = setup_of(rope, duration, allowed, motion=motion, arm=arm, q0=q0, qd0=qd0, tol=tol)
+    full, _ = setup_of(rope, {**setup, "motion": motion})
     count = checks.count("nudges", nudges, most=MOST_NUDGES)
     seed = checks.count("seed", seed, least=0)
     spacing = checks.number("sample_time", sample_time, sign="positive", unit="s")
-    reach = setup.rope.total_length
-    fine = replace(setup, tol=FINE * reach, method="extrapolation", step=None)
-    t = np.linspace(0.0, setup.duration, max(2, math.ceil(setup.duration / spacing - 1e-9) + 1))
+    reach = full.rope.total_length
+    fine = replace(full, tol=FINE * reach, method="extrapolation", step=None)
+    t = np.linspace(0.0, full.duration, max(2, math.ceil(full.duration / spacing - 1e-9) + 1))
     q, w = _states(fine, t)
     directions = _first_nudges(fine, count, np.random.default_rng(seed))
     size, displacement = np.ones((count, t.size)), np.ones((count, t.size))
@@ -167,7 +157,7 @@ def predictability(
             nudge, grown, moved = _drift(fine, t[k - 1 : k + 1], (q[k - 1], w[k - 1]), (q[k], w[k]), nudge)
             displacement[m, k] = size[m, k - 1] * moved
             size[m, k] = size[m, k - 1] * grown
-    return Predictability(t, size, displacement, setup.tol)
+    return Predictability(t, size, displacement, full.tol)
 
 
 def _states(setup: Setup, t: Array) -> tuple[Array, Array]:

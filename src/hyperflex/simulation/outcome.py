@@ -1,6 +1,6 @@
 """The outcome of a rollout: energy check, errors with advice, and the Trajectory."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,60 +14,69 @@ from hyperflex.simulation.contact.runs import split_samples
 from hyperflex.simulation.contact.turning_pegs import shown, spin_energy
 from hyperflex.simulation.restart import final_state, state_of
 from hyperflex.simulation.rollouts import Rollout, balanced, least_scale, starting_clock, stored
+from hyperflex.status import Status
 from hyperflex.trajectory import State, Trajectory
 
 AT_ONCE = 1_000_000  # numbers of states that are observed between two looks at Ctrl-C
 
 
-def failure(code: int, run: Rollout) -> SimulationError:
-    """Return the error that a status code stands for: when, where and what to try."""
-    n = run.chain.length.size
-    rates = np.abs(run.progress.y[n : 2 * n])
-    where = (
-        f"fastest link: {int(np.nanargmax(rates))} at {np.nanmax(rates):.3g} rad/s" if np.isfinite(rates).any() else ""
-    )
-    message = f"stopped at t = {run.time:.6g} s ({status.NAMES[code]}; {where}): {status.ADVICE[code]}."
-    return SimulationError(message, status=status.NAMES[code], time=run.time)
+def status_of(code: int) -> Status:
+    """Return the status of a result for the status code of the kernels."""
+    return Status.SUCCESS if code in (status.OK, status.REACHED, status.LEFT) else Status(status.NAMES[code])
+
+
+def failure(code: int, run: Rollout, time: float | None = None) -> SimulationError:
+    """Return the error of a status code: when and where, and what to try; of a sample at `time`, s, if given."""
+    where, rates = "", np.abs(run.progress.y[run.chain.length.size : 2 * run.chain.length.size])
+    if time is None and np.isfinite(rates).any():
+        where = f"; fastest link: {int(np.nanargmax(rates))} at {np.nanmax(rates):.3g} rad/s"
+    time, name = run.time if time is None else time, status_of(code)
+    message = f"stopped at t = {time:.6g} s ({name}{where}): {status.ADVICE[code]}."
+    return SimulationError(message, status=name, time=time)
 
 
 def refuse_failure(code: int, run: Rollout) -> None:
-    """Raise what a status code stands for, unless it is that of a run that has come to its end."""
+    """Raise the error of a status code, unless the run has come to its end."""
     if code != status.OK:
         raise failure(code, run)
 
 
-def conclude(run: Rollout, setup: Setup, code: int, name: str, *, throw: bool, skip: int) -> Trajectory:
-    """Work out everything that a trajectory shows, and check the energy balance from the start to where the run ended.
+def conclude(
+    run: Rollout,
+    setup: Setup,
+    code: int,
+    early: Status,
+    *,
+    throw: bool,
+    skip: int = 0,
+    event: tuple[str, float] | None = None,
+) -> Trajectory:
+    """Compute everything that a trajectory shows, and check the energy balance from the start to the run's end.
 
-    The trajectory calls the status `code` by its `name`, and leaves out the first `skip` rows of the output, which
-    nobody asked for. With `throw` a failure is raised instead of the part that holds being returned.
+    A run whose code is RUNNING was ended `early`. The trajectory omits the first `skip` rows of the output, which were
+    not required. With `throw` a failure is raised; otherwise the part that is valid is returned.
     """
-    message = "" if name == "ok" else str(failure(code, run)) if code != status.RUNNING else f"at t = {run.time:g} s"
     seen = _observe(run)
     good, bad_time = _balanced_rows(run, setup, seen)
-    failed = code not in (status.OK, status.RUNNING)
-    if bad_time is not None and not (failed and good == 0):
-        error = _unbalanced(bad_time)
-        if throw:
-            raise error
-        return _trajectory(run, setup, seen, skip, good, error.status, str(error), _state_at(run, setup, good))
-    if failed and throw:
-        raise failure(code, run)
-    state = _state_at(run, setup, good) if failed else final_state(run, setup)
-    return _trajectory(run, setup, seen, skip, good, name, message, state)
+    stopped = code == status.RUNNING
+    error = None if code in (status.OK, status.RUNNING) else failure(code, run)
+    if bad_time is not None and (error is None or good > 0):
+        error = failure(status.ENERGY, run, bad_time)
+    if error is not None and throw:
+        raise error
+    state = final_state(run, setup) if error is None else _state_at(run, setup, good)
+    name = early if stopped else Status.SUCCESS
+    message = f"{early} at t = {run.time:.6g} s" if stopped else ""
+    if error is not None:
+        name, message = error.status, str(error)
+    return _trajectory(run, setup, seen, slice(skip, good), state=state, status=name, message=message, event=event)
 
 
 def refuse_unbalanced(run: Rollout, setup: Setup) -> None:
     """Raise if the energy balance of a finished run does not hold."""
     _, bad_time = _balanced_rows(run, setup, _observe(run))
     if bad_time is not None:
-        raise _unbalanced(bad_time)
-
-
-def _unbalanced(time: float) -> SimulationError:
-    name = status.NAMES[status.ENERGY]
-    message = f"stopped at t = {time:.6g} s ({name}): {status.ADVICE[status.ENERGY]}."
-    return SimulationError(message, status=name, time=time)
+        raise failure(status.ENERGY, run, bad_time)
 
 
 class _Seen(NamedTuple):
@@ -114,26 +123,26 @@ def _state_at(run: Rollout, setup: Setup, count: int) -> State:
     return state_of(run, setup, run.y[row], starting_clock(float(run.t[row])), spin)
 
 
-def _trajectory(
-    run: Rollout, setup: Setup, seen: _Seen, skip: int, count: int, name: str, message: str, state: State
-) -> Trajectory:
-    """Trajectory of the output rows skip..count - 1."""
+def _trajectory(run: Rollout, setup: Setup, seen: _Seen, rows: slice, **facts: Any) -> Trajectory:
+    """Return the trajectory of some output rows; `facts` are its state, status, message and event."""
     n = run.chain.length.size
-    t, y = run.t[skip:count], run.y[skip:count]
-    qdd, base, scalars = (each[skip:count] for each in seen)
+    t, y = run.t[rows], run.y[rows]
+    qdd, base, scalars = (each[:-1][rows] for each in seen)
     q, qd = y[:, :n], y[:, n : 2 * n]
-    contact = None if run.seen is None else split_samples(run.seen[skip:count], n)
-    if contact is not None:  # in free flight what (1) gives stands
-        touched = ~contact.free
+    if run.seen is not None:
+        contact = split_samples(run.seen[rows], n)
+        touched = ~contact.free  # in free flight the accelerations follow from (1)
         qdd[touched], scalars[touched, 2:] = contact.qdd[touched], contact.load[touched]
         scalars[:, 0] += spin_energy(setup, contact.spin[:, 1])
-    if setup.torque_driven and setup.arm is not None:
-        angle, rate = q[:, 0], qd[:, 0]
-        sin, cos, arm_length = np.sin(angle), np.cos(angle), setup.arm.length
-        place = base[:, 7:9] + arm_length * np.stack([sin, -cos], axis=1)
-        velocity = base[:, 5:7] + (arm_length * rate)[:, None] * np.stack([cos, sin], axis=1)
+        facts |= {"contact_force": contact.force[:, n - setup.rope.n_links :], "contact_loss": contact.loss}
+        facts |= shown(setup, contact.spin)
+    if setup.torque is not None and setup.arm is not None:
+        angle, rate, length = q[:, 0], qd[:, 0], setup.arm.length
+        sin, cos = np.sin(angle), np.cos(angle)
+        place = base[:, 7:9] + length * np.stack([sin, -cos], axis=1)
+        velocity = base[:, 5:7] + (length * rate)[:, None] * np.stack([cos, sin], axis=1)
         q, qd, qdd = q[:, 1:], qd[:, 1:], qdd[:, 1:]
-        torque = np.clip(setup.torque.torque(t), -setup.arm.torque_limit, setup.arm.torque_limit)  # type: ignore[union-attr]
+        torque = np.clip(setup.torque.torque(t), -setup.arm.torque_limit, setup.arm.torque_limit)
     else:
         angle, rate, place, velocity = base[:, 4], base[:, 3], base[:, 7:9], base[:, 5:7]
         torque = _motor_torque(setup, angle, rate, base[:, 2], scalars)
@@ -152,13 +161,8 @@ def _trajectory(
         motor_work=y[:, 2 * n],
         motor_torque=torque,
         setup=setup,
-        state=state,
-        status=name,
-        message=message,
         attrs={"method": setup.method, "tol": setup.tol, **run.facts},
-        contact_force=None if contact is None else contact.force[:, n - setup.rope.n_links :],
-        contact_loss=None if contact is None else contact.loss,
-        **({} if contact is None else shown(setup, contact.spin)),
+        **facts,
     )
 
 

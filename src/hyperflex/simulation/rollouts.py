@@ -22,7 +22,8 @@ from hyperflex.core.integrate.steps import MOST_ORDER, scheme
 from hyperflex.core.read_only import read_only
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import defer_while_compiling, raise_if_cancelled
-from hyperflex.model import Rope, Setup
+from hyperflex.model import Control, Rope, Setup
+from hyperflex.motion import Motion, hold_arm
 from hyperflex.simulation.stability import first_moment, runge_kutta_limit
 
 # Orders that a run chooses from, step by step: seven fills four lanes without a gap, lower ones save no time, and eight
@@ -35,8 +36,6 @@ ENERGY_ALLOWANCE = 0.02
 BUDGET, SHORT = 2000, 100  # steps between two looks at progress and Ctrl-C, of a rope of so many links or fewer
 
 defer_while_compiling()
-
-Control = Callable[[float, float, float, Array, Array], float]
 
 
 @dataclass
@@ -191,6 +190,21 @@ class Interval:
         self._coef[0, channel] = powers
 
 
+@dataclass
+class AppliedTorques:
+    """Torques of a callback, N m, each with the time when it was set, s."""
+
+    times: list[float] = field(default_factory=list)
+    torques: list[float] = field(default_factory=list)
+
+    def motion(self, end: float) -> Motion:
+        """Return the torque that keeps each value until the next one, and the last one beyond `end`, s."""
+        coef = np.zeros((len(self.times), *hold_arm().coef.shape[1:]))
+        coef[:, TORQUE, 0] = self.torques
+        breaks = np.append(self.times, max(end, self.times[-1]) + 1.0)
+        return Motion(breaks, coef, np.ones(breaks.size, dtype=np.bool_))
+
+
 def controlled(
     run: Rollout,
     interval: Interval,
@@ -198,13 +212,13 @@ def controlled(
     period: float,
     go: Callable[[], int],
     watch: Callable[[float], None],
-    applied: list[tuple[float, float]],
+    applied: AppliedTorques,
 ) -> int:
     """Run with a torque that `control` sets every `period`, s; return the last status code.
 
     The interval's drive drives the run; `go` runs until ``run.limits.stop`` and returns the status code. `watch` is
-    called after each period with the time reached, s. Each torque, N m, and the time when it was set, s, are appended
-    to `applied`, also if an exception ends the run.
+    called after each period with the time reached, s. Torques are added to `applied`, also if an exception ends the
+    run.
     """
     n, limit = run.chain.length.size, run.drive.torque_limit
     begin, stop, code = run.time, run.limits.stop, status.OK
@@ -212,9 +226,10 @@ def controlled(
         y, now = run.progress.y, run.time
         answer = control(now, float(y[0]), float(y[n]), y[1:n].copy(), y[n + 1 : 2 * n].copy())
         commanded = checks.number(f"torque callback at t = {now:g} s", answer, unit="N m")
-        applied.append((now, float(np.clip(commanded, -limit, limit))))
-        until = min(begin + len(applied) * period, stop)
-        interval.set(now, until, TORQUE, [applied[-1][1], 0.0, 0.0, 0.0, 0.0, 0.0])
+        applied.times.append(now)
+        applied.torques.append(float(np.clip(commanded, -limit, limit)))
+        until = min(begin + len(applied.times) * period, stop)
+        interval.set(now, until, TORQUE, [applied.torques[-1], 0.0, 0.0, 0.0, 0.0, 0.0])
         run.limits = run.limits._replace(stop=until)
         code = go()
         restart(run.progress.clock)

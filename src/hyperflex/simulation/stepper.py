@@ -1,8 +1,7 @@
 """Stepper: a run taken one interval at a time, with a command for each."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +16,12 @@ from hyperflex.core.tangent import forward_sensitivity
 from hyperflex.core.tangent.directions import Directions
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import Arm, Obstacle, Rope, Setup, checked_obstacles
+from hyperflex.model import Arm, Rope, Setup, SetupFields
 from hyperflex.motion import hold_arm
-from hyperflex.simulation.arguments import chosen, whole_setup
+from hyperflex.simulation.arguments import setup_of
 from hyperflex.simulation.commands import COMMANDS, arm_polynomials, set_commands, setup_for, state_directions
 from hyperflex.simulation.contact.runs import STEP as CONTACT_STEP
-from hyperflex.simulation.contact.runs import ContactRun, refine_arguments
+from hyperflex.simulation.contact.runs import ContactRun
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.outcome import refuse_failure
 from hyperflex.simulation.restart import check_state, resume, state_of
@@ -63,10 +62,7 @@ class Stepper:
     Parameters
     ----------
     rope : Rope or Setup
-        The rope; or a whole set-up, whose motion or torque the commands replace, and then only `command` may be given
-        beside it.
-    arm : Arm
-        The arm; ``Arm(length=0.0)`` for a rope that hangs from the motor's shaft itself.
+        The rope; or a whole set-up, whose motion or torque the commands replace.
     command : {"acceleration", "angle", "torque"}
         What a command is, for the time s since the interval began and an arm that begins it at angle a and rate v:
 
@@ -74,8 +70,9 @@ class Stepper:
         ``"angle"``: u, rad. The arm follows the cubic that ends the interval, dt long, at the angle u with its mean
         rate (u - a) / dt. So angles on a straight line are a constant rate from the second step on.
         ``"torque"``: u, N m, constant. The arm moves as it must: its inertia, weight and friction count.
-    tol, pegs, contact_step, tip_force, refine
-        As in :func:`hyperflex.simulate`.
+    refine, **setup
+        As in :func:`hyperflex.simulate`. An ``arm`` is required: ``Arm(length=0.0)`` for a rope that hangs from the
+        motor's shaft itself.
 
     Raises
     ------
@@ -106,23 +103,13 @@ class Stepper:
         self,
         rope: Rope | Setup,
         *,
-        arm: Arm | None = None,
         command: str = "acceleration",
-        tol: float | None = None,
-        pegs: Sequence[Obstacle] = (),
-        contact_step: float | None = None,
-        tip_force: npt.ArrayLike | None = None,
         refine: bool = True,
+        **setup: Unpack[SetupFields],
     ) -> None:
         self.command = checks.choice("command", command, COMMANDS)
-        given: dict[str, Any] = {"arm": arm, "tol": tol, "contact_step": contact_step, "tip_force": tip_force}
-        if isinstance(rope, Rope):
-            pegs = checked_obstacles(pegs)
-            rope = refine_arguments(rope, pegs, arm, None, None, None)[0] if refine and pegs else rope
-            setup = Setup(rope, pegs=pegs, **chosen(given))
-        else:
-            setup = whole_setup(rope, {**given, "pegs": pegs or None}, "command")
-        self.setup = setup_for(command, setup)
+        full, _ = setup_of(rope, {"duration": 1.0, **setup} if isinstance(rope, Rope) else setup, refine=refine)
+        self.setup = setup_for(command, full)
         chain, self._interval = self.setup.chain(), Interval(self.setup.drive())
         run = prepare_rollout(
             chain, self._interval.drive, self.setup.start(), np.zeros(1), rollout_limits(self.setup, chain, 0.0)

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from hyperflex import files
+from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.files import Variable
 from hyperflex.model import Setup
+from hyperflex.status import Status
 from hyperflex.trajectory.run import CHECKPOINT, FORMAT, OPTIONAL, OWN_ATTRIBUTES, STATE, VARIABLES, State, Trajectory
 
 _NEEDED = ("t", "q", "qd", "step", "work", "dissipated")  # of a state
@@ -52,7 +53,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
         t=main["time"].numbers("time"),
         setup=Setup.loads(str(attributes["setup"]), f"the set-up in {path}"),
         state=_state(state),
-        status=str(attributes["status"]),
+        status=Status(checks.choice(f"status in {path}", str(attributes["status"]), list(Status))),
         message=str(attributes.get("message", "")),
         event=(str(attributes["event"]), float(attributes["event_time"])) if "event" in attributes else None,
         attrs={key: value for key, value in attributes.items() if key not in OWN_ATTRIBUTES},

@@ -12,6 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.model import Setup
+from hyperflex.status import Status
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -138,8 +139,10 @@ class Trajectory:
         What was simulated.
     state : State
         Where the run ended; hand it to :func:`hyperflex.simulate` to go on.
-    status, message : str
-        ``"ok"``, or the name of the failure and what it says.
+    status : Status
+        How the run ended.
+    message : str
+        Why it is no success, and what to try; empty on success.
     attrs : dict
         Facts about the run (method, tolerance, ...): strings and numbers.
     event : (str, float) or None
@@ -168,7 +171,7 @@ class Trajectory:
     motor_torque: Array
     setup: Setup
     state: State
-    status: str = "ok"
+    status: Status = Status.SUCCESS
     message: str = ""
     attrs: dict[str, Any] = field(default_factory=dict)
     event: tuple[str, float] | None = None
@@ -193,12 +196,12 @@ class Trajectory:
 
     def __repr__(self) -> str:
         span = f" from {self.t[0]:g} to {self.t[-1]:g} s" if self.t.size else ""
-        return f"Trajectory({self.q.shape[1]} links, {self.t.size} samples{span}, status {self.status!r})"
+        return f"Trajectory({self.q.shape[1]} links, {self.t.size} samples{span}, {self.status})"
 
     @property
     def success(self) -> bool:
         """Whether the run came to its end, or to the event that it was to end at."""
-        return self.status == "ok"
+        return self.status is Status.SUCCESS
 
     @cached_property
     def joints(self) -> Array:
@@ -252,7 +255,7 @@ class Trajectory:
             "format": FORMAT,
             "source": "simulated",
             "hyperflex_version": __version__,
-            "status": self.status,
+            "status": str(self.status),
             "message": self.message,
             "setup": self.setup.dumps(),
         }

@@ -153,8 +153,7 @@ def read_task(
         content = content | {"rope": Rope.from_toml(rope).table()}
     if "rope" not in content:
         raise InvalidInput("no rope is given", fix="Give --rope FILE, or a set-up file with a table [rope]")
-    top = [*(field.name for field in fields(Setup)), *PLANNING, "identification"]
-    check_tables(str(setup or rope), content, top)
+    check_tables(str(setup or rope), content, (*PLANNING, "identification"))
     if swinging := [name for name in ("q0", "qd0") if name in content]:
         words = f"{' and '.join(swinging)} of {setup} {'are' if len(swinging) == 2 else 'is'} not used"
         sys.stderr.write(f"hyperflex: {words}: plans begin with a rope that hangs at rest\n")

@@ -13,6 +13,7 @@ from hyperflex.estimate.observations import MarkerModel, Observations
 from hyperflex.estimate.process import Prediction, Process
 from hyperflex.estimate.smoothing.linear_smoother import Measurement, Smoothed, Step, smooth_linear
 from hyperflex.interfaces import RopeState
+from hyperflex.status import Status
 
 CLOSE = 0.03  # of a standard deviation: converged
 SHORTEST = 1.0 / 64.0  # part of a Gauss-Newton step
@@ -200,7 +201,7 @@ class Interval:
         self.frames = [*self.frames[:1], *frames]
         found = self._run(start, None, states)
         if found is None:
-            raise SimulationError("No rope moves along these states.", status="not finite", time=frames[0].seen.t)
+            raise SimulationError("No rope moves along these states.", status=Status.NOT_FINITE, time=frames[0].seen.t)
         self.path = found
         self._smoothe()
 
@@ -306,7 +307,7 @@ class Interval:
         possible = np.concatenate([x[:first], self.process.parameters.possible(x[first:])])
         found = self.process.predict(possible, self.frames[k - 1].seen.t, frame.seen.t)
         if not (np.abs(found.x).max() < BEYOND and np.abs(found.transition).max() < BEYOND**2):
-            raise SimulationError("The state is beyond all numbers.", status="not finite", time=frame.seen.t)
+            raise SimulationError("The state is beyond all numbers.", status=Status.NOT_FINITE, time=frame.seen.t)
         return found._replace(x=np.concatenate([found.x[:first], x[first:]]))
 
     def _measurement(self, frame: InputFrame, x: Array, qdd: Array) -> Measurement:

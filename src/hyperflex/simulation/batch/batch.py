@@ -1,35 +1,38 @@
-"""Batch rollouts: members in SIMD lanes, blocks of members on threads."""
+"""Batch rollouts: members in SIMD lanes, or one by one with contact, on threads or on an executor."""
 
 import math
-import os
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks, extras, memory
-from hyperflex.budget import Budget
+from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
-from hyperflex.core.batch.members import LENGTH, Members, Terms, observe_block
+from hyperflex.core.batch.members import LENGTH, observe_block
 from hyperflex.core.chain.lanes import MEMBERS
 from hyperflex.errors import InvalidInput
-from hyperflex.executor import checked_chunks
-from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Obstacle, Rope, Setup
+from hyperflex.executor import checked_chunks, run_chunks
+from hyperflex.interruption import Stop, interruptible, stoppable
+from hyperflex.model import Rope, Setup
 from hyperflex.motion import Motion
+from hyperflex.progress import progress_bar
 from hyperflex.simulation.arguments import output_times
-from hyperflex.simulation.batch.contact import TURNS, run_blocks, run_members, unfinished
-from hyperflex.simulation.batch.members import columns, members_of, setups_of, starts_of, terms_of
-from hyperflex.simulation.batch.pieces import run_pieces
+from hyperflex.simulation.batch.members import BatchFields, members_of, setups_of, starts_of, terms_of
+from hyperflex.simulation.contact.start import check_start
+from hyperflex.simulation.outcome import status_of
 from hyperflex.simulation.rollouts import balanced, least_scale, stored
+from hyperflex.simulation.runs import simulate
 from hyperflex.simulation.time_budget import Deadline, budget_of
+from hyperflex.status import Status
+from hyperflex.trajectory import Trajectory, swept
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -47,7 +50,7 @@ KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
     "qd": (("link",), "rad/s", "link rate"),
     "motor_work": ((), "J", "work done by the motor and the moving base since the start"),
     "dissipated_energy": ((), "J", "energy lost to friction and air since the start"),
-    TURNS: (("peg",), "1", "signed turns about a peg from the first joint to the tip"),
+    "turns": (("peg",), "1", "signed turns about a peg from the first joint to the tip"),
     "peg_angle": (("peg",), "rad", "angle by which a round peg has turned"),
     "peg_rate": (("peg",), "rad/s", "rate of a round peg"),
 }
@@ -63,15 +66,15 @@ class Batch:
         Output times, s.
     values : dict of str to array
         What was kept, each (M, T, ...); NaN from where a member failed.
-    status : tuple of str
-        ``"ok"`` or the name of the failure, (M,).
+    status : tuple of Status
+        How each member ended, (M,).
     reached : (M,) float64
         Time that each member reached, s.
     """
 
     t: Array
     values: dict[str, Array]
-    status: tuple[str, ...]
+    status: tuple[Status, ...]
     reached: Array
 
     def __getattr__(self, name: str) -> Array:
@@ -98,16 +101,17 @@ class Batch:
     @property
     def failed(self) -> list[int]:
         """Numbers of the members that did not finish."""
-        return [m for m, name in enumerate(self.status) if name != "ok"]
+        return [m for m, name in enumerate(self.status) if name is not Status.SUCCESS]
 
     def why(self, member: int) -> str:
         """Return what went wrong with a member, and advice; empty if nothing did."""
         if not -len(self.status) <= member < len(self.status):
             raise InvalidInput("no such member", got=member, allowed=f"0 to {len(self.status) - 1}")
         name = self.status[member]
-        advice = {status.NAMES[code]: text for code, text in status.ADVICE.items()}.get(name, "")
-        where = f"stopped at t = {self.reached[member]:.6g} s ({name})"
-        return "" if name == "ok" else where + (advice and f": {advice}.")
+        if name is Status.SUCCESS:
+            return ""
+        advice = {text: status.ADVICE[code] for code, text in status.NAMES.items()}.get(name, "")
+        return f"stopped at t = {self.reached[member]:.6g} s ({name})" + (advice and f": {advice}.")
 
     @property
     def dataset(self) -> "xr.Dataset":
@@ -119,7 +123,7 @@ class Batch:
             name: (("member", "time", *KEPT[name][0]), value, {"units": KEPT[name][1], "long_name": KEPT[name][2]})
             for name, value in self.values.items()
         }
-        variables["status"] = ("member", np.array(self.status))
+        variables["status"] = ("member", np.array(self.status, dtype=str))
         variables["reached"] = ("member", self.reached, {"units": "s", "long_name": "time reached"})
         coords = {"time": ("time", self.t, {"units": "s"}), "axis": ("axis", np.array(["x", "y"]))}
         return xr.Dataset(variables, coords, attrs={"source": "simulated"})
@@ -130,22 +134,14 @@ def simulate_batch(
     ropes: Rope | Sequence[Rope],
     motions: Motion | Sequence[Motion] | None = None,
     *,
-    arm: Arm | None = None,
-    duration: float,
-    q0: npt.ArrayLike | None = None,
-    qd0: npt.ArrayLike | None = None,
     t_eval: npt.ArrayLike | None = None,
-    tol: float = DEFAULT_TOL,
-    step: float | None = None,
     keep: Sequence[str] = ("tip",),
-    pegs: Sequence[Obstacle] | Sequence[Sequence[Obstacle]] = (),
-    contact_step: float = DEFAULT_CONTACT_STEP,
-    refine: bool = True,
     time_budget: float | Budget | Deadline | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     chunk_size: int | None = None,
     progress: bool = False,
+    **setup: Unpack[BatchFields],
 ) -> Batch:
     """Simulate many ropes, motions or initial states at once.
 
@@ -155,22 +151,11 @@ def simulate_batch(
         One for all members, or one each. All must have the same number of links and friction model.
     motions : Motion or sequence of Motion, optional
         One for all members, or one each.
-    arm, duration, tol
-        As in :func:`hyperflex.simulate`; the same for all members. The energy account does not shorten the steps here;
-        it is checked at the outputs.
-    q0, qd0 : (n,) or (M, n) array_like, optional
-        Angles, rad, and rates, rad/s, at the start; one row for all members, or one each.
     t_eval : (T,) array_like, optional
         Times of the output, s, from 0 on; by default the end alone. A step ends at each, so ask for what you need.
-    step : float, optional
-        A step chosen beforehand, s, without error control; not with pegs.
     keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns", "peg_angle", "peg_rate"}
-        What to keep; memory is (M, T) times this, beside the blocks in work. Turns are those about each round peg.
-    pegs : sequence of Peg, Wall or Ground, or of such sequences, optional
-        Pegs of all members, or of each, the same number for all. Members run one by one then, as with joint limits,
-        each as :func:`hyperflex.simulate` runs it and with the same result.
-    contact_step, refine
-        As in :func:`hyperflex.simulate`. Where ropes are cut into different numbers of links, `q` and `qd` end in NaN.
+        What to keep; memory is (M, T) times this, in addition to the blocks in work. Turns are those about each round
+        peg.
     time_budget : float or Budget, optional
         Time by the clock for all members, s; those that are not finished then have the status "out of time". By default
         there is no limit but that of :func:`simulate` for each member with pegs or with joint limits.
@@ -183,11 +168,18 @@ def simulate_batch(
         Members of a chunk; by default CHUNK, with contact CONTACT_CHUNK.
     progress : bool
         Show a progress bar on standard error.
+    **setup
+        Fields of :class:`hyperflex.Setup`, the same for all members unless stated otherwise: ``duration`` (required),
+        ``arm``, ``tol``, ``contact_step``; ``q0`` and ``qd0`` (n,), or (M, n) for each member; ``pegs``, or a sequence
+        of pegs for each member, the same number for all. Members with pegs or with joint limits run one by one, as
+        :func:`hyperflex.simulate` runs them. The energy account does not shorten the steps of other members; it is
+        checked at the outputs. ``step``, s, is a fixed step without error control, not with pegs. ``refine`` is as in
+        :func:`hyperflex.simulate`; if ropes are cut into different numbers of links, ``q`` and ``qd`` end in NaN.
 
     Returns
     -------
     Batch
-        A member that fails is reported in ``status``; the others stand.
+        A member that fails is reported in ``status``; the others are valid.
 
     Raises
     ------
@@ -207,152 +199,192 @@ def simulate_batch(
     """
     names_kept = checks.sequence("keep", keep, f"names among {', '.join(KEPT)}")
     keep = tuple(checks.choice("keep", name, tuple(KEPT)) for name in names_kept)
-    refine, progress = checks.flag("refine", refine), checks.flag("progress", progress)
-    usual = 1 if executor is not None else os.cpu_count() or 1
-    workers = checks.count("threads", threads, most=checks.MOST_THREADS) if threads is not None else usual
-    others = {"duration": duration, "tol": tol, "contact_step": contact_step}
-    setups = setups_of(ropes, motions, pegs, (q0, qd0), arm=arm, refine=refine, **others)
-    if not pegs and any("peg" in KEPT[name][0] for name in keep):
+    threads = None if threads is None else checks.count("threads", threads, most=checks.MOST_THREADS)
+    step = None if setup.get("step") is None else checks.number("step", setup.pop("step"), sign="positive", unit="s")
+    setups = setups_of(ropes, motions, **setup)
+    if not setups[0].pegs and any("peg" in KEPT[name][0] for name in keep):
         raise InvalidInput("turns are about pegs, and there are none", got=keep, fix="Give pegs=[Peg(...)]")
-    t = _outputs(t_eval, setups[0].duration)
-    _check_memory(setups, t.size, keep)
-    touches = any(setup.touches for setup in setups)
+    t = output_times([setups[0].duration] if t_eval is None else t_eval, 0.0, setups[0].duration)
+    if t[-1] == 0.0:
+        raise InvalidInput("t_eval is the start alone", got=t.tolist(), allowed="also a time after it, in s")
+    touches = any(each.touches for each in setups)
     if touches and step is not None:
-        raise InvalidInput("step is not there with pegs or with joint limits", got=step, fix="Give contact_step or tol")
-    chosen = 0.0 if step is None else checks.number("step", step, sign="positive", unit="s")
+        raise InvalidInput("step is not available with pegs or joint limits", got=step, fix="Give contact_step or tol")
     executor, size = checked_chunks(executor, chunk_size, CONTACT_CHUNK if touches else CHUNK)
-    run = _in_contact if touches else partial(_in_flight, step=chosen)
-    budget = time_budget if time_budget is None or isinstance(time_budget, Deadline) else Budget.of(time_budget)
-    run = partial(run, t=t, keep=keep, workers=workers)
-    if executor is None:
-        return run(setups, progress=progress, time_budget=budget)
-    run = partial(_until, None if budget is None else time.time() + budget_of(budget).remaining, run)
-    values, names, reached, stop = run_pieces(run, setups, executor, size, progress)
-    return stop.deliver(Batch(t, values, tuple(names), reached))
+    results = _Results(setups, t, keep)
+    limit = time_budget if time_budget is None or isinstance(time_budget, Deadline) else Budget.of(time_budget)
+    run = _in_contact if touches else partial(_in_flight, step=step or 0.0)
+    with progress_bar(0, len(setups), checks.flag("progress", progress), unit="members") as report:
+        if executor is None:
+            return results.batch(run(setups, results, limit, threads or budget_of(limit).threads, report))
+        end = None if limit is None else time.time() + budget_of(limit).remaining
+
+        def done(low: int, part: Batch) -> None:
+            results.put(low, part.values, part.status, part.reached)
+            if report is not None:
+                report(low + len(part.status))
+
+        with stoppable() as stop:
+            for lost in run_chunks(partial(_chunk, run, t, keep, end, threads or 1), setups, executor, size, done):
+                results.status[lost.start : lost.stop] = [Status.WORKER_LOST] * len(lost)
+    return results.batch(stop)
 
 
-def _until(end: float | None, run: Callable[..., Batch], setups: list[Setup]) -> Batch:
-    """Run members in a process of an executor until `end`, s, by the clock of all machines (``time.time``)."""
-    return run(setups, time_budget=None if end is None else Budget(end - time.time()))
+class _Results:
+    """Results of a batch, filled in as members finish; a batch that would not fit into the memory is refused."""
+
+    def __init__(self, setups: Sequence[Setup], t: Array, keep: tuple[str, ...]) -> None:
+        count = len(setups)
+        sizes = {"link": max(each.rope.n_links for each in setups), "axis": 2, "peg": len(setups[0].round_pegs)}
+        shapes = {name: (count, t.size, *(sizes[dim] for dim in KEPT[name][0])) for name in keep}
+        memory.check(
+            8.0 * sum(map(math.prod, shapes.values())),
+            f"a batch of {count} members with {t.size} outputs of {', '.join(keep)}",
+            "Ask for fewer outputs (t_eval=[...]), keep less of them (keep=[...]), or take fewer members at once",
+        )
+        self.t, self.values = t, {name: np.full(shape, np.nan) for name, shape in shapes.items()}
+        self.status: list[Status | None] = [None] * count
+        self.reached = np.zeros(count)
+
+    def put(
+        self, low: int, values: Mapping[str, Array], status: Sequence[Status | None], reached: npt.ArrayLike
+    ) -> None:
+        """Set the results of the members from `low` on; their values may have fewer times or links."""
+        rows = slice(low, low + len(status))
+        self.status[rows], self.reached[rows] = status, reached
+        for name, value in values.items():
+            self.values[name][(rows, *map(slice, value.shape[1:]))] = value
+
+    def batch(self, stop: Stop) -> Batch:
+        """Return the batch; raise Interrupted with it if the user interrupted the work."""
+        early = stop.status or Status.INTERRUPTED
+        return stop.deliver(Batch(self.t, self.values, tuple(each or early for each in self.status), self.reached))
+
+
+Limit = Budget | Deadline | None
+Run = Callable[[Sequence[Setup], _Results, Limit, int, Callable[[float], None] | None], Stop]
+
+
+def _chunk(run: Run, t: Array, keep: tuple[str, ...], end: float | None, threads: int, setups: list[Setup]) -> Batch:
+    """Run members in a process of an executor until `end`, s, by the clock that machines share (``time.time``)."""
+    results = _Results(setups, t, keep)
+    limit = None if end is None else Budget(end - time.time())
+    return results.batch(run(setups, results, limit, threads, None))
 
 
 def _in_contact(
-    setups: list[Setup],
-    t: Array,
-    keep: tuple[str, ...],
-    workers: int,
-    time_budget: Budget | Deadline | None,
-    progress: bool = False,
-) -> Batch:
-    """Run members with pegs or with joint limits in this process, on threads."""
-    shapes = {name: KEPT[name][0] for name in keep}
-    values, names, reached, stop = run_members(setups, t, shapes, time_budget, workers, progress)
-    return stop.deliver(Batch(t, values, tuple(names), reached))
+    setups: Sequence[Setup],
+    results: _Results,
+    limit: Limit,
+    threads: int,
+    report: Callable[[float], None] | None = None,
+) -> Stop:
+    """Run members with pegs or with joint limits in this process, one by one on threads."""
+    for m, setup in enumerate(setups):
+        check_start(setup, who=f"the rope of member {m}")
+
+    def one(m: int, _: int) -> None:
+        run = simulate(setups[m], t_eval=results.t, throw=False, time_budget=limit)
+        results.put(m, {name: _kept(run, name)[None] for name in results.values}, [run.status], [run.state.t])
+
+    return run_blocks(one, 1, len(setups), threads, budget_of(limit), report)
 
 
 def _in_flight(
-    setups: list[Setup],
-    t: Array,
-    keep: tuple[str, ...],
-    workers: int,
+    setups: Sequence[Setup],
+    results: _Results,
+    limit: Limit,
+    threads: int,
+    report: Callable[[float], None] | None = None,
+    *,
     step: float,
-    time_budget: Budget | Deadline | None,
-    progress: bool = False,
-) -> Batch:
-    """Run members in free flight in this process, on threads."""
+) -> Stop:
+    """Run members in free flight in this process: blocks of them in SIMD lanes, on threads."""
     chains = [setup.chain() for setup in setups]
     members = members_of(chains, [setup.drive() for setup in setups], starts_of(setups))
-    return _Work(members, terms_of(setups[0], chains[0], step), t, keep, setups).run(
-        workers, progress, budget_of(time_budget)
-    )
+    terms = terms_of(setups[0], chains[0], step)
+    t, first = results.t, int(results.t[0] == 0.0)  # 1: the start is the first sample
+    after, times = t[first:].copy(), t if first else np.append(terms.begin, t)
+    n = chains[0].length.size
+    width = 2 * n + 2
+    columns: dict[str, Any] = {"q": slice(0, n), "qd": slice(n, 2 * n), "motor_work": 2 * n, "dissipated_energy": -1}
+    halt = np.zeros(1, dtype=np.int64)  # 1: running blocks end where they are
 
-
-class _Work:
-    """The blocks of a batch and where their results go."""
-
-    def __init__(self, members: Members, terms: Terms, t: Array, keep: tuple[str, ...], setups: list[Setup]) -> None:
-        self.members, self.terms, self.t = members, terms, t
-        self.first = 1 if t[0] > 0.0 else 0  # row of start and outputs to show first: the start, where it is asked for
-        self.halt = np.zeros(1, dtype=np.int64)  # 1: blocks at work end where they are
-        self.ropes = [setup.rope for setup in setups]
-        self.floor = np.array([least_scale(rope) for rope in self.ropes])
-        count, _, n = members.links.shape
-        sizes = {"link": n, "axis": 2}
-        self.values = {name: np.full((count, t.size, *(sizes[dim] for dim in KEPT[name][0])), np.nan) for name in keep}
-        self.codes = np.full(count, -1)
-        self.reached = np.zeros(count)
-
-    def block(self, low: int, high: int) -> None:
-        """Run members low..high - 1 and keep what is asked of them."""
-        n = self.members.links.shape[2]
-        after = self.t[1 - self.first :].copy()  # times after the start
-        y = np.full((high - low, after.size, 2 * n + 2), np.nan)
-        codes, reached = np.full(high - low, -1), np.zeros(high - low)
-        core.run_block(self.members, self.terms, low, high, after, y, codes, reached, self.halt)
-        rows = slice(low, high)
-        states = np.concatenate([self.members.start[rows, None], y], axis=1)
-        times = np.append(self.terms.begin, after)
-        joint = self.check_energy(low, high, times, states, codes, reached)[:, self.first :]
-        y = states[:, self.first :]
-        for name, target in self.values.items():
-            if name == "tip":
-                length = self.members.links[rows, LENGTH][:, None, :]
-                q = y[:, :, :n]
-                reach = np.stack([(length * np.sin(q)).sum(axis=2), -(length * np.cos(q)).sum(axis=2)], axis=2)
-                target[rows] = joint + reach
-            else:
-                target[rows] = y[:, :, columns(name, n)]
-        self.reached[rows] = reached
-        self.codes[rows] = codes
-
-    def check_energy(
-        self, low: int, high: int, times: Array, states: Array, codes: npt.NDArray[np.int64], reached: Array
-    ) -> Array:
-        """Mark members whose energy balance fails, and forget their `states` (high - low, T, 2 n + 2) from there on.
-
-        Returns the position of the first joint at `times` (high - low, T, 2), m; the first time is that of the start.
-        """
-        kinetic, potential = np.empty((high - low, times.size)), np.empty((high - low, times.size))
-        joint, n = np.empty((high - low, times.size, 2)), self.members.links.shape[2]
-        seen = kinetic, potential, joint, np.empty(2 * n)
-        observe_block(self.members, self.terms, low, high, times, states, *seen)
-        floor, work, lost = self.floor[low:high, None], states[:, :, 2 * n], states[:, :, 2 * n + 1]
+    def block(low: int, high: int) -> None:
+        rows, count = slice(low, high), high - low
+        y = np.full((count, after.size, width), np.nan)
+        codes, reached = np.full(count, -1), np.zeros(count)
+        core.run_block(members, terms, low, high, after, y, codes, reached, halt)
+        states = np.concatenate([members.start[rows, None], y], axis=1)
+        kinetic, potential, joint = *np.empty((2, count, times.size)), np.empty((count, times.size, 2))
+        observe_block(members, terms, low, high, times, states, kinetic, potential, joint, np.empty(2 * n))
+        floor = np.array([least_scale(setup.rope) for setup in setups[rows]])[:, None]
         done = np.flatnonzero(codes == status.OK)
-        rows = balanced(floor[done], kinetic[done], potential[done], 0.0, work[done], lost[done])
-        for m in done[rows < times.size]:  # what is held may explain it, see there
-            held = stored(self.ropes[low + m].chain(), states[m, :, :n])
-            good = int(balanced(floor[m], kinetic[m], potential[m], held, work[m], lost[m]))
-            if good < times.size:
-                codes[m], reached[m] = status.ENERGY, times[good]
-                states[m, good:] = np.nan
-        return joint
+        energies = kinetic, potential, np.zeros(kinetic.shape), states[:, :, 2 * n], states[:, :, 2 * n + 1]
+        good = balanced(floor[done], *(each[done] for each in energies))
+        for m in done[good < times.size]:  # the energy stored in the rope may explain the error
+            energies[2][m] = stored(chains[low + m], states[m, :, :n])
+            valid = int(balanced(floor[m], *(each[m] for each in energies)))
+            if valid < times.size:
+                codes[m], reached[m] = status.ENERGY, times[valid]
+                states[m, valid:] = np.nan
+        shown = states[:, 1 - first :]
+        length, q = members.links[rows, LENGTH][:, None, :], shown[:, :, :n]
+        reach = np.stack([(length * np.sin(q)).sum(axis=2), -(length * np.cos(q)).sum(axis=2)], axis=2)
+        values = {name: shown[:, :, columns[name]] for name in results.values if name != "tip"}
+        if "tip" in results.values:
+            values["tip"] = joint[:, 1 - first :] + reach
+        # members that were halted have no code
+        results.put(low, values, [status_of(code) if code >= 0 else None for code in codes.tolist()], reached)
 
-    def run(self, workers: int, progress: bool, budget: Budget) -> Batch:
-        """Run all blocks on threads; what is finished when it is stopped is kept."""
-        count = self.codes.size
-        even = -(-count // (workers * BLOCKS * len(MEMBERS))) * len(MEMBERS)
-        states = self.t.size * (2 * self.members.links.shape[2] + 2)
-        held = int(STATES / states) // len(MEMBERS) * len(MEMBERS)
-        size = max(len(MEMBERS), min(even, LARGEST_BLOCK, held))
-        stop = run_blocks(self.block, size, count, workers, progress, budget, self.halt)
-        names = tuple(status.NAMES[int(code)] if code >= 0 else unfinished(stop) for code in self.codes)
-        return stop.deliver(Batch(self.t, self.values, names, self.reached))
-
-
-def _outputs(t_eval: npt.ArrayLike | None, duration: float) -> Array:
-    """Check the output times (T,), s; by default the end alone."""
-    t = output_times([duration] if t_eval is None else t_eval, 0.0, duration)
-    if t[-1] == 0.0:
-        raise InvalidInput("t_eval is the start alone", got=t.tolist(), allowed="also a time after it, in s")
-    return t
+    even = -(-len(setups) // (threads * BLOCKS * len(MEMBERS))) * len(MEMBERS)
+    held = int(STATES / (t.size * width)) // len(MEMBERS) * len(MEMBERS)
+    size = max(len(MEMBERS), min(even, LARGEST_BLOCK, held))
+    return run_blocks(block, size, len(setups), threads, budget_of(limit), report, halt)
 
 
-def _check_memory(setups: list[Setup], samples: int, keep: tuple[str, ...]) -> None:
-    """Refuse a batch whose results would not fit into the memory."""
-    sizes = {"link": max(setup.rope.n_links for setup in setups), "axis": 2, "peg": len(setups[0].round_pegs)}
-    numbers = sum(math.prod(sizes[dim] for dim in KEPT[name][0]) for name in keep)
-    memory.check(
-        8.0 * numbers * len(setups) * samples,
-        f"a batch of {len(setups)} members with {samples} outputs of {', '.join(keep)}",
-        "Ask for fewer outputs (t_eval=[...]), keep less of them (keep=[...]), or take fewer members at once",
-    )
+def run_blocks(
+    block: Callable[[int, int], None],
+    size: int,
+    count: int,
+    threads: int,
+    budget: Budget,
+    report: Callable[[float], None] | None = None,
+    halt: npt.NDArray[np.int64] | None = None,
+) -> Stop:
+    """Run a function for the members low..high - 1 of each block of `size`, until all `count` are done.
+
+    After an interrupt, and once the budget is spent, blocks that have not begun are omitted, and `halt` (1,), if given,
+    is set to 1 for those that are running. Returns whether and why that happened.
+    """
+    with stoppable() as stop, ThreadPoolExecutor(threads) as pool:
+        futures: list[Future[None]] = []
+        try:
+            budget.check()
+            spans = [(low, min(low + size, count)) for low in range(0, count, size)]
+            futures += (pool.submit(block, *span) for span in spans)
+            for (_, high), future in zip(spans, futures, strict=True):
+                while not future.done():
+                    wait([future], timeout=min(max(budget.remaining, 1e-3), 1.0))
+                    if not future.done():
+                        budget.check()
+                future.result()
+                if report is not None:
+                    report(high)
+        except (KeyboardInterrupt, OutOfTime):
+            if halt is not None:
+                halt[0] = 1
+            for future in futures:
+                future.cancel()
+            raise
+    return stop
+
+
+def _kept(run: Trajectory, name: str) -> Array:
+    """Return one of the quantities that a batch keeps (T, ...)."""
+    pegs = run.setup.round_pegs
+    if name == "turns":
+        away = [run.joints - np.array([peg.x, peg.y]) for peg in pegs]
+        return np.stack([swept(each).sum(axis=1) for each in away], axis=1) / (2.0 * np.pi)
+    value = getattr(run, name)
+    return np.zeros((run.t.size, len(pegs))) if value is None else np.asarray(value)

@@ -1,26 +1,32 @@
 """Batch stepper: many runs taken one interval at a time, each with its own command."""
 
-import os
 import weakref
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
+from hyperflex.core.batch.members import Members
 from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.chain.lanes import MEMBERS
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
-from hyperflex.model import DEFAULT_TOL, Arm, Rope
+from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.simulation.batch.members import INITIAL_CLOCK, MOST_MEMBERS, members_of, setups_of, starts_of, terms_of
 from hyperflex.simulation.commands import COMMANDS, arm_polynomials, setup_for
+from hyperflex.simulation.outcome import status_of
 from hyperflex.simulation.rollouts import Interval
+from hyperflex.status import Status
+
+ROWS = ("q", "qd", "arm_angle", "arm_rate", "work", "dissipated", "codes", "memory")  # of a state, a row each member
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +59,15 @@ class BatchState:
     codes: npt.NDArray[np.int64]
     memory: Array
 
+    def __post_init__(self) -> None:
+        for name in ROWS:
+            if isinstance(value := getattr(self, name), np.ndarray):
+                value.setflags(write=False)
+
     @property
-    def status(self) -> tuple[str, ...]:
-        """``"ok"``, or the name of the failure, of each member (M,)."""
-        return tuple(status.NAMES[int(code)] for code in self.codes)
+    def status(self) -> tuple[Status, ...]:
+        """Status of each member (M,): SUCCESS, or how it failed."""
+        return tuple(map(status_of, self.codes.tolist()))
 
 
 class BatchStepper:
@@ -109,22 +120,16 @@ class BatchStepper:
         self.command = checks.choice("command", command, COMMANDS)
         if isinstance(ropes, Rope) and members is not None:
             ropes = [ropes] * checks.count("members", members, most=MOST_MEMBERS)
-        setups = [setup_for(command, setup) for setup in setups_of(ropes, arm=arm, tol=tol)]
+        setups = self._setups(ropes, arm=arm, tol=tol)
         if members not in (None, len(setups)):
             raise InvalidInput("members and ropes do not fit together", got=members, allowed=f"{len(setups)}")
-        if any(setup.touches for setup in setups):
-            raise InvalidInput("a batch is stepped in free flight", got="ropes with joint limits", fix="Use hf.Stepper")
         self.setups = tuple(setups)
-        chains = [setup.chain() for setup in setups]
-        drives = [Interval(setup.drive()).drive for setup in setups]
         self._own, self._channel = (1, TORQUE) if command == "torque" else (0, ANGLE)
-        self._members = members_of(chains, drives, np.zeros((len(setups), 2 * chains[0].length.size + 2)))
-        self._terms = terms_of(setups[0], chains[0])
+        self._members = _members_of(setups)
+        self._terms = terms_of(setups[0], setups[0].chain())
         self._polynomials = (0.0, np.zeros((3, 6)), np.zeros((3, 2)))
         self._stop = np.zeros(1, dtype=np.int64)
-        workers = (
-            checks.count("threads", threads, most=checks.MOST_THREADS) if threads is not None else os.cpu_count() or 1
-        )
+        workers = Budget(threads=threads).threads
         size = -(-len(setups) // (workers * len(MEMBERS))) * len(MEMBERS)
         self._blocks = [(low, min(low + size, len(setups))) for low in range(0, len(setups), size)]
         self._pool = ThreadPoolExecutor(len(self._blocks)) if len(self._blocks) > 1 else None
@@ -144,18 +149,8 @@ class BatchStepper:
 
         q0 and qd0 are (n,) or (M, n), arm_angle and arm_rate numbers or (M,): for all members, or of each; t in s.
         """
-        count, n = len(self.setups), self.setups[0].rope.n_links
-        ropes = [setup.rope for setup in self.setups]
-        begin = starts_of(setups_of(ropes, start=(q0, qd0), arm=self.setups[0].arm))
-        angle = checks.array("arm_angle", arm_angle, (count,), scalar=True, unit="rad")
-        rate = checks.array("arm_rate", arm_rate, (count,), scalar=True, unit="rad/s")
-        codes, time, memory = (
-            np.full(count, status.OK),
-            checks.number("t", t, unit="s"),
-            np.tile(INITIAL_CLOCK, (count, 1)),
-        )
-        none = np.zeros(count), np.zeros(count)
-        return _read_only(BatchState(time, begin[:, :n], begin[:, n : 2 * n], angle, rate, *none, codes, memory))
+        rows = self._begin([setup.rope for setup in self.setups], q0, qd0, arm_angle, arm_rate)
+        return BatchState(checks.number("t", t, unit="s"), **rows)
 
     def restart(
         self,
@@ -190,37 +185,51 @@ class BatchStepper:
         chosen = _members(which, len(self.setups))
         if not chosen.size:
             return state
-        old = [self.setups[m] for m in chosen]
-        given = [setup.rope for setup in old] if ropes is None else ropes
-        given = [given] * len(old) if isinstance(given, Rope) else list(given)
         first = self.setups[0]
-        if len(given) != len(old) or any(
-            (rope.n_links, rope.friction_model) != (first.rope.n_links, first.rope.friction_model) for rope in given
-        ):
-            allowed = f"{len(old)} ropes of {first.rope.n_links} links and the batch's friction model"
+        given = [self.setups[m].rope for m in chosen] if ropes is None else ropes
+        given = [given] * chosen.size if isinstance(given, Rope) else list(given)
+        kind = first.rope.n_links, first.rope.friction_model
+        if len(given) != chosen.size or any((rope.n_links, rope.friction_model) != kind for rope in given):
+            allowed = f"{chosen.size} ropes of {kind[0]} links and the batch's friction model"
             raise InvalidInput("ropes do not fit the members", got=[rope.n_links for rope in given], allowed=allowed)
-        n = first.rope.n_links
-        begin = starts_of(setups_of(given, start=(q0, qd0), arm=first.arm))
-        angle = checks.array("arm_angle", arm_angle, (len(old),), scalar=True, unit="rad")
-        rate = checks.array("arm_rate", arm_rate, (len(old),), scalar=True, unit="rad/s")
+        new = self._begin(given, q0, qd0, arm_angle, arm_rate)
         if ropes is not None:
-            setups = [replace(first, rope=rope) for rope in given]
-            if any(setup.touches for setup in setups):
-                raise InvalidInput("a batch has no joint limits", got="ropes with joint limits", fix="Use hf.Stepper")
-            drives = [Interval(setup.drive()).drive for setup in setups]
-            rows = members_of([setup.chain() for setup in setups], drives, self._members.start[chosen])
+            setups = self._setups(given, arm=first.arm, tol=first.tol)
+            rows = _members_of(setups)
             links = self._members.links.copy()
             links[chosen], self._members.whole[chosen] = rows.links, rows.whole
             links.setflags(write=False)
             self._members = self._members._replace(links=links)
             changed = dict(zip(chosen.tolist(), setups, strict=True))
             self.setups = tuple(changed.get(m, setup) for m, setup in enumerate(self.setups))
-        new = (begin[:, :n], begin[:, n : 2 * n], angle, rate, 0.0, 0.0, status.OK, INITIAL_CLOCK)
-        names = ("q", "qd", "arm_angle", "arm_rate", "work", "dissipated", "codes", "memory")
-        values = {name: getattr(state, name).copy() for name in names}
-        for name, value in zip(names, new, strict=True):
-            values[name][chosen] = value
-        return _read_only(replace(state, **values))
+        values = {name: getattr(state, name).copy() for name in ROWS}
+        for name, value in values.items():
+            value[chosen] = new[name]
+        return replace(state, **values)
+
+    def _setups(self, ropes: Rope | Sequence[Rope], *, arm: Arm | None, tol: float) -> list[Setup]:
+        """Return the set-ups of ropes that the stepper can take."""
+        setups = [setup_for(self.command, setup) for setup in setups_of(ropes, duration=1.0, arm=arm, tol=tol)]
+        if any(setup.touches for setup in setups):
+            raise InvalidInput("a batch is stepped in free flight", got="ropes with joint limits", fix="Use hf.Stepper")
+        return setups
+
+    def _begin(
+        self,
+        ropes: Sequence[Rope],
+        q0: npt.ArrayLike | None,
+        qd0: npt.ArrayLike | None,
+        arm_angle: npt.ArrayLike,
+        arm_rate: npt.ArrayLike,
+    ) -> dict[str, Any]:
+        """Return the rows of a state in which members with these ropes begin."""
+        count, n = len(ropes), ropes[0].n_links
+        begin = starts_of(setups_of(ropes, duration=1.0, q0=q0, qd0=qd0))
+        angle = checks.array("arm_angle", arm_angle, (count,), scalar=True, unit="rad")
+        rate = checks.array("arm_rate", arm_rate, (count,), scalar=True, unit="rad/s")
+        codes, memory = np.full(count, status.OK), np.tile(INITIAL_CLOCK, (count, 1))
+        rows = begin[:, :n], begin[:, n : 2 * n], angle, rate, np.zeros(count), np.zeros(count), codes, memory
+        return dict(zip(ROWS, rows, strict=True))
 
     def tips(self, state: BatchState) -> tuple[Array, Array]:
         """Return places (M, 2), m, and velocities (M, 2), m/s, of the tips in a `state`."""
@@ -274,7 +283,7 @@ class BatchStepper:
         angle, rate = (y[:, 0].copy(), y[:, n].copy()) if own else (known @ self._polynomials[2]).T
         codes = np.where(state.codes == status.OK, codes, state.codes)
         q, qd, work, lost = y[:, own:n], y[:, n + own : 2 * n], y[:, 2 * n], y[:, 2 * n + 1]
-        return _read_only(BatchState(state.t + span, q, qd, angle, rate, work, lost, codes, members.clock.copy()))
+        return BatchState(state.t + span, q, qd, angle, rate, work, lost, codes, members.clock.copy())
 
     def _check(self, state: object) -> None:
         """Refuse what is no state of this batch, or holds what no member can begin with."""
@@ -335,8 +344,8 @@ def _members(which: npt.ArrayLike, count: int) -> npt.NDArray[np.intp]:
     return numbers
 
 
-def _read_only(state: BatchState) -> BatchState:
-    """Return a state whose arrays cannot be written to."""
-    for name in ("q", "qd", "arm_angle", "arm_rate", "work", "dissipated", "codes", "memory"):
-        getattr(state, name).setflags(write=False)
-    return state
+def _members_of(setups: Sequence[Setup]) -> Members:
+    """Return the members of set-ups, to be driven by one polynomial at a time."""
+    chains = [setup.chain() for setup in setups]
+    drives = [Interval(setup.drive()).drive for setup in setups]
+    return members_of(chains, drives, np.zeros((len(setups), 2 * chains[0].length.size + 2)))

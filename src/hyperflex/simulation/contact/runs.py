@@ -5,8 +5,7 @@ more than was allowed for, it is flown again by the stepper for contacts. A flig
 """
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +21,7 @@ from hyperflex.core.contact.arrays import STICK
 from hyperflex.core.contact.warm_start import new_contact_memory
 from hyperflex.core.integrate.progress import INDEX, MARK, T
 from hyperflex.interruption import deferred, raise_if_cancelled
-from hyperflex.model import DEFAULT_TOL, Arm, Obstacle, Rope, Setup, cuts, refine_rope
+from hyperflex.model import DEFAULT_TOL, Setup
 from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.contact.turning_pegs import coast, spin_energy, starting_spin
 from hyperflex.simulation.rollouts import Rollout, starting_clock
@@ -209,22 +208,6 @@ def contact_run(run: Rollout, setup: Setup, state: State | None) -> ContactRun:
     """
     check_start(setup, run.time, run.progress.y[: run.chain.length.size])
     return ContactRun(run, setup, state)
-
-
-def refine_arguments(
-    rope: Rope, pegs: tuple[Obstacle, ...], arm: Arm | None, q0: Any, qd0: Any, state: State | None
-) -> tuple[Rope, Any, Any, State | None]:
-    """Return the rope cut as its pegs need it, and start and state with an entry for each of its links."""
-    if not isinstance(rope, Rope) or not all(isinstance(peg, Obstacle) for peg in pegs):
-        return rope, q0, qd0, state  # refused where the set-up is made
-    pieces, coarse = cuts(rope, pegs, arm=arm), rope.n_links
-
-    def each(value: Any) -> Any:
-        return np.repeat(value, pieces) if value is not None and np.shape(value) == (coarse,) else value
-
-    if isinstance(state, State) and np.shape(state.q) == (coarse,) and (pieces > 1).any():
-        state = replace(state, q=each(state.q), qd=each(state.qd), checkpoint={})
-    return refine_rope(rope, pegs, arm=arm), each(q0), each(qd0), state
 
 
 class ContactSamples(NamedTuple):

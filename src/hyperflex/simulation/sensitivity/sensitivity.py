@@ -3,12 +3,13 @@
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperflex import extras, memory
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import Drive, base_state, segment
@@ -22,7 +23,7 @@ from hyperflex.core.tangent.dense_output import acceleration_derivatives
 from hyperflex.core.tangent.directions import Directions, place_changes
 from hyperflex.core.tangent.extrapolation import new_tangent_workspace
 from hyperflex.interruption import OutOfTime, interruptible
-from hyperflex.model import Arm, Rope, Setup
+from hyperflex.model import Rope, Setup, SetupFields
 from hyperflex.motion import Motion
 from hyperflex.simulation.arguments import output_times, setup_of
 from hyperflex.simulation.outcome import refuse_failure, refuse_unbalanced
@@ -109,13 +110,10 @@ def sensitivities(
     rope: Rope | Setup,
     motion: Motion | None = None,
     *,
-    arm: Arm | None = None,
-    duration: float | None = None,
-    q0: npt.ArrayLike | None = None,
-    qd0: npt.ArrayLike | None = None,
+    wrt: Wrt,
     t_eval: npt.ArrayLike | None = None,
-    tol: float | None = None,
-    wrt: Wrt = (),
+    time_budget: float | Budget | None = None,
+    **setup: Unpack[SetupFields],
 ) -> Sensitivities:
     """Simulate a rope, and differentiate angles, rates and the tip's position.
 
@@ -124,12 +122,8 @@ def sensitivities(
 
     Parameters
     ----------
-    rope : Rope or Setup
-        The rope; or a whole set-up, and then only `duration`, `t_eval` and `wrt` may be given beside it.
-    motion, arm, duration, q0, qd0, tol
+    rope, motion, t_eval, time_budget, **setup
         As in :func:`hyperflex.simulate`.
-    t_eval : (T,) array_like, optional
-        Increasing times of the output, s, within the run; by default every 10 ms and the end.
     wrt : str, mapping, or sequence of them
         What to differentiate by; at least one.
 
@@ -174,21 +168,22 @@ def sensitivities(
     >>> cast.dtip.shape
     (201, 2, 2)
     """
-    setup = setup_of(rope, duration, "duration, t_eval, wrt", motion=motion, arm=arm, q0=q0, qd0=qd0, tol=tol)
-    check_smooth(setup)
-    directions = parameter_directions(setup, wrt)
-    t = output_times(t_eval, 0.0, setup.duration)
-    chain, drive = directions.with_faint_terms(setup.chain()), setup.drive()
+    full, _ = setup_of(rope, {**setup, "motion": motion})
+    check_smooth(full)
+    directions = parameter_directions(full, wrt)
+    t = output_times(t_eval, 0.0, full.duration)
+    chain, drive = directions.with_faint_terms(full.chain()), full.drive()
     links, count = chain.length.size, len(directions.names)
     memory.check(
         8.0 * 5 * (links + 1) * (count + 1) * t.size,
         f"derivatives of {links} links by {count} parameters at {t.size} outputs",
         "Ask for fewer outputs (t_eval=[...]) or parameters (wrt=[...])",
     )
-    run = record_steps(chain, drive, setup.start(), rollout_limits(setup, chain, setup.duration), t=t)
-    refuse_unbalanced(run, setup)
-    _, dy = forward_derivatives(run, directions, setup.start(), t)
-    return _labelled(chain, drive, directions, t, run.y[-t.size :], dy, own=1 if setup.torque_driven else 0)
+    watch = Watch(time_budget, (0.0, full.duration))
+    run = record_steps(chain, drive, full.start(), rollout_limits(full, chain, full.duration), t=t, watch=watch)
+    refuse_unbalanced(run, full)
+    _, dy = forward_derivatives(run, directions, full.start(), t)
+    return _labelled(chain, drive, directions, t, run.y[-t.size :], dy, own=1 if full.torque_driven else 0)
 
 
 class AngleJacobian:
@@ -241,8 +236,12 @@ def record_steps(
     begin: float = 0.0,
     first_step: float = FIRST_STEP,
     t: Array | None = None,
+    watch: Watch | None = None,
 ) -> Rollout:
-    """Run to the end, noting every step, `first_step` (s) being tried first; outputs at `begin`, s, and t (T,), s."""
+    """Run to the end and record every step; outputs are at `begin`, s, and at t (T,), s.
+
+    `first_step`, s, is tried first; `watch` may end the run.
+    """
     count, width = STEPS, MODES + chain.length.size if can_stick(chain) else JOINT
     times = np.array([begin]) if t is None else t if t[0] == begin else np.append(begin, t)
     while True:
@@ -250,7 +249,7 @@ def record_steps(
         run = prepare_rollout(chain, drive, start, times, bounds, log=np.empty((count, width)))
         run.progress.clock[STEP] = first_step
         try:
-            code = finish_rollout(run, Watch(None, (begin, bounds.stop)))
+            code = finish_rollout(run, watch or Watch(None, (begin, bounds.stop)))
         except OutOfTime as cause:
             raise out_of_time(run.time, cause) from None
         refuse_failure(code, run)
