@@ -73,6 +73,6 @@ def test_a_fit_that_was_interrupted_is_no_demo(hyperflex, monkeypatch, tmp_path)
     def half(*_, **__):
         raise Interrupted(SimpleNamespace(message="interrupted"))
 
-    monkeypatch.setattr("hyperflex.demo.run.identify", half)
+    monkeypatch.setattr("hyperflex.demo.twin.identify", half)
     assert hyperflex("demo", "-o", tmp_path)[:2] == (130, "")
     assert list(tmp_path.iterdir()) == []

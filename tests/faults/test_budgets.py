@@ -339,7 +339,7 @@ def test_a_demo_that_cannot_be_written_is_kept_elsewhere_and_not_run_again(tmp_p
 
     def demo(_: object, video: Path) -> SimpleNamespace:
         runs.append(video.write_bytes(b"film"))
-        return SimpleNamespace(plan=SimpleNamespace(success=True), held=None, cast=None)
+        return SimpleNamespace(plan=SimpleNamespace(success=True), held=None)
 
     def write(folder: Path, *_: object) -> dict[str, str]:
         files.write_text(folder / "report.html", "page")
@@ -347,7 +347,7 @@ def test_a_demo_that_cannot_be_written_is_kept_elsewhere_and_not_run_again(tmp_p
 
     monkeypatch.setattr(demo_report, "run_demo", demo)
     monkeypatch.setattr(demo_report, "_write", write)
-    for name in ("_proof", "_parameters_table", "_reaches_table"):
+    for name in ("_proof", "_parameters_table"):
         monkeypatch.setattr(demo_report, name, lambda _: ())
     monkeypatch.setattr(demo_report, "CastReport", lambda *_: SimpleNamespace(verdict=""))
     with pytest.raises(FileProblem, match="The result is in") as caught:

@@ -26,15 +26,9 @@ from hyperflex.vision import (
     random_occlusion,
 )
 
-LENGTH, MASS, RADIUS = 2.0, 0.125, 0.0025  # m, kg, m: as the paper's cable
-FINE, COARSE = 40, 10  # links of the rope that made the data, and of the one that is fitted
-BENDING_FRICTION = 1e-4  # N m^2 s, joint friction times link length; between the paper's cable and its other rope
-RATE, SECONDS = 30.0, 10.0  # frames a second, s
+LENGTH, FINE, COARSE = 2.0, 40, 10  # m; links of the rope that made the data, and of the one that is fitted
 ARC_LENGTHS = LENGTH * np.arange(1, COARSE + 1) / COARSE  # m, of the markers: at the joints of the coarse chain
-HIDDEN, HIDDEN_TIME = 0.03, 0.3  # part of the markers that is covered, and for how long at a time, s
-SEED = 2007
-NAME = "demo swing (simulated)"
-TRAIN, WINDOW = 7.0, 3.5  # s, fitted part of the recording and length of its windows
+RATE, SECONDS = 30.0, 10.0  # Hz, s: frames and length of the video
 FREE = ("friction:shared", "inertia:shared")
 BUNDLED = Path(__file__).parent / "data" / "demo_swing.mp4"
 MAPPED = Path(__file__).parent / "data" / "demo_mapped.toml"
@@ -46,23 +40,30 @@ def friction(n_links: int) -> Array:
     A joint stands for the bending of one link length; a coarse joint does the work of several fine ones in series and
     so has less friction. The first joint is the eye that the rope hangs from: the same in every cut.
     """
-    result = np.full(n_links, BENDING_FRICTION * n_links / LENGTH)
-    result[0] = BENDING_FRICTION * COARSE / LENGTH
+    bending = 1e-4  # N m^2 s, joint friction times link length: between the paper's cable and its other rope
+    result = np.full(n_links, bending * n_links / LENGTH)
+    result[0] = bending * COARSE / LENGTH
     return result
+
+
+def _rope(n_links: int) -> Rope:
+    """Return the rope cut into `n_links`, with the mass and the radius of the paper's cable."""
+    name = f"demo rope, {n_links} links"
+    return Rope.uniform(LENGTH, 0.125, n_links, 0.0025, name=name).replace(friction=friction(n_links))
 
 
 def fine_rope() -> Rope:
     """Return the rope that makes the data: 40 links."""
-    return Rope.uniform(LENGTH, MASS, FINE, RADIUS, name="demo rope, 40 links").replace(friction=friction(FINE))
+    return _rope(FINE)
 
 
 def coarse_rope() -> Rope:
     """Return the same rope simply cut into 10 links, with the cylinder's inertia."""
-    return Rope.uniform(LENGTH, MASS, COARSE, RADIUS, name="demo rope, 10 links").replace(friction=friction(COARSE))
+    return _rope(COARSE)
 
 
 def guess() -> Rope:
-    """Return what the demo starts from: right length and mass, three times the friction."""
+    """Return the first guess of the demo: right length and mass, three times the friction."""
     return coarse_rope().replace(friction=3.0 * friction(COARSE), name="demo guess")
 
 
@@ -78,7 +79,10 @@ def swing(t: Array) -> Trajectory:
 
 
 def film(path: Path, seconds: float = SECONDS) -> Truth:
-    """Render the swing as a video: markers in front of a wall with things on it, light that drifts, noise."""
+    """Render the swing as a video: markers in front of a wall with clutter, light that drifts, noise.
+
+    3 % of the markers are covered, for 0.3 s at a time.
+    """
     run = swing(np.arange(0.0, seconds + 0.1, 2e-3))
     scene = Scene(
         ARC_LENGTHS,
@@ -86,8 +90,8 @@ def film(path: Path, seconds: float = SECONDS) -> Truth:
         clutter=3,
         light_drift=0.1,
         noise=1.5,
-        hidden=random_occlusion(COARSE, HIDDEN, HIDDEN_TIME, until=seconds, seed=SEED),
-        seed=SEED,
+        hidden=random_occlusion(COARSE, 0.03, 0.3, until=seconds, seed=2007),
+        seed=2007,
     )
     motion = RopeMotion(run.t, run.q, run.qd, fine_rope().length)
     return Renderer(camera(), motion, scene).write(path, frame_times(0.0, seconds, RATE), quality=24)
@@ -113,7 +117,7 @@ def recording(found: VideoTrack) -> Recording:
         np.column_stack([np.zeros((seen.t.size, 2)), seen.data]),
         kind="markers",
         noise=np.column_stack([np.full((seen.t.size, 2), np.median(noise)), noise]),
-        name=NAME,
+        name="demo swing (simulated)",
         source=f"simulated: {FINE} links, filmed by a synthetic camera with {RATE:g} frames/s and tracked",
     )
 
@@ -121,20 +125,19 @@ def recording(found: VideoTrack) -> Recording:
 def exact() -> Recording:
     """Return the joints of the coarse chain in the same swing, without a camera."""
     run = swing(np.arange(round(SECONDS * RATE) + 1) / RATE)
-    return Recording(run.t, run.joints[:, :: FINE // COARSE].reshape(run.t.size, -1), kind="markers", name=NAME)
+    return Recording(run.t, run.joints[:, :: FINE // COARSE].reshape(run.t.size, -1), kind="markers")
 
 
-def fit(recording: Recording) -> Identification:
-    """Identify friction and inertia of the 10-link chain from a recording, as the demo does it."""
-    return identify(recording, guess(), FREE, options=FitOptions(train=TRAIN, window=WINDOW))
+def fit(recording: Recording, progress: bool | Callable[[dict[str, float]], None] = False) -> Identification:
+    """Identify friction and inertia of the 10-link chain from the first 7 s of a recording, as the demo does it."""
+    return identify(recording, guess(), FREE, options=FitOptions(train=7.0, window=3.5), progress=progress)
 
 
 def write_bundled(video: Path = BUNDLED, mapped_path: Path = MAPPED) -> None:
     """Make the files that come with the package: the video, and what the fit finds without noise.
 
-    That is in the same swing without a camera: the best that 10 links can do for a
-    rope of 40. It differs from the rope simply cut into 10 links, because coarse links need more inertia and friction
-    to move alike.
+    The latter is found in the same swing without a camera: the best that 10 links can do for a rope of 40. It differs
+    from the rope simply cut into 10 links, because coarse links need more inertia and friction to move alike.
     """
     film(video)
     mapped = {name: float(values[0]) for name, values in fit(exact()).values.items()}

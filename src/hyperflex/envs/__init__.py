@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hyperflex.envs.scores import Scores, score_policy
     from hyperflex.envs.swing import SwingEnv, SwingVectorEnv
     from hyperflex.envs.vec_env import stable_baselines_env
-    from hyperflex.envs.vector import RopeEnv, RopeVectorEnv
+    from hyperflex.envs.vector import EnvOptions, RopeEnv, RopeVectorEnv
 
 extras.require(("gymnasium",), "gym", "Environments")
 

@@ -1,7 +1,6 @@
-"""Actions of an environment and what the arms do then: an acceleration, or half turns that start when asked."""
+"""Actions of an environment and what the arms do then: an acceleration, or half turns that start on a command."""
 
 import math
-from abc import ABC, abstractmethod
 
 import numpy as np
 import numpy.typing as npt
@@ -11,26 +10,25 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import MotorLimits
 
-ACTIONS = ("acceleration", "timing")
 QUARTER = 0.5 * math.pi  # rad; arms begin at -QUARTER, and half turns go to and fro below the shaft
 
 
-class Actuator(ABC):
+class Actuator:
     """Turns actions of many members into accelerations of their arms within the motor's limits.
 
-    `limits` are those of the motor, `dt`, s, is the interval of an action, `count` the number of members.
+    `limits` are those of the motor, `dt`, s, is the interval of an action, `count` the number of members. Subclasses
+    set `space`, the space of one member's action.
     """
 
-    space: spaces.Space[np.generic] | spaces.Box  # of one member's action
+    space: spaces.Space[np.generic] | spaces.Box
 
     def __init__(self, limits: MotorLimits, dt: float, count: int) -> None:
         self.limits, self.dt, self.count = limits, dt, count
 
-    @abstractmethod
     def accelerations(self, actions: npt.NDArray[np.generic], angle: Array, rate: Array) -> Array:
         """Return accelerations (M,), rad/s^2, of arms at an angle (M,), rad, with a rate (M,), rad/s."""
+        raise NotImplementedError
 
-    @abstractmethod
     def begin(self, which: npt.NDArray[np.intp]) -> None:
         """Forget what some members were doing."""
 
@@ -38,7 +36,7 @@ class Actuator(ABC):
 class AccelerationActuator(Actuator):
     """An action is the arm's acceleration as a part of the motor's greatest, -1 to 1.
 
-    It is reduced where the arm would pass the motor's speed, or could not brake any more before the end of its range.
+    It is reduced where the arm would exceed the motor's speed, or could no longer brake before the end of its range.
     """
 
     def __init__(self, limits: MotorLimits, dt: float, count: int) -> None:
@@ -48,16 +46,13 @@ class AccelerationActuator(Actuator):
     def accelerations(self, actions: npt.NDArray[np.generic], angle: Array, rate: Array) -> Array:
         """Return accelerations (M,), rad/s^2, for actions (M, 1)."""
         most, dt = self.limits.acceleration, self.dt
-        asked = most * np.clip(np.asarray(actions, dtype=np.float64).reshape(self.count), -1.0, 1.0)
+        wanted = most * np.clip(np.asarray(actions, dtype=np.float64).reshape(self.count), -1.0, 1.0)
         half, middle = 0.5 * most * dt, angle + 0.5 * dt * rate
         room = middle - self.limits.angles[0], self.limits.angles[1] - middle
         low, high = (np.sqrt(half**2 + 2.0 * most * np.maximum(way, 0.0)) - half for way in room)
         speed = self.limits.speed
-        given = np.clip(asked, (-np.minimum(low, speed) - rate) / dt, (np.minimum(high, speed) - rate) / dt)
+        given = np.clip(wanted, (-np.minimum(low, speed) - rate) / dt, (np.minimum(high, speed) - rate) / dt)
         return np.asarray(np.clip(given, -most, most))
-
-    def begin(self, which: npt.NDArray[np.intp]) -> None:
-        """Forget nothing: an acceleration lasts for its interval."""
 
 
 class TimingActuator(Actuator):
@@ -92,7 +87,4 @@ class TimingActuator(Actuator):
         self._left[which] = 0
 
 
-def actuator(action: str, limits: MotorLimits, dt: float, count: int) -> Actuator:
-    """Return the actuator of a kind of action, one of ACTIONS."""
-    kinds: dict[str, type[Actuator]] = {"acceleration": AccelerationActuator, "timing": TimingActuator}
-    return kinds[action](limits, dt, count)
+ACTUATORS: dict[str, type[Actuator]] = {"acceleration": AccelerationActuator, "timing": TimingActuator}

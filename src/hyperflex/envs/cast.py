@@ -13,8 +13,6 @@ from hyperflex.model import Peg
 from hyperflex.planning import MIN_TURNS
 from hyperflex.trajectory import swept
 
-HOLD = 1.0  # s, for which a rope must stay wound
-
 
 class CastVectorEnv(RopeVectorEnv):
     """:class:`CastEnv` for several members, one after the other; the arguments are the same.
@@ -45,15 +43,19 @@ class CastVectorEnv(RopeVectorEnv):
     def _start(self, which: npt.NDArray[np.intp], places: Array) -> None:
         self._turns[which], self._wound[which] = self._about(places)[which], 0.0
 
-    def _judge(self, places: Array) -> tuple[Array, Flags]:
+    def _score(self, places: Array) -> tuple[Array, Flags]:
         part = [np.minimum(np.abs(turns) / MIN_TURNS, 1.0) for turns in (self._turns, self._about(places))]
         self._turns = self._about(places)
         self._wound = np.where(part[1] < 1.0, 0.0, self._wound + self.dt)
-        held = self._wound > HOLD - 0.5 * self.dt
-        return part[1] - part[0] + held, held
+        return part[1] - part[0] + self._held, self._held
 
     def _values(self) -> dict[str, Any]:
-        return {"turns": self._turns, "is_success": self._wound > HOLD - 0.5 * self.dt}
+        return {"turns": self._turns, "is_success": self._held}
+
+    @property
+    def _held(self) -> Flags:
+        """Whether members have been wound for 1 s (M,)."""
+        return np.asarray(self._wound > 1.0 - 0.5 * self.dt)
 
 
 class CastEnv(RopeEnv):
@@ -97,8 +99,8 @@ class CastEnv(RopeEnv):
     Those of :class:`SwingEnv`, and `target`, a :class:`hyperflex.Peg` that is the same in each episode:
     ``gymnasium.make("hyperflex/Cast-v0", target=hf.Peg(0.9, -0.8, 0.05))``.
 
-    The rope's links are not cut finer at the peg, and it passes through itself and the arm: what winds here may not
-    stand the checks of :func:`hyperflex.plan_cast`.
+    The rope's links are not cut finer at the peg, and it passes through itself and the arm: what winds here may fail
+    the checks of :func:`hyperflex.plan_cast`.
 
     ## Version history
 

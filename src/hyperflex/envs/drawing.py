@@ -11,10 +11,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.planning import MotorLimits, Problem, Uncertainty, check_feasibility, scaled_rope
 
-ROPE = ("length", "mass", "friction")  # factors that a mismatch and a randomization name
-SWAY = 0.1  # rad, by which a rope may hang to either side at the start
-ASIDE, UP = (0.3, 0.55), (-0.55, -0.3)  # lengths of the rope, by which targets lie beside and above the shaft
-RADIUS = 0.05  # m, of targets
+FACTORS = ("length", "mass", "friction")  # of the rope, that a mismatch and a randomization name
 DRAWS = 100  # targets at most, until one is in reach
 
 
@@ -50,20 +47,22 @@ class Drawing:
         mismatch: Mapping[str, float],
         randomization: Mapping[str, float],
     ) -> None:
-        checks.keys("mismatch", checks.mapping("mismatch", mismatch), ROPE)
-        checks.keys("randomization", checks.mapping("randomization", randomization), (*ROPE, "mu"))
-        factors = [checks.number(f"mismatch {name}", mismatch.get(name, 1.0), sign="positive") for name in ROPE]
+        checks.keys("mismatch", checks.mapping("mismatch", mismatch), FACTORS)
+        checks.keys("randomization", checks.mapping("randomization", randomization), (*FACTORS, "mu"))
+        factors = [checks.number(f"mismatch {name}", mismatch.get(name, 1.0), sign="positive") for name in FACTORS]
         self.model, self.arm, self.limits, self.true = rope, arm, limits, scaled_rope(rope, *factors)
         self._cast = Problem(self.true, arm, limits) if randomization else None
-        spreads: dict[str, Any] = {**dict.fromkeys((*ROPE, "mu", "lag", "timing"), 0.0), **randomization}
+        spreads: dict[str, Any] = {**dict.fromkeys((*FACTORS, "mu", "lag", "timing"), 0.0), **randomization}
         self._uncertainty = Uncertainty(**spreads)
 
     def angles(self, rng: np.random.Generator) -> Array:
-        """Return the angles (n,), rad, of a rope that hangs straight, up to SWAY from the vertical."""
-        return np.full(self.true.n_links, self.true.hanging_angle + rng.uniform(-SWAY, SWAY))
+        """Return the angles (n,), rad, of a rope that hangs straight, up to 0.1 rad from the vertical."""
+        return np.full(self.true.n_links, self.true.hanging_angle + rng.uniform(-0.1, 0.1))
 
     def target(self, rng: np.random.Generator) -> Peg:
-        """Return a peg to either side of the arm, in reach of the model's rope as the planner's feasibility check says.
+        """Return a peg of 50 mm to either side of the arm that the planner's feasibility check calls in reach.
+
+        It is 0.3 to 0.55 lengths of the rope to the side of the shaft, and as far below.
 
         Raises
         ------
@@ -74,8 +73,8 @@ class Drawing:
         length, (x, y) = self.model.total_length, self.arm.pivot
         for _ in range(DRAWS):
             side = 1.0 if rng.random() < 0.5 else -1.0
-            aside, up = (length * rng.uniform(*between) for between in (ASIDE, UP))
-            peg = Peg(x + side * aside, y + up, RADIUS)
+            aside, up = length * rng.uniform(0.3, 0.55), length * rng.uniform(-0.55, -0.3)
+            peg = Peg(x + side * aside, y + up, 0.05)
             found = check_feasibility(problem, peg)
             if found.feasible:
                 return peg

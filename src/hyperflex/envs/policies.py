@@ -1,7 +1,7 @@
-"""Scripted policies: the rules of the paper and of this package for half turns, and planned casts carried out.
+"""Scripted policies: rules for half turns, and planned casts.
 
-A policy is made for an episode that has begun, ``policy = CrossingPolicy(env)``, and then gives an action for each
-observation, ``policy(seen)``. These look at the environment's true state and know its model, not the true rope.
+A policy is made for an episode that has begun, ``policy = CrossingPolicy(env)``, and then returns an action for each
+observation, ``policy(seen)``. It reads the environment's true state and its model, not the true rope.
 """
 
 from typing import Any
@@ -16,10 +16,6 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
 from hyperflex.planning import CastPlan, plan_cast
-
-TRIES, TIME, BUDGET = 2, 9.0, 15.0  # plans for a target, time until the strike, s, and time for a plan, s
-GAIN = 5.0  # 1/s^2, of the arm's lag behind a planned motion
-AFTER = 5.0  # s of a rehearsal after the motion's end
 
 
 class RulePolicy:
@@ -100,9 +96,9 @@ class PlannedCast:
         self,
         env: Any,
         *,
-        tries: int = TRIES,
-        time_limit: float = TIME,
-        time_budget: float = BUDGET,
+        tries: int = 2,
+        time_limit: float = 9.0,
+        time_budget: float = 15.0,
         threads: int | None = None,
     ) -> None:
         self._members, self._succeeds = members_of(env), False
@@ -127,7 +123,8 @@ class PlannedCast:
         t, given, world = members.dt * float(members.steps[0]), 0.0, members.world
         if motion is not None:
             angle, rate = motion.angle(t), motion.rate(t + members.dt)
-            given = (float(rate) - world.arm_rate[0]) / members.dt + GAIN * (float(angle) - world.arm_angle[0])
+            lag = float(angle) - world.arm_angle[0]
+            given = (float(rate) - world.arm_rate[0]) / members.dt + 5.0 * lag  # 1/s^2: takes a lag back in a second
         return np.clip([given / members.limits.acceleration], -1.0, 1.0).astype(np.float32)
 
     def _rehearse(self, plan: CastPlan) -> bool:
@@ -138,7 +135,9 @@ class PlannedCast:
         twin.reset(seed=0)
         twin.world.begin(np.array([0]), [members.model], members.pegs, members.world.q, members.world.arm_angle[0])
         ended = False
-        while not ended and members.dt * twin.steps[0] < float(motion.breaks[-1]) + AFTER:
+        while (
+            not ended and members.dt * twin.steps[0] < float(motion.breaks[-1]) + 5.0
+        ):  # s, in which the rope must wind
             _, _, terminated, _, info = twin.step(self._action(twin, motion)[None])
             ended, self._succeeds = bool(terminated[0]), bool(info["is_success"][0])
         return self._succeeds

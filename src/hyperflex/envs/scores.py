@@ -15,9 +15,8 @@ from hyperflex.checks import Array
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 
 Policy = Callable[[Array], Any]
-SEEDS = range(200)
-CHUNK = 8  # episodes of a chunk
-RESAMPLES, SIDE = 2000, 0.025  # bootstrap samples of the mean, and the part left out on either side of its interval
+SEEDS = range(200)  # of the benchmark
+CHUNK = 8  # episodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +42,14 @@ class Scores:
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval of the mean return, by a bootstrap of the episodes with fixed random numbers."""
-        rows = np.random.default_rng(0).integers(self.returns.size, size=(RESAMPLES, self.returns.size))
-        low, high = np.quantile(self.returns[rows].mean(axis=1), [SIDE, 1.0 - SIDE])
+        rows = np.random.default_rng(0).integers(self.returns.size, size=(2000, self.returns.size))
+        low, high = np.quantile(self.returns[rows].mean(axis=1), [0.025, 0.975])
         return float(low), float(high)
 
     def __str__(self) -> str:
         low, high = self.interval
-        won = f", {self.successes.sum()} successes" if self.successes.any() else ""
-        return f"{self.mean:.4g} ({low:.4g} to {high:.4g}, {self.returns.size} episodes{won})"
+        succeeded = f", {self.successes.sum()} successes" if self.successes.any() else ""
+        return f"{self.mean:.4g} ({low:.4g} to {high:.4g}, {self.returns.size} episodes{succeeded})"
 
 
 def score_policy(

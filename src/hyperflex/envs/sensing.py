@@ -8,13 +8,12 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.envs.worlds import World
 
-OBSERVATIONS = ("state", "markers")
-RATE = 10.0  # rad/s, the unit of rates in an observation
-BOUND = 100.0  # of what has no bound of its own, in its unit; what is beyond is clipped
+RATE = 10.0  # rad/s, the unit of rates in an observation: makes numbers of about 1
+BOUND = 100.0  # to which observations are clipped, so that their space is bounded
 
 
 class Sensing:
-    """What a policy sees of the members, one row each, float64 and finite.
+    """Observations of the members, one row each, float64 and finite.
 
     Parameters
     ----------
@@ -31,7 +30,7 @@ class Sensing:
     """
 
     def __init__(self, observation: str, markers: int, n_links: int, extra: int) -> None:
-        self.kind = checks.choice("observation", observation, OBSERVATIONS)
+        self.kind = checks.choice("observation", observation, ("state", "markers"))
         count = checks.count("markers", markers, most=n_links)
         self._joints = np.round(np.linspace(0, n_links, count + 1)[1:]).astype(np.intp)
         size = 3 + (3 * n_links if self.kind == "state" else 4 * count)
@@ -39,13 +38,13 @@ class Sensing:
         self.space = spaces.Box(-bound, bound, dtype=np.float64)
         self._frames: tuple[Array, Array] | None = None  # of markers, now and an interval before
 
-    def look(self, world: World, places: Array) -> None:
-        """Take a frame of all members, at `places` (M, n + 1, 2), m, an interval after the last one."""
+    def take_frame(self, world: World, places: Array) -> None:
+        """Take a frame of all members, at `places` (M, n + 1, 2), m, an interval after the previous one."""
         if self._frames is not None:
             self._frames = self._frame(world, places), self._frames[0]
 
     def begin(self, world: World, places: Array, which: npt.NDArray[np.intp]) -> None:
-        """Take it that some members, at `places` (M, n + 1, 2), m, have stood still before now."""
+        """Begin with some members, at `places` (M, n + 1, 2), m, as if they had been at rest before."""
         if self.kind == "markers":
             now = self._frame(world, places)
             if self._frames is None:
@@ -54,7 +53,7 @@ class Sensing:
                 frame[which] = now[which]
 
     def observe(self, world: World, extra: Array | None) -> Array:
-        """Return what is seen (M, ...) since the last look, with what the environment adds (M, extra)."""
+        """Return the observations (M, ...), with the numbers that the environment adds (M, extra)."""
         arm = [np.sin(world.arm_angle)[:, None], np.cos(world.arm_angle)[:, None], world.arm_rate[:, None] / RATE]
         if self._frames is None:
             parts = [np.sin(world.q), np.cos(world.q), world.qd / RATE, *arm]

@@ -27,7 +27,7 @@ class SwingVectorEnv(RopeVectorEnv):
         reach = self.arm.length + self.world.lengths.sum(axis=1)
         return np.asarray(np.abs(places[:, -1, 0] - self.arm.pivot[0]) / reach)
 
-    def _judge(self, places: Array) -> tuple[Array, Flags]:
+    def _score(self, places: Array) -> tuple[Array, Flags]:
         self._amplitude = self._amplitudes(places)
         return self._amplitude, np.zeros(self.num_envs, dtype=np.bool_)
 
@@ -49,7 +49,7 @@ class SwingEnv(RopeEnv):
     With ``action="acceleration"`` (the default) ``Box(-1, 1, (1,), float32)``: the arm's acceleration for the interval
     as a part of the motor's greatest, 23.6 rad/s^2. It is reduced where the arm would pass the motor's speed or could
     no longer brake before the end of its range. With ``action="timing"`` ``Discrete(2)``: 1 starts a half turn of an
-    arm that rests, 0 waits; while the arm moves both do nothing. So acts the paper's controller.
+    arm that rests, 0 waits; while the arm moves both do nothing. This is how the paper's controller acts.
 
     ## Observation Space
 
@@ -75,7 +75,7 @@ class SwingEnv(RopeEnv):
     ## Arguments
 
     `rope`, `arm`, `limits`, `action`, `observation`, `markers`, `dt`, `tol`, `mismatch` and `randomization`, as of
-    :class:`RopeEnv`: ``gymnasium.make("hyperflex/Swing-v0", action="timing", randomization={"friction": 0.2})``.
+    :class:`EnvOptions`: ``gymnasium.make("hyperflex/Swing-v0", action="timing", randomization={"friction": 0.2})``.
 
     ## Version history
 

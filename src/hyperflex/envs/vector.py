@@ -3,6 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import gymnasium
@@ -14,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.envs.actuators import ACTIONS, QUARTER, actuator
+from hyperflex.envs.actuators import ACTUATORS, QUARTER
 from hyperflex.envs.drawing import Drawing, default_rope
 from hyperflex.envs.sensing import Sensing
 from hyperflex.envs.worlds import World
@@ -23,22 +24,67 @@ from hyperflex.model import Arm, Peg, Rope
 from hyperflex.planning import MotorLimits
 
 Flags = npt.NDArray[np.bool_]
-TOL = 1e-5  # m
-NOWHERE = Peg(1.0, 0.0, 0.05)  # stands for the target where there is none
+NOWHERE = Peg(1.0, 0.0, 0.05)  # placeholder where an environment has no target
+
+
+@dataclass(frozen=True, eq=False)
+class EnvOptions:
+    """Arguments that all environments take.
+
+    Attributes
+    ----------
+    rope, arm : Rope, Arm, optional
+        The model; by default the paper's cable on an arm of 105 mm.
+    limits : MotorLimits
+        Of the motor; by default the paper's.
+    action : {"acceleration", "timing"}
+        What an action is.
+    observation : {"state", "markers"}
+        What is observed.
+    markers : int
+        Number of markers.
+    dt : float
+        Interval of an action, s.
+    tol : float
+        As in :func:`hyperflex.simulate`, m.
+    mismatch : mapping of str to float
+        Factors of the true rope's ``length``, ``mass`` and ``friction``, which the model does not know.
+    randomization : mapping of str to float
+        Relative standard deviations of the same, and of ``mu`` of a peg, sampled in each episode.
+    """
+
+    rope: Rope | None = None
+    arm: Arm = field(default_factory=Arm)
+    limits: MotorLimits = field(default_factory=MotorLimits)
+    action: str = "acceleration"
+    observation: str = "state"
+    markers: int = 5
+    dt: float = 0.02
+    tol: float = 1e-5
+    mismatch: Mapping[str, float] = field(default_factory=dict)
+    randomization: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, kind in (("arm", Arm), ("limits", MotorLimits)):
+            checks.instance(name, getattr(self, name), kind)
+        checks.choice("action", self.action, tuple(ACTUATORS))
+        checks.number("dt", self.dt, sign="positive", unit="s")
 
 
 class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
-    """Many ropes on arms, each with an episode of its own; the arguments are those of :class:`RopeEnv`, and two more.
+    """Many ropes on arms, each with its own episode.
 
     Parameters
     ----------
     num_envs : int
         Number of members M.
     autoreset_mode : {"NextStep", "SameStep", "Disabled"} or gymnasium.vector.AutoresetMode
-        When a member whose episode has ended begins anew: at the next step, whose action it ignores; at once, with the
-        last observation in ``info["final_obs"]``; or by ``reset(options={"reset_mask": mask})`` alone.
+        When a member whose episode has ended begins a new one: at the next step, whose action it ignores; at once,
+        with the last observation in ``info["final_obs"]``; or by ``reset(options={"reset_mask": mask})`` alone.
     max_episode_steps : int, optional
         Steps after which an episode is cut; by default it is not.
+    arguments
+        Those of :class:`EnvOptions`.
 
     Raises
     ------
@@ -57,17 +103,8 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         *,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
-        rope: Rope | None = None,
-        arm: Arm | None = None,
-        limits: MotorLimits | None = None,
-        action: str = "acceleration",
-        observation: str = "state",
-        markers: int = 5,
-        dt: float = 0.02,
-        tol: float = TOL,
-        mismatch: Mapping[str, float] | None = None,
-        randomization: Mapping[str, float] | None = None,
         render_mode: None = None,
+        **arguments: Any,
     ) -> None:
         self.num_envs = checks.count("num_envs", num_envs)
         modes = [mode.value for mode in AutoresetMode]
@@ -77,14 +114,14 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         if render_mode is not None:
             raise InvalidInput("this environment draws nothing", got=render_mode, allowed="render_mode=None")
         self._longest = math.inf if max_episode_steps is None else checks.count("max_episode_steps", max_episode_steps)
-        self.model = default_rope(self.n_links) if rope is None else checks.instance("rope", rope, Rope)
-        self.arm = Arm() if arm is None else checks.instance("arm", arm, Arm)
-        self.limits = MotorLimits() if limits is None else checks.instance("limits", limits, MotorLimits)
-        self.dt = checks.number("dt", dt, sign="positive", unit="s")
-        self.drawing = Drawing(self.model, self.arm, self.limits, mismatch or {}, randomization or {})
-        self.actuator = actuator(checks.choice("action", action, ACTIONS), self.limits, self.dt, self.num_envs)
-        self._sensing = Sensing(observation, markers, self.model.n_links, self.extra)
-        self.world = self.world_class(self.drawing.true, self.arm, self.num_envs, tol)
+        checks.keys("the arguments", arguments, [each.name for each in fields(EnvOptions)])
+        options = EnvOptions(**{name: value for name, value in arguments.items() if value is not None})
+        self.model = checks.instance("rope", options.rope or default_rope(self.n_links), Rope)
+        self.arm, self.limits, self.dt = options.arm, options.limits, options.dt
+        self.drawing = Drawing(self.model, self.arm, self.limits, options.mismatch, options.randomization)
+        self.actuator = ACTUATORS[options.action](self.limits, self.dt, self.num_envs)
+        self._sensing = Sensing(options.observation, options.markers, self.model.n_links, self.extra)
+        self.world = self.world_class(self.drawing.true, self.arm, self.num_envs, options.tol)
         self.single_action_space, self.single_observation_space = self.actuator.space, self._sensing.space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -95,7 +132,7 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin episodes; member i of a seed draws from `seed` + i, and goes on drawing from there without one.
+        """Begin episodes; member i samples from `seed` + i, and continues from there without a seed.
 
         Parameters
         ----------
@@ -134,8 +171,8 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         world.step(self.actuator.accelerations(actions, world.arm_angle, world.arm_rate), self.dt)
         self.steps = self.steps + 1
         places = world.places()
-        self._sensing.look(world, places)
-        rewards, reached = self._judge(places)
+        self._sensing.take_frame(world, places)
+        rewards, reached = self._score(places)
         rewards, terminated = np.where(world.failed | anew, 0.0, rewards), (reached | world.failed) & ~anew
         truncated = (self.steps >= self._longest) & ~anew
         self._ended = terminated | truncated
@@ -191,7 +228,7 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         """Note what the rewards of an episode that begins are counted from."""
 
     @abstractmethod
-    def _judge(self, places: Array) -> tuple[Array, Flags]:
+    def _score(self, places: Array) -> tuple[Array, Flags]:
         """Return rewards (M,), and whether episodes have come to their goal (M,)."""
 
     @abstractmethod
@@ -209,31 +246,7 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
 class RopeEnv(gymnasium.Env[Array, Any], ABC):
     """A rope on an arm: member 0 of a :class:`RopeVectorEnv` of one, and to the bit what it is among many.
 
-    Other Parameters
-    ----------------
-    rope, arm : Rope, Arm, optional
-        The model; by default the paper's cable on an arm of 105 mm.
-    limits : MotorLimits, optional
-        Of the motor; by default the paper's.
-    action : {"acceleration", "timing"}
-        What an action is.
-    observation : {"state", "markers"}
-        What is seen.
-    markers : int
-        Number of markers.
-    dt : float
-        Interval of an action, s.
-    tol : float
-        As in :func:`hyperflex.simulate`, m.
-    mismatch : mapping of str to float, optional
-        Factors of the true rope's ``length``, ``mass`` and ``friction``: what a model does not know.
-    randomization : mapping of str to float, optional
-        Relative standard deviations of the same, and of ``mu`` of a peg, drawn in each episode.
-
-    Raises
-    ------
-    InvalidInput
-        If an argument cannot be used.
+    The arguments are those of :class:`EnvOptions`. Raises InvalidInput if one cannot be used.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012

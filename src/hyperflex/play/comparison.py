@@ -1,4 +1,4 @@
-"""A recording beside the rope that was identified from it: what was measured, what is simulated, how sure that is."""
+"""A recording and the rope that was identified from it: measured, simulated, and how uncertain that is."""
 
 from pathlib import Path
 
@@ -14,18 +14,15 @@ from hyperflex.report import Dots, Line, Overlay, Plot, player_html
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
 
-LEAD, MOST_FRAMES = 0.5, 120  # s and frames at the beginning that tell the state
-LONGEST = 20.0  # s that are simulated
+LEAD = 0.5  # s at the beginning, from which the state is estimated
 DRAWN = 20  # ropes of the posterior
-NOISE = 2e-3  # m, of a marker where the recording says nothing; corrected by what is seen
-_SEED = 0
 
 
 def comparison_page(recording: Path, rope: Path) -> str:
     """Return a player of the rope as it is simulated, with the measured markers, and ropes drawn from the posterior.
 
-    The state at the beginning is what the first LEAD seconds tell (:func:`hyperflex.estimate.smooth`); all after that
-    is prediction. Each of the other ropes has a state and, if the file holds their covariance, parameters of its own.
+    The state at the beginning is estimated from the first LEAD seconds (:func:`hyperflex.estimate.smooth`); all after
+    that is prediction. Each of the other ropes has its own state and, if the file holds their covariance, parameters.
 
     Parameters
     ----------
@@ -44,9 +41,9 @@ def comparison_page(recording: Path, rope: Path) -> str:
     known = Rope.from_toml(rope) if posterior is None else posterior.rope
     t, places = _joints(read, known)
     mean, factor = _state(known, t, places)
-    times = t[t <= LONGEST]
+    times = t[t <= 20.0]  # s, so that the page is made in some seconds
     run = _simulated(known, mean, times)
-    rng, others = np.random.default_rng(_SEED), []
+    rng, others = np.random.default_rng(0), []
     for _ in range(DRAWN):
         drawn = known if posterior is None else posterior.sample(rng)
         try:
@@ -83,9 +80,11 @@ def _joints(read: Recording, rope: Rope) -> tuple[Array, Array]:
 def _state(rope: Rope, t: Array, places: Array) -> tuple[Array, Array]:
     """Return the state (2 n,) at the beginning, and a root (2 n, 2 n) of its covariance."""
     rows = np.flatnonzero(t <= LEAD)
-    rows = rows[:: max(1, rows.size // MOST_FRAMES)]
+    rows = rows[:: max(1, rows.size // 120)]
     estimator = MovingHorizon(rope, np.cumsum(rope.length))
-    track = smooth(estimator, [Observations(float(t[k]), places[k, 1:], std=NOISE) for k in rows])
+    track = smooth(
+        estimator, [Observations(float(t[k]), places[k, 1:], std=2e-3) for k in rows]
+    )  # m: corrected by the residuals
     first = track.states[0]
     covariance = np.zeros((2 * rope.n_links,) * 2) if first.covariance is None else first.covariance
     sizes, directions = np.linalg.eigh(covariance)

@@ -1,21 +1,19 @@
-"""What can be set in the page: names, units and ranges, and what rope, arm, target and motor they make."""
+"""What can be set in the page, with units and ranges, and the rope, arm, target and motor that the settings make."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.planning import MotorLimits
 
-RADIUS = 0.0025  # m, of the rope: the paper's cable
-
 
 class Control(NamedTuple):
-    """A number that can be set: the group it stands in, its words, unit, range and step; a step of 0 is a tick.
+    """How a number can be set: group, label, unit, range and step of its slider; a step of 0 is a tick box.
 
-    With `choices` it is the number of one of them, from 0 on.
+    With `choices` the number is the index of one of them.
     """
 
     group: str
@@ -30,54 +28,38 @@ class Control(NamedTuple):
 FIXED, CROSSING, PUMPING = range(3)
 RULES = ("after a fixed rest", "as the tip crosses the middle", "when it drives the swing most")
 
-CONTROLS = {
-    "length": Control("Rope", "length", "m", 0.2, 5.0, 0.05),
-    "mass": Control("Rope", "mass", "kg", 0.01, 1.0, 0.005),
-    "links": Control("Rope", "links", "", 2, 200, 1),
-    "friction": Control("Rope", "friction of each joint", "N m s/rad", 0.0, 0.005, 0.0001),
-    "arm_length": Control("Arm", "length", "m", 0.01, 1.0, 0.005),
-    "arm_angle": Control("Arm", "angle to hold", "degrees", -180.0, 180.0, 1.0),
-    "t_move": Control("Swing", "time of a half turn", "s", 0.2, 2.0, 0.01),
-    "rule": Control("Swing", "the next one begins", "", 0, len(RULES) - 1, 1, RULES),
-    "t_rest": Control("Swing", "fixed rest", "s", 0.0, 2.0, 0.01),
-    "target_x": Control("Target", "x", "m", -6.0, 6.0, 0.01),
-    "target_y": Control("Target", "y", "m", -6.0, 6.0, 0.01),
-    "target_radius": Control("Target", "radius", "m", 0.005, 0.3, 0.005),
-    "target_friction": Control("Target", "friction", "", 0.0, 1.0, 0.01),
-    "target_solid": Control("Target", "a peg that the rope touches", "", 0, 1, 0),
-    "motor_speed": Control("Motor", "speed", "rad/s", 1.0, 30.0, 0.01),
-    "motor_acceleration": Control("Motor", "acceleration", "rad/s²", 2.0, 200.0, 0.1),
-    "time_budget": Control("Motor", "time to plan", "s", 2.0, 120.0, 1.0),
-    "speed": Control("View", "speed", "× real time", 0.02, 2.0, 0.01),
-}
+
+def _set(default: float, *control: Any) -> Any:
+    """Return a field with its default value and its control."""
+    return field(default=default, metadata={"control": Control(*control)})
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Values of all CONTROLS, in their units."""
+    """All that can be set, in the units of the controls."""
 
-    length: float = 2.0
-    mass: float = 0.125
-    links: float = 50
-    friction: float = 5e-4
-    arm_length: float = 0.105
-    arm_angle: float = -90.0
-    t_move: float = 0.73
-    rule: float = FIXED
-    t_rest: float = 0.53
-    target_x: float = -0.83
-    target_y: float = -1.07
-    target_radius: float = 0.04
-    target_friction: float = 0.3
-    target_solid: float = 1
-    motor_speed: float = MotorLimits.speed
-    motor_acceleration: float = MotorLimits.acceleration
-    time_budget: float = 30.0
-    speed: float = 1.0
+    length: float = _set(2.0, "Rope", "length", "m", 0.2, 5.0, 0.05)
+    mass: float = _set(0.125, "Rope", "mass", "kg", 0.01, 1.0, 0.005)
+    links: float = _set(50, "Rope", "links", "", 2, 200, 1)
+    friction: float = _set(5e-4, "Rope", "friction of each joint", "N m s/rad", 0.0, 0.005, 0.0001)
+    arm_length: float = _set(0.105, "Arm", "length", "m", 0.01, 1.0, 0.005)
+    arm_angle: float = _set(-90.0, "Arm", "angle to hold", "degrees", -180.0, 180.0, 1.0)
+    t_move: float = _set(0.73, "Swing", "time of a half turn", "s", 0.2, 2.0, 0.01)
+    rule: float = _set(FIXED, "Swing", "the next one begins", "", 0, len(RULES) - 1, 1, RULES)
+    t_rest: float = _set(0.53, "Swing", "fixed rest", "s", 0.0, 2.0, 0.01)
+    target_x: float = _set(-0.83, "Target", "x", "m", -6.0, 6.0, 0.01)
+    target_y: float = _set(-1.07, "Target", "y", "m", -6.0, 6.0, 0.01)
+    target_radius: float = _set(0.04, "Target", "radius", "m", 0.005, 0.3, 0.005)
+    target_friction: float = _set(0.3, "Target", "friction", "", 0.0, 1.0, 0.01)
+    target_solid: float = _set(1, "Target", "a peg that the rope touches", "", 0, 1, 0)
+    motor_speed: float = _set(MotorLimits.speed, "Motor", "speed", "rad/s", 1.0, 30.0, 0.01)
+    motor_acceleration: float = _set(MotorLimits.acceleration, "Motor", "acceleration", "rad/s²", 2.0, 200.0, 0.1)
+    time_budget: float = _set(30.0, "Motor", "time to plan", "s", 2.0, 120.0, 1.0)
+    speed: float = _set(1.0, "View", "speed", "× real time", 0.02, 2.0, 0.01)
 
     def changed(self, values: Mapping[str, object]) -> "Settings":
         """Return settings with some values changed; InvalidInput names one that is unknown or out of its range."""
-        checks.keys("the settings", values, [each.name for each in fields(self)])
+        checks.keys("the settings", values, CONTROLS)
         found = {}
         for name, given in values.items():
             each = CONTROLS[name]
@@ -90,8 +72,8 @@ class Settings:
 
     @property
     def rope(self) -> Rope:
-        """The rope."""
-        return Rope.uniform(self.length, self.mass, int(self.links), RADIUS, friction=self.friction)
+        """The rope, as thick as the paper's cable."""
+        return Rope.uniform(self.length, self.mass, int(self.links), 0.0025, friction=self.friction)
 
     @property
     def arm(self) -> Arm:
@@ -107,3 +89,6 @@ class Settings:
     def limits(self) -> MotorLimits:
         """Limits of the motor."""
         return MotorLimits(self.motor_speed, self.motor_acceleration)
+
+
+CONTROLS: dict[str, Control] = {each.name: each.metadata["control"] for each in fields(Settings)}

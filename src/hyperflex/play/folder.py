@@ -1,4 +1,4 @@
-"""The folder that the page may read from and write to: nothing outside of it, and nothing that is there is replaced."""
+"""The folder that the page may read from and write to: nothing outside it, and no existing file is replaced."""
 
 from pathlib import Path
 
@@ -10,7 +10,6 @@ from hyperflex.play.session import Recorded
 from hyperflex.trajectory import read_trajectory
 
 OPENED, SAVED = (".nc", ".csv", ".toml"), (".nc", ".html", ".toml", ".csv")
-MOST_NAMES, LONGEST = 200, 100
 
 
 class Folder:
@@ -32,7 +31,7 @@ class Folder:
         found = [each for pattern in ("*", "*/*") for each in self.path.glob(pattern) if each.suffix in OPENED]
         names = (each.relative_to(self.path) for each in found if each.is_file() and self._inside(each))
         shown = (each.as_posix() for each in names if not any(part.startswith(".") for part in each.parts))
-        return sorted(shown)[:MOST_NAMES]
+        return sorted(shown)[:200]  # as many as a person reads
 
     def page(self, name: str, rope: str = "") -> str:
         """Return the player of a saved run; of a recording, with the `rope` that was identified from it."""
@@ -84,7 +83,7 @@ class Folder:
         return self.path / name
 
     def _new(self, name: str) -> Path:
-        plain = Path(name).name == name and not name.startswith(".") and name.isprintable() and len(name) < LONGEST
+        plain = Path(name).name == name and not name.startswith(".") and name.isprintable() and len(name) < 100
         if not plain or "\\" in name or Path(name).suffix not in SAVED or not Path(name).stem:
             raise InvalidInput("the file's name cannot be used", got=name, allowed=f"a name with {', '.join(SAVED)}")
         path = self.path / name

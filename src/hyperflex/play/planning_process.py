@@ -1,4 +1,4 @@
-"""Planning in a process of its own, so that the rope goes on moving, and can be cancelled at once."""
+"""Planning in a separate process, so that the rope continues to move and planning can be cancelled at once."""
 
 import contextlib
 import os
@@ -16,9 +16,7 @@ from hyperflex.errors import HyperflexError
 from hyperflex.model import Arm, Obstacle, Peg, Rope
 from hyperflex.planning import CastPlan, MotorLimits, WhipPlan, plan_cast, plan_whip
 
-NICENESS = 10
-_END_TIMEOUT = 0.5  # s until a process that does not end is killed
-_BEGIN, _STANDS, _END = range(3)  # kinds of answers: the search begins, a plan stands, the plan or what went wrong
+_BEGIN, _FOUND, _END = range(3)  # kinds of answers: the search begins, a plan succeeds, the last plan or an error
 _COMMAND = "import sys; from hyperflex.play.planning_process import work; work(int(sys.argv[1]))"
 
 
@@ -34,9 +32,9 @@ class PlanningTask(NamedTuple):
     time_budget: float
 
     def plan(self, on_plan: Callable[[CastPlan], None]) -> CastPlan | WhipPlan:
-        """Plan it, and leave one processor to others; `on_plan` is given each better plan for a cast as it stands."""
-        given: dict[str, Any] = {"time_budget": self.time_budget, "threads": max(1, (os.cpu_count() or 2) - 1)}
-        given["obstacles"] = self.obstacles
+        """Plan, with one processor left to others; `on_plan` is called with each better plan for a cast."""
+        threads = max(1, (os.cpu_count() or 2) - 1)
+        given: dict[str, Any] = {"obstacles": self.obstacles, "time_budget": self.time_budget, "threads": threads}
         if self.kind == "cast":
             return plan_cast(self.rope, self.arm, self.target, self.limits, on_plan=on_plan, **given)
         return plan_whip(self.rope, self.arm, (self.target.x, self.target.y), None, self.limits, **given)
@@ -51,7 +49,7 @@ class PlanningProcess:
     begun : float
         When the search began, s of the monotonic clock; 0.0 while the process starts.
     standing : CastPlan or None
-        The best plan that stands so far, while a better one is sought.
+        The best plan so far, while a better one is sought.
     """
 
     def __init__(self, task: PlanningTask) -> None:
@@ -63,7 +61,7 @@ class PlanningProcess:
             "-c",
             _COMMAND,
             str(answers.fileno()),
-        ]  # a program of its own: no main module runs twice
+        ]  # a separate program: no main module runs twice
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=[answers.fileno()])
         answers.close()
         if self._process.stdin is not None:
@@ -71,7 +69,7 @@ class PlanningProcess:
                 told.write(pickle.dumps(task))
 
     def result(self) -> CastPlan | WhipPlan | str | None:
-        """Return the plan, or what went wrong, once there is one of both; else None."""
+        """Return the plan, or the error's message, once there is one of both; else None."""
         try:
             while self._answers.poll():
                 kind, answer = self._answers.recv()
@@ -84,14 +82,14 @@ class PlanningProcess:
                     self.standing = answer
         except (EOFError, OSError):
             self.cancel()
-            return "the planning process ended without a word"
+            return "the planning process ended without an answer"
         return None
 
     def cancel(self) -> None:
         """End the process."""
         self._process.terminate()
         try:
-            self._process.wait(_END_TIMEOUT)
+            self._process.wait(0.5)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -99,14 +97,14 @@ class PlanningProcess:
 
 
 def work(descriptor: int) -> None:
-    """Read a task from standard input; send that the search begins, plans that stand, and how it ended."""
+    """Read a task from standard input; send that the search begins, plans that succeed, and how it ended."""
     answers: Connection = Connection(descriptor, readable=False)
     task: PlanningTask = pickle.load(sys.stdin.buffer)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is for the page, which ends this process
     with contextlib.suppress(OSError):
-        os.nice(NICENESS)
+        os.nice(10)
     try:
         answers.send((_BEGIN, None))
-        answers.send((_END, task.plan(lambda plan: answers.send((_STANDS, plan)))))
+        answers.send((_END, task.plan(lambda plan: answers.send((_FOUND, plan)))))
     except HyperflexError as error:
         answers.send((_END, str(error)))

@@ -1,4 +1,4 @@
-"""The thread in which a session moves on at the pace of the clock, and all that is asked of it is done."""
+"""The thread that advances a session by the clock and carries out all commands to it."""
 
 import queue
 import threading
@@ -15,10 +15,7 @@ from hyperflex.play.planning_process import PlanningProcess, PlanningTask
 from hyperflex.play.session import Session
 
 FRAME_RATE = 60.0  # Hz
-SLOW = 0.25  # of real time, in which winding is shown
-BEFORE_STRIKE = 0.5  # s
-_LATE = 0.1  # s, by which frames may be late; then they are left out
-_TOLD = 0.25  # s between two words on how far a search is
+_LATE = 0.1  # s, by which frames may be late; then they are omitted
 
 
 class Runner:
@@ -35,7 +32,7 @@ class Runner:
     frame : bytes
         The newest frame, as of :meth:`Session.frame`.
     watched : bool
-        Whether somebody looks; else nothing moves.
+        Whether a page is open; else nothing moves.
     plan : CastPlan, WhipPlan or None
         The last one that was made.
     """
@@ -67,7 +64,7 @@ class Runner:
             self._planning.cancel()
 
     def scene(self) -> dict[str, Any]:
-        """Return what the page has to know beside the frames; of the thread."""
+        """Return what the page must know in addition to the frames; called from the thread."""
         plan, busy = self.plan, self._planning
         said = None if plan is None else {"kind": plan.kind, "success": plan.success, "message": plan.message}
         spent = time.monotonic() - busy.begun if busy is not None and busy.begun else 0.0
@@ -79,7 +76,7 @@ class Runner:
         return self.session.scene() | own
 
     def act(self, name: str) -> None:
-        """Do what a button says; InvalidInput if there is no such button, or nothing to do."""
+        """Carry out a button's action; InvalidInput if there is no such button, or nothing to do."""
         actions: dict[str, Callable[[], None]] = {
             "hang": self.session.hang,
             "swing": self.session.swing,
@@ -123,7 +120,7 @@ class Runner:
         due = time.monotonic()
         while not self._closed.is_set():
             self._answer(due)
-            self._look_at_plan()
+            self._poll_planning()
             now = time.monotonic()
             if now < due:
                 continue
@@ -142,16 +139,16 @@ class Runner:
             self._tell()
         except HyperflexError as error:
             self._stop(str(error))
-        except Exception as error:  # noqa: BLE001 last resort: the page is to go on
+        except Exception as error:  # noqa: BLE001 last resort: the page must stay usable
             traceback.print_exc()
-            self._stop(f"This is a bug in hyperflex: {error}. Please report it with what the terminal says.")
+            self._stop(f"This is a bug in hyperflex: {error}. Please report it with the terminal's output.")
 
     def _stop(self, why: str) -> None:
         self.paused, self._notice = True, why
         self.changed(picture=False)
 
     def _answer(self, until: float) -> None:
-        """Do what is asked, and wait for more until a time."""
+        """Carry out commands, and wait for more until a time."""
         while True:
             try:
                 action, future = self._asked.get(timeout=max(until - time.monotonic(), 0.0))
@@ -161,10 +158,10 @@ class Runner:
                 continue
             try:
                 future.set_result(action())
-            except Exception as error:  # noqa: BLE001 whoever asked gets it
+            except Exception as error:  # noqa: BLE001 the caller gets it
                 future.set_exception(error)
 
-    def _look_at_plan(self) -> None:
+    def _poll_planning(self) -> None:
         if self._planning is None:
             return
         found, standing = self._planning.result(), self._planning.standing
@@ -177,7 +174,7 @@ class Runner:
                 self._notice = found
             else:
                 self.plan = found
-        if found is not None or better or time.monotonic() - self._told > _TOLD:
+        if found is not None or better or time.monotonic() - self._told > 0.25:  # s between two reports of a search
             self._told = time.monotonic()
             self.changed(picture=False)
 
@@ -197,14 +194,14 @@ class Runner:
         self.session.play(self._required().setup(), "cast")
 
     def _wind(self) -> None:
-        """Show the plan in slow motion, from a little before the rope strikes."""
+        """Show the plan at a quarter of its speed, from 0.5 s before the rope strikes."""
         plan = self._required()
         seen = plan.outcome
         strike = 0.0 if seen is None else seen.strike_time if isinstance(seen, CastOutcome) else seen.t
-        self.session.play(plan.setup(), "cast", skip=max(0.0, strike - BEFORE_STRIKE))  # NaN: it never strikes
+        self.session.play(plan.setup(), "cast", skip=max(0.0, strike - 0.5))  # NaN: it never strikes
         if self._usual is None:
             self._usual = self.session.settings.speed
-        self.session.change({"speed": SLOW})
+        self.session.change({"speed": 0.25})
 
     def _required(self) -> CastPlan | WhipPlan:
         if self.plan is None or self.plan.outcome is None:

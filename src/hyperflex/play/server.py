@@ -1,4 +1,4 @@
-"""The server of the page: HTTP for the page itself, a websocket for frames and what is asked, this machine alone."""
+"""The server of the page: HTTP for the page itself, a websocket for frames and commands."""
 
 import asyncio
 import contextlib
@@ -20,18 +20,16 @@ from websockets.http11 import Request, Response
 from hyperflex import checks
 from hyperflex.errors import HyperflexError, InvalidInput
 from hyperflex.local_page import HOST, address, cannot_listen, may_ask, own_names
+from hyperflex.play.controls import CONTROLS
 from hyperflex.play.folder import Folder
-from hyperflex.play.page import page
 from hyperflex.play.runner import Runner
-from hyperflex.play.session import Session
+from hyperflex.play.session import NUMBERS, Session
+from hyperflex.report import render
 
-LARGEST = 1 << 16  # bytes of a message
 _SECURITY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'; "
     "frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; form-action 'none'"
 )
-_START, _ANSWER = 30.0, 120.0  # s that it may take to listen, and to make a page
-_FAREWELL = 1.0  # s that connections may take to close
 
 
 class PlayServer:
@@ -81,7 +79,7 @@ class PlayServer:
         self.port, self.runner = 0, Runner(self._given, self._tell)
         self._thread = threading.Thread(target=self._serve, name="hyperflex play server", daemon=True)
         self._thread.start()
-        self._ready.wait(_START)
+        self._ready.wait(30.0)
         if self._problem:
             self.close()
             raise cannot_listen(port, self._problem, host)
@@ -130,9 +128,9 @@ class PlayServer:
                 port,
                 process_request=self._answer,
                 create_connection=Connection,
-                open_timeout=_ANSWER,
+                open_timeout=120.0,  # s, in which a page of a saved run is made
                 compression=None,
-                max_size=LARGEST,
+                max_size=1 << 16,  # bytes of a message to the server
             )
         except (OSError, OverflowError) as error:
             self._problem = error
@@ -142,7 +140,7 @@ class PlayServer:
         await self._end.wait()
         server.close()
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(server.wait_closed(), _FAREWELL)
+            await asyncio.wait_for(server.wait_closed(), 1.0)
         for connection in connections:  # browsers open some and say nothing
             connection.transport.abort()
         left = asyncio.all_tasks() - {asyncio.current_task()}
@@ -151,7 +149,7 @@ class PlayServer:
         await asyncio.gather(*left, return_exceptions=True)
 
     def _tell(self) -> None:
-        """Wake all who send; of the runner's thread."""
+        """Wake all senders; called from the runner's thread."""
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._wake)
 
@@ -177,7 +175,7 @@ class PlayServer:
         return _response(HTTPStatus.NOT_FOUND, "There is no such page.", "plain")
 
     async def _talk(self, connection: ServerConnection) -> None:
-        """Send frames to a page, and do what it asks, until one of both goes away."""
+        """Send frames to a page, and carry out its commands, until one of both closes the connection."""
         news = asyncio.Event()
         news.set()
         self._news.add(news)
@@ -193,7 +191,7 @@ class PlayServer:
             self.runner.watched = bool(self._news)
 
     async def _send(self, connection: ServerConnection, news: asyncio.Event) -> None:
-        """Send the newest scene and frame whenever the last ones have gone out: who is slow gets fewer."""
+        """Send the newest scene and frame whenever the last ones were sent: a slow page gets fewer."""
         version: tuple[int, int] | None = None
         number = -1
         with contextlib.suppress(ConnectionClosed):
@@ -214,7 +212,7 @@ class PlayServer:
         return await asyncio.wrap_future(self.runner.call(action))
 
     async def _obey(self, message: str | bytes) -> dict[str, Any]:
-        """Do what a message asks; returns the answer, with its number."""
+        """Carry out the command of a message; return the answer, with its number."""
         number: object = None
         try:
             asked = checks.mapping("the message", json.loads(message))
@@ -227,7 +225,7 @@ class PlayServer:
             return {"id": number, "error": f"This is a bug in hyperflex: {error}"}
 
     async def _do(self, asked: Any) -> dict[str, Any]:
-        """Do what is asked: a ``button``, values to ``set``, a file to ``open`` or ``save``, or the ``files``."""
+        """Carry out a command: ``button``, values to ``set``, a file to ``open`` or ``save``, or ``files`` to list."""
         session, runner = self.runner.session, self.runner
         if "set" in asked:
             values = checks.mapping("set", asked["set"])
@@ -245,10 +243,16 @@ class PlayServer:
         elif "files" in asked:
             return {"files": await asyncio.to_thread(self.folder.names)}
         else:
-            raise InvalidInput(
-                "the message asks for nothing", got=list(asked), allowed="set, button, open, save, files"
-            )
+            raise InvalidInput("the message has no command", got=list(asked), allowed="set, button, open, save, files")
         return {}
+
+
+def page() -> str:
+    """Return the page: one HTML document that needs nothing but the websocket."""
+    groups: dict[str, list[tuple[str, dict[str, object]]]] = {}
+    for name, each in CONTROLS.items():
+        groups.setdefault(each.group, []).append((name, each._asdict()))
+    return render("play.html", room="hyperflex.play", groups=groups, numbers=NUMBERS)
 
 
 def _response(status: HTTPStatus, text: str, kind: str = "html") -> Response:

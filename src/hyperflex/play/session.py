@@ -1,4 +1,4 @@
-"""A rope on an arm that moves on frame by frame, by the public functions of the package, and what is shown of it."""
+"""A rope on an arm, simulated frame by frame by the public functions of the package."""
 
 import math
 from collections import deque
@@ -20,15 +20,13 @@ from hyperflex.trajectory import State, Trajectory
 from hyperflex.winding import rope_tension, turns
 
 MOST_RECORDED = 120.0  # s of a run that can be kept
-FRAME_TIME = 1.0  # s of processor time that a frame may take, usually some thousandths
-_MEDIAN = 5  # frames, of which the tension is the median: beside a peg that of a single step jumps
-_ABOVE = 0.5  # part of what the rope reaches above the shaft that is in the picture
+FRAME_TIME = 1.0  # s that a frame may take, usually some thousandths
 _ROPE, _PLACE = ("length", "mass", "links", "friction", "arm_length"), "target_"
 NUMBERS = ("t", "arm_angle", "pseudo_energy", "x", "scaled_velocity", "tension", "turns", "tip_speed")
 
 
 class Recorded(NamedTuple):
-    """What has been shown since the last change, to be simulated again in one go."""
+    """What has been shown since the last change, to be simulated again in one run."""
 
     setup: Setup
     begin: State | None
@@ -52,11 +50,11 @@ class Session:
     t : float
         Simulated time, s.
     obstacles : tuple of Peg, Wall, Ground
-        What else there is beside the rope: of the set-up that was opened last all but the target.
+        Obstacles of the set-up that was opened last: all but the target.
     activity : str
         ``"hang"``, ``"swing"``, ``"cast"`` (a planned motion) or ``"file"``.
     version : int
-        Grows with each change of what :meth:`scene` tells.
+        Grows with each change of what :meth:`scene` returns.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -71,7 +69,7 @@ class Session:
         self._next: float | None = None  # s, when the next half turn begins, once a rule has said so
         self._state: State | None = None
         self._origin: State | None = None
-        self._tensions: deque[float] = deque(maxlen=_MEDIAN)
+        self._tensions: deque[float] = deque(maxlen=5)  # frames: in contact, the tension of a single step jumps
         self.hang()
 
     @property
@@ -120,7 +118,7 @@ class Session:
             place = {"target_x": peg.x, "target_y": peg.y, "target_radius": peg.radius, "target_friction": peg.mu}
             self.settings = replace(self.settings, **place, target_solid=1)
         if skip > 0.0:
-            self._go_on(skip)
+            self._simulate(skip)
 
     def change(self, values: Mapping[str, object]) -> None:
         """Set what the page can set. InvalidInput leaves all as it was."""
@@ -147,7 +145,7 @@ class Session:
         self.version += 1
 
     def advance(self, dt: float) -> bytes:
-        """Go on by dt, s; returns the frame: NUMBERS and places of shaft and joints, m, as float32.
+        """Advance by dt, s; return the frame: NUMBERS and places of shaft and joints, m, as float32.
 
         Raises
         ------
@@ -156,20 +154,20 @@ class Session:
         """
         if self._program is not None:
             self._decide(self._program, self.t + dt)
-        self._go_on(dt, FRAME_TIME)
+        self._simulate(dt, FRAME_TIME)
         if self.t - self._begun > MOST_RECORDED:
             self._record_from_here()
         return self.frame()
 
     def frame(self) -> bytes:
-        """Return what :meth:`advance` does, of now."""
+        """Return the current frame, as of :meth:`advance`."""
         run = self._run
         shaft = run.base if self.setup.arm is None else run.base - self._lever(self.setup.arm, run.arm_angle)
         points = run.joints[0] if self.setup.arm is None else np.concatenate([shaft, run.joints[0]])
         return np.concatenate([self._numbers(run), points.ravel()]).astype("<f4").tobytes()
 
     def scene(self) -> dict[str, Any]:
-        """Return what the page has to know beside the frames."""
+        """Return what the page must know in addition to the frames."""
         reach = 1.08 * (float(self.setup.rope.length.sum()) + (self.setup.arm.length if self.setup.arm else 0.0))
         x, y = (0.0, 0.0) if self.setup.arm is None else self.setup.arm.pivot
         return {
@@ -179,7 +177,7 @@ class Session:
             "rope": _in_short(self.setup.rope),
             "arm": self.setup.arm is not None,
             "radius": self.setup.rope.radius,
-            "view": [x - reach, y - reach, x + reach, y + _ABOVE * reach],
+            "view": [x - reach, y - reach, x + reach, y + 0.5 * reach],
             "obstacles": [{**asdict(each), "kind": type(each).__name__.lower()} for each in self.setup.pegs],
             "targets": [] if self._target(self.setup) else [[self.settings.target_x, self.settings.target_y]],
         }
@@ -196,7 +194,7 @@ class Session:
         self._tensions.clear()
         self.version += 1
 
-    def _go_on(self, dt: float, time_budget: float | None = None) -> None:
+    def _simulate(self, dt: float, time_budget: float | None = None) -> None:
         try:
             end = [self.t + dt]
             self._run = simulate(self.setup, duration=dt, t_eval=end, state=self._state, time_budget=time_budget)

@@ -32,9 +32,9 @@ class CastReport(PlanReport[CastPlan]):
     plan : CastPlan
     held : HoldingForce, optional
         Result of the tug.
-    name : str
-        Stem of the file names.
     """
+
+    name, strobe, move, last_move, film_speed = "cast", "strike", "swing", True, 1.0
 
     layout: ClassVar = {
         "The cast": {
@@ -46,7 +46,6 @@ class CastReport(PlanReport[CastPlan]):
         },
         "Hold": {"tug": "The simulated tug that gives the hold force: pull, and slip of the rope on the target."},
     }
-    strobe, move, last_move, film_speed = "strike", "swing", True, 1.0
     columns: ClassVar = {
         "links": lambda cast: str(cast.n_links),
         "strikes": lambda cast: f"{cast.strike_time:.2f} s" if math.isfinite(cast.strike_time) else "never",
@@ -58,9 +57,9 @@ class CastReport(PlanReport[CastPlan]):
     runs = ("as planned", "shorter links")
     runs_note = "Links near the target are cut shorter than the rope's own for both runs."
 
-    def __init__(self, plan: CastPlan, held: HoldingForce | None = None, name: str = "cast") -> None:
+    def __init__(self, plan: CastPlan, held: HoldingForce | None = None) -> None:
         super().__init__(plan)
-        self.held, self.name = held, name
+        self.held = held
         thrown, found = ("is", "A planned cast") if plan.success else ("is to be", "No cast found")
         where = f"x = {plan.target.x:.3g} m, y = {plan.target.y:.3g} m".replace(" ", "\u00a0").replace(",\u00a0", ", ")
         self.title = f"{found} round a target at {where}"

@@ -17,7 +17,7 @@ def demo(
     out: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("demo-output"),
     json: output.Json = False,
 ) -> None:
-    """Track a filmed rope, identify it, cast it, wind it round a target and show the result.
+    """Track a filmed rope, identify it, plan a cast that winds it round a target, and show the result.
 
     The video comes with the package and is simulated, with a finer chain than the one identified.
     """
@@ -33,8 +33,6 @@ def demo(
 
 def _figures(report: "DemoReport") -> dict[str, Any]:
     """Return what the demo found, for JSON."""
-    from hyperflex.demo import held_out_rms
-
     found = report.demo
     parameters = {
         each.name: {
@@ -54,10 +52,8 @@ def _figures(report: "DemoReport") -> dict[str, Any]:
         "files": report.files,
         **found.identification.ending(),
         "parameters": parameters,
-        "held_out_rms_rad": held_out_rms(found),
+        "held_out_rms_rad": found.held_out_rms,
         "angle_noise_rad": found.angle_noise.mean(),
-        "greatest_x_m": abs(found.cast.tip[:, 0]).max(),
-        "greatest_x_of_the_rope_m": abs(found.reference.tip[:, 0]).max(),
         "plan": found.plan.summary(),
         "hold_force_N": None if report.demo.held is None else report.demo.held.force,
         "recorded_rope_winds": None if found.proof is None else found.proof.success,
@@ -65,18 +61,14 @@ def _figures(report: "DemoReport") -> dict[str, Any]:
 
 
 def _show(report: "DemoReport") -> None:
-    """Print what the demo found and what to look at."""
+    """Print what the demo found, and its main files."""
     table, figures = report.parameters, _figures(report)
     shown = [table.header.index(name) for name in _SHOWN]
     output.print_table(_SHOWN, [[row[k] for k in shown] for row in table.rows])
     error, noise = 1e3 * figures["held_out_rms_rad"], 1e3 * figures["angle_noise_rad"]
     output.print_pairs(
         "Everything here is simulated",
-        [
-            ("prediction error 1 s ahead, held out", f"{error:.1f} mrad (camera noise {noise:.1f})"),
-            ("greatest reach of the cast", f"{figures['greatest_x_m']:.2f} m"),
-            ("the same of the rope itself", f"{figures['greatest_x_of_the_rope_m']:.2f} m"),
-        ],
+        [("prediction error 1 s ahead, held out", f"{error:.1f} mrad (camera noise {noise:.1f})")],
     )
     if report.demo.held is not None:
         output.console().print(f"Hold force by a tug: {report.demo.held.force:.2f} N.", markup=False)
@@ -86,10 +78,9 @@ def _show(report: "DemoReport") -> None:
     output.print_pairs(
         "Look at",
         [
-            ("the whole story on one page, with both casts to play", str(report.files["page"])),
+            ("the whole story on one page, with the cast to play", str(report.files["page"])),
             *((words, str(report.files[kind])) for kind, words in wound.items() if kind in report.files),
             ("what was tracked in the video", str(report.files["tracked"])),
-            ("one stroke as a stroboscope shows it", str(report.files["strobe"])),
             ("the identified rope, with its figures", str(report.files["rope"])),
         ],
     )
