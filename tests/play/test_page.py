@@ -82,7 +82,7 @@ def test_keys_and_sliders_do_what_they_say_and_errors_are_read_out(page, server)
     page.press("s")
     wait(page, "play.scene.activity === 'swing'")
     page.press(" ")
-    wait(page, "play.scene.paused && document.querySelector('[data-button=pause]').textContent === 'Go on'")
+    wait(page, "play.scene.paused && document.querySelector('[data-button=pause]').textContent === 'Continue'")
     slide = (
         "(() => { const s = document.querySelector('[type=range][data-set=length]'); s.value = 1.5; s.oninput(); })()"
     )

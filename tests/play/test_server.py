@@ -167,7 +167,7 @@ def test_frames_come_while_it_runs_and_none_move_while_it_is_paused(server, page
 @pytest.mark.parametrize(
     ("message", "told"),
     [
-        ({}, "asks for nothing"),
+        ({}, "has no command"),
         ({"button": "explode"}, "no such button"),
         ({"button": ["hang"]}, "no such button"),
         ({"button": "cast"}, "no plan has been made"),
@@ -259,7 +259,7 @@ def test_nothing_moves_while_nobody_looks(folder):
         assert alone.runner.session.t > 0.0
 
 
-def test_a_plan_is_searched_in_a_process_of_its_own_and_cancelled(server, page):
+def test_a_plan_is_searched_in_a_separate_process_and_cancelled(server, page):
     runner = server.runner
     page.ask(set={"links": 10, "target_x": -0.83, "time_budget": 60.0})
     page.ask(button="plan")
@@ -277,17 +277,17 @@ def test_a_plan_is_searched_in_a_process_of_its_own_and_cancelled(server, page):
     assert "the plan fails" in page.ask(button="cast")["error"]
 
 
-def test_a_plan_that_stands_can_be_carried_out_while_a_better_one_is_sought(server, page):
+def test_a_plan_that_succeeds_can_be_carried_out_while_a_better_one_is_sought(server, page):
     runner = server.runner
     page.ask(set={"links": 10, "target_x": -0.83, "time_budget": 60.0})
     page.ask(button="plan")
     page.until(lambda told: (told.get("scene", {}).get("planning") or {}).get("spent", 0.0) > 0.0)
-    assert runner.scene()["planning"]["stands"] is False
+    assert runner.scene()["planning"]["found"] is False
     ours, theirs = Pipe(duplex=False)
     runner.call(lambda: setattr(runner._planning, "_answers", ours)).result()  # what the process sends, from here
     for plan in (replace(planned(), seconds=seconds) for seconds in (1.0, 2.0)):
         theirs.send((1, plan))
-        told = page.until(lambda told: (told.get("scene", {}).get("planning") or {}).get("stands"))["scene"]
+        told = page.until(lambda told: (told.get("scene", {}).get("planning") or {}).get("found"))["scene"]
         assert told["plan"]["success"]
         page.until(lambda _, plan=plan: runner.plan.seconds == plan.seconds)
         page.ask(button="cast")
@@ -297,7 +297,7 @@ def test_a_plan_that_stands_can_be_carried_out_while_a_better_one_is_sought(serv
     assert runner.plan.success  # what stood is kept
 
 
-def test_the_planning_process_tells_each_plan_that_stands(monkeypatch):
+def test_the_planning_process_sends_each_plan_that_succeeds(monkeypatch):
     known = planned()
     where = (known.problem.rope, known.problem.arm, known.target, (), known.problem.limits, 60.0)
 
@@ -358,7 +358,7 @@ def test_a_planned_cast_winds_as_planned(server, page, folder):
     assert session.settings.speed == 0.25
     assert session.t == pytest.approx(plan.outcome.strike_time - 0.5, abs=0.2)
     page.ask(button="pause")
-    server.runner.call(lambda: session._go_on(3.0)).result()
+    server.runner.call(lambda: session._simulate(3.0)).result()
     frame = np.frombuffer(session.frame(), "<f4")
     assert frame[6] == pytest.approx(plan.outcome.turns, abs=0.05)
     assert page.ask(save="motion.csv")["saved"] == "motion.csv"

@@ -17,12 +17,20 @@ from hyperflex.report.pictures import GROUND, OBSTACLE, PEG, animate, strobe_fig
 from hyperflex.report.scene import Overlay, shapes
 from hyperflex.report.style import png, save_png
 from hyperflex.vision import VideoReader
+from tests.planning.known import PEG, planned
+from tests.planning.known_whip import planned_whip
 
 
 def opened(content: bytes) -> Image.Image:
     image = Image.open(io.BytesIO(content))
     image.load()
     return image
+
+
+def reddish(path):
+    """Return rows and columns of the red pixels of an animation's first frame."""
+    frame = np.asarray(opened(path.read_bytes()).convert("RGB"))
+    return np.nonzero((frame[..., 0] > 150) & (frame[..., 1] < 120))
 
 
 def test_strobe_draws_ropes_on_a_dark_ground(short_cast):
@@ -113,6 +121,35 @@ def test_what_the_rope_must_not_touch_has_a_colour_of_its_own():
     assert colours[1][1:] == [OBSTACLE, OBSTACLE]
     assert {mpl.colors.to_hex(axis.patches[0].get_facecolor()) for axis in (alone, beside)} == {PEG}
     assert [axis.texts[-1].get_text() for axis in (alone, beside)] == ["t", "t; violet: obstacles"]
+
+
+def test_pegs_and_targets_are_drawn_to_scale_and_in_view(tmp_path):
+    run = planned(winds=False).run
+    animate(run, tmp_path / "a.gif", end=0.1, frame_rate=10, width=300)
+    _, columns = reddish(tmp_path / "a.gif")
+    seen = np.concatenate([run.joints.reshape(-1, 2), [[PEG.x - 0.04, PEG.y - 0.04], [PEG.x + 0.04, PEG.y + 0.04]]])
+    wide, tall = np.ptp(seen, axis=0)
+    margin = 0.06 * max(wide, tall)  # on each side, and twice above
+    view = max(wide + 2.0 * margin, (tall + 3.0 * margin) / 1.15)  # a tall view is widened
+    assert np.ptp(columns) + 1 == pytest.approx(300 * 0.08 / view, abs=1.5)  # whole pixels
+    run = planned_whip().run
+    far = Overlay(targets=np.array([[1.5, 0.5]]))  # beyond all that the rope reaches: the view must grow
+    animate(run, tmp_path / "b.gif", end=0.1, frame_rate=10, width=300, overlay=far)
+    rows, columns = reddish(tmp_path / "b.gif")
+    assert 18 <= np.ptp(columns) + 1 <= 26  # a ring of 15 points and its line at 100 dots an inch: 23 pixels
+    assert columns.min() > 200
+    assert rows.max() < 0.4 * 300
+    assert strobe_figure(run, start=0.5, end=1.0, count=4, overlay=far).axes[0].get_xlim()[1] > 1.5
+    width, height = strobe_figure(run, start=0.0, end=0.05, count=4).get_size_inches()
+    assert height == pytest.approx(1.15 * width)
+
+
+def test_a_film_has_room_for_its_note(short_cast, tmp_path):
+    heights = []
+    for note in (None, lambda _: "one", lambda _: "one\ntwo\nthree"):
+        animate(short_cast, tmp_path / "a.gif", end=0.1, frame_rate=10, width=200, overlay=Overlay(note))
+        heights.append(opened((tmp_path / "a.gif").read_bytes()).height)
+    assert heights == [heights[0], heights[0] + 36, heights[0] + 72]
 
 
 def test_a_film_has_its_frames_in_time(short_cast, tmp_path):

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import pickle
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.report import CastReport, WhipReport
-from hyperflex.report import plan as plan_report
 from tests.planning.known import planned, unreachable
 from tests.planning.known_whip import planned_whip
 
@@ -101,17 +98,3 @@ def test_a_setup_with_a_field_replaced_is_checked_again(found):
         setup.replace(durration=2.0)
     with pytest.raises(InvalidInput, match="duration"):
         setup.replace(duration=-1.0)
-
-
-def test_a_great_torque_is_warned_of_where_no_limit_was_given(monkeypatch):
-    plan = planned()
-    assert CastReport(plan, None).warning == ""
-    assert any("no limit was given" in words for _, words in CastReport(plan, None).tiles)
-    monkeypatch.setattr(plan_report, "GREAT_TORQUE", 0.0)
-    assert "Give --torque to plan for a weaker motor" in CastReport(plan, None).warning
-
-
-def test_a_whip_whose_peg_another_link_touches_says_so_in_its_verdict():
-    early = SimpleNamespace(success=False, message="link 29 touches the peg first")
-    assert "not struck by the tip: link 29" in WhipReport(planned_whip(), early).verdict
-    assert "not struck" not in WhipReport(planned_whip(), None).verdict

@@ -48,13 +48,13 @@ class PlanningProcess:
     task : PlanningTask
     begun : float
         When the search began, s of the monotonic clock; 0.0 while the process starts.
-    standing : CastPlan or None
+    best : CastPlan or None
         The best plan so far, while a better one is sought.
     """
 
     def __init__(self, task: PlanningTask) -> None:
         self.task, self.begun = task, 0.0
-        self.standing: CastPlan | None = None
+        self.best: CastPlan | None = None
         self._answers, answers = Pipe(duplex=False)
         command = [
             sys.executable,
@@ -79,7 +79,7 @@ class PlanningProcess:
                 if kind == _BEGIN:
                     self.begun = time.monotonic()
                 else:
-                    self.standing = answer
+                    self.best = answer
         except (EOFError, OSError):
             self.cancel()
             return "the planning process ended without an answer"

@@ -71,7 +71,7 @@ class Runner:
         search = None
         if busy is not None:
             search = {"kind": busy.task.kind, "spent": spent, "budget": busy.task.time_budget}
-            search["stands"] = busy.standing is not None
+            search["found"] = busy.best is not None
         own = {"paused": self.paused, "notice": self._notice, "late": self._late, "plan": said, "planning": search}
         return self.session.scene() | own
 
@@ -164,10 +164,10 @@ class Runner:
     def _poll_planning(self) -> None:
         if self._planning is None:
             return
-        found, standing = self._planning.result(), self._planning.standing
-        better = found is None and standing is not None and standing is not self.plan
+        found, best = self._planning.result(), self._planning.best
+        better = found is None and best is not None and best is not self.plan
         if better:
-            self.plan = standing
+            self.plan = best
         if found is not None:
             self._planning = None
             if isinstance(found, str):

@@ -1,0 +1,384 @@
+"""Reports of plans: what a reader must find on the page, in the film and in the figures."""
+
+from __future__ import annotations
+
+import html
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from matplotlib.text import Text
+
+import hyperflex as hf
+from hyperflex.planning import FallbackTarget, SuccessProbability
+from hyperflex.planning.outcome import TOO_LONG
+from hyperflex.report import CastReport, InsertReport, WhipReport, plan_html, png
+from hyperflex.report import plan as plan_report
+from hyperflex.report.cast import tug_figure
+from hyperflex.report.maps import target_map
+from tests.planning.known import PEG, late, planned, stopped, unreachable
+from tests.planning.known_insert import far_insert, planned_insert
+from tests.planning.known_whip import far_whip, planned_whip
+
+
+def words_of(path):
+    text = re.sub(r"<style>.*?</style>|<[^>]*>|src=\"data:[^\"]*\"", " ", path.read_text("utf-8"), flags=re.DOTALL)
+    return re.sub(r"\s+", " ", html.unescape(text))
+
+
+def course_of(report):
+    return report.figures()["course"]
+
+
+@pytest.fixture(scope="module")
+def held():
+    return planned().measure_holding_force()
+
+
+def test_the_page_of_a_cast_has_target_swings_turns_and_hold(tmp_path, held):
+    plan = planned()
+    files = CastReport(plan, held).write(tmp_path)
+    page = words_of(files["page"])
+    for value in (
+        "x = -0.834 m, y = -1.07 m",
+        "radius 40 mm",
+        "6 swings",
+        "begun at 0.48, 1.73, 2.85, 4.35, 5.65, 6.74 s",
+        "strikes the target at 7.65 s",
+        "2.36 turns",
+        "616°",
+        "10.7",  # rad of contact; 11.23 at the end
+        f"{1e3 * plan.clearance:.1f} mm",
+        "clear of the arm",
+        f"withstood {held.force:.2f} N",
+        f"{held.capstan_force:.2f} N",
+        "8.61 rad/s",
+        "In short The rope winds 2.36 turns",
+    ):
+        assert value in page, value
+    assert "counterclockwise" not in page
+    assert "Where the target is" not in page  # the pictures of the run show that
+    assert set(files) == {"motion", "plan", "run", "page", "strike", "course", "tug"}
+
+
+def test_the_page_of_a_whip_has_target_strokes_peak_and_impact(tmp_path):
+    plan = planned_whip()
+    impact = plan.impact()
+    later = replace(plan, outcome=replace(plan.outcome, touches_later="the wall at (0.3, -1.5) m at 1.95 s"))
+    page = words_of(WhipReport(later, impact).write(tmp_path)["page"])
+    for value in (
+        "x = {:.4g} m, y = {:.4g} m".format(*plan.target.point),
+        "within 17.2 degrees of the direction 179",
+        "3 strokes",
+        "speed peaks at 1.29 m/s",
+        "0.5 mm from the target",
+        f"takes up {1e3 * impact.impulse:.1f} mN s",
+        "5.7 degrees",
+        "standard deviation of 4 mm",
+        f"{1e3 * plan.finer_outcome.miss:.2g} mm",
+        "8.61 rad/s",
+        "After the peak the rope touches the wall at (0.3, -1.5) m at 1.95 s",
+    ):
+        assert value in page, value
+    assert "After the peak" not in " ".join(WhipReport(plan).story)
+
+
+def test_the_page_of_an_insertion_has_slot_strokes_and_clearance(tmp_path):
+    plan = planned_insert()
+    files = InsertReport(plan).write(tmp_path)
+    page = words_of(files["page"])
+    for value in (
+        "a slot at x = -0.35 m, y = -0.85 m, 25 mm wide",
+        "40 mm beyond the walls at 2.00 s",
+        f"{1e3 * plan.outcome.wall_clearance:.1f} mm",
+        "2 strokes: to 141 degrees from 0.33 s on",
+        "Success probability: 90 %",
+        "2.5 times the links 40",
+        "standard deviation of 4 mm",
+    ):
+        assert value in page, value
+    assert set(files) == {"motion", "plan", "run", "page", "entry", "gap", "course"}
+    assert "A planned insertion" in plan_html(plan)
+
+
+@pytest.mark.parametrize(
+    ("kind", "made"), [(CastReport, unreachable), (WhipReport, far_whip), (InsertReport, far_insert)]
+)
+def test_a_plan_without_moves_is_a_page_with_the_reason(tmp_path, kind, made):
+    files = kind(made()).write(tmp_path)
+    assert list(files) == ["page"]
+    assert "out of reach: the rope ends" in words_of(files["page"])
+    assert unreachable().measure_holding_force() is None
+
+
+@pytest.mark.parametrize(
+    ("made", "reason"),
+    [
+        (late, "the verification took longer than the time allowed for it."),
+        (stopped, "interrupted before any throw was verified."),
+        (unreachable, "out of reach: the rope ends 0.36 m short of the target."),
+        (lambda: planned(winds=False), "the rope does not touch the peg."),
+    ],
+    ids=["late", "stopped", "unreachable", "misses"],
+)
+def test_a_plan_that_fails_says_so_first(tmp_path, made, reason):
+    page = words_of(CastReport(made()).write(tmp_path)["page"])
+    assert page.index("No cast found round a target at x") < page.index("In short")
+    assert f"In short No cast that winds and holds was found: {reason}" in page
+    assert "A planned cast" not in page
+    assert "verified by simulation" not in page
+
+
+@pytest.mark.parametrize("made", [late, stopped, lambda: stopped(None)], ids=["late", "stopped", "no throw"])
+def test_a_search_that_did_not_end_invents_no_results_and_advises_to_continue(tmp_path, made):
+    plan = made()
+    path = CastReport(plan).write(tmp_path)["page"]
+    page = words_of(path)
+    assert ("not known strike, turns and hold" in page) == (plan.throw is not None)
+    assert 'class="bad"' not in path.read_text("utf-8")
+    for invented in ("never", "0.00", "does not stay", "Nearest", "No place was found"):
+        assert invented not in page
+    assert "the target itself is in reach" in page
+    assert "another --seed" in page
+    assert f"took {plan.seconds:.0f} s and 4321 simulated runs" in page
+
+
+@pytest.mark.parametrize(
+    ("change", "advice"),
+    [
+        ({"held": False, "slip": 0.077}, "more friction on the target"),
+        ({"torque": 0.4}, "a motor of 0.4 N m; 0.3 N m are given"),
+        ({"wound": False}, "another --seed may help"),
+    ],
+)
+def test_advice_is_about_what_failed(change, advice):
+    plan = planned()
+    problem = replace(plan.problem, limits=hf.MotorLimits(torque=0.3))
+    cast = replace(plan.outcome, **({"torque": 0.1} | change))
+    near = FallbackTarget(PEG, 0.0)
+    failed = replace(plan, problem=problem, outcome=cast, message="it fails", fallback=near)
+    given = " ".join(CastReport(failed).advice)
+    assert advice in given
+    assert ("--seed" in given) == ("--seed" in advice)
+
+
+def test_a_feasible_target_without_a_cast_is_not_called_out_of_reach():
+    advice = " ".join(CastReport(replace(planned(winds=False), fallback=FallbackTarget(PEG, 0.0))).advice)
+    assert "Nearest target that should be easier" in advice
+    assert "this target is in reach, too" in advice
+
+
+def test_heuristic_criteria_are_called_rules_of_thumb():
+    rope, arm = planned().problem.rope, planned().problem.arm
+    heavy = CastReport(hf.plan_cast(rope, arm, PEG, holding_force=20.0))
+    assert "out of reach by a rule of thumb: its holding force is 2.94 N at most" in heavy.verdict
+    assert "found: out of reach: the rope ends" in CastReport(unreachable()).verdict  # geometry
+
+
+def test_criteria_that_are_not_the_usual_ones_are_named():
+    required = replace(planned().problem, turns=2.0, settle=1.5)
+    for problem, turns, watch in (
+        (planned().problem, "1.25", ""),
+        (required, "2", ", from 1.5 s after the arm's stop on,"),
+    ):
+        plan = replace(planned(), problem=problem)
+        report = CastReport(plan)
+        assert any(words.endswith(f"{turns} are required") for _, words in report.tiles)
+        assert any(f"In the last 2 s{watch} the rope slips" in line for line in report.story)
+        axis = course_of(report).axes[1]
+        assert any(f"{turns} turns are required" in text.get_text() for text in axis.texts)
+        assert any(line.get_ydata()[0] == problem.turns == line.get_ydata()[-1] for line in axis.get_lines())
+        (green,) = [span.get_x() for span in axis.patches]
+        assert green == pytest.approx(plan.motion.breaks[-1] + problem.settle)
+
+
+def test_warnings(monkeypatch):
+    plan, whip = planned(), planned_whip()
+    assert [CastReport(plan).warning, WhipReport(whip).warning] == ["", ""]
+    assert any("no limit was given" in words for _, words in CastReport(plan).tiles)
+    assert "grazes" not in " ".join(CastReport(plan).story)
+    cast = replace(plan.outcome, touch_time=plan.outcome.strike_time - 2.0, max_bend=2.2, folded=True)
+    story = " ".join(CastReport(replace(plan, outcome=cast)).story)
+    assert f"grazes the target at {cast.touch_time:.2f} s and comes off again. The rope strikes" in story
+    assert "folds flat, by 126 degrees" in story
+    message = "the tip's speed is 4.20 m/s, and 5 is asked"
+    short = replace(whip, finer_outcome=replace(whip.finer_outcome, message=message))
+    assert WhipReport(short).warning == f"With links of half the length {message}."
+    assert WhipReport(replace(short, message="it misses")).warning == ""
+    early = SimpleNamespace(success=False, message="link 29 touches the peg first")
+    assert "not struck by the tip: link 29" in WhipReport(whip, early).verdict
+    monkeypatch.setattr(plan_report, "GREAT_TORQUE", 0.0)
+    rope, arm = whip.problem.rope, whip.problem.arm
+    for report in (CastReport(plan), WhipReport(whip), InsertReport(planned_insert())):
+        assert "Give --torque to plan for a weaker motor" in " ".join(report.story)
+    weight = rope.total_mass * 9.81 * arm.length
+    assert f"weight at the arm makes {weight:.2g} N m" in WhipReport(whip).warning
+
+
+def test_a_success_probability_says_what_it_omits():
+    plan = planned_insert()
+    weak = replace(plan, problem=replace(plan.problem, limits=hf.MotorLimits(torque=10.0)))
+    for shown, omits in ((plan, False), (weak, True)):
+        assert any("torque of the motor is not checked" in words for _, words in InsertReport(shown).tiles) is omits
+    report = InsertReport(replace(plan, success_probability=SuccessProbability(0, 0)))
+    assert any(value == "?" and "no time was left" in words for value, words in report.tiles)
+    assert "Success probability: not estimated, no time was left." in report.story
+
+
+def test_files_of_an_earlier_cast_are_removed(tmp_path, held):
+    CastReport(planned(), held).write(tmp_path)
+    (tmp_path / "notes.txt").write_text("mine")
+    CastReport(stopped(None)).write(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["notes.txt", "report.html"]
+
+
+def test_a_plan_without_a_run_shows_where_its_target_is(tmp_path):
+    plan = unreachable()
+    page = CastReport(plan).write(tmp_path)["page"].read_text("utf-8")
+    assert page.count("data:image/png") == 1
+    (axis,) = target_map(plan, "nearest").axes
+    (target, nearest) = axis.patches
+    assert target.center == (2.5, 0.0)
+    assert nearest.center == (plan.fallback.target.x, plan.fallback.target.y)
+    assert min(target.radius, nearest.radius) >= 0.02  # m: they can be seen
+    reach, arm, rope = (line.get_xydata() for line in axis.get_lines()[:3])
+    np.testing.assert_allclose(np.hypot(*reach.T), 2.105, rtol=1e-12)  # rounding
+    np.testing.assert_allclose(np.hypot(*arm.T), 0.105, rtol=1e-12)  # rounding
+    np.testing.assert_allclose(rope, [[-0.105, 0.0], [-0.105, -2.0]], atol=1e-12)  # rounding of cos(pi / 2)
+    low, high = axis.get_xlim()
+    assert low < -2.105 < 2.53 < high
+    walls = (hf.Wall(1.0, -1.0, 1.0, 1.0), hf.Peg(9.0, 0.0, 0.1))
+    past = replace(plan, problem=replace(plan.problem, obstacles=walls))
+    words = [text.get_text() for text in target_map(past, "nearest").legends[0].get_texts()]
+    assert [word for word in words if "obstacle" in word] == ["wall, an obstacle"]  # the peg is beyond the picture
+
+
+def test_the_film_of_a_cast_has_notes(held):
+    note = CastReport(planned(), held).film_note
+    for t, text in (
+        (0.0, "x = -0.834 m, y = -1.07 m, radius 40 mm"),
+        (0.2, "6 swings to come"),
+        (0.8, "arm: swing 1 of 6"),
+        (1.4, "arm: rests after swing 1 of 6"),
+        (7.5, "rope: in the air"),
+        (8.5, "turns round the target"),
+        (11.0, f"wound and held; hold force {held.force:.2f} N (tug)"),
+        (11.0, "2.36 turns"),
+    ):
+        assert text in note(t)
+    assert "hold force" not in note(8.5)
+    miss = planned(winds=False)
+    assert "FAILS: the rope does not touch the peg" in CastReport(miss).film_note(miss.run.t[-1])
+    slow = CastReport(replace(planned(), message=f"with shorter links {TOO_LONG}")).film_note(11.0)
+    assert "the time allowed for it" in slow.replace("\n", " ")
+    assert max(map(len, slow.split("\n"))) <= 90
+
+
+@pytest.mark.parametrize(
+    ("report", "failing", "notes"),
+    [
+        (
+            lambda: WhipReport(planned_whip()),
+            lambda: WhipReport(planned_whip(meets=False)),
+            {0.01: "3 strokes to come", 0.2: "stroke 1 of 3", 1.95: "passes it at 1.90 s: 1.3 m/s, 0.5 mm off"},
+        ),
+        (
+            lambda: InsertReport(planned_insert()),
+            lambda: InsertReport(planned_insert(enters=False)),
+            {0.0: "2 strokes to come", 0.5: "stroke 1 of 2", 2.05: "inside at 2.00 s"},
+        ),
+    ],
+    ids=["whip", "insert"],
+)
+def test_the_film_of_strokes_has_notes(report, failing, notes):
+    note = report().film_note
+    for t, text in notes.items():
+        assert text in note(t)
+    assert list(notes.values())[-1][:6] not in note(1.5)
+    assert "FAILS: the" in failing().film_note(2.2)
+
+
+@pytest.mark.parametrize(
+    ("report", "moves", "event"),
+    [
+        (lambda: CastReport(planned()), ["1", "2", "3", "4", "5", "6", "last"], "strikes at 7.65 s"),
+        (lambda: WhipReport(planned_whip()), ["1", "2", "3"], "peak at 1.90 s"),
+        (lambda: InsertReport(planned_insert()), ["1", "2"], "inside at 2.00 s"),
+    ],
+    ids=["cast", "whip", "insert"],
+)
+def test_the_time_course_numbers_the_moves_and_marks_the_event(report, moves, event):
+    arm, upper, *_ = course_of(report()).axes
+    assert [text.get_text() for text in arm.texts] == moves
+    assert any(event in text.get_text() for text in upper.texts)
+    (marked,) = (line for line in upper.get_lines() if line.get_linestyle() == "--" and line.get_color() == "#d1483a")
+    assert f"{marked.get_xdata()[0]:.2f} s" in event
+
+
+def test_pictures_of_plans_that_fail():
+    for report in (CastReport(planned(winds=False)), WhipReport(planned_whip(meets=False))):
+        for figure in report.figures().values():
+            assert png(figure, dpi=40).startswith(b"\x89PNG")
+
+
+def test_the_path_past_the_target_is_centred_on_it():
+    figure = WhipReport(planned_whip(meets=False)).figures()["passing"]
+    target, tip = (line for line in figure.axes[0].get_lines() if line.get_marker() == "o")
+    assert (target.get_xdata()[0], target.get_ydata()[0]) == (0.0, 0.0)
+    np.testing.assert_allclose([tip.get_xdata()[0], tip.get_ydata()[0]], [-18.0, -24.0], atol=1e-9)  # mm
+    words = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert any("30 mm off" in word for word in words)
+    assert any("required direction" in word for word in words)
+    free = WhipReport(planned_whip(any_direction=True)).figures()["passing"].legends[0].get_texts()
+    assert not any("required direction" in text.get_text() for text in free)
+
+
+def test_obstacles_near_the_target_are_drawn():
+    plan = planned_whip()
+    x, y = plan.target.point
+    walls = (hf.Wall(x + 0.05, y - 1.0, x + 0.05, y + 0.02), hf.Peg(x, y - 0.05, 0.01), hf.Ground(0.0, y - 0.1))
+    for near, name in zip(walls, ("wall", "peg", "ground"), strict=True):
+        far = replace(near, y=near.y - 9.0, **({"y2": near.y2 - 9.0} if name == "wall" else {}))
+        for obstacle, shown in ((near, True), (far, False)):
+            there = replace(plan, problem=replace(plan.problem, obstacles=(obstacle,)))
+            words = [text.get_text() for text in WhipReport(there).figures()["passing"].legends[0].get_texts()]
+            assert (f"{name}, an obstacle" in words) == shown
+
+
+def test_a_pull_that_did_not_slip_is_a_lower_bound(held):
+    firm = replace(held, tug=replace(held.tug, slipped=False))
+    report = CastReport(planned(), firm)
+    assert "or more (tug)" in report.film_note(11.0)
+    assert any(f"at least {held.force:.2f}" in value for value, _ in report.tiles)
+    assert any("so it holds more" in line for line in report.story)
+    for each, least in ((held, ""), (firm, "at least ")):
+        labels = [text.get_text() for text in tug_figure(each).axes[0].get_legend().get_texts()]
+        assert f"hold force {least}{held.force:.2f} N" in labels
+
+
+def overlapping(figure):
+    """Return the texts of a figure that lie on each other, in pairs; ticks beyond an axis' ends are not drawn."""
+    figure.canvas.draw()
+    beyond = set()
+    for axis in (each for axes in figure.axes for each in (axes.xaxis, axes.yaxis)):
+        low, high = axis.get_view_interval()
+        beyond |= {tick.label1 for tick in axis.get_major_ticks() if not low <= tick.get_loc() <= high}
+    drawn = [each for each in figure.findobj(Text) if each.get_visible() and each.get_text().strip()]
+    boxes = [(each.get_text(), each.get_window_extent()) for each in drawn if each not in beyond]
+    return [(a, b) for k, (a, box) in enumerate(boxes) for b, other in boxes[k + 1 :] if box.overlaps(other)]
+
+
+def test_labels_do_not_lie_on_each_other(held):
+    for strike in (0.3, 1.0, 5.0, 9.0, 10.8):
+        plan = replace(planned(), outcome=replace(planned().outcome, strike_time=strike))
+        assert overlapping(course_of(CastReport(plan))) == []
+    for report in (CastReport(planned(winds=False)), WhipReport(planned_whip()), InsertReport(planned_insert())):
+        assert overlapping(course_of(report)) == []
+    firm = replace(held, tug=replace(held.tug, slip=0.05 * held.tug.slip, slipped=False))
+    assert overlapping(tug_figure(held)) == []
+    figure = tug_figure(firm)
+    assert overlapping(figure) == []
+    (note,) = figure.axes[1].texts
+    assert figure.axes[1].get_window_extent().y1 > note.get_window_extent().y1  # within its panel
