@@ -17,7 +17,8 @@ from hyperflex.report.pictures import GROUND, OBSTACLE, PEG, animate, strobe_fig
 from hyperflex.report.scene import Overlay, shapes
 from hyperflex.report.style import png, save_png
 from hyperflex.vision import VideoReader
-from tests.planning.known import PEG, planned
+from tests.planning.known import PEG as TARGET
+from tests.planning.known import planned
 from tests.planning.known_whip import planned_whip
 
 
@@ -127,7 +128,9 @@ def test_pegs_and_targets_are_drawn_to_scale_and_in_view(tmp_path):
     run = planned(winds=False).run
     animate(run, tmp_path / "a.gif", end=0.1, frame_rate=10, width=300)
     _, columns = reddish(tmp_path / "a.gif")
-    seen = np.concatenate([run.joints.reshape(-1, 2), [[PEG.x - 0.04, PEG.y - 0.04], [PEG.x + 0.04, PEG.y + 0.04]]])
+    seen = np.concatenate(
+        [run.joints.reshape(-1, 2), [[TARGET.x - 0.04, TARGET.y - 0.04], [TARGET.x + 0.04, TARGET.y + 0.04]]]
+    )
     wide, tall = np.ptp(seen, axis=0)
     margin = 0.06 * max(wide, tall)  # on each side, and twice above
     view = max(wide + 2.0 * margin, (tall + 3.0 * margin) / 1.15)  # a tall view is widened
