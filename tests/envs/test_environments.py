@@ -161,9 +161,9 @@ def test_a_cast_succeeds_when_the_rope_stays_wound() -> None:
     seen, _ = envs.reset(seed=0)
     np.testing.assert_allclose(seen[0, -3:], [0.9, -0.8, 0.05])
     begin = abs(envs._turns[0]) / 1.25
-    rewards = [envs._judge(wound(-turns, peg, 40))[0][0] for turns in (0.5, 1.5, 1.0)]
+    rewards = [envs._score(wound(-turns, peg, 40))[0][0] for turns in (0.5, 1.5, 1.0)]
     assert begin + sum(rewards) == pytest.approx(1.0 / 1.25)
-    ends = [envs._judge(wound(-2.0, peg, 40)) for _ in range(50)]
+    ends = [envs._score(wound(-2.0, peg, 40)) for _ in range(50)]
     assert [bool(end[0]) for _, end in ends] == [False] * 49 + [True]
     assert begin + sum(rewards) + sum(reward[0] for reward, _ in ends) == pytest.approx(2.0)
 

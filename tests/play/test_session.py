@@ -9,7 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.play.arm_program import MOST_MOVES, ArmProgram
+from hyperflex.play.arm_program import MOST_MOVES
 from hyperflex.play.controls import CONTROLS, CROSSING, FIXED, PUMPING, Settings
 from hyperflex.play.session import MOST_RECORDED, NUMBERS, Session
 from hyperflex.simulation import OUT_OF_TIME
@@ -193,10 +193,6 @@ def test_controls_hold_their_own_defaults():
 
 
 def test_hours_of_swinging_keep_a_bounded_memory():
-    program = ArmProgram(0.0)
-    for k in range(MOST_MOVES):
-        program.move((-1.0) ** k, 2.0 * k, 0.5)
-    assert program.full
     session = Session(Settings().changed({"links": 4, "t_move": 0.2, "t_rest": 0.0, "target_solid": 0}))
     session.swing()
     for _ in range(700):

@@ -261,7 +261,7 @@ def test_the_film_of_a_cast_has_notes(held):
         (0.0, "x = -0.834 m, y = -1.07 m, radius 40 mm"),
         (0.2, "6 swings to come"),
         (0.8, "arm: swing 1 of 6"),
-        (1.4, "arm: rests after swing 1 of 6"),
+        (11.0, "arm: last move"),
         (7.5, "rope: in the air"),
         (8.5, "turns round the target"),
         (11.0, f"wound and held; hold force {held.force:.2f} N (tug)"),

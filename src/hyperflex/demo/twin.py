@@ -37,7 +37,7 @@ MAPPED = Path(__file__).parent / "data" / "demo_mapped.toml"
 def friction(n_links: int) -> Array:
     """Return the joint friction (n,) of the rope cut into `n_links`, N m s/rad.
 
-    A joint stands for the bending of one link length; a coarse joint does the work of several fine ones in series and
+    A joint represents the bending of one link length; a coarse joint replaces several fine ones in series and
     so has less friction. The first joint is the eye that the rope hangs from: the same in every cut.
     """
     bending = 1e-4  # N m^2 s, joint friction times link length: between the paper's cable and its other rope

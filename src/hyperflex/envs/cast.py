@@ -1,4 +1,4 @@
-"""Cast: the arm is to wind the rope round a target that is drawn in each episode."""
+"""Cast: wind the rope round a target that is sampled in each episode."""
 
 from typing import Any
 
@@ -59,12 +59,12 @@ class CastVectorEnv(RopeVectorEnv):
 
 
 class CastEnv(RopeEnv):
-    """A cast: a rope is to be wound round a peg, and to hold there.
+    """A cast: wind a rope round a peg so that it holds there.
 
     ## Description
 
     A rope of 2 m, 40 links in the plane, hangs from an arm of 105 mm that a motor turns. Somewhere to the side is a peg
-    of 50 mm radius. The arm is to swing the rope so that it strikes the peg and winds round it; friction then holds it.
+    of 50 mm radius. The arm must swing the rope so that it strikes the peg and winds round it; friction then holds it.
     Registered as ``hyperflex/Cast-v0``, with episodes of 15 s (750 steps).
 
     ## Action Space
@@ -86,7 +86,7 @@ class CastEnv(RopeEnv):
 
     As of :class:`SwingEnv`. The peg is drawn: to the left or to the right, 0.6 to 1.1 m to the side and as far below
     the shaft (uniform; 0.3 to 0.55 of the rope's length, if you give another rope), again and again until
-    :func:`hyperflex.planning.check_feasibility` says that it is in reach. Its friction coefficient is 0.3.
+    :func:`hyperflex.planning.check_feasibility` calls it in reach. Its friction coefficient is 0.3.
 
     ## Episode End
 

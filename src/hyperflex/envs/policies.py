@@ -77,8 +77,8 @@ class PumpingPolicy(RulePolicy):
 class PlannedCast:
     """A cast that :func:`hyperflex.plan_cast` plans for the target of an episode, carried out in open loop.
 
-    A plan is rehearsed, with the model's rope in an environment of its own: intervals of the arm and links at the peg
-    are not the planner's. The search ends with the first plan that succeeds there, too.
+    A plan is rehearsed with the model's rope in a separate environment, whose intervals of the arm and links at the
+    peg differ from the planner's. The search ends with the first plan that succeeds there, too.
 
     Parameters
     ----------

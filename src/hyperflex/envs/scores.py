@@ -28,7 +28,7 @@ class Scores:
     returns : (S,) float64
         Sum of the rewards of each episode.
     successes : (S,) bool
-        What ``info["is_success"]`` said at its end; False where an environment has none.
+        ``info["is_success"]`` at its end; False where an environment has none.
     """
 
     returns: Array

@@ -1,4 +1,4 @@
-"""Swing: the arm is to make the rope's tip swing as far to the sides as it can."""
+"""Swing: make the rope's tip swing as far to the sides as possible."""
 
 from typing import Any
 
@@ -41,7 +41,7 @@ class SwingEnv(RopeEnv):
     ## Description
 
     A rope of 2 m hangs from an arm of 105 mm that a motor turns: a chain of 20 links in the plane, as identified in
-    experiments. The arm is to pump the rope up until its tip swings far to the sides, which is how a cast begins.
+    experiments. The arm must pump the rope up until its tip swings far to the sides, which is how a cast begins.
     Registered as ``hyperflex/Swing-v0``, with episodes of 10 s (500 steps).
 
     ## Action Space
@@ -70,7 +70,7 @@ class SwingEnv(RopeEnv):
     ## Episode End
 
     Truncated after 500 steps (``max_episode_steps``). Terminated, without a reward, only where the run cannot be
-    simulated within `tol`, which ``info["failed"]`` then tells. ``info["amplitude"]`` is the reward of the step.
+    simulated within `tol`, then ``info["failed"]`` is true. ``info["amplitude"]`` is the reward of the step.
 
     ## Arguments
 

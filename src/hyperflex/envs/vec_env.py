@@ -1,4 +1,4 @@
-"""Vector environments for Stable-Baselines3, which has an interface of its own (VecEnv) and takes no other."""
+"""Vector environments for Stable-Baselines3, which has its own interface, VecEnv."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -80,11 +80,11 @@ class _Adapter:
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Sequence[int] | None = None) -> None:
         """Refuse: members share their attributes."""
-        raise InvalidInput("members have no attributes of their own", got=attr_name, fix="Make another environment")
+        raise InvalidInput("members have no own attributes", got=attr_name, fix="Make another environment")
 
     def env_method(self, method_name: str, *arguments: Any, indices: Any = None, **named: Any) -> list[Any]:
         """Refuse: members have no methods."""
-        raise InvalidInput("members have no methods of their own", got=method_name, fix="Use the vector environment's")
+        raise InvalidInput("members have no own methods", got=method_name, fix="Use the vector environment's")
 
     def env_is_wrapped(self, wrapper_class: type, indices: int | Sequence[int] | None = None) -> list[bool]:
         """Return that no member is wrapped."""

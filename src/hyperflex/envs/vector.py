@@ -194,8 +194,8 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         for m in np.flatnonzero(ended):
             last[m] = seen[m]
         self._begin(np.flatnonzero(ended))
-        told = {"final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
-        return self._sensing.observe(self.world, self._extra()), self._info(np.ones_like(ended)) | told
+        finals = {"final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
+        return self._sensing.observe(self.world, self._extra()), self._info(np.ones_like(ended)) | finals
 
     def _begin(self, which: npt.NDArray[np.intp]) -> None:
         """Begin episodes of some members."""
@@ -225,26 +225,26 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
 
     @abstractmethod
     def _start(self, which: npt.NDArray[np.intp], places: Array) -> None:
-        """Note what the rewards of an episode that begins are counted from."""
+        """Initialize the quantities that rewards of a new episode are counted from."""
 
     @abstractmethod
     def _score(self, places: Array) -> tuple[Array, Flags]:
-        """Return rewards (M,), and whether episodes have come to their goal (M,)."""
+        """Return rewards (M,), and whether episodes have reached their goal (M,)."""
 
     @abstractmethod
     def _values(self) -> dict[str, Any]:
-        """Return what is told beside observation and reward, (M,) each."""
+        """Return the values of the information, (M,) each."""
 
-    def _info(self, told: Flags) -> dict[str, Any]:
-        """Return the information, in Gymnasium's form: each with a mask (M,) of the members that it is of."""
+    def _info(self, which: Flags) -> dict[str, Any]:
+        """Return the information in Gymnasium's form: each value with a mask (M,) of its members."""
         info: dict[str, Any] = {}
         for name, value in {**self._values(), "failed": self.world.failed}.items():
-            info |= {name: np.array(value), f"_{name}": told.copy()}
+            info |= {name: np.array(value), f"_{name}": which.copy()}
         return info
 
 
 class RopeEnv(gymnasium.Env[Array, Any], ABC):
-    """A rope on an arm: member 0 of a :class:`RopeVectorEnv` of one, and to the bit what it is among many.
+    """A rope on an arm: member 0 of a :class:`RopeVectorEnv` of one, with the same bits as among many.
 
     The arguments are those of :class:`EnvOptions`. Raises InvalidInput if one cannot be used.
     """

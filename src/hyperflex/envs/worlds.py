@@ -1,4 +1,4 @@
-"""The ropes of an environment's members: side by side in free flight, or each with a peg of its own."""
+"""The ropes of an environment's members: side by side in free flight, or each with its peg."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ class World(ABC):
     arm_angle, arm_rate : (M,) float64
         Of the arms, rad and rad/s.
     failed : (M,) bool
-        Whether a member could not be simulated; its state is then NaN until it begins anew.
+        Whether a member could not be simulated; its state is then NaN until it is restarted.
     lengths : (M, n) float64
         Of the links, m.
     """
@@ -44,7 +44,7 @@ class World(ABC):
     def begin(
         self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
     ) -> None:
-        """Begin anew with some members (K,): ropes and pegs (K,) of their own, at rest at angles `q0` (K, n), rad.
+        """Restart some members (K,): their ropes and pegs (K,), at rest at angles `q0` (K, n), rad.
 
         Their arms begin at `angle`, rad.
         """
@@ -72,7 +72,7 @@ class FreeWorld(World):
     def begin(
         self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
     ) -> None:
-        """Begin anew with some members."""
+        """Restart some members."""
         if any(self._ropes[m] is not rope for m, rope in zip(which, ropes, strict=True)):
             state = self._stepper.restart(self._state, which, ropes, q0, arm_angle=angle)
             self.lengths[which] = [rope.length for rope in ropes]
@@ -84,7 +84,7 @@ class FreeWorld(World):
 
     def step(self, accelerations: Array, dt: float) -> None:
         """Take an interval."""
-        now = replace(self._state, t=0.0)  # so that a step is the same one, to the bit, whenever it is taken
+        now = replace(self._state, t=0.0)  # so that a step gives the same bits at any time
         self._show(self._stepper.step(now, accelerations, dt))
 
     def _show(self, state: BatchState) -> None:
@@ -105,7 +105,7 @@ class PegWorld(World):
     def begin(
         self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
     ) -> None:
-        """Begin anew with some members."""
+        """Restart some members."""
         for m, rope, peg, q in zip(which, ropes, pegs, q0, strict=True):
             stepper = Stepper(rope, arm=self.arm, pegs=[peg], tol=self.tol, refine=False)
             self.lengths[m] = rope.length

@@ -26,14 +26,14 @@ _TURN = {"type": "object", "properties": {axis: {"type": "number"} for axis in "
 
 
 def write_mcap(source: Trajectory | Recording, path: PathLike) -> None:
-    """Write a run or a recording as an MCAP file, for Foxglove and what else reads its JSON messages.
+    """Write a run or a recording as an MCAP file, for Foxglove and other readers of its JSON messages.
 
     Parameters
     ----------
     source : Trajectory or Recording
         Of a run, angles and rates of arm and links are written to the topic ``/joints`` and the places of joints and
-        tip to ``/rope``; of a recording what it holds. :func:`hyperflex.read_recording` reads both, bit for bit, gaps
-        included.
+        tip to ``/rope``; of a recording its angles or markers. :func:`hyperflex.read_recording` reads both, bit for
+        bit, gaps included.
     path : path-like
         File to write, whole or not at all.
 
@@ -46,15 +46,17 @@ def write_mcap(source: Trajectory | Recording, path: PathLike) -> None:
     """
     writer = extras.load("mcap.writer", "mcap", "MCAP files")
     if isinstance(source, Trajectory):
-        told, channels = _run(source)
+        notes, channels = _run(source)
     elif isinstance(source, Recording):
-        told, channels = _recording(source)
+        notes, channels = _recording(source)
     else:
         raise InvalidInput("source is neither a run nor a recording", got=type(source), allowed="Trajectory, Recording")
     with files.atomic(path, "wb") as stream:
         out = writer.Writer(stream)
         out.start(profile="", library="hyperflex")
-        out.add_metadata(MCAP_METADATA, {"format": MCAP_FORMAT, **{key: value for key, value in told.items() if value}})
+        out.add_metadata(
+            MCAP_METADATA, {"format": MCAP_FORMAT, **{key: value for key, value in notes.items() if value}}
+        )
         schemas = {kind: out.register_schema(kind, "jsonschema", _schema(kind)) for kind in channels}
         ids = [out.register_channel(TOPICS[kind], "json", schema) for kind, schema in schemas.items()]
         for k, together in enumerate(zip(*channels.values(), strict=True)):
@@ -64,24 +66,24 @@ def write_mcap(source: Trajectory | Recording, path: PathLike) -> None:
 
 
 def _run(run: Trajectory) -> tuple[dict[str, str], dict[str, Channel]]:
-    """Return what is declared of a run, and its messages by schema."""
+    """Return the metadata of a run, and its messages by schema."""
     links = [f"link{k}" for k in range(run.q.shape[1])]
-    told = {"kind": "angles", "plane": "xz", "columns": json.dumps(links), "name": run.setup.rope.name}
-    told |= {"source": "simulated", "status": run.status, "message": run.message, "setup": run.setup.dumps()}
+    notes = {"kind": "angles", "plane": "xz", "columns": json.dumps(links), "name": run.setup.rope.name}
+    notes |= {"source": "simulated", "status": run.status, "message": run.message, "setup": run.setup.dumps()}
     angles = np.column_stack([run.arm_angle, run.q])
     rates = np.column_stack([run.arm_rate, run.qd])
     joints = _joint_states(run.t, ["arm", *links], angles, rates)
-    return told, {JOINT_STATES: joints, POSES_IN_FRAME: _poses(run.t, run.joints.reshape(run.t.size, -1))}
+    return notes, {JOINT_STATES: joints, POSES_IN_FRAME: _poses(run.t, run.joints.reshape(run.t.size, -1))}
 
 
 def _recording(recording: Recording) -> tuple[dict[str, str], dict[str, Channel]]:
-    """Return what is declared of a recording, and its messages by schema."""
-    told = {key: getattr(recording, key) for key in ("kind", "convention", "name", "source")} | {"plane": "xz"}
+    """Return the metadata of a recording, and its messages by schema."""
+    notes = {key: getattr(recording, key) for key in ("kind", "convention", "name", "source")} | {"plane": "xz"}
     if recording.kind == "markers":
-        return told, {POSES_IN_FRAME: _poses(recording.t, recording.data, recording.noise)}
+        return notes, {POSES_IN_FRAME: _poses(recording.t, recording.data, recording.noise)}
     names = [f"link{k}" for k in range(recording.n_links)]
     states = _joint_states(recording.t, names, recording.data, recording.rates, recording.noise)
-    return told, {JOINT_STATES: states}
+    return notes, {JOINT_STATES: states}
 
 
 def _joint_states(

@@ -1,4 +1,4 @@
-"""A page in the browser to swing, cast and look, live; it needs ``pip install 'hyperflex[viewer]'``."""
+"""A live page in the browser to swing a rope, plan and cast; it needs ``pip install 'hyperflex[viewer]'``."""
 
 from typing import TYPE_CHECKING
 

@@ -1,10 +1,10 @@
-"""The arm's moves as they are decided one by one, each from rest to rest: what is done stays as it was."""
+"""The arm's moves as they are decided one by one, each from rest to rest; earlier moves stay as they were."""
 
 import math
 
 from hyperflex.motion import Motion, arm_moves, hold_arm
 
-MOST_MOVES = 120  # that are remembered
+MOST_MOVES = 120  # in one motion: each frame evaluates all of them
 
 
 class ArmProgram:
@@ -12,51 +12,42 @@ class ArmProgram:
 
     Attributes
     ----------
-    angle : float
-        Where the arm is once all moves are done, rad.
+    angles : list of float
+        Of the arm at the start and after each move, rad.
     end : float
-        When they are done, s.
+        When the moves are done, s.
     """
 
     def __init__(self, angle: float, begin: float = 0.0) -> None:
-        self.angle, self.end = angle, begin
-        self._angles, self._rests = [angle], [begin]
-        self._durations: list[float] = []
-        self._ramps: list[float] = []
+        self.angles, self.end = [angle], begin
+        self._timing: list[tuple[float, float, float]] = []  # rest before each move, s, its duration, s, and its ramp
 
     @property
-    def begun(self) -> bool:
-        """Whether the arm has moved."""
-        return bool(self._durations)
+    def angle(self) -> float:
+        """Angle of the arm once all moves are done, rad."""
+        return self.angles[-1]
 
     @property
-    def full(self) -> bool:
-        """Whether it remembers all that it may."""
-        return len(self._durations) >= MOST_MOVES
+    def count(self) -> int:
+        """Number of moves."""
+        return len(self._timing)
 
     @property
     def motion(self) -> Motion:
         """The moves as a motion."""
-        if not self._durations:
-            return hold_arm(self.angle)
-        return arm_moves(self._angles, self._rests[: len(self._durations)], self._durations, self._ramps)
+        return arm_moves(self.angles, *zip(*self._timing, strict=True)) if self._timing else hold_arm(self.angle)
 
     def move(self, angle: float, start: float, duration: float, ramp: float = 0.5) -> None:
         """Add a move to an `angle`, rad, that starts at a time, s, not before `end`."""
-        rest = max(start - self.end, 0.0)
-        if self._durations:
-            self._rests.append(rest)
-        else:
-            self._rests[0] += rest
-        self._angles.append(angle)
-        self._durations.append(duration)
-        self._ramps.append(ramp)
-        self.angle, self.end = angle, self.end + rest + duration
+        start = max(start, self.end)
+        self._timing.append((start - self.end if self._timing else start, duration, ramp))
+        self.angles.append(angle)
+        self.end = start + duration
 
     @property
-    def made(self) -> int:
-        """Half turns made, as far as the next one's side tells: an even number from -pi/2, else an odd one."""
-        return 2 * len(self._durations) + (self.angle > 0.0)
+    def half_turns(self) -> int:
+        """Number of half turns for a rule: even if the arm is at -pi/2, odd at pi/2."""
+        return 2 * self.count + (self.angle > 0.0)
 
     def next_end(self) -> float:
         """Return where the next half turn through the bottom ends, rad; from elsewhere the arm goes to -pi/2 first."""

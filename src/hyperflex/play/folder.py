@@ -50,11 +50,11 @@ class Folder:
         return Setup.from_toml(self._existing(name, ".toml"))
 
     def limits(self, name: str) -> MotorLimits | None:
-        """Return the motor's limits that a file says, if it does."""
+        """Return the motor's limits of a file, None without any."""
         return read_limits(self._existing(name, ".toml"))
 
     def save(self, name: str, recorded: Recorded, plan: CastPlan | WhipPlan | None) -> str:
-        """Write what the suffix of a new file says; returns its name.
+        """Write a new file by its suffix; return its name.
 
         ``.nc``: the run; ``.html``: its player; ``.toml``: the set-up, from its beginning; ``.csv``: the motion of the
         plan, for the motor.

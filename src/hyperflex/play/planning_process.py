@@ -65,8 +65,8 @@ class PlanningProcess:
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=[answers.fileno()])
         answers.close()
         if self._process.stdin is not None:
-            with self._process.stdin as told, contextlib.suppress(OSError):  # it has ended: there will be no answer
-                told.write(pickle.dumps(task))
+            with self._process.stdin as stream, contextlib.suppress(OSError):  # it has ended: there will be no answer
+                stream.write(pickle.dumps(task))
 
     def result(self) -> CastPlan | WhipPlan | str | None:
         """Return the plan, or the error's message, once there is one of both; else None."""

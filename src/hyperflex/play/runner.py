@@ -24,7 +24,7 @@ class Runner:
     Parameters
     ----------
     session : Session
-    tell : callable
+    notify : callable
         Called from the thread at each new frame and each change of :meth:`scene`.
 
     Attributes
@@ -37,22 +37,22 @@ class Runner:
         The last one that was made.
     """
 
-    def __init__(self, session: Session, tell: Callable[[], None]) -> None:
+    def __init__(self, session: Session, notify: Callable[[], None]) -> None:
         self.session, self.frame, self.watched, self.paused = session, session.frame(), False, False
         self.plan: CastPlan | WhipPlan | None = None
         self.number = self.version = 0
-        self._tell, self._notice, self._late = tell, "", False
+        self._notify, self._notice, self._late = notify, "", False
         self._usual: float | None = None  # the speed, while a plan is shown in slow motion
-        self._asked: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
+        self._commands: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
         self._planning: PlanningProcess | None = None
-        self._told, self._closed = 0.0, threading.Event()
+        self._reported, self._closed = 0.0, threading.Event()
         self._thread = threading.Thread(target=self._run, name="hyperflex play", daemon=True)
         self._thread.start()
 
     def call(self, action: Callable[[], Any]) -> "Future[Any]":
         """Have the thread call a function between two frames; the future has what it returns or raises."""
         future: Future[Any] = Future()
-        self._asked.put((action, future))
+        self._commands.put((action, future))
         return future
 
     def close(self) -> None:
@@ -66,13 +66,13 @@ class Runner:
     def scene(self) -> dict[str, Any]:
         """Return what the page must know in addition to the frames; called from the thread."""
         plan, busy = self.plan, self._planning
-        said = None if plan is None else {"kind": plan.kind, "success": plan.success, "message": plan.message}
+        shown = None if plan is None else {"kind": plan.kind, "success": plan.success, "message": plan.message}
         spent = time.monotonic() - busy.begun if busy is not None and busy.begun else 0.0
         search = None
         if busy is not None:
             search = {"kind": busy.task.kind, "spent": spent, "budget": busy.task.time_budget}
             search["found"] = busy.best is not None
-        own = {"paused": self.paused, "notice": self._notice, "late": self._late, "plan": said, "planning": search}
+        own = {"paused": self.paused, "notice": self._notice, "late": self._late, "plan": shown, "planning": search}
         return self.session.scene() | own
 
     def act(self, name: str) -> None:
@@ -104,7 +104,7 @@ class Runner:
         self.changed()
 
     def open(self, setup: Setup, limits: MotorLimits | None = None) -> None:
-        """Begin with a set-up from a file, and the motor's limits that it says."""
+        """Begin with a set-up from a file, and the motor's limits in it."""
         self.session.play(setup, "file", limits=limits)
         self.paused = False
         self.changed()
@@ -114,7 +114,7 @@ class Runner:
         self.version += 1
         if picture:
             self.frame, self.number = self.session.frame(), self.number + 1
-        self._tell()
+        self._notify()
 
     def _run(self) -> None:
         due = time.monotonic()
@@ -136,7 +136,7 @@ class Runner:
         try:
             self.frame = self.session.advance(self.session.settings.speed / FRAME_RATE)
             self.number += 1
-            self._tell()
+            self._notify()
         except HyperflexError as error:
             self._stop(str(error))
         except Exception as error:  # noqa: BLE001 last resort: the page must stay usable
@@ -151,7 +151,7 @@ class Runner:
         """Carry out commands, and wait for more until a time."""
         while True:
             try:
-                action, future = self._asked.get(timeout=max(until - time.monotonic(), 0.0))
+                action, future = self._commands.get(timeout=max(until - time.monotonic(), 0.0))
             except queue.Empty:
                 return
             if not future.set_running_or_notify_cancel():  # the page went away
@@ -174,8 +174,8 @@ class Runner:
                 self._notice = found
             else:
                 self.plan = found
-        if found is not None or better or time.monotonic() - self._told > 0.25:  # s between two reports of a search
-            self._told = time.monotonic()
+        if found is not None or better or time.monotonic() - self._reported > 0.25:  # s between two reports of a search
+            self._reported = time.monotonic()
             self.changed(picture=False)
 
     def _plan(self, kind: Any) -> None:

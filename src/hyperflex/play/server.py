@@ -33,7 +33,7 @@ _SECURITY = (
 
 
 class PlayServer:
-    """Serves the page until it is closed, from a thread of its own.
+    """Serves the page from a separate thread until it is closed.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class PlayServer:
     host : str
         Address to listen at.
     allow : sequence of str
-        Hosts, as ``name:port``, that pages may be asked for by, beside this machine's own names.
+        Hosts, as ``name:port``, accepted in requests in addition to this machine's own names.
 
     Attributes
     ----------
@@ -72,11 +72,11 @@ class PlayServer:
                 fix = "Leave out http:// and what follows the port"
                 raise InvalidInput("allow is no host", got=each, allowed="host:port, as in robot.lan:8080", fix=fix)
         self.folder, self._news = folder, set[asyncio.Event]()
-        self._given, self._asked, self._allow = session or Session(), (host, port), set(allow)
+        self._place, self._allow = (host, port), set(allow)
         self._loop, self._end = asyncio.new_event_loop(), asyncio.Event()
         self._problem: OSError | OverflowError | None = None
         self._ready = threading.Event()
-        self.port, self.runner = 0, Runner(self._given, self._tell)
+        self.port, self.runner = 0, Runner(session or Session(), self._notify)
         self._thread = threading.Thread(target=self._serve, name="hyperflex play server", daemon=True)
         self._thread.start()
         self._ready.wait(30.0)
@@ -113,7 +113,7 @@ class PlayServer:
             self._loop.close()
 
     async def _listen(self) -> None:
-        host, port = self._asked
+        host, port = self._place
         connections = weakref.WeakSet[ServerConnection]()
 
         class Connection(ServerConnection):
@@ -141,14 +141,14 @@ class PlayServer:
         server.close()
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(server.wait_closed(), 1.0)
-        for connection in connections:  # browsers open some and say nothing
+        for connection in connections:  # browsers open some and send nothing
             connection.transport.abort()
         left = asyncio.all_tasks() - {asyncio.current_task()}
         for task in left:
             task.cancel()
         await asyncio.gather(*left, return_exceptions=True)
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         """Wake all senders; called from the runner's thread."""
         with contextlib.suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._wake)
@@ -161,14 +161,14 @@ class PlayServer:
         """Answer a request for a page; None lets a websocket be opened."""
         if not may_ask(request.headers.get("Host"), request.headers.get("Origin"), self._allow):
             return _response(HTTPStatus.FORBIDDEN, "Pages of this address, or from there, are not answered.", "plain")
-        asked = urlsplit(request.path)
-        if asked.path == "/socket":
+        url = urlsplit(request.path)
+        if url.path == "/socket":
             return None
-        if asked.path == "/":
+        if url.path == "/":
             return _response(HTTPStatus.OK, page())
-        if asked.path == "/view":
+        if url.path == "/view":
             try:
-                name, rope = (parse_qs(asked.query).get(each, [""])[0] for each in ("name", "rope"))
+                name, rope = (parse_qs(url.query).get(each, [""])[0] for each in ("name", "rope"))
                 return _response(HTTPStatus.OK, await asyncio.to_thread(self.folder.page, name, rope))
             except HyperflexError as error:
                 return _response(HTTPStatus.NOT_FOUND, str(error), "plain")
@@ -215,35 +215,37 @@ class PlayServer:
         """Carry out the command of a message; return the answer, with its number."""
         number: object = None
         try:
-            asked = checks.mapping("the message", json.loads(message))
-            number = asked.get("id")
-            return {"id": number, **await self._do(asked)}
+            command = checks.mapping("the message", json.loads(message))
+            number = command.get("id")
+            return {"id": number, **await self._do(command)}
         except (HyperflexError, ValueError, RecursionError) as error:
             return {"id": number, "error": str(error)}
         except Exception as error:  # noqa: BLE001 last resort: the connection is to stay
             traceback.print_exc()
             return {"id": number, "error": f"This is a bug in hyperflex: {error}"}
 
-    async def _do(self, asked: Any) -> dict[str, Any]:
+    async def _do(self, command: Any) -> dict[str, Any]:
         """Carry out a command: ``button``, values to ``set``, a file to ``open`` or ``save``, or ``files`` to list."""
         session, runner = self.runner.session, self.runner
-        if "set" in asked:
-            values = checks.mapping("set", asked["set"])
+        if "set" in command:
+            values = checks.mapping("set", command["set"])
             await self._call(lambda: runner.change(values))
-        elif "button" in asked:
-            await self._call(lambda: runner.act(str(asked["button"])))
-        elif "open" in asked:
-            name = checks.text("open", asked["open"])
+        elif "button" in command:
+            await self._call(lambda: runner.act(str(command["button"])))
+        elif "open" in command:
+            name = checks.text("open", command["open"])
             opened = await asyncio.to_thread(lambda: (self.folder.setup(name), self.folder.limits(name)))
             await self._call(lambda: runner.open(*opened))
-        elif "save" in asked:
+        elif "save" in command:
             recorded, plan = await self._call(lambda: (session.recorded(), runner.plan))
-            name = checks.text("save", asked["save"])
+            name = checks.text("save", command["save"])
             return {"saved": await asyncio.to_thread(self.folder.save, name, recorded, plan)}
-        elif "files" in asked:
+        elif "files" in command:
             return {"files": await asyncio.to_thread(self.folder.names)}
         else:
-            raise InvalidInput("the message has no command", got=list(asked), allowed="set, button, open, save, files")
+            raise InvalidInput(
+                "the message has no command", got=list(command), allowed="set, button, open, save, files"
+            )
         return {}
 
 

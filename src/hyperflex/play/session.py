@@ -13,7 +13,7 @@ from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
 from hyperflex.planning import MotorLimits
-from hyperflex.play.arm_program import ArmProgram
+from hyperflex.play.arm_program import MOST_MOVES, ArmProgram
 from hyperflex.play.controls import CROSSING, FIXED, Settings
 from hyperflex.simulation import OUT_OF_TIME, simulate
 from hyperflex.trajectory import State, Trajectory
@@ -21,7 +21,7 @@ from hyperflex.winding import rope_tension, turns
 
 MOST_RECORDED = 120.0  # s of a run that can be kept
 FRAME_TIME = 1.0  # s that a frame may take, usually some thousandths
-_ROPE, _PLACE = ("length", "mass", "links", "friction", "arm_length"), "target_"
+_ROPE = {"length", "mass", "links", "friction", "arm_length"}  # settings that need another rope or arm
 NUMBERS = ("t", "arm_angle", "pseudo_energy", "x", "scaled_velocity", "tension", "turns", "tip_speed")
 
 
@@ -65,8 +65,8 @@ class Session:
         self._given: Setup | None = None  # whose rope and arm are used until others are set
         self.activity, self.t, self._begun = "hang", 0.0, 0.0
         self._program: ArmProgram | None = None  # None: the motion is that of a whole set-up
-        self._goal: float | None = None  # rad, where the arm is to go when it rests
-        self._next: float | None = None  # s, when the next half turn begins, once a rule has said so
+        self._goal: float | None = None  # rad, where the arm must go when it rests
+        self._next: float | None = None  # s, when the next half turn begins, once a rule has decided
         self._state: State | None = None
         self._origin: State | None = None
         self._tensions: deque[float] = deque(maxlen=5)  # frames: in contact, the tension of a single step jumps
@@ -103,7 +103,7 @@ class Session:
     def play(self, setup: Setup, activity: str, skip: float = 0.0, limits: MotorLimits | None = None) -> None:
         """Begin a whole set-up; the first `skip` seconds are simulated at once. Its first round peg is the target.
 
-        With the motor's `limits`, if the file says them.
+        With the motor's `limits`, if the file has them.
         """
         self._begin(setup, activity, None)
         if activity == "file":
@@ -121,22 +121,18 @@ class Session:
             self._simulate(skip)
 
     def change(self, values: Mapping[str, object]) -> None:
-        """Set what the page can set. InvalidInput leaves all as it was."""
-        before, self.settings = self.settings, self.settings.changed(values)
-        self._next = None
+        """Change settings. InvalidInput leaves all as it was."""
+        before, changed = dict(vars(self)), set(values)
+        self.settings, self._next = self.settings.changed(values), None
         try:
-            if any(name in values for name in _ROPE):
-                given, self._given, swings = self._given, None, self.activity == "swing"
-                try:
-                    self.hang()
-                except InvalidInput:
-                    self._given = given
-                    raise
+            if changed & _ROPE:
+                swings, self._given = self.activity == "swing", None
+                self.hang()
                 self.activity = "swing" if swings else "hang"
-            elif any(name.startswith(_PLACE) for name in values):
+            elif any(name.startswith("target_") for name in changed):
                 self._move_target()
         except InvalidInput:
-            self.settings = before
+            vars(self).update(before)
             raise
         if "arm_angle" in values and self._program is None:
             self.hang()
@@ -162,8 +158,9 @@ class Session:
     def frame(self) -> bytes:
         """Return the current frame, as of :meth:`advance`."""
         run = self._run
-        shaft = run.base if self.setup.arm is None else run.base - self._lever(self.setup.arm, run.arm_angle)
-        points = run.joints[0] if self.setup.arm is None else np.concatenate([shaft, run.joints[0]])
+        points, arm = run.joints[0], self.setup.arm
+        if arm is not None:
+            points = np.concatenate([run.base - arm.tip(run.arm_angle) + arm.pivot, points])
         return np.concatenate([self._numbers(run), points.ravel()]).astype("<f4").tobytes()
 
     def scene(self) -> dict[str, Any]:
@@ -214,7 +211,7 @@ class Session:
         moves = self.activity == "swing" or (self._goal is not None and self._goal != program.angle)
         if start >= until or not moves:
             return
-        if program.full:
+        if program.count >= MOST_MOVES:
             program = self._program = ArmProgram(program.angle, program.end)
             self._record_from_here()
         if self.activity == "swing":
@@ -226,8 +223,8 @@ class Session:
         self.setup = self.setup.replace(motion=program.motion)
 
     def _start(self, program: ArmProgram) -> float:
-        """Return when the next move begins, s, as the settings say; inf while a rule cannot tell, for the arm moves."""
-        if self.activity != "swing" or not program.begun:
+        """Return when the next move begins, s, by the settings; inf while the arm moves and a rule cannot decide."""
+        if self.activity != "swing" or not program.count:
             return program.end
         if self.settings.rule == FIXED:
             return program.end + self.settings.t_rest
@@ -238,7 +235,7 @@ class Session:
             rule: control.Rule = control.CrossingRule(model)
             if self.settings.rule != CROSSING:
                 rule = control.PumpingRule(model, self.rope.total_length + self.arm.length)
-            self._next = rule.next_start(RopeState(self.t, self._state.q, self._state.qd), program.made)
+            self._next = rule.next_start(RopeState(self.t, self._state.q, self._state.qd), program.half_turns)
         return self._next
 
     def _pegs(self) -> tuple[Obstacle, ...]:
@@ -258,9 +255,6 @@ class Session:
 
     def _record_from_here(self) -> None:
         self._origin, self._begun = self._state, self.t
-
-    def _lever(self, arm: Arm, angle: Any) -> Any:
-        return arm.tip(angle) - np.array(arm.pivot)
 
     def _numbers(self, run: Trajectory) -> list[float]:
         target = self._target(self.setup) or self.settings.target

@@ -199,7 +199,7 @@ class CastReport(PlanReport[CastPlan]):
 
     def film_note(self, t: float) -> str:
         """Return the film's note at a time, s: target, arm, turns, and at the end the hold."""
-        lines = [f"target: {_place(self.plan.target)}", f"arm: {self._arm_words(t)}", "rope: in the air"]
+        lines = [f"target: {_place(self.plan.target)}", self.arm_note(t), "rope: in the air"]
         if t >= self._strike:
             turns = np.interp(t, self.run.t, self._turns())
             lines[-1] = f"rope: {turns:.2f} turns round the target, {self.way}"
@@ -210,18 +210,6 @@ class CastReport(PlanReport[CastPlan]):
     def _turns(self) -> np.ndarray:
         """Return the turns (T,) about the target, positive in the sense in which the rope winds."""
         return (-1.0 if self.clockwise else 1.0) * winding.turns(self.run, self.plan.target)
-
-    def _arm_words(self, t: float) -> str:
-        limits, moves, count = self.plan.problem.limits, self.plan.moves, self.n_moves
-        if moves is None:
-            return ""
-        begun = int((moves.starts(limits) <= t).sum())
-        if begun == 0:
-            return f"at rest, {self.move_count()} to come"
-        if begun > count:
-            return f"at rest, {self.move_count()} done" if t >= self._stop else f"last move after {self.move_count()}"
-        rests = self.plan.motion is not None and float(self.plan.motion.rate(t)) == 0.0
-        return f"{'rests after ' if rests else ''}swing {begun} of {count}"
 
     def _end_words(self) -> str:
         if not self.plan.success:

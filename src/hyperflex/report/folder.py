@@ -13,12 +13,11 @@ from hyperflex.errors import FileProblem
 from hyperflex.interruption import deferred
 
 LOCK_TIMEOUT = 5.0  # s for which another process may fill the folder; it takes thousandths
-LEAST_SPACE = 8.0 * 2**20  # bytes that a report with a film takes, or more
 Progress = Callable[[str], None]  # called with a message on what is being done
 
 
 def silent(message: str) -> None:
-    """Do nothing: the progress callable where none is asked for."""
+    """Do nothing: the default progress callable."""
 
 
 @contextmanager
@@ -28,16 +27,16 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
     Parameters
     ----------
     directory : str or Path
-        Where the files shall stand in the end; made with its parents if need be. Other files there stay, files of the
-        same names are replaced at the end.
+        Where the files go in the end; made with its parents if need be. Other files there stay, files of the same
+        names are replaced at the end.
     own : sequence of str, optional
         Names of files that are removed there at the end if the block writes none of the name: an earlier report's.
 
     Yields
     ------
     pathlib.Path
-        An empty folder on the same disk. It is removed if the block raises anything, KeyboardInterrupt included; what
-        stands at `directory` is then as it was.
+        An empty folder on the same disk. It is removed if the block raises anything, KeyboardInterrupt included;
+        `directory` is then as it was.
 
     Raises
     ------
@@ -45,7 +44,7 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
         There is a file of that name, no permission, no space, or a folder in the way of one of the files.
     """
     target, stage = Path(os.path.realpath(directory)), None
-    kept = False  # the stage holds earlier files that no longer stand in their place
+    kept = False  # the stage holds earlier files that could not be put back
     try:
         with deferred():
             stage = _stage(target)
@@ -73,7 +72,7 @@ def check_folder(directory: str | Path) -> None:
     """Refuse, before any work, a folder that cannot be made or filled now: FileProblem as of :func:`whole_folder`."""
     with deferred():
         _stage(Path(os.path.realpath(directory))).rmdir()
-    files.check_space(directory, LEAST_SPACE)
+    files.check_space(directory, 8.0 * 2**20)  # bytes: a report with a film
 
 
 def _stage(target: Path) -> Path:
@@ -94,7 +93,7 @@ def _stage(target: Path) -> Path:
 
 @contextmanager
 def _alone(target: Path) -> Iterator[None]:
-    """Let one process at a time fill a folder, where the system can lock the one above it, and nobody keeps it so."""
+    """Let one process at a time fill a folder, where the system can lock the folder above it."""
     descriptor = None
     try:
         with suppress(ImportError, OSError):  # Windows; some network disks

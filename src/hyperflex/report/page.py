@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from hyperflex import files
-from hyperflex.errors import InvalidInput
 
 
 @dataclass(frozen=True)
@@ -17,13 +16,6 @@ class TextTable:
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
 
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            if len(row) != len(self.header):
-                raise InvalidInput(
-                    "table row has the wrong number of cells", got=row, allowed=f"{len(self.header)} cells"
-                )
-
 
 @dataclass(frozen=True)
 class Picture:
@@ -31,7 +23,7 @@ class Picture:
 
     content: bytes
     caption: str
-    chart: bool = True  # its words are to be read: on a phone it scrolls, in place of being shrunk
+    chart: bool = True  # it has text: on a phone it scrolls instead of being shrunk
 
     @property
     def source(self) -> str:
@@ -52,16 +44,16 @@ class Section:
     """A headed part of a page, shown in the order verdict, text, tiles, marks, pictures, table, notes."""
 
     title: str
-    verdict: tuple[bool, str] | None = None  # what it comes to: whether that is good news, and its sentence
+    verdict: tuple[bool, str] | None = None  # conclusion: whether it is good news, and its sentence
     text: tuple[str, ...] = ()  # paragraphs
     tiles: tuple[tuple[str, str], ...] = ()  # key figures: value and what it is
     marks: tuple[tuple[bool, str], ...] = ()  # findings: whether each is good news, and its sentence
     pictures: tuple[Picture | Film, ...] = ()  # below each other
     table: TextTable | None = None  # in full; wide ones scroll
     notes: tuple[str, ...] = ()  # small print
-    folded: str = ""  # if given, pictures and table wait below this line until somebody clicks on it
+    folded: str = ""  # if given, pictures and table are hidden below this line until it is clicked
     anchor: str = ""  # its address in the page, for `links`
-    links: tuple[tuple[str, str], ...] = ()  # anchors of other sections, and what to say of them
+    links: tuple[tuple[str, str], ...] = ()  # anchors of other sections, and the links' texts
 
 
 def write_page(path: str | Path, title: str, lead: str, badge: str, sections: list[Section]) -> None:
@@ -99,7 +91,7 @@ def markdown(table: TextTable) -> str:
 
 
 def sections_markdown(title: str, sections: Sequence[Section]) -> str:
-    """Return the text, findings, tables and notes of sections as Markdown; pictures are left out."""
+    """Return the text, findings, tables and notes of sections as Markdown; pictures are omitted."""
     parts = [f"# {title}"]
     for section in sections:
         parts += [f"## {section.title}", *section.text]

@@ -175,18 +175,19 @@ def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overla
         axis.set_position((0.0, 0.0, 1.0, 1.0 - header / height))
         for line in (axis.axhline, axis.axvline):
             line(0.0, color=GROUND, lw=0.7, zorder=0)
-        ghosts = LineCollection([], linewidths=0.8, colors=[(*to_rgb(ROPE), 0.067 * k) for k in range(1, 6)])
+        shades = [(*to_rgb(ROPE), alpha) for alpha in (0.07, 0.13, 0.2, 0.27, 0.33, 1.0)]
+        ropes = LineCollection([], linewidths=[0.8] * 5 + [2.1], colors=shades)  # five earlier ones, and the rope now
         trail = LineCollection(
             [], linewidths=1.4, colors=[(*to_rgb(TRAIL), part) for part in np.linspace(0.15, 0.9, 79)]
         )
-        rope, arm = axis.plot([], [], color=ROPE, lw=2.1)[0], axis.plot([], [], color="white", lw=3.5)[0]
-        dots = axis.scatter([0.0, 0.0], [0.0, 0.0], s=30.0, color="white", zorder=5)
-        axis.add_collection(ghosts)
+        axis.add_collection(ropes)
         axis.add_collection(trail)
+        (arm,) = axis.plot([], [], color="white", lw=3.5)
+        dots = axis.scatter([0.0, 0.0], [0.0, 0.0], s=30.0, color="white", zorder=5)
         place: dict[str, Any] = {"va": "top", "color": PALE, "linespacing": 1.35}
         figure.text(14.0 / width, 1.0 - 12.0 / height, title, fontsize=10.0, **place | {"color": "white"})
         text = figure.text(14.0 / width, 1.0 - 33.0 / height, "", fontsize=8.5, **place)
-    moving = (ghosts, trail, rope, dots, arm, text)
+    moving = (trail, ropes, dots, arm, text)
     for artist in moving:
         artist.set_animated(True)
     canvas: Any = figure.canvas
@@ -196,10 +197,9 @@ def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overla
 
     def draw(k: int) -> Frame:
         t = float(times[k])
-        now = shapes(run, np.maximum(t - step * np.arange(5.0, -1.0, -1.0), run.t[0]))  # five earlier ropes, and now's
-        ghosts.set_segments(list(now.joints[:-1]))
+        now = shapes(run, np.maximum(t - step * np.arange(5.0, -1.0, -1.0), run.t[0]))
+        ropes.set_segments(list(now.joints))
         trail.set_segments(_pieces(shapes(run, np.linspace(max(t - overlay.trail, run.t[0]), t, 80)).joints[:, -1]))
-        rope.set_data(*now.joints[-1].T)
         arm.set_data(*np.stack([now.pivots[-1], now.joints[-1, 0]]).T)
         dots.set_offsets(np.stack([now.pivots[-1], now.joints[-1, -1]]))
         text.set_text(f"t = {t:5.2f} s\n{note(t)}")

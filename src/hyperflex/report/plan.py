@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
+from hyperflex.checks import Array
 from hyperflex.model import Obstacle, Peg, Wall
 from hyperflex.planning import RATE, CastPlan, InsertPlan, Problem, WhipPlan
 from hyperflex.report.curves import Moves
@@ -30,7 +31,7 @@ GREAT_TORQUE = 30.0  # times the torque of the rope's weight at the arm: usual c
 
 
 class PlanReport(ABC, Generic[PlanT]):
-    """The report of a plan: what it says and shows, and its folder. Each task has a subclass that fills it in."""
+    """The report of a plan: its texts, figures and folder. Each task has a subclass."""
 
     name: str  # of the task: "cast", ...; stem of the file names
     title: str  # of the page
@@ -192,24 +193,31 @@ class PlanReport(ABC, Generic[PlanT]):
 
     def moves(self) -> Moves | None:
         """Return the moves of the arm that begin within the run, numbered; None without any."""
-        moves, limits = self.plan.moves, self.plan.problem.limits
+        moves, starts = self.plan.moves, self._starts
         if moves is None:
             return None
-        starts = moves.starts(limits)
         names = [str(k + 1) for k in range(starts.size)]
         if self.last_move:
             names[-1] = "last"
         count = int((starts < self.run.t[-1]).sum())
-        return Moves(starts[:count], moves.angles(limits)[: count + 1], tuple(names[:count]))
+        return Moves(starts[:count], moves.angles(self.plan.problem.limits)[: count + 1], tuple(names[:count]))
 
     @property
-    def n_moves(self) -> int:
-        """Number of moves of the arm."""
-        return 0 if self.plan.moves is None else self.plan.moves.starts(self.plan.problem.limits).size - self.last_move
+    def _starts(self) -> Array:
+        """Starts of all moves, s."""
+        return np.zeros(0) if self.plan.moves is None else self.plan.moves.starts(self.plan.problem.limits)
 
     def move_count(self) -> str:
         """Return how many moves the arm makes, with their name."""
-        return counted(self.n_moves, self.move)
+        return counted(self._starts.size - self.last_move, self.move)
+
+    def arm_note(self, t: float) -> str:
+        """Return which move the arm makes at a time, s, or made last."""
+        begun = int((self._starts <= t).sum())
+        if not begun:
+            return f"arm: {self.move_count()} to come"
+        last = self.last_move and begun == self._starts.size
+        return "arm: last move" if last else f"arm: {self.move} {begun} of {self._starts.size - self.last_move}"
 
     def strobe_at(self, t: float, before: float, after: float, shown: str) -> "Figure":
         """Draw the rope at many instants `before` and `after` a time `t`, s; `shown` explains what else is there."""
@@ -254,18 +262,15 @@ class PlanReport(ABC, Generic[PlanT]):
             self.plan.outcome,
         )
         t = np.linspace(0.0, float(motion.breaks[-1]), 4001)
+        torques = (math.nan, math.nan) if seen is None else (seen.torque, seen.torque_peak)
         needed = (
             ("speed", np.abs(motion.rate(t)).max(), limits.speed, "rad/s"),
             ("acceleration", np.abs(motion.acceleration(t)).max(), limits.acceleration, "rad/s²"),
-            ("torque, mean over 5 ms", math.nan if seen is None else seen.torque, limits.torque, "N m"),
-            ("torque, peak over 0.5 ms", math.nan if seen is None else seen.torque_peak, math.inf, "N m"),
+            ("torque, mean over 5 ms", torques[0], limits.torque, "N m"),
+            ("torque, peak over 0.5 ms", torques[1], math.inf, "N m"),
         )
         rows = [
-            (
-                f"greatest {name}",
-                NOT_KNOWN if math.isnan(value) else f"{value:.3g} {unit}",
-                f"{limit:.3g} {unit}" if math.isfinite(limit) else "none given",
-            )
+            (f"greatest {name}", _quantity(value, unit, NOT_KNOWN), _quantity(limit, unit, "none given"))
             for name, value, limit, unit in needed
         ]
         return TextTable(("motor", "needed", "limit"), tuple(rows))
@@ -280,6 +285,11 @@ class PlanReport(ABC, Generic[PlanT]):
             f"{rope.n_links} links{tip}. Arm: {1e3 * setup.arm.length:.4g} mm. Target: {self.target}."
             f"{_obstacles(setup)}"
         )
+
+
+def _quantity(value: float, unit: str, otherwise: str) -> str:
+    """Return a number with its unit, or `otherwise` if it is not finite."""
+    return f"{value:.3g} {unit}" if math.isfinite(value) else otherwise
 
 
 def _obstacles(setup: Problem) -> str:

@@ -63,11 +63,9 @@ class TipReport(PlanReport[TipPlanT]):
     def film_note(self, t: float) -> str:
         """Return the film's note at a time, s: target, stroke of the arm, and what the tip does."""
         place, end = self.note_texts()
-        begun = 0 if self.plan.moves is None else int((self.plan.moves.starts(self.plan.problem.limits) <= t).sum())
-        arm = f"stroke {begun} of {self.move_count()}" if begun else f"{self.move_count()} to come"
         if not self.plan.success:
             end = f"FAILS: {self.plan.message}"
-        return "\n".join((place, f"arm: {arm}", end if t >= self.event else ""))
+        return "\n".join((place, self.arm_note(t), end if t >= self.event else ""))
 
     def note_texts(self) -> tuple[str, str]:
         """Return the film's texts on the target, and on its end."""

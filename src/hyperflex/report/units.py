@@ -76,7 +76,7 @@ def short(std: float) -> str:
 def length(value: float, digits: int = 3, small: str = "mm", least: float = 0.0) -> str:
     """Return a length, m, with so many digits, in m from 1 m on and below it in mm or cm.
 
-    One below `least`, m, is said to be "less than" that.
+    One below `least`, m, is shown as "less than" that.
     """
     if abs(value) < least:
         return f"less than {length(least, digits, small)}"
