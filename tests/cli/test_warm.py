@@ -23,8 +23,7 @@ import pickle
 import numpy as np
 import hyperflex as hf
 from hyperflex.core.jit import compiling
-from hyperflex.estimate import ChangeTests, EstimatedParameter, Observations, RopeFilter
-from hyperflex.estimate.live.worker import TrackingTask
+from hyperflex.estimate import ChangeTests, EstimatedParameter, Observations, RopeFilter, TrackingTask
 from hyperflex.planning.clearance import rope_clearance
 from hyperflex.sensors import MotorTorque
 from hyperflex.vision import Camera, MarkerColour
@@ -73,7 +72,7 @@ hf.linearize(rope, arm, rest, rest)
 MotorTorque(motor).measure(rope, motor, hf.State(0.0, rest, rest))
 hf.identify(hf.Recording(swung.t, swung.q + 1e-3 * np.cos(97.0 * swung.t)[:, None], kind="angles"), rope)
 view = Camera.facing((640, 480), pixels_per_metre=200.0, origin=(320.0, 20.0))
-TrackingTask("0", rope, np.array([0.4, 0.8, 1.2]), view, MarkerColour((30.0, 30.0, 200.0)), arm).rehearse()
+TrackingTask(rope, np.array([0.4, 0.8, 1.2]), view, MarkerColour((30.0, 30.0, 200.0)), arm).rehearse()
 print(compiling())
 """
 

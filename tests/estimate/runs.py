@@ -13,7 +13,7 @@ import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.estimate import Change, ChangeTests, EstimatedParameter, Observations, RopeFilter
 from hyperflex.estimate.parameters import ParameterStates
-from hyperflex.estimate.process import BEND, SPEED, START_CORRELATION, Process, smooth_shapes
+from hyperflex.estimate.process import Disturbances, Process
 from hyperflex.sensors import lever_arms
 from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.sensitivity.sensitivity import AngleJacobian
@@ -290,8 +290,9 @@ def friction_bound(truth: Truth, moved: bool, noise: float, frames: float = 30.0
     slope = arms[None, :, None, :] * np.stack([np.cos(q), np.sin(q)], axis=1)[:, None]  # (T, K, 2, n)
     jacobian = np.matmul(slope.reshape(len(at), -1, n), dq).reshape(-1, 2 * n + 1) / noise
     information = jacobian.T @ jacobian
-    shapes = smooth_shapes(cable, START_CORRELATION)
-    for k, size in enumerate((BEND, SPEED * np.sqrt(9.81 / LENGTH))):
+    assumed = Disturbances()
+    shapes = assumed.shapes(cable, assumed.start_correlation)
+    for k, size in enumerate((assumed.bend, assumed.speed * np.sqrt(9.81 / LENGTH))):
         prior = size**2 * (shapes.T @ shapes + 0.01 * np.eye(n))
         information[k * n : (k + 1) * n, k * n : (k + 1) * n] += np.linalg.inv(prior)
     left = information[-1, -1] - information[-1, :-1] @ np.linalg.solve(information[:-1, :-1], information[:-1, -1])

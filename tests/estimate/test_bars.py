@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.estimate import BarTracker, EstimatedParameter, RopeFilter, bar_arc_lengths
+from hyperflex.estimate import BarMeasurement, EstimatedParameter, RopeFilter, RopeTracker, bar_arc_lengths
 from hyperflex.vision import (
     Bar,
     BarDetector,
@@ -71,7 +71,7 @@ def test_a_hidden_joint_leaves_the_last_direction():
 def test_the_filter_carries_on_hidden_bars(tmp_path):
     """Every fourth frame is withheld, and foretold within 2 px rms."""
     _, detector = filmed(tmp_path / "pendulum.mp4")
-    tracker = BarTracker(RopeFilter(PENDULUM, bar_arc_lengths(SPANS), camera=CAMERA), detector)
+    tracker = RopeTracker(RopeFilter(PENDULUM, bar_arc_lengths(SPANS), camera=CAMERA), BarMeasurement(detector))
     errors = withheld(tracker, tmp_path / "pendulum.mp4", every=4)
     assert np.sqrt((errors**2).sum(axis=-1).mean()) < 2.0
 
@@ -79,7 +79,7 @@ def test_the_filter_carries_on_hidden_bars(tmp_path):
 def test_frames_and_states_that_cannot_be_are_met_as_with_a_rope(tmp_path, monkeypatch):
     """Another size is refused; where no rope can move on from the state, it is looked for anew."""
     _, detector = filmed(tmp_path / "pendulum.mp4", duration=0.3)
-    tracker = BarTracker(RopeFilter(PENDULUM, bar_arc_lengths(SPANS), camera=CAMERA), detector)
+    tracker = RopeTracker(RopeFilter(PENDULUM, bar_arc_lengths(SPANS), camera=CAMERA), BarMeasurement(detector))
     with VideoReader(tmp_path / "pendulum.mp4") as video:
         frames = list(video)
     assert tracker.look(frames[0]).state is not None
@@ -101,7 +101,9 @@ def test_places_of_bars_are_by_what_is_estimated(tmp_path):
     """The origin is declared 20 px = 5 cm to the left of the pivot."""
     _, detector = filmed(tmp_path / "pendulum.mp4", duration=1.0)
     camera, unsure = CAMERA.with_origin([138.0, 150.0]), [EstimatedParameter("offset_x", std=0.1)]
-    tracker = BarTracker(RopeFilter(PENDULUM, bar_arc_lengths(SPANS), camera=camera, parameters=unsure), detector)
+    tracker = RopeTracker(
+        RopeFilter(PENDULUM, bar_arc_lengths(SPANS), camera=camera, parameters=unsure), BarMeasurement(detector)
+    )
     with VideoReader(tmp_path / "pendulum.mp4") as video:
         for frame in video:
             found = tracker.look(frame)
@@ -117,11 +119,10 @@ def withheld(tracker, path, every, skip=0):
             if number < skip:
                 continue
             if number > skip + 20 and number % every == 0:
-                tracker.estimator.predict_to(frame.time)
-                foretold = tracker.estimator.markers()[0]
-                seen, pixels, _ = tracker.points(frame.image, foretold)
-                whole = np.repeat(seen.areas > 0.9, 2)
-                errors.append((pixels - foretold)[whole])
+                view = tracker.view(frame.time)
+                pixels = tracker.measurement.measure(frame.image, view).pixels
+                whole = np.repeat(tracker.measurement.detector.find(frame.image).areas > 0.9, 2)
+                errors.append((pixels - view.prediction.pixels)[whole])
             else:
                 tracker.look(frame)
     return np.concatenate(errors)
@@ -135,7 +136,7 @@ def test_bars_that_cannot_be_are_refused(spans, message):
 
 def test_a_filter_with_other_points_is_refused():
     with pytest.raises(hf.InvalidInput, match="two of each of 2 bars"):
-        BarTracker(RopeFilter(PENDULUM, [0.1, 0.2, 0.3], camera=CAMERA), BarDetector([DARK, BLUE]))
+        RopeTracker(RopeFilter(PENDULUM, [0.1, 0.2, 0.3], camera=CAMERA), BarMeasurement(BarDetector([DARK, BLUE])))
 
 
 def test_the_real_pendulum(data_dir, tmp_path):
@@ -179,7 +180,9 @@ def test_the_real_pendulum(data_dir, tmp_path):
     unsure = [
         EstimatedParameter(f"arc[{k}]", std=0.01) for k in (2, 3)
     ]  # where the second bar comes out from the first
-    tracker = BarTracker(RopeFilter(rope, bar_arc_lengths(spans), camera=camera, parameters=unsure), detector)
+    tracker = RopeTracker(
+        RopeFilter(rope, bar_arc_lengths(spans), camera=camera, parameters=unsure), BarMeasurement(detector)
+    )
     errors = withheld(tracker, path, every=5, skip=5)
     assert len(errors) > 50
     assert np.sqrt((errors**2).sum(axis=-1).mean()) < 4.0

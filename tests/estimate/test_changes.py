@@ -194,7 +194,7 @@ def test_words() -> None:
     assert str(mass) == "tip_mass: +0.005 ± 0.001 kg, since 3.00 s, noticed at 3.20 s, 90 % sure"
     touch = Change("touch", 3.2, 3.0, 0.02, 1e-3, 1.0, -20.0, 1.25, (0.02, 0.0))
     assert str(touch).startswith("touch at 1.25 m: 0.02 ± 0.001 N s, since")
-    assert "off by 1.5 times" in str(Change("misfit", 3.2, 3.2, 1.5, 0.1, 1.0, -20.0))
+    assert "errors of the markers are 1.5 times" in str(Change("misfit", 3.2, 3.2, 1.5, 0.1, 1.0, -20.0))
 
 
 def test_bad_input() -> None:

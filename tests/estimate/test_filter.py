@@ -8,7 +8,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate import EstimatedParameter, MovingHorizon, Observations, RopeFilter
-from hyperflex.estimate.gate import ValidationGate
+from hyperflex.estimate.filter import ValidationGate
 from hyperflex.estimate.noise import NoiseLevel
 from tests.estimate.runs import LENGTH, free_swing, pumped, rope, track
 
@@ -139,16 +139,14 @@ def test_a_wrong_state_is_told_from_wrong_places() -> None:
     wide, near, far = np.tile(np.eye(2), (4, 1, 1)), [0.5, 0.5], [30.0, 0.0]
     hidden = [np.nan, np.nan]
     gate = ValidationGate(4)
-    assert gate.holds(np.array([far, far, far, near]), wide).all()
+    assert gate.accepted(np.array([far, far, far, near]), wide).all()
     gate = ValidationGate(4)
     for expected in ([True, True, False, False], [True] * 4):
-        assert gate.holds(np.array([near, near, far, far]), wide).tolist() == expected
+        assert gate.accepted(np.array([near, near, far, far]), wide).tolist() == expected
     gate = ValidationGate(4)
     lone = np.array([hidden, hidden, hidden, far])
-    assert not gate.holds(lone, wide)[3]
-    gate.reset()
-    assert not gate.holds(lone, wide)[3]
-    assert gate.holds(lone, wide)[3]
+    assert not gate.accepted(lone, wide)[3]
+    assert gate.accepted(lone, wide)[3]
 
 
 def test_bad_input() -> None:

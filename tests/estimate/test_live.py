@@ -23,27 +23,20 @@ import hyperflex as hf
 from hyperflex.errors import EstimatorLost, FileProblem, InvalidInput
 from hyperflex.estimate import (
     CameraStateSource,
-    Change,
     ChangeTests,
     EstimatedParameter,
     FrameThread,
+    MarkerMeasurement,
     RopeFilter,
     RopeTracker,
+    TrackingTask,
     Watch,
     WatchLog,
     open_frames,
 )
 from hyperflex.estimate.live.page import PicturePage
-from hyperflex.estimate.live.shared_array import SharedArray
-from hyperflex.estimate.live.worker import (
-    Packet,
-    StampClock,
-    TrackingTask,
-    packed_change,
-    packed_motion,
-    unpacked_change,
-    unpacked_motion,
-)
+from hyperflex.estimate.live.shared_value import SharedValue
+from hyperflex.estimate.live.worker import MOTION_BYTES, StampClock
 from hyperflex.estimate.tracker import TrackedFrame
 from hyperflex.files.netcdf import read_netcdf
 from hyperflex.vision import (
@@ -86,7 +79,7 @@ def pictures(video: tuple[Path, MarkerColour]) -> list[Frame]:
 
 
 def tracker(video: tuple[Path, MarkerColour]) -> RopeTracker:
-    return RopeTracker(RopeFilter(rope(20), ARCS, camera=camera()), MarkerDetector(video[1]))
+    return RopeTracker(RopeFilter(rope(20), ARCS, camera=camera()), MarkerMeasurement(MarkerDetector(video[1])))
 
 
 class Scripted:
@@ -145,7 +138,7 @@ def test_dropped_frames_and_another_size_are_said(video: tuple[Path, MarkerColou
         found = list(Watch(frames, tracker(video), interval=30.0))
     assert len(found) == 17
     assert found[8].messages == (f"3 frames missing before {pictures[11].time:.3f} s",)
-    assert "frames of 320x240 px are left out" in found[11].messages[0]
+    assert "frames of 320x240 px are skipped" in found[11].messages[0]
     assert [each.tracked is None for each in found[11:14]] == [True] * 3
     assert all(each.found for each in found)  # the rope's equations go on
     assert found[13].age == pytest.approx(pictures[16].time - pictures[13].time, abs=1e-9)
@@ -306,15 +299,15 @@ def test_the_page_is_for_this_machine_alone(pictures: list[Frame]) -> None:
             PicturePage(page.port)
 
 
-def test_shared_arrays_are_whole_or_not_there() -> None:
-    """A writer that stops within a write leaves what was there; one that is overtaken is read again."""
-    mine = SharedArray(1000)
+def test_shared_values_are_whole_or_not_there() -> None:
+    """A writer that stops within a write leaves the value before; one that is overtaken is read again."""
+    mine = SharedValue(20000)
     try:
-        other = SharedArray(1000, mine.name)
+        other = SharedValue(20000, mine.name)
         assert other.read() is None
         mine.write(np.arange(3.0))
         mine.write(np.arange(5.0))
-        mine._data[1][:3] = 7.0  # the third write has begun and never ends
+        mine._buffer[mine._starts[1] : mine._starts[1] + 3] = b"abc"  # the third write has begun and never ends
         mine._heads[1][0] = 0
         found = other.read()
         assert found is not None
@@ -346,26 +339,19 @@ def test_shared_arrays_are_whole_or_not_there() -> None:
         SharedMemory(mine.name)
 
 
-def test_motions_and_packets_come_through_unchanged() -> None:
-    assert unpacked_motion(packed_motion(SWINGS, 0.0)) == SWINGS
-    moved = unpacked_motion(packed_motion(SWINGS, 100.0))
-    t = np.linspace(0.0, 3.0, 50)
-    np.testing.assert_allclose(moved.angle(t + 100.0), SWINGS.angle(t), atol=1e-9)
-    touch = Change("touch", 3.0, 2.5, 0.01, 0.001, 0.9, -30.0, 0.7, (0.006, 0.008))
-    alarm = Change("misfit", 4.0, 2.0, 3.5, 0.2, 1.0, -25.0)
-    names = ("length", "touch", "misfit")
-    changes = np.array([packed_change(each, names) for each in (touch, alarm)])
-    arrays = np.array([7.0, 8.0]), np.arange(4.0), np.arange(12.0).reshape(3, 4), changes
-    packet = Packet(1.0, 2.0, 3.0, 1.0, 5.0, 6.0, *arrays)
-    again = Packet.unpacked(packet.packed())
-    assert again[:6] == packet[:6]
-    np.testing.assert_array_equal(again.noise, packet.noise)
-    np.testing.assert_array_equal(again.rows, packet.rows)
-    later = [replace(each, noticed=each.noticed - 1.0, time=each.time - 1.0) for each in (touch, alarm)]
-    assert [unpacked_change(each, names, 1.0) for each in again.changes] == later
-    long = hf.sampled_motion(np.linspace(0.0, 10.0, 700), np.zeros(700))
-    with pytest.raises(InvalidInput, match="too long"):
-        packed_motion(long, 0.0)
+def test_a_motion_of_many_pieces_is_passed_on_and_a_longer_one_refused() -> None:
+    shared = SharedValue(MOTION_BYTES)
+    try:
+        for pieces in (500, 5000):
+            long = hf.sampled_motion(np.linspace(0.0, 10.0, pieces), np.zeros(pieces))
+            if pieces == 500:
+                shared.write((long, 1.0))
+                assert shared.read() == (1, (long, 1.0))
+            else:
+                with pytest.raises(InvalidInput, match="too long"):
+                    shared.write((long, 1.0))
+    finally:
+        shared.close()
 
 
 def test_stamps_are_put_on_the_clock_of_the_quickest_frame() -> None:
@@ -377,11 +363,13 @@ def test_stamps_are_put_on_the_clock_of_the_quickest_frame() -> None:
     np.testing.assert_allclose(times, [1000.2, 1001.05, 1002.05, 1003.05], atol=1e-3)
 
 
+def task(video: tuple[Path, MarkerColour], **more: object) -> TrackingTask:
+    return TrackingTask(rope(20), ARCS, camera(), video[1], **more)  # type: ignore[arg-type]
+
+
 @pytest.fixture
 def source(video: tuple[Path, MarkerColour]) -> Iterator[CameraStateSource]:
-    with CameraStateSource(
-        str(video[0]), rope(20), ARCS, camera=camera(), colour=video[1], longest=2.0, stalled=0.6
-    ) as found:
+    with CameraStateSource(str(video[0]), task(video), longest=2.0, stalled=0.6) as found:
         yield found
 
 
@@ -420,9 +408,8 @@ def test_a_change_reaches_the_reader(video: tuple[Path, MarkerColour], tmp_path:
     with VideoReader(video[0]) as frames, VideoWriter(tmp_path / "bumped.mp4", (640, 480)) as bumped:
         for frame in frames:
             bumped.write(np.roll(frame.image, 6 if frame.time > 2.5 else 0, axis=1), frame.time)
-    place = str(tmp_path / "bumped.mp4"), rope(20), ARCS
-    wanted = {"parameters": [EstimatedParameter("scale", 0.01)], "tests": ChangeTests(("offset_x",))}
-    with CameraStateSource(*place, camera=camera(), colour=video[1], stalled=2.0, **wanted) as source:
+    wanted = task(video, parameters=[EstimatedParameter("scale", 0.01)], tests=ChangeTests(("offset_x",)))
+    with CameraStateSource(str(tmp_path / "bumped.mp4"), wanted, stalled=2.0) as source:
         source.wait_until_found(30.0)
         found, until = source.now, time.monotonic() + 4.0
         assert set(source.values) == {"scale"}
@@ -461,19 +448,18 @@ def test_a_stopped_estimator_is_told(source: CameraStateSource) -> None:
 
 
 def test_a_video_that_ends_is_told(video: tuple[Path, MarkerColour]) -> None:
-    place = str(video[0]), rope(20), ARCS  # a busy machine is given time to say so
-    with CameraStateSource(*place, camera=camera(), colour=video[1], longest=20.0, stalled=20.0) as source:
+    with CameraStateSource(str(video[0]), task(video), longest=20.0, stalled=20.0) as source:  # busy machines are slow
         source.wait_until_found(30.0)
         with pytest.raises(EstimatorLost, match="has ended: no more frames come: the source ended"):
             ask(source, 20.0)
 
 
 def test_an_estimator_that_cannot_begin_says_why(video: tuple[Path, MarkerColour], tmp_path: Path) -> None:
-    source = CameraStateSource(str(tmp_path / "none.mp4"), rope(20), ARCS, camera=camera(), colour=video[1])
-    with pytest.raises(EstimatorLost, match="did not begin: There is no video"), source:
+    source = CameraStateSource(str(tmp_path / "none.mp4"), task(video))
+    with pytest.raises(EstimatorLost, match="did not start: There is no video"), source:
         pass
     with pytest.raises(InvalidInput, match="knows the swing plane"):
-        CameraStateSource("0", rope(20), ARCS, camera=Camera.pinhole((640, 480)), colour=video[1])
+        CameraStateSource("0", replace(task(video), camera=Camera.pinhole((640, 480))))
     with pytest.raises(InvalidInput, match="closed"):
         source.wait_until_found(1.0)
 
@@ -481,18 +467,19 @@ def test_an_estimator_that_cannot_begin_says_why(video: tuple[Path, MarkerColour
 PARENT = """
 import os, signal, sys, time
 import numpy as np
-from hyperflex.estimate import CameraStateSource
+from hyperflex.estimate import CameraStateSource, TrackingTask
 from hyperflex.model import Rope
 from hyperflex.vision import MarkerColour, read_camera
 
 if __name__ == "__main__":
     folder = sys.argv[1]
-    source = CameraStateSource(
-        folder + "/swing.mp4", Rope.from_toml(folder + "/rope.toml"), np.linspace(0.25, 2.0, 8),
-        camera=read_camera(folder + "/camera.toml"), colour=MarkerColour([float(v) for v in sys.argv[2].split(",")]),
+    task = TrackingTask(
+        Rope.from_toml(folder + "/rope.toml"), np.linspace(0.25, 2.0, 8), read_camera(folder + "/camera.toml"),
+        MarkerColour([float(v) for v in sys.argv[2].split(",")]),
     )
+    source = CameraStateSource(folder + "/swing.mp4", task)
     source.__enter__()
-    print(source.pid, source._states.name, source._motions.name, flush=True)
+    print(source.pid, source._packets.name, source._motions.name, flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -553,5 +540,5 @@ def test_the_rehearsal_finds_its_rope(area: float | None, monkeypatch: pytest.Mo
     monkeypatch.setattr(RopeTracker, "look", noted)
     lens = Camera.facing((640, 480), pixels_per_metre=180.0, origin=(320.0, 20.0))
     colour = MarkerColour(np.array([40.0, 30.0, 210.0]), area=area)
-    TrackingTask("0", rope(6), np.array([0.5, 1.0, 1.5, 2.0]), lens, colour, ARM).rehearse()
+    TrackingTask(rope(6), np.array([0.5, 1.0, 1.5, 2.0]), lens, colour, ARM).rehearse()
     assert seen == [4] * 3

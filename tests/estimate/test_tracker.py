@@ -11,7 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.cli.app import run
 from hyperflex.errors import FileProblem, Interrupted, InvalidInput
-from hyperflex.estimate import MovingHorizon, Observations, RopeFilter, RopeTracker, track_video
+from hyperflex.estimate import MarkerMeasurement, MovingHorizon, Observations, RopeFilter, RopeTracker, track_video
 from hyperflex.files import read_netcdf
 from hyperflex.vision import (
     Camera,
@@ -55,7 +55,7 @@ def tracker(path: Path, truth: Truth, kind: type[RopeFilter] = RopeFilter, links
     with VideoReader(path) as reader:
         first = next(iter(reader)).image
     estimator = kind(rope(links), ARCS, camera=camera(exposure=0.005, readout=0.02))
-    return RopeTracker(estimator, MarkerDetector(MarkerColour.from_click(first, truth.pixels[0, 3])))
+    return RopeTracker(estimator, MarkerMeasurement(MarkerDetector(MarkerColour.from_click(first, truth.pixels[0, 3]))))
 
 
 def test_ctrl_c_carries_what_was_tracked(video: tuple[Path, Truth], tmp_path: Path) -> None:
@@ -168,7 +168,10 @@ def test_no_rope_in_the_video(tmp_path: Path, video: tuple[Path, Truth]) -> None
 def test_a_camera_without_a_plane() -> None:
     lens = Camera.pinhole((640, 480))
     with pytest.raises(InvalidInput, match="knows the swing plane"):
-        RopeTracker(RopeFilter(rope(5), [1.0], camera=lens), MarkerDetector(MarkerColour((200.0, 30.0, 30.0))))
+        RopeTracker(
+            RopeFilter(rope(5), [1.0], camera=lens),
+            MarkerMeasurement(MarkerDetector(MarkerColour((200.0, 30.0, 30.0)))),
+        )
 
 
 @pytest.mark.parametrize(("slower", "said"), [(1.0, None), (4.0, "time stamps")])
@@ -180,7 +183,7 @@ def test_slow_motion_is_doubted(slower: float, said: str | None) -> None:
     estimator, rng = RopeFilter(cable, np.linspace(0.2, 1.0, 5), camera=view), np.random.default_rng(0)
     image = np.full((99, 99, 3), 128, np.uint8)
     image[46:53, 46:53] = 0, 0, 200
-    tracker = RopeTracker(estimator, MarkerDetector(MarkerColour.from_click(image, (49, 49))))
+    tracker = RopeTracker(estimator, MarkerMeasurement(MarkerDetector(MarkerColour.from_click(image, (49, 49)))))
     assert tracker.warning == ""
     for t, joints in zip(run.t, np.asarray(run.joints), strict=True):
         pixels = view.project(joints[2::2])

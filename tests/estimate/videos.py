@@ -11,7 +11,7 @@ from scipy import stats
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.estimate import RopeFilter, RopeTracker
+from hyperflex.estimate import MarkerMeasurement, RopeFilter, RopeTracker
 from hyperflex.vision import (
     Camera,
     Frame,
@@ -152,7 +152,7 @@ def follow(video: HardVideo, motion: RopeMotion, truth: Truth, frames: Iterable[
     rows = []
     for k, frame in enumerate(frames):
         if tracker is None:
-            tracker = RopeTracker(estimator, MarkerDetector(clicked(frame, truth)))
+            tracker = RopeTracker(estimator, MarkerMeasurement(MarkerDetector(clicked(frame, truth))))
         result = tracker.look(frame)
         if result.state is None:
             continue

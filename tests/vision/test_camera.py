@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from hyperflex import InvalidInput
-from hyperflex.vision import Camera, PlaneAdjustment, read_camera
+from hyperflex.vision import Camera, read_camera
 
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (10, 2)) * [1.0, 0.8]
-ADJUSTED = PlaneAdjustment(1.02, 0.1, (0.05, -0.02))
 
 
 def tilted():
@@ -51,14 +50,10 @@ def test_projection_is_opencvs(count):
     values = np.array([0.1, -0.2, 0.001, -0.002, 0.05, 0.03, -0.02, 0.01])[:count]
     camera, points = replace(tilted(), distortion=values), np.column_stack([POINTS, 0.1 * POINTS[:, 0]])
     want, slopes = cv2.projectPoints(points, camera.rotation, camera.translation, camera.matrix, values)
-    got = camera.linearize(points)
-    assert np.abs(got.pixels - want[:, 0]).max() < 1e-9
-    assert np.abs(got.by_point - (slopes[:, 3:6] @ camera.axes[0]).reshape(-1, 2, 3)).max() < 1e-8
+    pixels, by_point = camera.linearize(points)
+    assert np.abs(pixels - want[:, 0]).max() < 1e-9
+    assert np.abs(by_point - (slopes[:, 3:6] @ camera.axes[0]).reshape(-1, 2, 3)).max() < 1e-8
     assert np.abs(camera.locate(camera.project(POINTS)) - POINTS).max() < 1e-10
-    pixels, by_place = camera.place_slopes(POINTS, ADJUSTED)
-    adjusted = camera.linearize(POINTS, ADJUSTED)
-    assert np.abs(pixels - adjusted.pixels).max() == 0.0
-    assert np.abs(by_place - adjusted.by_point).max() < 1e-9
 
 
 @pytest.mark.parametrize("size", [2, 3])
@@ -66,19 +61,19 @@ def test_derivatives_are_those_of_the_projection(size):
     """Central differences of step 1e-6: rounding of 1e-10 px over 1e-6, so 1e-3 is loose and 1e-5 is what is left."""
     camera = tilted()
     points = np.column_stack([POINTS, 0.1 * POINTS[:, 0]])[:, :size]
-    got = camera.linearize(points, ADJUSTED)
-    assert np.array_equal(got.pixels, camera.project(points, ADJUSTED))
+    pixels, by_point = camera.linearize(points)
+    assert np.array_equal(pixels, camera.project(points))
     for k, point in enumerate(points):
-        want = differences(lambda p: camera.project(p[None], ADJUSTED)[0], point)
-        assert np.abs(got.by_point[k] - want).max() < 1e-5
-    values = [ADJUSTED.scale, ADJUSTED.roll, *ADJUSTED.offset]
-    want = differences(lambda a: camera.project(points, PlaneAdjustment(a[0], a[1], a[2:])), values)
-    assert np.abs(got.by_adjustment - want).max() < 1e-5
+        want = differences(lambda p: camera.project(p[None])[0], point)
+        assert np.abs(by_point[k] - want).max() < 1e-5
 
 
-def test_pixels_lead_back_to_the_plane():
-    camera = tilted()
-    assert np.abs(camera.locate(camera.project(POINTS, ADJUSTED), ADJUSTED) - POINTS).max() < 1e-10
+def test_an_adjusted_plane_is_a_similarity_of_the_one_before():
+    """Its places p are at offset + scale R(roll) p in the old plane: rounding only."""
+    camera, angle = tilted(), 0.1
+    moved = camera.adjusted(1.02, angle, (0.05, -0.02))
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    assert np.abs(moved.project(POINTS) - camera.project(1.02 * POINTS @ rotation.T + [0.05, -0.02])).max() < 1e-9
 
 
 def test_gaps_and_points_behind_the_camera_are_nan():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.errors import InvalidInput
 from hyperflex.vision import ClutterMap, Gate, assign_markers
 from tests.vision.test_assignment import NOISE, each, observed
 
@@ -68,8 +67,3 @@ def test_a_marker_before_known_clutter_is_still_seen() -> None:
     density = clutter.density(blobs)
     far, near = (assign_markers(blobs, blobs.places, each(std, 1), clutter=density).indices[0] for std in (20.0, 0.3))
     assert (far, near) == (-1, 0)
-
-
-def test_densities_are_positive() -> None:
-    with pytest.raises(InvalidInput, match="clutter"):
-        assign_markers(observed([[0.0, 0.0]]), np.zeros((1, 2)), each(1.0, 1), clutter=0.0)

@@ -39,7 +39,7 @@ def test_markers_of_a_video(tmp_path):
             got = assign_markers(
                 detector.find(frame.image, gates),
                 predicted,
-                np.tile(STD**2 * np.eye(2), (10, 1, 1)),
+                STD**2 * np.eye(20),
                 reach=np.full(9, 0.2 * 300.0),
             )
             whole = truth.visible[frame.index] & (got.indices >= 0)
@@ -58,9 +58,8 @@ def test_first_frame_of_a_video(tmp_path):
     with VideoReader(tmp_path / "swing.mp4") as video:
         image = next(iter(video)).image
     detector = MarkerDetector(MarkerColour.from_click(image, truth.pixels[0, 3]))
-    detector.measure_area(image)
     seen = detector.find(image)
-    places, _ = seen.in_plane(camera())
+    places = camera().locate(seen.places)
     order = order_markers(places, ARCS, (0.0, 0.0))
     assert order.certain
     assert np.linalg.norm(seen.places[order.indices] - truth.pixels[0], axis=1).max() < 1.0

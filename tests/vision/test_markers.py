@@ -62,7 +62,7 @@ def test_bias_at_rest(name):
         if detector is None:
             detector = MarkerDetector(MarkerColour.from_click(image, truth.pixels[0, 4]))
             assert detector.colour.bright == bright
-            assert detector.measure_area(image) == pytest.approx(np.pi * (0.0125 * 300.0) ** 2, rel=0.05)
+            assert detector.colour.area == pytest.approx(np.pi * (0.0125 * 300.0) ** 2, rel=0.05)
         seen = detector.find(image, gates(truth, seed=k))
         off = errors(seen, truth)
         all_errors.append(off)
@@ -87,7 +87,6 @@ def test_middle_of_a_streak(readout, angle):
     renderer = Renderer(seen_by, sliding(velocity, (0.0, -0.3)), Scene([0.3, 0.6], rope_width=0.004))
     still = Renderer(camera(), sliding((0.0, 0.0)), Scene([0.3, 0.6])).image(0.0)
     detector = MarkerDetector(MarkerColour.from_click(still, (640.0, 60.0 + 90.0)))
-    detector.measure_area(still)
     truth = renderer.truth([0.0])
     seen = detector.find(renderer.image(0.0), gates(truth))
     for place, streak in zip(truth.pixels[0], truth.streaks[0], strict=True):
@@ -97,7 +96,6 @@ def test_middle_of_a_streak(readout, angle):
         assert off @ np.linalg.solve(seen.covariances[k], off) < 16.0
         miss = min(np.linalg.norm(seen.streaks[k] - streak), np.linalg.norm(seen.streaks[k] + streak))
         assert miss < 1.0
-        assert miss < 5.0 * seen.streak_stds[k] + 0.3
         assert np.linalg.norm(streak) > 15.0
 
 
@@ -226,7 +224,8 @@ def test_places_in_the_plane():
     seen_by = camera()
     renderer = Renderer(seen_by, swinging(), Scene(ARCS))
     detector = MarkerDetector(MarkerColour([40.0, 30.0, 210.0], area=44.0))
-    places, covariances = detector.find(renderer.image(0.5)).in_plane(seen_by)
+    seen = detector.find(renderer.image(0.5))
+    places, covariances = seen_by.locate_with_covariance(seen.places, seen.covariances)
     truth = renderer.truth([0.5]).places[0, :, :2]
     assert max(np.linalg.norm(places - p, axis=1).min() for p in truth) < 1e-3
     assert np.sqrt(covariances[:, 0, 0]).max() < 0.2 / 300.0

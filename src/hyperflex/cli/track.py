@@ -71,7 +71,7 @@ def track(
         missing = [name for name, value in needed.items() if not value]
         fix = "Give them, or --bar and --pivot for a pendulum whose links are bars"
         raise InvalidInput("a rope with markers needs more to be tracked", got="no " + ", ".join(missing), fix=fix)
-    from hyperflex.estimate import RopeFilter, RopeTracker, track_video
+    from hyperflex.estimate import MarkerMeasurement, RopeFilter, RopeTracker, track_video
     from hyperflex.model import Rope
     from hyperflex.vision import MarkerDetector, VideoReader, read_camera
 
@@ -90,7 +90,7 @@ def track(
     with _keeping(out, json), output.spinner() as said:
         found = track_video(
             video,
-            RopeTracker(estimator, MarkerDetector(colour)),
+            RopeTracker(estimator, MarkerMeasurement(MarkerDetector(colour))),
             preview=preview,
             progress=lambda count: said(f"frame {count}"),
         )

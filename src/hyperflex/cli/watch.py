@@ -79,7 +79,6 @@ def watch(
             raise InvalidInput("the video has another size than the camera's", got=got, allowed=allowed)
         colour = output.marker_colour(_images(frames, reconnect_timeout), click)
         task = TrackingTask(
-            camera,
             line,
             checks.array("--arc-lengths", arcs, (-1,)),
             lens,

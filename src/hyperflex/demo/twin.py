@@ -7,7 +7,7 @@ import numpy as np
 
 from hyperflex import files
 from hyperflex.checks import Array
-from hyperflex.estimate import RopeFilter, RopeTracker, VideoTrack, track_video
+from hyperflex.estimate import MarkerMeasurement, RopeFilter, RopeTracker, VideoTrack, track_video
 from hyperflex.identification import FitOptions, Identification, identify
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -104,7 +104,7 @@ def track(
     with VideoReader(video) as reader:
         first = next(iter(reader)).image
     estimator = RopeFilter(guess(), ARC_LENGTHS, camera=camera())
-    tracker = RopeTracker(estimator, MarkerDetector(MarkerColour.from_frame(first)))
+    tracker = RopeTracker(estimator, MarkerMeasurement(MarkerDetector(MarkerColour.from_frame(first))))
     return track_video(video, tracker, preview=preview, progress=progress)
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.estimate.bar_tracker import BarTracker, bar_arc_lengths
+    from hyperflex.estimate.bars import BarMeasurement, bar_arc_lengths
     from hyperflex.estimate.changes import Change, ChangeTests
     from hyperflex.estimate.filter import RopeFilter
     from hyperflex.estimate.live.frames import FrameThread, open_frames
@@ -14,11 +14,14 @@ if TYPE_CHECKING:
     from hyperflex.estimate.live.state_source import CameraStateSource
     from hyperflex.estimate.live.watch import LiveEstimate, Watch
     from hyperflex.estimate.live.worker import TrackingTask
+    from hyperflex.estimate.markers import MarkerMeasurement
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter
+    from hyperflex.estimate.picture import draw_frame
+    from hyperflex.estimate.process import Disturbances
     from hyperflex.estimate.smoothing.moving_horizon import MovingHorizon
     from hyperflex.estimate.smoothing.smoother import SmoothedTrack, smooth
-    from hyperflex.estimate.tracker import RopeTracker, TrackedFrame, draw_frame
+    from hyperflex.estimate.tracker import Measured, Measurement, RopeTracker, TrackedFrame, View
     from hyperflex.estimate.video_track import VideoTrack, track_video
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

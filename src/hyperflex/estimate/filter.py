@@ -10,23 +10,47 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
-from hyperflex.estimate.change_detection import SETTLED, ChangeDetector, Found
-from hyperflex.estimate.changes import Change, ChangeTests
-from hyperflex.estimate.gate import ValidationGate
+from hyperflex.estimate.changes import Change, ChangeDetector, ChangeTests, Found
 from hyperflex.estimate.noise import AT_REST, QUIET, NoiseDerivatives, NoiseLevel
-from hyperflex.estimate.observations import MarkerModel, Observations, polyline_angles
+from hyperflex.estimate.observations import InputFrame, MarkerModel, Observations, polyline_angles
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
-from hyperflex.estimate.process import Process, starting_rows
+from hyperflex.estimate.process import BEYOND, Disturbances, Process
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion
 from hyperflex.status import Status
 from hyperflex.vision import Camera
 
-ROUNDS = 4  # of Gauss-Newton in an update; more at the start
-FIRST_ROUNDS = 30
-ROUGHLY = 6.0  # times what a covariance leaves out: the same of what tells of noise levels alone
-BEYOND = 1e6  # rad, rad/s: a state or an uncertainty that no rope has
+ROUNDS, FIRST_ROUNDS = 4, 30  # of Gauss-Newton in an update, and at the start
+ROUGHLY = 6.0  # factor of what a covariance omits, for derivatives by noise levels: they need less accuracy
+
+
+class ValidationGate:
+    """Decides which of K places are near enough to their predictions.
+
+    Notes
+    -----
+    If most of several places are outside of their gates, all are accepted, and so is a place that has been outside for
+    some frames: then it is the state that is wrong (Bar-Shalom, Fortmann, *Tracking and Data Association*, 1988). One
+    or two places alone do not tell which of both is wrong: they are rejected at first.
+    """
+
+    GATE = 23.0  # squared Mahalanobis distance, exceeded once in 100,000 (chi square, 2 degrees of freedom)
+    PERSISTENT = 2  # frames in a row outside of its gate, after which a place is accepted
+    ENOUGH = 3  # places seen: if most of them are outside, all are accepted
+
+    def __init__(self, count: int) -> None:
+        self._outside = np.zeros(count, dtype=np.int64)
+
+    def accepted(self, off: Array, covariances: Array) -> npt.NDArray[np.bool_]:
+        """Return which places are accepted (K,), from differences (K, 2), NaN: not seen, and their covariances."""
+        seen, known = ~np.isnan(off[:, 0]), np.nan_to_num(off)
+        far = np.einsum("kc,kc->k", known, np.linalg.solve(covariances, known[:, :, None])[:, :, 0])
+        good = far < self.GATE
+        self._outside = np.where(good | ~seen, 0, self._outside + 1)
+        good |= self._outside >= self.PERSISTENT
+        outside = int((seen & ~good).sum())
+        return np.ones_like(good) if seen.sum() >= self.ENOUGH and 2 * outside > seen.sum() else good
 
 
 class RopeFilter:
@@ -36,21 +60,23 @@ class RopeFilter:
     ----------
     rope : Rope
     arc_lengths : (K,) array_like
-        How far along the rope each marker sits, m from the first joint.
+        How far along the rope each marker is, m from the first joint.
     motion, arm : Motion, Arm, optional
-        What the first joint does; by default it hangs from a fixed point.
+        Of the first joint; by default it is fixed.
     camera : Camera, optional
-        Where places are seen in pixels; by default in metres of the rope's plane.
+        With it, places are in pixels; by default in metres of the rope's plane.
     parameters : sequence of EstimatedParameter
-        What is estimated beside the state.
+        Estimated beside the state.
     process_noise : float
         First guess of how much the links' accelerations differ from the model's, rad/s^2 per square root of Hz; it is
-        corrected by what is seen.
+        adapted to the observations.
     readout : float
-        Known time from the first row of a picture to the last, s, where there is no `camera` to say so.
+        Known time from the first row of a picture to the last, s, if there is no `camera`.
     tests : ChangeTests, optional
-        What is tested for changes; by default nothing. Where one of a parameter is noticed, the state is corrected by
-        what it has done since it happened, and the parameter is estimated from then on.
+        Tests for changes; by default none. When the change of a parameter is noticed, the state is corrected by its
+        effect since it happened, and the parameter is estimated from then on.
+    disturbances : Disturbances
+        Assumed of the rope's motion and its start.
 
     Attributes
     ----------
@@ -82,10 +108,12 @@ class RopeFilter:
         process_noise: float = 1.0,
         readout: float = 0.0,
         tests: ChangeTests | None = None,
+        disturbances: Disturbances = Disturbances(),  # noqa: B008 it is frozen
     ) -> None:
         tested = () if tests is None else tests.parameters_for(rope)
         self.parameters = ParameterStates(parameters, rope, tested, motion is not None)
-        self.process = Process(rope, self.parameters, motion, arm)
+        self.disturbances = disturbances
+        self.process = Process(rope, self.parameters, motion, arm, disturbances)
         self.model = MarkerModel(
             rope, arc_lengths, self.parameters, camera, readout if camera is None else camera.readout
         )
@@ -97,12 +125,12 @@ class RopeFilter:
         self.used = np.zeros(len(self.model.arc_lengths), dtype=bool)  # which markers the last update used
         self.innovation: sr.Innovation | None = None
         n = rope.n_links
-        self.x = np.concatenate([np.zeros(2 * n), self.parameters.value_at_start])
+        self.x = np.concatenate([np.zeros(2 * n), self.parameters.start])
         self.factor = np.diag(np.concatenate([np.zeros(2 * n), self.parameters.std]))
         self.changes: tuple[Change, ...] = ()
         self._detector = None if tests is None else ChangeDetector(tests, self.process, self.parameters)
         self._std = self.parameters.std.copy()
-        self._qdd, self._gate = np.zeros(n), ValidationGate(len(self.model.arc_lengths))
+        self._qdd = np.zeros(n)
         self._least = self.process.least(self.x)
         self._by_noise = NoiseDerivatives(2, self.x.size)
 
@@ -113,28 +141,28 @@ class RopeFilter:
 
     @property
     def state(self) -> RopeState:
-        """The state, with its covariance: at the time of the last picture, before which an estimated delay lies."""
+        """The state at the time of the last picture less an estimated delay, with its covariance."""
         return self.process.rope_state(self.x, self.factor, self._now)
 
     @property
     def values(self) -> dict[str, tuple[float, float]]:
-        """Value and standard deviation of each parameter that is estimated, or has been noticed to have changed."""
+        """Value and standard deviation of each parameter that is estimated, or whose change was noticed."""
         return self.parameters.estimates(self.x, self.factor)
 
     def predict(self, dt: float) -> None:
-        """Go on by `dt`, s, without looking.
+        """Predict the state `dt`, s, ahead.
 
         Raises
         ------
         InvalidInput
             If nothing has been seen yet, or dt is negative.
         SimulationError
-            If no rope can move on from this state; :meth:`update` begins anew then.
+            If the rope's equations cannot be integrated from this state; :meth:`update` then starts anew.
         """
         self.predict_to(self._now + checks.number("dt", dt, sign="nonnegative", unit="s"))
 
     def predict_to(self, t: float) -> None:
-        """Go on to time t, s."""
+        """Predict the state at time t, s."""
         if self.t is None or t < self.t:
             raise InvalidInput("time goes backwards", got=t, allowed=f"at least {self.t} s")
         if t == self.t:
@@ -146,7 +174,7 @@ class RopeFilter:
         self._qdd = self.process.accelerations(self.x, t)
 
     def _step(self, begin: float, end: float) -> Array:
-        """Go on in one step; return its transition (N, N), as far as changes are tested for."""
+        """Predict one step; return its transition (N, N) if changes are tested for."""
         carried = [self.factor, *self._by_noise.rows]
         with np.errstate(over="ignore", invalid="ignore"):
             if self._detector is None:
@@ -157,7 +185,7 @@ class RopeFilter:
                 x, columns = self.process.carry(self.x, np.eye(self.x.size), begin, end)
                 transition, rows = columns.T, np.concatenate(carried) @ columns
         if not (np.abs(rows).max() < BEYOND and np.abs(x).max() < BEYOND):
-            raise SimulationError("The state is beyond all numbers.", status=Status.NOT_FINITE, time=end)
+            raise SimulationError("The state is not finite.", status=Status.NOT_FINITE, time=end)
         factor, *by_noise = np.split(rows, np.cumsum([len(each) for each in carried])[:-1])
         noise = self.process.noise(end - begin, self.process_noise.value)
         self.factor = sr.compressed(np.concatenate([factor, noise]), self._least)
@@ -167,12 +195,12 @@ class RopeFilter:
         return transition
 
     def state_at(self, t: float) -> RopeState:
-        """Return what is expected at a time t, s, not earlier than the last; the filter stays as it is.
+        """Return the state predicted for a time t, s, not earlier than the last; the filter does not change.
 
         Raises
         ------
         SimulationError
-            If no rope can move on from this state.
+            If the rope's equations cannot be integrated from this state.
         """
         return self.process.state_at(self.x, self.factor, self._now, t, self.process_noise.value)
 
@@ -185,16 +213,13 @@ class RopeFilter:
         return place, slope @ wide @ slope.T
 
     def markers(self, rows: Array | None = None) -> tuple[Array, Array]:
-        """Return where the markers should be seen (K, 2), and the covariances (K, 2, 2) of those places.
-
-        The covariances are of the places themselves: what a detector adds is not in them.
-        """
+        """Return where the markers are expected (K, 2), and the covariances (K, 2, 2), without a detector's noise."""
         places, joint, _ = self.expected(rows)
         each = np.arange(len(places))
         return places, joint.reshape(len(places), 2, len(places), 2)[each, :, each]
 
     def expected(self, rows: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return where the markers should be seen (K, 2), the covariance (2 K, 2 K) of all places together, and speeds.
+        """Return where the markers are expected (K, 2), the covariance (2 K, 2 K) of all of them, and their speeds.
 
         The speeds (K,) are in px/s or m/s; `rows` (K,) are those of :class:`Observations`.
         """
@@ -202,13 +227,13 @@ class RopeFilter:
         rows = np.zeros(len(self.model.arc_lengths)) if rows is None else rows
         places, slope = self.model.predict(self.x, base, rows, self._qdd)
         n, camera = self.n_links, self.model.camera
-        moved = base[1] if camera is None else camera.place_slopes(base[:1])[1][0] @ base[1]
+        moved = base[1] if camera is None else camera.linearize(base[:1])[1][0] @ base[1]
         velocity = slope[:, :, :n] @ self.x[n : 2 * n] + moved
         spread = self.factor @ slope.reshape(places.size, -1).T
         return places, spread.T @ spread, np.hypot(velocity[:, 0], velocity[:, 1])
 
     def readout_shift(self, rows: Array) -> tuple[Array, Array]:
-        """Return by how much markers move until they are read (K, 2), and the covariances (K, 2, 2) of that.
+        """Return how far markers move until they are read (K, 2), and the covariances (K, 2, 2) of that.
 
         `rows` (K,) are those of :class:`Observations`.
         """
@@ -225,7 +250,7 @@ class RopeFilter:
         return self.t
 
     def _spread(self, slope: Array) -> Array:
-        """Return the covariances (K, 2, 2) of what has derivatives (K, 2, N) with respect to the state."""
+        """Return the covariances (K, 2, 2) of values with derivatives (K, 2, N) by the state."""
         spread = (slope.reshape(-1, self.x.size) @ self.factor.T).reshape(len(slope), 2, -1)
         return np.asarray(np.matmul(spread, spread.transpose(0, 2, 1)))
 
@@ -235,38 +260,37 @@ class RopeFilter:
         return self.process.base(self._now, self.x)
 
     def update(self, seen: Observations) -> None:
-        """Look: go on to the time of the observations, and correct.
+        """Predict to the time of the observations, and correct. The first call starts the estimate.
 
-        Markers that are not seen (NaN), and those that cannot be theirs, change nothing. The first call begins.
+        Markers that are not seen (NaN), and those that are rejected, have no effect.
 
         Raises
         ------
         InvalidInput
-            If they are of another number of markers, or earlier than those before.
+            If their number is another one, or they are earlier than those before.
         """
         if len(seen.places) != len(self.model.arc_lengths):
             allowed = f"{len(self.model.arc_lengths)} markers"
             raise InvalidInput("observations are of another number of markers", got=len(seen.places), allowed=allowed)
         self.changes = ()
+        if self.t is not None:
+            try:
+                self.predict_to(seen.t)
+            except SimulationError:  # wrong observations have led to an impossible state
+                self.restart()
         if self.t is None:
             self._begin(seen)
-            return
-        try:
-            self.predict_to(seen.t)
-        except SimulationError:  # a state that no rope has comes of places that are no markers'
-            self.restart()
-            self._begin(seen)
-            return
-        self._correct(seen, first=False)
+        else:
+            self._correct(seen, first=False)
 
     def restart(self) -> None:
-        """Forget the state; what was learnt of parameters and noise stays as a first guess."""
+        """Forget the state; parameters and noise levels remain as first guesses."""
         self.t = None
         self.x[: 2 * self.n_links] = 0.0
         self._qdd[:] = 0.0
 
     def _begin(self, seen: Observations) -> None:
-        """Take the first shape from the line through the markers, and correct it by what was seen."""
+        """Start from the line through the markers."""
         n, rope = self.n_links, self.process.rope
         if not seen.seen.any():
             return
@@ -274,64 +298,53 @@ class RopeFilter:
         base, camera = self.process.base(seen.t, self.x), self.model.camera
         in_metres = seen.places if camera is None else camera.locate(seen.places)
         self.x[:n] = polyline_angles(rope, self.model.arc_lengths, in_metres, base[0])
-        self.factor = sr.compressed(starting_rows(rope, self._std), self._least)
+        self.factor = sr.compressed(self.disturbances.starting_rows(rope, self._std), self._least)
         self._by_noise.reset()
-        self._gate.reset()
+        self._gate = ValidationGate(len(seen.places))
         if self._detector is not None:
-            self._detector.begin(seen.t + SETTLED)
+            self._detector.settle(seen.t)
         self._correct(seen, first=True)
 
     def _correct(self, seen: Observations, *, first: bool) -> None:
-        """Correct by Gauss-Newton on the posterior, and the covariance about where that ends."""
+        """Correct by Gauss-Newton on the posterior, and the covariance about its mode."""
 
         def predicted(x: Array) -> tuple[Array, Array]:
-            """Return what is seen of a state, with the derivatives."""
             return self.model.predict(x, self.process.base(seen.t, x), seen.rows, self._qdd)
 
-        expected = predicted(self.x)
-        good = (
-            seen.seen
-            & self.model.possible(seen.places, self.base)
-            & (True if first else self._believed(seen, *expected))
-        )
-        self.used = good
-        if not good.any():
+        places, slope = expected = predicted(self.x)
+        used, level = seen.seen & self.model.possible(seen.places, self.base), self.measurement_noise.value
+        if not first:
+            wide = self._spread(slope) + level**2 * seen.covariances
+            used &= self._gate.accepted(seen.places - places, wide)
+        self.used = used
+        if not used.any():
             return
         self.age = 0.0
-        whiten = np.linalg.inv(np.linalg.cholesky(seen.covariances[good])) / self.measurement_noise.value
-        adopted: list[Found] = []
+        frame, adopted = InputFrame(seen, used, level), list[Found]()
 
         def compared(x: Array) -> tuple[Array, Array]:
-            """Return whitened differences (m,) from what is seen of a state, and the whitened derivatives (m, N)."""
-            places, slope = expected if x is self.x else predicted(x)
-            left = whiten @ (seen.places[good] - places[good])[:, :, None]
-            return left.ravel(), (whiten @ slope[good]).reshape(left.size, -1)
+            return frame.residuals(*(expected if x is self.x else predicted(x)))
 
-        def look(left: Array, jacobian: Array, gain: Array, upper: Array) -> None:
-            """Take in the innovation, before anything is corrected."""
-            self.innovation = sr.compared(upper, left)
-            self.log_likelihood += self.innovation.log_likelihood + np.log(np.linalg.det(whiten)).sum()
-            by_seen = jacobian, self.factor.T @ gain, upper, self.innovation.whitened
+        def learn(residual: Array, jacobian: Array, gain: Array, upper: Array) -> None:
+            """Use the innovation for noise levels and tests, before the state is corrected."""
+            self.innovation = sr.compared(upper, residual)
+            self.log_likelihood += self.innovation.log_likelihood + frame.log_determinant
+            innovation = jacobian, self.factor.T @ gain, upper, self.innovation.whitened
             if not first:
-                self._learn(*by_seen)
+                self._learn(*innovation)
             if self._detector is not None:
-                change = self._detector.update(seen.t, *by_seen)
+                found = self._detector.update(seen.t, *innovation)
                 self.changes = self._detector.misfit(seen.t, self.measurement_noise)
-                adopted.extend([] if change is None else [change])
+                adopted.extend([] if found is None else [found])
 
         rounds, own = FIRST_ROUNDS if first else ROUNDS, 2 * self.n_links
-        self.x, self.factor = sr.iterated_update(self.x, self.factor, compared, rounds, look)
+        self.x, self.factor = sr.iterated_update(self.x, self.factor, compared, rounds, learn)
         self.x[own:] = self.parameters.possible(self.x[own:])
-        for change in adopted:
-            self._adopt(change)
-
-    def _believed(self, seen: Observations, places: Array, slope: Array) -> npt.NDArray[np.bool_]:
-        """Return which places are near enough to where they should be (K,)."""
-        wide = self._spread(slope) + self.measurement_noise.value**2 * seen.covariances
-        return self._gate.holds(seen.places - places, wide)
+        for found in adopted:
+            self._adopt(found)
 
     def _adopt(self, found: Found) -> None:
-        """Correct the state by what a change has done; a parameter is estimated from then on."""
+        """Correct the state by the effect of a change; a changed parameter is estimated from then on."""
         self.factor = sr.compressed(np.concatenate([self.factor, found.rows]), self._least)
         if found.change is None:
             return
@@ -344,7 +357,7 @@ class RopeFilter:
             self._least[first + k] = self.process.least(self.x)[first + k]
 
     def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
-        """Correct the levels of process and measurement noise by the innovation."""
+        """Adapt the levels of process and measurement noise to the innovation."""
         self.process_noise.see(whitened, *self._by_noise.update(jacobian, gain, upper, whitened))
         half = sr.solved(upper, np.eye(len(upper)), transposed=True)
         self.measurement_noise.see(whitened, (half @ half.T)[None])

@@ -1,6 +1,7 @@
 """Observations of markers, and the model that predicts them from a rope's state."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -8,33 +9,32 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.estimate.parameters import ParameterStates
+from hyperflex.estimate.parameters import PLANE_KINDS, ParameterStates
 from hyperflex.model import Rope
 from hyperflex.sensors import lever_arms
 from hyperflex.vision import Camera, check_increasing
 
-FAR = 10.0  # lengths of the rope from its first joint, beyond which a place is no marker's
-ADJUSTMENTS = frozenset({"scale", "roll", "offset_x", "offset_y"})  # parameters of the plane's place in the picture
+FAR = 10.0  # lengths of the rope from its first joint: a marker seen farther away is rejected
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Where markers were seen at one time, each in its place along the rope: what an estimator takes.
+    """Where markers were seen at one time, each in its place along the rope: the input of an estimator.
 
-    What a detector finds in a picture, in no order, is another class: :class:`hyperflex.vision.Observations`.
+    A point whose place along the rope is not known has a covariance that is large in that direction.
 
     Parameters
     ----------
     t : float
         Middle of the exposure, s.
     places : (K, 2) array_like
-        Of each marker along the rope; m, or px where there is a camera. NaN: not seen.
+        Of each marker along the rope; m, or px if there is a camera. NaN: not seen.
     std : float or (K,) array_like, optional
         Standard deviation of each coordinate, same unit.
-    covariances : (K, 2, 2) array_like, optional
-        In place of `std`: of each place.
     rows : (K,) array_like, optional
         When each was read, as a part of the picture's readout: -0.5 in the first row, 0.5 in the last. By default 0.
+    covariances : (K, 2, 2) array_like, optional
+        In place of `std`: of each place.
 
     Raises
     ------
@@ -74,7 +74,8 @@ class Observations:
         else:
             wide[:] = covariances
         wide[~seen] = np.eye(2)
-        if not np.isfinite(wide).all() or not _positive(wide):
+        determinant = wide[:, 0, 0] * wide[:, 1, 1] - wide[:, 0, 1] * wide[:, 1, 0]
+        if not np.isfinite(wide).all() or not ((wide[:, 0, 0] > 0.0) & (determinant > 0.0)).all():
             got = std if covariances is None else covariances
             raise InvalidInput("the uncertainty of an observation is not positive", got=got, allowed="> 0, finite")
         late = np.zeros(k) if rows is None else np.nan_to_num(np.broadcast_to(np.asarray(rows, float), (k,)))
@@ -88,10 +89,40 @@ class Observations:
         return ~np.isnan(self.places[:, 0])
 
 
-def _positive(wide: Array) -> bool:
-    """Whether symmetric matrices (K, 2, 2) are positive definite."""
-    determinant = wide[:, 0, 0] * wide[:, 1, 1] - wide[:, 0, 1] * wide[:, 1, 0]
-    return bool((wide[:, 0, 0] > 0.0).all() and (determinant > 0.0).all())
+@dataclass(frozen=True, eq=False)
+class InputFrame:
+    """The observations of one frame as an estimator uses them.
+
+    Attributes
+    ----------
+    seen : Observations
+    used : (K,) bool
+        Which of its markers are used.
+    level : float
+        Level of the measurement noise: factor of the standard deviations.
+    noise : (r, N) float64
+        Rows of the process noise since the frame before; of the first frame none.
+    """
+
+    seen: Observations
+    used: npt.NDArray[np.bool_]
+    level: float
+    noise: Array = field(default_factory=lambda: np.zeros(0))
+
+    @cached_property
+    def whitening(self) -> Array:
+        """Matrices (k, 2, 2) that give differences of the places used a variance of 1."""
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.seen.covariances[self.used])) / self.level)
+
+    @cached_property
+    def log_determinant(self) -> float:
+        """Logarithm of the whitening's determinant, which the likelihood of whitened differences lacks."""
+        return float(np.log(np.linalg.det(self.whitening)).sum())
+
+    def residuals(self, places: Array, slope: Array) -> tuple[Array, Array]:
+        """Return whitened differences (m,) from predicted places (K, 2), and whitened derivatives (m, N)."""
+        off = self.whitening @ (self.seen.places[self.used] - places[self.used])[:, :, None]
+        return off.ravel(), (self.whitening @ slope[self.used]).reshape(off.size, -1)
 
 
 class MarkerModel:
@@ -101,7 +132,7 @@ class MarkerModel:
     ----------
     rope : Rope
     arc_lengths : (K,) array_like
-        How far along the rope each marker sits, m from the first joint.
+        How far along the rope each marker is, m from the first joint.
     parameters : ParameterStates
     camera : Camera, optional
         By default places are seen in metres.
@@ -111,8 +142,8 @@ class MarkerModel:
     Notes
     -----
     A marker that is read tau before or after the state's time is seen at ``r + tau v + tau^2 a / 2``. The derivatives
-    leave out those of the last term. The state is as it was when the picture was taken, so that a delay of the pictures
-    counts for the first joint alone: that was where it is known to have been then.
+    omit those of the last term. The state is that when the picture was taken, so that a delay of the pictures matters
+    for the first joint alone: its place at that time follows from the known motion.
     """
 
     def __init__(
@@ -124,30 +155,25 @@ class MarkerModel:
         readout: float = 0.0,
     ) -> None:
         arcs = checks.array("arc_lengths", arc_lengths, (-1,), unit="m")
-        total = float(rope.length.sum())
+        total = rope.total_length
         if not arcs.size or (arcs < 0.0).any() or (arcs > total * (1.0 + 1e-9)).any():
             raise InvalidInput("a marker is not on the rope", got=arcs, allowed=f"0 to {total:g} m, at least one")
         check_increasing(arcs)
         self.arc_lengths, self.parameters, self.camera, self.readout = arcs, parameters, camera, readout
         self.link, self.arms = lever_arms(rope, arcs)
-        self._arc_states = {k: int(name[4:-1]) for k, name in enumerate(parameters.names) if name.startswith("arc[")}
-        if any(marker >= arcs.size for marker in self._arc_states.values()):
-            raise InvalidInput(
-                "an arc length is of no marker", got=parameters.names, allowed=f"arc[0..{arcs.size - 1}]"
-            )
+        arc_names = {f"arc[{marker}]": marker for marker in range(arcs.size)}
+        self._arc_states = {k: arc_names.get(name) for k, name in enumerate(parameters.names) if name[:4] == "arc["}
+        if None in self._arc_states.values():
+            allowed = f"arc[0..{arcs.size - 1}]"
+            raise InvalidInput("an arc length is of no marker", got=parameters.names, allowed=allowed)
 
     @property
     def reads_rows(self) -> bool:
-        """Whether rows are read one after the other, as far as is known."""
+        """Whether rows may be read one after the other."""
         return bool(self.readout) or "readout" in self.parameters.names
 
-    def places(self, x: Array, base: Array) -> Array:
-        """Return where the markers are in the rope's plane (K, 2), m; arguments as of :meth:`predict`."""
-        q = x[: self.arms.shape[1]]
-        return np.asarray(base[0] + np.stack([self.arms @ np.sin(q), -(self.arms @ np.cos(q))], axis=1))
-
     def possible(self, places: Array, base: Array) -> npt.NDArray[np.bool_]:
-        """Return which places (K, 2) may be markers' (K,): of those in metres the ones that are not far off."""
+        """Return which places (K, 2) may be markers' (K,): in metres, those that are not far away."""
         if self.camera is not None:
             return np.ones(len(places), dtype=bool)
         return np.asarray(np.hypot(*(places - base[0]).T) < FAR * self.parameters.rope.total_length)
@@ -164,106 +190,87 @@ class MarkerModel:
         rows : (K,) float64
             As in :class:`Observations`.
         qdd : (n,) float64, optional
-            Angular accelerations, rad/s^2; where they are left out, markers move uniformly within a readout.
+            Angular accelerations, rad/s^2; without them, markers move uniformly within a readout.
         """
         n = self.arms.shape[1]
         q, values = x[:n], x[2 * n :]
         at = self.parameters.value
-        readout = self.readout + at("readout", values)
-        sin, cos = np.sin(q), np.cos(q)
         arms = self.arms * (1.0 + at("length", values)) if len(self.parameters) else self.arms
         for k, marker in self._arc_states.items():
             arms[marker, self.link[marker]] += values[k]
-        tau = rows * readout  # (K,)
-        jacobian = np.zeros((len(arms), 2, 2 * n + len(self.parameters)))
+        tau = rows * (self.readout + at("readout", values))  # (K,)
+        jacobian = np.zeros((len(arms), 2, x.size))
         slope = jacobian[:, :, :n]  # of the places by the angles
-        np.multiply(arms, cos, out=slope[:, 0])
-        np.multiply(arms, sin, out=slope[:, 1])
+        np.multiply(arms, np.cos(q), out=slope[:, 0])
+        np.multiply(arms, np.sin(q), out=slope[:, 1])
         places = np.stack([base[0, 0] + slope[:, 1].sum(axis=1), base[0, 1] - slope[:, 0].sum(axis=1)], axis=1)
         if len(self.parameters) or tau.any():
-            places = self._moved(x, base, rows, tau, arms, places, jacobian, qdd)
-        return self._seen(places, jacobian, values)
+            places = places + self._moved(x, base, (rows, tau), arms, jacobian, qdd)
+            places, jacobian = self._in_plane(places, jacobian, values)
+        if self.camera is None:
+            return places, jacobian
+        pixels, by_place = self.camera.linearize(places)
+        return pixels, by_place @ jacobian
 
     def _moved(
-        self,
-        x: Array,
-        base: Array,
-        rows: Array,
-        tau: Array,
-        arms: Array,
-        place: Array,
-        jacobian: Array,
-        qdd: Array | None,
+        self, x: Array, base: Array, timing: tuple[Array, Array], arms: Array, jacobian: Array, qdd: Array | None
     ) -> Array:
-        """Return places (K, 2) a time `tau` (K,) later, and complete the derivatives by rates and parameters."""
-        n = self.arms.shape[1]
+        """Return how far markers move (K, 2) until they are read, and complete the derivatives.
+
+        `timing` are rows and delays tau (K,), s.
+        """
+        n, (rows, tau) = self.arms.shape[1], timing
         q, qd = x[:n], x[n : 2 * n]
         along, across = np.stack([np.sin(q), -np.cos(q)]), np.stack([np.cos(q), np.sin(q)])
-        velocity, bend, late = np.zeros_like(place), np.zeros_like(place), bool(rows.any())
-        if late:
-            slope = jacobian[:, :, :n].copy()
+        slope = jacobian[:, :, :n].copy()
+        velocity, bend = np.zeros((2, *slope.shape[:2]))
+        if rows.any():
             velocity = base[1] + slope @ qd
             if qdd is not None:
                 bend = base[2] + slope @ qdd - arms @ (along * qd * qd).T
             jacobian[:, :, :n] -= (tau[:, None, None] * arms[:, None, :]) * along * qd
             jacobian[:, :, n : 2 * n] = tau[:, None, None] * slope
-        now = velocity + tau[:, None] * bend
         for k, name in enumerate(self.parameters.names):
-            column = jacobian[:, :, 2 * n + k]
+            column, marker = jacobian[:, :, 2 * n + k], self._arc_states.get(k)
             if name == "length":
-                column[:] = self.arms @ along.T
-                if late:
-                    column += tau[:, None] * ((self.arms[:, None, :] * across) @ qd)
+                column[:] = self.arms @ along.T + tau[:, None] * ((self.arms[:, None, :] * across) @ qd)
             elif name == "delay":
                 column[:] = -(base[1] + tau[:, None] * base[2])
             elif name == "readout":
-                column[:] = rows[:, None] * now
-            elif k in self._arc_states:
-                marker = self._arc_states[k]
+                column[:] = rows[:, None] * (velocity + tau[:, None] * bend)
+            elif marker is not None:
                 i = self.link[marker]
                 column[marker] = along[:, i] + tau[marker] * across[:, i] * qd[i]
-        return np.asarray(place + tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend) if late else place
+        return np.asarray(tau[:, None] * velocity + 0.5 * tau[:, None] ** 2 * bend)
 
-    def _seen(self, places: Array, jacobian: Array, values: Array) -> tuple[Array, Array]:
-        """Turn places in the rope's plane and their derivatives into what the camera shows."""
-        names = self.parameters.names
-        shown, moved = (places, jacobian) if ADJUSTMENTS.isdisjoint(names) else self._adjusted(places, jacobian, values)
-        if self.camera is None:
-            return shown, moved
-        pixels, by_place = self.camera.place_slopes(shown)
-        return pixels, by_place @ moved
-
-    def _adjusted(self, places: Array, jacobian: Array, values: Array) -> tuple[Array, Array]:
-        """Turn, stretch and shift places and their derivatives as the estimated parameters of the plane say."""
-        at, names, first = self.parameters.value, self.parameters.names, jacobian.shape[2] - len(self.parameters)
+    def _in_plane(self, places: Array, jacobian: Array, values: Array) -> tuple[Array, Array]:
+        """Return places in the calibrated plane, by what is estimated of it, and their derivatives."""
+        at, names = self.parameters.value, self.parameters.names
+        if PLANE_KINDS.keys().isdisjoint(names):
+            return places, jacobian
         scale, roll = 1.0 + at("scale", values), at("roll", values)
-        turn = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
-        turned = places @ turn.T
-        shown = scale * turned + np.array([at("offset_x", values), at("offset_y", values)])
-        moved = scale * (turn @ jacobian)
-        changes = {
-            "scale": turned,
-            "roll": scale * np.stack([-turned[:, 1], turned[:, 0]], axis=1),
+        rotation = np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
+        rotated = places @ rotation.T
+        derivatives = {
+            "scale": rotated,
+            "roll": scale * np.stack([-rotated[:, 1], rotated[:, 0]], axis=1),
             "offset_x": np.array([1.0, 0.0]),
             "offset_y": np.array([0.0, 1.0]),
         }
-        for name, change in changes.items():
-            if name in names:
-                moved[:, :, first + names.index(name)] = change
-        return shown, moved
+        result, first = scale * (rotation @ jacobian), jacobian.shape[2] - len(names)
+        for name in PLANE_KINDS.keys() & set(names):
+            result[:, :, first + names.index(name)] = derivatives[name]
+        return scale * rotated + [at("offset_x", values), at("offset_y", values)], result
 
 
 def polyline_angles(rope: Rope, arc_lengths: Array, places: Array, base: Array) -> Array:
-    """Return link angles (n,), rad, along the line from the first joint through markers, NaN where not seen."""
+    """Return link angles (n,), rad, along the line from the first joint through markers, NaN if not seen."""
     seen = ~np.isnan(places[:, 0])
-    arcs = np.concatenate([[0.0], arc_lengths[seen]])
-    points = np.concatenate([base[None], places[seen]])
-    order = np.argsort(arcs, kind="stable")
-    arcs, points = arcs[order], points[order]
+    arcs, points = np.append(0.0, arc_lengths[seen]), np.concatenate([base[None], places[seen]])
     apart = np.diff(arcs) > 1e-9
-    ends, sides = arcs[1:][apart], np.diff(points, axis=0)[apart]
-    if not len(sides):
+    if not apart.any():
         return np.full(rope.n_links, rope.hanging_angle)
+    ends, sides = arcs[1:][apart], np.diff(points, axis=0)[apart]
     angles = np.unwrap(np.arctan2(sides[:, 0], -sides[:, 1]))
     middle = np.cumsum(rope.length) - 0.5 * rope.length
     return np.asarray(angles[np.minimum(np.searchsorted(ends, middle), len(angles) - 1)])

@@ -1,9 +1,10 @@
-"""Parameters estimated beside the rope's state: each with a prior, and how it enters the motion or the picture."""
+"""Parameters estimated beside the rope's state: each with a prior, and its effect on the motion or the picture."""
 
+import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,18 +12,41 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Rope
-from hyperflex.vision import AS_CALIBRATED, PlaneAdjustment
+from hyperflex.vision import Camera
 
-# of the rope: what one unit of the parameter changes, as directions of a derivative
-DYNAMIC: dict[str, Callable[[Rope], dict[str, Array]]] = {
-    "length": lambda rope: {"length": rope.length, "com": rope.com, "inertia": 2.0 * rope.inertia},
-    "friction": lambda rope: {"friction": rope.friction},
-    "drag": lambda rope: {"drag": rope.drag},
-    "tip_mass": lambda rope: {"tip_mass": np.ones(1)},
+NEGLIGIBLE = 5e-5  # standard deviation that a covariance omits: rad, sqrt(g / L), and of a parameter's first one
+
+
+class Kind(NamedTuple):
+    """What is known of a parameter by its name: unit, change that does not count as one, and limits of its value."""
+
+    unit: str
+    tolerance: float
+    least: float = -math.inf
+    most: float = math.inf
+
+
+# The tolerances allow for what rigid links and a table of values do not represent of a rope.
+ROPE_KINDS = {
+    "length": Kind("", 2e-3, -0.5, 1.0),
+    "friction": Kind("", 0.3, -1.0),
+    "drag": Kind("", 0.3, -1.0),
+    "tip_mass": Kind("kg", 4e-3),  # tolerance in units of the rope's mass; at least -tip_mass
 }
-# of the picture, with what they are
-OPTICAL = ("scale", "roll", "offset_x", "offset_y", "delay", "readout")
-LEFT_OUT = 5e-5  # of standard deviations: rad of an angle, of rates over sqrt(g / L), of a parameter over its first one
+PLANE_KINDS = {  # of the swing plane in the picture
+    "scale": Kind("", 2e-3, -0.5, 1.0),
+    "roll": Kind("rad", 2e-3),
+    "offset_x": Kind("m", 2e-3),
+    "offset_y": Kind("m", 2e-3),
+}
+PICTURE_KINDS = {**PLANE_KINDS, "delay": Kind("s", 2e-3), "readout": Kind("s", 3e-3)}
+NAMES = (*ROPE_KINDS, *PICTURE_KINDS, "arc[k]")
+
+
+def kind(name: str) -> Kind | None:
+    """Return what is known of a parameter; None if there is none of that name."""
+    arc = Kind("m", 1e-3) if re.fullmatch(r"arc\[\d+\]", name) else None
+    return (ROPE_KINDS | PICTURE_KINDS).get(name, arc)
 
 
 @dataclass(frozen=True)
@@ -33,16 +57,16 @@ class EstimatedParameter:
     ----------
     name : str
         ``"length"``: relative change of all lengths of the rope, markers included; ``"friction"``, ``"drag"``: relative
-        change of the rope's own; ``"tip_mass"``: kg, beside the rope's own. Of the picture: ``"scale"``: relative
-        change of the plane's scale; ``"roll"``: its turn about the line of sight, rad; ``"offset_x"``,
-        ``"offset_y"``: m; ``"arc[k]"``: change of the k-th marker's arc length, m; ``"delay"``: by how much the
-        pictures are older than their stamps, s; ``"readout"``: time from the first row of a picture to the last, s.
+        change of the rope's; ``"tip_mass"``: kg, in addition to the rope's. Of the picture: ``"scale"``: relative
+        change of the plane's scale; ``"roll"``: its rotation about the line of sight, rad; ``"offset_x"``,
+        ``"offset_y"``: m; ``"arc[k]"``: change of the k-th marker's arc length, m; ``"delay"``: how much older than
+        their time stamps the pictures are, s; ``"readout"``: time from the first row of a picture to the last, s.
     std : float
         Standard deviation of the prior, > 0.
     value : float
         Its mean.
     walk : float
-        Random walk, per square root of a second; 0 of a true constant.
+        Random walk, per square root of a second; 0 for a constant.
     """
 
     name: str
@@ -52,9 +76,8 @@ class EstimatedParameter:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if self.name not in (*DYNAMIC, *OPTICAL) and not re.fullmatch(r"arc\[\d+\]", self.name):
-            allowed = ", ".join((*DYNAMIC, *OPTICAL, "arc[k]"))
-            raise InvalidInput("this cannot be estimated beside the state", got=self.name, allowed=allowed)
+        if kind(self.name) is None:
+            raise InvalidInput("this cannot be estimated beside the state", got=self.name, allowed=", ".join(NAMES))
         checks.number(f"std of {self.name}", self.std, sign="positive")
         checks.number(f"value of {self.name}", self.value)
         checks.number(f"walk of {self.name}", self.walk, sign="nonnegative")
@@ -67,116 +90,117 @@ class ParameterStates:
     ----------
     estimated : sequence of EstimatedParameter
     rope : Rope
-        As it is taken to be where all are 0.
-    watched : sequence of str
-        What is held at 0 until a change of it is noticed, where it is not estimated anyway.
+        The rope where all parameters are 0.
+    tested : sequence of str
+        Parameters that are fixed at 0 until a change of them is noticed, if they are not estimated.
     moved : bool
-        Whether the first joint moves, so that a delay counts.
+        Whether the first joint moves, so that a delay has an effect.
 
     Attributes
     ----------
     names : tuple of str
-    value_at_start, std, walk : (P,) float64
-        Mean and standard deviation of the priors, 0 of what is held, and the random walks.
+    start, std, walk : (P,) float64
+        Mean and standard deviation of the priors, 0 of fixed ones, and the random walks.
+    dynamic : list of int
+        Those on which the motion depends.
     """
 
     def __init__(
-        self, estimated: Sequence[EstimatedParameter], rope: Rope, watched: Sequence[str] = (), moved: bool = False
+        self, estimated: Sequence[EstimatedParameter], rope: Rope, tested: Sequence[str] = (), moved: bool = False
     ) -> None:
         self.rope = rope
         names = [each.name for each in estimated]
-        held = [EstimatedParameter(name, 1.0) for name in watched if name not in names]
-        self.names = (*names, *(each.name for each in held))
-        self.value_at_start = np.array([each.value for each in (*estimated, *held)])
-        self.walk = np.array([each.walk for each in (*estimated, *held)])
-        self.std = np.array([*(each.std for each in estimated), *(0.0 for _ in held)])
+        fixed = [EstimatedParameter(name, 1.0) for name in tested if name not in names]
+        self.names = (*names, *(each.name for each in fixed))
+        self.start = np.array([each.value for each in (*estimated, *fixed)])
+        self.walk = np.array([each.walk for each in (*estimated, *fixed)])
+        self.std = np.array([*(each.std for each in estimated), *(0.0 for _ in fixed)])
         if len(set(self.names)) != len(self.names):
             raise InvalidInput("parameters name something twice", got=self.names, allowed="each name once")
         for name in ("friction", "drag"):
             if name in self.names and not getattr(rope, name).any():
                 fix = f"Give the rope a {name} to begin with"
                 raise InvalidInput(f"{name} is a relative change, and the rope has none", got=0.0, fix=fix)
-        self.dynamic = [k for k, name in enumerate(self.names) if name in DYNAMIC or (name == "delay" and moved)]
-        self._of_rope = [k for k, name in enumerate(self.names) if name in DYNAMIC]
+        self._of_rope = [k for k, name in enumerate(self.names) if name in ROPE_KINDS]
+        self.dynamic = [k for k, name in enumerate(self.names) if k in self._of_rope or (name == "delay" and moved)]
+        kinds = [kind(name) or Kind("", 0.0) for name in self.names]
+        self._least, self._most = np.array([each.least for each in kinds]), np.array([each.most for each in kinds])
+        if "tip_mass" in self.names:
+            self._least[self.names.index("tip_mass")] = -rope.tip_mass
+        self._camera: tuple[tuple[float, ...], Camera] | None = None
 
     def __len__(self) -> int:
         """Number of parameters."""
         return len(self.names)
 
     def value(self, name: str, values: Array) -> float:
-        """Return one parameter's value; 0 where it is not estimated."""
+        """Return one parameter's value; 0 if it is not estimated."""
         return float(values[self.names.index(name)]) if name in self.names else 0.0
 
     def least(self, values: Array) -> Array:
-        """Return the standard deviations (P,) that a covariance leaves out, > 0, for values (P,)."""
-        first = np.where(self.std > 0.0, self.std, np.abs(values))  # of what was noticed to have changed: its size
-        return LEFT_OUT * np.where(first > 0.0, first, 1.0)
+        """Return the standard deviations (P,) that a covariance omits, > 0, for values (P,)."""
+        first = np.where(self.std > 0.0, self.std, np.abs(values))  # for a noticed change: its size
+        return NEGLIGIBLE * np.where(first > 0.0, first, 1.0)
 
     def estimates(self, x: Array, rows: Array) -> dict[str, tuple[float, float]]:
-        """Return value and standard deviation of each parameter that is not held.
+        """Return value and standard deviation of each parameter that is not fixed.
 
         Parameters
         ----------
         x : (N,) float64
             State, with the parameters at its end.
         rows : (r, N) float64
-            Their squares are its covariance.
+            Rows whose squares are its covariance.
         """
-        if not self.names:
-            return {}
-        first = x.size - len(self)
-        std, known = np.linalg.norm(rows[:, first:], axis=0), (self.std > 0.0) | (x[first:] != 0.0)
-        least = np.hypot(std, self.least(x[first:]))
-        return {
-            name: (float(value), float(each))
-            for name, value, each, free in zip(self.names, x[first:], least, known | (std > 0.0), strict=True)
-            if free
-        }
+        values, std = np.split(x, [x.size - len(self)])[1], np.linalg.norm(rows[:, x.size - len(self) :], axis=0)
+        free = (self.std > 0.0) | (values != 0.0) | (std > 0.0)
+        stated = np.hypot(std, self.least(values))
+        return {self.names[k]: (float(values[k]), float(stated[k])) for k in np.flatnonzero(free)}
 
     def directions(self) -> list[str | dict[str, dict[str, Array]]]:
-        """Return the directions of what the motion depends on, as ``sensitivities`` takes them."""
+        """Return what one unit of each dynamic parameter changes, as ``sensitivities`` takes it."""
+        rope = self.rope
+        changes = {
+            "length": {"length": rope.length, "com": rope.com, "inertia": 2.0 * rope.inertia},
+            "friction": {"friction": rope.friction},
+            "drag": {"drag": rope.drag},
+            "tip_mass": {"tip_mass": np.ones(1)},
+        }
         names = [self.names[k] for k in self.dynamic]
-        return ["motion.delay" if name == "delay" else {name: DYNAMIC[name](self.rope)} for name in names]
+        return ["motion.delay" if name == "delay" else {name: changes[name]} for name in names]
+
+    def rope_at(self, values: Array) -> Rope:
+        """Return the rope that the values (P,) describe."""
+        changes: dict[str, Any] = {}
+        for name, value in ((self.names[k], float(values[k])) for k in self._of_rope):
+            factor = 1.0 + value
+            if name == "tip_mass":
+                changes["tip_mass"] = self.rope.tip_mass + value
+            elif name == "length":
+                changes |= {"length": self.rope.length * factor, "com": self.rope.com * factor}
+                changes["inertia"] = self.rope.inertia * factor**2
+            else:
+                changes[name] = getattr(self.rope, name) * factor
+        return self.rope.replace(**changes) if changes else self.rope
 
     def same_rope(self, values: Array, others: Array) -> bool:
         """Return whether two sets of values (P,) describe the same rope."""
         return np.array_equal(values[self._of_rope], others[self._of_rope])
 
-    def plane_adjustment(self, values: Array) -> PlaneAdjustment:
-        """Return how the plane deviates from the calibrated one at values (P,)."""
-        scale, roll, *offset = (self.value(name, values) for name in ("scale", "roll", "offset_x", "offset_y"))
-        found = PlaneAdjustment(1.0 + scale, roll, tuple(offset))
-        return AS_CALIBRATED if found == AS_CALIBRATED else found
+    def camera_at(self, camera: Camera, values: Array) -> Camera:
+        """Return the camera with the swing plane as values (P,) describe it."""
+        scale, roll, x, y = found = tuple(self.value(name, values) for name in PLANE_KINDS)
+        if not any(found):
+            return camera
+        if self._camera is None or self._camera[0] != found:
+            self._camera = found, camera.adjusted(1.0 + scale, roll, (x, y))
+        return self._camera[1]
 
     def arc_lengths(self, arc_lengths: Array, values: Array) -> Array:
-        """Return where on the rope markers sit (K,), m, at values (P,); `arc_lengths` where all values are 0."""
-        if not any(name == "length" or name.startswith("arc[") for name in self.names):
-            return arc_lengths
+        """Return the arc lengths of the markers (K,), m, at values (P,); `arc_lengths` are those at 0."""
         moved = [self.value(f"arc[{k}]", values) for k in range(len(arc_lengths))]
         return np.asarray(arc_lengths * (1.0 + self.value("length", values)) + moved)
 
     def possible(self, values: Array) -> Array:
-        """Return the values (P,), moved to what a rope can have."""
-        result = values.copy()
-        for k, name in enumerate(self.names):
-            if name in ("friction", "drag"):
-                result[k] = max(result[k], -1.0)
-            elif name == "tip_mass":
-                result[k] = max(result[k], -self.rope.tip_mass)
-            elif name in ("length", "scale"):
-                result[k] = min(max(result[k], -0.5), 1.0)
-        return result
-
-    def rope_at(self, values: Array) -> Rope:
-        """Return the rope that the values (P,) describe."""
-        changes: dict[str, Any] = {}
-        for k in self._of_rope:
-            name, value = self.names[k], float(values[k])
-            if name == "length":
-                changes |= {"length": self.rope.length * (1.0 + value), "com": self.rope.com * (1.0 + value)}
-                changes["inertia"] = self.rope.inertia * (1.0 + value) ** 2
-            elif name == "tip_mass":
-                changes["tip_mass"] = self.rope.tip_mass + value
-            else:
-                changes[name] = getattr(self.rope, name) * (1.0 + value)
-        return self.rope.replace(**changes) if changes else self.rope
+        """Return the values (P,), limited to what a rope can have."""
+        return np.asarray(np.minimum(np.maximum(values, self._least), self._most))

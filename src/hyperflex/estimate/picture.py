@@ -1,31 +1,54 @@
-"""Pictures of what is known of a rope: the rope, where its markers were looked for and seen, and how sure that is."""
+"""Pictures of a tracked rope: its estimate, where its markers were expected and seen, and how certain that is."""
 
 from itertools import pairwise
 
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.estimate.tracker import RopeTracker, TrackedFrame
 from hyperflex.vision import Image
 
-LIKELY = 2.1460  # standard deviations of a place in the plane that hold 90 % (chi square, 2 degrees of freedom)
+Colour = tuple[int, int, int]
+
+LIKELY = 2.1460  # standard deviations of a place in the plane that contain 90 % (chi square, 2 degrees of freedom)
 WHITE, GREEN, YELLOW, BLUE, DARK = (255, 255, 255), (60, 200, 60), (0, 230, 255), (255, 130, 20), (30, 30, 30)
-_FINE = 4  # bits of a pixel's fraction that OpenCV draws with
-_LEAST = 1.5  # px, half width of a region below which the line itself hides it
-_WIDEST = 0.5  # of the picture's height, half width of a region beyond which it says nothing
+_BITS = 4  # of a pixel's fraction that OpenCV draws with
+_SMALLEST, _LARGEST = 1.5, 0.5  # px, and part of the picture's height: half widths of regions that are drawn
 
 
-def draw_rope(image: Image, line: Array, covariances: Array) -> None:
-    """Draw a rope, and the region that holds each of its places with 90 %, where that is wider than the line (blue).
+def draw_frame(image: Image, tracker: RopeTracker, result: TrackedFrame, caption: list[str] | None = None) -> Image:
+    """Return a frame with the estimated rope (blue), expected (green) and seen markers (yellow), and 90 % regions.
 
     Parameters
     ----------
     image : (height, width, 3) uint8
-        Drawn on.
-    line : (m, 2) float64
-        Places along the rope, px; NaN where they are behind the camera.
-    covariances : (m, 2, 2) float64
-        Of these, px^2.
+    tracker : RopeTracker
+    result : TrackedFrame
+        The tracker's result of the frame.
+    caption : list of str, optional
+        By default the time and how many markers were seen.
     """
+    import cv2
+
+    shown = image.copy()
+    lines = caption or [f"{result.t:.2f} s   {int(result.seen.sum())} of {result.seen.size} markers"]
+    if result.state is None:
+        lines = [*lines, "searching for the rope"]
+    else:
+        _draw_rope(shown, *tracker.shape(result.state))
+        for place, wide in zip(result.predicted, result.gates, strict=True):
+            _draw_region(shown, place, wide, GREEN, 2.0 * tracker.measurement.radius + 2.0)
+        for k in np.flatnonzero(result.seen).tolist():
+            u, v = np.round(result.pixels[k]).astype(int).tolist()
+            cv2.drawMarker(shown, (u, v), YELLOW, cv2.MARKER_CROSS, 8, 1, cv2.LINE_AA)
+            _write(shown, str(k + 1), (u + 14, v + 4), 0.42, YELLOW)
+    for row, line in enumerate(reversed(lines)):
+        _write(shown, line, (12, shown.shape[0] - 14 - 24 * row), 0.55, WHITE)
+    return shown
+
+
+def _draw_rope(image: Image, line: Array, covariances: Array) -> None:
+    """Draw a line (m, 2), px, and the region that contains each of its places with 90 %, if it is wider."""
     import cv2
 
     good = np.isfinite(line).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
@@ -35,77 +58,39 @@ def draw_rope(image: Image, line: Array, covariances: Array) -> None:
     along = np.gradient(line, axis=0)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
     half = LIKELY * np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", across, wide, across), 0.0))
-    half = np.minimum(half, _WIDEST * image.shape[0])[:, None]
-    if half.max() > _LEAST:
+    half = np.minimum(half, _LARGEST * image.shape[0])[:, None]
+    if half.max() > _SMALLEST:
         tinted = image.copy()
-        sides = np.stack([line + half * across, line - half * across], axis=1)
-        for one, two in pairwise(sides):
-            cv2.fillConvexPoly(tinted, cv2.convexHull(_fine(np.concatenate([one, two]))), BLUE, cv2.LINE_AA, _FINE)
+        for one, two in pairwise(np.stack([line + half * across, line - half * across], axis=1)):
+            cv2.fillConvexPoly(tinted, cv2.convexHull(_fixed(np.concatenate([one, two]))), BLUE, cv2.LINE_AA, _BITS)
         cv2.addWeighted(tinted, 0.35, image, 0.65, 0.0, dst=image)
-    cv2.polylines(image, [_fine(line)], False, BLUE, 1, cv2.LINE_AA, _FINE)
+    cv2.polylines(image, [_fixed(line)], False, BLUE, 1, cv2.LINE_AA, _BITS)
     _draw_region(image, line[-1], wide[-1], BLUE)
 
 
-def draw_markers(image: Image, expected: Array, covariances: Array, seen: Array, radius: float) -> None:
-    """Draw where markers were looked for (green, 90 %, and around it `radius`, px) and seen (yellow, with numbers).
-
-    Parameters
-    ----------
-    image : (height, width, 3) uint8
-        Drawn on.
-    expected : (K, 2) float64
-        px; NaN: nothing was expected.
-    covariances : (K, 2, 2) float64
-        Of these, px^2.
-    seen : (K, 2) float64
-        px; NaN: not seen.
-    radius : float
-        px.
-    """
-    import cv2
-
-    for place, wide in zip(expected, covariances, strict=True):
-        _draw_region(image, place, wide, GREEN, radius)
-    for k, place in enumerate(seen):
-        if not np.isfinite(place).all():
-            continue
-        at = np.round(place).astype(int)
-        cv2.drawMarker(image, at.tolist(), YELLOW, cv2.MARKER_CROSS, 8, 1, cv2.LINE_AA)
-        _write(image, str(k + 1), [int(at[0]) + 14, int(at[1]) + 4], 0.42, YELLOW)
-
-
-def draw_caption(image: Image, lines: list[str]) -> None:
-    """Write lines at the bottom left of a picture."""
-    for k, words in enumerate(reversed(lines)):
-        _write(image, words, (12, image.shape[0] - 14 - 24 * k), 0.55, WHITE)
-
-
-def _draw_region(image: Image, place: Array, wide: Array, colour: tuple[int, int, int], radius: float = 0.0) -> None:
-    """Draw the ellipse that holds a place with 90 %, `radius` (px) wider."""
+def _draw_region(image: Image, place: Array, wide: Array, colour: Colour, radius: float = 0.0) -> None:
+    """Draw the ellipse that contains a place with 90 %, `radius` (px) larger."""
     import cv2
 
     if not np.isfinite(place).all() or not np.isfinite(wide).all():
         return
     values, vectors = np.linalg.eigh(wide)
     axes = LIKELY * np.sqrt(np.maximum(values, 0.0)) + radius
-    if axes[1] < _LEAST or axes[1] > _WIDEST * image.shape[0]:
-        return
-    angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
-    centre, size = _fine(place), _fine(axes[::-1])
-    cv2.ellipse(image, centre.tolist(), size.tolist(), angle, 0.0, 360.0, colour, 1, cv2.LINE_AA, _FINE)
+    if _SMALLEST <= axes[1] <= _LARGEST * image.shape[0]:
+        angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
+        centre, size = _fixed(place).tolist(), _fixed(axes[::-1]).tolist()
+        cv2.ellipse(image, centre, size, angle, 0.0, 360.0, colour, 1, cv2.LINE_AA, _BITS)
 
 
-def _write(
-    image: Image, words: str, at: list[int] | tuple[int, int], size: float, colour: tuple[int, int, int]
-) -> None:
-    """Write words with a dark shadow, so that they are read on any picture."""
+def _write(image: Image, text: str, at: tuple[int, int], size: float, colour: Colour) -> None:
+    """Write text with a dark shadow, so that it is legible on any picture."""
     import cv2
 
     for shade, shift in ((DARK, 1), (colour, 0)):
         place = (at[0] + shift, at[1] + shift)
-        cv2.putText(image, words, place, cv2.FONT_HERSHEY_SIMPLEX, size, shade, 1, cv2.LINE_AA)
+        cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, shade, 1, cv2.LINE_AA)
 
 
-def _fine(places: Array) -> np.typing.NDArray[np.int32]:
-    """Return pixels as OpenCV takes them with a fraction; far ones are cut."""
-    return np.asarray(np.round(np.clip(places, -2e4, 2e4) * 2**_FINE), np.int32)
+def _fixed(places: Array) -> np.typing.NDArray[np.int32]:
+    """Return pixels as OpenCV's fixed-point numbers; far ones are clipped."""
+    return np.asarray(np.round(np.clip(places, -2e4, 2e4) * 2**_BITS), np.int32)

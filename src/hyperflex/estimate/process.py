@@ -1,7 +1,7 @@
 """The motion of rope and parameters from one time to another, with its derivatives and its noise."""
 
 import math
-from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,26 +13,81 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import mass_matrix
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.estimate import square_root as sr
-from hyperflex.estimate.parameters import LEFT_OUT, ParameterStates
+from hyperflex.estimate.parameters import NEGLIGIBLE, ParameterStates
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation import Propagator
 
-PRECISION = 1e-5  # tolerance of a prediction over the rope's length: far below any marker's noise
-CORRELATION = 0.15  # of the rope's length, over which its disturbances are alike
-# Towards the free end the tension falls to nothing and motion is quick: there rigid links are least true to a rope.
-END = 0.08  # of the rope's length: disturbances of the end fall with the distance d to the tip as (END / (d + END))^1.5
-END_CORRELATION = 0.05
-NEGLIGIBLE = 1e-4  # of the largest principal part of the disturbances
-BEND = 0.6  # rad, standard deviation of a link's angle about the line through the markers, before any is seen
-SPEED = 6.0  # rad/s, of its rate, in units of sqrt(g / L)
-START_CORRELATION = 0.1  # of the rope's length
-LONGEST = 0.04  # s, of a step: what disturbs the rope within one is not carried through its equations
+PRECISION = 1e-5  # tolerance of a prediction relative to the rope's length: far below any marker's noise
+BEYOND = 1e6  # rad, rad/s: a larger state or uncertainty is not a rope's
+LONGEST = 0.04  # s, of a step: disturbances within one are not carried through the rope's equations
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """What a filter assumes of the rope before anything is seen, and of the disturbances of its motion.
+
+    Lengths are relative to the rope's. Towards the free end the tension falls to nothing and motion is fast: there
+    rigid links represent a rope worst, so that disturbances of the end are separate. They fall with the distance d to
+    the tip as ``(end / (d + end))^1.5``.
+
+    Attributes
+    ----------
+    correlation, end_correlation, start_correlation : float
+        Distance over which disturbances of the whole rope, those of the end, and the first shape are alike.
+    end : float
+        Extent of the end.
+    negligible : float
+        Principal parts of a covariance that are omitted, relative to the largest.
+    bend : float
+        Standard deviation of a link's angle about the line through the markers at the start, rad.
+    speed : float
+        Standard deviation of its rate, in units of sqrt(g / L).
+    """
+
+    correlation: float = 0.15
+    end_correlation: float = 0.05
+    start_correlation: float = 0.1
+    end: float = 0.08
+    negligible: float = 1e-4
+    bend: float = 0.6
+    speed: float = 6.0
+
+    def shapes(self, rope: Rope, correlation: float, size: npt.ArrayLike = 1.0) -> Array:
+        """Return rows (r, n) whose squares are a covariance of links that falls with the distance between them.
+
+        Parameters
+        ----------
+        rope : Rope
+        correlation : float
+            Distance relative to the rope's length over which it falls to exp(-1/2).
+        size : (n,) array_like or float
+            Standard deviation of each link.
+        """
+        middle = (np.cumsum(rope.length) - 0.5 * rope.length) / rope.total_length
+        likeness = np.exp(-0.5 * ((middle[:, None] - middle) / correlation) ** 2)
+        scale = np.broadcast_to(size, middle.shape)
+        values, vectors = np.linalg.eigh(scale[:, None] * likeness * scale)
+        large = values > self.negligible * values[-1]
+        return np.asarray(np.sqrt(values[large])[:, None] * vectors[:, large].T)
+
+    def of(self, rope: Rope) -> tuple[Array, Array]:
+        """Return the shapes (r, n) of disturbances along the whole rope, and of those at its free end."""
+        beyond = (np.cumsum(rope.length[::-1])[::-1] - 0.5 * rope.length) / rope.total_length
+        end = (self.end / (beyond + self.end)) ** 1.5
+        return self.shapes(rope, self.correlation), self.shapes(rope, self.end_correlation, end)
+
+    def starting_rows(self, rope: Rope, parameter_std: Array) -> Array:
+        """Return rows whose squares are the covariance of angles, rates and parameters before anything was seen."""
+        n, shapes = rope.n_links, self.shapes(rope, self.start_correlation)
+        sizes = np.array([self.bend, self.speed * swing_rate(rope)])
+        alike = np.pad(np.kron(np.diag(sizes), shapes), ((0, 0), (0, len(parameter_std))))
+        return np.concatenate([alike, np.diag(np.concatenate([np.repeat(0.1 * sizes, n), parameter_std]))])
 
 
 class Prediction(NamedTuple):
-    """Where the state x = (q, qd, parameters) comes to.
+    """The state x = (q, qd, parameters) at a later time.
 
     Attributes
     ----------
@@ -49,18 +104,24 @@ class Prediction(NamedTuple):
 
 
 class Process:
-    """Predicts the state of a rope whose arm moves as it is known to.
+    """Predicts the state of a rope whose arm's motion is known.
 
     Parameters
     ----------
     rope : Rope
     parameters : ParameterStates
     motion, arm : Motion, Arm, optional
-        What the first joint does; by default it hangs from a fixed point.
+        Of the first joint; by default it is fixed.
+    disturbances : Disturbances
     """
 
     def __init__(
-        self, rope: Rope, parameters: ParameterStates, motion: Motion | None = None, arm: Arm | None = None
+        self,
+        rope: Rope,
+        parameters: ParameterStates,
+        motion: Motion | None = None,
+        arm: Arm | None = None,
+        disturbances: Disturbances = Disturbances(),
     ) -> None:
         self.rope, self.parameters = rope, parameters
         self._motion, self._arm = motion, arm
@@ -68,20 +129,22 @@ class Process:
         self._run = Propagator(setup, parameters.directions(), 3 * (2 * rope.n_links + len(parameters) + 1))
         self._rope, self._at = rope, np.zeros(len(parameters))
         self._walk = parameters.walk
-        self._moment, self._base = np.nan, np.zeros((3, 2))  # when the first joint was looked at last, and where it was
-        beyond = (np.cumsum(rope.length[::-1])[::-1] - 0.5 * rope.length) / rope.total_length
-        end = (END / (beyond + END)) ** 1.5
-        shapes = smooth_shapes(rope, CORRELATION), smooth_shapes(rope, END_CORRELATION, end)
-        self.noise_ends = np.cumsum([2 * len(each) for each in shapes])
-        self._kind = np.repeat([0, 1], [2 * len(each) for each in shapes])
-        self._turning, self._moving = _disturbances(shapes, 2 * rope.n_links + len(parameters))
+        self._moment, self._base = np.nan, np.zeros((3, 2))  # of the last call of `base`
+        kinds, spare = disturbances.of(rope), len(parameters)
+        self.noise_ends = np.cumsum([2 * len(shapes) for shapes in kinds])
+        self._kind = np.repeat([0, 1], [2 * len(shapes) for shapes in kinds])
+        # White accelerations of a shape move, in dt, the rates and half of the angles together, and the rest of the
+        # angles alone: rows A + dt B, times sqrt(dt).
+        rates = [np.kron([[0.0, 1.0], [0.0, 0.0]], shapes) for shapes in kinds]
+        angles = [np.kron([[0.5, 0.0], [1.0 / math.sqrt(12.0), 0.0]], shapes) for shapes in kinds]
+        self._rates, self._angles = (np.pad(np.concatenate(rows), ((0, 0), (0, spare))) for rows in (rates, angles))
 
     def copy(self) -> "Process":
-        """Return another one, for other values of the parameters."""
+        """Return another process of the same rope, for other values of the parameters."""
         return Process(self.rope, self.parameters, self._motion, self._arm)
 
     def predict(self, x: Array, t: float, until: float) -> Prediction:
-        """Return the state at `until`, s, that comes of x (N,) at time t.
+        """Return the state at `until`, s, that follows from x (N,) at time t.
 
         Raises
         ------
@@ -92,7 +155,7 @@ class Process:
         return Prediction(x, rows.T, self.accelerations(x, until))
 
     def carry(self, x: Array, rows: Array, t: float, until: float) -> tuple[Array, Array]:
-        """Return the state at `until`, s, that comes of x (N,) at time t, and what becomes of changes of it.
+        """Return the state at `until`, s, that follows from x (N,) at time t, and the changes of it.
 
         Parameters
         ----------
@@ -123,13 +186,13 @@ class Process:
         return list(pairwise(np.linspace(t, until, max(count, 1) + 1).tolist()))
 
     def least(self, x: Array) -> Array:
-        """Return the standard deviations (N,) that a covariance leaves out, > 0."""
+        """Return the standard deviations (N,) that a covariance omits, > 0."""
         n = self.rope.n_links
-        rest = np.full(n, LEFT_OUT * turning_rate(self.rope)), self.parameters.least(x[2 * n :])
-        return np.concatenate([np.full(n, LEFT_OUT), *rest])
+        rest = np.full(n, NEGLIGIBLE * swing_rate(self.rope)), self.parameters.least(x[2 * n :])
+        return np.concatenate([np.full(n, NEGLIGIBLE), *rest])
 
     def rope_state(self, x: Array, rows: Array, t: float) -> RopeState:
-        """Return the rope's state, with its covariance and what that leaves out, for a picture at t, s.
+        """Return the rope's state, with its covariance and what the rows omit of it, for a picture at t, s.
 
         Parameters
         ----------
@@ -145,7 +208,7 @@ class Process:
         return RopeState(moment, x[:n].copy(), x[n : 2 * n].copy(), covariance)
 
     def state_at(self, x: Array, rows: Array, t: float, until: float, density: npt.ArrayLike) -> RopeState:
-        """Return the state expected for a picture at `until`, s, with its covariance, of what is known at time t.
+        """Return the state predicted for a picture at `until`, s, with its covariance, from the state at time t.
 
         Parameters
         ----------
@@ -173,7 +236,7 @@ class Process:
         return self._run.accelerations(t - self.parameters.value("delay", x[2 * n :]), x[:n], x[n : 2 * n])
 
     def set_motion(self, motion: Motion) -> None:
-        """Let the arm move in another way from now on."""
+        """Change the arm's motion."""
         self._motion, self._moment = motion, np.nan
         self._run.set_motion(motion)
 
@@ -189,7 +252,7 @@ class Process:
         """
         last = self.noise_ends[-1]
         level = math.sqrt(dt) * (np.asarray(density) * np.ones(2))[self._kind]
-        disturbed = level[:, None] * (self._turning + dt * self._moving)
+        disturbed = level[:, None] * (self._rates + dt * self._angles)
         if not self._walk.any():
             return np.asarray(disturbed)
         rows = np.concatenate([disturbed, np.zeros((self._walk.size, disturbed.shape[1]))])
@@ -221,7 +284,7 @@ class Process:
         t : float
             Of a picture, s.
         x : (N,) float64, optional
-            State with the pictures' delay; by default there is none.
+            State with the pictures' delay; by default the delay is 0.
         """
         moment = t if x is None else t - self.parameters.value("delay", x[2 * self.rope.n_links :])
         if moment != self._moment:
@@ -231,57 +294,12 @@ class Process:
         return self._base.copy()
 
     def _rope_at(self, values: Array) -> Rope:
-        """Return the rope with its estimated values, made anew only when they have changed."""
+        """Return the rope with its estimated values; it is created only when they have changed."""
         if not self.parameters.same_rope(values, self._at):
             self._rope, self._at = self.parameters.rope_at(values), values.copy()
         return self._rope
 
 
-def smooth_shapes(rope: Rope, correlation: float, size: npt.ArrayLike = 1.0) -> Array:
-    """Return rows (r, n) whose squares are a covariance of links that are the less alike the further they are apart.
-
-    Parameters
-    ----------
-    rope : Rope
-    correlation : float
-        Distance, as a part of the rope's length, over which it falls to exp(-1/2).
-    size : (n,) array_like or float
-        Standard deviation of each link.
-    """
-    middle = (np.cumsum(rope.length) - 0.5 * rope.length) / rope.total_length
-    likeness = np.exp(-0.5 * ((middle[:, None] - middle) / correlation) ** 2)
-    scale = np.broadcast_to(size, middle.shape)
-    values, vectors = np.linalg.eigh(scale[:, None] * likeness * scale)
-    large = values > NEGLIGIBLE * values[-1]
-    return np.asarray(np.sqrt(values[large])[:, None] * vectors[:, large].T)
-
-
-def _disturbances(kinds: Sequence[Array], size: int) -> tuple[Array, Array]:
-    """Return rows A, B (r, size): A + dt B, times sqrt(dt), is what white accelerations of each shape do in dt.
-
-    Of each shape (n,) there are two rows, those of all shapes of a kind (s, n) one after the other: of the rates and
-    the half of the angles that goes with them, and of the rest of the angles.
-    """
-    turning, moving = np.zeros((2, 2 * sum(map(len, kinds)), size))
-    first = 0
-    for shapes in kinds:
-        middle, n = first + len(shapes), shapes.shape[1]
-        turning[first:middle, n : 2 * n], moving[first:middle, :n] = shapes, 0.5 * shapes
-        moving[middle : middle + len(shapes), :n] = shapes / math.sqrt(12.0)
-        first = middle + len(shapes)
-    return turning, moving
-
-
-def turning_rate(rope: Rope) -> float:
-    """Return sqrt(g / L), rad/s: how fast a rope swings, about."""
+def swing_rate(rope: Rope) -> float:
+    """Return sqrt(g / L), rad/s: about how fast a rope swings."""
     return float(np.sqrt(np.hypot(*rope.gravity) / rope.total_length))
-
-
-def starting_rows(rope: Rope, parameter_std: Array) -> Array:
-    """Return rows whose squares are the covariance of angles, rates and parameters before anything was seen of them."""
-    n, shapes = rope.n_links, smooth_shapes(rope, START_CORRELATION)
-    rate, count = SPEED * turning_rate(rope), len(shapes)
-    rows = np.zeros((2 * count + 2 * n + len(parameter_std), 2 * n + len(parameter_std)))
-    rows[:count, :n], rows[count : 2 * count, n : 2 * n] = BEND * shapes, rate * shapes
-    np.fill_diagonal(rows[2 * count :], np.concatenate([np.full(n, 0.1 * BEND), np.full(n, 0.1 * rate), parameter_std]))
-    return rows

@@ -122,7 +122,7 @@ def iterated_update(
     factor: Array,
     compared: Callable[[Array], tuple[Array, Array]],
     rounds: int,
-    look: Callable[[Array, Array, Array, Array], None],
+    learn: Callable[[Array, Array, Array, Array], None],
 ) -> tuple[Array, Array]:
     """Return the mode of the posterior, by Gauss-Newton with a line search, and rows of the covariance about it.
 
@@ -136,8 +136,8 @@ def iterated_update(
         Of a state, returns whitened differences (m,) and the whitened derivatives (m, N).
     rounds : int
         At most.
-    look : callable
-        Is called once, with the differences, derivatives, gain and factor of the innovation.
+    learn : callable
+        Called once, with the differences, derivatives, gain and factor of the innovation.
 
     Notes
     -----
@@ -150,7 +150,7 @@ def iterated_update(
     for turn in range(rounds):
         gain, _, upper = whitened_gain(factor, jacobian)
         if turn == 0:
-            look(left, jacobian, gain, upper)
+            learn(left, jacobian, gain, upper)
         step, part = gain @ (left + jacobian @ (x - before)) - u, 1.0
         while part >= SHORTEST:
             tried = before + factor.T @ (u + part * step)

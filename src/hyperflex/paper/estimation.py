@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.estimate import RopeFilter, RopeTracker
+from hyperflex.estimate import MarkerMeasurement, RopeFilter, RopeTracker
 from hyperflex.model import Rope
 from hyperflex.paper.casting import cable
 from hyperflex.paper.estimator import SAMPLES, ConstantVelocity, NearestBlob, OnlineEstimator, capture
@@ -244,7 +244,8 @@ def _by_windows(subject: Seen, name: str) -> Followed:
 def _by_filter(subject: Seen) -> Followed:
     """Follow a swing with the package's own tracker."""
     camera, arcs, result = subject.camera, subject.swing.arc_lengths, _nothing(subject)
-    tracker = RopeTracker(RopeFilter(cable(), arcs, camera=camera), MarkerDetector(subject.colour))
+    measurement = MarkerMeasurement(MarkerDetector(subject.colour))
+    tracker = RopeTracker(RopeFilter(cable(), arcs, camera=camera), measurement)
     for k, frame in enumerate(subject.frames):
         looked = tracker.look(frame)
         if looked.state is None:
@@ -260,8 +261,8 @@ def _by_filter(subject: Seen) -> Followed:
 
 def _ordered(subject: Seen, frame: Frame, detector: MarkerDetector) -> Array:
     """Return the markers (K, 2) in a whole frame, m, in the order in which a rope runs through them."""
-    places, _ = detector.find(frame.image).in_plane(subject.camera)
-    order = order_markers(places, subject.swing.arc_lengths, (0.0, 0.0))
+    places = subject.camera.locate(detector.find(frame.image).places)
+    order = order_markers(places, subject.swing.arc_lengths, np.zeros(2))
     return np.where((order.indices[:, None] >= 0) & order.certain, places[order.indices], np.nan)
 
 

@@ -42,10 +42,10 @@ class Capture:
 def capture(image: Image, detector: MarkerDetector, camera: Camera, predicted: Array) -> Capture:
     """Look for markers in windows around where they are predicted (K, 2), m: the nearest blob, and none for two."""
     start = time.perf_counter()
-    shown = camera.linearize(predicted)
-    reach = WINDOW * np.linalg.norm(shown.by_point, ord=2, axis=(1, 2))
-    gates = [Gate(centre, (each / 3.0) ** 2 * np.eye(2)) for centre, each in zip(shown.pixels, reach, strict=True)]
-    seen, _ = detector.find(image, gates).in_plane(camera)
+    pixels, slopes = camera.linearize(predicted)
+    reach = WINDOW * np.linalg.norm(slopes, ord=2, axis=(1, 2))
+    gates = [Gate(centre, (each / 3.0) ** 2 * np.eye(2)) for centre, each in zip(pixels, reach, strict=True)]
+    seen = camera.locate(detector.find(image, gates).places)
     places = np.full(predicted.shape, np.nan)
     apart = np.linalg.norm(seen[None] - predicted[:, None], axis=2)
     while apart.size and apart.min() < WINDOW:

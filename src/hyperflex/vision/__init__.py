@@ -7,24 +7,28 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.vision.assignment import Assignment, assign_markers
-    from hyperflex.vision.bars import FLOOR, BarDetector, BarObservations, BarTrack, link_angles, track_bars
+    from hyperflex.vision.bars import BarDetector, BarObservations, BarTrack, link_angles, track_bars
     from hyperflex.vision.boards import Board, BoardView
     from hyperflex.vision.calibration import Calibration, calibrate_camera
-    from hyperflex.vision.camera import Camera
-    from hyperflex.vision.camera_file import read_camera
+    from hyperflex.vision.camera import Camera, PlaneView, read_camera
     from hyperflex.vision.clutter import ClutterMap
     from hyperflex.vision.colour import MarkerColour
-    from hyperflex.vision.live import LiveCamera
-    from hyperflex.vision.markers import Gate, MarkerDetector, Observations
+    from hyperflex.vision.markers import Blobs, Gate, MarkerDetector
     from hyperflex.vision.ordering import Ordering, check_increasing, order_markers
-    from hyperflex.vision.pictures import read_image, read_pictures
-    from hyperflex.vision.plane import AS_CALIBRATED, PlaneAdjustment, PlaneView, Projection
     from hyperflex.vision.renderer.boards import film_board
     from hyperflex.vision.renderer.motion import RopeMotion, sway
-    from hyperflex.vision.renderer.renderer import Renderer, frame_times
+    from hyperflex.vision.renderer.renderer import Renderer, Truth, frame_times
     from hyperflex.vision.renderer.scene import Bar, Occluder, Scene, random_occlusion
-    from hyperflex.vision.renderer.truth import Truth
-    from hyperflex.vision.video import Frame, Image, VideoReader, VideoWriter
+    from hyperflex.vision.video import (
+        Frame,
+        Image,
+        LiveCamera,
+        VideoReader,
+        VideoWriter,
+        follow_video,
+        read_image,
+        read_pictures,
+    )
 
 extras.require(("cv2", "av"), "vision", "Cameras, pictures and videos")
 

@@ -12,11 +12,11 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.video import Image
 
-MISMATCH = 0.15  # of a marker's side: rms by which markers miss their places on the declared board
-RATIO_TOLERANCE = 0.05  # of marker to square
+MISMATCH = 0.15  # of a marker's side: least rms error of the markers' places that means another board
+RATIO_TOLERANCE = 0.05  # of the ratio of marker to square
 _LEAST_CORNERS = 8
-_LARGEST = 1.0  # m, side of a square
-_FLAT = 0.02  # of the longer extent: corners nearly on one line tell no view
+_LARGEST = 1.0  # m, side of a square: a larger one is meant in another unit
+_FLAT = 0.02  # of the longer extent: corners nearly on one line do not define a view
 
 
 class BoardView(NamedTuple):
@@ -60,7 +60,7 @@ class Board:
     Notes
     -----
     ChArUco boards with an even number of rows are printed in two ways: OpenCV changed its own in version 4.6. Both are
-    tried, and the one taken on which the markers lie where they are seen.
+    tried, and the one that the markers fit is taken.
     """
 
     squares: tuple[int, int]
@@ -89,7 +89,7 @@ class Board:
             raise InvalidInput("dictionary has too few markers", got=held, allowed=f"at least {width * height // 2}")
 
     def find(self, image: Image) -> BoardView | None:
-        """Return the board as seen in a picture, or None where it is not seen (or fewer than 8 of its corners are).
+        """Return the board as seen in a picture, or None if fewer than 8 of its corners are seen.
 
         Parameters
         ----------
@@ -111,11 +111,11 @@ class Board:
         return found if spread[1] > _FLAT * spread[0] else None
 
     def is_mirrored(self, image: Image) -> bool:
-        """Whether the board is seen in the mirror image of this picture; a chessboard looks the same in both."""
+        """Whether the board is seen in the mirror image of this picture; a chessboard is alike in both."""
         return self.marker is not None and self.find(np.ascontiguousarray(image[:, ::-1])) is not None
 
     def other_dictionary(self, image: Image) -> str | None:
-        """Return the dictionary of which most markers are seen, where it is another one than declared; else None."""
+        """Return the dictionary of most of the markers seen if it is not the declared one; else None."""
         import cv2
 
         best, most = None, 3
@@ -212,9 +212,7 @@ class Board:
         return np.asarray(cv2.cornerSubPix(gray, start, (half, half), (-1, -1), stop), dtype=np.float64)[:, 0]
 
     def _marker_misfit(self, layout: Any, corners: Any, ids: npt.NDArray[np.int32]) -> float:
-        """Return by what rms share of their side the markers miss their places on a board under the best homography."""
-        import cv2
-
+        """Return the rms error of the markers' places on a board under the best homography, over their side."""
         places = {
             int(name): np.asarray(place)[:, :2]
             for name, place in zip(layout.getIds(), layout.getObjPoints(), strict=True)
@@ -224,27 +222,29 @@ class Board:
             return float("inf")
         board = np.concatenate([places[int(ids[k])] for k in known]).astype(np.float64)
         seen = np.concatenate([np.reshape(corners[k], (4, 2)) for k in known]).astype(np.float64)
-        to_board, _ = cv2.findHomography(seen, board)
-        if to_board is None:
-            return float("inf")
-        missed = cv2.perspectiveTransform(seen[:, None], to_board)[:, 0] - board
-        return float(np.sqrt(np.mean(np.sum(missed**2, axis=1)))) / float(self.marker or self.square)
+        error = _mapped(seen, seen, board) - board
+        return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))) / float(self.marker or self.square)
 
     def _check_ratio(self, points: Array, pixels: Array, corners: Any) -> None:
         """Refuse markers that are larger or smaller in their squares than declared."""
-        import cv2
-
-        to_board, _ = cv2.findHomography(pixels, points)
-        if to_board is None or self.marker is None:
-            return
-        seen = np.concatenate([np.reshape(c, (1, 4, 2)) for c in corners]).astype(np.float64)
-        placed = cv2.perspectiveTransform(seen.reshape(-1, 1, 2), to_board).reshape(-1, 4, 2)
-        sides = np.linalg.norm(placed - np.roll(placed, 1, axis=1), axis=2)
-        ratio = float(np.median(sides)) / self.square
-        if abs(ratio - self.marker / self.square) > RATIO_TOLERANCE:
+        seen = np.concatenate([np.reshape(c, (4, 2)) for c in corners]).astype(np.float64)
+        placed = _mapped(seen, pixels, points).reshape(-1, 4, 2)
+        ratio = float(np.median(np.linalg.norm(placed - np.roll(placed, 1, axis=1), axis=2))) / self.square
+        declared = float(self.marker or 0.0) / self.square
+        if abs(ratio - declared) > RATIO_TOLERANCE:
             raise InvalidInput(
                 "markers have another size in their squares than declared: marker over square",
                 got=round(ratio, 3),
-                allowed=f"{self.marker / self.square:.3f}, as declared",
+                allowed=f"{declared:.3f}, as declared",
                 fix="Measure squares and markers on the print (the marker with its black border)",
             )
+
+
+def _mapped(places: Array, before: Array, after: Array) -> Array:
+    """Return places (M, 2) under the best homography from points before to after; inf if there is none."""
+    import cv2
+
+    homography, _ = cv2.findHomography(before, after)
+    if homography is None:
+        return np.full(places.shape, np.inf)
+    return np.asarray(cv2.perspectiveTransform(places[:, None], homography)[:, 0])

@@ -1,7 +1,7 @@
-"""Calibration of a camera from pictures of a board, and what makes it refuse them."""
+"""Calibration of a camera from pictures of a board, and the reasons to refuse them."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,16 +15,16 @@ from hyperflex.vision.camera import Camera
 from hyperflex.vision.video import Image
 
 MIN_VIEWS = 4
-LEAST_TILT = 10.0  # degrees, between the boards of two views
-MAX_RMS = 2.0  # px, beyond which no board was calibrated
+LEAST_TILT = 10.0  # degrees, between the boards of two views: with less the focal length is poorly determined
+MAX_RMS = 2.0  # px: a larger reprojection error means that the board is not the declared one
 MAX_FOCAL_STD = 0.01  # of the focal length
-_MANY = 30  # views that are used: more tell little more
-_OUTLIER = 3.0  # times the median rms of a view
+_MANY = 30  # views that are used: more hardly improve the fit
+_OUTLIER = 3.0  # times the median rms of a view, beyond which it is dropped
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A calibrated camera, and how well it is known.
+    """A calibrated camera, and its accuracy.
 
     Attributes
     ----------
@@ -38,14 +38,15 @@ class Calibration:
         Standard deviations of focal length and centre, px, from the fit's covariance.
     tilt : float
         Greatest angle between the boards of two views, degrees.
-    images, views : int
-        Pictures looked at, and views of the board used.
+    views : int
+        Views of the board used.
     board : Board
-        The board.
     legacy : bool
         Whether it is a legacy ChArUco pattern.
+    images : int
+        Pictures read.
     notes : tuple of str
-        What was left out, and what a better calibration needs.
+        What was dropped, and what a better calibration needs.
     """
 
     camera: Camera
@@ -54,10 +55,10 @@ class Calibration:
     focal_std: float
     centre_std: float
     tilt: float
-    images: int
     views: int
     board: Board
     legacy: bool
+    images: int = 0
     notes: tuple[str, ...] = ()
 
     def plane_points(self, image: Image) -> tuple[Array, Array]:
@@ -84,9 +85,9 @@ class Calibration:
         Parameters
         ----------
         image : (height, width, 3) uint8
-            The board held in the swing plane, its squares to the right and down as declared.
+            The board in the swing plane, its squares to the right and down as declared.
         origin : (2,) array_like, optional
-            Where the plane's origin (the arm's axis) is seen, px; the board's top left corner if left out.
+            Where the plane's origin (the arm's axis) is seen, px; by default the board's top left corner.
 
         Raises
         ------
@@ -104,12 +105,12 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
     Parameters
     ----------
     images : iterable of (height, width, 3) uint8
-        All of one size; frames of a video too (:class:`VideoReader` gives them). Blurred ones and such without the
-        board are left out; the 30 that differ most are used.
+        All of one size; frames of a video too. Blurred ones and those without the board are skipped; the 30 that differ
+        most are used.
     board : Board
-        What is seen in them.
+        The board in them.
     progress : callable, optional
-        Called with the number of pictures looked at and of views found.
+        Called with the number of pictures read and of views found.
     **timing
         exposure, readout, readout_direction and delay of the camera.
 
@@ -121,41 +122,37 @@ def calibrate_camera(images: Iterable[Image], board: Board, *, progress: Any = N
     ------
     InvalidInput
         With fewer than four views of the board; for a mirrored picture, another board than declared, markers of another
-        size in their squares; for views that are all parallel, or do not tell the focal length; where nothing fits. A
-        wrong size of squares and markers alike cannot be told: it shows in the scale only.
+        size in their squares; for views that are all parallel, or do not determine the focal length; if nothing fits. A
+        wrong size of squares and markers alike cannot be detected: it affects the scale only.
 
     Notes
     -----
-    OpenCV's calibrateCamera (Zhang 2000): fx, fy, cx, cy, k1, k2, p1, p2, and k3 where BIC wants it. Cost: some tens of
+    OpenCV's calibrateCamera (Zhang 2000): fx, fy, cx, cy, k1, k2, p1, p2, and k3 if it lowers BIC. Cost: some tens of
     milliseconds a picture.
     """
-    views, size, looked_at = _collect(images, board, progress)
+    views, size, count = _collect(images, board, progress)
     legacy = 2 * sum(view.legacy for view in views) > len(views)
     views = [view for view in views if view.legacy == legacy]
-    if len(views) < MIN_VIEWS:
+    found = len(views)
+    if found < MIN_VIEWS:
         raise InvalidInput(
             "too few views of the board",
-            got=f"{len(views)} in {looked_at} pictures",
+            got=f"{found} in {count} pictures",
             allowed=f"at least {MIN_VIEWS}, better 15",
             fix="Show the whole board, sharp and well lit, at different angles and places; check --squares",
         )
-    found = len(views)
-    views = _spread_out(views, _MANY)
-    fit = _fit(views, size)
+    views, notes = _spread_out(views), []
+    fit = _fit(views, size, board, timing)
     good = fit.view_rms <= np.maximum(_OUTLIER * np.median(fit.view_rms), 0.3)
-    notes = []
     if not good.all() and good.sum() >= MIN_VIEWS:
-        notes.append(f"{int((~good).sum())} views with much greater errors (blurred, bent board) were left out")
-        views = [view for view, keep in zip(views, good, strict=True) if keep]
-        fit = _fit(views, size)
+        notes.append(f"{int((~good).sum())} views with much greater errors (blurred, bent board) were dropped")
+        fit = _fit([view for view, keep in zip(views, good, strict=True) if keep], size, board, timing)
     _check(fit)
     if fit.rms > 0.5:
-        notes.append(f"the reprojection error of {fit.rms:.2f} px is large: sharper pictures, a flatter board")
+        notes.append(f"the reprojection error of {fit.rms:.2f} px is large: take sharper pictures, a flatter board")
     if found < 10:
-        notes.append(f"only {found} views: 15 would tell more")
-    camera = Camera(size, fit.matrix, fit.distortion, **timing)
-    figures = (fit.rms, fit.view_rms, fit.focal_std, fit.centre_std, fit.tilt, looked_at, len(views))
-    return Calibration(camera, *figures, board, legacy, tuple(notes))
+        notes.append(f"only {found} views: 15 would be more accurate")
+    return replace(fit, images=count, notes=tuple(notes))
 
 
 def check_size(image: Image, size: tuple[int, int]) -> None:
@@ -164,49 +161,27 @@ def check_size(image: Image, size: tuple[int, int]) -> None:
         raise InvalidInput("pictures differ in size", got=image.shape[1::-1], allowed=f"{size} px, as the others")
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """What OpenCV found."""
-
-    rms: float
-    matrix: Array
-    distortion: Array
-    rotations: Array
-    view_rms: Array
-    focal_std: float
-    centre_std: float
-
-    @property
-    def tilt(self) -> float:
-        """Greatest angle between the normals of two boards, degrees."""
-        import cv2
-
-        normals = np.array([cv2.Rodrigues(r)[0][:, 2] for r in self.rotations])
-        return float(np.degrees(np.arccos(np.clip((normals @ normals.T).min(), -1.0, 1.0))))
-
-
 def _collect(images: Iterable[Image], board: Board, progress: Any) -> tuple[list[BoardView], tuple[int, int], int]:
     """Return the views of the board, the pictures' size and their number."""
     views: list[BoardView] = []
-    size: tuple[int, int] | None = None
     first: list[Image] = []
-    looked_at = 0
-    for image in images:
+    size: tuple[int, int] | None = None
+    count = 0
+    for count, image in enumerate(images, start=1):
         size = size or (image.shape[1], image.shape[0])
         check_size(image, size)
-        looked_at += 1
         view = board.find(image)
         if view is not None:
             views.append(view)
         elif not views and len(first) < 5:
             first.append(image)
         if progress is not None:
-            progress(looked_at, len(views))
+            progress(count, len(views))
     if size is None:
         raise InvalidInput("there is no picture to calibrate from", fix="Give pictures or a video of the board")
     if not views:
         _explain(first, board)
-    return views, size, looked_at
+    return views, size, count
 
 
 def _explain(images: Sequence[Image], board: Board) -> None:
@@ -224,9 +199,9 @@ def _explain(images: Sequence[Image], board: Board) -> None:
             )
 
 
-def _spread_out(views: list[BoardView], many: int) -> list[BoardView]:
-    """Return at most so many views that differ most in how the board lies in the picture (farthest point first)."""
-    if len(views) <= many:
+def _spread_out(views: list[BoardView]) -> list[BoardView]:
+    """Return the views that differ most in how the board lies in the picture (farthest point first)."""
+    if len(views) <= _MANY:
         return views
     outlines = []
     for view in views:  # the affine map from board to picture
@@ -237,24 +212,25 @@ def _spread_out(views: list[BoardView], many: int) -> list[BoardView]:
     shapes = np.array(outlines)
     chosen = [int(np.argmax([len(view.points) for view in views]))]
     distance = np.full(len(views), np.inf)
-    while len(chosen) < many:
+    while len(chosen) < _MANY:
         distance = np.minimum(distance, np.linalg.norm(shapes - shapes[chosen[-1]], axis=1))
         chosen.append(int(np.argmax(distance)))
     return [views[k] for k in sorted(chosen)]
 
 
-def _fit(views: Sequence[BoardView], size: tuple[int, int]) -> _Fit:
-    """Fit the camera, with k3 where it lowers BIC."""
+def _fit(views: Sequence[BoardView], size: tuple[int, int], board: Board, timing: dict[str, Any]) -> Calibration:
+    """Fit the camera, with k3 if it lowers BIC."""
     import cv2
 
-    plain = _calibrate(views, size, cv2.CALIB_FIX_K3)
-    more = _calibrate(views, size, 0)
+    plain, more = (_calibrate(views, size, board, timing, flags) for flags in (cv2.CALIB_FIX_K3, 0))
     count = 2 * sum(len(view.points) for view in views)
-    wins = count * np.log(max(more.rms, 1e-9) / max(plain.rms, 1e-9)) * 2.0 + np.log(count) < 0.0
-    return more if wins and more.focal_std < 2.0 * plain.focal_std else plain
+    better = count * np.log(max(more.rms, 1e-9) / max(plain.rms, 1e-9)) * 2.0 + np.log(count) < 0.0
+    return more if better and more.focal_std < 2.0 * plain.focal_std else plain
 
 
-def _calibrate(views: Sequence[BoardView], size: tuple[int, int], flags: int) -> _Fit:
+def _calibrate(
+    views: Sequence[BoardView], size: tuple[int, int], board: Board, timing: dict[str, Any], flags: int
+) -> Calibration:
     import cv2
 
     points = [np.column_stack([v.points, np.zeros(len(v.points))]).astype(np.float32) for v in views]
@@ -266,23 +242,25 @@ def _calibrate(views: Sequence[BoardView], size: tuple[int, int], flags: int) ->
         )
     except cv2.error:
         raise _degenerate("no camera fits") from None
-    deviations = np.asarray(std, dtype=np.float64).ravel()
-    return _Fit(
+    if not np.isfinite([rms, matrix[0, 0]]).all():
+        raise _degenerate("no camera fits")
+    normals = np.array([cv2.Rodrigues(r)[0][:, 2] for r in rotations])
+    return Calibration(
+        Camera(size, matrix, np.ravel(distortion)[:5], **timing),
         float(rms),
-        np.asarray(matrix, dtype=np.float64),
-        np.asarray(distortion, dtype=np.float64).ravel()[:5],
-        np.array([np.ravel(r) for r in rotations]),
         np.asarray(view_rms, dtype=np.float64).ravel(),
-        float(deviations[:2].max()),
-        float(deviations[2:4].max()),
+        focal_std=float(np.ravel(std)[:2].max()),
+        centre_std=float(np.ravel(std)[2:4].max()),
+        tilt=float(np.degrees(np.arccos(np.clip((normals @ normals.T).min(), -1.0, 1.0)))),
+        views=len(views),
+        board=board,
+        legacy=views[0].legacy,
     )
 
 
-def _check(fit: _Fit) -> None:
-    """Refuse a fit that means nothing."""
-    focal = float(fit.matrix[0, 0])
-    if not np.isfinite([fit.rms, focal]).all():
-        raise _degenerate("no camera fits")
+def _check(fit: Calibration) -> None:
+    """Refuse a fit that is not meaningful."""
+    focal = float(fit.camera.matrix[0, 0])
     if fit.tilt < LEAST_TILT:
         raise _degenerate(f"greatest angle between two of them {fit.tilt:.1f} degrees")
     if fit.rms > MAX_RMS:
@@ -294,7 +272,7 @@ def _check(fit: _Fit) -> None:
         )
     if fit.focal_std > MAX_FOCAL_STD * focal:
         raise InvalidInput(
-            "the views do not tell the focal length: its standard deviation in px",
+            "the views do not determine the focal length: its standard deviation in px",
             got=round(fit.focal_std, 1),
             allowed=f"at most {MAX_FOCAL_STD * focal:.1f} px, 1 % of it",
             fix="Add views with the board tilted by 30 to 45 degrees to each side, in all corners of the picture",
@@ -303,7 +281,7 @@ def _check(fit: _Fit) -> None:
 
 def _degenerate(what: str) -> InvalidInput:
     return InvalidInput(
-        "the views are degenerate (all parallel): they do not tell the focal length",
+        "the views are degenerate (all parallel): they do not determine the focal length",
         got=what,
         allowed=f"boards tilted against each other by at least {LEAST_TILT:g} degrees",
         fix="Tilt the board by 30 to 45 degrees to each side",

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,30 +13,73 @@ from hyperflex.checks import Array
 from hyperflex.core.image import projection
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.vision.plane import (
-    AS_CALIBRATED,
-    PlaneAdjustment,
-    PlaneView,
-    Projection,
-    adjusted,
-    check_scale,
-    check_visible,
-    plane_pose,
-    plane_view,
-    rodrigues,
-    turn,
-)
 
 FORMAT = "hyperflex camera 1"
 DIRECTIONS = ("down", "up", "right", "left")  # in which rows or columns are read out one after the other
 TIMING = ("exposure", "readout", "readout_direction", "delay")
-_DISTORTION_SIZES = (4, 5, 8)
+LARGEST_MISFIT = 0.003  # rms reprojection error of the points that define the plane, of the picture's longer side
+SIDEWAYS = 45.0  # degrees: from there y does not point up in the picture
+_FLATTEST = 5.0  # degrees between the plane and the line of sight to its origin: the plane is seen edge-on
+_WIDTHS = (0.01, 100.0)  # m, limits of the picture's width in the plane: any swing lies between them
 _FACING = np.diag([1.0, -1.0, -1.0])  # plane: x right, y up, z to the viewer; camera: x right, y down, z forward
+
+
+class PlaneView(NamedTuple):
+    """How a camera sees the swing plane.
+
+    Attributes
+    ----------
+    x_direction, y_direction : float
+        Where x and y point in the picture at the plane's origin, degrees counterclockwise from the right, -180 to 180;
+        0 and 90 if x points right and y up.
+    tilt : float
+        Angle between the plane's normal and the camera's axis, degrees, 0 to 90.
+    roll : float
+        Angle of y, counterclockwise from upwards in the picture, degrees, -180 to 180.
+    mirrored : bool
+        Whether the plane is seen from behind: x points left if y points up.
+    """
+
+    x_direction: float
+    y_direction: float
+    tilt: float
+    roll: float
+    mirrored: bool
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is unusual: y not upwards, x to the left."""
+        found = []
+        if abs(self.roll) > SIDEWAYS:
+            found.append(
+                f"y of the swing plane points {self.y_words} in the picture, not up: is the board upside down or on "
+                "its side, or are y of the points positive downwards? A rope hangs to -y"
+            )
+        if self.mirrored:
+            found.append(
+                f"the swing plane is seen from behind: x points {self.x_words} where y points {self.y_words}. "
+                "Are x or y of the points in another direction than right and up?"
+            )
+        return tuple(found)
+
+    @property
+    def x_words(self) -> str:
+        """Where x points, in a word."""
+        return _direction(self.x_direction)
+
+    @property
+    def y_words(self) -> str:
+        """Where y points, in a word."""
+        return _direction(self.y_direction)
+
+
+def _direction(angle: float) -> str:
+    return ("right", "up", "left", "down")[round(angle / 90.0) % 4]
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera with OpenCV's intrinsics and distortion, and the pose of the swing plane before it.
+    """A pinhole camera with OpenCV's intrinsics and distortion, and the pose of the swing plane in front of it.
 
     Parameters
     ----------
@@ -54,14 +97,14 @@ class Camera:
     readout : float
         From the middle of the exposure of the first row to that of the last one, s; 0 for a global shutter.
     readout_direction : {"down", "up", "right", "left"}
-        Of the rows in the picture as it is looked at: "down" unless the picture was rotated.
+        Of the rows in the picture as it is viewed: "down" unless the picture was rotated.
     delay : float
         How much later a frame's time stamp is than the middle of the exposure of the row read first, s.
 
     Raises
     ------
     InvalidInput
-        If a value is not finite, has the wrong shape or sign, or the matrix is none of a camera.
+        If a value is not finite, has the wrong shape or sign, or the matrix is not a camera matrix.
 
     Notes
     -----
@@ -89,18 +132,12 @@ class Camera:
 
     def __post_init__(self) -> None:
         matrix = checks.array("camera matrix", self.matrix, (3, 3), unit="px")
-        if (
-            matrix[0, 0] <= 0.0
-            or matrix[1, 1] <= 0.0
-            or any(matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] != [0, 0, 0, 0, 1])
-        ):
-            raise InvalidInput(
-                "camera matrix is none",
-                got=matrix.tolist(),
-                allowed="[[fx, 0, cx], [0, fy, cy], [0, 0, 1]], fx, fy > 0",
-            )
+        others = matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]].tolist()
+        if not (np.diag(matrix)[:2] > 0.0).all() or others != [0, 0, 0, 0, 1]:
+            allowed = "[[fx, 0, cx], [0, fy, cy], [0, 0, 1]], fx, fy > 0"
+            raise InvalidInput("camera matrix is invalid", got=matrix.tolist(), allowed=allowed)
         distortion = checks.array("distortion", self.distortion, (-1,))
-        if distortion.size not in _DISTORTION_SIZES:
+        if distortion.size not in (4, 5, 8):
             raise InvalidInput("distortion has the wrong size", got=distortion.size, allowed="4, 5 or 8 coefficients")
         if (self.rotation is None) != (self.translation is None):
             raise InvalidInput("one of rotation and translation is missing", fix="Give both or none")
@@ -132,7 +169,7 @@ class Camera:
         image_size : (int, int)
             Width and height, px.
         focal : float, optional
-            Focal length, px; 1.2 times the longer side (a phone's main camera, about 45 degrees wide) if left out.
+            Focal length, px; by default 1.2 times the longer side (a phone's main camera, about 45 degrees wide).
         **timing
             exposure, readout, readout_direction, delay.
         """
@@ -152,7 +189,7 @@ class Camera:
         focal: float | None = None,
         **timing: Any,
     ) -> "Camera":
-        """Return a camera that looks straight at the swing plane.
+        """Return a camera that faces the swing plane at a right angle.
 
         Parameters
         ----------
@@ -163,18 +200,17 @@ class Camera:
         origin : (2,) array_like
             Where the plane's origin is seen, px.
         roll : float
-            By which the plane looks turned counterclockwise, rad.
+            Counterclockwise rotation of the plane in the picture, rad.
         focal : float, optional
-            See :meth:`pinhole`; it tells the distance, which matters for what moves off the plane.
+            See :meth:`pinhole`; it defines the distance, which matters for motion off the plane.
         **timing
             exposure, readout, readout_direction, delay.
         """
         camera = cls.pinhole(image_size, focal, **timing)
         scale = checks.number("pixels_per_metre", pixels_per_metre, sign="positive", unit="px/m")
         place = checks.array("origin", origin, (2,), unit="px")
-        f = camera.matrix[0, 0]
-        translation = np.array([*(place - camera.matrix[:2, 2]) / scale, f / scale])
-        return replace(camera, rotation=rodrigues(_FACING @ turn(roll)), translation=translation)
+        translation = np.array([*(place - camera.matrix[:2, 2]) / scale, camera.matrix[0, 0] / scale])
+        return replace(camera, rotation=_rotation_vector(_FACING @ _roll(roll)), translation=translation)
 
     def with_plane(self, points: npt.ArrayLike, pixels: npt.ArrayLike) -> "Camera":
         """Return this camera with the swing plane's pose found from known points of it (OpenCV's solvePnP).
@@ -189,24 +225,46 @@ class Camera:
         Raises
         ------
         InvalidInput
-            With fewer than four points, points on one line, or where no pose fits (the rms error in px is named): the
-            points may be in another order, in another unit, or the camera another one; for a scale that cannot be.
+            With fewer than four points, points on one line, an impossible scale, or if no pose fits (the rms error in
+            px is reported): the points may be in another order or unit, or belong to another camera.
         """
         known = checks.array("points", points, (-1, 2), unit="m")
         seen = checks.array("pixels", pixels, (known.shape[0], 2), unit="px")
-        pose = plane_pose(known, seen, self.matrix, self.distortion, self.image_size)
-        found = replace(self, rotation=pose[0], translation=pose[1])
-        check_visible(*found.axes)
-        check_scale(found.pixels_per_metre, self.image_size)
+        rotation, translation = self._pose(known, seen)
+        found = replace(self, rotation=rotation, translation=translation)
+        found.check_visible()
+        width, (least, most) = self.image_size[0] / found.pixels_per_metre, _WIDTHS
+        if not least <= width <= most:
+            raise InvalidInput(
+                "the scale of the swing plane is impossible",
+                got=f"{found.pixels_per_metre:.3g} px/m: the picture is {width:.3g} m wide there",
+                allowed=f"a width of {least:g} to {most:g} m",
+                fix="Give squares and points in metres, not in millimetres",
+            )
         return found
 
     def with_origin(self, pixel: npt.ArrayLike) -> "Camera":
-        """Return this camera with the swing plane's origin moved to where it shows a pixel (2,)."""
+        """Return this camera with the swing plane's origin moved to where it is seen at a pixel (2,)."""
         place = self.locate(checks.array("origin", pixel, (2,), unit="px")[None])[0]
         if not np.isfinite(place).all():
-            raise InvalidInput("origin shows no point of the swing plane", got=pixel, allowed="a pixel of it")
+            raise InvalidInput("origin is not a point of the swing plane", got=pixel, allowed="a pixel of the plane")
+        return self.adjusted(offset=place)
+
+    def adjusted(self, scale: float = 1.0, roll: float = 0.0, offset: npt.ArrayLike = (0.0, 0.0)) -> "Camera":
+        """Return this camera with another swing plane: a place p in it is at offset + scale R(roll) p in the old one.
+
+        Parameters
+        ----------
+        scale : float
+            Ratio of lengths in the old plane to lengths in the new one.
+        roll : float
+            Counterclockwise in the plane, rad.
+        offset : (2,) array_like
+            The new origin in the old plane, m.
+        """
         rotation, translation = self.axes
-        return replace(self, translation=translation + rotation[:, :2] @ place)
+        moved = (translation + rotation[:, :2] @ np.asarray(offset)) / scale  # a picture does not depend on the size
+        return replace(self, rotation=_rotation_vector(rotation @ _roll(roll)), translation=moved)
 
     @cached_property
     def axes(self) -> tuple[Array, Array]:
@@ -216,7 +274,9 @@ class Camera:
                 "the camera does not know the swing plane",
                 fix="Use with_plane with four points, or calibrate with a picture of the board in the plane",
             )
-        return rodrigues(self.rotation), self.translation
+        import cv2
+
+        return np.asarray(cv2.Rodrigues(self.rotation)[0], dtype=np.float64), self.translation
 
     @cached_property
     def _to_plane(self) -> Array:
@@ -234,99 +294,167 @@ class Camera:
 
     @property
     def pixels_per_metre(self) -> float:
-        """Scale at the plane's origin, px/m: the root of the area that a square metre has there."""
-        by_point = self.linearize(np.zeros((1, 2))).by_point[0]
-        return math.sqrt(abs(float(np.linalg.det(by_point))))
+        """Scale at the plane's origin, px/m: the square root of the area of a square metre there."""
+        return math.sqrt(abs(float(np.linalg.det(self._slopes_at_origin))))
+
+    @property
+    def _slopes_at_origin(self) -> Array:
+        return self.linearize(np.zeros((1, 2)))[1][0]
 
     @property
     def plane_view(self) -> PlaneView:
         """Where x and y of the swing plane point in the picture, and how it is tilted."""
-        return plane_view(self.axes[0], self.linearize(np.zeros((1, 2))).by_point[0])
+        slopes = self._slopes_at_origin
+        x, y = (np.degrees(np.arctan2(-slopes[1], slopes[0])) + 0.0).tolist()  # no -0
+        tilt = math.degrees(math.acos(min(1.0, abs(float(self.axes[0][2, 2])))))
+        return PlaneView(x, y, tilt, (y + 90.0) % 360.0 - 180.0, bool(np.linalg.det(slopes) > 0.0))
 
-    def project(self, points: npt.ArrayLike, adjustment: PlaneAdjustment = AS_CALIBRATED) -> Array:
-        """Return pixels (K, 2) of points (K, 2) in the plane, or (K, 3) beside it, m; see :meth:`linearize`."""
-        return self._project(adjusted(np.asarray(points, dtype=np.float64), adjustment))[0]
+    def check_visible(self) -> None:
+        """Raise InvalidInput if the swing plane is seen edge-on or lies behind the camera."""
+        rotation, translation = self.axes
+        away = float(np.linalg.norm(translation))
+        flat = math.degrees(math.asin(min(1.0, abs(float(rotation[:, 2] @ translation)) / away))) if away else 0.0
+        if translation[2] <= 0.0 or flat < _FLATTEST:
+            wrong = "is behind the camera" if translation[2] <= 0.0 else "is seen edge-on"
+            raise InvalidInput(
+                f"the swing plane {wrong}",
+                got=f"translation {np.round(translation, 4).tolist()} m, {flat:.1f} degrees to the line of sight",
+                allowed=f"an origin in front of the camera, at {_FLATTEST:g} degrees or more to the line of sight",
+                fix="Calibrate the plane again",
+            )
 
-    def linearize(self, points: npt.ArrayLike, adjustment: PlaneAdjustment = AS_CALIBRATED) -> Projection:
-        """Return pixels of points in the swing plane, with derivatives.
+    def _pose(self, points: Array, pixels: Array) -> tuple[Array, Array]:
+        """Return the pose (rvec, tvec) of the swing plane that fits known points best.
+
+        OpenCV's solvePnP for planes (Collins, Bartoli 2014) gives two poses; both are refined by Levenberg-Marquardt.
+        """
+        import cv2
+
+        if points.shape[0] < 4:
+            raise InvalidInput("too few points for the plane's pose", got=points.shape[0], allowed="at least 4")
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if spread[1] < 0.02 * spread[0]:
+            raise InvalidInput("points lie on one line", got=points.tolist(), fix="Take points that span an area")
+        space, lens = np.column_stack([points, np.zeros(len(points))]), (self.matrix, self.distortion)
+        ok, rotations, translations, _ = cv2.solvePnPGeneric(space, pixels, *lens, flags=cv2.SOLVEPNP_IPPE)
+        best, least = None, math.inf
+        for r, t in zip(rotations, translations, strict=True) if ok else ():
+            r, t = cv2.solvePnPRefineLM(space, pixels, *lens, r, t)
+            seen = cv2.projectPoints(space, r, t, *lens)[0].reshape(-1, 2)
+            error = float(np.sqrt(np.mean(np.sum((seen - pixels) ** 2, axis=1))))
+            if error < least:
+                best, least = (r.ravel(), t.ravel()), error
+        limit = LARGEST_MISFIT * max(self.image_size)
+        if best is None or not least <= limit:
+            raise InvalidInput(
+                "no pose of the swing plane fits the points: rms error in px",
+                got=round(least, 2),
+                allowed=f"at most {limit:.1f} px",
+                fix="Check the order of the points (x right, y up, in m; u right, v down) and the camera",
+            )
+        return best
+
+    def project(self, points: npt.ArrayLike) -> Array:
+        """Return pixels (K, 2) of points (K, 2) in the plane, or (K, 3) off it, m; see :meth:`linearize`."""
+        return self.linearize(points)[0]
+
+    def linearize(self, points: npt.ArrayLike) -> tuple[Array, Array]:
+        """Return pixels (K, 2) of points, and their derivatives (K, 2, D) with respect to the points, px/m.
 
         Parameters
         ----------
         points : (K, 2) or (K, 3) array_like
-            Places, m; the third coordinate is off the plane, towards the viewer.
-        adjustment : PlaneAdjustment
-            How the plane deviates from the calibrated one.
-
-        Returns
-        -------
-        Projection
-            NaN for points that are NaN or behind the camera.
+            Places, m; the third coordinate is off the plane, towards the viewer. NaN, and points behind the camera,
+            give NaN.
         """
-        places = np.asarray(points, dtype=np.float64)
-        pixels, slopes = self._project(adjusted(places, adjustment))
-        size = places.shape[1]
-        turned_axes = np.eye(size)
-        turned_axes[:2, :2] = turn(adjustment.roll)[:2, :2]
-        by_point = adjustment.scale * slopes[:, :, :size] @ turned_axes
-        turned = places @ turned_axes.T
-        across = turned[:, :2] @ np.array([[0.0, 1.0], [-1.0, 0.0]])  # turned by a quarter
-        by_adjustment = np.empty((len(places), 2, 4))
-        by_adjustment[:, :, 0] = np.einsum("kij,kj->ki", slopes[:, :, :size], turned)
-        by_adjustment[:, :, 1] = adjustment.scale * np.einsum("kij,kj->ki", slopes[:, :, :2], across)
-        by_adjustment[:, :, 2:] = slopes[:, :, :2]
-        return Projection(pixels, by_point, by_adjustment)
+        given = np.asarray(points, dtype=np.float64)
+        if given.ndim != 2 or given.shape[1] not in (2, 3):
+            raise InvalidInput("points have the wrong shape", got=given.shape, allowed="shape (K, 2) or (K, 3), m")
+        places, size = np.zeros((len(given), 3)), given.shape[1]
+        places[:, :size] = given
+        pixels, slopes = np.empty((len(given), 2)), np.empty((len(given), 2, 3))
+        projection.project(places, self._lens, pixels, slopes)
+        return pixels, slopes[:, :, :size]
 
-    def place_slopes(self, places: Array, adjustment: PlaneAdjustment = AS_CALIBRATED) -> tuple[Array, Array]:
-        """Return the pixels (K, 2) of places (K, 2) in the swing plane, m, and the derivatives (K, 2, 2), px/m."""
-        pixels, slopes = self._project(adjusted(places, adjustment))
-        if adjustment is AS_CALIBRATED:
-            return pixels, slopes[:, :, :2]
-        return pixels, slopes[:, :, :2] @ (adjustment.scale * turn(adjustment.roll)[:2, :2])
-
-    def locate(self, pixels: npt.ArrayLike, adjustment: PlaneAdjustment = AS_CALIBRATED) -> Array:
-        """Return places (K, 2) in the swing plane, m, of pixels (K, 2); NaN where a pixel shows no point of it.
-
-        The derivative is the inverse of ``by_point`` of :meth:`linearize`.
-        """
+    def locate(self, pixels: npt.ArrayLike) -> Array:
+        """Return places (K, 2) in the swing plane, m, of pixels (K, 2); NaN if a pixel shows no point of the plane."""
         seen = np.array(pixels, dtype=np.float64, order="C").reshape(-1, 2)
         places = np.empty_like(seen)
         projection.locate(seen, self._lens, self._to_plane, places)
-        if adjustment is AS_CALIBRATED:
-            return places
-        offset = np.asarray(adjustment.offset, dtype=np.float64)
-        return (places - offset) @ turn(adjustment.roll)[:2, :2] / adjustment.scale
+        return places
+
+    def locate_with_covariance(self, pixels: Array, covariances: Array) -> tuple[Array, Array]:
+        """Return places (K, 2), m, and their covariances (K, 2, 2), m^2, from pixels and covariances, px^2."""
+        places = self.locate(pixels)
+        slopes = np.linalg.inv(self.linearize(np.nan_to_num(places))[1])
+        return places, slopes @ covariances @ slopes.transpose(0, 2, 1)
+
+    def middle_of(self, stamp: float) -> float:
+        """Return the middle of the exposure in the middle of a frame with a time stamp, s."""
+        return stamp - self.delay + 0.5 * self.readout
 
     def exposure_times(self, stamp: float, pixels: npt.ArrayLike) -> Array:
         """Return when pixels (K, 2) were exposed (the middle of it), s, in a frame with a time stamp, s."""
         return stamp - self.delay + self.readout * self.readout_share(pixels)
 
     def readout_share(self, pixels: npt.ArrayLike) -> Array:
-        """Return which part of the readout (K,) has passed at pixels (K, 2): 0 in the row read first, 1 in the last.
+        """Return the part of the readout (K,) that has passed at pixels (K, 2): 0 in the row read first, 1 in the last.
 
-        It is not cut: rows beyond the picture go on as they would.
+        It is extrapolated beyond the picture.
         """
         seen = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
         axis = 1 if self.readout_direction in ("down", "up") else 0
         share = seen[:, axis] / max(self.image_size[axis] - 1, 1)
-        return share if self.readout_direction in ("down", "right") else 1.0 - share
+        return np.asarray(share if self.readout_direction in ("down", "right") else 1.0 - share)
 
     def write(self, path: PathLike) -> None:
-        """Write the camera to a TOML file, wholly or not at all; it reads back equal to the bit."""
-        content: dict[str, Any] = {
-            "format": FORMAT,
-            "camera": {
-                "image_size": list(self.image_size),
-                "matrix": self.matrix,
-                "distortion": self.distortion,
-                **{name: getattr(self, name) for name in TIMING},
-            },
-        }
+        """Write the camera to a TOML file, complete or not at all; it reads back equal to the bit."""
+        names = ("image_size", "matrix", "distortion", *TIMING)
+        content: dict[str, Any] = {"format": FORMAT, "camera": {name: getattr(self, name) for name in names}}
+        content["camera"]["image_size"] = list(self.image_size)
         if self.rotation is not None:
             content["plane"] = {"rotation": self.rotation, "translation": self.translation}
         files.write_toml(path, content)
 
-    def _project(self, places: Array) -> tuple[Array, Array]:
-        """Return pixels (K, 2) of places (K, 3), and their derivatives by these (K, 2, 3)."""
-        pixels, slopes = np.empty((len(places), 2)), np.empty((len(places), 2, 3))
-        projection.project(places, self._lens, pixels, slopes)
-        return pixels, slopes
+
+def read_camera(path: PathLike) -> Camera:
+    """Return the camera of a TOML file that :meth:`Camera.write` or ``hyperflex calibrate`` wrote.
+
+    Raises
+    ------
+    FileProblem
+        If it cannot be read.
+    InvalidInput
+        If it is not a camera's file, or its swing plane is behind the camera or seen edge-on; names what is wrong.
+    """
+    content = files.read_toml(path)
+    table, plane = content.get("camera"), content.get("plane", {})
+    if not isinstance(table, dict) or not isinstance(plane, dict) or content.get("format", FORMAT) != FORMAT:
+        allowed = "a table [camera], and [plane]"
+        raise InvalidInput(f"{path} is not a camera's file", got=sorted(content), allowed=allowed)
+    needed = {"image_size", "matrix", "distortion"}
+    known = {*needed, *TIMING}
+    wrong = (needed - set(table)) | (set(table) - known) | (set(plane) - {"rotation", "translation"})
+    if wrong:
+        allowed = ", ".join(sorted(known))
+        raise InvalidInput(f"{path}: the camera's keys do not fit", got=sorted(wrong), allowed=allowed)
+    camera = Camera(**table, **plane)
+    if camera.rotation is not None:
+        try:
+            camera.check_visible()
+        except InvalidInput as error:
+            error.args = (f"{path}: {error}",)
+            raise
+    return camera
+
+
+def _roll(angle: float) -> Array:
+    """Return the rotation (3, 3) about z by an angle, rad."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _rotation_vector(matrix: Array) -> Array:
+    import cv2
+
+    return np.asarray(cv2.Rodrigues(matrix)[0], dtype=np.float64).ravel()

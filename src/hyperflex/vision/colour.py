@@ -1,4 +1,4 @@
-"""The colour of markers: from one click or one frame, as a linear measure of how far a marker covers a pixel."""
+"""The colour of markers: from one click or one frame, and the share of each pixel that a marker covers."""
 
 from dataclasses import dataclass, replace
 
@@ -12,12 +12,12 @@ from hyperflex.core.image.discriminant import discriminant
 from hyperflex.errors import InvalidInput
 from hyperflex.vision.video import Image
 
-LEAST_CHROMA = 35.0  # levels, from which a colour is told from grey
-_LEAST_CONTRAST = 30.0  # levels
-_NOISE = 1.5  # levels, of a channel at least
-_TOLERANCE = 28.0  # levels, within which pixels about a click belong to the marker
+LEAST_CHROMA = 35.0  # levels: a colour with less counts as grey
+_LEAST_CONTRAST = 30.0  # levels between marker and surroundings
+_NOISE = 1.5  # levels, least noise of a channel
+_TOLERANCE = 28.0  # levels by which pixels of a clicked marker may differ from the clicked one
 _SIGMAS, _LEAST_SHARE = 4.5, 0.06  # threshold of a pixel's share: times its noise, and at least
-# two directions across grey: what shade, shadow and grey ropes leave alone
+# two directions across grey: shade, shadow and grey ropes do not change them
 _CHROMA = np.array([[-1.0, -1.0, 2.0], [1.0, -1.0, 0.0]]) / np.array([[6.0**0.5], [2.0**0.5]])
 _GREY = np.array([[1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]) / 3.0**0.5
 
@@ -31,9 +31,9 @@ class MarkerColour:
     bgr : (3,) array_like
         Blue, green, red, 0 to 255.
     bright : bool
-        Told by brightness (reflecting or glowing markers; dark ones on a bright wall, too) rather than by chroma.
+        Detect them by brightness (reflecting or glowing markers, or dark ones on a bright wall) instead of chroma.
     area : float or None
-        Of a marker at rest, px^2; a blurred one covers as much in all. None: not known.
+        Of a marker at rest, px^2; a blurred one covers as much in total. None: not known.
 
     Notes
     -----
@@ -61,10 +61,10 @@ class MarkerColour:
             object.__setattr__(self, "area", checks.number("area", self.area, sign="positive", unit="px^2"))
         if not self.bright and np.linalg.norm(_CHROMA @ self.bgr) < LEAST_CHROMA:
             raise InvalidInput(
-                "the colour is too grey to be told by its chroma",
+                "the colour is too grey to be detected by its chroma",
                 got=np.round(self.bgr).tolist(),
                 allowed=f"a chroma of at least {LEAST_CHROMA:g} levels",
-                fix="Take a stronger colour, or bright=True for markers told by their brightness",
+                fix="Take a stronger colour, or bright=True for markers detected by their brightness",
             )
 
     @classmethod
@@ -77,12 +77,12 @@ class MarkerColour:
         place : (2,) array_like
             A pixel of the marker, u, v.
         bright : bool, optional
-            Whether it is told by its brightness; if left out, where it is nearly grey.
+            Whether it is detected by its brightness; by default if it is nearly grey.
 
         Raises
         ------
         InvalidInput
-            If the place is not in the picture, or what is there does not stand out against what is around it.
+            If the place is not in the picture, or its surface does not stand out against its surroundings.
         """
         colour, inside, around = surface(image, place)
         if inside.mean() > 0.05 or not around.any():
@@ -94,7 +94,15 @@ class MarkerColour:
             )
         wall = np.median(image[around], axis=0)
         grey = bool(np.linalg.norm(_CHROMA @ (colour - wall)) < LEAST_CHROMA) if bright is None else bright
-        found = cls._checked(colour, wall, grey, float(inside.sum()))
+        contrast = float(np.linalg.norm((_GREY if grey else _CHROMA) @ (colour - wall)))
+        if contrast < _LEAST_CONTRAST:
+            raise InvalidInput(
+                "the marker does not stand out against its surroundings: contrast in levels",
+                got=round(contrast, 1),
+                allowed=f"at least {_LEAST_CONTRAST:g}",
+                fix="Take markers of a stronger colour, or more light",
+            )
+        found = cls(colour, grey, float(inside.sum()))
         return replace(found, area=found._area_about(image, inside) or found.area)
 
     @classmethod
@@ -110,7 +118,7 @@ class MarkerColour:
         Raises
         ------
         InvalidInput
-            If no colour has so many; then show the marker by :meth:`from_click`.
+            If no colour has so many; then use :meth:`from_click`.
         """
         import cv2
 
@@ -141,20 +149,6 @@ class MarkerColour:
             )
         return best[1]
 
-    @classmethod
-    def _checked(cls, colour: Array, wall: Array, bright: bool, area: float) -> "MarkerColour":
-        """Return the colour, or refuse one that does not stand out."""
-        axes = _GREY if bright else _CHROMA
-        contrast = float(np.linalg.norm(axes @ (colour - wall)))
-        if contrast < _LEAST_CONTRAST:
-            raise InvalidInput(
-                "the marker does not stand out against what is around it: contrast in levels",
-                got=round(contrast, 1),
-                allowed=f"at least {_LEAST_CONTRAST:g}",
-                fix="Take markers of a stronger colour, or more light",
-            )
-        return cls(colour, bright, area)
-
     def adapted(self, bgr: Array, rate: float) -> "MarkerColour":
         """Return this colour moved by a share `rate` towards one seen (3,), unless that would be too grey."""
         moved = self.bgr + rate * (np.clip(bgr, 0.0, 255.0) - self.bgr)
@@ -163,10 +157,7 @@ class MarkerColour:
         return replace(self, bgr=moved)
 
     def _area_about(self, image: Image, inside: npt.NDArray[np.bool_]) -> float | None:
-        """Return the area of the blob whose core is `inside` (height, width), px^2, as it is measured when it is found.
-
-        None where nothing is found.
-        """
+        """Return the area of the blob whose core is `inside` (height, width), px^2; None if no blob is found."""
         v, u = np.nonzero(inside)
         first, last = np.array([u.min(), v.min()]), np.array([u.max(), v.max()])
         around = last - first + 6  # px on each side: most of the region is wall
@@ -178,56 +169,37 @@ class MarkerColour:
 
     @property
     def axes(self) -> Array:
-        """Directions (2, 3) in blue, green, red in which the marker is told; by brightness the second one is zero."""
+        """Directions (2, 3) in blue, green, red that detection uses; by brightness the second one is zero."""
         return np.asarray(_GREY if self.bright else _CHROMA)
 
-    def functional(self, region: Image) -> tuple[Array, float]:
-        """Return coefficients (4,) of the share that a marker covers of a pixel, and the share's noise.
-
-        Parameters
-        ----------
-        region : (h, w, 3) uint8
-            A small part of the picture; most of it is no marker.
-
-        Returns
-        -------
-        (4,) float64
-            Share = c[:3] . (blue, green, red) + c[3].
-        float
-            Standard deviation of the share where no marker is (0: nothing can be told here).
-        """
-        result = np.empty(4)
-        contrast = np.array([0.5 * _LEAST_CONTRAST, _NOISE])
-        noise = discriminant(region, self.axes, self.axes @ self.bgr, contrast, result)
-        return result, float(noise)
-
     def blobs(self, region: Image) -> tuple[Array, float]:
-        """Return what of this colour is in a part of the picture, and the noise of a pixel's share there.
+        """Return the blobs of this colour in a part of the picture, and the noise of a pixel's share there.
 
         Parameters
         ----------
         region : (h, w, 3) uint8
-            As for :meth:`functional`, in one piece of memory.
+            A small part of the picture, contiguous in memory; most of it is not covered by markers.
 
         Returns
         -------
         (M, COLUMNS) float64
             Moments of each blob, as of ``blob_moments``; px from the region's first pixel.
         float
-            As of :meth:`functional`.
+            Standard deviation of the share of a pixel where no marker is; 0 if nothing can be detected here.
         """
-        found = np.empty((blobs.LARGEST, blobs.COLUMNS))
-        functional, noise = self.functional(region)
+        share, found = np.empty(4), np.empty((blobs.LARGEST, blobs.COLUMNS))
+        contrast = np.array([0.5 * _LEAST_CONTRAST, _NOISE])
+        noise = float(discriminant(region, self.axes, self.axes @ self.bgr, contrast, share))
         if noise == 0.0:
             return found[:0], 0.0
         weights = np.empty(region.shape[:2])
-        blobs.weigh(region, functional, weights)
+        blobs.weigh(region, share, weights)
         count = blobs.blob_moments(region, weights, max(_SIGMAS * noise, _LEAST_SHARE), found)
         return found[:count], noise
 
 
 def surface(image: Image, place: npt.ArrayLike) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Return the colour (3,) of the surface at a place (2,), px, and masks of it and of what is around it.
+    """Return the colour (3,) of the surface at a place (2,), px, and masks of it and of its surroundings.
 
     Raises
     ------

@@ -5,15 +5,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.vision.assignment import SLACK
 
-SLACK = 0.02  # by which a rope may look longer than it is
-CERTAIN = 4.0  # cost by which the next order must be worse
+CERTAIN = 4.0  # cost by which the next best order must be worse
 _SHORT, _TURN = 0.08, 0.6  # scales of missing chord over arc, and of the turn from chord to chord, rad
-_MISSING, _CLUTTER = 5.0, 2.5  # costs of a marker not seen, and of something seen that is no marker
-_BEAM = 600
+_MISSING, _CLUTTER = 5.0, 2.5  # costs of a marker not seen, and of a blob that is no marker
+_BEAM = 600  # paths that are kept
 
 
 class Ordering(NamedTuple):
@@ -22,9 +21,9 @@ class Ordering(NamedTuple):
     Attributes
     ----------
     indices : (K,) int
-        Of what is seen; -1: not seen.
+        Of the places; -1: not seen.
     certain : bool
-        Whether no other order explains the frame nearly as well.
+        Whether no other order explains the frame nearly as well; if not, try another frame.
     margin : float
         Cost by which the next best order is worse.
     """
@@ -35,71 +34,51 @@ class Ordering(NamedTuple):
 
 
 class _Paths(NamedTuple):
-    """Beginnings of paths: what was taken for each marker so far, its cost, and where each has got to."""
+    """Beginnings of B paths."""
 
-    taken: npt.NDArray[np.int64]  # (B, k)
-    cost: Array
-    place: Array  # (B, 2)
-    arc: Array  # (B,)
-    direction: Array  # (B, 2), 0 before the first chord
+    taken: npt.NDArray[np.int64]  # (B, k) place of each marker so far, or -1
+    cost: Array  # (B,)
+    place: Array  # (B, 2) of the last marker seen
+    arc: Array  # (B,) of that
+    direction: Array  # (B, 2) of the last chord, 0 before the first
 
 
 def order_markers(
-    places: npt.ArrayLike,
-    arc_lengths: npt.ArrayLike,
-    origin: npt.ArrayLike,
-    *,
-    noise: float = 0.003,
-    slack: float = 0.0,
+    places: Array, arc_lengths: Array, origin: Array, *, noise: float = 0.003, slack: float = 0.0
 ) -> Ordering:
-    """Find which of the things seen is which marker, from their places alone.
+    """Find which of the places is which marker, from the places alone.
 
     Parameters
     ----------
-    places : (M, 2) array_like
+    places : (M, 2) float64
         In the swing plane, m; clutter may be among them, and markers may be missing.
-    arc_lengths : (K,) array_like
+    arc_lengths : (K,) float64
         Of the markers from the origin, m, increasing.
-    origin : (2,) array_like
+    origin : (2,) float64
         Where the rope begins (the first joint), m.
     noise : float
         Standard deviation of the places, m.
     slack : float
-        By which part lengths may look longer or shorter where scale or lengths are not known, beside the usual 2 %.
-
-    Returns
-    -------
-    Ordering
-        Ask for another frame where it is not `certain`.
-
-    Raises
-    ------
-    InvalidInput
-        If the arc lengths do not increase.
+        Relative error of lengths that the scale or the arc lengths may have, in addition to 2 %.
 
     Notes
     -----
-    Two markers cannot be further apart than the rope between them. Among the paths that obey this, that of least cost
-    is taken: a term log(1 + x^2) for each chord that is shorter than its arc and for each turn from chord to chord
-    (heavy tails, for the few sharp bends of a rope), and fixed costs for what is missing or left over. Beam search.
+    Two markers cannot be further apart than the rope between them. Among the paths that obey this, the one of least
+    cost is taken: a term log(1 + x^2) for each chord that is shorter than its arc and for each turn from chord to chord
+    (heavy tails, for the few sharp bends of a rope), and fixed costs for missing markers and clutter. Beam search.
     """
-    seen = checks.array("places", places, (-1, 2), unit="m")
-    arcs = checks.array("arc_lengths", arc_lengths, (-1,), sign="positive", unit="m")
-    check_increasing(arcs)
-    start = checks.array("origin", origin, (2,), unit="m")
-    paths = _Paths(np.zeros((1, 0), np.int64), np.zeros(1), start[None], np.zeros(1), np.zeros((1, 2)))
-    for arc in arcs:
-        paths = _extended(paths, seen, float(arc), noise, slack)
-    left_over = seen.shape[0] - (paths.taken >= 0).sum(axis=1)
-    cost = paths.cost + _CLUTTER * left_over
+    paths = _Paths(np.zeros((1, 0), np.int64), np.zeros(1), np.asarray(origin)[None], np.zeros(1), np.zeros((1, 2)))
+    for arc in arc_lengths:
+        paths = _extended(paths, places, float(arc), noise, slack)
+    cost = paths.cost + _CLUTTER * (len(places) - (paths.taken >= 0).sum(axis=1))
     order = np.argsort(cost, kind="stable")
-    best = order[0]
-    margin = float(cost[order[1]] - cost[best]) if order.size > 1 else np.inf
-    return Ordering(paths.taken[best], margin > CERTAIN and bool((paths.taken[best] >= 0).any()), margin)
+    best = paths.taken[order[0]]
+    margin = float(cost[order[1]] - cost[order[0]]) if order.size > 1 else np.inf
+    return Ordering(best, margin > CERTAIN and bool((best >= 0).any()), margin)
 
 
 def check_increasing(arc_lengths: Array) -> None:
-    """Refuse arc lengths (K,), m, of which one is no greater than the one before."""
+    """Raise InvalidInput if arc lengths (K,), m, do not increase."""
     falling = np.flatnonzero(np.diff(arc_lengths) <= 0.0)
     if falling.size:
         one, two = arc_lengths[falling[0] : falling[0] + 2].tolist()
@@ -112,16 +91,14 @@ def check_increasing(arc_lengths: Array) -> None:
 
 
 def _extended(paths: _Paths, seen: Array, arc: float, noise: float, slack: float) -> _Paths:
-    """Return the best paths that go on to a marker at an arc length, m: to each thing seen, or without it."""
+    """Return the best paths that continue to a marker at an arc length, m: to each place, or without it."""
     chord = seen[None] - paths.place[:, None]  # (B, M, 2)
     length = np.maximum(np.linalg.norm(chord, axis=2), 1e-9)
     rope = (arc - paths.arc)[:, None]
     short = np.maximum(0.0, 1.0 - length / rope)
-    direction = chord / length[:, :, None]
-    before = paths.direction[:, None]
-    turn = np.arctan2(
-        before[..., 0] * direction[..., 1] - before[..., 1] * direction[..., 0], (before * direction).sum(axis=2)
-    )
+    direction, before = chord / length[:, :, None], paths.direction[:, None]
+    sine = before[..., 0] * direction[..., 1] - before[..., 1] * direction[..., 0]
+    turn = np.arctan2(sine, (before * direction).sum(axis=2))
     cost = paths.cost[:, None] + np.log1p((short / np.hypot(_SHORT, slack)) ** 2) + np.log1p((turn / _TURN) ** 2)
     used = (paths.taken[:, :, None] == np.arange(len(seen))).any(axis=1)
     cost[used | (length > (1.0 + SLACK + slack) * rope + 4.0 * noise)] = np.inf
@@ -130,14 +107,13 @@ def _extended(paths: _Paths, seen: Array, arc: float, noise: float, slack: float
     best = best[np.isfinite(costs[best])]
     row, column = np.divmod(best, len(seen) + 1)
     missing = column == len(seen)
-    taken = np.where(missing, -1, column)
-    if not len(seen):
-        return _Paths(np.column_stack([paths.taken[row], taken]), costs[best], *paths[2:])
-    column = np.minimum(column, len(seen) - 1)
+    # a last column for "not seen": the path stays where it is
+    ends = np.concatenate([np.broadcast_to(seen, (len(cost), *seen.shape)), paths.place[:, None]], axis=1)
+    directions = np.concatenate([direction, paths.direction[:, None]], axis=1)
     return _Paths(
-        np.column_stack([paths.taken[row], taken]),
+        np.column_stack([paths.taken[row], np.where(missing, -1, column)]),
         costs[best],
-        np.where(missing[:, None], paths.place[row], seen[column]),
+        ends[row, column],
         np.where(missing, paths.arc[row], arc),
-        np.where(missing[:, None], paths.direction[row], direction[row, column]),
+        directions[row, column],
     )

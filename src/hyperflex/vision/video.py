@@ -1,25 +1,33 @@
-"""Video files: frames with the times that the container gives them, and writing of MP4."""
+"""Pictures, videos, cameras and streams: frames with the time stamps of their source, and writing of MP4."""
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
-from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex import checks, files
+from hyperflex.errors import FileProblem, Interrupted, InvalidInput
 from hyperflex.files import PathLike, as_path, atomic_path, regular_file
+from hyperflex.interruption import catch_interrupt
 
 Image = npt.NDArray[np.uint8]
+T = TypeVar("T")
 
 _TICK = Fraction(1, 90_000)  # s, time base of files that are written
 _LARGEST = 100_000_000  # pixels of a frame: more is a damaged header, not a camera
+_UNTIMED = "frames without a time stamp were skipped"
+SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})  # of pictures; others are videos
 # by how much a picture is turned counterclockwise -> in which direction the rows of the sensor then follow each other
 _READOUT = {0: "down", 90: "right", 180: "up", -180: "up", -90: "left"}
 
@@ -96,16 +104,16 @@ class VideoReader:
         self.frame_count = 0
         self.rotation = 0
         self._stack = ExitStack()
-        self._broken = self._untimed = self._backwards = 0
-        self._last: float | None = None
+        self._skipped = Counter[str]()
         try:
             self._stream = self._open()
-            self._decoded = self._decode()
-            self._first: Any = next(self._decoded, None)
-            if self._first is None:
-                said = f" ({'; '.join(self.notes)})" if self.notes else ""
-                raise FileProblem(f"Not one frame of {self.path} can be read{said}. Get the file again.")
-            self._rotate(self._first)
+            decoded = self._decode()
+            first = next(decoded, None)
+            if first is None:
+                why = f" ({'; '.join(self.notes)})" if self.notes else ""
+                raise FileProblem(f"No frame of {self.path} can be read{why}. Get the file again.")
+            self._decoded = chain([first], decoded)
+            self._rotate(first)
         except BaseException:
             self._stack.close()
             raise
@@ -113,35 +121,34 @@ class VideoReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
         """Close the file."""
         self._stack.close()
-        self._decoded, self._first = iter(()), None
+        self._decoded = chain()
 
     def __iter__(self) -> Iterator[Frame]:
-        while (frame := self._next()) is not None:
+        last = -math.inf
+        for frame in self._decoded:
             if frame.pts is None or frame.time_base is None:
-                self._untimed += 1
+                self._skipped[_UNTIMED] += 1
                 continue
-            time = float(frame.pts * frame.time_base)
-            if self._last is not None and time <= self._last:
-                self._backwards += 1
+            stamp = float(frame.pts * frame.time_base)
+            if stamp <= last:
+                self._skipped["frames no later than the one before were skipped"] += 1
                 continue
-            image = _turned(frame.to_ndarray(format="bgr24"), self.rotation)
+            image = np.rot90(frame.to_ndarray(format="bgr24"), self.rotation // 90)
             if image.shape[1::-1] != self.image_size:
                 self.notes.append(
-                    f"the picture changes its size at {time:g} s from {self.image_size} to {image.shape[1::-1]} px; "
+                    f"the picture changes its size at {stamp:g} s from {self.image_size} to {image.shape[1::-1]} px; "
                     "the video is read up to there"
                 )
                 break
-            self._last = time
+            last = stamp
             self.frame_count += 1
-            yield Frame(time, image, self.frame_count - 1)
+            yield Frame(stamp, np.ascontiguousarray(image), self.frame_count - 1)
         self._finish()
 
     def _open(self) -> Any:
@@ -182,15 +189,11 @@ class VideoReader:
                 try:
                     frames = packet.decode()
                 except (av.FFmpegError, OSError, ValueError):
-                    self._broken += 1
+                    self._skipped["parts that cannot be decoded were skipped"] += 1
                     continue
                 yield from frames
         except (av.FFmpegError, OSError, ValueError) as error:
             self.notes.append(f"the file breaks off: {_reason(error)}")
-
-    def _next(self) -> Any:
-        frame, self._first = self._first, None
-        return next(self._decoded, None) if frame is None else frame
 
     def _rotate(self, frame: Any) -> None:
         """Note how frames are to be turned, and how large they are then."""
@@ -205,21 +208,17 @@ class VideoReader:
         self.frame_interval = 1.0 / float(rate) if rate else None
 
     def _finish(self) -> None:
-        """Note what was wrong with the whole file."""
-        counts = {
-            "parts that cannot be decoded were left out": self._broken,
-            "frames without a time stamp were left out": self._untimed,
-            "frames no later than the one before were left out": self._backwards,
-        }
-        self.notes += [f"{count} {what}" for what, count in counts.items() if count]
+        """Note the problems of the whole file."""
+        self.notes += [f"{count} {what}" for what, count in self._skipped.items()]
         listed = int(self._stream.frames)
         if listed > self.frame_count:
             self.notes.append(f"the file lists {listed} frames, {self.frame_count} could be read")
-        untimed, self._broken, self._untimed, self._backwards = self._untimed, 0, 0, 0
+        untimed = self._skipped.pop(_UNTIMED, 0)
+        self._skipped.clear()
         if untimed and not self.frame_count:
             raise FileProblem(
-                f"The frames of {self.path} have no time stamps: it is a raw stream without a container. Say how many "
-                f"a second there are, as in: ffmpeg -framerate 30 -i {self.path.name} -c copy {self.path.stem}.mp4"
+                f"The frames of {self.path} have no time stamps: it is a raw stream without a container. Give its "
+                f"frame rate, as in: ffmpeg -framerate 30 -i {self.path.name} -c copy {self.path.stem}.mp4"
             )
 
 
@@ -310,16 +309,204 @@ class VideoWriter:
         self._container.mux(self._stream.encode(frame))
 
 
+class LiveCamera:
+    """The frames of a camera or stream as they come.
+
+    Parameters
+    ----------
+    source : int or str
+        The camera's number (0 is the first), or the address of a stream (rtsp://...), or a file in place of one.
+    image_size : (int, int), optional
+        Width and height to ask the camera for, px; what it gives stands in `image_size`.
+    timeout : float
+        How long to wait for a stream to open or to go on, s. Cameras wait as long as their driver does.
+
+    Attributes
+    ----------
+    image_size : (int, int)
+        Of the frames, px.
+    stamps : {"driver", "arrival"}
+        Whose the time stamps are: the driver's or stream's own clock, or this machine's monotonic clock when the frame
+        arrived (0.1 to 0.9 s late, by another amount at each start).
+    notes : list of str
+        What happened: the stream ended or stalled, frames changed their size, times went back.
+
+    Raises
+    ------
+    FileProblem
+        If there is no such camera or stream, or no frame comes from it.
+
+    Notes
+    -----
+    Tried with files and streams in place of a camera; not validated against a camera's driver.
+    """
+
+    def __init__(self, source: int | str, image_size: tuple[int, int] | None = None, timeout: float = 10.0) -> None:
+        import cv2
+
+        if isinstance(source, bool) or not isinstance(source, (int, str)) or (isinstance(source, int) and source < 0):
+            raise InvalidInput("source is no camera", got=source, allowed="a camera's number (0, 1, ..) or an address")
+        wait = round(1e3 * checks.number("timeout", timeout, sign="positive", unit="s"))
+        self.source = source
+        self.notes: list[str] = []
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet, as the next lines make OpenCV itself
+        level = cv2.utils.logging.getLogLevel()
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what goes wrong is said below
+        try:
+            if isinstance(source, int):
+                self._capture: Any = cv2.VideoCapture(source)
+            else:
+                limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, wait, cv2.CAP_PROP_READ_TIMEOUT_MSEC, wait]
+                self._capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
+        finally:
+            cv2.utils.logging.setLogLevel(level)
+        if not self._capture.isOpened():
+            raise FileProblem(
+                f"There is no camera or stream {source!r}, or another program has it. Check its number or address."
+            )
+        if image_size is not None:
+            self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, checks.count("image width", image_size[0]))
+            self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, checks.count("image height", image_size[1]))
+        self._waiting = [found for found in (self._grab(), self._grab()) if found is not None]
+        if not self._waiting:
+            self.close()
+            raise FileProblem(f"No frame comes from {source!r}. Check the camera and its cable, or the address.")
+        driver = [found[1] for found in self._waiting]
+        self.stamps = "driver" if len(driver) == 2 and 0.0 <= driver[0] < driver[1] else "arrival"
+        self.image_size: tuple[int, int] = self._waiting[0][0].shape[1::-1]
+        self.frame_count = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the camera back."""
+        self._capture.release()
+        self._waiting = []
+
+    def __iter__(self) -> Iterator[Frame]:
+        last = -float("inf")
+        while True:
+            found = self._waiting.pop(0) if self._waiting else self._grab()
+            if found is None:
+                self.notes.append(f"the source ended or stalled after {self.frame_count} frames")
+                return
+            image, driver, arrival = found
+            stamp = driver if self.stamps == "driver" else arrival
+            if image.shape[1::-1] != self.image_size:
+                self.notes.append(f"frames change their size from {self.image_size} to {image.shape[1::-1]} px")
+                self.image_size = image.shape[1::-1]
+            if stamp <= last:
+                self.notes.append(f"a frame at {stamp:g} s, no later than the one before at {last:g} s, was left out")
+                continue
+            last = stamp
+            self.frame_count += 1
+            yield Frame(stamp, image, self.frame_count - 1)
+
+    def _grab(self) -> tuple[Any, float, float] | None:
+        """Return the next picture with the driver's stamp and the time of its arrival, s; None at the end."""
+        import cv2
+
+        if not self._capture.grab():
+            return None
+        arrival = time.monotonic()
+        driver = 1e-3 * self._capture.get(cv2.CAP_PROP_POS_MSEC)
+        ok, image = self._capture.retrieve()
+        return (image, driver, arrival) if ok else None
+
+
+def follow_video(
+    reader: VideoReader,
+    look: Callable[[Frame, bool], Image | None],
+    result: Callable[[], T],
+    *,
+    preview: PathLike | None,
+    progress: Callable[[int], None] | None,
+) -> T:
+    """Process the frames of a video one after the other, and return the result of all.
+
+    Parameters
+    ----------
+    reader : VideoReader
+    look : callable
+        Processes a frame; returns its picture for the preview if the second argument is True.
+    result : callable
+        Returns the result of the frames processed, a dataclass with a field ``interrupted``; raises InvalidInput if
+        they are too few.
+    preview : path-like or None
+        MP4 file of the pictures.
+    progress : callable or None
+        Called with the number of frames done.
+
+    Raises
+    ------
+    Interrupted
+        By Ctrl-C; its ``partial`` is the result of the frames before, if there is one. No preview is kept.
+    """
+    with ExitStack() as stack:
+        writer = None if preview is None else stack.enter_context(VideoWriter(preview, reader.image_size))
+        with catch_interrupt() as stop:
+            for count, frame in enumerate(reader, start=1):
+                shown = look(frame, writer is not None)
+                if writer is not None and shown is not None:
+                    writer.write(shown, frame.time)
+                if progress is not None:
+                    progress(count)
+        if not stop.received:
+            return result()
+        with suppress(InvalidInput):
+            raise Interrupted(replace(result(), interrupted=True))  # type: ignore[type-var]
+        raise Interrupted
+
+
+def read_image(path: PathLike) -> Image:
+    """Return a picture (height, width, 3), uint8, blue, green, red; turned as its file says.
+
+    Raises
+    ------
+    FileProblem
+        If there is no such file, or it is no picture, empty or cut off.
+    """
+    import cv2
+
+    content = np.frombuffer(files.read_bytes(path, "picture"), dtype=np.uint8)
+    try:
+        image = cv2.imdecode(content, cv2.IMREAD_COLOR)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise FileProblem(f"{path} cannot be read as a picture. It is none, or was cut off; get it again.")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def read_pictures(paths: Iterable[PathLike], interval: float = 0.2) -> Iterator[Image]:
+    """Yield the pictures of files one after the other: of a video, those at least `interval` (s) apart.
+
+    Raises
+    ------
+    FileProblem
+        As :func:`read_image` and :class:`VideoReader`.
+    """
+    for path in paths:
+        if as_path(path, "picture").suffix.lower() in SUFFIXES:
+            yield read_image(path)
+            continue
+        last = -np.inf
+        with VideoReader(path) as video:
+            for frame in video:
+                if frame.time - last >= interval - 1e-9:
+                    last = frame.time
+                    yield frame.image
+
+
 def _held(path: Path, kinds: Sequence[str]) -> str:
     """Return what a file without a picture holds; FFmpeg takes it as streams of these `kinds`."""
     if path.suffix.lower() in (".toml", ".csv", ".txt"):
         return f"but text ({path.suffix.lower()})"
     return f"only {' and '.join(kinds)}" if kinds else "nothing at all: it was cut off"
-
-
-def _turned(image: Image, rotation: int) -> Image:
-    """Return the picture turned counterclockwise by quarter turns, degrees."""
-    return image if rotation == 0 else np.ascontiguousarray(np.rot90(image, rotation // 90))
 
 
 def _reason(error: BaseException) -> str:

@@ -1,25 +1,23 @@
-"""Frames of a camera, stream or file, read in a thread of its own, so that nobody waits for a source that stalls."""
+"""Frames of a camera, stream or file, read in a separate thread, so that a source that stalls blocks nobody."""
 
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple, Protocol, Self
 
 from hyperflex import checks
 from hyperflex.errors import HyperflexError
 from hyperflex.vision import Frame, LiveCamera, VideoReader
 
-RECONNECT_TIMEOUT = 10.0  # s, in which a camera or stream that broke off is opened again
-_PAUSE = 0.5  # s, between two tries
-_CLOSEST = 1e-3  # s, between the last frame of a source and the first one after it was opened again
+_PAUSE = 0.5  # s between two attempts to open a source again
+_CLOSEST = 1e-3  # s between the last frame of a source and the first one after it was opened again
 _AHEAD = 2  # frames of a file that are read ahead
 
 
 class Source(Protocol):
-    """What frames come from: a camera, a stream, or a file."""
+    """Source of frames: a camera, a stream, or a file."""
 
     image_size: tuple[int, int]
     notes: list[str]
@@ -28,7 +26,7 @@ class Source(Protocol):
         """Yield the frames as they come."""
 
     def close(self) -> None:
-        """Give the source back."""
+        """Release the source."""
 
 
 class Arrival(NamedTuple):
@@ -38,11 +36,11 @@ class Arrival(NamedTuple):
     ----------
     frame : Frame
     at : float
-        When, by this machine's monotonic clock, s; of a file that is not paced: when it was taken.
+        When, by this machine's monotonic clock, s; for a file that is not paced: when it was taken.
     missed : int
-        Frames since the one before that nobody took in time.
+        Frames since the one before that were skipped because nobody took them in time.
     opening : int
-        How often the source had been opened again by then. Time stamps begin anew with each time.
+        How often the source had been opened again by then. Time stamps start anew each time.
     """
 
     frame: Frame
@@ -52,11 +50,11 @@ class Arrival(NamedTuple):
 
 
 class JoinedStamps:
-    """Keeps the frames' own time stamps, and joins those of a source that was opened again to those before.
+    """Keeps the frames' own time stamps, and continues them when the source is opened again.
 
     Notes
     -----
-    What passed in between is taken from this machine's clock: it is uncertain by how late the frames came.
+    The time in between is taken from this machine's clock: it is uncertain by the delay of the frames.
     """
 
     def __init__(self) -> None:
@@ -80,9 +78,9 @@ class FrameThread:
     open_source : callable
         Opens the source; its errors are raised at once.
     live : bool
-        Keep only the newest frame, and open the source again where it breaks off; else give out all, and end.
+        Keep only the newest frame, and open the source again if it breaks off; else give all frames, and end.
     paced : bool
-        Give the frames out at the distances of their time stamps, from when the first one is taken.
+        Give the frames at the intervals of their time stamps, from when the first one is taken.
     reconnect_timeout : float
         How long a source that broke off is tried again, s.
 
@@ -95,12 +93,7 @@ class FrameThread:
     """
 
     def __init__(
-        self,
-        open_source: Callable[[], Source],
-        *,
-        live: bool,
-        paced: bool = False,
-        reconnect_timeout: float = RECONNECT_TIMEOUT,
+        self, open_source: Callable[[], Source], *, live: bool, paced: bool = False, reconnect_timeout: float = 10.0
     ) -> None:
         self._open, self.live, self._paced = open_source, live, paced
         self.reconnect_timeout = checks.number("reconnect_timeout", reconnect_timeout, sign="nonnegative", unit="s")
@@ -117,19 +110,17 @@ class FrameThread:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def peek(self, timeout: float) -> Frame | None:
-        """Return the next frame and leave it to be taken; None as of :meth:`take`."""
+        """Return the next frame without taking it; None as :meth:`take`."""
         with self._condition:
             self._condition.wait_for(lambda: self._waiting or self.ended is not None, timeout)
             return self._waiting[0].frame if self._waiting else None
 
     def take(self, timeout: float) -> Arrival | None:
-        """Return the next frame; None where none comes within `timeout`, s, or the source has ended."""
+        """Return the next frame; None if none comes within `timeout`, s, or the source has ended."""
         with self._condition:
             self._condition.wait_for(lambda: self._waiting or self.ended is not None, timeout)
             if not self._waiting:
@@ -140,32 +131,32 @@ class FrameThread:
             return found if played else found._replace(at=time.monotonic())
 
     def messages(self) -> tuple[str, ...]:
-        """Return what happened to the source since this was asked last: stalls, ends, frames that cannot be used."""
+        """Return what happened to the source since the last call: stalls, ends, frames that cannot be used."""
         with self._condition:
-            said, self._notes = tuple(self._notes), []
-            return said
+            new, self._notes = tuple(self._notes), []
+            return new
 
     def close(self) -> None:
-        """Stop reading; a driver that hangs is left alone."""
+        """Stop reading; a driver that hangs is not waited for."""
         with self._condition:
             self._closed = True
             self._condition.notify_all()
         self._thread.join(1.0)
 
     def _run(self, source: Source) -> None:
-        """Read until the end, and say why it is one."""
+        """Read until the end, and store its reason."""
         try:
             reason = self._read(source)
         except HyperflexError as error:
             reason = str(error)
-        except Exception as error:  # noqa: BLE001 whatever a driver does, whoever waits for a frame is to hear of it
+        except Exception as error:  # noqa: BLE001 a driver may raise anything, and the reader must learn of it
             reason = f"the source failed: {type(error).__name__}: {error}"
         with self._condition:
             self.ended = reason
             self._condition.notify_all()
 
     def _read(self, source: Source) -> str:
-        """Hand out the frames, opening a live source again where it breaks off; return why no more come."""
+        """Deliver the frames, opening a live source again if it breaks off; return why no more come."""
         while True:
             try:
                 self._deliver(source)
@@ -173,15 +164,15 @@ class FrameThread:
                 source.close()
             if self._closed or not self.live:
                 return "the source ended"
-            self._say("no more frames come; the source is opened again")
-            found = self._again()
-            if found is None:
+            self._add_notes(["no more frames come; the source is opened again"])
+            reopened = self._reopen()
+            if reopened is None:
                 return f"the source broke off, and could not be opened again within {self.reconnect_timeout:g} s"
-            source = found
+            source = reopened
             self._opening += 1
 
-    def _again(self) -> Source | None:
-        """Open the source anew; None where that fails for too long."""
+    def _reopen(self) -> Source | None:
+        """Open the source again; None if that fails for too long."""
         until = time.monotonic() + self.reconnect_timeout
         while not self._closed:
             try:
@@ -193,52 +184,36 @@ class FrameThread:
         return None
 
     def _deliver(self, source: Source) -> None:
-        """Hand out the frames of a source until it breaks off."""
+        """Deliver the frames of a source until it breaks off."""
         begin: float | None = None
-        told = 0
+        count = 0
         for frame in source:
-            if self._paced and begin is not None:
-                self._wait(begin + frame.time)
-            self._hand_out(frame)
-            if self._paced and begin is None:
-                begin = self._taken_at() - frame.time
-            told = self._tell(source.notes, told)
+            with self._condition:
+                if self._paced and begin is not None:
+                    moment = begin + frame.time
+                    self._condition.wait_for(lambda: self._closed, max(0.0, moment - time.monotonic()))
+                missed = 0
+                if self.live:
+                    missed = sum(1 + each.missed for each in self._waiting)
+                    self._waiting.clear()
+                self._condition.wait_for(lambda: len(self._waiting) < _AHEAD or self._closed)
+                self._waiting.append(Arrival(frame, time.monotonic(), missed, self._opening))
+                self._condition.notify_all()
+                if self._paced and begin is None:  # time runs from when the first frame is taken
+                    self._condition.wait_for(lambda: not self._waiting or self._closed)
+                    begin = time.monotonic() - frame.time
+            self._add_notes(source.notes[count:])
+            count = len(source.notes)
             if self._closed:
                 return
-        self._tell(source.notes, told)
+        self._add_notes(source.notes[count:])
 
-    def _hand_out(self, frame: Frame) -> None:
+    def _add_notes(self, notes: list[str]) -> None:
         with self._condition:
-            missed = 0
-            if self.live:
-                missed = sum(1 + each.missed for each in self._waiting)
-                self._waiting.clear()
-            self._condition.wait_for(lambda: len(self._waiting) < _AHEAD or self._closed)
-            self._waiting.append(Arrival(frame, time.monotonic(), missed, self._opening))
-            self._condition.notify_all()
-
-    def _taken_at(self) -> float:
-        """Wait until all frames are taken, and return when that is."""
-        with self._condition:
-            self._condition.wait_for(lambda: not self._waiting or self._closed)
-            return time.monotonic()
-
-    def _tell(self, notes: list[str], told: int) -> int:
-        """Pass on what a source has noted since; return how many notes there are."""
-        for note in notes[told:]:
-            self._say(note)
-        return len(notes)
-
-    def _say(self, words: str) -> None:
-        with self._condition:
-            self._notes.append(words)
-
-    def _wait(self, moment: float) -> None:
-        with self._condition:
-            self._condition.wait_for(lambda: self._closed, max(0.0, moment - time.monotonic()))
+            self._notes += notes
 
 
-def open_frames(source: int | str, *, paced: bool = False, reconnect_timeout: float = RECONNECT_TIMEOUT) -> FrameThread:
+def open_frames(source: int | str, *, paced: bool = False, reconnect_timeout: float = 10.0) -> FrameThread:
     """Open a camera by its number, a stream by its address (``rtsp://...``), or a file in place of one.
 
     Parameters
@@ -253,7 +228,7 @@ def open_frames(source: int | str, *, paced: bool = False, reconnect_timeout: fl
     Raises
     ------
     FileProblem
-        If nothing comes from there.
+        If the source cannot be opened, or gives no frame.
     """
     words = str(source)
     if words.isdecimal() or "://" in words:

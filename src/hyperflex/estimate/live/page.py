@@ -1,15 +1,13 @@
-"""A page for the browser of this machine that shows pictures as they come (MJPEG)."""
+"""A page for a browser on this machine that shows pictures as they come (MJPEG)."""
 
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from types import TracebackType
 from typing import Any, Self
 
 from hyperflex.local_page import HOST, address, cannot_listen, may_ask, own_names
 from hyperflex.vision import Image
 
-QUALITY = 80  # of JPEG
-_WAIT = 1.0  # s, between two looks at whether the page is closed
+_WAIT = 1.0  # s between two checks whether the page is closed
 _PAGE = (
     b'<!doctype html><meta charset="utf-8"><title>hyperflex watch</title>'
     b'<body style="margin:0;background:#222"><img src="stream" alt="the rope" style="max-width:100%;display:block">'
@@ -37,7 +35,7 @@ class PicturePage:
     Notes
     -----
     It listens on 127.0.0.1 and answers requests for that name alone, so that no page from elsewhere reaches it through
-    the browser. Pictures are encoded only while somebody looks.
+    the browser. Call :meth:`show` only while the page is `watched`: it encodes the picture.
     """
 
     def __init__(self, port: int = 0) -> None:
@@ -52,7 +50,7 @@ class PicturePage:
                 page._answer(self)
 
             def log_message(self, *_: Any) -> None:
-                """Say nothing of requests."""
+                """Do not print requests."""
 
         try:
             self._server = ThreadingHTTPServer((HOST, port), Handler)
@@ -67,9 +65,7 @@ class PicturePage:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with self._condition:
             self._closed = True
             self._condition.notify_all()
@@ -78,14 +74,14 @@ class PicturePage:
 
     @property
     def watched(self) -> bool:
-        """Whether somebody looks."""
+        """Whether a browser shows the page."""
         return self._watching > 0
 
     def show(self, image: Image) -> None:
         """Make a picture (height, width, 3), uint8, blue, green, red, the newest."""
         import cv2
 
-        ok, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        ok, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])
         if not ok:
             return
         with self._condition:
@@ -106,7 +102,7 @@ class PicturePage:
             request.send_error(404)
 
     def _stream(self, request: BaseHTTPRequestHandler) -> None:
-        """Send pictures until one of both sides has had enough."""
+        """Send pictures until the browser or the page closes."""
         request.send_response(200)
         request.send_header("Content-Type", "multipart/x-mixed-replace; boundary=picture")
         request.send_header("Cache-Control", "no-store")

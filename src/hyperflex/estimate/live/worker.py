@@ -1,4 +1,4 @@
-"""The process that estimates a rope's state from a camera, and what it shares with the one that asks for it."""
+"""The process that estimates a rope's state from a camera, and what it shares with its parent."""
 
 import math
 import multiprocessing
@@ -6,19 +6,20 @@ import signal
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import NamedTuple
 
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.errors import HyperflexError, InvalidInput
-from hyperflex.estimate.changes import MISFIT, Change, ChangeTests
+from hyperflex.errors import HyperflexError
+from hyperflex.estimate.changes import Change, ChangeTests
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.live.frames import Arrival, open_frames
-from hyperflex.estimate.live.shared_array import SharedArray
+from hyperflex.estimate.live.shared_value import SharedValue
 from hyperflex.estimate.live.watch import LiveEstimate, Watch
+from hyperflex.estimate.markers import MarkerMeasurement
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.tracker import RopeTracker
 from hyperflex.model import Arm, Rope
@@ -26,35 +27,36 @@ from hyperflex.motion import Motion, hold_arm
 from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector
 
 READY = "ready"
-TICK = 0.05  # s, longest time between two signs of life
-MOST_PIECES = 512  # of a motion
-MOST_CHANGES = 16  # that are remembered
-_CHANGE_SIZE = 10
-_DRIFT = 1e-4  # s per s, by which the clocks of camera and machine may drift apart
-_PRACTICE = 3  # frames
+TICK = 0.05  # s, longest time between two packets: the parent sees that the process runs
+MOST_CHANGES = 16  # that a packet carries
+MOTION_BYTES = 131072  # of a pickled motion: some 600 pieces
+_CLOCK_DRIFT = 1e-4  # s per s, by which the clocks of camera and machine may drift apart
+_PRACTICE = 3  # frames after which all kernels have been called
 
 
 @dataclass(frozen=True)
 class TrackingTask:
-    """What the process is to do.
+    """What is tracked, and how.
 
     Attributes
     ----------
-    source : int or str
-        Camera, stream or file.
     rope, arc_lengths, camera, arm, parameters, tests
         As of :class:`RopeFilter`; an arm is at rest until :meth:`Process.set_motion`.
     colour : MarkerColour
     """
 
-    source: int | str
     rope: Rope
     arc_lengths: Array
     camera: Camera
     colour: MarkerColour
     arm: Arm | None = None
-    parameters: Sequence[EstimatedParameter] = field(default_factory=tuple)
+    parameters: Sequence[EstimatedParameter] = ()
     tests: ChangeTests | None = None
+
+    @property
+    def motion(self) -> Motion | None:
+        """The arm's motion until another one is set."""
+        return None if self.arm is None else hold_arm(0.0)
 
     @property
     def states(self) -> ParameterStates:
@@ -63,38 +65,33 @@ class TrackingTask:
         return ParameterStates(self.parameters, self.rope, tested, self.arm is not None)
 
     @property
-    def changing(self) -> tuple[str, ...]:
-        """Names of what may be noticed to have changed."""
-        return () if self.tests is None else (*self.tests.names_for(self.rope), MISFIT)
-
-    @property
-    def packet_size(self) -> int:
-        """The most numbers that a :class:`Packet` has."""
+    def packet_bytes(self) -> int:
+        """Largest size of a pickled :class:`Packet`."""
         size = 2 * self.rope.n_links + len(self.states)
-        return 11 + size * (1 + size) + MOST_CHANGES * _CHANGE_SIZE
+        return 8 * size * (size + 1) + 16384  # state and covariance; 16 changes and all else take some kilobytes
 
     def tracker(self) -> RopeTracker:
-        """Return what is to follow the rope."""
+        """Return a new tracker of the rope."""
         estimator = RopeFilter(
             self.rope,
             self.arc_lengths,
-            motion=None if self.arm is None else hold_arm(0.0),
+            motion=self.motion,
             arm=self.arm,
             camera=self.camera,
             parameters=self.parameters,
             tests=self.tests,
         )
-        return RopeTracker(estimator, MarkerDetector(self.colour))
+        return RopeTracker(estimator, MarkerMeasurement(MarkerDetector(self.colour)))
 
     def rehearse(self) -> None:
-        """Look at drawn frames of the hanging rope with another tracker, so that all kernels are there at the first."""
+        """Track drawn frames of the hanging rope, so that the first real frame compiles nothing."""
         import cv2
 
         tracker = self.tracker()
-        radius = round(16.0 * (max(2.0, tracker.detector.radius) - 0.5))  # half a pixel more is drawn; in 16ths
+        radius = round(16.0 * (max(2.0, MarkerDetector(self.colour).radius) - 0.5))  # OpenCV adds half a pixel; 1/16 px
         width, height = self.camera.image_size
         image = np.full((height, width, 3), 128, np.uint8)
-        drop = self.arc_lengths[:, None] * self.rope.gravity / np.hypot(*self.rope.gravity)
+        drop = np.asarray(self.arc_lengths)[:, None] * self.rope.gravity / np.hypot(*self.rope.gravity)
         for place in np.round(16.0 * self.camera.project(drop + tracker.estimator.process.base(0.0)[0])).astype(int):
             cv2.circle(image, place.tolist(), radius, self.colour.bgr.tolist(), -1, cv2.LINE_AA, 4)
         for k in range(_PRACTICE):
@@ -102,112 +99,47 @@ class TrackingTask:
 
 
 class Packet(NamedTuple):
-    """What the process has found by now; times are this machine's monotonic clock, s.
+    """What the process knows; times are this machine's monotonic clock, s.
 
     Attributes
     ----------
     written : float
         When it was written.
     t : float
-        Of the last picture; an estimated delay lies between it and the instant of the state.
+        Time of the last picture; the state is older by an estimated delay.
     seen_at : float
         When a marker was last seen.
-    found : float
-        1 if the rope has been found, else 0.
-    frames : float
-        Looked at until now.
-    seen : float
-        Markers seen in the last one.
+    found : bool
+        Whether the rope has been found.
+    frames : int
+        Frames processed so far.
     noise : (2,) float64
         Densities of the links' disturbances, as of :meth:`Process.noise`.
-    x : (N,) float64
-    rows : (r, N) float64
-        Their squares are the covariance of x.
-    changes : (c, 10) float64
-        The last that were noticed, as of :func:`packed_change`.
+    x, rows : (N,), (r, N) float64
+        State, and rows whose squares are its covariance.
+    changes : tuple of Change
+        The last that were noticed.
     """
 
     written: float
     t: float
     seen_at: float
-    found: float
-    frames: float
-    seen: float
+    found: bool
+    frames: int
     noise: Array
     x: Array
     rows: Array
-    changes: Array
-
-    def packed(self) -> Array:
-        """Return it as plain numbers."""
-        sizes = [self.x.size, len(self.rows), len(self.changes)]
-        return np.concatenate([self[:6], self.noise, sizes, self.x, self.rows.ravel(), self.changes.ravel()])
-
-    @classmethod
-    def unpacked(cls, values: Array) -> "Packet":
-        """Return what :meth:`packed` has made plain numbers."""
-        size, count, changes = values[8:11].astype(int).tolist()
-        x, rows, noticed = np.split(
-            values[11 : 11 + size * (1 + count) + changes * _CHANGE_SIZE], [size, size * (1 + count)]
-        )
-        written, t, seen_at, found, frames, seen = values[:6].tolist()
-        given = rows.reshape(count, size), noticed.reshape(changes, _CHANGE_SIZE)
-        return cls(written, t, seen_at, found, frames, seen, values[6:8], x, *given)
-
-
-def packed_change(change: Change, names: Sequence[str]) -> Array:
-    """Return a change as plain numbers (10,), its name as its place among `names`; NaN is what it does not have."""
-    place = math.nan if change.arc_length is None else change.arc_length
-    impulse = (math.nan, math.nan) if change.impulse is None else change.impulse
-    known = change.noticed, change.time, change.size, change.std, change.probability, change.log_false_alarm
-    return np.array([names.index(change.name), *known, place, *impulse])
-
-
-def unpacked_change(values: Array, names: Sequence[str], zero: float) -> Change:
-    """Return the change, its times since `zero`, s."""
-    noticed, time, size, std, probability, log_false_alarm, place, x, y = values[1:].tolist()
-    return Change(
-        names[int(values[0])],
-        noticed - zero,
-        time - zero,
-        size,
-        std,
-        probability,
-        log_false_alarm,
-        None if math.isnan(place) else place,
-        None if math.isnan(x) else (x, y),
-    )
-
-
-def packed_motion(motion: Motion, zero: float) -> Array:
-    """Return a motion, and when its t = 0 is by the machine's clock, s, as plain numbers; refuses too many pieces."""
-    if len(motion.coef) > MOST_PIECES:
-        allowed = f"at most {MOST_PIECES} pieces"
-        raise InvalidInput("the motion is too long to be handed over", got=len(motion.coef), allowed=allowed)
-    return np.concatenate(
-        [[zero, motion.loop, len(motion.coef)], motion.breaks, motion.switch.astype(float), motion.coef.ravel()]
-    )
-
-
-def unpacked_motion(values: Array) -> Motion:
-    """Return the motion, by the machine's clock."""
-    zero, loop, count = float(values[0]), int(values[1]), int(values[2])
-    breaks, switch = values[3 : 4 + count], values[4 + count : 5 + 2 * count]
-    coef = values[5 + 2 * count : 5 + 26 * count].reshape(count, 4, 6)
-    return Motion(breaks + zero, coef, switch.astype(np.bool_), loop)
-
-
-MOTION_SIZE = 5 + 26 * MOST_PIECES
+    changes: tuple[Change, ...]
 
 
 class StampClock:
-    """Puts frames on the machine's monotonic clock: by the least delay with which any has come.
+    """Puts frames on the machine's monotonic clock, by the least delay of any frame.
 
     Notes
     -----
-    A frame is never later on that clock than it arrived, and the one that came quickest not earlier. What all frames
-    have in common is not seen: give it as the camera's ``delay``. A source that was opened again has begun its stamps
-    anew: the least delay is found anew, too.
+    A frame is never later on that clock than it arrived, and the quickest one not earlier. A delay that all frames have
+    in common cannot be seen: it is the camera's ``delay``. The time stamps of a source that was opened again start
+    anew, and so does the least delay.
     """
 
     def __init__(self) -> None:
@@ -219,26 +151,36 @@ class StampClock:
         stamp = arrival.frame.time
         if arrival.opening != self._opening:
             self._offset, self._opening = math.inf, arrival.opening
-        self._offset = min(self._offset + _DRIFT * (arrival.at - self._at), arrival.at - stamp)
+        self._offset = min(self._offset + _CLOCK_DRIFT * (arrival.at - self._at), arrival.at - stamp)
         self._at = arrival.at
         self._last = max(stamp + self._offset, self._last + 1e-6)
         return Frame(self._last, arrival.frame.image, arrival.frame.index)
 
 
-def work(task: TrackingTask, states: str, motions: str, said: Connection) -> None:
-    """Estimate until the parent ends or asks for it; what goes wrong is said through the pipe, as text."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to deal with
-    out, given = SharedArray(task.packet_size, states), SharedArray(MOTION_SIZE, motions)
+def work(source: int | str, task: TrackingTask, packets: str, motions: str, messages: Connection) -> None:
+    """Estimate until the parent ends; errors are sent as text.
+
+    Parameters
+    ----------
+    source : int or str
+        Camera, stream or file.
+    task : TrackingTask
+    packets, motions : str
+        Names of the shared values: of a Packet, and of a motion with the time of its t = 0, s.
+    messages : Connection
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent
+    out, given = SharedValue(task.packet_bytes, packets), SharedValue(MOTION_BYTES, motions)
     try:
-        _follow(task, out, given, said)
+        _follow(source, task, out, given, messages)
     except HyperflexError as error:
-        said.send_bytes(str(error).encode())
+        messages.send_bytes(str(error).encode())
     finally:
         out.close()
         given.close()
 
 
-def _follow(task: TrackingTask, out: SharedArray, given: SharedArray, said: Connection) -> None:
+def _follow(source: int | str, task: TrackingTask, out: SharedValue, given: SharedValue, messages: Connection) -> None:
     from threadpoolctl import threadpool_limits
 
     tracker, parent, number = task.tracker(), multiprocessing.parent_process(), 0
@@ -247,40 +189,27 @@ def _follow(task: TrackingTask, out: SharedArray, given: SharedArray, said: Conn
 
     def take_motion() -> None:
         nonlocal number
-        found = given.read()
-        if task.arm is not None and found is not None and found[0] != number:
-            number = found[0]
-            estimator.process.set_motion(unpacked_motion(found[1]))
+        newest = given.read()
+        if newest is not None and newest[0] != number:
+            number, (motion, zero) = newest
+            estimator.process.set_motion(motion.shifted(zero))
 
-    with open_frames(task.source, paced=True) as frames, threadpool_limits(1):
+    with open_frames(source, paced=True) as frames, threadpool_limits(1):
         watch = Watch(frames, tracker, interval=TICK, retime=StampClock(), before=take_motion)
-        said.send_bytes(READY.encode())
-        count, names = 0, task.changing
-        changes = deque[Array](maxlen=MOST_CHANGES)
+        messages.send_bytes(READY.encode())
+        count, changes = 0, deque[Change](maxlen=MOST_CHANGES)
         for estimate in watch:
             count += estimate.frame is not None
-            if estimate.tracked is not None:
-                changes.extend(packed_change(change, names) for change in estimate.tracked.changes)
-            out.write(_packet(estimate, estimator, count, list(changes)).packed())
+            changes.extend(() if estimate.tracked is None else estimate.tracked.changes)
+            out.write(_packet(estimate, estimator, count, tuple(changes)))
             if parent is None or not parent.is_alive():
                 return
-        said.send_bytes(f"no more frames come: {frames.ended}".encode())
+        messages.send_bytes(f"no more frames come: {frames.ended}".encode())
 
 
-def _packet(estimate: LiveEstimate, estimator: RopeFilter, frames: int, changes: list[Array]) -> Packet:
+def _packet(estimate: LiveEstimate, estimator: RopeFilter, frames: int, changes: tuple[Change, ...]) -> Packet:
+    t, x, rows, seen_at = estimate.t, estimator.x, estimator.factor, -math.inf
     found = estimate.found and estimator.t is not None
-    t = estimator.t if found and estimator.t is not None else estimate.t
-    return Packet(
-        time.monotonic(),
-        t,
-        t - estimator.age if found else -math.inf,
-        float(found),
-        float(frames),
-        float(estimate.seen),
-        estimator.process_noise.value,
-        estimator.x
-        if found
-        else np.concatenate([estimate.state.q, estimate.state.qd, np.zeros(len(estimator.parameters))]),
-        estimator.factor if found else np.zeros((0, estimator.x.size)),
-        np.reshape(changes, (-1, _CHANGE_SIZE)),
-    )
+    if found and estimator.t is not None:
+        t, seen_at = estimator.t, estimator.t - estimator.age
+    return Packet(time.monotonic(), t, seen_at, found, frames, estimator.process_noise.value, x, rows, changes)

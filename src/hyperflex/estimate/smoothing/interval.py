@@ -2,60 +2,26 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.errors import SimulationError
-from hyperflex.estimate.observations import MarkerModel, Observations
-from hyperflex.estimate.process import Prediction, Process
+from hyperflex.estimate.observations import InputFrame, MarkerModel
+from hyperflex.estimate.process import BEYOND, Prediction, Process
 from hyperflex.estimate.smoothing.linear_smoother import Measurement, Smoothed, Step, smooth_linear
+from hyperflex.estimate.square_root import CLOSE
 from hyperflex.interfaces import RopeState
 from hyperflex.status import Status
 
-CLOSE = 0.03  # of a standard deviation: converged
-SHORTEST = 1.0 / 64.0  # part of a Gauss-Newton step
-BEYOND = 1e6  # rad, rad/s: a state that no rope has
-ROOM = 6  # squares that are allowed beside one for each measurement
-RIDGE = 1e-9  # of a covariance's diagonal, added to it where it is inverted
-
-
-@dataclass(frozen=True, eq=False)
-class InputFrame:
-    """What is known of one frame before it is smoothed.
-
-    Attributes
-    ----------
-    seen : Observations
-    used : (K,) bool
-        Which of its markers count.
-    level : float
-        Of the measurement noise: what its covariances' square roots are multiplied by.
-    noise : (r, N) float64
-        Rows of the process noise since the frame before (of the first frame: none).
-    """
-
-    seen: Observations
-    used: npt.NDArray[np.bool_]
-    level: float
-    noise: Array
-
-    @cached_property
-    def whitening(self) -> Array:
-        """What turns differences of the places that count into numbers of variance 1, (k, 2, 2)."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self.seen.covariances[self.used])) / self.level)
-
-    @cached_property
-    def log_determinant(self) -> float:
-        """Logarithm of the whitening's determinant: what a likelihood of whitened differences lacks."""
-        return float(np.log(np.linalg.det(self.whitening)).sum())
+SHORTEST = 1.0 / 64.0  # part of a Gauss-Newton step that is tried
+ROOM = 6  # squares that are allowed in addition to one for each measurement
+RIDGE = 1e-9  # of a covariance's diagonal, added to it when it is inverted
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """States that the process and some noise make of a start, linearised.
+    """States that follow from a start by the process and noise, linearised.
 
     Attributes
     ----------
@@ -67,7 +33,7 @@ class Path:
     predictions : list of Prediction
         To each frame from the one before.
     measurements : list of Measurement
-        What is left of what was seen, whitened, and the derivatives.
+        Residuals of the observations, whitened, and their derivatives.
     """
 
     start: Array
@@ -77,7 +43,7 @@ class Path:
     measurements: list[Measurement] = field(default_factory=list)
 
     def copy(self) -> "Path":
-        """Return another one that can go on by itself."""
+        """Return a copy that can be extended."""
         return Path(self.start, [*self.noises], [*self.x], [*self.predictions], [*self.measurements])
 
     @property
@@ -110,12 +76,12 @@ class Interval:
 
     Notes
     -----
-    What is minimised is ``|u|^2 + sum |w|^2 + sum |z|^2``, of the start u, the process noise w and what is left of the
-    measurements z, all of variance 1. A path has no defects: each state is what the process makes of the one before,
-    and the noise. Each step is that of :func:`smooth_linear`: an iterated Kalman smoother is Gauss-Newton (Bell 1994,
-    SIAM J. Optim. 4(3), 626). Shooting alone would fail where motion is chaotic, so the noise of a trial steers the
-    path to where the linear step wants it, as far as its covariance there does not allow for the difference. To first
-    order that changes nothing. A step that does not lessen the cost is halved.
+    The cost is ``|u|^2 + sum |w|^2 + sum |z|^2``, of the start u, the process noise w and the residuals z of the
+    measurements, all of variance 1. A path has no defects: each state follows from the one before and the noise. Each
+    step is that of :func:`smooth_linear`: an iterated Kalman smoother is Gauss-Newton (Bell 1994, SIAM J. Optim. 4(3),
+    626). Shooting alone would fail where motion is chaotic, so the noise of a trial steers the path to the states of
+    the linear step, as far as their covariances do not allow for the difference. To first order that changes nothing.
+    A step that does not lessen the cost is halved.
     """
 
     def __init__(
@@ -167,24 +133,24 @@ class Interval:
 
     @property
     def misfit(self) -> float:
-        """What is left of the posterior's squares for each that a right model would leave: about 1, with some room."""
+        """The posterior's squares over those of a right model: about 1, with some room."""
         return self.path.cost / (ROOM + sum(len(each.z) for each in self.path.measurements))
 
     def append(self, frame: InputFrame) -> None:
-        """Take one more frame; its state is at first the one predicted.
+        """Add a frame; its state is at first the predicted one.
 
         Raises
         ------
         SimulationError
-            If no rope can move on to it.
+            If the rope's equations cannot be integrated to it.
         """
-        path, found = self.path.copy(), self._predicted(self.path.x[-1], len(self.frames), frame)
-        self._extend(path, frame, found)
+        path = self.path.copy()
+        self._extend(path, frame, self.frames[-1], np.zeros(len(frame.noise)))
         self.path, self.frames = path, [*self.frames, frame]
         self._smoothe()
 
     def follow(self, frames: Sequence[InputFrame], states: Sequence[tuple[Array, Array]]) -> None:
-        """Take all further frames, on a path near states that are known to about their covariances.
+        """Add all further frames, on a path near states that are known to about their covariances.
 
         Parameters
         ----------
@@ -195,7 +161,7 @@ class Interval:
         Raises
         ------
         SimulationError
-            If no rope can move along them.
+            If the rope's equations cannot be integrated along them.
         """
         start = np.asarray(np.linalg.lstsq(self.rows.T, states[0][0] - self.mean, rcond=RIDGE)[0])
         self.frames = [*self.frames[:1], *frames]
@@ -206,12 +172,12 @@ class Interval:
         self._smoothe()
 
     def forget(self) -> None:
-        """Leave out the first of two frames or more: what it told goes on in the prior of the second."""
+        """Drop the first of two or more frames: its information remains in the prior of the second."""
         self._forgotten += float(self.smoothed.log_likelihoods[0]) + self.frames[0].log_determinant
         self.smoothed, path = self.smoothed.without_first(), self.path
         mean, rows = self.smoothed.priors[0]
         self.mean, self.rows, self._qdd = path.x[1] + mean, rows, path.predictions[0].qdd
-        # where the path is not at its best quite, its start is not the smoothed one
+        # before convergence, the path's start is not the smoothed one
         start = self.smoothed.coordinates[0] - np.linalg.lstsq(rows.T, self.smoothed.means[0], rcond=RIDGE)[0]
         self.path = Path(start, path.noises[1:], path.x[1:], path.predictions[1:], path.measurements[1:])
         self.frames = self.frames[1:]
@@ -222,10 +188,8 @@ class Interval:
             if self._largest(self.smoothed) < CLOSE:
                 return
             part, found = 1.0, None
-            while part >= SHORTEST:
+            while found is None and part >= SHORTEST:
                 found = self._steered(part)
-                if found is not None:
-                    break
                 part *= 0.5
             if found is None:
                 return
@@ -268,7 +232,7 @@ class Interval:
     def _run(
         self,
         start: Array,
-        noises: list[Array] | None,
+        noises: Sequence[Array] | None,
         states: Sequence[tuple[Array, Array]] | None,
         limit: float = np.inf,
     ) -> Path | None:
@@ -282,42 +246,41 @@ class Interval:
         for k, frame in enumerate(self.frames[1:], start=1):
             if not path.cost < limit:
                 return None
+            w = np.zeros(len(frame.noise)) if noises is None else noises[k - 1]
             try:
-                found = self._predicted(path.x[-1], k, frame)
+                self._extend(path, frame, self.frames[k - 1], w, None if states is None else states[k])
             except SimulationError:
                 return None
-            w = np.zeros(len(frame.noise)) if noises is None else noises[k - 1]
-            if states is not None:
-                target, rows = states[k]
-                w = w + _gain(frame.noise, rows) @ (target - found.x - frame.noise.T @ w)
-            self._extend(path, frame, found, w)
         return path if path.cost < limit else None
 
-    def _extend(self, path: Path, frame: InputFrame, found: Prediction, w: Array | None = None) -> None:
-        """Add to a path the state that a prediction and noise make."""
-        w = np.zeros(len(frame.noise)) if w is None else w
+    def _extend(
+        self, path: Path, frame: InputFrame, last: InputFrame, w: Array, target: tuple[Array, Array] | None = None
+    ) -> None:
+        """Add to a path the state that follows from the last frame's with noise w, steered towards a target."""
+        found = self._predicted(path.x[-1], last.seen.t, frame.seen.t)
+        if target is not None:
+            w = w + _gain(frame.noise, target[1]) @ (target[0] - found.x - frame.noise.T @ w)
         path.predictions.append(found)
         path.noises.append(w)
         path.x.append(found.x + frame.noise.T @ w)
         path.measurements.append(self._measurement(frame, path.x[-1], found.qdd))
 
-    def _predicted(self, x: Array, k: int, frame: InputFrame) -> Prediction:
-        """Return what comes of the state x at the frame before the k-th."""
+    def _predicted(self, x: Array, t: float, until: float) -> Prediction:
+        """Return the state that follows from x between the times of two frames, s."""
         first = 2 * self.process.rope.n_links
         possible = np.concatenate([x[:first], self.process.parameters.possible(x[first:])])
-        found = self.process.predict(possible, self.frames[k - 1].seen.t, frame.seen.t)
+        found = self.process.predict(possible, t, until)
         if not (np.abs(found.x).max() < BEYOND and np.abs(found.transition).max() < BEYOND**2):
-            raise SimulationError("The state is beyond all numbers.", status=Status.NOT_FINITE, time=frame.seen.t)
+            raise SimulationError("The state is not finite.", status=Status.NOT_FINITE, time=until)
         return found._replace(x=np.concatenate([found.x[:first], x[first:]]))
 
     def _measurement(self, frame: InputFrame, x: Array, qdd: Array) -> Measurement:
         """Return what is left of a frame's measurements, over their standard deviation, and its derivatives."""
-        seen, good = frame.seen, frame.used
-        if not good.any():
+        seen = frame.seen
+        if not frame.used.any():
             return Measurement(np.zeros(0), np.zeros((0, x.size)))
-        places, slope = self.model.predict(x, self.process.base(seen.t, x), seen.rows, qdd)
-        left = frame.whitening @ (seen.places[good] - places[good])[:, :, None]
-        return Measurement(left.ravel(), (frame.whitening @ slope[good]).reshape(left.size, -1))
+        predicted = self.model.predict(x, self.process.base(seen.t, x), seen.rows, qdd)
+        return Measurement(*frame.residuals(*predicted))
 
 
 def _gain(noise: Array, rows: Array) -> Array:

@@ -12,11 +12,11 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
-from hyperflex.estimate.change_detection import Found
+from hyperflex.estimate.changes import Found
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.noise import NoiseLevel
-from hyperflex.estimate.observations import Observations
-from hyperflex.estimate.smoothing.interval import InputFrame, Interval
+from hyperflex.estimate.observations import InputFrame, Observations
+from hyperflex.estimate.smoothing.interval import Interval
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Rope
 

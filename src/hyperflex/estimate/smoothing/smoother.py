@@ -8,8 +8,8 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.changes import MISFIT, TOUCH, Change
-from hyperflex.estimate.observations import Observations
-from hyperflex.estimate.smoothing.interval import InputFrame, Interval
+from hyperflex.estimate.observations import InputFrame, Observations
+from hyperflex.estimate.smoothing.interval import Interval
 from hyperflex.estimate.smoothing.moving_horizon import MovingHorizon
 from hyperflex.interfaces import RopeState
 from hyperflex.interruption import interruptible

@@ -1,4 +1,4 @@
-"""What a synthetic camera films of a calibration board: pictures by ray casting, to rehearse and test calibration."""
+"""Pictures of a calibration board by a synthetic camera (ray casting), to rehearse and test calibration."""
 
 import functools
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ _SIDE = 48  # px, of a square in the board's own picture
 
 
 def film_board(board: Board, video: PathLike, plane: PathLike, *, views: int = 15) -> None:
-    """Write what a camera would see of a board, to rehearse a calibration without one.
+    """Write a video and a picture of a board, to rehearse a calibration without a camera.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def film_board(board: Board, video: PathLike, plane: PathLike, *, views: int = 1
 
     Notes
     -----
-    The camera is the same in all of them, and known: ``camera.matrix`` of a calibration comes near :data:`MATRIX`.
+    The camera is the same in all of them: ``camera.matrix`` of a calibration is close to :data:`MATRIX`.
 
     Examples
     --------

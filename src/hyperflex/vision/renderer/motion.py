@@ -51,11 +51,11 @@ class RopeMotion:
         shape = (self.t.size, self.length.size)
         if (base is None) != (base_velocity is None):
             raise InvalidInput("one of base and base_velocity is missing", fix="Give both or none")
-        rest = np.zeros((self.t.size, 2))
-        columns = [checks.array("q", q, shape, unit="rad"), rest if base is None else base]
-        rates = [checks.array("qd", qd, shape, unit="rad/s"), rest if base_velocity is None else base_velocity]
-        self._values = np.hstack([columns[0], checks.array("base", columns[1], (self.t.size, 2), unit="m")])
-        self._rates = np.hstack([rates[0], checks.array("base_velocity", rates[1], (self.t.size, 2), unit="m/s")])
+        still = np.zeros((self.t.size, 2))
+        places = checks.array("base", still if base is None else base, still.shape, unit="m")
+        speeds = checks.array("base_velocity", still if base_velocity is None else base_velocity, still.shape)
+        self._values = np.hstack([checks.array("q", q, shape, unit="rad"), places])
+        self._rates = np.hstack([checks.array("qd", qd, shape, unit="rad/s"), speeds])
         self.off_plane = off_plane
 
     @classmethod
@@ -78,9 +78,7 @@ class RopeMotion:
         values = self._at(times)
         q, base = values[:, :-2], values[:, -2:]
         along = np.stack([np.sin(q), -np.cos(q)], axis=2)  # (m, n, 2)
-        joints = base[:, None] + np.concatenate(
-            [np.zeros((times.size, 1, 2)), np.cumsum(self.length[:, None] * along, axis=1)], axis=1
-        )
+        joints = base[:, None] + np.pad(np.cumsum(self.length[:, None] * along, axis=1), ((0, 0), (1, 0), (0, 0)))
         ends = self.joint_arc_lengths
         link = np.clip(np.searchsorted(ends, arcs, side="right") - 1, 0, self.length.size - 1)
         result = np.zeros((times.size, arcs.size, 3))

@@ -5,45 +5,80 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
+from hyperflex import checks, files
 from hyperflex.checks import Array
 from hyperflex.core.image.exposure import Capsules, RowTimes, expose
-from hyperflex.files import PathLike
+from hyperflex.files import NetCDF, PathLike, Variable
 from hyperflex.vision.camera import Camera
 from hyperflex.vision.renderer.motion import RopeMotion
 from hyperflex.vision.renderer.scene import Scene, finished, tiles_of_noise
-from hyperflex.vision.renderer.truth import Truth
 from hyperflex.vision.video import Image, VideoWriter
 
-_NODE = 1e-3  # s, between the places from which the motion within a frame is interpolated
-_COVER = (70.0, 75.0, 75.0)  # colour of what hides a marker
-_COVER_SIZE = 1.5  # of the marker's diameter
+_NODE = 1e-3  # s, between the instants from which the motion within a frame is interpolated
+_ITERATIONS = 8  # of the row in which a marker is seen and the time of that row
+_COVER, _COVER_SIZE = (70.0, 75.0, 75.0), 1.5  # colour and size (of the marker's) of what hides a marker
 
 
-@dataclass
-class _Shape:
-    """Capsules of one layer: ends as indices of the points, radii in m, one colour."""
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The truth of T frames with K markers.
 
-    first: list[int]
-    second: list[int]
-    radius: float
-    colour: Array
+    Attributes
+    ----------
+    stamps : (T,) float64
+        Time stamps of the frames, s.
+    times : (T, K) float64
+        When each marker was exposed (the middle of it, in its own row), s.
+    places : (T, K, 3) float64
+        Its place at that time, m: x, y, and off the plane.
+    pixels : (T, K, 2) float64
+        Its place in the picture, px.
+    streaks : (T, K, 2) float64
+        Its movement in the picture during the exposure, px.
+    visible : (T, K) bool
+        Whether its middle is in the picture and not covered.
+    arc_lengths : (K,) float64
+        Of the markers, m.
+    """
+
+    stamps: Array
+    times: Array
+    places: Array
+    pixels: Array
+    streaks: Array
+    visible: npt.NDArray[np.bool_]
+    arc_lengths: Array
+
+    def write(self, path: PathLike) -> None:
+        """Write the truth to a NetCDF file, complete or not at all."""
+        frame, each = ("frame",), ("frame", "marker")
+        variables = {
+            "stamp": Variable(frame, self.stamps, {"units": "s"}),
+            "time": Variable(each, self.times, {"units": "s", "long_name": "middle of the exposure"}),
+            "place": Variable((*each, "axis"), self.places, {"units": "m"}),
+            "pixel": Variable((*each, "image_axis"), self.pixels, {"units": "px"}),
+            "streak": Variable((*each, "image_axis"), self.streaks, {"units": "px"}),
+            "visible": Variable(each, self.visible.astype(np.int8), {"units": "1"}),
+            "arc_length": Variable(("marker",), self.arc_lengths, {"units": "m"}),
+        }
+        files.write_netcdf(path, NetCDF(variables, {"format": "hyperflex rendered truth 1"}))
+
+
+_Layer = tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], float, npt.ArrayLike]
 
 
 class Renderer:
-    """Makes the frames that a camera would take of a moving rope.
+    """Renders the frames that a camera would take of a moving rope.
 
     Parameters
     ----------
     camera : Camera
-        With the swing plane's pose; its exposure, readout and delay are obeyed.
+        With the swing plane's pose, exposure, readout and delay.
     motion : RopeMotion
-        The rope; of a finer chain than the one that is to be tracked.
+        The rope; take a finer chain than the one that tracks it.
     scene : Scene
-        What is seen.
     sub_exposures : int
-        At least so many instants make an exposure; fast ropes get more, so that none is further from the next than
-        1.5 px.
+        Least number of instants of an exposure; fast ropes get more, at most 1.5 px apart.
 
     Examples
     --------
@@ -87,7 +122,7 @@ class Renderer:
         return finished(levels)
 
     def truth(self, stamps: npt.ArrayLike) -> Truth:
-        """Return what frames with these time stamps (T,), s, show in truth."""
+        """Return the truth of frames with these time stamps (T,), s."""
         scene, camera = self.scene, self.camera
         instants = checks.array("stamps", stamps, (-1,), unit="s")
         count = scene.arc_lengths.size
@@ -95,14 +130,9 @@ class Renderer:
         places, pixels = np.zeros((instants.size, count, 3)), np.zeros((instants.size, count, 2))
         streaks, visible = np.zeros_like(pixels), np.zeros((instants.size, count), bool)
         for k, stamp in enumerate(instants.tolist()):
-            t = np.full(count, stamp - camera.delay)
-            for _ in range(8):  # the row depends on the time at which the marker is seen, and that on the row
-                places[k], pixels[k] = self._markers(t)
-                t = camera.exposure_times(stamp, pixels[k])
-            times[k] = t
-            places[k], pixels[k] = self._markers(t)
-            ends = [self._seen_in_exposure(stamp, t, side * 0.5 * camera.exposure) for side in (1.0, -1.0)]
-            streaks[k] = ends[0] - ends[1]
+            times[k], places[k], pixels[k] = self._exposed(stamp, 0.0)
+            begin, end = (self._exposed(stamp, side * camera.exposure)[2] for side in (-0.5, 0.5))
+            streaks[k] = end - begin
             inside = (pixels[k] >= 0.0).all(axis=1) & (pixels[k] <= np.array(camera.image_size) - 1.0).all(axis=1)
             covered = np.zeros(count, bool) if scene.hidden is None else scene.hidden(stamp)
             visible[k] = inside & ~covered & ~self._behind(places[k], stamp) & (not scene.is_black(stamp))
@@ -124,18 +154,16 @@ class Renderer:
                 video.write(self.image(stamp), stamp)
         return self.truth(instants)
 
-    def _markers(self, t: Array) -> tuple[Array, Array]:
-        """Return places (K, 3), m, and pixels (K, 2) of the markers, each at its own time (K,)."""
-        places = self.motion.places(t, self.scene.arc_lengths)
-        own = places[np.arange(t.size), np.arange(t.size)]
-        return own, self.camera.project(own)
-
-    def _seen_in_exposure(self, stamp: float, t: Array, shift: float) -> Array:
-        """Return pixels (K, 2) of the markers where rows see them a time `shift`, s, after their middle."""
-        pixels = self._markers(t)[1]
-        for _ in range(8):
-            pixels = self._markers(self.camera.exposure_times(stamp, pixels) + shift)[1]
-        return pixels
+    def _exposed(self, stamp: float, shift: float) -> tuple[Array, Array, Array]:
+        """Return times (K,), s, places (K, 3), m, and pixels (K, 2) of markers, `shift` after their rows' exposure."""
+        arcs = self.scene.arc_lengths
+        t, each = np.full(arcs.size, stamp - self.camera.delay), np.arange(arcs.size)
+        for _ in range(_ITERATIONS):
+            places = self.motion.places(t, arcs)[each, each]
+            pixels = self.camera.project(places)
+            t = self.camera.exposure_times(stamp, pixels) + shift
+        places = self.motion.places(t, arcs)[each, each]
+        return t, places, self.camera.project(places)
 
     def _behind(self, places: Array, t: float) -> npt.NDArray[np.bool_]:
         """Return which of the places (K, 3) lie behind an occluder."""
@@ -147,66 +175,61 @@ class Renderer:
             result |= np.linalg.norm(places[:, :2] - start - share[:, None] * along, axis=1) < 0.5 * bar.width
         return result
 
-    def _shapes(self, stamp: float) -> list[_Shape]:
-        """Return what is drawn, from the back to the front."""
+    def _layers(self, stamp: float) -> list[_Layer]:
+        """Return what is drawn, from the back to the front: first and second points of capsules, radius, m, colour."""
         scene, joints = self.scene, self.motion.joint_arc_lengths.size
-        shapes = []
+        markers = scene.arc_lengths.size
+        layers: list[_Layer] = []
         if not scene.is_black(stamp):
             if scene.rope_width > 0.0:
-                links = list(range(joints - 1))
-                rope = np.asarray(scene.rope_colour)
-                shapes.append(_Shape(links, [k + 1 for k in links], 0.5 * scene.rope_width, rope))
-            at = joints + scene.arc_lengths.size
+                links = np.arange(joints - 1)
+                layers.append((links, links + 1, 0.5 * scene.rope_width, scene.rope_colour))
             for k, bar in enumerate(scene.bars):
-                shapes.append(_Shape([at + 2 * k], [at + 2 * k + 1], 0.5 * bar.width, np.array(bar.colour)))
-            hidden = None if scene.hidden is None else scene.hidden(stamp)
-            for k in range(scene.arc_lengths.size):
-                marker, radius = [joints + k], 0.5 * scene.marker_diameter
-                shapes.append(_Shape(marker, marker, radius, np.asarray(scene.marker_colours)[k]))
-                if hidden is not None and hidden[k]:
-                    shapes.append(_Shape(marker, marker, _COVER_SIZE * radius, np.array(_COVER)))
+                first = np.array([joints + markers + 2 * k])
+                layers.append((first, first + 1, 0.5 * bar.width, bar.colour))
+            hidden = np.zeros(markers, bool) if scene.hidden is None else scene.hidden(stamp)
+            for k, colour in enumerate(np.asarray(scene.marker_colours)):
+                marker, radius = np.array([joints + k]), 0.5 * scene.marker_diameter
+                layers.append((marker, marker, radius, colour))
+                if hidden[k]:
+                    layers.append((marker, marker, _COVER_SIZE * radius, _COVER))
         for k, front in enumerate(scene.occluders):
-            at = self._arcs.size + 2 * k
-            shapes.append(_Shape([at], [at + 1], 0.5 * front.width, np.array(front.colour)))
-        return shapes
+            first = np.array([self._arcs.size + 2 * k])
+            layers.append((first, first + 1, 0.5 * front.width, front.colour))
+        return layers
 
     def _capsules(self, stamp: float) -> tuple[Capsules | None, RowTimes]:
-        """Return what is drawn in pixels at some times about a frame, and when its rows are exposed."""
+        """Return what is drawn in pixels at some instants about a frame, and when its rows are exposed."""
         camera = self.camera
         start = stamp - camera.delay - 0.5 * camera.exposure
         span = camera.exposure + camera.readout
         nodes = max(2, int(np.ceil(span / _NODE)) + 1)
-        instants = start + np.linspace(0.0, span, nodes) if span > 0.0 else np.full(2, start)
+        instants = start + np.linspace(0.0, span, nodes)
         places = self.motion.places(instants, self._arcs)
-        if self.scene.occluders:
-            moved = [
-                np.array([*end, 0.0]) + instants[:, None] * np.array([*bar.velocity, 0.0])
-                for bar in self.scene.occluders
-                for end in (bar.start, bar.end)
-            ]
-            places = np.concatenate([places, np.stack(moved, axis=1)], axis=1)
+        for bar in self.scene.occluders:
+            ends = np.array([bar.start, bar.end]) + instants[:, None, None] * np.array(bar.velocity)
+            places = np.concatenate([places, np.pad(ends, ((0, 0), (0, 0), (0, 1)))], axis=1)
         pixels = camera.project(places.reshape(-1, 3)).reshape(nodes, -1, 2)
-        scales = np.sqrt(np.abs(np.linalg.det(camera.linearize(places[nodes // 2]).by_point[:, :, :2])))
+        scales = np.sqrt(np.abs(np.linalg.det(camera.linearize(places[nodes // 2])[1][:, :, :2])))
         if not self._upright:
             pixels = pixels[:, :, ::-1]
-        shapes = self._shapes(stamp)
         rows = camera.image_size[1 if self._upright else 0]
         step = (nodes - 1) / span if span > 0.0 else 0.0
         slope = camera.readout / max(rows - 1, 1) * step
         backwards = camera.readout_direction in ("up", "left")
         first = 0.5 * camera.exposure * step + (camera.readout * step if backwards else 0.0)
-        moved_most = np.abs(np.diff(pixels, axis=0)).max(initial=0.0) * camera.exposure * step
-        samples = max(self.sub_exposures, int(moved_most / 1.5)) if camera.exposure > 0.0 else 1
+        fastest = np.abs(np.diff(pixels, axis=0)).max(initial=0.0) * camera.exposure * step
+        samples = max(self.sub_exposures, int(fastest / 1.5)) if camera.exposure > 0.0 else 1
         times = RowTimes(first, -slope if backwards else slope, camera.exposure * step, samples)
-        if not shapes:
+        layers = self._layers(stamp)
+        if not layers:
             return None, times
-        one = [k for shape in shapes for k in shape.first]
-        two = [k for shape in shapes for k in shape.second]
-        sizes = [len(s.first) for s in shapes]
-        radii = np.repeat([s.radius for s in shapes], sizes) * 0.5 * (scales[one] + scales[two])
+        one, two = (np.concatenate([layer[k] for layer in layers]) for k in (0, 1))
+        sizes = [len(layer[0]) for layer in layers]
+        radii = np.repeat([layer[2] for layer in layers], sizes) * 0.5 * (scales[one] + scales[two])
         ends = np.ascontiguousarray(np.concatenate([pixels[:, one], pixels[:, two]], axis=2))
-        colours = np.repeat([s.colour for s in shapes], sizes, axis=0).astype(np.float32)
-        return Capsules(ends, radii, np.repeat(np.arange(len(shapes)), sizes), colours), times
+        colours = np.repeat([layer[3] for layer in layers], sizes, axis=0).astype(np.float32)
+        return Capsules(ends, radii, np.repeat(np.arange(len(layers)), sizes), colours), times
 
 
 def frame_times(

@@ -1,4 +1,4 @@
-"""What the synthetic camera sees: rope, markers, bars, background, light, noise, and what hides the rope."""
+"""The scene of the synthetic camera: rope, markers, bars, background, light, noise, and what hides the rope."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from hyperflex.vision.video import Image
 Colour = tuple[float, float, float]  # blue, green, red, 0 to 255
 Hidden = Callable[[float], npt.NDArray[np.bool_]]  # time, s -> which markers (K,) are covered
 
-RED, GREEN, WHITE, DARK = (40.0, 30.0, 210.0), (60.0, 190.0, 40.0), (250.0, 250.0, 250.0), (45.0, 45.0, 45.0)
+RED, DARK = (40.0, 30.0, 210.0), (45.0, 45.0, 45.0)
 
 
 class Bar(NamedTuple):
@@ -60,7 +60,7 @@ class Occluder(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What is in the picture.
+    """Everything in the picture.
 
     Parameters
     ----------
@@ -122,14 +122,13 @@ class Scene:
             "arc_lengths": arcs,
             "marker_diameter": checks.number("marker_diameter", self.marker_diameter, sign="positive", unit="m"),
             "marker_colours": checks.array("marker_colours", colours, (arcs.size, 3), sign="nonnegative"),
-            "rope_width": checks.number("rope_width", self.rope_width, sign="nonnegative", unit="m"),
-            "rope_colour": checks.array("rope_colour", self.rope_colour, (3,), sign="nonnegative"),
-            "background": checks.array("background", self.background, (3,), sign="nonnegative"),
             "clutter": checks.count("clutter", self.clutter, least=0),
-            "light_drift": checks.number("light_drift", self.light_drift, sign="nonnegative"),
             "drift_period": checks.number("drift_period", self.drift_period, sign="positive", unit="s"),
-            "noise": checks.number("noise", self.noise, sign="nonnegative"),
         }
+        for name in ("rope_width", "light_drift", "noise"):
+            checked[name] = checks.number(name, getattr(self, name), sign="nonnegative")
+        for name in ("rope_colour", "background"):
+            checked[name] = checks.array(name, getattr(self, name), (3,), sign="nonnegative")
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
