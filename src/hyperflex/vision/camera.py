@@ -395,7 +395,7 @@ class Camera:
 
     def exposure_times(self, stamp: float, pixels: npt.ArrayLike) -> Array:
         """Return when pixels (K, 2) were exposed (the middle of it), s, in a frame with a time stamp, s."""
-        return stamp - self.delay + self.readout * self.readout_share(pixels)
+        return np.asarray(stamp - self.delay + self.readout * self.readout_share(pixels))
 
     def readout_share(self, pixels: npt.ArrayLike) -> Array:
         """Return the part of the readout (K,) that has passed at pixels (K, 2): 0 in the row read first, 1 in the last.
