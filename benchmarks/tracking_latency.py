@@ -26,9 +26,8 @@ import numpy as np
 from cast import cable
 
 import hyperflex as hf
-from hyperflex.estimate import ChangeTests, FrameThread, RopeFilter, RopeTracker, Watch, WatchLog
-from hyperflex.estimate.live.shared_array import SharedArray
-from hyperflex.estimate.live.worker import Packet
+from hyperflex.estimate import ChangeTests, FrameThread, MarkerMeasurement, RopeFilter, RopeTracker, Watch, WatchLog
+from hyperflex.estimate.live.state_source import Packet, SharedValue
 from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector, Renderer, RopeMotion, Scene, VideoReader
 
 RESULTS = Path(__file__).parent / "results"
@@ -61,7 +60,7 @@ def moving(motion: hf.Motion, seconds: float, rate: float) -> tuple[hf.Trajector
 def tracker(motion: hf.Motion, colour: MarkerColour, lens: Camera, tests: ChangeTests | None = None) -> RopeTracker:
     """What is timed, at its beginning."""
     estimator = RopeFilter(cable(LINKS, scaled=True), ARCS, motion=motion, arm=ARM, camera=lens, tests=tests)
-    return RopeTracker(estimator, MarkerDetector(colour))
+    return RopeTracker(estimator, MarkerMeasurement(MarkerDetector(colour)))
 
 
 def latency(rounds: int) -> dict[str, Any]:
@@ -96,8 +95,7 @@ def _pass(path: Path, each: RopeTracker) -> dict[str, list[float]]:
     """Track a video once; times in ms."""
     found: dict[str, list[float]] = {"clock": [], "processor": [], "packet to state": [], "seen": []}
     estimator = each.estimator
-    size = estimator.x.size
-    shared = SharedArray(16 + size * (1 + size))
+    shared = SharedValue(8 * estimator.x.size * (1 + estimator.x.size) + 16384)
     try:
         with VideoReader(path) as video:
             frames = iter(video)
@@ -111,20 +109,8 @@ def _pass(path: Path, each: RopeTracker) -> dict[str, list[float]]:
                 found["processor"].append(1e3 * (time.process_time() - processor))
                 looked = time.perf_counter()
                 found["clock"].append(1e3 * (looked - decoded))
-                noise = estimator.process_noise.value.copy()
-                values = (
-                    looked,
-                    result.t,
-                    result.t,
-                    1.0,
-                    1.0,
-                    10.0,
-                    noise,
-                    estimator.x,
-                    estimator.factor,
-                    np.zeros((0, 10)),
-                )
-                shared.write(Packet(*values).packed())
+                state = estimator.process_noise.value, estimator.x, estimator.factor
+                shared.write(Packet(looked, result.t, result.t, True, 1, *state, ()))
                 shared.read()
                 found["packet to state"].append(1e3 * (time.perf_counter() - begin))
                 found["seen"].append(float(result.seen.mean()))

@@ -35,8 +35,7 @@ from hyperflex.estimate import (
     open_frames,
 )
 from hyperflex.estimate.live.page import PicturePage
-from hyperflex.estimate.live.shared_value import SharedValue
-from hyperflex.estimate.live.worker import MOTION_BYTES, StampClock
+from hyperflex.estimate.live.state_source import MOTION_BYTES, SharedValue, StampClock
 from hyperflex.estimate.tracker import TrackedFrame
 from hyperflex.files.netcdf import read_netcdf
 from hyperflex.vision import (

@@ -12,9 +12,8 @@ from scipy.optimize import least_squares
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.estimate import ChangeTests, EstimatedParameter, MovingHorizon, Observations, RopeFilter, smooth
+from hyperflex.estimate.interval import Interval, Measurement, Smoothed, Step, smooth_linear
 from hyperflex.estimate.observations import InputFrame
-from hyperflex.estimate.smoothing.interval import Interval
-from hyperflex.estimate.smoothing.linear_smoother import Measurement, Smoothed, Step, smooth_linear
 from tests.estimate.runs import pushed_rates
 
 SIZE = 5  # of the state

@@ -9,18 +9,15 @@ if TYPE_CHECKING:
     from hyperflex.estimate.changes import Change, ChangeTests
     from hyperflex.estimate.filter import RopeFilter
     from hyperflex.estimate.live.frames import FrameThread, open_frames
-    from hyperflex.estimate.live.log import WatchLog
     from hyperflex.estimate.live.page import PicturePage
-    from hyperflex.estimate.live.state_source import CameraStateSource
-    from hyperflex.estimate.live.watch import LiveEstimate, Watch
-    from hyperflex.estimate.live.worker import TrackingTask
+    from hyperflex.estimate.live.state_source import CameraStateSource, TrackingTask
+    from hyperflex.estimate.live.watch import LiveEstimate, Watch, WatchLog
     from hyperflex.estimate.markers import MarkerMeasurement
+    from hyperflex.estimate.moving_horizon import MovingHorizon, SmoothedTrack, smooth
     from hyperflex.estimate.observations import MarkerModel, Observations
     from hyperflex.estimate.parameters import EstimatedParameter
     from hyperflex.estimate.picture import draw_frame
     from hyperflex.estimate.process import Disturbances
-    from hyperflex.estimate.smoothing.moving_horizon import MovingHorizon
-    from hyperflex.estimate.smoothing.smoother import SmoothedTrack, smooth
     from hyperflex.estimate.tracker import Measured, Measurement, RopeTracker, TrackedFrame, View
     from hyperflex.estimate.video_track import VideoTrack, track_video
 

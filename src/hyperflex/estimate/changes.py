@@ -21,17 +21,6 @@ from hyperflex.sensors import lever_arms
 
 TOUCH, MISFIT = "touch", "misfit"
 WEIGHT_TOLERANCE = 1e-3  # of the rope's weight: force of a touch that does not count
-MISFIT_TIME = 2.0  # s that a misfit lasts until it is reported: noise levels remember a touch for about as long
-MISFIT_LEVEL = 1.25  # times the declared noise of the markers that does not count
-GAP, LONGER_GAP = 0.25, 2.5  # s without any marker, and times the usual frame interval, after which tests start anew
-SPACING, TOUCH_SPACING = 0.1, 0.03  # s between the moments at which a parameter may change, and a touch may begin
-PER_DOUBLING = 4  # moments until their spacing grows with their age
-LIKELY_MASS = 0.04  # of the rope's mass: size of a mass at the tip for which its effect is computed
-SHARED = 0.25  # s after a touch was noticed in which it may still turn out to be the change of a parameter
-CALM = 0.5  # s without a sign of a touch, after which the next one is another touch
-SHORT_TOUCH = 0.1  # s: in a shorter touch the force that does not count is larger, with the same impulse
-POSSIBLE = 2.0  # standard deviations by which a size may be beyond what a rope can have
-DOUBT = 2.0  # factor of the standard deviation of a noticed change: its moment was selected among many
 
 
 @dataclass(frozen=True)
@@ -230,13 +219,28 @@ class ChangeDetector:
     by Bonferroni's bound; the tests are correlated, so that false alarms are rarer than stated.
     """
 
+    MISFIT_TIME = 2.0  # s that a misfit lasts until it is reported: noise levels remember a touch for about as long
+    MISFIT_LEVEL = 1.25  # times the declared noise of the markers that does not count
+    GAP, LONGER_GAP = (
+        0.25,
+        2.5,
+    )  # s without any marker, and times the usual frame interval, after which tests start anew
+    SPACING, TOUCH_SPACING = 0.1, 0.03  # s between the moments at which a parameter may change, and a touch may begin
+    PER_DOUBLING = 4  # moments until their spacing grows with their age
+    LIKELY_MASS = 0.04  # of the rope's mass: size of a mass at the tip for which its effect is computed
+    SHARED = 0.25  # s after a touch was noticed in which it may still turn out to be the change of a parameter
+    CALM = 0.5  # s without a sign of a touch, after which the next one is another touch
+    SHORT_TOUCH = 0.1  # s: in a shorter touch the force that does not count is larger, with the same impulse
+    POSSIBLE = 2.0  # standard deviations by which a size may be beyond what a rope can have
+    DOUBT = 2.0  # factor of the standard deviation of a noticed change: its moment was selected among many
+
     def __init__(self, tests: ChangeTests, process: Process, states: ParameterStates) -> None:
         rope = process.rope
         self.tests, self._process, self.names = tests, process, tests.parameters_for(rope)
         self._n, self._size = rope.n_links, 2 * rope.n_links + len(states)
         own = [states.names.index(name) for name in self.names]
         self._columns = [2 * self._n + k for k in own]
-        self._heavier, self._mass = process.copy(), LIKELY_MASS * rope.total_mass
+        self._heavier, self._mass = process.copy(), self.LIKELY_MASS * rope.total_mass
         self._tolerances = np.array([tests.tolerance(name, rope) for name in self.names])
         self._least = states.possible(np.full(len(states), -np.inf))[own]
         self._values = np.zeros(len(self.names))
@@ -282,7 +286,7 @@ class ChangeDetector:
                 begun, moved = self._with_mass(x, t, until, transition, column, each.states)
             each.states = moved
             each.add(begun)
-        lasting = t >= self._spaced + SPACING * (1.0 - 1e-6)
+        lasting = t >= self._spaced + self.SPACING * (1.0 - 1e-6)
         self._moments = np.append(self._moments, t)
         self._indices = np.append(self._indices, self._count if lasting else -1)
         if lasting:
@@ -295,7 +299,7 @@ class ChangeDetector:
         self._kicks = after = self._process.kicks(x[1][:n], self._arms)
         pushed = 0.5 * dt * (transition[:, n : 2 * n] @ before)
         pushed[n : 2 * n] += 0.5 * dt * after
-        if not self._begun.size or t >= self._begun[-1] + TOUCH_SPACING * (1.0 - 1e-6):
+        if not self._begun.size or t >= self._begun[-1] + self.TOUCH_SPACING * (1.0 - 1e-6):
             self._touches.add(pushed)
             self._begun = np.append(self._begun, t)
         else:
@@ -322,7 +326,7 @@ class ChangeDetector:
             self._usual = min(1.1 * usual, self._interval)
         if t < self._since:
             return None
-        if self._interval > max(GAP, LONGER_GAP * usual):
+        if self._interval > max(self.GAP, self.LONGER_GAP * usual):
             self.begin(t)
             return None
         for each in (*self._parameters, self._touches):
@@ -350,12 +354,12 @@ class ChangeDetector:
         No other test explains that: the rope swings out of its plane, the camera has moved, or the noise is not as
         declared. It is reported once, after two seconds, until it is over.
         """
-        excess = (math.log(noise.value) - math.log(MISFIT_LEVEL)) / noise.log_std
+        excess = (math.log(noise.value) - math.log(self.MISFIT_LEVEL)) / noise.log_std
         log_p = float(log_ndtr(-excess))
         clear = self._interval > 0.0 and log_p < math.log(self._interval / self.tests.false_alarm_interval)
         if excess < 0.0 or t < self._since:
             self._fitted, self._misfits = t, False
-        if not clear or self._misfits or t - self._fitted < MISFIT_TIME:
+        if not clear or self._misfits or t - self._fitted < self.MISFIT_TIME:
             return ()
         self._misfits = True
         return (Change(MISFIT, t, self._fitted, noise.value, noise.value * noise.log_std, 1.0, log_p),)
@@ -383,9 +387,9 @@ class ChangeDetector:
     def _kept_moments(self, t: float) -> npt.NDArray[np.bool_]:
         """Return which moments at which parameters may have changed are kept: the older, the farther apart."""
         age = t - self._moments
-        doublings = np.floor(np.log2(np.maximum(age / (PER_DOUBLING * SPACING), 1.0))).astype(int)
+        doublings = np.floor(np.log2(np.maximum(age / (self.PER_DOUBLING * self.SPACING), 1.0))).astype(int)
         spaced = (self._indices >= 0) & (self._indices % 2**doublings == 0)
-        return np.asarray((age < self.tests.history) & (spaced | (age < SPACING)))
+        return np.asarray((age < self.tests.history) & (spaced | (age < self.SPACING)))
 
     def _evaluate(self, t: float) -> Found | None:
         """Return the clearest sign of a change, if it is clear enough."""
@@ -406,12 +410,12 @@ class ChangeDetector:
         best = int(log_p[k].argmin())
         if k < len(self.names):
             bank, size = self._parameters[k], float(theta[best, k])
-            std, effect = DOUBT / math.sqrt(bank.information[0, best, best]), bank.states[:, best]
+            std, effect = self.DOUBT / math.sqrt(bank.information[0, best, best]), bank.states[:, best]
             change = Change(self.names[k], t, float(self._moments[best]), size, std, sure, alarm)
             return Found(change, size * effect, std * effect[None])
-        again, self._touched = t - self._touched < CALM, t
+        again, self._touched = t - self._touched < self.CALM, t
         if not again:
-            self._shared_until = t + SHARED
+            self._shared_until = t + self.SHARED
         change, whole, last = self._touch(best, forces, t, sure, alarm)
         return Found(None if again else change, np.zeros(self._size), last if again else whole)
 
@@ -423,7 +427,7 @@ class ChangeDetector:
         theta = np.array([each.score[0] for each in self._parameters]).reshape(shape).T / information
         std = 1.0 / np.sqrt(information)
         score = np.maximum(np.abs(theta) - self._tolerances, 0.0) / std
-        score[self._values + theta + POSSIBLE * std < self._least] = 0.0
+        score[self._values + theta + self.POSSIBLE * std < self._least] = 0.0
         return score, theta
 
     def _touch_scores(self) -> tuple[Array, tuple[Array, Array]]:
@@ -447,7 +451,7 @@ class ChangeDetector:
         size = np.hypot(force[..., 0], force[..., 1])
         clear = np.sqrt(np.maximum(force[..., 0] * x + force[..., 1] * y, 0.0))
         lasted = np.stack([self._ends - self._begun, self._latest - self._begun])
-        allowed = self._force_tolerance * np.maximum(SHORT_TOUCH / lasted, 1.0)
+        allowed = self._force_tolerance * np.maximum(self.SHORT_TOUCH / lasted, 1.0)
         return clear * np.maximum(1.0 - allowed[:, :, None] / np.maximum(size, 1e-300), 0.0), (force, a)
 
     @property

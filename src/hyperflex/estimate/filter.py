@@ -21,9 +21,6 @@ from hyperflex.motion import Motion
 from hyperflex.status import Status
 from hyperflex.vision import Camera
 
-ROUNDS, FIRST_ROUNDS = 4, 30  # of Gauss-Newton in an update, and at the start
-ROUGHLY = 6.0  # factor of what a covariance omits, for derivatives by noise levels: they need less accuracy
-
 
 class ValidationGate:
     """Decides which of K places are near enough to their predictions.
@@ -95,6 +92,9 @@ class RopeFilter:
     >>> bool(np.linalg.norm(tracker.markers()[0][-1] - joints[10]) < 0.005)
     True
     """
+
+    UPDATE_ROUNDS, START_UPDATE_ROUNDS = 4, 30  # of Gauss-Newton in an update, and at the start
+    ROUGHLY = 6.0  # factor of what a covariance omits, for derivatives by noise levels: they need less accuracy
 
     def __init__(
         self,
@@ -189,7 +189,7 @@ class RopeFilter:
         factor, *by_noise = np.split(rows, np.cumsum([len(each) for each in carried])[:-1])
         noise = self.process.noise(end - begin, self.process_noise.value)
         self.factor = sr.compressed(np.concatenate([factor, noise]), self._least)
-        self._by_noise.predict(by_noise, np.split(noise, self.process.noise_ends)[:2], ROUGHLY * self._least)
+        self._by_noise.predict(by_noise, np.split(noise, self.process.noise_ends)[:2], self.ROUGHLY * self._least)
         self.age += end - begin
         self.x, self.t = x, end
         return transition
@@ -337,7 +337,7 @@ class RopeFilter:
                 self.changes = self._detector.misfit(seen.t, self.measurement_noise)
                 adopted.extend([] if found is None else [found])
 
-        rounds, own = FIRST_ROUNDS if first else ROUNDS, 2 * self.n_links
+        rounds, own = self.START_UPDATE_ROUNDS if first else self.UPDATE_ROUNDS, 2 * self.n_links
         self.x, self.factor = sr.iterated_update(self.x, self.factor, compared, rounds, learn)
         self.x[own:] = self.parameters.possible(self.x[own:])
         for found in adopted:

@@ -14,9 +14,7 @@ from hyperflex.estimate import square_root as sr
 LEAST, MOST = 1e-4, 1e4  # times the first guess of a noise level
 QUIET = 0.02  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
 AT_REST = 0.5  # of the declared noise of places: where a rope rests, it is the same in each frame, and does not show
-LATELY = 10.0  # frames over which the information of one is averaged: it falls with the level
 TINY = 1e-2  # of what is negligible, squared: so much rows that depend on each other are kept apart
-LONGEST = 1.0  # largest change of a logarithm in one frame
 
 
 class NoiseLevel:
@@ -39,6 +37,9 @@ class NoiseLevel:
     m. The score is ``nu' S^-1 m + (nu' S^-1 T S^-1 nu - tr S^-1 T) / 2``, and the information of noises i and j
     ``m_i' S^-1 m_j + tr (S^-1 T_i S^-1 T_j) / 2``.
     """
+
+    LATELY = 10.0  # frames over which the information of one is averaged: it falls with the level
+    LONGEST = 1.0  # largest change of a logarithm in one frame
 
     def __init__(self, value: npt.ArrayLike, memory: float = 60.0, doubt: float = 2.0, least: float = LEAST) -> None:
         self._first = np.atleast_1d(np.asarray(value, dtype=np.float64))
@@ -77,11 +78,11 @@ class NoiseLevel:
         if moved is not None:
             score += moved @ whitened
             information += moved @ moved.T
-        keep = math.exp(-1.0 / LATELY)
+        keep = math.exp(-1.0 / self.LATELY)
         self._information, self._weight = keep * self._information + information, keep * self._weight + 1.0
         self._count = self._keep * self._count + 1.0
         self._known = self._count * self._information / self._weight + self._prior
-        change = np.minimum(np.maximum(np.linalg.solve(self._known, score), -LONGEST), LONGEST)
+        change = np.minimum(np.maximum(np.linalg.solve(self._known, score), -self.LONGEST), self.LONGEST)
         self._values = np.minimum(np.maximum(self._values * np.exp(0.5 * change), self._least), MOST * self._first)
 
 

@@ -6,15 +6,19 @@ from hyperflex import extras
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.vision.assignment import Assignment, assign_markers
+    from hyperflex.vision.assignment import (
+        Assignment,
+        ClutterMap,
+        Ordering,
+        assign_markers,
+        check_increasing,
+        order_markers,
+    )
     from hyperflex.vision.bars import BarDetector, BarObservations, BarTrack, link_angles, track_bars
-    from hyperflex.vision.boards import Board, BoardView
-    from hyperflex.vision.calibration import Calibration, calibrate_camera
+    from hyperflex.vision.calibration import Board, BoardView, Calibration, calibrate_camera
     from hyperflex.vision.camera import Camera, PlaneView, read_camera
-    from hyperflex.vision.clutter import ClutterMap
     from hyperflex.vision.colour import MarkerColour
     from hyperflex.vision.markers import Blobs, Gate, MarkerDetector
-    from hyperflex.vision.ordering import Ordering, check_increasing, order_markers
     from hyperflex.vision.renderer.boards import film_board
     from hyperflex.vision.renderer.motion import RopeMotion, sway
     from hyperflex.vision.renderer.renderer import Renderer, Truth, frame_times

@@ -1,6 +1,7 @@
-"""Joint assignment of identical markers in a frame to their predicted places, with the ambiguity that remains."""
+"""Which blob is which marker: joint assignment to predictions, the order in a first frame, and clutter."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -8,15 +9,13 @@ import numpy.typing as npt
 
 from hyperflex.checks import Array
 from hyperflex.core.image import pairs
-from hyperflex.vision.markers import Blobs
+from hyperflex.errors import InvalidInput
+from hyperflex.vision.markers import Blobs, Gate
 
 Indices = npt.NDArray[np.int64]
 
 GATE = -2.0 * math.log(0.001)  # squared Mahalanobis distance of a marker's own blob, exceeded once in 1000
-CLEAR = 12.0  # difference of squared distances from which a pair is unambiguous: odds of e^6
-UNSURE = 6.0  # difference below which two markers may be swapped: odds of e^3
 SLACK = 0.02  # relative stretch of the rope in a picture that is allowed
-ODDS = math.log(0.8 / 0.2)  # prior odds that a marker is seen
 SPARSE = 1e-6  # 1/px^2, density of clutter: one blob of the colour in a picture of a megapixel
 _FORBIDDEN = 1e9  # cost of a pair that is excluded
 
@@ -106,12 +105,16 @@ def assign_markers(
 class _Problem:
     """Blobs and predictions of one frame, and the costs of assigning one to the other."""
 
+    CLEAR = 12.0  # difference of squared distances from which a pair is unambiguous: odds of e^6
+    UNSURE = 6.0  # difference below which two markers may be swapped: odds of e^3
+    ODDS = math.log(0.8 / 0.2)  # prior odds that a marker is seen
+
     def __init__(self, seen: Blobs, mean: Array, prior: Array, gate: float, clutter: float | Array) -> None:
         self.mean, self.prior, self._gate = np.ascontiguousarray(mean), np.ascontiguousarray(prior), gate
         self.places, self.wide = np.ascontiguousarray(seen.places), np.ascontiguousarray(seen.covariances)
         count, many = len(mean), len(self.places)
         density = np.broadcast_to(np.asarray(clutter, dtype=np.float64), many)
-        self.unseen = 2.0 * np.log(density) - 2.0 * ODDS + 2.0 * math.log(2.0 * math.pi)
+        self.unseen = 2.0 * np.log(density) - 2.0 * self.ODDS + 2.0 * math.log(2.0 * math.pi)
         self.forbidden = np.zeros((count, many), bool)
         off = self.prior.reshape(count, 2, count, 2).copy()
         off[np.arange(count), :, np.arange(count)] = 0.0
@@ -126,7 +129,7 @@ class _Problem:
         cost = self._costs(self.mean, self.prior)
         possible = cost < _FORBIDDEN
         greedy = self._settled(cost)
-        if not possible.any() or _margins(cost)[possible].max() > UNSURE or not self._correlated:
+        if not possible.any() or _margins(cost)[possible].max() > self.UNSURE or not self._correlated:
             return greedy
         widths = np.diag(self.prior).reshape(-1, 2).sum(axis=1)
         surest, attempts = int(np.argmin(np.where(possible.any(axis=1), widths, np.inf))), [greedy]
@@ -153,7 +156,7 @@ class _Problem:
         pairs.swap_costs(self.places[indices[found]], precision, precision @ off, dearer)
         return [
             (int(found[a]), int(found[b]), 1.0 / (1.0 + math.exp(0.5 * max(float(dearer[a, b]), 0.0))))
-            for a, b in np.argwhere(dearer < UNSURE).tolist()
+            for a, b in np.argwhere(dearer < self.UNSURE).tolist()
         ]
 
     def _settled(self, cost: Array) -> Indices:
@@ -174,7 +177,7 @@ class _Problem:
             if not rows.size:
                 break
             margins = _margins(cost)[rows, columns]
-            clear = margins > CLEAR if margins.max() > CLEAR else [int(np.argmax(margins))]
+            clear = margins > self.CLEAR if margins.max() > self.CLEAR else [int(np.argmax(margins))]
             k, j = rows[clear], columns[clear]
             indices[k], taken[j] = j, True
             if (indices >= 0).all() or taken.all():
@@ -233,3 +236,191 @@ def _too_far(seen: Blobs, indices: Indices, found: Indices, reach: Array, distan
         return -1
     one, two = found[np.argmax(beyond) :][:2]
     return int(one if distances[one] > distances[two] else two)
+
+
+CERTAIN = 4.0  # cost by which the next best order must be worse
+_SHORT, _TURN = 0.08, 0.6  # scales of missing chord over arc, and of the turn from chord to chord, rad
+_MISSING, _CLUTTER = 5.0, 2.5  # costs of a marker not seen, and of a blob that is no marker
+_BEAM = 600  # paths that are kept
+
+
+class Ordering(NamedTuple):
+    """The order of markers along a rope.
+
+    Attributes
+    ----------
+    indices : (K,) int
+        Of the places; -1: not seen.
+    certain : bool
+        Whether no other order explains the frame nearly as well; if not, try another frame.
+    margin : float
+        Cost by which the next best order is worse.
+    """
+
+    indices: npt.NDArray[np.int64]
+    certain: bool
+    margin: float
+
+
+class _Paths(NamedTuple):
+    """Beginnings of B paths."""
+
+    taken: npt.NDArray[np.int64]  # (B, k) place of each marker so far, or -1
+    cost: Array  # (B,)
+    place: Array  # (B, 2) of the last marker seen
+    arc: Array  # (B,) of that
+    direction: Array  # (B, 2) of the last chord, 0 before the first
+
+
+def order_markers(
+    places: Array, arc_lengths: Array, origin: Array, *, noise: float = 0.003, slack: float = 0.0
+) -> Ordering:
+    """Find which of the places is which marker, from the places alone.
+
+    Parameters
+    ----------
+    places : (M, 2) float64
+        In the swing plane, m; clutter may be among them, and markers may be missing.
+    arc_lengths : (K,) float64
+        Of the markers from the origin, m, increasing.
+    origin : (2,) float64
+        Where the rope begins (the first joint), m.
+    noise : float
+        Standard deviation of the places, m.
+    slack : float
+        Relative error of lengths that the scale or the arc lengths may have, in addition to 2 %.
+
+    Notes
+    -----
+    Two markers cannot be further apart than the rope between them. Among the paths that obey this, the one of least
+    cost is taken: a term log(1 + x^2) for each chord that is shorter than its arc and for each turn from chord to chord
+    (heavy tails, for the few sharp bends of a rope), and fixed costs for missing markers and clutter. Beam search.
+    """
+    paths = _Paths(np.zeros((1, 0), np.int64), np.zeros(1), np.asarray(origin)[None], np.zeros(1), np.zeros((1, 2)))
+    for arc in arc_lengths:
+        paths = _extended(paths, places, float(arc), noise, slack)
+    cost = paths.cost + _CLUTTER * (len(places) - (paths.taken >= 0).sum(axis=1))
+    order = np.argsort(cost, kind="stable")
+    best = paths.taken[order[0]]
+    margin = float(cost[order[1]] - cost[order[0]]) if order.size > 1 else np.inf
+    return Ordering(best, margin > CERTAIN and bool((best >= 0).any()), margin)
+
+
+def check_increasing(arc_lengths: Array) -> None:
+    """Raise InvalidInput if arc lengths (K,), m, do not increase."""
+    falling = np.flatnonzero(np.diff(arc_lengths) <= 0.0)
+    if falling.size:
+        one, two = arc_lengths[falling[0] : falling[0] + 2].tolist()
+        raise InvalidInput(
+            f"arc lengths of markers do not increase: {two:g} m comes after {one:g} m",
+            got=arc_lengths.tolist(),
+            allowed="increasing ones, from the first joint to the tip, each once",
+            fix="Measure each marker along the rope from where it hangs, and give them in that order",
+        )
+
+
+def _extended(paths: _Paths, seen: Array, arc: float, noise: float, slack: float) -> _Paths:
+    """Return the best paths that continue to a marker at an arc length, m: to each place, or without it."""
+    chord = seen[None] - paths.place[:, None]  # (B, M, 2)
+    length = np.maximum(np.linalg.norm(chord, axis=2), 1e-9)
+    rope = (arc - paths.arc)[:, None]
+    short = np.maximum(0.0, 1.0 - length / rope)
+    direction, before = chord / length[:, :, None], paths.direction[:, None]
+    sine = before[..., 0] * direction[..., 1] - before[..., 1] * direction[..., 0]
+    turn = np.arctan2(sine, (before * direction).sum(axis=2))
+    cost = paths.cost[:, None] + np.log1p((short / np.hypot(_SHORT, slack)) ** 2) + np.log1p((turn / _TURN) ** 2)
+    used = (paths.taken[:, :, None] == np.arange(len(seen))).any(axis=1)
+    cost[used | (length > (1.0 + SLACK + slack) * rope + 4.0 * noise)] = np.inf
+    costs = np.concatenate([cost, paths.cost[:, None] + _MISSING], axis=1).ravel()
+    best = np.argsort(costs, kind="stable")[:_BEAM]
+    best = best[np.isfinite(costs[best])]
+    row, column = np.divmod(best, len(seen) + 1)
+    missing = column == len(seen)
+    # a last column for "not seen": the path stays where it is
+    ends = np.concatenate([np.broadcast_to(seen, (len(cost), *seen.shape)), paths.place[:, None]], axis=1)
+    directions = np.concatenate([direction, paths.direction[:, None]], axis=1)
+    return _Paths(
+        np.column_stack([paths.taken[row], np.where(missing, -1, column)]),
+        costs[best],
+        ends[row, column],
+        np.where(missing, paths.arc[row], arc),
+        directions[row, column],
+    )
+
+
+class ClutterMap:
+    """Learns from blobs that were no markers how likely another such blob is at a place.
+
+    Parameters
+    ----------
+    image_size : (int, int)
+        Width and height, px.
+
+    Notes
+    -----
+    Clutter is a uniform density, at least one blob a picture, plus the places at which something was seen that was no
+    marker: where that was seen n times and missed m times, it is there again with probability n / (n + m + 1).
+    """
+
+    NEAR = 2.0  # px: a blob that near to a known one is the same, at rest
+    MEMORY = 30.0  # frames over which the number of blobs that are no markers is averaged
+    STILL = 3  # frames at the same place, from which a blob counts as one at rest and is not forgotten
+    FORGOTTEN = 2  # frames after which a blob seen less often is forgotten
+    WITHIN = 3.0  # standard deviations of a gate that were certainly searched
+
+    def __init__(self, image_size: tuple[int, int]) -> None:
+        self._area = float(image_size[0] * image_size[1])
+        self._mean = 0.0
+        self._frame = 0
+        self._places = np.empty((0, 2))
+        self._sightings, self._missing, self._last = np.empty((3, 0))  # number, number, frame
+
+    def density(self, seen: Blobs) -> Array:
+        """Return the density of clutter where each of M blobs was seen (M,), 1/px^2."""
+        result = np.full(len(seen.places), (1.0 + self._mean) / self._area)
+        nearest, known = self._known(seen.places)
+        n, m = self._sightings[nearest[known]], self._missing[nearest[known]]
+        variance = np.sqrt(np.linalg.det(seen.covariances[known]))
+        result[known] += n / (n + m + 1.0) / (2.0 * np.pi * variance)
+        return result
+
+    def still(self, seen: Blobs) -> npt.NDArray[np.bool_]:
+        """Return which of M blobs lie where something was seen in `self.STILL` frames or more (M,)."""
+        nearest, known = self._known(seen.places)
+        known[known] = self._sightings[nearest[known]] >= self.STILL
+        return known
+
+    def learn(self, seen: Blobs, markers: npt.NDArray[np.bool_], gates: Sequence[Gate] | None = None) -> None:
+        """Learn from a frame's blobs, of which some were `markers` (M,); searched in `gates`, or as a whole (None)."""
+        self._frame += 1
+        nearest, known = self._known(seen.places)
+        searched = self._searched(gates)
+        searched[nearest[known]] = False
+        self._missing[searched] += 1.0
+        again = known & ~markers
+        self._places[nearest[again]] = seen.places[again]
+        self._sightings[nearest[again]] += 1.0
+        self._last[nearest[again]] = self._frame
+        new = ~known & ~markers
+        count = int(new.sum())
+        self._mean += (count - self._mean) / min(self.MEMORY, self._frame)
+        kept = (self._sightings >= self.STILL) | (self._frame - self._last < self.FORGOTTEN)
+        self._places = np.concatenate([self._places[kept], seen.places[new]])
+        values = np.stack([self._sightings, self._missing, self._last])[:, kept]
+        added = np.tile([[1.0], [0.0], [float(self._frame)]], count)
+        self._sightings, self._missing, self._last = np.concatenate([values, added], axis=1)
+
+    def _searched(self, gates: Sequence[Gate] | None) -> npt.NDArray[np.bool_]:
+        """Return which known places were certainly searched."""
+        if gates is None:
+            return np.ones(len(self._places), bool)
+        off = np.abs(self._places[:, None] - np.array([gate.centre for gate in gates]).reshape(-1, 2))
+        wide = np.array([gate.covariance for gate in gates]).reshape(-1, 2, 2)
+        return np.asarray((off < self.WITHIN * np.sqrt(np.diagonal(wide, axis1=1, axis2=2))).all(axis=2).any(axis=1))
+
+    def _known(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
+        """Return the nearest known place of each blob (M,), and whether the blob is there (M,)."""
+        if not len(self._places) or not len(places):
+            return np.zeros(len(places), np.intp), np.zeros(len(places), bool)
+        apart = np.linalg.norm(places[:, None] - self._places[None], axis=2)
+        return apart.argmin(axis=1), apart.min(axis=1) < self.NEAR

@@ -17,9 +17,6 @@ from hyperflex.vision.colour import surface
 from hyperflex.vision.video import Frame, Image, VideoReader, follow_video
 
 FLOOR = 0.3  # px, least standard deviation of a place along or across a bar: its ends are not straight edges
-_SHARE = 0.4  # of a pixel: with more of its colour it belongs to a bar
-_LEAST_ANGLE = 0.15  # rad, between the colours of two bars, seen from the wall's
-_LEAST_AREA = 0.35  # of the whole bar's: with less it counts as hidden
 
 
 class BarObservations(NamedTuple):
@@ -73,6 +70,10 @@ class BarDetector:
     wall's colour is the median of the frame. Centre, angle and length are moments of a bar's shares.
     """
 
+    SHARE = 0.4  # of a pixel: with more of its colour it belongs to a bar
+    LEAST_ANGLE = 0.15  # rad, between the colours of two bars, seen from the wall's
+    LEAST_AREA = 0.35  # of the whole bar's: with less it counts as hidden
+
     def __init__(self, colours: npt.ArrayLike, areas: npt.ArrayLike | None = None) -> None:
         self.colours = checks.array("colours", colours, (-1, 3), sign="nonnegative")
         count = self.colours.shape[0]
@@ -98,7 +99,7 @@ class BarDetector:
         wall = np.median(image[::4, ::4].reshape(-1, 3), axis=0)
         mixing = (self.colours - wall).T
         sizes = np.linalg.norm(mixing, axis=0)
-        alike = np.linalg.svd(mixing / np.maximum(sizes, 1e-9), compute_uv=False)[-1] < _LEAST_ANGLE
+        alike = np.linalg.svd(mixing / np.maximum(sizes, 1e-9), compute_uv=False)[-1] < self.LEAST_ANGLE
         if alike or sizes.min() < 30.0:  # levels
             raise InvalidInput(
                 "colours of bars are too much alike, or like the wall",
@@ -117,7 +118,9 @@ class BarDetector:
         import cv2
 
         nothing = np.full(2, np.nan), np.nan, np.nan, np.full((3, 3), np.nan), np.nan
-        count, label, stats, _ = cv2.connectedComponentsWithStats((shares > _SHARE).astype(np.uint8), connectivity=8)
+        count, label, stats, _ = cv2.connectedComponentsWithStats(
+            (shares > self.SHARE).astype(np.uint8), connectivity=8
+        )
         if count < 2:
             return nothing
         largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
@@ -126,7 +129,7 @@ class BarDetector:
         weights = np.clip(shares[mask].astype(np.float64), 0.0, 1.0)
         area = float(weights.sum())
         whole = None if self.areas is None else float(self.areas[number])
-        if area < (30.0 if whole is None else _LEAST_AREA * whole):  # px^2
+        if area < (30.0 if whole is None else self.LEAST_AREA * whole):  # px^2
             return nothing
         pixels = np.column_stack([u, v]).astype(np.float64)
         centre = weights @ pixels / area

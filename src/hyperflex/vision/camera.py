@@ -299,7 +299,7 @@ class Camera:
 
     @property
     def _slopes_at_origin(self) -> Array:
-        return self.linearize(np.zeros((1, 2)))[1][0]
+        return np.asarray(self.linearize(np.zeros((1, 2)))[1][0])
 
     @property
     def plane_view(self) -> PlaneView:
@@ -395,7 +395,7 @@ class Camera:
 
     def exposure_times(self, stamp: float, pixels: npt.ArrayLike) -> Array:
         """Return when pixels (K, 2) were exposed (the middle of it), s, in a frame with a time stamp, s."""
-        return np.asarray(stamp - self.delay + self.readout * self.readout_share(pixels))
+        return stamp - self.delay + self.readout * self.readout_share(pixels)
 
     def readout_share(self, pixels: npt.ArrayLike) -> Array:
         """Return the part of the readout (K,) that has passed at pixels (K, 2): 0 in the row read first, 1 in the last.

@@ -13,13 +13,6 @@ from hyperflex.vision.video import Image
 
 Box = tuple[int, int, int, int]  # px: left, top, right, bottom
 
-FLOOR = 0.05  # px, least standard deviation of a place: compression, lens, pixels that are not square
-_REACH = 3.5  # standard deviations of a gate that are searched
-_MARGIN = 5.0  # px of wall around what is searched
-_MOST_REGIONS = 150  # of a whole frame that are examined, the largest first
-_MERGED = 1.6  # areas of a marker: a larger blob is two markers that touch
-_BEND = 200.0  # px, radius of the arc that a streak may follow
-
 
 class Gate(NamedTuple):
     """Where a marker is expected.
@@ -86,6 +79,13 @@ class MarkerDetector:
     covariance.
     """
 
+    FLOOR = 0.05  # px, least standard deviation of a place: compression, lens, pixels that are not square
+    REACH = 3.5  # standard deviations of a gate that are searched
+    MARGIN = 5.0  # px of wall around what is searched
+    MOST_REGIONS = 150  # of a whole frame that are examined, the largest first
+    MERGED = 1.6  # areas of a marker: a larger blob is two markers that touch
+    BEND = 200.0  # px, radius of the arc that a streak may follow
+
     def __init__(self, colour: MarkerColour, *, adapt: bool = True) -> None:
         self.colour, self.adapt = colour, adapt
 
@@ -127,7 +127,7 @@ class MarkerDetector:
         """Return a box, wider if its edge cuts one of its blobs."""
         if not (found[:, blobs.BORDER] > 0.0).any():
             return box
-        more = int(np.ceil(2.0 * self.radius + 2.0 * _MARGIN))
+        more = int(np.ceil(2.0 * self.radius + 2.0 * self.MARGIN))
         return _inside(np.add([box], [-more, -more, more, more]), image)[0]
 
     def _boxes(self, gates: Sequence[Gate], image: Image) -> list[Box]:
@@ -135,8 +135,8 @@ class MarkerDetector:
         centres = np.array([gate.centre for gate in gates], dtype=np.float64).reshape(-1, 2)
         wide = np.array([gate.covariance for gate in gates], dtype=np.float64).reshape(-1, 2, 2)
         streaks = np.array([gate.streak for gate in gates], dtype=np.float64)
-        reach = _REACH * np.sqrt(np.diagonal(wide, axis1=1, axis2=2))
-        reach += (1.2 * self.radius + 0.5 * streaks + _MARGIN)[:, None]
+        reach = self.REACH * np.sqrt(np.diagonal(wide, axis1=1, axis2=2))
+        reach += (1.2 * self.radius + 0.5 * streaks + self.MARGIN)[:, None]
         good = np.isfinite(centres + reach).all(axis=1)
         low, high = np.floor((centres - reach)[good]), np.ceil((centres + reach)[good]) + 1
         return _inside(np.hstack([low, high]), image)
@@ -159,8 +159,8 @@ class MarkerDetector:
         mask = cv2.inRange(scores, (96.0, 78.0), (255.0, 178.0))  # a quarter of the way: noise has more chances here
         _, _, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         stats = stats[1:][stats[1:, 4] >= max(2.0, 0.1 * (self.colour.area or 30.0) / step**2)]
-        stats = stats[np.argsort(-stats[:, 4])][:_MOST_REGIONS]
-        pad = int(_MARGIN + self.radius)
+        stats = stats[np.argsort(-stats[:, 4])][: self.MOST_REGIONS]
+        pad = int(self.MARGIN + self.radius)
         corners = np.column_stack([stats[:, :2] - 1, stats[:, :2] + stats[:, 2:4] + 1])
         return _inside(step * corners + [-pad, -pad, pad, pad], image)
 
@@ -187,11 +187,11 @@ class MarkerDetector:
         moments = table[:, [blobs.COV_UU, blobs.COV_UV, blobs.COV_UV, blobs.COV_VV]].reshape(-1, 2, 2)
         values, vectors = np.linalg.eigh(moments)
         streaks = np.sqrt(12.0 * np.maximum(values[:, 1] - values[:, 0], 0.0))[:, None] * vectors[:, :, 1]
-        variance = FLOOR**2 + (noise / area) ** 2 * 0.5 * table[:, blobs.SPREAD]
-        variance += ((streaks**2).sum(axis=1) / (24.0 * _BEND)) ** 2  # the mean of a bent streak lies off its middle
+        variance = self.FLOOR**2 + (noise / area) ** 2 * 0.5 * table[:, blobs.SPREAD]
+        variance += ((streaks**2).sum(axis=1) / (24.0 * self.BEND)) ** 2  # the mean of a bent streak is off
         share, merged = area / (self.colour.area or 1.0), np.zeros(len(table), bool)
         if self.colour.area is not None:
-            merged = share > _MERGED
+            merged = share > self.MERGED
             # A part that is missing, or that another marker adds, pulls the mean away: two discs of radius r at a
             # distance d have 1 + 2 d / (pi r) times the area of one, and their mean is d / 2 off each.
             missing = np.clip(1.0 - share - 0.12, 0.0, 1.0) + 0.3 * table[:, blobs.BORDER]

@@ -11,9 +11,7 @@ from hyperflex import checks
 from hyperflex.errors import HyperflexError
 from hyperflex.vision import Frame, LiveCamera, VideoReader
 
-_PAUSE = 0.5  # s between two attempts to open a source again
 _CLOSEST = 1e-3  # s between the last frame of a source and the first one after it was opened again
-_AHEAD = 2  # frames of a file that are read ahead
 
 
 class Source(Protocol):
@@ -91,6 +89,9 @@ class FrameThread:
     ended : str or None
         Why no more frames come; None while they may.
     """
+
+    PAUSE = 0.5  # s between two attempts to open a source again
+    AHEAD = 2  # frames of a file that are read ahead
 
     def __init__(
         self, open_source: Callable[[], Source], *, live: bool, paced: bool = False, reconnect_timeout: float = 10.0
@@ -180,7 +181,7 @@ class FrameThread:
             except HyperflexError:
                 if time.monotonic() >= until:
                     return None
-                time.sleep(_PAUSE)
+                time.sleep(self.PAUSE)
         return None
 
     def _deliver(self, source: Source) -> None:
@@ -196,7 +197,7 @@ class FrameThread:
                 if self.live:
                     missed = sum(1 + each.missed for each in self._waiting)
                     self._waiting.clear()
-                self._condition.wait_for(lambda: len(self._waiting) < _AHEAD or self._closed)
+                self._condition.wait_for(lambda: len(self._waiting) < self.AHEAD or self._closed)
                 self._waiting.append(Arrival(frame, time.monotonic(), missed, self._opening))
                 self._condition.notify_all()
                 if self._paced and begin is None:  # time runs from when the first frame is taken

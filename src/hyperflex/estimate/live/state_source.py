@@ -1,18 +1,308 @@
 """A rope's state from a camera for the closed loop: estimated in another process, predicted to now by the reader."""
 
+import math
 import multiprocessing
+import pickle
+import signal
 import time
-from dataclasses import replace
-from typing import Self
+import zlib
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from multiprocessing.shared_memory import SharedMemory
+from typing import Any, NamedTuple, Self
+
+import numpy as np
 
 from hyperflex import checks
-from hyperflex.errors import EstimatorLost, InvalidInput
-from hyperflex.estimate.changes import Change
-from hyperflex.estimate.live.shared_value import SharedValue
-from hyperflex.estimate.live.worker import MOTION_BYTES, READY, Packet, TrackingTask, work
+from hyperflex.checks import Array
+from hyperflex.errors import EstimatorLost, HyperflexError, InvalidInput
+from hyperflex.estimate.changes import Change, ChangeTests
+from hyperflex.estimate.filter import RopeFilter
+from hyperflex.estimate.live.frames import Arrival, open_frames
+from hyperflex.estimate.live.watch import LiveEstimate, Watch
+from hyperflex.estimate.markers import MarkerMeasurement
+from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.process import Process
+from hyperflex.estimate.tracker import RopeTracker
 from hyperflex.interfaces import RopeState
-from hyperflex.motion import Motion
+from hyperflex.model import Arm, Rope
+from hyperflex.motion import Motion, hold_arm
+from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector
+
+_HEAD = 3  # int64 of a slot: number of the write, checksum, length
+_ATTEMPTS = 1000
+
+
+class SharedValue:
+    """A value in shared memory that one process writes and another one reads.
+
+    Parameters
+    ----------
+    capacity : int
+        Size of the largest pickled value, bytes.
+    name : str, optional
+        Name of the memory that another process has created; by default it is created. The process that created it
+        calls :meth:`close` last.
+
+    Notes
+    -----
+    Two slots alternate, each with the number of its write and a checksum. A writer that is killed within a write leaves
+    the other slot intact; a reader that was overtaken notices that number and checksum do not match, and reads again.
+    As the arguments of a process, values are pickled: the memory is accessible to the user who created it alone.
+
+    Examples
+    --------
+    >>> shared = SharedValue(1000)
+    >>> shared.write({"t": 1.0})
+    >>> shared.read()
+    (1, {'t': 1.0})
+    >>> shared.close()
+    """
+
+    def __init__(self, capacity: int, name: str | None = None) -> None:
+        self.capacity, self._created = capacity + -capacity % 8, name is None
+        slot = 8 * _HEAD + self.capacity
+        self._memory = SharedMemory(name=name, create=self._created, size=8 + 2 * slot)
+        self._buffer: Any = self._memory.buf
+        self._last = np.ndarray((1,), np.int64, self._buffer)
+        self._heads = [np.ndarray((_HEAD,), np.int64, self._buffer, 8 + k * slot) for k in (0, 1)]
+        self._starts = [8 + k * slot + 8 * _HEAD for k in (0, 1)]
+
+    @property
+    def name(self) -> str:
+        """Name under which another process finds the memory."""
+        return self._memory.name
+
+    def write(self, value: Any) -> None:
+        """Make `value` the newest; raises InvalidInput if it is too large."""
+        data = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
+        if len(data) > self.capacity:
+            allowed = f"at most {self.capacity} bytes when pickled"
+            raise InvalidInput("the value is too long to be handed over", got=len(data), allowed=allowed)
+        number = int(self._last[0]) + 1
+        head, start = self._heads[number % 2], self._starts[number % 2]
+        head[0] = 0
+        self._buffer[start : start + len(data)] = data
+        head[1], head[2] = zlib.crc32(data, number & 0xFFFFFFFF), len(data)
+        head[0] = number
+        self._last[0] = number
+
+    def read(self) -> tuple[int, Any] | None:
+        """Return the number of the newest write (1, 2, ...) and its value; None before the first."""
+        for _ in range(_ATTEMPTS):
+            number = int(self._last[0])
+            if number == 0:
+                return None
+            head, start = self._heads[number % 2], self._starts[number % 2]
+            checksum, length = int(head[1]), min(max(int(head[2]), 0), self.capacity)
+            data = bytes(self._buffer[start : start + length])
+            if head[0] == number and zlib.crc32(data, number & 0xFFFFFFFF) == checksum:
+                return number, pickle.loads(data)
+        raise HyperflexError("Shared memory is damaged: neither slot is complete. Restart the process that writes it.")
+
+    def clear(self) -> None:
+        """Forget what was written; only while no other process writes."""
+        self._last[0] = 0
+
+    def close(self) -> None:
+        """Release the memory; the process that created it also removes it."""
+        self._last, self._heads, self._buffer = np.zeros(1, np.int64), [], None
+        self._memory.close()
+        if self._created:
+            self._created = False
+            self._memory.unlink()
+
+
+READY = "ready"
+TICK = 0.05  # s, longest time between two packets: the parent sees that the process runs
+MOST_CHANGES = 16  # that a packet carries
+MOTION_BYTES = 131072  # of a pickled motion: some 600 pieces
+_CLOCK_DRIFT = 1e-4  # s per s, by which the clocks of camera and machine may drift apart
+_PRACTICE = 3  # frames after which all kernels have been called
+
+
+@dataclass(frozen=True)
+class TrackingTask:
+    """What is tracked, and how.
+
+    Attributes
+    ----------
+    rope, arc_lengths, camera, arm, parameters, tests
+        As of :class:`RopeFilter`; an arm is at rest until :meth:`Process.set_motion`.
+    colour : MarkerColour
+    """
+
+    rope: Rope
+    arc_lengths: Array
+    camera: Camera
+    colour: MarkerColour
+    arm: Arm | None = None
+    parameters: Sequence[EstimatedParameter] = ()
+    tests: ChangeTests | None = None
+
+    @property
+    def motion(self) -> Motion | None:
+        """The arm's motion until another one is set."""
+        return None if self.arm is None else hold_arm(0.0)
+
+    @property
+    def states(self) -> ParameterStates:
+        """The parameters that are estimated, and those that are tested for changes."""
+        tested = () if self.tests is None else self.tests.parameters_for(self.rope)
+        return ParameterStates(self.parameters, self.rope, tested, self.arm is not None)
+
+    @property
+    def packet_bytes(self) -> int:
+        """Largest size of a pickled :class:`Packet`."""
+        size = 2 * self.rope.n_links + len(self.states)
+        return 8 * size * (size + 1) + 16384  # state and covariance; 16 changes and all else take some kilobytes
+
+    def tracker(self) -> RopeTracker:
+        """Return a new tracker of the rope."""
+        estimator = RopeFilter(
+            self.rope,
+            self.arc_lengths,
+            motion=self.motion,
+            arm=self.arm,
+            camera=self.camera,
+            parameters=self.parameters,
+            tests=self.tests,
+        )
+        return RopeTracker(estimator, MarkerMeasurement(MarkerDetector(self.colour)))
+
+    def rehearse(self) -> None:
+        """Track drawn frames of the hanging rope, so that the first real frame compiles nothing."""
+        import cv2
+
+        tracker = self.tracker()
+        radius = round(16.0 * (max(2.0, MarkerDetector(self.colour).radius) - 0.5))  # OpenCV adds half a pixel; 1/16 px
+        width, height = self.camera.image_size
+        image = np.full((height, width, 3), 128, np.uint8)
+        drop = np.asarray(self.arc_lengths)[:, None] * self.rope.gravity / np.hypot(*self.rope.gravity)
+        for place in np.round(16.0 * self.camera.project(drop + tracker.estimator.process.base(0.0)[0])).astype(int):
+            cv2.circle(image, place.tolist(), radius, self.colour.bgr.tolist(), -1, cv2.LINE_AA, 4)
+        for k in range(_PRACTICE):
+            tracker.look(Frame(k / 30.0, image, k))
+
+
+class Packet(NamedTuple):
+    """What the process knows; times are this machine's monotonic clock, s.
+
+    Attributes
+    ----------
+    written : float
+        When it was written.
+    t : float
+        Time of the last picture; the state is older by an estimated delay.
+    seen_at : float
+        When a marker was last seen.
+    found : bool
+        Whether the rope has been found.
+    frames : int
+        Frames processed so far.
+    noise : (2,) float64
+        Densities of the links' disturbances, as of :meth:`Process.noise`.
+    x, rows : (N,), (r, N) float64
+        State, and rows whose squares are its covariance.
+    changes : tuple of Change
+        The last that were noticed.
+    """
+
+    written: float
+    t: float
+    seen_at: float
+    found: bool
+    frames: int
+    noise: Array
+    x: Array
+    rows: Array
+    changes: tuple[Change, ...]
+
+
+class StampClock:
+    """Puts frames on the machine's monotonic clock, by the least delay of any frame.
+
+    Notes
+    -----
+    A frame is never later on that clock than it arrived, and the quickest one not earlier. A delay that all frames have
+    in common cannot be seen: it is the camera's ``delay``. The time stamps of a source that was opened again start
+    anew, and so does the least delay.
+    """
+
+    def __init__(self) -> None:
+        self._offset, self._at, self._last = math.inf, 0.0, -math.inf
+        self._opening = 0
+
+    def __call__(self, arrival: Arrival) -> Frame:
+        """Return the frame with its time by the machine's clock, s."""
+        stamp = arrival.frame.time
+        if arrival.opening != self._opening:
+            self._offset, self._opening = math.inf, arrival.opening
+        self._offset = min(self._offset + _CLOCK_DRIFT * (arrival.at - self._at), arrival.at - stamp)
+        self._at = arrival.at
+        self._last = max(stamp + self._offset, self._last + 1e-6)
+        return Frame(self._last, arrival.frame.image, arrival.frame.index)
+
+
+def work(source: int | str, task: TrackingTask, packets: str, motions: str, messages: Connection) -> None:
+    """Estimate until the parent ends; errors are sent as text.
+
+    Parameters
+    ----------
+    source : int or str
+        Camera, stream or file.
+    task : TrackingTask
+    packets, motions : str
+        Names of the shared values: of a Packet, and of a motion with the time of its t = 0, s.
+    messages : Connection
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent
+    out, given = SharedValue(task.packet_bytes, packets), SharedValue(MOTION_BYTES, motions)
+    try:
+        _follow(source, task, out, given, messages)
+    except HyperflexError as error:
+        messages.send_bytes(str(error).encode())
+    finally:
+        out.close()
+        given.close()
+
+
+def _follow(source: int | str, task: TrackingTask, out: SharedValue, given: SharedValue, messages: Connection) -> None:
+    from threadpoolctl import threadpool_limits
+
+    tracker, parent, number = task.tracker(), multiprocessing.parent_process(), 0
+    estimator = tracker.estimator
+    task.rehearse()
+
+    def take_motion() -> None:
+        nonlocal number
+        newest = given.read()
+        if newest is not None and newest[0] != number:
+            number, (motion, zero) = newest
+            estimator.process.set_motion(motion.shifted(zero))
+
+    with open_frames(source, paced=True) as frames, threadpool_limits(1):
+        watch = Watch(frames, tracker, interval=TICK, retime=StampClock(), before=take_motion)
+        messages.send_bytes(READY.encode())
+        count, changes = 0, deque[Change](maxlen=MOST_CHANGES)
+        for estimate in watch:
+            count += estimate.frame is not None
+            changes.extend(() if estimate.tracked is None else estimate.tracked.changes)
+            out.write(_packet(estimate, estimator, count, tuple(changes)))
+            if parent is None or not parent.is_alive():
+                return
+        messages.send_bytes(f"no more frames come: {frames.ended}".encode())
+
+
+def _packet(estimate: LiveEstimate, estimator: RopeFilter, frames: int, changes: tuple[Change, ...]) -> Packet:
+    t, x, rows, seen_at = estimate.t, estimator.x, estimator.factor, -math.inf
+    found = estimate.found and estimator.t is not None
+    if found and estimator.t is not None:
+        t, seen_at = estimator.t, estimator.t - estimator.age
+    return Packet(time.monotonic(), t, seen_at, found, frames, estimator.process_noise.value, x, rows, changes)
+
 
 _POLL = 0.005  # s between two checks while waiting
 

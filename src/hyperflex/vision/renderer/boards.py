@@ -9,7 +9,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.files import PathLike, as_path, write_bytes
-from hyperflex.vision.boards import Board
+from hyperflex.vision.calibration import Board
 from hyperflex.vision.video import Image, VideoWriter
 
 SIZE = (768, 432)  # px, of the synthetic camera

@@ -14,10 +14,6 @@ from hyperflex.vision.renderer.motion import RopeMotion
 from hyperflex.vision.renderer.scene import Scene, finished, tiles_of_noise
 from hyperflex.vision.video import Image, VideoWriter
 
-_NODE = 1e-3  # s, between the instants from which the motion within a frame is interpolated
-_ITERATIONS = 8  # of the row in which a marker is seen and the time of that row
-_COVER, _COVER_SIZE = (70.0, 75.0, 75.0), 1.5  # colour and size (of the marker's) of what hides a marker
-
 
 @dataclass(frozen=True, eq=False)
 class Truth:
@@ -90,6 +86,10 @@ class Renderer:
     ((240, 320, 3), True)
     """
 
+    NODE = 1e-3  # s, between the instants from which the motion within a frame is interpolated
+    ITERATIONS = 8  # of the row in which a marker is seen and the time of that row
+    COVER, COVER_SIZE = (70.0, 75.0, 75.0), 1.5  # colour and size (of the marker's) of what hides a marker
+
     def __init__(self, camera: Camera, motion: RopeMotion, scene: Scene, sub_exposures: int = 8) -> None:
         self.camera, self.motion, self.scene = camera, motion, scene
         self.sub_exposures = checks.count("sub_exposures", sub_exposures)
@@ -158,7 +158,7 @@ class Renderer:
         """Return times (K,), s, places (K, 3), m, and pixels (K, 2) of markers, `shift` after their rows' exposure."""
         arcs = self.scene.arc_lengths
         t, each = np.full(arcs.size, stamp - self.camera.delay), np.arange(arcs.size)
-        for _ in range(_ITERATIONS):
+        for _ in range(self.ITERATIONS):
             places = self.motion.places(t, arcs)[each, each]
             pixels = self.camera.project(places)
             t = self.camera.exposure_times(stamp, pixels) + shift
@@ -192,7 +192,7 @@ class Renderer:
                 marker, radius = np.array([joints + k]), 0.5 * scene.marker_diameter
                 layers.append((marker, marker, radius, colour))
                 if hidden[k]:
-                    layers.append((marker, marker, _COVER_SIZE * radius, _COVER))
+                    layers.append((marker, marker, self.COVER_SIZE * radius, self.COVER))
         for k, front in enumerate(scene.occluders):
             first = np.array([self._arcs.size + 2 * k])
             layers.append((first, first + 1, 0.5 * front.width, front.colour))
@@ -203,7 +203,7 @@ class Renderer:
         camera = self.camera
         start = stamp - camera.delay - 0.5 * camera.exposure
         span = camera.exposure + camera.readout
-        nodes = max(2, int(np.ceil(span / _NODE)) + 1)
+        nodes = max(2, int(np.ceil(span / self.NODE)) + 1)
         instants = start + np.linspace(0.0, span, nodes)
         places = self.motion.places(instants, self._arcs)
         for bar in self.scene.occluders:

@@ -1,6 +1,8 @@
-"""Moving-horizon estimator: Gauss-Newton over the last frames, from several starts where one may be wrong."""
+"""Moving-horizon estimator and smoother: Gauss-Newton over the last frames, or over all of a recording."""
 
+from collections.abc import Iterable
 from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,23 +14,16 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate import square_root as sr
-from hyperflex.estimate.changes import Found
+from hyperflex.estimate.changes import MISFIT, TOUCH, Change, Found
 from hyperflex.estimate.filter import RopeFilter
+from hyperflex.estimate.interval import Interval
 from hyperflex.estimate.noise import NoiseLevel
 from hyperflex.estimate.observations import InputFrame, Observations
-from hyperflex.estimate.smoothing.interval import Interval
 from hyperflex.interfaces import RopeState
+from hyperflex.interruption import interruptible
 from hyperflex.model import Rope
+from hyperflex.sensors import lever_arms
 
-ROUNDS = 3  # of Gauss-Newton, at each frame
-FIRST_ROUNDS = 12  # at the first frame, and from the expected state where there are other starts
-AMBIGUOUS = 0.5  # rad, standard deviation of a link's angle beyond which what is seen may have several explanations
-DIMENSIONS = 4  # in which starts differ
-START_ROUNDS = 6  # from each of several starts
-REPEATED = 5  # starts in a row that come to nothing new, after which no more are tried
-NEGLIGIBLE = 7.0  # by how much a logarithm of a likelihood is below the best where its start is dropped
-LOST = 10.0  # how many times too large what is squared is where no explanation is right
-PATIENT = 8  # beginnings without an explanation that holds, after which levels of noise must have been too low
 ALIKE = 0.1  # of a standard deviation: two starts have come to the same
 
 
@@ -87,6 +82,16 @@ class MovingHorizon(RopeFilter):
     While several explanations are alive, the covariance is that of their mixture about the most likely one.
     """
 
+    ROUNDS = 3  # of Gauss-Newton, at each frame
+    FIRST_ROUNDS = 12  # at the first frame, and from the expected state where there are other starts
+    AMBIGUOUS = 0.5  # rad, standard deviation of a link's angle beyond which what is seen may have several explanations
+    DIMENSIONS = 4  # in which starts differ
+    START_ROUNDS = 6  # from each of several starts
+    REPEATED = 5  # starts in a row that come to nothing new, after which no more are tried
+    NEGLIGIBLE = 7.0  # by how much a logarithm of a likelihood is below the best where its start is dropped
+    LOST = 10.0  # how many times too large what is squared is where no explanation is right
+    PATIENT = 8  # beginnings without an explanation that holds, after which levels of noise must have been too low
+
     def __init__(
         self, rope: Rope, arc_lengths: npt.ArrayLike, *, frames: int = 8, starts: int = 16, **options: Any
     ) -> None:
@@ -138,19 +143,25 @@ class MovingHorizon(RopeFilter):
         if not self._explanations:
             self.begun = prior
             self._explanations = [Interval(self.process, self.model, *prior, frame, self._qdd)]
-            self._fit(FIRST_ROUNDS)
+            self._fit(self.FIRST_ROUNDS)
             self._take()
             return
         if self.changed:  # what was seen before is of another rope, or of one that was not touched
             self._explanations = [self._beginning(seen, self.x, self.factor, self._qdd)]
             return
-        if unsure and self.starts > 1 and self._given_up <= PATIENT and used.any() and len(self._explanations) == 1:
+        if (
+            unsure
+            and self.starts > 1
+            and self._given_up <= self.PATIENT
+            and used.any()
+            and len(self._explanations) == 1
+        ):
             self._explanations = self._started(frame)
             self._fit(0)
         else:
             self._explanations = [each for each in self._explanations if _appended(each, frame)]
-            self._fit(ROUNDS if used.any() else 0)
-        if used.any() and (not self._explanations or self._explanations[0].misfit > LOST):
+            self._fit(self.ROUNDS if used.any() else 0)
+        if used.any() and (not self._explanations or self._explanations[0].misfit > self.LOST):
             self._begin_anew(seen)
         elif self._settled():
             self._trusted, self._given_up = self._learnt(), 0
@@ -166,7 +177,7 @@ class MovingHorizon(RopeFilter):
         """Correct the levels of noise, where the horizon is known to be right."""
         before = copy(self.process_noise), copy(self.measurement_noise)
         super()._learn(*innovation)
-        if not self._settled() and self._given_up <= PATIENT:
+        if not self._settled() and self._given_up <= self.PATIENT:
             self.process_noise, self.measurement_noise = before
 
     def _settled(self) -> bool:
@@ -182,14 +193,14 @@ class MovingHorizon(RopeFilter):
         self.restart()
         self._given_up += 1
         values, *levels = self._trusted
-        if self._given_up <= PATIENT:
+        if self._given_up <= self.PATIENT:
             self.process_noise, self.measurement_noise = map(copy, levels)
         self.x[2 * self.n_links :] = values
         self._begin(seen)
 
     def _unsure(self) -> bool:
         """Return whether what was expected is too wide to be linear."""
-        return bool(np.linalg.norm(self.factor[:, : self.n_links], axis=0).max() > AMBIGUOUS)
+        return bool(np.linalg.norm(self.factor[:, : self.n_links], axis=0).max() > self.AMBIGUOUS)
 
     def _noise_until(self, t: float) -> Array:
         """Return rows of the process noise since the last frame."""
@@ -207,20 +218,20 @@ class MovingHorizon(RopeFilter):
             return []
         angles = last.factor @ begun.path.predictions[-1].transition[: self.n_links].T
         ways, sizes, _ = np.linalg.svd(angles, full_matrices=False)
-        ways, fresh = ways[:, sizes > AMBIGUOUS][:, :DIMENSIONS], copy(begun)
-        begun.solve(FIRST_ROUNDS)
+        ways, fresh = ways[:, sizes > self.AMBIGUOUS][:, : self.DIMENSIONS], copy(begun)
+        begun.solve(self.FIRST_ROUNDS)
         found, repeated = [begun], 0
         if not ways.size:
             return found
         for point in ndtri(qmc.Halton(ways.shape[1], rng=0).random(self.starts - 1)):
             twin = copy(fresh)
             if twin.begin_at(ways @ point):
-                twin.solve(START_ROUNDS)
-            if twin.misfit < LOST and not any(_alike(twin, each) for each in found):
+                twin.solve(self.START_ROUNDS)
+            if twin.misfit < self.LOST and not any(_alike(twin, each) for each in found):
                 found, repeated = [*found, twin], 0
             else:
                 repeated += 1
-            if repeated == REPEATED:
+            if repeated == self.REPEATED:
                 break
         return found
 
@@ -237,7 +248,7 @@ class MovingHorizon(RopeFilter):
                 each.forget()
         kept: list[Interval] = []
         for each in sorted(self._explanations, key=lambda one: -one.log_likelihood):
-            unlikely = kept and each.log_likelihood < kept[0].log_likelihood - NEGLIGIBLE
+            unlikely = kept and each.log_likelihood < kept[0].log_likelihood - self.NEGLIGIBLE
             if not unlikely and not any(_alike(each, other) for other in kept):
                 kept.append(each)
         self._explanations = kept
@@ -273,3 +284,140 @@ def _alike(one: Interval, other: Interval) -> bool:
         np.abs(a - b).max(initial=0.0) < ALIKE
         for a, b in zip([one.path.start, *one.path.noises], [other.path.start, *other.path.noises], strict=True)
     )
+
+
+WHOLE_ROUNDS = 30  # of Gauss-Newton
+EARLIER = 0.1  # s by which a change may have happened before the moment that was told
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedTrack:
+    """The states of all frames, each given what was seen in all (made by :func:`smooth`).
+
+    Attributes
+    ----------
+    states : tuple of RopeState
+        Of each frame, with its covariance.
+    places : (T, K, 2) float64
+        Where the markers are seen, m or px, also where they were not.
+    values : dict of str to (float, float)
+        Each estimated parameter's value and standard deviation, at the end.
+    log_likelihood : float
+        Of all that was seen.
+    """
+
+    states: tuple[RopeState, ...]
+    places: Array
+    values: dict[str, tuple[float, float]]
+    log_likelihood: float
+
+
+@interruptible()
+def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> SmoothedTrack:
+    """Estimate the states of all frames of a recording from all of it.
+
+    The estimator goes through the recording; then Gauss-Newton over all frames begins at what it found, with the levels
+    of noise that it learnt. Where it had to begin anew, the result begins there. Where it noticed a change or a touch,
+    the parameter or the rates may jump in any frame from shortly before the moment it told until it noticed.
+
+    Parameters
+    ----------
+    estimator : MovingHorizon
+    observations : iterable of Observations
+        In the order of time.
+
+    Raises
+    ------
+    InvalidInput
+        If nothing is seen in any of them.
+    SimulationError
+        If no rope can move along what was found.
+
+    Notes
+    -----
+    Maximum a posteriori, with covariances of Laplace's approximation; cost O(T) per round (see :func:`smooth_linear`).
+    """
+    found = _Collected()
+    for seen in observations:
+        begun = estimator.begun
+        estimator.update(seen)
+        if estimator.horizon is None:
+            continue
+        if estimator.begun is not begun:
+            found = _Collected()
+        found.add(estimator, estimator.horizon)
+    if estimator.begun is None:
+        raise InvalidInput("no marker was seen", allowed="observations of at least one")
+    frames, prior = found.with_noise(estimator), estimator.begun
+    whole = Interval(estimator.process, estimator.model, prior.mean, prior.rows, frames[0], np.zeros(estimator.n_links))
+    if len(frames) > 1:
+        whole.follow(frames[1:], found.states)
+    whole.solve(WHOLE_ROUNDS)
+    return _track(whole, estimator)
+
+
+class _Collected:
+    """What an estimator found on its way, frame by frame, and where what it noticed may have changed the rope."""
+
+    def __init__(self) -> None:
+        self.states: list[tuple[Array, Array]] = []
+        self._frames: list[InputFrame] = []
+        self._jumps: list[list[Array]] = []  # rows by which each frame's noise is wider
+        self._touch: Change | None = None
+
+    def add(self, estimator: MovingHorizon, horizon: Interval) -> None:
+        """Take the last frame, with the states of the horizon's frames."""
+        self._frames.append(replace(horizon.frames[-1], used=estimator.used))
+        self._jumps.append([])
+        self.states.append((horizon.x, horizon.factor))
+        known = min(len(horizon.frames), len(self.states))
+        self.states[-known:] = zip(horizon.states[-known:], horizon.smoothed.rows[-known:], strict=True)
+        noticed = [change for change in estimator.changes if change.name != MISFIT]
+        for change in noticed:
+            self._touch = change if change.name == TOUCH else self._touch
+            self._widen(estimator, change, change.time - EARLIER)
+        if estimator.changed and not noticed and self._touch is not None and len(self._frames) > 1:
+            self._widen(estimator, self._touch, self._frames[-2].seen.t)
+
+    def _widen(self, estimator: MovingHorizon, change: Change, since: float) -> None:
+        """Allow for a change from a time on until now: in which of the frames it happened is left to the fit."""
+        n, size = estimator.n_links, abs(change.size) + change.std
+        if change.arc_length is not None:
+            arms = lever_arms(estimator.process.rope, np.array([change.arc_length]))[1]
+        for k in range(1, len(self._frames)):
+            if self._frames[k].seen.t <= since:
+                continue
+            x, factor = self.states[k]
+            if change.arc_length is None:
+                rows, column = np.zeros((1, x.size)), 2 * n + estimator.parameters.names.index(change.name)
+                rows[0, column] = size
+                if k < len(self._frames) - 1 and self._frames[k].seen.t > change.time:
+                    x = x.copy()
+                    x[column] += change.size
+                    self.states[k] = x, factor
+            else:
+                gap = self._frames[k].seen.t - self._frames[k - 1].seen.t
+                turned = size * np.abs(estimator.process.kicks(x[:n], arms)).max()
+                rows = estimator.process.noise(gap, turned / np.sqrt(gap))
+            self._jumps[k].append(rows)
+
+    def with_noise(self, estimator: MovingHorizon) -> list[InputFrame]:
+        """Return the frames with the levels of noise that were learnt in the end."""
+        level, density = estimator.measurement_noise.value, estimator.process_noise.value
+        frames = [replace(each, level=level) for each in self._frames]
+        for k in range(1, len(frames)):
+            noise = estimator.process.noise(frames[k].seen.t - frames[k - 1].seen.t, density)
+            frames[k] = replace(frames[k], noise=np.concatenate([noise, *self._jumps[k]]))
+        return frames
+
+
+def _track(whole: Interval, estimator: MovingHorizon) -> SmoothedTrack:
+    """Return what a fit of all frames says."""
+    n, model, process = estimator.n_links, estimator.model, estimator.process
+    qdds = [np.zeros(n), *(each.qdd for each in whole.path.predictions)]
+    places = [
+        model.predict(x, process.base(frame.seen.t, x), np.zeros(len(model.arc_lengths)), qdd)[0]
+        for x, frame, qdd in zip(whole.states, whole.frames, qdds, strict=True)
+    ]
+    values = estimator.parameters.estimates(whole.x, whole.factor)
+    return SmoothedTrack(whole.rope_states, np.array(places), values, whole.log_likelihood)
