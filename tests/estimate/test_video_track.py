@@ -149,7 +149,7 @@ def test_lengths_are_said_for_the_rope_and_leave_places_alone(swing: Path) -> No
 
 def test_a_marker_that_is_never_seen_is_left_out_and_named(swing: Path) -> None:
     found = tracked(swing, facing(), arcs=np.insert(ARCS, 0, 0.1))
-    assert "the marker at 0.1 m was never seen: check its arc length, or leave it out of arc_lengths" in found.notes[0]
+    assert "the marker at 0.1 m was never seen: check its arc length, or omit it from arc_lengths" in found.notes[0]
     np.testing.assert_array_equal(found.arc_lengths, ARCS)
     assert found.recording.data.shape == (30, 16)
     assert np.nanmax(errors(found)) < 4e-3
