@@ -29,13 +29,15 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.control import swing_period
 from hyperflex.core.jit import SOURCE_HASH
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.planning import InsertOutcome, InsertPlan, MotorLimits, Problem, Slot, plan_insert
-from hyperflex.planning.insert.chance import FINER, finer_rope, insert_scenarios, usual_uncertainty
-from hyperflex.planning.insert.outcome import verify_insert
-from hyperflex.planning.insert.planner import PERIODS
-from hyperflex.planning.insert.search import MAX_COST, SAMPLE_TIME, SWINGS, TOGETHER, cheapest_entry
-from hyperflex.planning.tip.swings import random_swings, simulate_swings
+from hyperflex.planning.tasks.insert import (
+    InsertTask,
+    finer_rope,
+    insert_scenarios,
+    usual_uncertainty,
+    verify_insert,
+)
+from hyperflex.planning.tasks.tip import OPTIONS, Flights, random_swings
 
 RESULTS = Path(__file__).parent / "results"
 SLOTS = Path(__file__).parent / "insert-slots.json"
@@ -45,6 +47,7 @@ NEAR = 0.2  # m, from the gap; a tip that never is so near does not enter
 COUNT, SEED, WIDTHS, DEPTH = 30, 4, (0.015, 0.03), 0.05  # m
 TIME_BUDGET = 60.0  # s by the clock, on a machine that others use as well
 TIGHTER = 5.0  # than the library, the judge's tolerance
+PERIODS, FINER = 2.0, 2.5  # of the swing, within which the tip enters; times the links of the judge
 SCENARIOS, FRESH = 25, 1  # of each plan; their seed, that of the plan is 0
 GOAL, AGREE = 0.85, 0.08
 
@@ -57,17 +60,18 @@ def slots() -> list[Slot]:
 def draw() -> list[dict[str, float]]:
     """Slots in reach: some of the random swings of the planner comes near each."""
     problem = Problem(CABLE, ARM, MotorLimits(), PERIODS * swing_period(CABLE))
-    swings, runs = random_swings(problem, SWINGS), []
-    for low in range(0, SWINGS, TOGETHER):
-        t, batch, angle, _ = simulate_swings(problem, swings[low : low + TOGETHER], SAMPLE_TIME)
-        runs += [CABLE.joints(q, base).astype(np.float32) for q, base in zip(batch.q, ARM.tip(angle), strict=True)]
+    swings, runs = random_swings(problem, OPTIONS.swings), list[Flights]()
+    t = np.arange(0.0, problem.time, OPTIONS.sample_time)
+    for low in range(0, OPTIONS.swings, OPTIONS.batch):
+        runs.append(Flights(problem, swings[low : low + OPTIONS.batch], t))
     rng, far, found = np.random.default_rng(SEED), CABLE.total_length + ARM.length, list[dict[str, float]]()
     while len(found) < COUNT:
         r, a, direction = far * np.sqrt(rng.uniform()), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)
         row = {"x": r * np.cos(a), "y": r * np.sin(a), "direction": direction, "width": rng.uniform(*WIDTHS)}
         slot = Slot(**{name: round(value, 4) for name, value in row.items()}, depth=DEPTH)
-        near = [joints for joints in runs if np.hypot(*(joints[:, -1] - slot.point).T).min() < NEAR]
-        if any(cheapest_entry(slot, CABLE.radius, t, joints)[0] < MAX_COST for joints in near):
+        task = InsertTask(problem, slot)
+        near = [each for each in runs if np.nanmin(np.linalg.norm(each.joints[:, :, -1] - slot.point, axis=2)) < NEAR]
+        if any(cost < OPTIONS.max_cost for each in near for cost, _ in task.score(each)):
             found.append(asdict(slot))
     return found
 
@@ -76,8 +80,7 @@ def judge(plan: InsertPlan, rope: hf.Rope, slot: Slot, motion: hf.Motion) -> Ins
     """What a motion does with a rope of more links beside a slot."""
     assert plan.outcome is not None
     finer = replace(plan.problem, rope=rope)
-    how = {"tol": DEFAULT_TOL / TIGHTER, "contact_step": 0.5 * DEFAULT_CONTACT_STEP}
-    return verify_insert(finer, slot, motion, plan.outcome.t, **how)
+    return verify_insert(finer, slot, motion, plan.outcome.t, tighter=TIGHTER)
 
 
 def stands(seen: InsertOutcome | None) -> bool:
@@ -88,10 +91,10 @@ def stands(seen: InsertOutcome | None) -> bool:
 def measure(index: int, slot: Slot) -> dict[str, Any]:
     """What becomes of a slot."""
     begin = time.process_time()
-    plan = plan_insert(CABLE, ARM, slot, time_budget=TIME_BUDGET, seed=0)
+    plan = plan_insert(CABLE, ARM, slot, time_budget=TIME_BUDGET)
     row: dict[str, Any] = {"index": index, "kernels": SOURCE_HASH, "success": plan.success, "reason": plan.message}
     row |= {"cost": plan.feasibility.cost, "seconds": plan.seconds, "processor": time.process_time() - begin}
-    if plan.strokes is None or plan.outcome is None or plan.motion is None or not plan.success:
+    if plan.moves is None or plan.outcome is None or plan.motion is None or not plan.success:
         return row
     seen = plan.outcome
     row |= {
@@ -104,7 +107,7 @@ def measure(index: int, slot: Slot) -> dict[str, Any]:
     row["judged"] = stands(judge(plan, finer_rope(CABLE), slot, plan.motion))
     stated = plan.success_probability
     row["stated"] = stated.estimate if stated is not None and stated.samples else None
-    drawn = insert_scenarios(plan.problem, slot, plan.strokes, usual_uncertainty(), SCENARIOS, [FRESH])
+    drawn = insert_scenarios(plan.problem, slot, plan.moves, usual_uncertainty(), SCENARIOS, [FRESH])
     row["observed"] = float(np.mean([stands(judge(plan, *each)) for each in drawn]))
     return row
 

@@ -27,15 +27,11 @@ from benchmarks import log, machine
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.core.jit import SOURCE_HASH
-from hyperflex.planning import MotorLimits, Problem, WhipPlan, plan_whip
+from hyperflex.planning import Conditions, MotorLimits, Problem, TipTarget, WhipPlan, plan_whip, simulate_impact
 from hyperflex.planning.clearance import obstacle_clearance, samples_clear_of_arm
-from hyperflex.planning.insert.chance import FINER, finer_rope
-from hyperflex.planning.tip.obstacle_gaps import signed_gaps
-from hyperflex.planning.tip.swings import random_swings, simulate_swings
-from hyperflex.planning.whip.impact import simulate_impact
-from hyperflex.planning.whip.outcome import TOL, verify_whip
-from hyperflex.planning.whip.search import SAMPLE_TIME
-from hyperflex.planning.whip.tip_target import find_peaks, tip_velocity
+from hyperflex.planning.tasks.insert import finer_rope
+from hyperflex.planning.tasks.tip import OPTIONS, random_swings, signed_gaps
+from hyperflex.planning.tasks.whip import find_peaks, swing_flights, verify_whip
 
 RESULTS = Path(__file__).parent / "results"
 SWITCHES = Path(__file__).parent / "switch-targets.json"
@@ -45,7 +41,7 @@ COUNT, SEED, SWINGS = 30, 7, 1024
 WALLS, EDGES, FLOOR = (0.25, 0.7), (-1.0, -0.3), -1.5  # m: beside the motor; of upper and lower ends
 BEHIND, BELOW, APART = (0.05, 0.2), (0.03, 0.2), 0.015  # m
 SLOWEST, SLOWER = 1.5, 0.8  # m/s, of a swing; of its speed, that is asked
-TIME_BUDGET, TIGHTER = 30.0, 5.0  # s by the clock; times
+TIME_BUDGET, TOL, FINER = 30.0, 2e-8, 2.5  # s by the clock; m, of the judge; times the links
 SWITCH = 0.01  # m, radius of the peg, and greatest miss
 
 
@@ -59,10 +55,9 @@ def draw() -> list[dict[str, float]]:
     """Walls and switches that some random swing strikes without a touch of the wall."""
     problem, rng = Problem(ROPE, ARM, LIMITS, TIME), np.random.default_rng(SEED)
     swings = random_swings(problem, 2 * SWINGS)[SWINGS:]  # the planner's are the first ones
-    t, batch, angle, rate = simulate_swings(problem, swings, SAMPLE_TIME)
-    base = ARM.tip(angle)
-    peaks = find_peaks(t, batch.tip, tip_velocity(problem, batch.q, batch.qd, angle, rate))
-    last = samples_clear_of_arm(ROPE, ARM, batch.q, base, 0.0)
+    flights = swing_flights(problem, swings)
+    peaks = find_peaks(flights.t, flights.joints[:, :, -1], flights.velocity)
+    last = samples_clear_of_arm(ROPE, ARM, flights.q, flights.joints[:, :, 0], 0.0)
     found, taken = list[dict[str, float]](), set[int]()
     while len(found) < COUNT:
         x, edge = rng.uniform(*WALLS) * rng.choice([-1.0, 1.0]), rng.uniform(*EDGES)
@@ -71,8 +66,8 @@ def draw() -> list[dict[str, float]]:
         right = (peaks.speed > SLOWEST) & (behind > BEHIND[0]) & (behind < BEHIND[1])
         kept = []
         for k in np.flatnonzero(right & (below > BELOW[0]) & (below < BELOW[1])):
-            row, until = peaks.row[k], int(peaks.t[k] / SAMPLE_TIME) + 2
-            joints = ROPE.joints(batch.q[row, :until], base[row, :until])
+            row, until = peaks.row[k], int(peaks.t[k] / OPTIONS.sample_time) + 2
+            joints = flights.joints[row, :until]
             if (
                 k not in taken
                 and until <= last[row]
@@ -92,13 +87,13 @@ def judge(plan: WhipPlan) -> str:
     assert plan.outcome is not None
     assert plan.motion is not None
     finer = replace(plan.problem, rope=finer_rope(ROPE))
-    seen = verify_whip(finer, plan.target, plan.motion, plan.outcome.t, tol=TOL / TIGHTER)
+    seen = verify_whip(finer, plan.target, plan.motion, plan.outcome.t, tol=TOL)
     if seen is None:
         return "no peak there"
     if seen.refused or seen.miss > SWITCH:
         return seen.refused or f"misses by {1e3 * seen.miss:.1f} mm"
-    target = replace(plan.target, direction=float(np.arctan2(*seen.velocity[::-1])))
-    return simulate_impact(finer, target, plan.motion, seen.t, radius=SWITCH, mu=0.3).message
+    direction = float(np.arctan2(*seen.velocity[::-1]))
+    return simulate_impact(finer, plan.target.point, direction, plan.motion, seen.t, radius=SWITCH, mu=0.3).message
 
 
 def measure(index: int, mark: dict[str, float]) -> dict[str, Any]:
@@ -107,12 +102,9 @@ def measure(index: int, mark: dict[str, float]) -> dict[str, Any]:
     plan = plan_whip(
         ROPE,
         ARM,
-        (mark["x"], mark["y"]),
-        obstacles=[wall],
-        least_speed=mark["speed"],
-        time_limit=TIME,
+        TipTarget(mark["x"], mark["y"], least_speed=mark["speed"]),
+        conditions=Conditions(time_limit=TIME, obstacles=(wall,)),
         time_budget=TIME_BUDGET,
-        seed=0,
     )
     row: dict[str, Any] = {"index": index, "kernels": SOURCE_HASH, "success": plan.success, "reason": plan.message}
     row |= {"seconds": plan.seconds, "runs": plan.runs}

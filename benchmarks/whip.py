@@ -38,17 +38,19 @@ from hyperflex.model.stretch import stretched
 from hyperflex.motion import lagged
 from hyperflex.planning import (
     MotorLimits,
+    Moves,
     Problem,
-    Strokes,
+    SearchOptions,
+    TipTarget,
+    WhipFeasibility,
     WhipMap,
     build_whip_map,
     check_whip_feasibility,
     plan_whip,
+    simulate_impact,
 )
-from hyperflex.planning.whip.impact import simulate_impact
-from hyperflex.planning.whip.outcome import verify_whip
-from hyperflex.planning.whip.search import MAX_COST, WhipFeasibility
-from hyperflex.planning.whip.tip_target import TipTarget
+from hyperflex.planning.tasks.tip import OPTIONS
+from hyperflex.planning.tasks.whip import verify_whip
 
 RESULTS = Path(__file__).parent / "results"
 TARGETS = Path(__file__).parent / "whip-targets.json"
@@ -71,7 +73,7 @@ NAMES = {
 }
 FEWER = {"identified, no tape": 15}  # of the targets: a fit of the length takes its time
 BEYOND = 30  # targets out of reach that are tried all the same
-BANDS = (MAX_COST, 0.2, 0.3, 0.5, np.inf)  # m, of their cost
+BANDS = (OPTIONS.max_cost, 0.2, 0.3, 0.5, np.inf)  # m, of their cost
 SPREAD = {"length": 0.01, "mass": 0.02, "friction": 0.2}  # standard deviations of a true rope, relative
 TIMING, LAG = 2e-3, 0.010  # s: standard deviation of each rest of the motor; time constant of its first-order lag
 TAPE = 5e-4  # relative standard deviation of a length that a tape tells
@@ -156,15 +158,16 @@ def identified(true: hf.Rope, index: int, tape: bool) -> tuple[hf.Rope, dict[str
     return rope, told
 
 
-def moved_late(strokes: Strokes, index: int) -> Strokes:
+def moved_late(moves: Moves, index: int) -> Moves:
     """The strokes as a motor makes them that is not quite in time."""
-    late = TIMING * np.random.default_rng([8, index]).standard_normal(strokes.rests.size)
-    return Strokes(strokes.side, strokes.ends, strokes.rests + late)
+    late = TIMING * np.random.default_rng([8, index]).standard_normal(moves.rests.size)
+    return Moves(moves.side, moves.ends, moves.rests + late)
 
 
 def nominal(index: int, mark: TipTarget, known: WhipMap, **options: Any) -> dict[str, Any]:
     """Plan on the cable itself; the miss is that of a run at a tight tolerance."""
-    plan = plan_whip(CABLE, ARM, mark.point, way(mark), whip_map=known, time_budget=TIME_BUDGET, seed=index, **options)
+    search = SearchOptions(index, **options)
+    plan = plan_whip(CABLE, ARM, mark, whip_map=known, time_budget=TIME_BUDGET, options=search)
     row: dict[str, Any] = {"success": plan.success, "reason": plan.message, "cost": plan.feasibility.cost}
     row |= {"runs": plan.runs, "seconds": plan.seconds, "doubt": 1e3 * plan.position_std}
     if plan.outcome is not None:
@@ -174,8 +177,8 @@ def nominal(index: int, mark: TipTarget, known: WhipMap, **options: Any) -> dict
             "greatest": seen.earlier_speed <= seen.speed,
             "finer": None if plan.finer_outcome is None else 1e3 * plan.finer_outcome.miss,
         }
-    if plan.strokes is not None:
-        made = plan.strokes
+    if plan.moves is not None:
+        made = plan.moves
         row |= {"side": made.side, "ends": made.ends.tolist(), "rests": made.rests.tolist()}
     return row
 
@@ -196,8 +199,8 @@ def blow(row: dict[str, Any], mark: TipTarget) -> dict[str, Any]:
     """Impact of a nominal whip on a small peg at the target."""
     if row.get("miss") is None:
         return {"touched": False}
-    made = Strokes(row["side"], np.array(row["ends"]), np.array(row["rests"]))
-    found = simulate_impact(problem(CABLE), mark, made.motion(MotorLimits()), row["t"])
+    made = Moves(row["side"], np.array(row["ends"]), np.array(row["rests"]))
+    found = simulate_impact(problem(CABLE), mark.point, mark.direction, made.motion(MotorLimits()), row["t"])
     return {
         "touched": found.success,
         "t": found.t,
@@ -214,29 +217,22 @@ def on_identified(index: int, mark: TipTarget, kind: str) -> dict[str, Any]:
     plan = plan_whip(
         rope,
         ARM,
-        mark.point,
-        way(mark),
+        mark,
         whip_map=build_whip_map(problem(rope)),
         time_budget=TIME_BUDGET,
-        seed=index,
-        skip_feasibility=True,
+        options=SearchOptions(index, skip_feasibility=True),
     )
     row |= {"success": plan.success, "reason": plan.message, "doubt": 1e3 * plan.position_std, "seconds": plan.seconds}
-    if plan.strokes is None or plan.outcome is None:
+    if plan.moves is None or plan.outcome is None:
         return row
-    exact = plan.strokes.motion(MotorLimits())
-    late = moved_late(plan.strokes, index).motion(MotorLimits())
+    exact = plan.moves.motion(MotorLimits())
+    late = moved_late(plan.moves, index).motion(MotorLimits())
     for name, motion in (("", lagged(late, LAG)), (" without lag", late), (" in time", exact)):
         seen = verify_whip(problem(true), mark, motion, plan.outcome.t)
         row[f"miss{name}"] = None if seen is None else 1e3 * seen.miss
         row[f"speed{name}"] = None if seen is None else seen.speed
         row[f"off{name}"] = None if seen is None else float(np.degrees(seen.angle_error))
     return row
-
-
-def way(mark: TipTarget) -> Any:
-    """Unit vector (2,) of the asked direction."""
-    return np.array([np.cos(mark.direction), np.sin(mark.direction)])
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -339,7 +335,7 @@ def beyond_words(rows: list[dict[str, Any]]) -> list[str]:
             told.append(f"{sum(some)} of {len(some)} {where}")
     met = sum(row["success"] for row in those)
     words = (
-        f"\nOut of reach is called what is farther than {MAX_COST:g} m (direction and speed that are not as asked "
+        f"\nOut of reach is called what is farther than {OPTIONS.max_cost:g} m (direction and speed that are not as asked "
         f"count as distance) from every peak of the map. Of {max(row['drawn'] for row in those)} more targets, "
         f"{len(those)} near some peak were called that. Planned for all the same (`skip_feasibility=True`, "
         f"{TIME_BUDGET:g} s each), {met} of them are met within 1 mm, as fast and directed as asked: {', '.join(told)}."

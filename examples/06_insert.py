@@ -16,5 +16,5 @@ with tempfile.TemporaryDirectory() as folder:
     plan.to_toml(Path(folder) / "insert.toml")
     run = hf.simulate(hf.Setup.from_toml(Path(folder) / "insert.toml"))
 inside = (run.tip - slot.point) @ slot.axes[0]
-print(f"the tip comes {1e3 * inside.max():.0f} mm deep, {1e3 * slot.depth:g} mm are asked")
+print(f"the tip comes {1e3 * inside.max():.0f} mm deep, {1e3 * slot.depth:g} mm are required")
 assert inside.max() > slot.depth

@@ -5,8 +5,10 @@ import numpy as np
 import hyperflex as hf
 
 rope, arm = hf.Rope.uniform(length=1.0, mass=0.06, n_links=32, radius=0.0025, friction=2e-4), hf.Arm(length=0.105)
-wall, switch = hf.Wall(0.334, -1.5, 0.334, -0.89), [0.416, -1.015]  # 8 cm behind the wall, 12 cm below its edge
-plan = hf.plan_whip(rope, arm, switch, obstacles=[wall], least_speed=3.0, time_budget=60.0, seed=1)
+wall = hf.Wall(0.334, -1.5, 0.334, -0.89)
+switch = hf.TipTarget(0.416, -1.015, least_speed=3.0)  # 8 cm behind the wall, 12 cm below its edge
+conditions = hf.Conditions(obstacles=[wall])
+plan = hf.plan_whip(rope, arm, switch, conditions=conditions, time_budget=60.0)
 print(plan)
 assert plan.success, plan.message
 print(f"{plan.outcome.speed:.1f} m/s at {plan.outcome.t:.2f} s, {1e3 * plan.outcome.miss:.1f} mm off")

@@ -51,11 +51,14 @@ if TYPE_CHECKING:
     from hyperflex.paper import IterativeRevision, estimate_initial_state, fit_regression, iterative_revision
     from hyperflex.planning import (
         CastPlan,
+        Conditions,
+        FollowOptions,
         FollowResult,
         InsertPlan,
         MotorLimits,
         Problem,
         ReachMap,
+        SearchOptions,
         Slot,
         TipTarget,
         Uncertainty,

@@ -28,8 +28,9 @@ def ready(monkeypatch):
     asked = {}
 
     def plan(found):
-        def give(rope, arm, slot, limits, **options):
-            asked.update(rope=rope, arm=arm, slot=slot, limits=limits, **options)
+        def give(rope, arm, slot, limits=None, *, conditions, time_budget, options):
+            asked.update(rope=rope, arm=arm, slot=slot, limits=limits, obstacles=conditions.obstacles)
+            asked.update(time_budget=time_budget, seed=options.seed)
             return found
 
         monkeypatch.setattr(planning, "plan_insert", give)

@@ -10,7 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import planning
-from hyperflex.planning.whip.outcome import verify_whip
+from hyperflex.planning.tasks.whip import verify_whip
 from hyperflex.report import WhipReport
 from tests.planning.known_whip import ROPE, far_whip, planned_whip
 
@@ -29,8 +29,11 @@ def ready(monkeypatch):
     asked = {}
 
     def plan(found, **changes):
-        def give(rope, arm, point, direction, limits, **options):
-            asked.update(rope=rope, arm=arm, point=point, direction=direction, limits=limits, **options)
+        def give(rope, arm, target, limits=None, *, conditions, time_budget, options):
+            way = None if target.any_direction else (math.cos(target.direction), math.sin(target.direction))
+            asked.update(rope=rope, arm=arm, point=(target.x, target.y), direction=way, limits=limits)
+            asked.update(least_speed=target.least_speed, angle_tolerance=target.angle_tolerance)
+            asked.update(obstacles=conditions.obstacles, time_budget=time_budget, **dataclasses.asdict(options))
             return dataclasses.replace(found, **changes)
 
         monkeypatch.setattr(planning, "plan_whip", give)

@@ -1,18 +1,18 @@
-"""A whip that is known to meet its target: what tests of tables, report and commands show, without a search."""
+"""A whip that is known to meet its target, for tests of tables, reports and commands: it needs no search."""
 
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
+import math
 
 import numpy as np
 
 import hyperflex as hf
-from hyperflex.model import divided
+from hyperflex.budget import Budget
 from hyperflex.planning import (
     MotorLimits,
+    Moves,
     Problem,
-    Strokes,
     TipTarget,
     WhipFeasibility,
     WhipMap,
@@ -20,37 +20,42 @@ from hyperflex.planning import (
     build_whip_map,
     plan_whip,
 )
-from hyperflex.planning.whip.outcome import verify_whip
-from hyperflex.planning.whip.task import FINER, failure
+from hyperflex.planning.tasks.tip import Aim, AimedCandidate
+from hyperflex.planning.tasks.whip import WhipTask, find_peaks, verify_whip
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=8, radius=0.0025, friction=5e-4, name="short rope")
-STROKES = Strokes(-1, np.array([1.4, 0.2, -0.9]), np.array([0.05, 0.3, 0.25]))
+ARM = hf.Arm(length=0.1)
+MOVES = Moves(-1, np.array([1.4, 0.2, -0.9]), np.array([0.05, 0.3, 0.25]))
 NEAR = 1.9  # s, when its tip is fast
+
+
+def empty_map(problem: Problem) -> WhipMap:
+    """Return a map without swings."""
+    none = np.zeros((0, 3, 2))
+    return WhipMap(problem, (), find_peaks(np.arange(3.0), none, none))
 
 
 @functools.cache
 def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
-    """Return a plan that stands, or one whose peak is 30 mm away from the target."""
-    who = Problem(ROPE, hf.Arm(length=0.1), MotorLimits(), 4.0)
-    motion = STROKES.motion(who.limits)
-    peak = verify_whip(who, TipTarget(0.0, 0.0, 0.0, 1.0), motion, NEAR)
+    """Return a plan that succeeds, or one whose peak is 30 mm away from the target."""
+    problem = Problem(ROPE, ARM, MotorLimits(), 4.0)
+    peak = verify_whip(problem, TipTarget(0.0, 0.0, 0.0, 1.0), MOVES.motion(problem.limits), NEAR)
     assert peak is not None
     place = peak.place + ([0.0004, 0.0003] if meets else [0.018, 0.024])
-    direction = float(np.arctan2(*peak.velocity[::-1])) + 0.1
-    mark = TipTarget(*place, direction=direction, least_speed=0.9 * peak.speed, angle_tolerance=0.3)
-    if any_direction:
-        mark = TipTarget.at(place, None, 0.9 * peak.speed)
-    seen = verify_whip(who, mark, motion, peak.t)
-    finer = verify_whip(replace(who, rope=divided(ROPE, FINER)), mark, motion, peak.t)
+    direction = None if any_direction else float(np.arctan2(*peak.velocity[::-1])) + 0.1
+    target = TipTarget(*place, direction=direction, least_speed=0.9 * peak.speed, angle_tolerance=0.3)  # type: ignore[arg-type]
+    aim = Aim(MOVES, peak.t, np.zeros(2), place, 0.0, std=0.004)
+    candidate = AimedCandidate(MOVES, 1.0, peak.t, good=True, aim=aim)
+    found = WhipTask(empty_map(problem), target).verify(candidate, Budget(math.inf))
     known = WhipFeasibility(float(np.hypot(*place)), 0.01, "")
-    return WhipPlan(who, mark, known, STROKES, seen, finer, 0.004, failure(who, seen, finer, 0.004), 1, 0.5)
+    return WhipPlan(problem, target, known, MOVES, found.outcome, found.finer_outcome, 0.004, found.message, 1, 0.5)
 
 
 def far_whip() -> WhipPlan:
     """Return the plan for a target that is out of reach."""
-    return plan_whip(ROPE, hf.Arm(length=0.1), (2.5, 0.0), (1.0, 0.0), whip_map=_map())
+    return plan_whip(ROPE, ARM, TipTarget(2.5, 0.0, 0.0), whip_map=_map())
 
 
 @functools.cache
 def _map() -> WhipMap:
-    return build_whip_map(Problem(ROPE, hf.Arm(length=0.1), MotorLimits(), 2.0), swings=8)
+    return build_whip_map(Problem(ROPE, ARM, MotorLimits(), 2.0), swings=8)

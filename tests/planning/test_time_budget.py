@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.planning import SuccessProbability, Uncertainty, WhipMap, build_whip_map, estimate_success_probability
+from hyperflex.planning import SuccessProbability, Uncertainty, estimate_success_probability
 from hyperflex.planning.outcome import TOO_LONG, require_holding_force
 from hyperflex.planning.robust import scenario_rollouts
 from hyperflex.planning.search.beam import BeamSearch
@@ -19,17 +18,12 @@ from hyperflex.planning.search.candidates import Candidate
 from hyperflex.planning.search.contact_phase import WindingScores, run_budget, simulate_contact
 from hyperflex.planning.search.rollouts import RolloutBatch
 from hyperflex.planning.search.throw_search import ThrowSearch
-from hyperflex.planning.time_budget import Clock, OutOfTime
-from hyperflex.planning.tip.planner import TipPlanner
-from hyperflex.planning.whip.outcome import verify_whip
-from hyperflex.planning.whip.search import TOGETHER
-from hyperflex.planning.whip.task import WhipTask
+from hyperflex.planning.time_budget import Clock
 from hyperflex.planning.wind import casting
 from hyperflex.planning.wind.planner import CastPlanner
 from hyperflex.report import CastReport
 from hyperflex.simulation import OUT_OF_TIME, Deadline
 from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_strikes
-from tests.planning.known_whip import planned_whip
 
 OVER = Deadline(math.inf, lambda: -1.0)  # processor time enough, and none by the clock
 
@@ -104,33 +98,6 @@ def test_free_swings_of_a_search_do_not_outlast_it() -> None:
     left = iter([1.0])  # to begin with a stroke; then none
     assert beam.extend(3.0, 8, lambda: next(left, -1.0)) == []
     assert not beam.ready(3.0, 8)  # no swing that was cut short is gone on with
-
-
-def test_whips_are_not_verified_beyond_the_time() -> None:
-    plan = planned_whip()
-    motion = plan.strokes.motion(plan.problem.limits)
-    with pytest.raises(OutOfTime):
-        verify_whip(plan.problem, plan.target, motion, plan.outcome.t, time_budget=OVER)
-    whip_map = WhipMap(plan.problem, (), None)  # type: ignore[arg-type]
-    work = TipPlanner(WhipTask(whip_map, plan.target), 0.0, 0, 1)
-    found = {"place": plan.outcome.place, "velocity": plan.outcome.velocity, "speed": plan.outcome.speed}
-    work.aims = [SimpleNamespace(strokes=plan.strokes, t=plan.outcome.t, position_std=0.0, **found)]  # type: ignore[list-item]
-    work.verify()
-    assert work.best is not None
-    assert work.best.outcome is None
-    assert work.best.message == "the time budget ended before it was verified"
-
-
-def test_a_map_has_the_swings_that_there_was_time_for() -> None:
-    setup = replace(planned_whip().problem, time=0.5)
-    whole = build_whip_map(setup, swings=2 * TOGETHER + 6)
-    left = iter([0.0, -1.0])
-    part = build_whip_map(setup, swings=2 * TOGETHER + 6, left=lambda: next(left))
-    assert (len(part.strokes), len(whole.strokes)) == (2 * TOGETHER, 2 * TOGETHER + 6)
-    same = whole.peaks.row < 2 * TOGETHER
-    assert (~same).any()
-    for one, other in zip(part.peaks, whole.peaks, strict=True):
-        np.testing.assert_array_equal(one, other[same])
 
 
 def test_a_probability_counts_the_samples_that_there_was_time_for(monkeypatch: pytest.MonkeyPatch) -> None:

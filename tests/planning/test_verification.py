@@ -14,10 +14,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.planning import MotorLimits, Problem, Throw, verify_cast
 from hyperflex.planning.clearance import FINE, rope_clearance
 from hyperflex.planning.feasibility import check_feasibility
+from hyperflex.planning.tasks.whip import TipTarget, verify_whip
 from hyperflex.planning.verification import folded_flat, greatest_bend, limit_bend, motor_torques, verified_setup
-from hyperflex.planning.whip.outcome import verify_whip
-from hyperflex.planning.whip.task import failure
-from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.planning.wind import planner as cast_planner
 from tests.planning.known import PEG, WINDS, late, planned, problem
 from tests.planning.known_whip import planned_whip
@@ -193,22 +191,7 @@ def test_a_whip_through_its_own_arm_fails() -> None:
     assert plan.success
     assert 0.0 < plan.clearance == min(plan.outcome.clearance, plan.finer_outcome.clearance)
     near = replace(plan.problem, clearance=1.01 * plan.outcome.clearance)
-    motion = plan.strokes.motion(near.limits)
+    motion = plan.moves.motion(near.limits)
     seen = verify_whip(near, plan.target, motion, plan.outcome.t)
     assert "comes within" in seen.message
     assert seen.refused == seen.message
-
-
-def test_a_whip_that_only_finer_links_refuse_fails() -> None:
-    """Speed and direction are asked of the links as planned; what no run may do is asked of both."""
-    plan = planned_whip()
-    most = 1.1 * max(plan.outcome.torque, plan.finer_outcome.torque)
-    given = replace(plan.problem, limits=MotorLimits(torque=most))
-
-    def told(**finer: object) -> str:
-        return failure(given, plan.outcome, replace(plan.finer_outcome, **finer), plan.position_std)
-
-    through = "the rope goes through the arm at 1.20 s"
-    assert told(refused=through, message=through) == f"with links of half the length {through}"
-    assert told(torque=1.1 * most).startswith("with links of half the length it asks")
-    assert told(message="the tip's speed is 4.99 m/s, and 5 is asked") == ""

@@ -12,8 +12,8 @@ from hyperflex import files
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import WhipPlan
 from hyperflex.planning.plan import to_table
-from hyperflex.planning.tip.outcome import WINDOW
-from hyperflex.planning.whip.outcome import verify_whip
+from hyperflex.planning.tasks.tip import sample_times
+from hyperflex.planning.tasks.whip import verify_whip
 from tests.planning.known_whip import far_whip, planned_whip
 
 
@@ -55,7 +55,7 @@ def test_the_set_up_is_simulated_as_it_stands(tmp_path):
     plan = planned_whip()
     plan.to_toml(tmp_path / "whip.toml")
     run = hf.simulate(hf.Setup.from_toml(tmp_path / "whip.toml"))
-    assert run.t[-1] == pytest.approx(plan.outcome.t + WINDOW)
+    assert run.t[-1] == pytest.approx(sample_times(plan.outcome.t)[-1])
     at = np.array([np.interp(plan.outcome.t, run.t, run.tip[:, k]) for k in (0, 1)])
     # Straight between samples of 10 ms at 1.3 m/s, curved over some 0.3 m: 1e-4 m; the default tolerance is less.
     np.testing.assert_allclose(at, plan.outcome.place, atol=5e-4)

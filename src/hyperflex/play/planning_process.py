@@ -14,7 +14,16 @@ from typing import Any, Literal, NamedTuple
 
 from hyperflex.errors import HyperflexError
 from hyperflex.model import Arm, Obstacle, Peg, Rope
-from hyperflex.planning import CastPlan, MotorLimits, WhipPlan, plan_cast, plan_whip
+from hyperflex.planning import (
+    CastPlan,
+    Conditions,
+    MotorLimits,
+    SearchOptions,
+    TipTarget,
+    WhipPlan,
+    plan_cast,
+    plan_whip,
+)
 
 _BEGIN, _FOUND, _END = range(3)  # kinds of answers: the search begins, a plan succeeds, the last plan or an error
 _COMMAND = "import sys; from hyperflex.play.planning_process import work; work(int(sys.argv[1]))"
@@ -34,10 +43,18 @@ class PlanningTask(NamedTuple):
     def plan(self, on_plan: Callable[[CastPlan], None]) -> CastPlan | WhipPlan:
         """Plan, with one processor left to others; `on_plan` is called with each better plan for a cast."""
         threads = max(1, (os.cpu_count() or 2) - 1)
-        given: dict[str, Any] = {"obstacles": self.obstacles, "time_budget": self.time_budget, "threads": threads}
         if self.kind == "cast":
+            given: dict[str, Any] = {"time_budget": self.time_budget, "threads": threads, "obstacles": self.obstacles}
             return plan_cast(self.rope, self.arm, self.target, self.limits, on_plan=on_plan, **given)
-        return plan_whip(self.rope, self.arm, (self.target.x, self.target.y), None, self.limits, **given)
+        return plan_whip(
+            self.rope,
+            self.arm,
+            TipTarget(self.target.x, self.target.y),
+            self.limits,
+            conditions=Conditions(obstacles=self.obstacles),
+            time_budget=self.time_budget,
+            options=SearchOptions(threads=threads),
+        )
 
 
 class PlanningProcess:

@@ -8,13 +8,9 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.planning import (
-    FRICTION_STD,
-    IMPACT_RADIUS,
-    IMPACT_TIME,
-    LENGTH_STD,
-    TIMING_STD,
     Impact,
     InsertPlan,
+    TipOptions,
     TipStrike,
     TipTarget,
     WhipPlan,
@@ -53,10 +49,11 @@ class TipReport(PlanReport[TipPlanT]):
         """Return how uncertain a `place` is, and the warning, each in a paragraph."""
         lines: list[str] = []
         if math.isfinite(self.plan.position_std):
+            known = TipOptions()
             lines.append(
                 f"Uncertainty: {place} has a standard deviation of {1e3 * self.plan.position_std:.0f} mm if friction "
-                f"is known to {100 * FRICTION_STD:g} %, length to {100 * LENGTH_STD:g} % and each rest of the arm to "
-                f"{1e3 * TIMING_STD:g} ms."
+                f"is known to {100 * known.friction_std:g} %, length to {100 * known.length_std:g} % and each rest of "
+                f"the arm to {1e3 * known.timing_std:g} ms."
             )
         return [*lines, self.warning] if self.warning else lines
 
@@ -149,7 +146,7 @@ class WhipReport(TipReport[WhipPlan]):
             shown.append((f"{seen.t:.2f} s", "after the start the tip's speed peaks"))
         shown += self.arm_tiles()
         if impact is not None and impact.success:
-            words = f"impulse of the impact on a small peg of {1e3 * IMPACT_RADIUS:g} mm at the target"
+            words = f"impulse of the impact on a small peg of {1e3 * impact.radius:g} mm at the target"
             shown.append((f"{1e3 * impact.impulse:.1f} mN s", words))
         return tuple(shown)
 
@@ -376,8 +373,8 @@ def _impact(impact: Impact) -> str:
     if impact.message:
         return f"A small peg behind the target is not struck by the tip: {impact.message}."
     return (
-        f"Impact: a fixed peg of {1e3 * IMPACT_RADIUS:g} mm radius just behind the target, struck by the rope's "
-        f"link {impact.link + 1}, takes up {1e3 * impact.impulse:.1f} mN s in {1e3 * IMPACT_TIME:g} ms "
+        f"Impact: a fixed peg of {1e3 * impact.radius:g} mm radius just behind the target, struck by the rope's "
+        f"link {impact.link + 1}, takes up {1e3 * impact.impulse:.1f} mN s in {1e3 * impact.duration:g} ms "
         f"({1e3 * impact.impulse_along:.1f} mN s in the tip's direction), and the rope loses "
         f"{1e3 * impact.energy:.0f} mJ."
     )

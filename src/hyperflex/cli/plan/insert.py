@@ -83,7 +83,7 @@ def insert(
 
     The exit code is 4 if no way through the slot was found; the best is written all the same, with the reason.
     """
-    from hyperflex.planning import Slot, plan_insert, refuse_behind
+    from hyperflex.planning import Conditions, SearchOptions, Slot, plan_insert, refuse_behind
     from hyperflex.report import InsertReport, check_folder
 
     check_folder(out)
@@ -103,13 +103,9 @@ def insert(
             task.arm,
             where,
             task.limits,
-            clearance=task.clearance,
-            obstacles=task.obstacles,
-            time_limit=time_limit,
-            skip_feasibility=skip_feasibility,
+            conditions=Conditions(time_limit, task.clearance, task.obstacles),
             time_budget=time_budget,
-            seed=seed,
-            progress=True,
+            options=SearchOptions(seed, skip_feasibility=skip_feasibility, progress=True),
         )
     )
     report = InsertReport(plan)

@@ -1,6 +1,5 @@
 """``hyperflex whip``: a rope, an arm and a point in, strokes after which the tip passes it fast out."""
 
-import math
 from dataclasses import asdict
 from typing import Annotated
 
@@ -65,7 +64,7 @@ def whip(
 
     The exit code is 4 if no whip that meets the target was found; the best is written all the same, with the reason.
     """
-    from hyperflex.planning import plan_whip, refuse_behind
+    from hyperflex.planning import Conditions, SearchOptions, TipTarget, plan_whip, refuse_behind
     from hyperflex.report import WhipReport, check_folder
 
     check_folder(out)
@@ -74,23 +73,16 @@ def whip(
     refuse_behind(task.behind, "a whip")
     options = {"direction": direction, "angle_tolerance": angle_tolerance, "least_speed": least_speed}
     asked = planner.asked("target", task.target, _TARGET, target, options)
-    angle = asked.get("direction")
+    conditions = Conditions(time_limit, task.clearance, task.obstacles)
     plan = output.partial_of(
         lambda: plan_whip(
             task.rope,
             task.arm,
-            (asked["x"], asked["y"]),
-            None if angle is None else (math.cos(angle), math.sin(angle)),
+            TipTarget(**asked),
             task.limits,
-            least_speed=asked.get("least_speed", 5.0),
-            angle_tolerance=asked.get("angle_tolerance", math.radians(20.0)),
-            clearance=task.clearance,
-            obstacles=task.obstacles,
-            time_limit=time_limit,
-            skip_feasibility=skip_feasibility,
+            conditions=conditions,
             time_budget=time_budget,
-            seed=seed,
-            progress=True,
+            options=SearchOptions(seed, skip_feasibility=skip_feasibility, progress=True),
         )
     )
     with planner.writing(WhipReport(plan, None), out, rate=rate, as_json=json) as (files, progress):

@@ -10,16 +10,10 @@ from hyperflex.model import DEFAULT_CONTACT_STEP, Peg, Setup
 from hyperflex.motion import Motion
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.search.contact_phase import starts_outside
-from hyperflex.planning.tip.outcome import touched_samples
+from hyperflex.planning.tasks.tip import touched_samples
 from hyperflex.planning.verification import limit_bend
-from hyperflex.planning.whip.tip_target import TipTarget
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
-
-IMPACT_RADIUS = 0.01  # m, of the peg
-IMPACT_TIME, WINDOW = 0.05, 0.15  # s: duration of an impact; before and after it
-EARLIER = 1e-3  # s, between looks for a touch before the window
-SUDDEN = 0.01  # fraction of the lost energy above which a sample's loss is that of a collision
 
 
 @dataclass(frozen=True)
@@ -31,9 +25,9 @@ class Impact:
     t : float
         Time of the first touch, s; NaN if the rope does not touch the peg.
     impulse : float
-        Impulse on the peg in IMPACT_TIME seconds, N s.
+        Impulse on the peg within the duration, N s.
     impulse_along : float
-        Its component in the asked direction, N s.
+        Its component in the required direction, N s.
     energy : float
         Energy lost in the impact while the rope is on the peg, J.
     link : int
@@ -41,6 +35,8 @@ class Impact:
     message : str
         Why there is no impact of the tip, and impulse and energy are 0: the rope does not touch the peg, or lies on it
         before, or touches it first elsewhere. Empty if there is one.
+    radius, duration : float
+        Of the peg, m, and of the impact, s.
     """
 
     t: float
@@ -49,6 +45,8 @@ class Impact:
     energy: float
     link: int
     message: str = ""
+    radius: float = 0.01
+    duration: float = 0.05
 
     @property
     def success(self) -> bool:
@@ -58,50 +56,69 @@ class Impact:
 
 def simulate_impact(
     problem: Problem,
-    target: TipTarget,
+    point: Array,
+    direction: float,
     motion: Motion,
     near: float,
     *,
-    radius: float = IMPACT_RADIUS,
+    radius: float = 0.01,
     mu: float = 0.3,
+    duration: float = 0.05,
 ) -> Impact:
-    """Simulate a motion beside a small fixed peg at the target and measure the impact, expected at time `near`, s.
+    """Simulate a motion with a small fixed peg at a target and measure the impact, expected at time `near`, s.
 
-    The peg (`radius`, m, friction coefficient `mu`) lies behind the target in the asked direction, so that the tip
-    touches it where it passes the target; obstacles are not there. The impact is the first touch of all, by the tip:
-    within the last link, or the peg's width from the rope's end. Raises SimulationError if the run fails.
+    Parameters
+    ----------
+    problem : Problem
+        Its obstacles are not simulated.
+    point : (2,) array
+        The target, m. The peg lies behind it, so that the tip touches the peg where it passes the target.
+    direction : float
+        Direction of the tip there, rad.
+    motion : Motion
+        Of the arm.
+    near : float
+        Expected time of the impact, s: the peg must be touched within 0.15 s.
+    radius, mu : float
+        Of the peg, m, and its friction coefficient.
+    duration : float
+        Of an impact, s.
+
+    Notes
+    -----
+    The impact is the first touch of all, by the tip: within the last link, or the peg's width from the rope's end.
+    Forces are averaged over samples; a collision within a sample adds its impulse (see :func:`collision_impulse`) if
+    the sample loses more than a hundredth of the energy. Raises SimulationError if the run fails.
     """
-    radius = checks.number("radius", radius, sign="positive", unit="m")
-    way = np.array([np.cos(target.direction), np.sin(target.direction)])
-    x, y = target.point + (radius + problem.rope.radius) * way
-    step = 0.5 * DEFAULT_CONTACT_STEP
-    begin = max(step, near - WINDOW)
-    t = begin + step * np.arange(np.ceil((near - begin + WINDOW + IMPACT_TIME) / step))
-    t = np.append(np.arange(0.0, begin - 0.5 * EARLIER, EARLIER), t)
+    radius, window, sudden = checks.number("radius", radius, sign="positive", unit="m"), 0.15, 0.01
+    way = np.array([np.cos(direction), np.sin(direction)])
+    x, y = point + (radius + problem.rope.radius) * way
+    step, coarse = 0.5 * DEFAULT_CONTACT_STEP, 1e-3
+    begin = max(step, near - window)
+    t = begin + step * np.arange(np.ceil((near - begin + window + duration) / step))
+    t = np.append(np.arange(0.0, begin - 0.5 * coarse, coarse), t)
     peg = Peg(float(x), float(y), radius, mu)
     setup = Setup(limit_bend(problem.rope), motion, problem.arm, duration=float(t[-1]), pegs=(peg,))
     if not starts_outside(setup):
         return Impact(0.0, 0.0, 0.0, 0.0, -1, "the rope lies on the peg from the start")
     run = simulate(setup, t_eval=t)
-    loss = np.asarray(run.contact_loss)
-    force = -np.asarray(run.contact_force)  # on the peg
     touched = touched_samples(run, (peg,))
     if not touched.any():
         return Impact(float("nan"), 0.0, 0.0, 0.0, -1, "the rope does not touch the peg")
     first = int(touched.argmax())
     link, along = _touching(run, peg, first)
-    left = float(run.setup.rope.length[link:].sum()) - along
-    if t[first] < begin or left > max(run.setup.rope.length[-1], 2.0 * radius) + 1e-9:
-        where = f"link {link + 1} touches the peg first, at {t[first]:.2f} s and {1e2 * left:.0f} cm from the tip"
+    beyond = float(run.setup.rope.length[link:].sum()) - along
+    if t[first] < begin or beyond > max(run.setup.rope.length[-1], 2.0 * radius) + 1e-9:
+        where = f"link {link + 1} touches the peg first, at {t[first]:.2f} s and {1e2 * beyond:.0f} cm from the tip"
         return Impact(float(t[first]), 0.0, 0.0, 0.0, link, f"{where}; the tip was expected at {near:.2f} s")
-    last = min(first + round(IMPACT_TIME / step), t.size - 1)
-    lost = np.where(touched, np.diff(loss, prepend=0.0), 0.0)  # else in joints that come to their limits
-    energy = float(lost[first : last + 1].sum())
-    total = step * force[first : last + 1].sum(axis=(0, 1))
-    for k in range(first, last + 1):
-        if lost[k] > SUDDEN * energy:
-            total = total - collision_impulse(run, peg, k)
-    return Impact(float(run.t[first]), float(np.hypot(*total)), float(total @ way), energy, link)
+    rows = slice(first, min(first + round(duration / step), t.size - 1) + 1)
+    lost = np.where(touched, np.diff(np.asarray(run.contact_loss), prepend=0.0), 0.0)  # others: joints at their limits
+    energy = float(lost[rows].sum())
+    total = -step * np.asarray(run.contact_force)[rows].sum(axis=(0, 1))  # on the peg
+    for k in first + np.flatnonzero(lost[rows] > sudden * energy):
+        total = total - collision_impulse(run, peg, int(k))
+    impulse = float(np.hypot(*total)), float(total @ way)
+    return Impact(float(run.t[first]), *impulse, energy, link, radius=radius, duration=duration)
 
 
 def collision_impulse(run: Trajectory, peg: Peg, k: int) -> Array:
@@ -134,14 +151,8 @@ def momenta(run: Trajectory, k: int) -> Array:
 
 def _touching(run: Trajectory, peg: Peg, k: int) -> tuple[int, float]:
     """Return the link nearest to a peg at sample k, and how far along it the nearest point is, m."""
-    along, away = _closest(run, peg, k)
-    link = int(away.argmin())
-    return link, float(along[link])
-
-
-def _closest(run: Trajectory, peg: Peg, k: int | slice) -> tuple[Array, Array]:
-    """Return how far along each link its nearest point to a peg's centre is at samples k, and its distance, m."""
     length, q = run.setup.rope.length, run.q[k]
-    out = np.array([peg.x, peg.y]) - run.joints[k][..., :-1, :]
-    along = np.clip(out[..., 0] * np.sin(q) - out[..., 1] * np.cos(q), 0.0, length)
-    return along, np.hypot(out[..., 0] - along * np.sin(q), out[..., 1] + along * np.cos(q))
+    out = np.array([peg.x, peg.y]) - run.joints[k, :-1]
+    along = np.clip(out[:, 0] * np.sin(q) - out[:, 1] * np.cos(q), 0.0, length)
+    link = int(np.hypot(out[:, 0] - along * np.sin(q), out[:, 1] + along * np.cos(q)).argmin())
+    return link, float(along[link])

@@ -1,8 +1,9 @@
 """The reach map: for targets on a grid, whether a cast winds them, and how far round."""
 
-from collections.abc import Mapping
+import operator
+import tomllib
 from concurrent.futures import Executor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,30 +15,30 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
-from hyperflex.model import Arm, Peg, Rope, Setup, checked_obstacles
+from hyperflex.model import Arm, Peg, Rope, checked_obstacles
 from hyperflex.planning.options import MotorLimits
-from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED
+from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED, from_table, to_table
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.routing import refuse_behind
-from hyperflex.planning.wind.cast_plan import CastPlan
 from hyperflex.planning.wind.many import plan_each
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FORMAT = "hyperflex reach map 1"
-CELLS = 8  # from the shaft to as far as the rope comes, by default
-MOST_CELLS = 100_000
-TIME_BUDGET = 10.0  # s, of each target; a first plan's median is a few s, see benchmarks/results
-NOT_PLANNED = -1  # status of a target that an interrupt left
-OWN = ("time", "clearance", "contact", "turns", "settle", "side")  # numbers of the set-up, attributes of the file
-ASKED = ("radius", "mu", "time_budget", "holding_force", "seed")  # others, of the map
-# Name in the file: unit, long name
-VARIABLES = {
-    "status": ("1", "0: a cast winds and holds; 1: not feasible; 2: none found; 3: refuted; 4: not verified; -1: open"),
-    "turns": ("1", "turns of the rope from the arm's tip to its end, of casts that stand"),
-    "contact_angle": ("rad", "angle of the target that the rope covers, of casts that stand"),
-    "seconds": ("s", "time of planning by the clock"),
+FORMAT = "hyperflex reach map 2"
+NOT_PLANNED = -1  # status of a target that was not planned before an interrupt
+ATTRIBUTES = ("radius", "mu", "time_budget", "holding_force", "seed")  # of the file, beside format and problem
+VARIABLES = {  # name: dimensions, unit, long name
+    "x": (("x",), "m", "targets' x"),
+    "y": (("y",), "m", "targets' y"),
+    "status": (
+        ("y", "x"),
+        "1",
+        "0: a cast succeeds; 1: infeasible; 2: none found; 3: fails; 4: unverified; -1: open",
+    ),
+    "turns": (("y", "x"), "1", "turns of the rope from the arm's tip to its end, of casts that succeed"),
+    "contact_angle": (("y", "x"), "rad", "angle of the target that the rope covers, of casts that succeed"),
+    "seconds": (("y", "x"), "s", "time of planning by the clock"),
 }
 
 
@@ -59,10 +60,10 @@ class ReachMap:
     seed : int
         Of the searches.
     status : (Y, X) int64
-        As of :attr:`CastPlan.status`: 0 where a cast stands, 1 where the target is not feasible and none was searched
-        for. NOT_PLANNED where an interrupt came before, or ended the search.
+        As of :attr:`CastPlan.status`: 0 if a cast succeeds, 1 if the target is infeasible and no search was made.
+        NOT_PLANNED if an interrupt came before, or ended the search.
     turns, contact_angle : (Y, X) float64
-        Of the casts that stand: turns, and the angle of the target that the rope covers, rad; else NaN.
+        Of the casts that succeed: turns, and the angle of the target that the rope covers, rad; else NaN.
     seconds : (Y, X) float64
         Time of planning, s.
     """
@@ -82,17 +83,17 @@ class ReachMap:
 
     @property
     def complete(self) -> bool:
-        """Whether no interrupt left targets out."""
+        """Whether all targets were planned, without an interrupt."""
         return bool((self.status != NOT_PLANNED).all())
 
     @property
     def wound(self) -> npt.NDArray[np.bool_]:
-        """Targets (Y, X) for which a cast stands."""
+        """Targets (Y, X) for which a cast succeeds."""
         return np.asarray(self.status == SUCCEEDED)
 
     @property
     def infeasible(self) -> npt.NDArray[np.bool_]:
-        """Targets (Y, X) that are not feasible, for which none was searched for."""
+        """Targets (Y, X) that are infeasible: no search was made for."""
         return np.asarray(self.status == INFEASIBLE)
 
     def __repr__(self) -> str:
@@ -118,22 +119,13 @@ class ReachMap:
         FileProblem
             It cannot be written.
         """
-        grid = {
-            name: Variable((name,), getattr(self, name), _attributes("m", f"targets' {name}")) for name in ("x", "y")
-        }
         held = {
-            name: Variable(("y", "x"), getattr(self, name), _attributes(*about)) for name, about in VARIABLES.items()
+            name: Variable(dimensions, getattr(self, name), {"units": unit, "long_name": text})
+            for name, (dimensions, unit, text) in VARIABLES.items()
         }
-        known = self.problem
-        limits = {f"motor_{each.name}": getattr(known.limits, each.name) for each in fields(MotorLimits)}
-        own = {name: getattr(known, name) for name in OWN}
-        about: dict[str, Any] = {
-            "format": FORMAT,
-            "source": "simulated",
-            "setup": Setup(known.rope, arm=known.arm, pegs=known.obstacles).dumps(),
-        }
-        about |= {name: getattr(self, name) for name in ASKED}
-        files.write_netcdf(path, NetCDF(grid | held, about | limits | own))
+        about = {name: getattr(self, name) for name in ATTRIBUTES}
+        about |= {"format": FORMAT, "source": "simulated", "problem": files.dumps_toml(to_table(self.problem))}
+        files.write_netcdf(path, NetCDF(held, about))
 
 
 @interruptible(ReachMap)
@@ -142,18 +134,18 @@ def build_reach_map(
     arm: Arm,
     limits: MotorLimits | None = None,
     *,
-    cells: int = CELLS,
+    cells: int = 8,
     x: npt.ArrayLike | None = None,
     y: npt.ArrayLike | None = None,
     radius: float = 0.03,
     mu: float = 0.3,
-    time_budget: float = TIME_BUDGET,
+    time_budget: float = 10.0,
     executor: Executor | None = None,
     chunk_size: int | None = None,
     progress: bool = False,
     **options: Any,
 ) -> ReachMap:
-    """Plan a cast for each target of a grid, and tell what is wound.
+    """Plan a cast for each target of a grid.
 
     Parameters
     ----------
@@ -167,7 +159,7 @@ def build_reach_map(
     radius, mu : float
         Of the targets, m, and their friction with the rope.
     time_budget : float
-        Of each target, s. A search ends with the first plan that stands.
+        Of each target, s. A search ends with the first plan that succeeds.
     executor, chunk_size, progress
         As of :func:`plan_casts`.
     **options
@@ -188,9 +180,9 @@ def build_reach_map(
 
     Notes
     -----
-    "Not feasible" is what the feasibility check says, which forbids a few targets that can be wound; "none found" is
-    what a search in the time budget says: more time may wind such a target, most of all with a long rope.
-    ``benchmarks/results/reach-nominal.md`` tells how often the former is wrong, of targets searched for 110 s.
+    "Infeasible" is the result of the feasibility check, which excludes a few targets that can be wound
+    (``benchmarks/results/reach-nominal.md`` counts them); "none found" is the result of a search in the time budget:
+    more time may wind such a target, most of all with a long rope.
 
     Examples
     --------
@@ -216,20 +208,19 @@ def build_reach_map(
     steps = (np.arange(count) + 0.5) * far / count
     places = middle[0] + steps if x is None else _increasing("x", x)
     levels = middle[1] + np.concatenate([-steps[::-1], steps]) if y is None else _increasing("y", y)
-    if places.size * levels.size > MOST_CELLS:
-        raise InvalidInput(
-            "the grid is too fine", got=places.size * levels.size, allowed=f"{MOST_CELLS} targets at most"
-        )
+    if (size := places.size * levels.size) > 100_000:
+        raise InvalidInput("the grid is too fine", got=size, allowed="100000 targets at most")
     targets = [Peg(float(one), float(level), radius, mu) for level in levels for one in places]
-    given = {"time_budget": time_budget, "on_plan": _first, **options}
+    given = {"time_budget": time_budget, "on_plan": operator.attrgetter("success"), **options}
     plans, stop = plan_each(rope, arm, targets, limits, given, executor, chunk_size, progress)
-    values = {name: np.full(len(targets), np.nan) for name in VARIABLES}
+    values = {name: np.full(len(targets), np.nan) for name in ("turns", "contact_angle", "seconds")}
     values["status"] = np.full(len(targets), NOT_PLANNED)
     for number, plan in plans.items():
-        if plan.interrupted and not plan.success:
-            continue
-        for name, value in _figures(plan).items():
-            values[name][number] = value
+        if plan.success or not plan.interrupted:
+            values["status"][number], values["seconds"][number] = plan.status, plan.seconds
+        if plan.success and plan.outcome is not None:
+            values["turns"][number] = abs(plan.outcome.turns)
+            values["contact_angle"][number] = plan.outcome.contact_angle
     shaped: dict[str, Any] = {name: each.reshape(levels.size, places.size) for name, each in values.items()}
     asked = time_budget, options.get("holding_force", 0.0), options.get("seed", 0)
     return stop.deliver(ReachMap(problem, places, levels, targets[0].radius, targets[0].mu, *asked, **shaped))
@@ -256,38 +247,24 @@ def read_reach_map(path: str | Path) -> ReachMap:
         raise InvalidInput(
             f"{path} is not a reach map", got=about.get("format"), allowed=f"a file of format {FORMAT!r}"
         )
-    limits = {each.name: f"motor_{each.name}" for each in fields(MotorLimits)}
-    own = (*ASKED, *OWN, "setup")
-    missing = [name for name in ("x", "y", *VARIABLES) if name not in held]
-    missing += [f"attribute {name!r}" for name in (*own, *limits.values()) if name not in about]
+    missing = [name for name in VARIABLES if name not in held]
+    missing += [f"attribute {name!r}" for name in (*ATTRIBUTES, "problem") if name not in about]
     if missing:
         raise InvalidInput(f"{path} lacks parts of a reach map", got=missing, fix="Make it again")
-    numbers: dict[str, Any] = {name: held[name].numbers(name) for name in ("x", "y", *VARIABLES)}
+    numbers: dict[str, Any] = {name: held[name].numbers(name) for name in VARIABLES}
     shape = (numbers["y"].size, numbers["x"].size)
-    for name in VARIABLES:
-        checks.array(name, numbers[name], shape, gaps=name != "status")
-    numbers |= {name: _increasing(name, numbers[name]) for name in ("x", "y")}
+    for name, (dimensions, _, _) in VARIABLES.items():
+        if len(dimensions) == 1:
+            numbers[name] = _increasing(name, numbers[name])
+        else:
+            checks.array(name, numbers[name], shape, gaps=name != "status")
     numbers["status"] = numbers["status"].astype(np.int64)
-    setup = Setup.loads(str(about["setup"]), f"the set-up in {path}")
-    motor = MotorLimits(**{name: _plain(about[key]) for name, key in limits.items()})
-    rest: Mapping[str, Any] = {name: _plain(about[name]) for name in OWN}
-    known = Problem(
-        setup.rope, setup.arm or Arm(), motor, **{**rest, "side": int(rest["side"]), "obstacles": setup.pegs}
-    )
-    asked: dict[str, Any] = {name: float(about[name]) for name in ASKED} | {"seed": int(about["seed"])}
-    return ReachMap(known, **asked, **numbers)
-
-
-def _first(plan: CastPlan) -> bool:
-    """End a search with the first plan that stands."""
-    return plan.success
-
-
-def _figures(plan: CastPlan) -> dict[str, float]:
-    found = {"status": plan.status, "seconds": plan.seconds}
-    if plan.success and plan.outcome is not None:
-        found |= {"turns": abs(plan.outcome.turns), "contact_angle": plan.outcome.contact_angle}
-    return found
+    try:
+        problem = from_table(Problem, tomllib.loads(str(about["problem"])))
+    except (tomllib.TOMLDecodeError, TypeError, KeyError, ValueError) as error:
+        raise InvalidInput(f"the problem in {path} is not complete", got=str(error), fix="Make it again") from None
+    given: dict[str, Any] = {name: float(about[name]) for name in ATTRIBUTES} | {"seed": int(about["seed"])}
+    return ReachMap(problem, **given, **numbers)
 
 
 def _increasing(name: str, value: npt.ArrayLike) -> Array:
@@ -297,11 +274,3 @@ def _increasing(name: str, value: npt.ArrayLike) -> Array:
             f"{name} of the grid is not increasing", got=places, allowed="one place or more, increasing, m"
         )
     return places
-
-
-def _attributes(unit: str, name: str) -> dict[str, str]:
-    return {"units": unit, "long_name": name}
-
-
-def _plain(value: Any) -> Any:
-    return tuple(float(each) for each in value) if np.ndim(value) else float(value)

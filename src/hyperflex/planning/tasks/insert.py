@@ -1,0 +1,756 @@
+"""Insertions: the tip goes through a slot between two walls, to a depth, and the rope touches neither."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.budget import Budget
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible, stoppable
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Peg, Rope, Wall, recut
+from hyperflex.motion import Motion
+from hyperflex.planning.clearance import (
+    clear_samples,
+    obstacle_clearance,
+    obstacle_gaps,
+    sampled_clearance,
+    samples_clear_of_arm,
+)
+from hyperflex.planning.moves import Moves
+from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
+from hyperflex.planning.planner import Planner
+from hyperflex.planning.problem import Problem
+from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
+from hyperflex.planning.robust.uncertainty import Uncertainty
+from hyperflex.planning.search.contact_phase import starts_outside
+from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.tasks.task import Candidate, Verified
+from hyperflex.planning.tasks.tip import (
+    OPTIONS,
+    Aim,
+    AimedCandidate,
+    Flights,
+    TipOutcome,
+    TipPlan,
+    TipTask,
+    excess_torque,
+    plan_fields,
+    random_swings,
+    run_figures,
+    sample_times,
+    simulate_in_time,
+    tip_problem,
+)
+from hyperflex.planning.verification import at_limits, limit_bend, verified_setup
+from hyperflex.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A gap between two thin walls in one line, through which the tip shall go.
+
+    Parameters
+    ----------
+    x, y : float
+        Middle of the gap, m.
+    direction : float
+        The way in, across the walls: rad, counterclockwise from the x axis.
+    width : float
+        Of the gap, m, > 0.
+    depth : float
+        How far beyond the walls the tip shall come, m, > 0.
+    wall : float
+        Length of each wall, m, > 0.
+    tube : float
+        How far walls go on inwards from both edges of the gap, m, >= 0: the tip goes into a tube. 0: none.
+    max_speed : float
+        Greatest speed of the tip at that depth, m/s, > 0; infinite for any.
+    touching : bool
+        Whether the rope may touch the walls.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite or has the wrong sign.
+
+    Examples
+    --------
+    >>> from hyperflex.planning import Slot
+    >>> [round(wall.x, 3) for wall in Slot(0.2, -2.0, direction=-1.5708, width=0.02, wall=0.1).walls]
+    [0.21, 0.19]
+    """
+
+    x: float
+    y: float
+    direction: float
+    width: float = 0.02
+    depth: float = 0.05
+    wall: float = 0.1
+    tube: float = 0.0
+    max_speed: float = math.inf
+    touching: bool = False
+
+    def __post_init__(self) -> None:
+        signs = dict.fromkeys(("width", "depth", "wall", "max_speed"), "positive") | {"tube": "nonnegative"}
+        units = {"direction": "rad", "max_speed": "m/s"}
+        for name in ("x", "y", "direction", "width", "depth", "wall", "tube", "max_speed"):
+            how: dict[str, Any] = {"sign": signs.get(name, "any"), "unit": units.get(name, "m")}
+            value = checks.number(f"slot {name}", getattr(self, name), infinite=name == "max_speed", **how)
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "touching", checks.flag("slot touching", self.touching))
+
+    @property
+    def point(self) -> Array:
+        """Middle of the gap (2,), m."""
+        return np.array([self.x, self.y])
+
+    @property
+    def axes(self) -> Array:
+        """Unit vectors (2, 2): the way in, and across it to its left."""
+        c, s = np.cos(self.direction), np.sin(self.direction)
+        return np.array([[c, s], [-s, c]])
+
+    @property
+    def walls(self) -> tuple[Wall, ...]:
+        """The walls: that to the left of the way in, that to the right, and those of the tube, if there is one."""
+        inwards, left = self.axes
+        edges = [self.point + side * 0.5 * self.width * left for side in (1.0, -1.0)]
+        pairs = [(edge, side * self.wall * left) for edge, side in zip(edges, (1.0, -1.0), strict=True)]
+        pairs += [(edge, self.tube * inwards) for edge in edges if self.tube > 0.0]
+        return tuple(Wall(*edge.tolist(), *(edge + way).tolist()) for edge, way in pairs)
+
+    def check_width(self, rope: Rope, least: float = 3.0) -> None:
+        """Raise InvalidInput if the gap is narrower than `least` diameters of a rope."""
+        if self.width < (narrowest := 2.0 * least * rope.radius) * (1.0 - 1e-9):
+            raise InvalidInput(
+                "slot width is too narrow for the rope",
+                got=self.width,
+                allowed=f"{narrowest:g} m, {least:g} diameters of the rope, or more",
+                fix="Give a wider slot, in m, or a thinner rope",
+            )
+
+    def frame(self, points: Array) -> tuple[Array, Array]:
+        """Return depth beyond the walls (...) and offset to the left of the way in (...) of points (..., 2), m."""
+        out = (points - self.point) @ self.axes.T
+        return out[..., 0], out[..., 1]
+
+
+class Passage(NamedTuple):
+    """A way of the tip beyond the walls: its first row, and that at which it is deep enough, or else deepest."""
+
+    begin: int
+    end: int
+
+
+def passages(depth: Array, required: float) -> list[Passage]:
+    """Return the ways of a tip beyond the walls by its depth (T,), m; `required` is deep enough, m."""
+    beyond = np.concatenate([[False], depth[1:] > 0.0, [False]])
+    begins, ends = 1 + np.flatnonzero(beyond[1:] & ~beyond[:-1]), 1 + np.flatnonzero(beyond[:-1] & ~beyond[1:])
+    found = []
+    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+        if depth[begin - 1] <= 0.0:
+            way = depth[begin:end]
+            found.append(
+                Passage(begin, begin + int(np.argmax(way >= required) if way.max() >= required else way.argmax()))
+            )
+    return found
+
+
+def nearest_passage(depth: Array, required: float, t: Array, near: float) -> Passage | None:
+    """Return the passage whose end is next to time `near`, s, of the times t (T,), s; None without one."""
+    return min(passages(depth, required), key=lambda way: abs(t[way.end] - near), default=None)
+
+
+class Entry(NamedTuple):
+    """How the tip goes through a slot in a run.
+
+    `t`, s, is when it is as deep as required, at row `end`, or deepest. `offsets` (3,), m, are those of the rope on the
+    line of the walls with the tip at none, half and all of the required depth; with a tube followed by the tip's own
+    (5,). `depth`, m, is the greatest, `speed`, m/s, that of the tip at `t`. `gaps` (T,), m, are least distances of all
+    the rope but what follows the tip through from the walls whose line it crosses, infinite where it does not.
+    """
+
+    end: int
+    t: float
+    offsets: Array
+    depth: float
+    speed: float
+    gaps: Array
+
+
+def find_entries(slot: Slot, radius: float, t: Array, joints: Array, deeper: float = 1.1) -> list[Entry]:
+    """Find how the tip goes through a slot in a run by its joints (T, n + 1, 2), m, at times t (T,), s.
+
+    `radius` is the rope's, m. The depth is the greatest up to `deeper` times the required one.
+    """
+    depth, offset = slot.frame(joints)
+    tip, beyond = depth[:, -1], depth > 0.0
+    ways, deep_ways = passages(tip, slot.depth), passages(tip, deeper * slot.depth)
+    if not ways:
+        return []
+    row, link = np.nonzero(beyond[:, 1:] != beyond[:, :-1])  # where links cross the line of the walls
+    (d0, d1), (u0, u1) = ((each[row, link], each[row, link + 1]) for each in (depth, offset))
+    at = u0 + d0 / (d0 - d1) * (u1 - u0)
+    past = np.abs(at) - 0.5 * slot.width  # the gap's edge
+    gap = np.abs(d1 - d0) / np.hypot(d1 - d0, u1 - u0) * np.maximum(-past, past - slot.wall) - radius
+    follows = np.append(row[1:] != row[:-1], True)[: row.size] & beyond[row, -1]  # next to a tip that is beyond
+    mouth = np.full(t.size, np.nan)
+    mouth[row[follows]] = at[follows]
+    found = []
+    for (begin, end), (_, deepest) in zip(ways, deep_ways, strict=True):
+        part = tip[begin - 1] / (tip[begin - 1] - tip[begin])
+        enters = offset[begin - 1, -1] + part * (offset[begin, -1] - offset[begin - 1, -1])
+        rows = slice(begin, end + 1)
+        levels, times = np.append(0.0, tip[rows]), np.append(t[begin - 1] + part * (t[begin] - t[begin - 1]), t[rows])
+        through, own = np.append(enters, mouth[rows]), np.append(enters, offset[rows, -1])
+        if not np.isfinite(through).all():  # the rope hangs on the far side, and the tip comes back to it
+            continue
+        wanted = [0.0, 0.5 * slot.depth, slot.depth]
+        offsets = [_at_level(levels, through, level) for level in wanted]
+        offsets += [_at_level(levels, own, level) for level in wanted[1:]] if slot.tube > 0.0 else []
+        others, gaps = ~(follows & (row >= begin)), np.full(t.size, np.inf)
+        np.minimum.at(gaps, row[others], gap[others])
+        speed = _tip_speed(t, depth, offset, end)
+        time = _at_level(levels, times, slot.depth)
+        found.append(Entry(end, time, np.array(offsets), float(tip[deepest]), speed, gaps))
+    return found
+
+
+def _tip_speed(t: Array, depth: Array, offset: Array, row: int) -> float:
+    """Return the speed of the tip, m/s, before a row, by depth and offset (T, n + 1), m, of the joints."""
+    way = math.hypot(*(each[row, -1] - each[row - 1, -1] for each in (depth, offset)))
+    return way / float(t[row] - t[row - 1])
+
+
+def _at_level(levels: Array, values: Array, level: float) -> float:
+    """Return a value where levels (T,) first reach a level, between samples; the last value if they do not."""
+    k = int(np.argmax(levels >= level))
+    if levels[k] < level:
+        return float(values[-1])
+    if k == 0:
+        return float(values[0])
+    part = (level - levels[k - 1]) / (levels[k] - levels[k - 1])
+    return float(values[k - 1] + part * (values[k] - values[k - 1]))
+
+
+@dataclass(frozen=True)
+class InsertFeasibility:
+    """Result of the feasibility check of a slot.
+
+    `distance` is that of the place required for the tip from the arm's pivot, m. `cost`, m, is that of the cheapest
+    swing, see :meth:`InsertTask.score`. `message` is the reason why the slot is not feasible.
+    """
+
+    distance: float
+    cost: float
+    message: str
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the slot is feasible."""
+        return not self.message
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class InsertOutcome(TipOutcome):
+    """How the tip goes through a slot in a simulated run with its walls; the rest as of :class:`TipOutcome`.
+
+    Attributes
+    ----------
+    t_enter, t : float
+        When the tip comes between the walls, and when it is as deep as required, or else deepest, s.
+    depth : float
+        Greatest depth of the tip beyond the walls before it leaves them or the run ends, m.
+    time_inside : float
+        From `t_enter` until the tip leaves, the rope touches a wall (where it must not), or the run ends, s.
+    wall_clearance : float
+        Least distance of the rope from the walls until `t`, m; 0 or less: it touches them.
+    """
+
+    t_enter: float
+    depth: float
+    time_inside: float
+    wall_clearance: float
+
+    def in_short(self) -> str:
+        """Return what matters most to whoever carries the moves out, in figures with units."""
+        return (
+            f"{1e3 * self.depth:.0f} mm deep, at {self.t:.2f} s with {self.speed:.2f} m/s, "
+            f"{1e3 * self.wall_clearance:.1f} mm clear of the walls, {self.torque:.3g} N m"
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class InsertPlan(TipPlan):
+    """A planned insertion, or why there is none.
+
+    Attributes
+    ----------
+    problem, message, runs, seconds, interrupted
+        As of :class:`Plan`.
+    target : Slot
+    feasibility : InsertFeasibility
+        Result of the check before the search.
+    moves : Moves or None
+        The best found.
+    outcome : InsertOutcome or None
+        Their outcome in a run with the walls.
+    finer_outcome : InsertOutcome or None
+        The same with more, shorter links and a tighter tolerance.
+    position_std : float
+        Standard deviation, m, of where the rope crosses the gap, for a rope known as :class:`TipOptions` assumes; NaN
+        without moves.
+    success_probability : SuccessProbability or None
+        In sampled scenarios; None if the plan fails. Of 0 samples where no time was left.
+    """
+
+    kind: ClassVar[str] = "insert"
+    problem: Problem
+    target: Slot
+    feasibility: InsertFeasibility
+    moves: Moves | None = None  # type: ignore[assignment]
+    outcome: InsertOutcome | None = None
+    finer_outcome: InsertOutcome | None = None
+    position_std: float = math.nan
+    success_probability: SuccessProbability | None = None
+    message: str = ""
+    runs: int = 0
+    seconds: float = 0.0
+    interrupted: bool = False
+
+    @property
+    def walls(self) -> tuple[Wall, ...]:  # type: ignore[override]
+        """The walls of the slot."""
+        return self.target.walls
+
+
+@dataclass(frozen=True)
+class InsertCosts:
+    """Costs, m, of an entry besides the offset of the rope from the middle of the gap.
+
+    Per m of what moves less easily than all of an entry to one side (change of the offset, missing depth, depth of
+    other parts of the rope in walls), per second, and per fraction by which the tip is too fast.
+    """
+
+    hard: float = 2.5
+    time: float = 0.004  # of equal entries the sooner one is less uncertain
+    speed: float = 0.03  # swings at half the speed come first
+    blocked: float = 3.0  # per m that the rope lies in an obstacle
+
+
+class InsertTask(TipTask):
+    """Bring the tip through a slot.
+
+    Parameters
+    ----------
+    problem : Problem
+    slot : Slot
+    seed : int
+    margin : float
+        Part of the gap beside the rope that shall be left, where it must not touch the walls.
+    place : float
+        Standard deviation of the slot's place, m, beside which that of the tip counts.
+    narrow : float
+        Distance from the walls, m, below which both verified runs must agree: below it a third run may touch.
+    """
+
+    close, ready = 2e-3, 0.02
+
+    def __init__(
+        self,
+        problem: Problem,
+        slot: Slot,
+        seed: int = 0,
+        *,
+        margin: float = 0.35,
+        place: float = 2e-3,
+        narrow: float = 5e-4,
+    ) -> None:
+        super().__init__(problem, slot.point + np.array([[0.0], [slot.depth]]) * slot.axes[0], seed)
+        self.slot, self.place, self.narrow = slot, place, narrow
+        self.finer = replace(problem, rope=finer_rope(problem.rope))
+        self.room = 0.5 * slot.width - problem.rope.radius
+        self.allowed = self.room * (1.0 if slot.touching else 1.0 - margin)
+
+    def score(self, flights: Flights) -> list[tuple[float, float]]:
+        """Return cost, m, and time, s, of the cheapest entry of each flight: see :class:`InsertCosts`."""
+        costs, radius, found = InsertCosts(), self.problem.rope.radius, list[tuple[float, float]]()
+        blocked = np.zeros(flights.q.shape[:2])
+        if self.problem.obstacles:
+            blocked = np.maximum.accumulate(np.maximum(-flights.spare_gaps(self.problem).min(axis=2), 0.0), axis=1)
+        for m, joints in enumerate(flights.joints):
+            best = (math.inf, math.nan)
+            for each in find_entries(self.slot, radius, flights.t, joints, 1.0) if np.isfinite(joints).all() else []:
+                low, high = float(each.offsets.min()), float(each.offsets.max())
+                struck = max(0.0, -float(each.gaps[: each.end + 1].min()))
+                hard = high - low + max(0.0, self.slot.depth - each.depth) + struck
+                cost = 0.5 * abs(low + high) + costs.hard * hard + costs.time * each.t
+                cost += costs.speed * max(0.0, each.speed / self.slot.max_speed - 1.0)
+                best = min(best, (cost + costs.blocked * float(blocked[m, each.end]), each.t))
+            found.append(best)
+        return found
+
+    def start(self, number: int) -> Candidate | None:
+        """Return the cheapest swing of each side and number of moves, then the second of each, and so on.
+
+        It gets moves enough to vary all that an entry requires.
+        """
+        limits, alike, order = self.problem.limits, Counter[tuple[int, int]](), list[tuple[int, int]]()
+        cut = [each.moves.cut(each.t + OPTIONS.window, limits) for each in self.swings]
+        for k, moves in enumerate(cut):
+            order.append((alike[kind := (moves.side, moves.ends.size)], k))
+            alike[kind] += 1
+        if number >= len(order):
+            return None
+        k = sorted(order)[number][1]
+        found = self.swings[k]
+        more = with_more(cut[k], 4, found.t - 0.2 * self.problem.period, limits)
+        t = np.arange(0.0, found.t + 0.3, OPTIONS.sample_time)
+        (cost, at), self.runs = self.score(Flights(self.problem, [more], t))[0], self.runs + 1
+        return Candidate(more, -cost, at) if math.isfinite(cost) else replace(found, moves=cut[k])
+
+    def aims(self, flights: Flights, near: Sequence[float]) -> list[Aim | None]:
+        """Return the ways through the slot that end next to times `near`, s."""
+        slot, problem, found = self.slot, self.problem, list[Aim | None]()
+        obstacles = self.obstacle_gaps(flights)
+        for m, (moves, joints) in enumerate(zip(flights.moves, flights.joints, strict=True)):
+            entries = find_entries(slot, problem.rope.radius, flights.t, joints) if np.isfinite(joints).all() else []
+            if not entries:
+                found.append(None)
+                continue
+            each = min(entries, key=lambda one: abs(one.t - near[m]))
+            gaps = np.column_stack([np.minimum(each.gaps, 1.0), obstacles[m]])
+            spare = np.append(OPTIONS.spare, self._spare)
+            lacking = self.lacking_gaps(flights, gaps, spare, m, each.end)
+            deeper = min(0.0, each.depth - 1.1 * slot.depth)
+            residuals = np.array([*each.offsets, deeper, *lacking])
+            arm = sampled_clearance(problem.rope, problem.arm, flights.q[m, ::4], joints[::4, 0]).min()
+            wide = float(np.abs(each.offsets).max())
+            short = (
+                max(0.0, wide - self.allowed)
+                + max(0.0, slot.depth - each.depth)
+                + max(0.0, -float(gaps[: each.end + 1].min()))
+                + max(0.0, problem.clearance - float(arm))
+                + max(0.0, 1.02 * each.speed / slot.max_speed - 1.0)
+            )
+            place = each.offsets / np.sqrt(each.offsets.size)
+            found.append(Aim(moves, each.t, residuals, place, short))
+        return found
+
+    def verify(self, one: Candidate, budget: Budget) -> Verified:
+        """Simulate an insertion with the walls: with the links as planned, and with more at a tighter tolerance."""
+        motion = one.moves.motion(self.problem.limits)
+        outcome = verify_insert(self.problem, self.slot, motion, one.t, budget=budget)
+        message, finer = _failure(outcome), None
+        if not message:
+            finer = verify_insert(self.finer, self.slot, motion, one.t, tighter=5.0, budget=budget)
+            message = _failure(finer) or self._unpredictable(outcome, finer)
+            message = f"with more, shorter links {message}" if message else ""
+        margin = 0.5 / self.uncertainty(one.aim) - 1.0 if isinstance(one, AimedCandidate) else 0.0
+        return Verified(one, outcome, finer, message, -1.0 if message else margin)
+
+    def uncertainty(self, aim: Aim) -> float:
+        """Return the standard deviation of the rope's way through the gap over the room that it leaves on one side."""
+        room = self.room - float(np.abs(aim.place).max()) * math.sqrt(aim.place.size)
+        return math.hypot(aim.std, self.place) / max(room, 1e-9)
+
+    def _unpredictable(self, first: InsertOutcome | None, finer: InsertOutcome | None) -> str:
+        """Return that two runs do not show whether a real rope touches the walls; empty if they do."""
+        if first is None or finer is None or self.slot.touching:
+            return ""
+        given, now = first.wall_clearance, finer.wall_clearance
+        if min(given, now) >= min(self.narrow, abs(given - now)):
+            return ""
+        return f"it passes {1e3 * now:.1f} mm, not {1e3 * given:.1f} mm, from the walls: it may touch them"
+
+
+def _failure(outcome: InsertOutcome | None) -> str:
+    """Return why an insertion fails, empty if it succeeds."""
+    return "the tip does not go through the slot" if outcome is None else outcome.message
+
+
+def with_more(moves: Moves, count: int, t: float, limits: MotorLimits, short: float = 0.07) -> Moves:
+    """Return `count` moves or fewer: `short` ones, rad, are added in the middle of the longest rests until time t, s.
+
+    They hardly change a swing, and can vary. Each goes the other way than the move before it, unless that after it got
+    too short. None is added in a rest that is not twice as long as it.
+    """
+    (duration,) = limits.fastest_moves([short])[0].tolist()
+    while moves.ends.size < count:
+        angles, rests = moves.angles(limits), np.append(moves.timing(limits)[0], t - moves.stops(limits))
+        k = int(rests.argmax())
+        if rests[k] < 2.0 * duration:
+            break
+        before = max(k, 1)
+        way = -short * np.sign(angles[before] - angles[before - 1])
+        if np.abs(angles[k + 1 : k + 2] - angles[k] - way).min(initial=np.inf) < short:
+            way = -way
+        rests = np.insert(rests, k, 0.5 * (rests[k] - duration))
+        rests[k + 1] = rests[k]
+        moves = Moves(moves.side, np.insert(moves.ends, k, angles[k] + way), rests[:-1])
+    return moves
+
+
+def finer_rope(rope: Rope, times: float = 2.5) -> Rope:
+    """Return a rope cut into `times` as many links."""
+    return recut(rope, round(times * rope.n_links))
+
+
+def verify_insert(
+    problem: Problem,
+    slot: Slot,
+    motion: Motion,
+    near: float,
+    *,
+    tighter: float = 1.0,
+    budget: Budget | None = None,
+) -> InsertOutcome | None:
+    """Simulate a motion from rest with the walls of a slot; the tip is to be inside about time `near`, s.
+
+    `tighter` divides the tolerance; above 1 the step in contact is halved. Returns None if the run fails, the rope lies
+    on a wall from the start, or the tip does not go through; raises OutOfTime if it does not end within the budget.
+    """
+    t = sample_times(near)
+    step = DEFAULT_CONTACT_STEP * (0.5 if tighter > 1.0 else 1.0)
+    setup = verified_setup(problem, motion, float(t[-1]), slot.walls, tol=DEFAULT_TOL / tighter, contact_step=step)
+    run = simulate_in_time(setup, t, budget) if starts_outside(setup) else None
+    if run is None:
+        return None
+    depth, _ = slot.frame(run.tip)
+    way = nearest_passage(depth, slot.depth, run.t, near)
+    return None if way is None else evaluate_insert(problem, slot, run, depth, way)
+
+
+def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, depth: Array, way: Passage) -> InsertOutcome:
+    """Evaluate a run whose tip, at `depth` (T,), m, goes through the slot in a passage."""
+    begin, end = way
+    t_enter, t = _time_at(run.t, depth, begin, 0.0), _time_at(run.t, depth, end, slot.depth)
+    touched = _wall_touches(problem, slot, run)
+    left = begin + np.flatnonzero(np.append(depth[begin:], -1.0) <= 0.0)[0]
+    last = min([int(left), *([] if slot.touching else touched[touched >= begin].tolist()), run.t.size - 1])
+    deepest = float(depth[begin : last + 1].max())
+    walls = obstacle_clearance(run, slot.walls, t)
+    gap = min(walls.value, 0.0) if (touched <= end).any() else walls.value
+    figures = run_figures(problem, run)
+    message = figures["refused"]
+    velocity = np.array([np.interp(t, run.t, each) for each in run.tip_velocity.T])
+    speed = float(np.hypot(*velocity))
+    if not message and gap <= 0.0 and not slot.touching:
+        message = f"the rope touches a wall at {min(walls.t, run.t[touched[0]] if touched.size else math.inf):.2f} s"
+    elif not message and deepest < slot.depth:
+        message = f"the tip comes {1e3 * deepest:.1f} mm deep, and {1e3 * slot.depth:g} mm are required"
+    elif not message and speed > slot.max_speed:
+        message = f"the tip has {speed:.2f} m/s there, and {slot.max_speed:g} at most are allowed"
+    return InsertOutcome(
+        t_enter=t_enter,
+        t=t,
+        place=np.array([np.interp(t, run.t, each) for each in run.tip.T]),
+        velocity=velocity,
+        depth=deepest,
+        time_inside=float(run.t[last]) - t_enter,
+        wall_clearance=gap,
+        message=message or excess_torque(problem, figures["torque"]),
+        **figures,
+    )
+
+
+def _wall_touches(problem: Problem, slot: Slot, run: Trajectory) -> npt.NDArray[np.int64]:
+    """Return the samples at which a link is pushed that is as near to a wall of the slot as to any obstacle."""
+    row, link = np.nonzero(np.abs(np.asarray(run.contact_force)).sum(axis=2))
+    gaps = obstacle_gaps((*slot.walls, *problem.obstacles), run.joints[row, link], run.joints[row, link + 1])
+    walls = len(slot.walls)
+    near = gaps[:walls].min(axis=0) <= gaps[walls:].min(axis=0, initial=np.inf)
+    return np.unique(row[near])
+
+
+def _time_at(t: Array, depth: Array, row: int, level: float) -> float:
+    """Return when the tip passes a depth, m, before a sample, s; that of the sample if it does not."""
+    low, high = depth[row - 1], depth[row]
+    return float(np.interp(level, [low, high], t[row - 1 : row + 1])) if low < high else float(t[row])
+
+
+def usual_uncertainty() -> Uncertainty:
+    """Return the uncertainty of a known rope on a motor that is nearly in time, with a slot nearly in its place."""
+    return Uncertainty(length=0.0, mass=0.0, friction=0.0, mu=0.0, lag=0.0, timing=2e-3, place=2e-3)
+
+
+def insert_scenarios(
+    problem: Problem, slot: Slot, moves: Moves, uncertainty: Uncertainty, samples: int, seed: int | Sequence[int]
+) -> list[tuple[Rope, Slot, Motion]]:
+    """Return rope, with finer links, slot and motion of the arm in sampled scenarios.
+
+    A peg in its gap represents the slot in the sampling.
+    """
+    peg, motion = Peg(slot.x, slot.y, 0.5 * slot.width), moves.motion(problem.limits)
+    return [
+        (finer_rope(each.rope), replace(slot, x=each.peg.x, y=each.peg.y), each.executed_motion(motion))
+        for each in uncertainty.sample(samples, problem, peg, seed=seed)
+    ]
+
+
+@interruptible()
+def estimate_insert_probability(
+    problem: Problem,
+    slot: Slot,
+    moves: Moves,
+    near: float,
+    uncertainty: Uncertainty | None = None,
+    *,
+    samples: int = 100,
+    seed: int = 0,
+    time_budget: float | Budget | None = None,
+) -> SuccessProbability:
+    """Estimate how often moves bring the tip through a slot to its depth without a touch, in sampled scenarios.
+
+    Parameters
+    ----------
+    near : float
+        When the tip is inside as planned, s.
+    uncertainty : Uncertainty, optional
+        By default the slot is 2 mm off and each move 2 ms (standard deviations), and the rope as planned.
+    samples, seed
+        As of :func:`hyperflex.planning.estimate_success_probability`.
+    time_budget : float or Budget, optional
+        s; fewer samples may be counted, and none where the first batch takes longer.
+
+    Returns
+    -------
+    SuccessProbability
+
+    Notes
+    -----
+    Scenarios are free flights, sampled every 2 ms. One succeeds if the tip comes to its depth, no faster than the slot
+    allows, the rope touches no wall until then, keeps clear of arm, shaft and obstacles, as verified runs require, and
+    is not folded flat before: its contact with itself is not simulated. The motor's torque is not checked.
+    """
+    budget, stream, batch = Budget.of(time_budget), [7001, checks.count("seed", seed, least=0)], 25
+    drawn = insert_scenarios(problem, slot, moves, uncertainty or usual_uncertainty(), samples, stream)
+    t, successes, done = sample_times(near), 0, 0
+    while done < samples and not budget.expired:
+        some = drawn[done : done + batch]
+        ropes, _, motions = zip(*some, strict=True)
+        rollouts = RolloutBatch.from_start(replace(problem, rope=ropes[0]), ropes, [], motions)
+        q = rollouts.run(problem.arm, t, tol=DEFAULT_TOL, keep=("q",), threads=budget.threads).q
+        succeeds = [
+            _enters(problem, *each, near, t, flight, problem.arm.tip(each[2].angle(t)))
+            for each, flight in zip(some, q, strict=True)
+        ]
+        if budget.expired:
+            break
+        successes, done = successes + sum(succeeds), done + len(some)
+    return SuccessProbability(successes, done)
+
+
+def _enters(problem: Problem, rope: Rope, slot: Slot, _: Motion, near: float, t: Array, q: Array, base: Array) -> bool:
+    """Whether a free flight meets the conditions of a verified run next to time `near`, s, as far as it shows.
+
+    Angles q (T, n), rad, of the links, and places `base` (T, 2), m, of the first joint at times t (T,), s.
+    """
+    joints, off = rope.joints(q, base), 2e-4  # m, that verified runs take off their distances
+    depth, offset = slot.frame(joints)
+    way = nearest_passage(depth[:, -1], slot.depth, t, near)
+    if way is None or depth[way.end, -1] < slot.depth:
+        return False
+    end, until = way.end, slice(way.end + 1)
+    speed = _tip_speed(t, depth, offset, end)
+    least, aside = rope.radius + off, 0.5 * slot.width + slot.wall
+    beyond, across = (np.stack([each[until, :-1], each[until, 1:]]) for each in (depth, offset))
+    near_walls = (beyond.max(axis=0) >= -least) & (beyond.min(axis=0) <= slot.tube + least)
+    near_walls &= (across.max(axis=0) >= -aside - least) & (across.min(axis=0) <= aside + least)
+    row, link = np.nonzero(near_walls)
+    if speed > slot.max_speed or (obstacle_gaps(slot.walls, joints[row, link], joints[row, link + 1]) <= least).any():
+        return False
+    flight, bound = (q[None], base[None]), max(problem.clearance, 0.0) + off
+    clear = min(
+        samples_clear_of_arm(rope, problem.arm, *flight, problem.clearance + off)[0],
+        clear_samples([rope], problem.obstacles, *flight, bound)[0],
+    )
+    return bool(clear == len(q)) and not at_limits(limit_bend(rope), q[until], -1e-3).any()
+
+
+@checks.arguments(limits=MotorLimits)
+@interruptible(InsertPlan)
+def plan_insert(
+    rope: Rope,
+    arm: Arm,
+    slot: Slot,
+    limits: MotorLimits | None = None,
+    *,
+    conditions: Conditions | None = None,
+    uncertainty: Uncertainty | None = None,
+    samples: int = 100,
+    time_budget: float | Budget | None = 30.0,
+    options: SearchOptions | None = None,
+) -> InsertPlan:
+    """Plan how an arm swings its rope so that the tip goes through a slot, to a depth, and the rope touches no wall.
+
+    Parameters
+    ----------
+    rope, arm, limits
+        As of :func:`hyperflex.plan_cast`.
+    slot : Slot
+        Its gap must be three diameters of the rope wide or more.
+    conditions : Conditions, optional
+        The time limit is by default two periods of the rope's swing. Obstacles count until 0.15 s after the tip is
+        inside.
+    uncertainty : Uncertainty, optional
+        Of the scenarios of the success probability: by default the slot is 2 mm off in each coordinate, and each move
+        starts 2 ms early or late (standard deviations). A rope that touches a wall fails in them, also if the slot
+        allows it, and the motor's torque is not checked.
+    samples : int
+        Scenarios of the success probability; fewer of them, or none, if the time is over before.
+    time_budget : float or Budget, optional
+        Time by the clock for search, verifications and success probability, s, without compiling.
+    options : SearchOptions, optional
+
+    Returns
+    -------
+    InsertPlan
+
+    Raises
+    ------
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the best plan until then.
+    InvalidInput
+        If an argument is out of range or of another class, or the gap too narrow for the rope.
+    """
+    options, budget, samples = options or SearchOptions(), Budget.of(time_budget), checks.count("samples", samples)
+    budget.threads = options.threads or budget.threads
+    checks.instance("slot", slot, Slot).check_width(checks.instance("rope", rope, Rope))
+    if uncertainty is not None:
+        checks.instance("uncertainty", uncertainty, Uncertainty)
+    problem = tip_problem(rope, arm, limits, conditions or Conditions(), periods=2.0)
+    distance = math.hypot(*(slot.point + slot.depth * slot.axes[0] - problem.arm.pivot))
+    short = distance - rope.total_length - arm.length
+    known = InsertFeasibility(distance, math.inf, "interrupted before the swings were simulated")
+    task, planner, probability = InsertTask(problem, slot, options.seed), None, None
+    with stoppable() as stop, budget.progress(options.progress, "planning"):
+        if short > 0.0:
+            known = replace(known, message=f"out of reach: the rope ends {short:.2f} m short of that depth")
+        else:
+            swinging = budget.share(0.5)
+            task.swing(random_swings(problem, OPTIONS.swings, slot.walls), swinging)
+            cost = -task.swings[0].score if task.swings else math.inf
+            late = "the time budget ended before a swing was simulated that goes through near to it"
+            far = "out of reach: in no swing does the tip go through near to it, in that direction"
+            known = replace(
+                known, cost=cost, message=(late if swinging.expired else far) if cost > OPTIONS.max_cost else ""
+            )
+        if task.swings and (known.feasible or options.skip_feasibility):
+            planner = Planner(task, budget.share(0.8), 0.5)
+            planner.run()
+            if planner.best is not None and planner.succeeds:
+                best = planner.best.candidate
+                given = (problem, slot, best.moves, best.t, uncertainty)
+                probability = estimate_insert_probability(
+                    *given, samples=samples, seed=options.seed, time_budget=budget
+                )
+    found = plan_fields(planner, known.message, "no swing brings the tip through it", stop, budget)
+    return stop.deliver(InsertPlan(problem, slot, known, success_probability=probability, **found))

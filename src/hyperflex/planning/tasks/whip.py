@@ -1,0 +1,586 @@
+"""Whips: the tip passes a point at a peak of its speed, fast and in the required direction."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex import checks
+from hyperflex.budget import Budget
+from hyperflex.checks import Array
+from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible, stoppable
+from hyperflex.model import Arm, Rope, divided
+from hyperflex.motion import Motion
+from hyperflex.planning.clearance import gap_of, holds, named, obstacle_gaps
+from hyperflex.planning.impact import Impact, simulate_impact
+from hyperflex.planning.moves import Moves
+from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, refuse_behind
+from hyperflex.planning.planner import Planner
+from hyperflex.planning.problem import Problem
+from hyperflex.planning.search.contact_phase import starts_outside
+from hyperflex.planning.tasks.task import Candidate, Verified
+from hyperflex.planning.tasks.tip import (
+    OPTIONS,
+    Aim,
+    AimedCandidate,
+    Flights,
+    TipOutcome,
+    TipPlan,
+    TipTask,
+    excess_torque,
+    plan_fields,
+    random_swings,
+    run_figures,
+    sample_times,
+    simulate_in_time,
+    tip_problem,
+    touched_samples,
+)
+from hyperflex.planning.verification import verified_setup
+from hyperflex.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class TipTarget:
+    """A point that the tip shall pass at a peak of its speed.
+
+    Parameters
+    ----------
+    x, y : float
+        m.
+    direction : float, optional
+        Direction of the tip's velocity there, rad, counterclockwise from the x axis; by default any, and then
+        `angle_tolerance` is pi.
+    least_speed : float
+        Of the tip there, m/s, > 0.
+    angle_tolerance : float
+        Greatest angle between velocity and direction, rad, > 0 and at most pi; pi: any direction.
+    tolerance : float
+        Greatest distance of the tip from the point, m, > 0, with the links as planned. With finer links, another model
+        of the same rope, three times that is allowed, and the standard deviation of the place.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is not finite or has the wrong sign.
+    """
+
+    x: float
+    y: float
+    direction: float = None  # type: ignore[assignment]  # a number once it is made
+    least_speed: float = 5.0
+    angle_tolerance: float = float(np.radians(20.0))
+    tolerance: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if self.direction is None:
+            object.__setattr__(self, "direction", 0.0)
+            object.__setattr__(self, "angle_tolerance", float(np.pi))
+        for name, unit in (("x", "m"), ("y", "m"), ("direction", "rad")):
+            object.__setattr__(self, name, checks.number(f"target {name}", getattr(self, name), unit=unit))
+            checks.meant(f"target {name}", getattr(self, name), unit)
+        for name, unit in (("least_speed", "m/s"), ("angle_tolerance", "rad"), ("tolerance", "m")):
+            value = checks.number(f"target {name}", getattr(self, name), sign="positive", unit=unit)
+            object.__setattr__(self, name, value)
+        if self.angle_tolerance > np.pi:
+            raise InvalidInput("target angle_tolerance is too large", got=self.angle_tolerance, allowed="<= pi, in rad")
+
+    @property
+    def any_direction(self) -> bool:
+        """Whether any direction is allowed."""
+        return self.angle_tolerance == np.pi
+
+    @property
+    def point(self) -> Array:
+        """The point (2,), m."""
+        return np.array([self.x, self.y])
+
+    def angle_error(self, velocity: Array) -> Array:
+        """Return the signed angle (...) from the direction to a `velocity` (..., 2), m/s, in rad."""
+        turn = np.arctan2(velocity[..., 1], velocity[..., 0]) - self.direction
+        return np.asarray((turn + np.pi) % (2.0 * np.pi) - np.pi)
+
+    def lacks(self, velocity: Array, part: float, spare: float) -> tuple[Array, Array]:
+        """Return by how much velocities (..., 2), m/s, lack direction, rad, and speed, as a fraction.
+
+        At `part` of the angle tolerance and `spare` times the least speed nothing is lacking.
+        """
+        allowed = self.angle_tolerance * (1.0 if self.any_direction else part)
+        error = self.angle_error(velocity)
+        speed = np.hypot(velocity[..., 0], velocity[..., 1])
+        slow = np.maximum(1.0 - speed / (spare * self.least_speed), 0.0)
+        return np.asarray(error - np.clip(error, -allowed, allowed)), np.asarray(slow)
+
+
+class Peaks(NamedTuple):
+    """Peaks of the tip's speed in several swings (P,), interpolated between samples.
+
+    `row` is the number of the swing, `t` in s; `place`, m, and `velocity`, m/s, (P, 2) are those of the tip. `highest`
+    is the speed of the highest peak of the swing until then, m/s, and `blocked` how far, m, the rope came too near an
+    obstacle before, or through it.
+    """
+
+    row: npt.NDArray[np.int64]
+    t: Array
+    place: Array
+    velocity: Array
+    highest: Array
+    blocked: Array
+
+    @property
+    def speed(self) -> Array:
+        """Speed of the tip (P,), m/s."""
+        return np.asarray(np.hypot(*self.velocity.T))
+
+
+def find_peaks(t: Array, tip: Array, velocity: Array, blocked: Array | None = None) -> Peaks:
+    """Find the peaks of the tip's speed in samples at evenly spaced times t (T,), s.
+
+    `tip`, m, and `velocity`, m/s, are (M, T, 2), NaN if a run failed; `blocked` (M, T), m, as of :class:`Peaks`, by
+    default 0.
+    """
+    step, square = float(t[1] - t[0]), np.nan_to_num((velocity**2).sum(axis=2))
+    row, at = np.nonzero((square[:, 1:-1] > square[:, :-2]) & (square[:, 1:-1] >= square[:, 2:]))
+    low, mid, high = (square[row, at + k] for k in range(3))
+    slow, v, fast = (velocity[row, at + k] for k in range(3))
+    part = np.clip(0.5 * (low - high) / (low - 2.0 * mid + high), -0.5, 0.5)
+    late = part[:, None]
+    place = tip[row, at + 1] + step * late * (v + late * (fast - slow) / 4.0)
+    v = v + late * (0.5 * (fast - slow) + 0.5 * late * (fast - 2.0 * v + slow))
+    tops = np.zeros_like(square[:, 1:-1])
+    tops[row, at] = np.hypot(*v.T)
+    highest = np.maximum.accumulate(tops, axis=1)[row, at]
+    until = np.zeros(at.size) if blocked is None else blocked[row, at + 1]
+    whole = np.isfinite(place).all(axis=1) & np.isfinite(v).all(axis=1)
+    return Peaks(*(each[whole] for each in (row, t[at + 1] + step * part, place, v, highest, until)))
+
+
+@dataclass(frozen=True)
+class PeakCosts:
+    """Costs, m, of a peak besides its distance from the target.
+
+    Per rad of direction beyond `part` of the tolerance, per fraction of speed that lacks to `spare` times the least,
+    per fraction by which it is lower than an earlier peak, per second, and per m that the rope lies in an obstacle.
+    """
+
+    angle: float = 0.3
+    speed: float = 1.0
+    earlier: float = 0.5
+    time: float = 0.004  # of equal whips the sooner one is less uncertain
+    blocked: float = 3.0  # 1 finds fewer
+    part: float = 0.6
+    spare: float = 1.05
+
+    def of(self, target: TipTarget, peaks: Peaks) -> Array:
+        """Return the costs of peaks (P,), m."""
+        beyond, slow = target.lacks(peaks.velocity, self.part, self.spare)
+        return np.asarray(
+            np.hypot(*(peaks.place - target.point).T)
+            + self.angle * np.abs(beyond)
+            + self.speed * slow
+            + self.earlier * (1.0 - peaks.speed / np.maximum(peaks.highest, 1e-9))
+            + self.time * peaks.t
+            + self.blocked * peaks.blocked
+        )
+
+
+def cheapest_peaks(cost: Array, peaks: Peaks, count: int) -> list[tuple[float, float]]:
+    """Return cost and time, s, of the cheapest peak of each of `count` swings; infinite for a swing without a peak."""
+    found = [(math.inf, math.nan)] * count
+    for k in np.argsort(-cost):
+        found[peaks.row[k]] = (float(cost[k]), float(peaks.t[k]))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class WhipMap:
+    """Peaks of the tip's speed in random swings: roughly what is feasible.
+
+    Attributes
+    ----------
+    problem : Problem
+    moves : tuple of Moves
+        Of each swing.
+    peaks : Peaks
+    """
+
+    problem: Problem
+    moves: tuple[Moves, ...]
+    peaks: Peaks
+
+
+@dataclass(frozen=True)
+class WhipFeasibility:
+    """Result of the feasibility check of a target.
+
+    `distance` is that from the arm's pivot, m. `cost`, m, is that of the cheapest peak of the map, were there no
+    obstacles: its distance from the target, and more if it lacks speed or direction. `message` is the reason why the
+    target is not feasible.
+    """
+
+    distance: float
+    cost: float
+    message: str
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the target is feasible."""
+        return not self.message
+
+
+def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibility:
+    """Check whether a target is close enough to a peak of a map; obstacles count only if they are at the target."""
+    problem, peaks = whip_map.problem, whip_map.peaks
+    distance = math.hypot(target.x - problem.arm.pivot[0], target.y - problem.arm.pivot[1])
+    cost, message = math.inf, ""
+    if (short := distance - problem.rope.total_length - problem.arm.length) > 0.0:
+        message = f"out of reach: the rope ends {short:.2f} m short of the target"
+    for each in problem.obstacles:
+        gap, least = gap_of(each, target.x, target.y), problem.rope.radius + max(problem.clearance, 0.0)
+        if holds(each, target.x, target.y):
+            message = message or f"the target lies in {named(each)}"
+        elif gap <= least:
+            near = f"the target is {1e3 * gap:.1f} mm from {named(each)}"
+            message = message or f"{near}: with its radius and clearance the rope needs {1e3 * least:g} mm"
+    if not message:
+        free = peaks._replace(blocked=np.zeros_like(peaks.blocked))
+        cost = float(PeakCosts().of(target, free).min(initial=math.inf))
+        fast = peaks.speed[np.hypot(*(peaks.place - target.point).T) < 0.25]  # about the target: what is reported
+        if cost > OPTIONS.max_cost and fast.size:
+            how = f"{fast.max():.1f} m/s at most, or not in that direction"
+            message = f"out of reach: the tip is not that fast so near to it, {how}"
+        elif cost > OPTIONS.max_cost:
+            message = "out of reach: the tip's speed has no peak so near to it"
+    return WhipFeasibility(distance, cost, message)
+
+
+@interruptible()
+def build_whip_map(
+    problem: Problem, swings: int = OPTIONS.swings, time_budget: float | Budget | None = None
+) -> WhipMap:
+    """Simulate random swings, the same ones each time, and find the peaks of the tip's speed.
+
+    Parameters
+    ----------
+    problem : Problem
+    swings : int
+    time_budget : float or Budget, optional
+        s; when it is over the map consists of the first swings alone, one batch at least.
+
+    Raises
+    ------
+    InvalidInput
+        If the time of the problem is too short for a peak.
+    """
+    refuse_behind(problem.behind, "a whip")
+    if problem.time < (least := 4.0 * OPTIONS.sample_time):
+        allowed = f"at least {least:g} s; three periods of the rope's swing are usual"
+        raise InvalidInput("time_limit is too short for any whip", got=problem.time, allowed=allowed)
+    budget, found = Budget.of(time_budget), list[Peaks]()
+    moves = random_swings(problem, swings)
+    for low in range(0, swings, OPTIONS.batch):
+        if low and budget.expired:
+            moves = moves[:low]
+            break
+        some = _peaks(problem, swing_flights(problem, moves[low : low + OPTIONS.batch], budget))
+        found.append(some._replace(row=some.row + low))
+    return WhipMap(problem, tuple(moves), Peaks(*map(np.concatenate, zip(*found, strict=True))))
+
+
+def swing_flights(problem: Problem, moves: list[Moves], budget: Budget | None = None) -> Flights:
+    """Simulate swings coarsely."""
+    t = np.arange(0.0, problem.time + 0.5 * OPTIONS.sample_time, OPTIONS.sample_time)
+    return Flights(problem, moves, t, budget=budget)
+
+
+def _peaks(problem: Problem, flights: Flights) -> Peaks:
+    """Find the peaks of coarse flights."""
+    blocked = None
+    if problem.obstacles:
+        depth = np.maximum(-flights.spare_gaps(problem).min(axis=2), 0.0)
+        blocked = np.maximum.accumulate(depth, axis=1)
+    return find_peaks(flights.t, flights.joints[:, :, -1], flights.velocity, blocked)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TipStrike(TipOutcome):
+    """The highest peak of the tip's speed about the expected time, in a simulated run.
+
+    Its instant is the peak's, and its message does not include the miss; the rest is as of :class:`TipOutcome`.
+
+    Attributes
+    ----------
+    miss : float
+        Distance from the target, m.
+    angle_error : float
+        Angle between velocity and the required direction, rad, >= 0.
+    earlier_speed : float
+        Greatest speed of the tip at a peak before, m/s.
+    touches_later : str
+        Which obstacle the rope touches after the peak, until the run ends, and when; empty if none. Until the peak
+        touches are failures.
+    """
+
+    miss: float
+    angle_error: float
+    earlier_speed: float
+    touches_later: str = ""
+
+    def in_short(self) -> str:
+        """Return what matters most to whoever carries the moves out, in figures with units."""
+        return f"{self.speed:.1f} m/s at {self.t:.2f} s, {1e3 * self.miss:.2g} mm off, {self.torque:.3g} N m"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class WhipPlan(TipPlan):
+    """A planned whip, or why there is none.
+
+    Attributes
+    ----------
+    problem, message, runs, seconds, interrupted
+        As of :class:`Plan`.
+    target : TipTarget
+    feasibility : WhipFeasibility
+        Result of the check before the search.
+    moves : Moves or None
+        The best found.
+    outcome : TipStrike or None
+        Their outcome in a simulated run.
+    finer_outcome : TipStrike or None
+        The same with links of half the length.
+    position_std : float
+        Standard deviation of the place of the peak, m, for a rope known as :class:`TipOptions` assumes; NaN without
+        moves.
+    """
+
+    kind: ClassVar[str] = "whip"
+    problem: Problem
+    target: TipTarget
+    feasibility: WhipFeasibility
+    moves: Moves | None = None  # type: ignore[assignment]
+    outcome: TipStrike | None = None
+    finer_outcome: TipStrike | None = None
+    position_std: float = math.nan
+    message: str = ""
+    runs: int = 0
+    seconds: float = 0.0
+    interrupted: bool = False
+
+    def impact(self, *, radius: float = 0.01, mu: float = 0.3) -> Impact:
+        """Simulate the impact on a small fixed peg whose surface is at the target; see :class:`Impact`.
+
+        The peg has a `radius`, m, and a friction coefficient `mu`. Raises InvalidInput if the plan has no outcome.
+        """
+        outcome, target = self.required(self.outcome, "outcome"), self.target
+        direction = float(np.arctan2(*outcome.velocity[::-1])) if target.any_direction else target.direction
+        motion = self.required(self.motion, "motion")
+        return simulate_impact(self.problem, target.point, direction, motion, outcome.t, radius=radius, mu=mu)
+
+
+class WhipTask(TipTask):
+    """Whip a target, from the swings of a map."""
+
+    close, ready = 2e-4, 0.06
+
+    def __init__(self, whip_map: WhipMap, target: TipTarget, seed: int = 0) -> None:
+        super().__init__(whip_map.problem, target.point[None], seed)
+        self.target = target
+        self.finer = replace(self.problem, rope=divided(self.problem.rope, 2))
+        x, y = self.problem.arm.pivot
+        self.lever = math.hypot(target.x - x, target.y - y)  # m, as which an error of 1 rad or the whole speed counts
+        found = cheapest_peaks(PeakCosts().of(target, whip_map.peaks), whip_map.peaks, len(whip_map.moves))
+        pairs = [(each, *pair) for each, pair in zip(whip_map.moves, found, strict=True)]
+        swings = [Candidate(each, -cost, t) for each, cost, t in pairs if math.isfinite(cost)]
+        self.swings = sorted(swings, key=lambda one: -one.score)
+
+    def score(self, flights: Flights) -> list[tuple[float, float]]:
+        """Return cost, m, and time, s, of the cheapest peak of each flight."""
+        peaks = _peaks(self.problem, flights)
+        return cheapest_peaks(PeakCosts().of(self.target, peaks), peaks, len(flights.moves))
+
+    def aims(self, flights: Flights, near: Any) -> list[Aim | None]:
+        """Return the peaks next to times `near`, s."""
+        fine, target = slice(flights.first, None), self.target
+        peaks = find_peaks(flights.t[fine], flights.joints[:, fine, -1], flights.velocity[:, fine])
+        gaps, found = self.obstacle_gaps(flights), list[Aim | None]()
+        for m, (moves, t) in enumerate(zip(flights.moves, near, strict=True)):
+            rows = np.flatnonzero((peaks.row == m) & (np.abs(peaks.t - t) < OPTIONS.window))
+            if not rows.size:
+                found.append(None)
+                continue
+            k = rows[np.abs(peaks.t[rows] - t).argmin()]
+            place, velocity, end = peaks.place[k], peaks.velocity[k], int(np.searchsorted(flights.t, peaks.t[k])) - 1
+            beyond, slow = target.lacks(velocity, 0.85, 1.01)
+            lacking = self.lacking_gaps(flights, gaps[m], self._spare, m, end)
+            residuals = np.array([*(place - target.point), self.lever * beyond, self.lever * slow, *lacking])
+            short = max(0.0, float(np.hypot(*residuals[:2])) - target.tolerance)
+            short += sum(abs(float(each)) for each in target.lacks(velocity, 1.0, 1.0))
+            short += max(0.0, -float(gaps[m, : end + 1].min(initial=np.inf)))
+            found.append(Aim(moves, float(peaks.t[k]), residuals, place, short))
+        return found
+
+    def verify(self, one: Candidate, budget: Budget) -> Verified:
+        """Simulate a whip with the links as planned, and half as long: there speed and direction do not count."""
+        motion = one.moves.motion(self.problem.limits)
+        std = one.aim.std if isinstance(one, AimedCandidate) else 0.0
+        allowed, finer = self.target.tolerance, None
+        outcome = verify_whip(self.problem, self.target, motion, one.t, budget=budget)
+        message = self._failure(outcome, allowed)
+        if not message:
+            finer = verify_whip(self.finer, self.target, motion, one.t, budget=budget)
+            message = self._failure(finer and replace(finer, message=finer.refused), max(3.0 * allowed, std))
+            message = f"with links of half the length {message}" if message else ""
+        margin = -1.0 if message or finer is None else 1.0 - finer.miss / (3.0 * allowed)
+        return Verified(one, outcome, finer, message, margin)
+
+    def _failure(self, outcome: TipStrike | None, allowed: float) -> str:
+        """Return why a whip fails, empty if it succeeds; its miss may be `allowed`, m."""
+        if outcome is None:
+            return "the tip's speed has no peak there"
+        if outcome.message:
+            return outcome.message
+        if outcome.miss > allowed:
+            return f"the tip misses the target by {1e3 * outcome.miss:.1f} mm, {1e3 * allowed:.1f} allowed"
+        return excess_torque(self.problem, outcome.torque)
+
+
+def verify_whip(
+    problem: Problem, target: TipTarget, motion: Motion, near: float, *, tol: float = 1e-7, budget: Budget | None = None
+) -> TipStrike | None:
+    """Simulate a motion from rest and find the highest peak of the tip's speed about time `near`, s.
+
+    With obstacles it is the highest before the rope touches one, unless the peak next to `near` comes later; a run
+    without obstacles shows the peaks. Returns None if a run fails or begins in an obstacle, or there is no peak; raises
+    OutOfTime if it does not end within the budget. `tol` is the tolerance, m.
+    """
+    t = sample_times(near)
+    setup = verified_setup(problem, motion, float(t[-1]), tol=tol)
+    if not starts_outside(setup):
+        return None
+    run, touched, touch = simulate_in_time(replace(setup, pegs=()), t, budget), math.inf, ""
+    if run is None:
+        return None
+    found = find_peaks(run.t, run.tip[None], run.tip_velocity[None])
+    about = np.abs(found.t - near) < t[-1] - near
+    if not about.any():
+        return None
+    if setup.pegs:
+        run = simulate_in_time(setup, np.union1d(t, found.t[about]), budget)
+        if run is None:
+            return None
+        there = touched_samples(run, problem.obstacles)
+        if there.any():
+            touched = float(run.t[there.argmax()])
+            touch = _touches(problem, run, touched)
+    before = about & (found.t < touched)
+    nearest = int(np.where(about, np.abs(found.t - near), np.inf).argmin())
+    k = int(np.where(before, found.speed, 0.0).argmax()) if before[nearest] else nearest
+    error, speed, at = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k]), float(found.t[k])
+    figures = run_figures(problem, run, at)
+    if touched <= at:  # however short, and whatever distance the samples show
+        figures |= {"refused": f"the rope touches {touch}", "clearance": min(figures["clearance"], 0.0)}
+    message = figures["refused"]
+    if not message and speed < target.least_speed:
+        message = f"the tip's speed is {speed:.2f} m/s, and {target.least_speed:g} is required"
+    elif not message and error > target.angle_tolerance:
+        allowed = np.degrees(target.angle_tolerance)
+        message = f"the tip's direction is {np.degrees(error):.0f} degrees off, {allowed:.0f} allowed"
+    return TipStrike(
+        t=at,
+        place=found.place[k],
+        velocity=found.velocity[k],
+        miss=float(np.hypot(*(found.place[k] - target.point))),
+        angle_error=error,
+        earlier_speed=float(found.speed[found.t < at].max(initial=0.0)),
+        touches_later=touch if at < touched else "",
+        message=message,
+        **figures,
+    )
+
+
+def _touches(problem: Problem, run: Trajectory, t: float) -> str:
+    """Return which obstacle the rope touches at time t, s, and when."""
+    joints = run.joints[int(np.searchsorted(run.t, t))]
+    gaps = obstacle_gaps(problem.obstacles, joints[:-1], joints[1:]).min(axis=-1)
+    return f"{named(problem.obstacles[int(gaps.argmin())])} at {t:.2f} s"
+
+
+@checks.arguments(limits=MotorLimits)
+@interruptible(WhipPlan)
+def plan_whip(
+    rope: Rope,
+    arm: Arm,
+    target: TipTarget,
+    limits: MotorLimits | None = None,
+    *,
+    conditions: Conditions | None = None,
+    whip_map: WhipMap | None = None,
+    time_budget: float | Budget | None = 30.0,
+    options: SearchOptions | None = None,
+) -> WhipPlan:
+    """Plan how an arm whips its rope so that the tip passes a point at a peak of its speed.
+
+    Parameters
+    ----------
+    rope, arm, limits
+        As of :func:`hyperflex.plan_cast`.
+    target : TipTarget
+        Place, direction and least speed of the tip at the peak.
+    conditions : Conditions, optional
+        The rope must not touch obstacles until the tip is there. The time limit is by default that of the map if one
+        is given, else three periods of the rope's swing.
+    whip_map : WhipMap, optional
+        Of the same rope, arm, limits, time and obstacles, from :func:`build_whip_map`; by default it is built, which
+        takes some seconds.
+    time_budget : float or Budget, optional
+        Time by the clock for map, search and verifications, s, without compiling.
+    options : SearchOptions, optional
+
+    Returns
+    -------
+    WhipPlan
+
+    Raises
+    ------
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the best plan until then.
+    InvalidInput
+        If an argument is out of range or of another class, or a link's centre of mass is not in its middle: the second
+        verification cuts it in two.
+    """
+    options, budget = options or SearchOptions(), Budget.of(time_budget)
+    budget.threads = options.threads or budget.threads
+    checks.instance("target", target, TipTarget)
+    problem = _problem(rope, arm, limits, conditions or Conditions(), whip_map)
+    distance = math.hypot(target.x - arm.pivot[0], target.y - arm.pivot[1])
+    known = WhipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
+    planner: Planner | None = None
+    with stoppable() as stop, budget.progress(options.progress, "planning"):
+        whip_map = whip_map or build_whip_map(problem, time_budget=budget.share(0.4))
+        known = check_whip_feasibility(whip_map, target)
+        if math.isfinite(known.cost) and (known.feasible or options.skip_feasibility):
+            task = WhipTask(replace(whip_map, problem=problem), target, options.seed)
+            planner = Planner(task, budget, 0.5)
+            planner.run()
+    found = plan_fields(planner, known.message, "no peak of the tip's speed comes near it", stop, budget)
+    return stop.deliver(WhipPlan(problem, target, known, **found))
+
+
+def _problem(
+    rope: Rope, arm: Arm, limits: MotorLimits | None, conditions: Conditions, whip_map: WhipMap | None
+) -> Problem:
+    """Return the problem; a map must be made for the same one, whatever the clearance."""
+    problem = tip_problem(rope, arm, limits, conditions, periods=3.0)
+    if whip_map is not None:
+        made = checks.instance("whip_map", whip_map, WhipMap).problem
+        limits, time = limits or made.limits, conditions.time_limit or made.time
+        problem = replace(problem, limits=limits, time=time)
+        if problem != replace(made, clearance=problem.clearance):
+            raise InvalidInput(
+                "map was made for another rope, arm, motor or time, or other obstacles",
+                fix="Make one: build_whip_map(Problem(rope, arm, limits, time_limit, obstacles=...))",
+            )
+    return problem

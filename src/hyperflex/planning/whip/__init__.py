@@ -1,1 +1,0 @@
-"""Whips: the tip passes a point fast, in a given direction."""
