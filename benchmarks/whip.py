@@ -41,8 +41,8 @@ from hyperflex.planning import (
     Moves,
     Problem,
     SearchOptions,
+    TipFeasibility,
     TipTarget,
-    WhipFeasibility,
     WhipMap,
     build_whip_map,
     check_whip_feasibility,
@@ -89,7 +89,7 @@ def targets() -> list[TipTarget]:
     return [TipTarget(least_speed=SPEED, angle_tolerance=WITHIN, **row) for row in json.loads(TARGETS.read_text())]
 
 
-def drawn(seed: int, known: WhipMap) -> Iterator[tuple[dict[str, float], WhipFeasibility]]:
+def drawn(seed: int, known: WhipMap) -> Iterator[tuple[dict[str, float], TipFeasibility]]:
     """Points and directions drawn evenly over all that the rope could touch, and whether they are in reach."""
     rng, far = np.random.default_rng(seed), CABLE.total_length + ARM.length
     while True:
@@ -335,7 +335,7 @@ def beyond_words(rows: list[dict[str, Any]]) -> list[str]:
             told.append(f"{sum(some)} of {len(some)} {where}")
     met = sum(row["success"] for row in those)
     words = (
-        f"\nOut of reach is called what is farther than {OPTIONS.max_cost:g} m (direction and speed that are not as asked "
+        f"\nOut of reach means farther than {OPTIONS.max_cost:g} m (missing speed and a wrong direction "
         f"count as distance) from every peak of the map. Of {max(row['drawn'] for row in those)} more targets, "
         f"{len(those)} near some peak were called that. Planned for all the same (`skip_feasibility=True`, "
         f"{TIME_BUDGET:g} s each), {met} of them are met within 1 mm, as fast and directed as asked: {', '.join(told)}."

@@ -9,7 +9,7 @@ import numpy as np
 
 import hyperflex as hf
 from hyperflex.budget import Budget
-from hyperflex.planning import InsertFeasibility, InsertPlan, MotorLimits, Moves, Problem, Slot, SuccessProbability
+from hyperflex.planning import InsertPlan, MotorLimits, Moves, Problem, Slot, SuccessProbability, TipFeasibility
 from hyperflex.planning.tasks.insert import InsertTask
 from hyperflex.planning.tasks.task import Candidate
 
@@ -26,7 +26,7 @@ def planned_insert(enters: bool = True) -> InsertPlan:
     problem = Problem(ROPE, ARM, MotorLimits(), 4.0)
     slot = SLOT if enters else Slot(-0.355, -0.845, -2.4, width=0.025, depth=0.04)
     found = InsertTask(problem, slot).verify(Candidate(MOVES, 1.0, NEAR), Budget(math.inf))
-    known, probability = InsertFeasibility(0.98, 0.02, ""), None if found.message else SuccessProbability(45, 50)
+    known, probability = TipFeasibility(0.98, 0.02, ""), None if found.message else SuccessProbability(45, 50)
     outcomes = found.outcome, found.finer_outcome
     return InsertPlan(problem, slot, known, MOVES, *outcomes, 0.004, probability, found.message, 1, 0.5)
 

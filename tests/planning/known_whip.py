@@ -13,8 +13,8 @@ from hyperflex.planning import (
     MotorLimits,
     Moves,
     Problem,
+    TipFeasibility,
     TipTarget,
-    WhipFeasibility,
     WhipMap,
     WhipPlan,
     build_whip_map,
@@ -47,7 +47,7 @@ def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
     aim = Aim(MOVES, peak.t, np.zeros(2), place, 0.0, std=0.004)
     candidate = AimedCandidate(MOVES, 1.0, peak.t, good=True, aim=aim)
     found = WhipTask(empty_map(problem), target).verify(candidate, Budget(math.inf))
-    known = WhipFeasibility(float(np.hypot(*place)), 0.01, "")
+    known = TipFeasibility(float(np.hypot(*place)), 0.01, "")
     return WhipPlan(problem, target, known, MOVES, found.outcome, found.finer_outcome, 0.004, found.message, 1, 0.5)
 
 

@@ -175,7 +175,7 @@ def test_a_plan_into_a_tube_keeps_clear_of_its_sides() -> None:
 
 def test_touches_are_allowed_where_the_slot_says_so() -> None:
     plan, motion = planned(), planned().required(planned().motion, "motion")
-    narrow = aside(SLOT, 0.3 * SLOT.width)
+    narrow = aside(SLOT, 0.4 * SLOT.width)
     off, on = (verify_insert(plan.problem, replace(narrow, touching=may), motion, near()) for may in (False, True))
     assert "touches a wall at" in off.message
     assert on.wall_clearance <= 0.0

@@ -35,19 +35,17 @@ if TYPE_CHECKING:
     from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty, scaled_rope
     from hyperflex.planning.routing import checked_behind, refuse_behind
     from hyperflex.planning.tasks.insert import (
-        InsertFeasibility,
         InsertOutcome,
         InsertPlan,
         Slot,
         estimate_insert_probability,
         plan_insert,
     )
-    from hyperflex.planning.tasks.tip import TipOptions
+    from hyperflex.planning.tasks.tip import TipFeasibility, TipOptions
     from hyperflex.planning.tasks.whip import (
         Peaks,
         TipStrike,
         TipTarget,
-        WhipFeasibility,
         WhipMap,
         WhipPlan,
         build_whip_map,

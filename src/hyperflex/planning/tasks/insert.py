@@ -37,6 +37,7 @@ from hyperflex.planning.tasks.tip import (
     Aim,
     AimedCandidate,
     Flights,
+    TipFeasibility,
     TipOutcome,
     TipPlan,
     TipTask,
@@ -240,24 +241,6 @@ def _at_level(levels: Array, values: Array, level: float) -> float:
     return float(values[k - 1] + part * (values[k] - values[k - 1]))
 
 
-@dataclass(frozen=True)
-class InsertFeasibility:
-    """Result of the feasibility check of a slot.
-
-    `distance` is that of the place required for the tip from the arm's pivot, m. `cost`, m, is that of the cheapest
-    swing, see :meth:`InsertTask.score`. `message` is the reason why the slot is not feasible.
-    """
-
-    distance: float
-    cost: float
-    message: str
-
-    @property
-    def feasible(self) -> bool:
-        """Whether the slot is feasible."""
-        return not self.message
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class InsertOutcome(TipOutcome):
     """How the tip goes through a slot in a simulated run with its walls; the rest as of :class:`TipOutcome`.
@@ -296,7 +279,7 @@ class InsertPlan(TipPlan):
     problem, message, runs, seconds, interrupted
         As of :class:`Plan`.
     target : Slot
-    feasibility : InsertFeasibility
+    feasibility : TipFeasibility
         Result of the check before the search.
     moves : Moves or None
         The best found.
@@ -314,7 +297,7 @@ class InsertPlan(TipPlan):
     kind: ClassVar[str] = "insert"
     problem: Problem
     target: Slot
-    feasibility: InsertFeasibility
+    feasibility: TipFeasibility
     moves: Moves | None = None  # type: ignore[assignment]
     outcome: InsertOutcome | None = None
     finer_outcome: InsertOutcome | None = None
@@ -382,9 +365,7 @@ class InsertTask(TipTask):
     def score(self, flights: Flights) -> list[tuple[float, float]]:
         """Return cost, m, and time, s, of the cheapest entry of each flight: see :class:`InsertCosts`."""
         costs, radius, found = InsertCosts(), self.problem.rope.radius, list[tuple[float, float]]()
-        blocked = np.zeros(flights.q.shape[:2])
-        if self.problem.obstacles:
-            blocked = np.maximum.accumulate(np.maximum(-flights.spare_gaps(self.problem).min(axis=2), 0.0), axis=1)
+        blocked = flights.blocked(self.problem)
         for m, joints in enumerate(flights.joints):
             best = (math.inf, math.nan)
             for each in find_entries(self.slot, radius, flights.t, joints, 1.0) if np.isfinite(joints).all() else []:
@@ -419,7 +400,7 @@ class InsertTask(TipTask):
     def aims(self, flights: Flights, near: Sequence[float]) -> list[Aim | None]:
         """Return the ways through the slot that end next to times `near`, s."""
         slot, problem, found = self.slot, self.problem, list[Aim | None]()
-        obstacles = self.obstacle_gaps(flights)
+        obstacles = flights.spare_gaps(problem)
         for m, (moves, joints) in enumerate(zip(flights.moves, flights.joints, strict=True)):
             entries = find_entries(slot, problem.rope.radius, flights.t, joints) if np.isfinite(joints).all() else []
             if not entries:
@@ -531,7 +512,8 @@ def verify_insert(
 def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, depth: Array, way: Passage) -> InsertOutcome:
     """Evaluate a run whose tip, at `depth` (T,), m, goes through the slot in a passage."""
     begin, end = way
-    t_enter, t = _time_at(run.t, depth, begin, 0.0), _time_at(run.t, depth, end, slot.depth)
+    rows = slice(begin - 1, end + 1)
+    t_enter, t = (_at_level(depth[rows], run.t[rows], level) for level in (0.0, slot.depth))
     touched = _wall_touches(problem, slot, run)
     left = begin + np.flatnonzero(np.append(depth[begin:], -1.0) <= 0.0)[0]
     last = min([int(left), *([] if slot.touching else touched[touched >= begin].tolist()), run.t.size - 1])
@@ -568,12 +550,6 @@ def _wall_touches(problem: Problem, slot: Slot, run: Trajectory) -> npt.NDArray[
     walls = len(slot.walls)
     near = gaps[:walls].min(axis=0) <= gaps[walls:].min(axis=0, initial=np.inf)
     return np.unique(row[near])
-
-
-def _time_at(t: Array, depth: Array, row: int, level: float) -> float:
-    """Return when the tip passes a depth, m, before a sample, s; that of the sample if it does not."""
-    low, high = depth[row - 1], depth[row]
-    return float(np.interp(level, [low, high], t[row - 1 : row + 1])) if low < high else float(t[row])
 
 
 def usual_uncertainty() -> Uncertainty:
@@ -729,7 +705,7 @@ def plan_insert(
     problem = tip_problem(rope, arm, limits, conditions or Conditions(), periods=2.0)
     distance = math.hypot(*(slot.point + slot.depth * slot.axes[0] - problem.arm.pivot))
     short = distance - rope.total_length - arm.length
-    known = InsertFeasibility(distance, math.inf, "interrupted before the swings were simulated")
+    known = TipFeasibility(distance, math.inf, "interrupted before the swings were simulated")
     task, planner, probability = InsertTask(problem, slot, options.seed), None, None
     with stoppable() as stop, budget.progress(options.progress, "planning"):
         if short > 0.0:

@@ -148,9 +148,16 @@ class Flights:
         self.velocity = np.stack([along[0] + arm * np.cos(angle), along[1] + arm * np.sin(angle)], axis=-1)
 
     def spare_gaps(self, problem: Problem) -> Array:
-        """Return gaps (M, T, w), m, of the ropes from obstacles beyond the required clearance; see `signed_gaps`."""
+        """Return gaps (M, T, w), m, of the ropes from w obstacles beyond the required clearance; see `signed_gaps`."""
+        if not problem.obstacles:
+            return np.zeros((*self.q.shape[:2], 0))
         gaps = [signed_gaps(problem.obstacles, each[:, :-1], each[:, 1:]).min(axis=-1) for each in self.joints]
         return np.nan_to_num(np.array(gaps) - problem.rope.radius - max(problem.clearance, 0.0))
+
+    def blocked(self, problem: Problem) -> Array:
+        """Return how far, m, the ropes have come too near obstacles until each sample, or through them: (M, T)."""
+        depth = -self.spare_gaps(problem).min(axis=2, initial=0.0)
+        return np.maximum.accumulate(depth, axis=1)
 
 
 def random_swings(problem: Problem, count: int, walls: Sequence[Obstacle] = (), seed: int = 1) -> list[Moves]:
@@ -275,6 +282,11 @@ class TipTask(Task):
             costs = self.score(Flights(self.problem, some, t, budget=budget))
             found += [Candidate(each, -cost, at) for each, (cost, at) in zip(some, costs, strict=True)]
         self.swings = sorted((each for each in found if np.isfinite(each.score)), key=lambda one: -one.score)
+
+    def alike(self, one: Candidate, other: Candidate) -> bool:
+        """Whether two motions have as many moves from the same side, and reach their goal at about the same time."""
+        same = one.moves.side == other.moves.side and one.moves.ends.size == other.moves.ends.size
+        return same and abs(one.t - other.t) < OPTIONS.window
 
     def uncertainty(self, aim: Aim) -> float:
         """Return how uncertain moves are that do not fail; of several the least uncertain ones are verified first."""
@@ -408,11 +420,23 @@ class TipTask(Task):
         required = np.minimum(spare, np.maximum(gaps[0], 0.0))
         return np.asarray(np.minimum(least - required, 0.0)).ravel()
 
-    def obstacle_gaps(self, flights: Flights) -> Array:
-        """Return the gaps (M, T, w), m, from obstacles."""
-        if not self.problem.obstacles:
-            return np.zeros((len(flights.moves), flights.t.size, 0))
-        return flights.spare_gaps(self.problem)
+
+@dataclass(frozen=True)
+class TipFeasibility:
+    """Result of the feasibility check of a task of the tip.
+
+    `distance` is that of the tip's place from the arm's pivot, m. `cost`, m, is that of the cheapest random swing, at
+    most :attr:`TipOptions.max_cost`. `message` is the reason why the task is not feasible.
+    """
+
+    distance: float
+    cost: float
+    message: str
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the task is feasible."""
+        return not self.message
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

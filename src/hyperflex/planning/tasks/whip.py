@@ -27,6 +27,7 @@ from hyperflex.planning.tasks.tip import (
     Aim,
     AimedCandidate,
     Flights,
+    TipFeasibility,
     TipOutcome,
     TipPlan,
     TipTask,
@@ -212,27 +213,11 @@ class WhipMap:
     peaks: Peaks
 
 
-@dataclass(frozen=True)
-class WhipFeasibility:
-    """Result of the feasibility check of a target.
+def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> TipFeasibility:
+    """Check whether a target is close enough to a peak of a map; obstacles count only if they are at the target.
 
-    `distance` is that from the arm's pivot, m. `cost`, m, is that of the cheapest peak of the map, were there no
-    obstacles: its distance from the target, and more if it lacks speed or direction. `message` is the reason why the
-    target is not feasible.
+    Without obstacles the cost of a peak is its distance from the target, and more if it lacks speed or direction.
     """
-
-    distance: float
-    cost: float
-    message: str
-
-    @property
-    def feasible(self) -> bool:
-        """Whether the target is feasible."""
-        return not self.message
-
-
-def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibility:
-    """Check whether a target is close enough to a peak of a map; obstacles count only if they are at the target."""
     problem, peaks = whip_map.problem, whip_map.peaks
     distance = math.hypot(target.x - problem.arm.pivot[0], target.y - problem.arm.pivot[1])
     cost, message = math.inf, ""
@@ -254,7 +239,7 @@ def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> WhipFeasibil
             message = f"out of reach: the tip is not that fast so near to it, {how}"
         elif cost > OPTIONS.max_cost:
             message = "out of reach: the tip's speed has no peak so near to it"
-    return WhipFeasibility(distance, cost, message)
+    return TipFeasibility(distance, cost, message)
 
 
 @interruptible()
@@ -298,11 +283,7 @@ def swing_flights(problem: Problem, moves: list[Moves], budget: Budget | None = 
 
 def _peaks(problem: Problem, flights: Flights) -> Peaks:
     """Find the peaks of coarse flights."""
-    blocked = None
-    if problem.obstacles:
-        depth = np.maximum(-flights.spare_gaps(problem).min(axis=2), 0.0)
-        blocked = np.maximum.accumulate(depth, axis=1)
-    return find_peaks(flights.t, flights.joints[:, :, -1], flights.velocity, blocked)
+    return find_peaks(flights.t, flights.joints[:, :, -1], flights.velocity, flights.blocked(problem))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -343,7 +324,7 @@ class WhipPlan(TipPlan):
     problem, message, runs, seconds, interrupted
         As of :class:`Plan`.
     target : TipTarget
-    feasibility : WhipFeasibility
+    feasibility : TipFeasibility
         Result of the check before the search.
     moves : Moves or None
         The best found.
@@ -359,7 +340,7 @@ class WhipPlan(TipPlan):
     kind: ClassVar[str] = "whip"
     problem: Problem
     target: TipTarget
-    feasibility: WhipFeasibility
+    feasibility: TipFeasibility
     moves: Moves | None = None  # type: ignore[assignment]
     outcome: TipStrike | None = None
     finer_outcome: TipStrike | None = None
@@ -405,7 +386,7 @@ class WhipTask(TipTask):
         """Return the peaks next to times `near`, s."""
         fine, target = slice(flights.first, None), self.target
         peaks = find_peaks(flights.t[fine], flights.joints[:, fine, -1], flights.velocity[:, fine])
-        gaps, found = self.obstacle_gaps(flights), list[Aim | None]()
+        gaps, found = flights.spare_gaps(self.problem), list[Aim | None]()
         for m, (moves, t) in enumerate(zip(flights.moves, near, strict=True)):
             rows = np.flatnonzero((peaks.row == m) & (np.abs(peaks.t - t) < OPTIONS.window))
             if not rows.size:
@@ -556,7 +537,7 @@ def plan_whip(
     checks.instance("target", target, TipTarget)
     problem = _problem(rope, arm, limits, conditions or Conditions(), whip_map)
     distance = math.hypot(target.x - arm.pivot[0], target.y - arm.pivot[1])
-    known = WhipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
+    known = TipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
     planner: Planner | None = None
     with stoppable() as stop, budget.progress(options.progress, "planning"):
         whip_map = whip_map or build_whip_map(problem, time_budget=budget.share(0.4))
