@@ -204,7 +204,7 @@ def calls() -> dict[str, Callable[[], Any]]:
         "design": lambda: hf.design_experiment(rods, "friction"),
         "cast": lambda: hf.plan_cast(cable, arm, near, time_budget=20.0),
         "cast robust": lambda: hf.plan_cast(cable, arm, near, time_budget=20.0, uncertainty=hf.Uncertainty()),
-        "whip": lambda: hf.plan_whip(few, arm, (0.3, -2.05), time_budget=10.0),
+        "whip": lambda: hf.plan_whip(few, arm, hf.TipTarget(0.3, -2.05), time_budget=10.0),
         "insert": lambda: hf.plan_insert(few, arm, hf.Slot(0.56, -1.9, -0.78), time_budget=10.0),
         "pumping": lambda: optimize_pumping(model, 0.9),
         "track": lambda: twin.track(),

@@ -269,24 +269,17 @@ CALLS: dict[str, tuple[Callable[..., Any], Callable[[], dict[str, Any]]]] = {
     "plan_whip": (
         hf.plan_whip,
         lambda: (
-            {"rope": CABLE, "arm": ARM, "point": (5.0, 0.0), "direction": (1.0, 0.0), "limits": hf.MotorLimits()}
-            | {
-                "least_speed": 1.0,
-                "angle_tolerance": 0.1,
-                "time_limit": 2.0,
-                "time_budget": 0.1,
-                "seed": 0,
-                "threads": 1,
-            }
-            | {"skip_feasibility": False, "whip_map": None, "progress": False}
+            {"rope": CABLE, "arm": ARM, "target": hf.TipTarget(5.0, 0.0, 0.0), "limits": hf.MotorLimits()}
+            | {"conditions": hf.Conditions(time_limit=2.0), "whip_map": None}
+            | {"time_budget": 0.1, "options": hf.SearchOptions(threads=1)}
         ),
     ),
     "plan_insert": (
         hf.plan_insert,
         lambda: (
             {"rope": CABLE, "arm": ARM, "slot": hf.Slot(5.0, 0.0, 0.0), "limits": hf.MotorLimits()}
-            | {"uncertainty": hf.Uncertainty(), "clearance": 0.0, "time_limit": 2.0, "time_budget": 0.1}
-            | {"skip_feasibility": False, "samples": 2, "seed": 0, "threads": 1, "progress": False}
+            | {"conditions": hf.Conditions(time_limit=2.0), "uncertainty": hf.Uncertainty()}
+            | {"samples": 2, "time_budget": 0.1, "options": hf.SearchOptions(threads=1)}
         ),
     ),
     "measure_winding": (hf.measure_winding, lambda: {"run": run(), "peg": PEG}),

@@ -42,6 +42,7 @@ from hyperflex.planning.tasks.tip import (
     TipPlan,
     TipTask,
     excess_torque,
+    given_or_default,
     plan_fields,
     random_swings,
     run_figures,
@@ -651,7 +652,7 @@ def _enters(problem: Problem, rope: Rope, slot: Slot, _: Motion, near: float, t:
     return bool(clear == len(q)) and not at_limits(limit_bend(rope), q[until], -1e-3).any()
 
 
-@checks.arguments(limits=MotorLimits)
+@checks.arguments(limits=MotorLimits, slot=Slot, conditions=Conditions, options=SearchOptions)
 @interruptible(InsertPlan)
 def plan_insert(
     rope: Rope,
@@ -697,12 +698,13 @@ def plan_insert(
     InvalidInput
         If an argument is out of range or of another class, or the gap too narrow for the rope.
     """
-    options, budget, samples = options or SearchOptions(), Budget.of(time_budget), checks.count("samples", samples)
+    options, budget = given_or_default("options", options, SearchOptions), Budget.of(time_budget)
+    conditions, samples = given_or_default("conditions", conditions, Conditions), checks.count("samples", samples)
     budget.threads = options.threads or budget.threads
     checks.instance("slot", slot, Slot).check_width(checks.instance("rope", rope, Rope))
     if uncertainty is not None:
         checks.instance("uncertainty", uncertainty, Uncertainty)
-    problem = tip_problem(rope, arm, limits, conditions or Conditions(), periods=2.0)
+    problem = tip_problem(rope, arm, limits, conditions, periods=2.0)
     distance = math.hypot(*(slot.point + slot.depth * slot.axes[0] - problem.arm.pivot))
     short = distance - rope.total_length - arm.length
     known = TipFeasibility(distance, math.inf, "interrupted before the swings were simulated")

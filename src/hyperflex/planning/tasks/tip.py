@@ -7,7 +7,7 @@ rests, with differences of free flights, until the tip does what the task requir
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -110,6 +110,7 @@ class TipOptions:
 
 
 OPTIONS = TipOptions()
+T = TypeVar("T")
 
 
 class Flights:
@@ -558,6 +559,11 @@ def excess_torque(problem: Problem, torque: float) -> str:
     return "" if torque <= given else f"it needs {torque:.3g} N m of a motor that gives {given:.3g}"
 
 
+def given_or_default(name: str, given: T | None, kind: type[T]) -> T:
+    """Return an argument of a `kind`, by default an instance with default values; InvalidInput if it is another."""
+    return kind() if given is None else checks.instance(name, given, kind)
+
+
 def tip_problem(rope: Rope, arm: Arm, limits: MotorLimits | None, conditions: Conditions, periods: float) -> Problem:
     """Return the problem of a task of the tip; its time limit is by default a number of `periods` of the rope's swing.
 
@@ -569,7 +575,7 @@ def tip_problem(rope: Rope, arm: Arm, limits: MotorLimits | None, conditions: Co
     checks.instance("rope", rope, Rope)
     time = conditions.time_limit or periods * swing_period(rope)
     clearance, obstacles = conditions.clearance, conditions.obstacles
-    limits = limits or MotorLimits()
+    limits = given_or_default("limits", limits, MotorLimits)
     problem = Problem(rope, arm, limits, time, clearance, side=conditions.side, obstacles=obstacles)
     check_start(problem)
     return problem

@@ -32,6 +32,7 @@ from hyperflex.planning.tasks.tip import (
     TipPlan,
     TipTask,
     excess_torque,
+    given_or_default,
     plan_fields,
     random_swings,
     run_figures,
@@ -489,7 +490,7 @@ def _touches(problem: Problem, run: Trajectory, t: float) -> str:
     return f"{named(problem.obstacles[int(gaps.argmin())])} at {t:.2f} s"
 
 
-@checks.arguments(limits=MotorLimits)
+@checks.arguments(limits=MotorLimits, target=TipTarget, conditions=Conditions, options=SearchOptions)
 @interruptible(WhipPlan)
 def plan_whip(
     rope: Rope,
@@ -532,10 +533,11 @@ def plan_whip(
         If an argument is out of range or of another class, or a link's centre of mass is not in its middle: the second
         verification cuts it in two.
     """
-    options, budget = options or SearchOptions(), Budget.of(time_budget)
+    options, budget = given_or_default("options", options, SearchOptions), Budget.of(time_budget)
+    conditions = given_or_default("conditions", conditions, Conditions)
     budget.threads = options.threads or budget.threads
     checks.instance("target", target, TipTarget)
-    problem = _problem(rope, arm, limits, conditions or Conditions(), whip_map)
+    problem = _problem(rope, arm, limits, conditions, whip_map)
     distance = math.hypot(target.x - arm.pivot[0], target.y - arm.pivot[1])
     known = TipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
     planner: Planner | None = None
