@@ -3,16 +3,18 @@
 :func:`check` validates them, a set-up file's table and the command line are made from them: an option is declared once.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import Field, field, fields
 from typing import Any
 
 from hyperflex import checks
 from hyperflex.checks import Sign
+from hyperflex.errors import InvalidInput
 
 
 def option(
-    default: Any, text: str, *, unit: str = "", sign: Sign = "any", infinite: bool = False, shown: str = ""
+    default: Any, text: str, unit: str = "", *, sign: Sign = "any", infinite: bool = False, shown: str = ""
 ) -> Any:
     """Return a dataclass field for an option.
 
@@ -37,15 +39,20 @@ def options_of(kind: type) -> Iterator[Field[Any]]:
 
 
 def check(instance: Any, name: str) -> None:
-    """Validate the numbers among the options of a dataclass, and store them as float; for its ``__post_init__``.
+    """Validate numbers and flags among the options of a dataclass; for its ``__post_init__``. Numbers become float.
 
-    `name` comes before the option's name in messages. Raises InvalidInput for a value that is not a number, not finite
-    or of the wrong sign.
+    `name` comes before the option's name in messages. Raises InvalidInput for a value that is not a number, not finite,
+    of the wrong sign, or an angle of more than a turn.
     """
     for each in options_of(type(instance)):
         value, rule = getattr(instance, each.name), each.metadata
+        if isinstance(each.default, bool):
+            object.__setattr__(instance, each.name, checks.flag(f"{name} {each.name}".lstrip(), value))
         if not isinstance(each.default, float) and not (rule["unit"] and value is not None):
             continue
         where = f"{name} {each.name}".lstrip()
         value = checks.number(where, value, sign=rule["sign"], unit=rule["unit"], infinite=rule["infinite"])
+        if rule["unit"] == "rad" and abs(value) > math.tau:
+            fix = f"If these are degrees, give {math.radians(value):.4g}"
+            raise InvalidInput(f"{where} is more than a turn", got=value, allowed="up to 2 pi, in rad", fix=fix)
         object.__setattr__(instance, each.name, value)

@@ -26,7 +26,7 @@ ARCS = ("--arc-lengths", ",".join(f"{arc:g}" for arc in twin.ARC_LENGTHS))
 TRACK = ("track", "swing.mp4", "--rope", "rope.toml", "--camera", "camera.toml", *ARCS)
 COMMANDS = {  # each with all its inputs, and the output last
     "simulate": ("simulate", "setup.toml", "-o", "out.nc"),
-    "identify": ("identify", "swing.csv", "--guess", "rope.toml", "--setup", "setup.toml", "-o", "out"),
+    "identify": ("identify", "swing.csv", "--rope", "rope.toml", "--setup", "setup.toml", "-o", "out"),
     "cast": ("cast", "setup.toml", "--rope", "rope.toml", "--target", "0.5", "-1", "--radius", "0.04", "-o", "out"),
     "whip": ("whip", "setup.toml", "--rope", "rope.toml", "--target", "0.5", "-1", "-o", "out"),
     "insert": (
@@ -35,18 +35,7 @@ COMMANDS = {  # each with all its inputs, and the output last
     "track": (*TRACK, "-o", "out.nc"),
     "preview": (*TRACK, "-o", "out.nc", "--preview", "out.mp4"),
     "bars": ("track", "swing.mp4", "--bar", "9,9", "--pivot", "1", "1", "-o", "out.nc"),
-    "watch": (
-        "watch",
-        "--camera",
-        "swing.mp4",
-        "--rope",
-        "rope.toml",
-        "--calibration",
-        "camera.toml",
-        *ARCS,
-        "-o",
-        "w.nc",
-    ),
+    "watch": (*("watch", "swing.mp4", "--rope", "rope.toml", "--camera", "camera.toml", *ARCS, "-o", "w.nc"),),
     "calibrate": (
         *(
             "calibrate",

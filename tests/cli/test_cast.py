@@ -92,7 +92,7 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
     with contextlib.redirect_stderr(io.StringIO()) as said:
         asked["on_plan"](planned())
-    assert said.getvalue().startswith("hyperflex: a cast stands after ")
+    assert said.getvalue().startswith("hyperflex: a cast succeeds after ")
     assert said.getvalue().endswith(" degrees of the target\n")
     assert hf.read_motion(told["files"]["motion"]).breaks[-1] == pytest.approx(told["stop"], abs=5e-3)
 
@@ -117,21 +117,21 @@ def test_what_an_earlier_plan_asked_for_is_asked_again_and_told(hyperflex, ready
     dataclasses.replace(planned(), problem=known).to_toml(tmp_path / "cast.toml")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", "-o", tmp_path / "out")
     assert (code, asked["clearance"], asked["contact"]) == (0, 0.02, 6.0)
-    assert "was planned with --clearance 0.02 --contact 6, which is asked again" in " ".join(err.split())
+    assert "was planned with --clearance 0.02 --contact 6, which is required again" in " ".join(err.split())
     options = ("--clearance", "0", "--contact", "0")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", *options, "-o", tmp_path / "out")
     assert (code, asked["clearance"], asked["contact"]) == (0, 0.0, 0.0)
-    assert "asked again" not in err
+    assert "required again" not in err
     assert (asked["turns"], asked["settle"]) == (1.25, 1.0)
     known = dataclasses.replace(planned().problem, turns=2.0, settle=0.0)
     dataclasses.replace(planned(), problem=known).to_toml(tmp_path / "cast.toml")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", "-o", tmp_path / "out")
     assert (code, asked["turns"], asked["settle"], asked["contact"]) == (0, 2.0, 0.0, None)
-    assert "was planned with --turns 2 --settle 0, which is asked again" in " ".join(err.split())
+    assert "was planned with --turns 2 --settle 0, which is required again" in " ".join(err.split())
     options = ("--turns", "1.25", "--settle", "1")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", *options, "-o", tmp_path / "out")
     assert (code, asked["turns"], asked["settle"]) == (0, 1.25, 1.0)
-    assert "asked again" not in err
+    assert "required again" not in err
 
 
 def test_what_a_set_up_file_holds_beside_its_first_peg_are_obstacles(hyperflex, ready, tmp_path):
@@ -139,11 +139,13 @@ def test_what_a_set_up_file_holds_beside_its_first_peg_are_obstacles(hyperflex, 
     hf.Setup(CABLE, arm=hf.Arm(length=0.105), pegs=(PEG, other, floor)).to_toml(tmp_path / "setup.toml")
     asked = ready("winds")
     assert hyperflex("cast", tmp_path / "setup.toml", "-o", tmp_path / "out")[0] == 0
-    assert (asked["target"], asked["obstacles"]) == (PEG, [other, floor])
+    assert (asked["target"], asked["obstacles"]) == (PEG, (other, floor))
     options = ("--target", "0", "1", "--radius", "0.05")
     code, _, err = hyperflex("cast", tmp_path / "setup.toml", *options, "-o", tmp_path / "out")
-    assert (asked["target"].x, asked["target"].radius, asked["obstacles"], code) == (0.0, 0.05, [other, floor], 0)
-    assert f"--target moves it from ({PEG.x:g}, {PEG.y:g}) m, where no obstacle is left" in " ".join(err.split())
+    assert (asked["target"].x, asked["target"].radius, asked["obstacles"], code) == (0.0, 0.05, (other, floor), 0)
+    assert f"--target moves the first of [pegs] from ({PEG.x:g}, {PEG.y:g}) m, where no obstacle is left" in " ".join(
+        err.split()
+    )
 
 
 def test_a_torque_limit_of_the_arm_is_one_of_the_motor() -> None:
@@ -239,7 +241,7 @@ def test_a_target_out_of_reach_comes_with_the_nearest_one_and_with_remedies(
     assert [text[:9] for text in told["remedies"]] == ["a rope of"]
     _, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", target=("2.5", "0")))
     page = (tmp_path / "out" / "report.html").read_text()
-    for words in (f"x = {x:.4g} m", "not planned for", f"in reach with {told['remedies'][0]}"):
+    for words in (f"x = {x:.4g} m", "no throw was planned for it", f"in reach with {told['remedies'][0]}"):
         assert words in " ".join(out.split())
         assert words in page
 
@@ -270,7 +272,7 @@ def test_ctrl_c_leaves_the_best_so_far(hyperflex, hyperflex_json, rope_file, rea
     ready("misses", interrupted=True)
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
     assert (code, told["error"], told["interrupted"]) == (130, "interrupted", True)
-    assert "the best so far" in told["message"]
+    assert "the best plan so far" in told["message"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.html", "motion.csv", "cast.toml", "cast.nc"}
 
 
@@ -323,17 +325,13 @@ def test_a_throw_that_was_not_verified_has_no_numbers(hyperflex, hyperflex_json,
         assert "strikes" not in words
         assert "the target itself is in reach" in words
         assert (TOO_LONG in words) == (name == "late")
-        assert ("best so far" in err) == (name == "stopped")
+        assert ("best plan so far" in err) == (name == "stopped")
 
 
-@pytest.mark.parametrize("more", [(), ("--seed", "1")])
-def test_a_target_of_one_number_is_told_to_need_two(hyperflex, rope_file, tmp_path, more):
-    code, _, err = hyperflex("cast", "--rope", rope_file, "-o", tmp_path / "out", *more, "--target", "-0.8")
+def test_a_target_needs_two_numbers(hyperflex, rope_file, tmp_path):
+    code, _, err = hyperflex("cast", "--rope", rope_file, "-o", tmp_path / "out", "--target", "-0.8")
     assert code == 2
-    assert "requires 2 arguments. Give two numbers: --target X Y. See" in err
-    code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out", target=("-0.8",)))
-    assert code == 2
-    assert "--target takes numbers: got '-0.8'. Give two numbers: --target X Y. See hyperflex cast --help." in err
+    assert "Option '--target' requires 2 arguments. See hyperflex cast --help." in err
 
 
 @pytest.mark.parametrize(
@@ -354,8 +352,7 @@ def test_a_target_that_cannot_be_wound_is_told_at_once(hyperflex, rope_file, tmp
     [
         ({"target": ("nan", "0")}, (), "peg x is not finite"),
         ({"target": ("0", "inf")}, (), "peg y is not finite"),
-        ({"radius": "0"}, (), "peg radius"),
-        ({"radius": "nan"}, (), "peg radius"),
+        ({"radius": "0"}, (), "--radius"),
         ({}, ("--mu", "-1"), "peg mu"),
         ({}, ("--speed", "0"), "motor speed"),
         ({}, ("--acceleration", "0"), "motor acceleration"),

@@ -59,6 +59,6 @@ def test_identify_reads_a_bag(hyperflex, tmp_path):
     rows = [(k, bags.joint_state(10**7 * k, ["a"], [0.1])) for k in range(3)]
     bag = bags.write(tmp_path / "bag", {"/left": (bags.JOINT_STATE, rows), "/right": (bags.JOINT_STATE, rows)})
     ROPE.to_toml(tmp_path / "guess.toml")
-    call = ("identify", bag, "--guess", tmp_path / "guess.toml", "-o", tmp_path / "out")
+    call = ("identify", bag, "--rope", tmp_path / "guess.toml", "-o", tmp_path / "out")
     assert "--topic" in hyperflex(*call)[2]
     assert "[1, 3]" in hyperflex(*call, "--topic", "/left")[2]

@@ -37,7 +37,7 @@ def test_a_long_table_of_ratios_is_cut_and_says_where_the_rest_is(hyperflex, swi
     rows = [(f"r{k}/p1", str(link), "1", "0", "0 to 2", "") for k in range(6) for link in range(8)]
     table = report.TextTable(("ratio", "link", "value", "std", "95 % interval", "what it is"), tuple(rows))
     monkeypatch.setattr(report, "ratios_table", lambda _: table)
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "found")
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "found")
     code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments, *DECLARED)
     assert code == 0
     shown = re.findall(r"^ (r\d)/p1 +(\d)", out, re.M)
@@ -47,7 +47,7 @@ def test_a_long_table_of_ratios_is_cut_and_says_where_the_rest_is(hyperflex, swi
 
 
 def test_identify_writes_the_rope_and_its_figures(hyperflex, swing):
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml")
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml")
     code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments, *DECLARED)
     assert code == 0
     assert "friction" in out
@@ -58,7 +58,7 @@ def test_identify_writes_the_rope_and_its_figures(hyperflex, swing):
 
 
 def test_identify_as_json_with_a_held_out_part(hyperflex_json, swing):
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "--free", "inertia", "--train", "2")
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "--free", "inertia", "--train", "2")
     code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "-o", swing / "rope.toml", *DECLARED)
     assert code == 0
     assert result["values"]["friction"][0] == pytest.approx(2e-4, rel=1e-2)
@@ -68,7 +68,7 @@ def test_identify_as_json_with_a_held_out_part(hyperflex_json, swing):
 
 def test_what_is_not_declared_is_refused(hyperflex_json, swing):
     code, result = hyperflex_json(
-        "identify", swing / "swing.csv", "--guess", swing / "guess.toml", "-o", swing / "rope.toml", "--time-unit", "ms"
+        "identify", swing / "swing.csv", "--rope", swing / "guess.toml", "-o", swing / "rope.toml", "--time-unit", "ms"
     )
     assert code == 2
     assert "unit" in result["error"]
@@ -79,7 +79,7 @@ def test_columns_can_be_named(hyperflex_json, swing):
     names, values, *_ = files.read_table(swing / "swing.csv")
     files.write_table(swing / "other.csv", ["clock", "hinge", "note"], np.column_stack([values, values[:, 0]]))
     assert names == ["t", "th1"]
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     named = ("--kind", "angles", "--time", "clock", "--columns", "hinge")
     code, result = hyperflex_json("identify", swing / "other.csv", *arguments, *named)
     assert code == 0
@@ -97,7 +97,7 @@ def test_ctrl_c_keeps_the_best_so_far_and_exits_with_130(hyperflex_json, swing, 
             raise Interrupted(dataclasses.replace(found, message="interrupted")) from None
 
     monkeypatch.setattr(identification, "identify", interrupted)
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever the tests' own parent has set
     try:
         code, result = hyperflex_json("identify", swing / "swing.csv", *arguments)
@@ -115,7 +115,7 @@ def test_a_fit_that_did_not_converge_is_written_marked_and_exits_with_3(hyperfle
         return dataclasses.replace(whole(*arguments, **options), message="not converged")
 
     monkeypatch.setattr(identification, "identify", unsettled)
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments)
     assert code == 3
     assert "not converged" in "".join(out.splitlines()[:5])  # behind the first sentence
@@ -132,7 +132,7 @@ def test_ctrl_c_prints_the_best_so_far(hyperflex, swing, monkeypatch):
         raise Interrupted(dataclasses.replace(whole(*arguments, **options), message="interrupted"))
 
     monkeypatch.setattr(identification, "identify", interrupted)
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     code, out, err = hyperflex("identify", swing / "swing.csv", *arguments)
     assert code == 130
     assert "friction" in out
@@ -141,7 +141,7 @@ def test_ctrl_c_prints_the_best_so_far(hyperflex, swing, monkeypatch):
 
 
 def test_intervals_and_the_fastest_turn_can_be_chosen(hyperflex, hyperflex_json, swing):
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "--intervals", "none")
     assert code == 0
     assert result["intervals"] == {}
@@ -161,7 +161,7 @@ def test_intervals_and_the_fastest_turn_can_be_chosen(hyperflex, hyperflex_json,
 @pytest.mark.parametrize("taken", ["swing.csv", "guess.toml"])
 def test_no_input_is_overwritten(hyperflex, swing, taken):
     before = (swing / taken).read_bytes()
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", "-o", swing / taken, *DECLARED)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / taken, *DECLARED)
     code, out, err = hyperflex("identify", swing / "swing.csv", *arguments)
     assert (code, out) == (2, "")
     assert "is one of the inputs" in err
@@ -169,7 +169,7 @@ def test_no_input_is_overwritten(hyperflex, swing, taken):
 
 
 def test_a_wrong_suffix_is_refused(hyperflex, swing):
-    arguments = ("--guess", swing / "guess.toml", "-o", swing / "rope.nc", *DECLARED)
+    arguments = ("--rope", swing / "guess.toml", "-o", swing / "rope.nc", *DECLARED)
     code, _, err = hyperflex("identify", swing / "swing.csv", *arguments)
     assert code == 2
     assert ".toml" in err
@@ -180,7 +180,7 @@ def test_a_wrong_suffix_is_refused(hyperflex, swing):
 
 
 def test_a_folder_gets_rope_figures_and_page(hyperflex, swing):
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction,inertia", "--train", "2", *DECLARED)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction,inertia", "--train", "2", *DECLARED)
     code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments, "-o", swing / "found")
     assert code == 0
     assert sorted(path.name for path in (swing / "found").iterdir()) == [
@@ -200,7 +200,7 @@ def test_a_folder_gets_rope_figures_and_page(hyperflex, swing):
 
 def test_a_folder_as_json_names_its_files(hyperflex_json, swing):
     (swing / "found.v2").mkdir()  # a folder that is there already may have any name
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", *DECLARED)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", *DECLARED)
     code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "-o", swing / "found.v2")
     assert code == 0
     assert result["files"]["page"] == str(swing / "found.v2" / "report.html")
@@ -212,7 +212,7 @@ def test_a_folder_does_not_overwrite_its_own_input(hyperflex, swing):
     guess = swing / "found" / "rope.toml"
     (swing / "guess.toml").rename(guess)
     before = guess.read_bytes()
-    code, _, err = hyperflex("identify", swing / "swing.csv", "--guess", guess, "-o", swing / "found", *DECLARED)
+    code, _, err = hyperflex("identify", swing / "swing.csv", "--rope", guess, "-o", swing / "found", *DECLARED)
     assert code == 2
     assert "is one of the inputs" in err
     assert guess.read_bytes() == before
@@ -223,7 +223,7 @@ def test_ctrl_c_while_the_page_is_drawn_leaves_the_rope(hyperflex_json, swing, m
         raise KeyboardInterrupt
 
     monkeypatch.setattr("hyperflex.report.identification.page.residual_figure", interrupted)
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", *DECLARED)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", *DECLARED)
     code, result = hyperflex_json("identify", swing / "swing.csv", *arguments, "-o", swing / "found")
     assert (code, result["error"], result["success"]) == (130, "interrupted", True)
     assert sorted(path.name for path in (swing / "found").iterdir()) == ["identification.json", "rope.toml"]
@@ -238,7 +238,7 @@ def test_an_interrupted_fit_leaves_a_whole_folder_marked_as_such(hyperflex, swin
         raise Interrupted(dataclasses.replace(whole(*arguments, **options), message="interrupted"))
 
     monkeypatch.setattr(identification, "identify", interrupted)
-    arguments = ("--guess", swing / "guess.toml", "--free", "friction", *DECLARED)
+    arguments = ("--rope", swing / "guess.toml", "--free", "friction", *DECLARED)
     code, out, err = hyperflex("identify", swing / "swing.csv", *arguments, "-o", swing / "found")
     assert code == 130
     assert "friction" in out  # the table of the best so far
@@ -273,7 +273,7 @@ MARKERS = ("--kind", "markers", "--time-unit", "s", "--unit", "m", "--y-axis", "
     "arc_lengths", [("--arc-lengths", "0.05,0.1,0.2,0.3"), ("--arc-lengths", "0.05,0.1", "--arc-lengths", "0.2,0.3")]
 )
 def test_arcs_origin_and_setup_reach_the_fit(hyperflex_json, led, arc_lengths):
-    arguments = ("--guess", led / "guess.toml", "--setup", led / "setup.toml", "--origin", "0.05,-0.02", *arc_lengths)
+    arguments = ("--rope", led / "guess.toml", "--setup", led / "setup.toml", "--origin", "0.05", "-0.02", *arc_lengths)
     options = ("--loss", "huber", "--train", "inf", *MARKERS)
     code, result = hyperflex_json("identify", led / "led.csv", *arguments, *options, "-o", led / "rope.toml")
     assert code == 0
@@ -291,13 +291,12 @@ def test_arcs_origin_and_setup_reach_the_fit(hyperflex_json, led, arc_lengths):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--arc-lengths", "0.1,here"), "--arc-lengths holds something that is no number"),
-        (("--arc-lengths", "0.05,0.1,0.2,0.3", "--origin", "0.05"), "origin"),
+        (("--arc-lengths", "0.1,here"), "--arc-lengths is not made of numbers"),
         (("--arc-lengths", "0.05,0.1,0.2,0.3", "--loss", "cubes"), "loss"),
     ],
 )
 def test_bad_options_are_refused_by_name(hyperflex, led, options, message):
-    arguments = ("--guess", led / "guess.toml", *options, *MARKERS, "-o", led / "found")
+    arguments = ("--rope", led / "guess.toml", *options, *MARKERS, "-o", led / "found")
     code, _, err = hyperflex("identify", led / "led.csv", *arguments)
     assert code == 2
     assert message in err
@@ -309,7 +308,7 @@ def test_a_torque_cannot_lead_an_identification(hyperflex, led):
     torque = hf.torque_profile([0.0, 1.0], [0.1, 0.1])
     hf.Setup(rope, arm=hf.Arm(length=0.1, inertia=1e-3), torque=torque).to_toml(led / "torque.toml")
     arguments = (
-        "--guess",
+        "--rope",
         led / "guess.toml",
         "--arc-lengths",
         "0.05,0.1,0.2,0.3",

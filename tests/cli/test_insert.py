@@ -91,7 +91,7 @@ def test_a_plan_that_fails_has_a_code_of_its_own(hyperflex, ready, setup_file, t
     ("more", "words"),
     [
         (("--width", "0.004"), "slot width is too narrow"),
-        (("--depth", "0"), "--depth has the wrong sign"),
+        (("--depth", "0"), "slot depth has the wrong sign"),
         (("--direction", "90"), "more than a turn"),
     ],
 )

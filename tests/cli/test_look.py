@@ -54,7 +54,7 @@ def test_the_course_is_another_picture(hyperflex, run_file, tmp_path):
         (("-o", "a.png", "--kind", "tip"), "'strobe', 'course'"),
         (("-o", "a.png", "--end", "9"), "--end 9 is no part of the run. Allowed: times from 0 to 1 s"),
         (("-o", "a.gif", "--width", "2"), "width"),
-        (("-o", "a.csv", "--start", "0.5"), "--start and --end do not go with a table"),
+        (("-o", "a.csv", "--start", "0.5"), "--start and --end do not apply to a table"),
         (("--end", "1"), "See hyperflex plot --help."),
     ],
 )

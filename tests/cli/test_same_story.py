@@ -41,7 +41,7 @@ def test_print_json_page_and_exit_code_tell_the_same(hyperflex, tmp_path, monkey
         return found[0]
 
     monkeypatch.setattr(identification, "identify", once)
-    arguments = ["identify", tmp_path / "swing.csv", "--guess", tmp_path / "guess.toml", "--time-unit", "s"]
+    arguments = ["identify", tmp_path / "swing.csv", "--rope", tmp_path / "guess.toml", "--time-unit", "s"]
     arguments += ["--unit", "rad", "--free", free, "-o", tmp_path / "out"]
     code, printed, _ = hyperflex(*arguments)
     json_code, told, _ = hyperflex(*arguments, "--json")

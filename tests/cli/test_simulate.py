@@ -9,7 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import simulation
-from hyperflex.cli.simulate import _told_of
+from hyperflex.cli.simulate import _winding
 
 
 @pytest.fixture
@@ -167,7 +167,7 @@ def test_simulate_tells_how_the_rope_lies_on_the_pegs(hyperflex, hyperflex_json,
 
 
 def test_how_far_a_rope_slipped_has_no_sign():
-    words = _told_of({"turns": 2.3, "tension_N": 0.2, "covered_rad": 11.0, "slip_m": -2e-6})
+    words = _winding({"turns": 2.3, "tension_N": 0.2, "covered_rad": 11.0, "slip_m": -2e-6})
     assert "slipped 0.0 mm" in words
 
 

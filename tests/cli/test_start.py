@@ -13,7 +13,7 @@ import pytest
 import typer
 
 import hyperflex as hf
-from hyperflex.cli.start import doctor, init
+from hyperflex.cli import doctor, init
 
 
 def test_init_writes_a_set_up_that_runs(hyperflex, tmp_path):
@@ -51,7 +51,7 @@ def test_init_leaves_a_file_alone(hyperflex, tmp_path):
     out.write_text("mine")
     code, said, complaint = hyperflex("init", out)
     assert (code, said) == (2, "")
-    assert "is there already" in complaint
+    assert "exists already" in complaint
     assert out.read_text() == "mine"
 
 
@@ -75,7 +75,7 @@ def test_init_refuses_what_no_rope_has(hyperflex, option, named, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_init_asks_on_a_terminal_for_what_is_not_given(hyperflex_json, monkeypatch, tmp_path):
+def test_init_asks_on_a_terminal_for_what_is_not_given(hyperflex, hyperflex_json, monkeypatch, tmp_path):
     asked = []
 
     def prompt(words, default, type):  # noqa: A002
@@ -85,9 +85,11 @@ def test_init_asks_on_a_terminal_for_what_is_not_given(hyperflex_json, monkeypat
     monkeypatch.setattr(typer, "prompt", prompt)
     for stream in (sys.stdin, sys.stdout):
         monkeypatch.setattr(stream, "isatty", lambda: True)
-    answers = [init._answer(name, 0.5 if name == "mass" else None, False) for name in init.QUESTIONS]
-    assert answers[:2] == [1.25, 0.5]
-    assert len(asked) == len(init.QUESTIONS) - 1
+    code, _, _ = hyperflex("init", tmp_path / "b.toml", "--mass", 0.5)
+    rope = hf.Setup.from_toml(tmp_path / "b.toml").rope
+    assert (code, rope.total_length, rope.total_mass) == (0, pytest.approx(1.25), pytest.approx(0.5))
+    assert asked == ["Length of the rope, m", *asked[1:]]
+    assert not any("Mass" in each for each in asked)
     assert hyperflex_json("init", tmp_path / "a.toml")[1]["length"] == 2.0  # nobody is asked who wants JSON
 
 
@@ -112,7 +114,7 @@ def test_doctor_names_what_is_wrong(hyperflex, monkeypatch, tmp_path):
     )
     monkeypatch.setattr(doctor, "_trouble", lambda folder: "cannot be written to" if "kernels" in str(folder) else None)
     monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(tmp_path / "kernels"))
-    code, said, _ = hyperflex("doctor", "--no-speed", "--camera", 97)
+    code, said, _ = hyperflex("doctor", "--no-speed", "--source", 97)
     assert code == 2
     said = " ".join(said.split())
     assert "3 wrong: packages, kernels, camera 97" in said

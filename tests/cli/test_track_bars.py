@@ -45,14 +45,14 @@ def test_the_preview_is_what_to_look_at(hyperflex, tmp_path, monkeypatch):
         to_netcdf=lambda path: path.write_bytes(b"angles"),
     )
     monkeypatch.setattr("hyperflex.vision.track_bars", lambda *_, **__: found)
-    monkeypatch.setattr("hyperflex.cli.track._clicked", lambda *_: None)
+    monkeypatch.setattr("hyperflex.cli.vision._bar_detector", lambda *_: None)
     clicks = ("--bar", "213,140", "--bar", "252,180", "--pivot", "158", "150")
     words = ("track", "pendulum.mp4", *clicks, "-o", "angles.nc")
     monkeypatch.chdir(tmp_path)
     code, out, err = hyperflex(*words)
     assert (code, err) == (0, "")
-    assert "look at" not in out
-    assert re.search(r"written +angles\.nc\n +look at +seen\.mp4\n", hyperflex(*words, "--preview", "seen.mp4")[1])
+    assert "preview" not in out
+    assert re.search(r"written +angles\.nc\n +preview +seen\.mp4\n", hyperflex(*words, "--preview", "seen.mp4")[1])
 
 
 def test_ctrl_c_keeps_what_was_tracked_under_a_name_that_says_so(hyperflex, tmp_path, monkeypatch):

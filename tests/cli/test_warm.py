@@ -11,8 +11,8 @@ from pathlib import Path
 import numba
 import pytest
 
+from hyperflex.cli import warm
 from hyperflex.cli.app import run
-from hyperflex.cli.start import warm
 from hyperflex.core import cache
 
 needs_compiler = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
@@ -129,7 +129,7 @@ def test_a_process_that_fails(
 ) -> None:
     monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(warm, "LANES", (("nothing of this name",),))
-    assert run(["warm", "--jobs", "1", "--json"]) == 2
+    assert run(["warm", "--workers", "1", "--json"]) == 2
     assert "KeyError" in json.loads(capsys.readouterr().out)["error"]
     assert not any(tmp_path.glob("warm-*"))  # what was cut short does not look finished
 

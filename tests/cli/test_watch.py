@@ -49,9 +49,8 @@ def render(path: Path, camera: Camera | None = None, seed: int = 0, count: int =
 
 
 def words(command: str, video: Path, folder: Path, out: Path, *more: object, camera: str = "camera.toml") -> list[str]:
-    place = ["track", video] if command == "track" else ["watch", "--camera", video]
-    lens = "--camera" if command == "track" else "--calibration"
-    named = ["--rope", folder / "rope.toml", lens, folder / camera, "--arc-lengths", ",".join(map(str, ARCS))]
+    place = ["track", video] if command == "track" else ["watch", video]
+    named = ["--rope", folder / "rope.toml", "--camera", folder / camera, "--arc-lengths", ",".join(map(str, ARCS))]
     return [str(each) for each in [*place, *named, "-o", out, *more]]
 
 
@@ -222,7 +221,7 @@ def test_a_raw_stream_is_refused(hyperflex: Run, folder: Path, tmp_path: Path, c
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--estimate", "scale"), "--estimate names something without a number: got 'scale'"),
+        (("--estimate", "scale"), "--estimate names a parameter without a number: got 'scale'"),
         (("--estimate", "scale=0.01,delay="), "without a number: got 'delay='"),
         (("--estimate", "scale=much"), "--estimate holds something that is no number"),
         (("--arc-lengths", "2.0,1.0"), "arc lengths of markers do not increase: 1 m comes after 2 m"),

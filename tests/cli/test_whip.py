@@ -168,7 +168,7 @@ def test_ctrl_c_leaves_the_best_so_far(hyperflex_json, rope_file, ready, tmp_pat
     ready(planned_whip(meets=False), interrupted=True, outcome=None, finer_outcome=None, message="interrupted early")
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out"))
     assert (code, told["error"], told["interrupted"]) == (130, "interrupted", True)
-    assert "the best so far" in told["message"]
+    assert "the best plan so far" in told["message"]
     assert "interrupted early" in told["message"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.html", "motion.csv", "whip.toml"}
 
@@ -201,7 +201,7 @@ def test_a_target_out_of_reach_is_a_page_with_the_reason(hyperflex, rope_file, r
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        (("--direction", "nan"), "--direction"),
+        (("--direction", "nan"), "target direction is not finite"),
         (("--angle-tolerance", "0"), "--angle-tolerance"),
         (("--angle-tolerance", "4"), "--angle-tolerance is too large"),
         (("--direction", "30"), "If these are degrees, give 0.5236"),
@@ -226,7 +226,7 @@ def test_bad_input_is_refused(hyperflex, rope_file, tmp_path, more, words):
 def test_a_point_that_is_none_is_refused(hyperflex, rope_file, tmp_path):
     code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out", target=("nan", "0")))
     assert code == 2
-    assert "--target is not finite" in err
+    assert "target x is not finite" in err
 
 
 def test_a_file_in_the_way_is_told_before_the_search(hyperflex, rope_file, tmp_path):

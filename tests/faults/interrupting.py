@@ -301,16 +301,16 @@ def commands(folder: Path) -> dict[str, list[str]]:
     each = {
         "simulate": ["simulate", f"{folder}/swing.toml", "-o", "run.nc"],
         "simulate --horizon": ["simulate", f"{folder}/swing.toml", "-o", "run.nc", "--horizon", "0.01"],
-        "identify": ["identify", f"{folder}/swing.nc", "--guess", f"{folder}/guess.toml", "-o", "rope.toml"],
-        "identify with a page": ["identify", f"{folder}/swing.nc", "--guess", f"{folder}/guess.toml", "-o", "found"],
+        "identify": ["identify", f"{folder}/swing.nc", "--rope", f"{folder}/guess.toml", "-o", "rope.toml"],
+        "identify with a page": ["identify", f"{folder}/swing.nc", "--rope", f"{folder}/guess.toml", "-o", "found"],
         "cast": ["cast", *task, "--target", "-0.8", "-1.0", "--radius", "0.04", "-o", "."],
         "whip": ["whip", *task, "--target", "0.3", "-2.05", "-o", "."],
         "insert": ["insert", *task, "--slot", "0.56", "-1.9", "--direction", "-0.78", "-o", "."],
         "track": ["track", str(twin.BUNDLED), *seen, "--camera", f"{folder}/camera.toml", "-o", "markers.nc"],
-        "watch": ["watch", "--camera", str(twin.BUNDLED), *seen, "--calibration", f"{folder}/camera.toml"],
+        "watch": ["watch", str(twin.BUNDLED), *seen, "--camera", f"{folder}/camera.toml"],
         "reproduce": ["reproduce", "fig10", "fig12", "-o", "."],
         "demo": ["demo", "-o", "."],
-        "warm": ["warm", "--jobs", "1"],
+        "warm": ["warm", "--workers", "1"],
     }
     each["watch"] += ["-o", "log.nc"]
     return {name: [*words, "--json"] for name, words in each.items()}

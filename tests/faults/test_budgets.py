@@ -279,7 +279,7 @@ def test_the_commands_tell_how_far_they_are(tmp_path, monkeypatch) -> None:
     swing = hf.simulate(true, duration=3.0, q0=[0.5])
     hf.Recording(swing.t, swing.q).to_netcdf(tmp_path / "swing.nc")
     true.replace(friction=4e-4).to_toml(tmp_path / "guess.toml")
-    given = ["--guess", str(tmp_path / "guess.toml"), "--free", "friction", "-o", str(tmp_path / "rope.toml")]
+    given = ["--rope", str(tmp_path / "guess.toml"), "--free", "friction", "-o", str(tmp_path / "rope.toml")]
     assert run(["identify", str(tmp_path / "swing.nc"), *given]) == 0
     assert any(words.startswith("stage 1 of ") for words in heard)
 
@@ -320,7 +320,7 @@ def test_a_folder_of_results_is_kept_elsewhere_too(tmp_path, full_disk, capsys) 
     ROPE.to_toml(tmp_path / "rope.toml")
     swing = hf.simulate(ROPE.replace(friction=2e-4), duration=3.0, q0=[0.5] * 4)
     hf.Recording(swing.t, swing.q).to_netcdf(tmp_path / "swing.nc")
-    given = ["--guess", str(tmp_path / "rope.toml"), "--free", "friction:shared", "--intervals", "none"]
+    given = ["--rope", str(tmp_path / "rope.toml"), "--free", "friction:shared", "--intervals", "none"]
     assert run(["identify", str(tmp_path / "swing.nc"), *given, "-o", str(full_disk / "found")]) == 2
     [kept] = (tmp_path / "state" / "hyperflex").rglob("rope.toml")
     assert f"The result is in {kept.parent} instead." in capsys.readouterr().err

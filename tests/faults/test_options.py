@@ -29,13 +29,13 @@ ODD = [
 ARCS = ("--arc-lengths", ",".join(f"{arc:g}" for arc in twin.ARC_LENGTHS))
 SOUND: dict[str, tuple[str, ...]] = {  # refused after all options have been read and before anything long begins
     "simulate": ("setup.toml", "-o", "out.nc", "--duration", "0.02"),
-    "identify": ("swing.csv", "--guess", "rope.toml", "-o", "out"),
+    "identify": ("swing.csv", "--rope", "rope.toml", "-o", "out"),
     "cast": ("--rope", "rope.toml", "--target", "9", "-1", "--radius", "0.04", "-o", "out", "--time-budget", "0.1"),
     "whip": ("--rope", "rope.toml", "--target", "9", "-1", "-o", "out", "--time-budget", "0.1"),
     "insert": ("--rope", "rope.toml", "--slot", "9", "-1", "--direction", "-1", "-o", "out", "--time-budget", "0.1"),
     "calibrate": ("plane.png", "--squares", "8", "6", "--square", "0.03", "-o", "out.toml"),
     "track": ("plane.png", "--rope", "rope.toml", "--camera", "camera.toml", *ARCS, "-o", "out.nc"),
-    "watch": ("--camera", "plane.png", "--rope", "rope.toml", "--calibration", "camera.toml", *ARCS, "-o", "out.nc"),
+    "watch": ("plane.png", "--rope", "rope.toml", "--camera", "camera.toml", *ARCS, "-o", "out.nc"),
     "reproduce": ("nothing", "-o", "out"),
 }
 
@@ -46,7 +46,7 @@ def options() -> list[tuple[str, str]]:
     return [
         (name, max(each.opts, key=len) if each.opts[0].startswith("-") else "")
         for name in SOUND
-        for each in commands.commands[name].params
+        for each in commands.get_command(None, name).params
         if each.name not in ("help",)
     ]
 

@@ -85,13 +85,13 @@ def test_a_signal_while_a_run_is_written_leaves_no_part(folder: Path, sent: sign
 CAST = ("cast", "--rope", "rope.toml", "--target", "0.5", "-1", "--radius", "0.04")
 COMMANDS = {
     "simulate": ("simulate", "setup.toml"),
-    "identify": ("identify", "swing.csv", "--guess", "rope.toml"),
+    "identify": ("identify", "swing.csv", "--rope", "rope.toml"),
     "cast": CAST,
     "whip": ("whip", "--rope", "rope.toml", "--target", "0.5", "-1"),
     "insert": ("insert", "--rope", "rope.toml", "--slot", "0.5", "-1", "--direction", "-1"),
     "calibrate": ("calibrate", "swing.mp4", "--squares", "8", "6", "--square", "0.03"),
     "track": ("track", "swing.mp4", "--rope", "rope.toml", "--camera", "camera.toml"),
-    "watch": ("watch", "--camera", "swing.mp4", "--rope", "rope.toml", "--calibration", "camera.toml"),
+    "watch": ("watch", "swing.mp4", "--rope", "rope.toml", "--camera", "camera.toml"),
     "reproduce": ("reproduce", "fig9"),
     "demo": ("demo",),
 }
@@ -106,7 +106,7 @@ def test_an_output_without_a_name_is_refused(capsys, command: str) -> None:
     "words", [("simulate", "setup.toml", "-o", "no/x.nc"), ("identify", "no.csv", "-o", "no/x.toml")]
 )
 def test_an_output_in_a_folder_that_is_not_there_is_refused(capsys, words: tuple[str, ...]) -> None:
-    more = ("--guess", "rope.toml") if words[0] == "identify" else ()
+    more = ("--rope", "rope.toml") if words[0] == "identify" else ()
     assert "no" in refused(capsys, *words, *more)
 
 
@@ -115,9 +115,7 @@ def test_a_command_refuses_devices_and_pipes(capsys, name: str) -> None:
     for pipe in ("pipe.toml", "pipe.csv"):
         os.mkfifo(pipe)
     words = (
-        ("identify", name, "--guess", "rope.toml", "-o", "x")
-        if name == "pipe.csv"
-        else ("simulate", name, "-o", "x.nc")
+        ("identify", name, "--rope", "rope.toml", "-o", "x") if name == "pipe.csv" else ("simulate", name, "-o", "x.nc")
     )
     assert f"{name} is a device, pipe or socket" in refused(capsys, *words)
 
@@ -176,7 +174,7 @@ def test_random_samples_are_fitted_with_a_word_until_they_are_interrupted(monkey
     ROD.to_toml("rod.toml")
     monkeypatch.setattr(progress, "lines", lines)
     with bounded():
-        given = ["noise.nc", "--guess", "rod.toml", "--free", "friction", "--max-rate", "1e4"]
+        given = ["noise.nc", "--rope", "rod.toml", "--free", "friction", "--max-rate", "1e4"]
         code = run(["identify", *given, "-o", "found.toml", "--json"])
     assert (code, json.loads(capsys.readouterr().out)["error"]) == (130, "interrupted")
     assert heard

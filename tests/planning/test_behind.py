@@ -10,7 +10,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.cli.app import run
-from hyperflex.cli.plan.planner import read_task
+from hyperflex.cli.problem import read_problem
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import Uncertainty, build_whip_map, check_feasibility, read_plan, verify_cast
 from hyperflex.planning.outcome import evaluate_cast
@@ -135,7 +135,7 @@ def test_pegs_to_run_behind_go_with_a_plan_through_its_files(tmp_path: Path) -> 
     assert again.problem == known.problem
     assert again.outcome.runs_behind == (True, False)
     assert hf.Setup.from_toml(tmp_path / "cast.toml").pegs == (PEG, *pegs, hf.Ground(0.0, -2.5))
-    task = read_task(tmp_path / "cast.toml", None, None, {}, {"clearance": None})
+    task, _ = read_problem(tmp_path / "cast.toml", None, None, {}, {})
     assert (task.behind, task.obstacles) == (pegs, (PEG, hf.Ground(0.0, -2.5)))
     story, said = " ".join(CastReport(known).story), _obstacles(known.problem)
     assert "it runs behind a peg at (-0.25, -0.35) m, radius 30 mm, and not behind a peg at (-0.4, -0.5) m" in story
@@ -146,11 +146,11 @@ def test_a_setup_file_tells_what_to_run_behind(tmp_path: Path) -> None:
     path = tmp_path / "setup.toml"
     text = hf.Setup(CORD, arm=ARM, pegs=[TARGET]).dumps()
     path.write_text(text + "\n[behind]\nx = -0.25\ny = -0.35\nradius = 0.03\n", "utf-8")
-    assert read_task(path, None, None, {}, {"clearance": None}).behind == (BEFORE,)
+    assert read_problem(path, None, None, {}, {})[0].behind == (BEFORE,)
     assert hf.Setup.from_toml(path).pegs == (TARGET,)  # a run leaves it alone
     path.write_text(text + "\n[behind]\nx = -0.25\nspeed = 1.0\n", "utf-8")
     with pytest.raises(InvalidInput, match="speed"):
-        read_task(path, None, None, {}, {"clearance": None})
+        read_problem(path, None, None, {}, {})
 
 
 def test_what_cannot_be_run_behind_is_refused() -> None:

@@ -120,7 +120,7 @@ def test_command_on_a_video(hyperflex, hyperflex_json, pictures, tmp_path):  # n
     cv2.imwrite(str(tmp_path / "plane.png"), render_board(CHARUCO, *PLANE, seed=99))
     arguments = ("calibrate", tmp_path / "board.mp4", "--squares", 8, 6, "--square", 0.03, "--marker", 0.0225)
     arguments += ("-o", tmp_path / "camera.toml", "--exposure", 0.01)
-    code, result = hyperflex_json(*arguments, "--plane", tmp_path / "plane.png", "--origin", 384, 216)
+    code, result = hyperflex_json(*arguments, "--plane", tmp_path / "plane.png", "--origin-pixel", 384, 216)
     assert code == 0
     assert result["views"] == 10
     assert result["reprojection_error_px"] < 0.3
@@ -155,6 +155,6 @@ def test_command_refuses(hyperflex_json, tmp_path):  # noqa: F811
         code, result = hyperflex_json("calibrate", tmp_path / name, *common)
         assert code == 2
         assert message in result["error"]
-    code, result = hyperflex_json("calibrate", tmp_path / "text.png", *common, "--origin", 3, 4)
+    code, result = hyperflex_json("calibrate", tmp_path / "text.png", *common, "--origin-pixel", 3, 4)
     assert (code, "without --plane" in result["error"]) == (2, True)
     assert not (tmp_path / "camera.toml").exists()

@@ -1,69 +1,61 @@
 """``hyperflex export``: a set-up as MuJoCo's model and back, a run or a recording as MCAP."""
 
 import warnings
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from hyperflex import files
 from hyperflex.cli import output
+from hyperflex.cli.command import check_destination
+from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput
 
-WAYS = {".toml": ".xml", ".xml": ".toml"}  # of what else is read, an .mcap
+_WRITTEN = {".toml": ".xml", ".xml": ".toml"}  # the suffix that each becomes; all others become .mcap
 
 
 def export(
     source: Annotated[
-        Path,
-        typer.Argument(help="Set-up (.toml), its MJCF (.xml), run (.nc) or recording (.nc, .mat, .csv, .mcap)."),
+        Path, typer.Argument(help="Set-up (.toml), its MJCF (.xml), run (.nc) or recording (.nc, .mat, .csv, .mcap).")
     ],
     out: Annotated[
         Path,
-        typer.Option(
-            "--output",
-            "-o",
-            help="File to write: .xml of a set-up, .toml of MJCF, .mcap of a run or recording.",
-        ),
+        typer.Option("--output", "-o", help="File to write: .xml of a set-up, .toml of MJCF, .mcap of the others."),
     ],
-    json: output.Json = False,
 ) -> None:
-    """Write a set-up as a MuJoCo model (MJCF), or a run or a recording as an MCAP file for Foxglove.
+    """Convert a set-up to MuJoCo, or a run or recording to MCAP.
 
-    An MJCF file that was written by hyperflex becomes a set-up again. What MuJoCo cannot say is refused by name. The
-    file of a recording has to declare its own units and axes.
+    An MJCF file that hyperflex wrote becomes a set-up again. What MuJoCo cannot express is refused by name. The file of
+    a recording must declare its units and axes.
     """
-    from hyperflex import files
-    from hyperflex.exchange import read_mjcf, write_mjcf
-    from hyperflex.model import Setup
-
-    suffix = source.suffix.lower()
-    output.check_destination(out, WAYS.get(suffix, ".mcap"), [source])
-    with warnings.catch_warnings(record=True) as told:
+    check_destination(out, _WRITTEN.get(source.suffix.lower(), ".mcap"), [source])
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        if suffix == ".toml":
-            files.rescued(partial(write_mjcf, Setup.from_toml(source)), out)
-        elif suffix == ".xml":
-            files.rescued(read_mjcf(source).to_toml, out)
-        else:
-            _messages(source, out)
-    notes = [str(each.message) for each in told if each.category is UserWarning]
-    result = {"output": out, "bytes": out.stat().st_size, "warnings": notes}
-    words = [("written", f"{out} ({out.stat().st_size / 1e3:.0f} kB)"), *(("beware", each) for each in notes)]
-    output.show(result, f"Exported {source}", words, as_json=json)
+        files.rescued(_writer(source), out)
+    notes = [str(each.message) for each in caught if each.category is UserWarning]
+    rows = [("written", output.size_of(out)), *(("warning", each) for each in notes)]
+    output.show({"output": out, "bytes": out.stat().st_size, "warnings": notes}, Rows(f"Exported {source}", rows))
 
 
-def _messages(source: Path, out: Path) -> None:
-    """Write a run or a recording as an MCAP file."""
-    from hyperflex import files
-    from hyperflex.exchange import write_mcap
+def _writer(source: Path) -> Callable[[Path], Any]:
+    """Return the function that writes what a file becomes."""
+    from hyperflex.exchange import read_mjcf, write_mcap, write_mjcf
+    from hyperflex.model import Setup
     from hyperflex.recording import read_recording
     from hyperflex.trajectory import read_trajectory
 
-    known = str(files.read_netcdf(source).attributes.get("format")) if source.suffix.lower() == ".nc" else ""
+    suffix = source.suffix.lower()
+    if suffix == ".toml":
+        return partial(write_mjcf, Setup.from_toml(source))
+    if suffix == ".xml":
+        return read_mjcf(source).to_toml
+    if suffix == ".nc" and str(files.read_netcdf(source).attributes.get("format")).startswith("hyperflex trajectory"):
+        return partial(write_mcap, read_trajectory(source))
     try:
-        held = read_trajectory(source) if known.startswith("hyperflex trajectory") else read_recording(source)
+        return partial(write_mcap, read_recording(source))
     except InvalidInput as error:
         fix = "Export files that declare all of it, or in Python write_mcap(read_recording(.., unit=..), ..)"
         raise InvalidInput(error.what, got=error.got, allowed=error.allowed, fix=fix) from None
-    files.rescued(partial(write_mcap, held), out)

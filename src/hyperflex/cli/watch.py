@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -15,6 +14,19 @@ import typer
 
 from hyperflex import checks
 from hyperflex.cli import output
+from hyperflex.cli.command import ArcLengths, check_destination, numbers
+from hyperflex.cli.output import Rows
+from hyperflex.cli.vision import (
+    Camera,
+    Changes,
+    Click,
+    Estimate,
+    FalseAlarmInterval,
+    Preview,
+    change_tests,
+    marker_colour,
+    parameters,
+)
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.interruption import catch_interrupt
 
@@ -22,41 +34,34 @@ if TYPE_CHECKING:
     from hyperflex.estimate import Change, FrameThread, LiveEstimate, RopeTracker, Watch
     from hyperflex.vision import Image, VideoWriter
 
-_TICK, _FILE_TICK = 0.1, 5.0  # s without a frame after which an estimate is handed out all the same
+_TICK, _FILE_TICK = 0.1, 5.0  # s without a frame, from a camera and a file, after which an estimate is given anyway
 
 
 def watch(
-    camera: Annotated[
-        str,
-        typer.Option(help="The camera's number (0 is the first), a stream (rtsp://...), or a video."),
+    source: Annotated[
+        str, typer.Argument(help="Number of a camera (0 is the first), a stream (rtsp://...), or a video.")
     ],
     rope: Annotated[Path, typer.Option(help="TOML file with the rope.")],
-    calibration: Annotated[Path, typer.Option(help="TOML file of the camera, with the swing plane (calibrate).")],
-    arc_lengths: Annotated[list[str], output.ARC_LENGTHS],
+    camera: Camera,
+    arc_lengths: ArcLengths = None,
     out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the log.")] = Path("watch.nc"),
-    preview: Annotated[
-        Path | None, typer.Option(help="MP4 file of the pictures with what is known drawn on them.")
-    ] = None,
+    preview: Preview = None,
     page: Annotated[
-        int | None,
-        typer.Option(help="Show the pictures in a browser of this machine, at this port; 0: any free one."),
+        int | None, typer.Option(help="Port of a page on this machine that shows the pictures; 0: any free one.")
     ] = None,
-    click: output.Click = None,
-    estimate: output.Estimate = "",
-    changes: output.Changes = "",
-    false_alarm_interval: output.FalseAlarmInterval = 600.0,
-    duration: Annotated[float | None, typer.Option(help="Stop after so long, s.")] = None,
-    reconnect_timeout: Annotated[float, typer.Option(help="How long a lost source is tried again, s.")] = 10.0,
-    json: Annotated[
-        bool, typer.Option("--json", help="Print a JSON object a line: one for each estimate, and a summary.")
-    ] = False,
+    click: Click = None,
+    estimate: Estimate = "",
+    changes: Changes = "",
+    false_alarm_interval: FalseAlarmInterval = 600.0,
+    duration: Annotated[float | None, typer.Option(help="Stop after this time, s.")] = None,
+    reconnect_timeout: Annotated[float, typer.Option(help="Time for which a lost source is tried again, s.")] = 10.0,
 ) -> None:
-    """Follow a rope live by its markers and its dynamics, until the source ends or Ctrl-C.
+    """Follow a rope live by its markers and its dynamics.
 
-    At every frame, and while none comes, it says where the rope is, how old that is and how sure, and what was noticed
-    to have changed: a mass at the tip, say, or a touch. The log is written
-    when the run ends; an interrupted one is kept, and marked. A video is followed frame by frame, with --page at its
-    own speed.
+    At every frame, and while none arrives, the command reports where the rope is, the age and uncertainty of this
+    estimate, and detected changes: a mass at the tip, for example, or a touch. It ends with the source or by Ctrl-C,
+    and then writes the log; the log of an interrupted run is marked. A video is followed frame by frame, with --page at
+    its own speed. With --json it prints one JSON object a line: one for each estimate, and a summary.
     """
     from threadpoolctl import threadpool_limits
 
@@ -64,59 +69,69 @@ def watch(
     from hyperflex.model import Rope
     from hyperflex.vision import read_camera
 
-    inputs = [rope, calibration, Path(camera)]
-    output.check_destination(out, ".nc", inputs)
-    output.check_destination(preview, ".mp4", inputs)
+    for each, suffix in ((out, ".nc"), (preview, ".mp4")):
+        check_destination(each, suffix, [rope, camera, Path(source)])
+    if not arc_lengths:
+        raise InvalidInput("--arc-lengths is missing", fix="Give the distance of each marker along the rope, m")
     until = math.inf if duration is None else checks.number("--duration", duration, sign="positive", unit="s")
-    lens, line = read_camera(calibration), Rope.from_toml(rope)
-    arcs = output.numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6")
+    lens, line = read_camera(camera), Rope.from_toml(rope)
+    arcs = numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6")
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))
         pictures = None if page is None else stack.enter_context(PicturePage(page))
-        frames = stack.enter_context(open_frames(camera, paced=page is not None, reconnect_timeout=reconnect_timeout))
+        frames = stack.enter_context(open_frames(source, paced=page is not None, reconnect_timeout=reconnect_timeout))
         if not frames.live and frames.image_size != lens.image_size:
             got, allowed = ("x".join(map(str, size)) for size in (frames.image_size, lens.image_size))
             raise InvalidInput("the video has another size than the camera's", got=got, allowed=allowed)
-        colour = output.marker_colour(_images(frames, reconnect_timeout), click)
+        colour = marker_colour(_images(frames, reconnect_timeout), click)
         task = TrackingTask(
             line,
             checks.array("--arc-lengths", arcs, (-1,)),
             lens,
             colour,
-            parameters=output.parameters(estimate),
-            tests=output.change_tests(changes, false_alarm_interval),
+            parameters=parameters(estimate),
+            tests=change_tests(changes, false_alarm_interval),
         )
         task.rehearse()
         tracker = task.tracker()
         follow = Watch(frames, tracker, interval=_TICK if frames.live or page is not None else _FILE_TICK)
         if pictures is not None:
-            sys.stderr.write(f"hyperflex: pictures at {pictures.address}\n")
+            output.note(f"pictures at {pictures.address}")
         shown = _Pictures(tracker, preview, pictures)
         tally = _Tally()
-        with WatchLog(out, line.n_links, len(arcs), camera) as log, shown:
+        with WatchLog(out, line.n_links, len(arcs), source) as log, shown:
             with catch_interrupt() as stop:
-                _run(follow, until, [log.note, tally.note, shown.draw], json)
+                _run(follow, until, [log.note, tally.note, shown.draw])
                 log.ending = frames.ended or f"stopped after {duration:g} s"
             log.interrupted = stop.received
     result = {"output": out, "ending": log.ending, "interrupted": log.interrupted, **tally.summary(tracker)}
-    if log.interrupted:
-        raise typer.Exit(output.interrupted(f"Interrupted; the log is kept in {out}.", result, as_json=json))
-    _tell(result, json)
+    latency = result["latency_s"]
+    rows = [
+        ("ended", log.ending),
+        ("seen", f"{100.0 * result['seen']:.1f} % of all markers, {result['found']} frames with a rope"),
+        ("latency", f"median {1e3 * latency['median']:.1f} ms, 99 % at most {1e3 * latency['p99']:.1f} ms"),
+        *((name, f"{each['value']:.5g} ± {each['std']:.2g}") for name, each in result["estimated"].items()),
+        ("messages", str(result["messages"])),
+        *([("warning", result["warning"])] if result["warning"] else []),
+        ("written", str(out)),
+    ]
+    stopped = f"Interrupted; the log is kept in {out}." if log.interrupted else ""
+    output.show(result, Rows(f"Watched {result['frames']} frames", rows), one_line=True, interrupted=stopped)
 
 
-def _run(follow: Watch, until: float, takers: list[Callable[[LiveEstimate], None]], as_json: bool) -> None:
+def _run(follow: Watch, until: float, takers: list[Callable[[LiveEstimate], None]]) -> None:
     """Hand each estimate to all who take it, until the source or the time ends."""
     begin = time.monotonic()
     with output.spinner() as said:
         for estimate in follow:
             for take in takers:
                 take(estimate)
-            if as_json:
+            if output.as_json():
                 output.print_json(_line(estimate), one_line=True)
             else:
                 said("   ".join(_status(estimate)))
                 for words in estimate.messages:
-                    sys.stderr.write(f"hyperflex: {estimate.t:.2f} s: {words}\n")
+                    output.note(f"{estimate.t:.2f} s: {words}")
             if time.monotonic() - begin > until:
                 return
 
@@ -137,25 +152,6 @@ def _line(estimate: LiveEstimate) -> dict[str, Any]:
     names = ("t", "found", "tip", "tip_std", "age", "latency", "rate", "seen", "markers")
     state = {"frame": estimate.frame is not None, "q": estimate.state.q, "qd": estimate.state.qd}
     return {name: getattr(estimate, name) for name in names} | state | {"messages": list(estimate.messages)}
-
-
-def _tell(result: dict[str, Any], as_json: bool) -> None:
-    latency = result["latency_s"]
-    output.show(
-        result,
-        f"Watched {result['frames']} frames",
-        [
-            ("ended", result["ending"]),
-            ("seen", f"{100.0 * result['seen']:.1f} % of all markers, {result['found']} frames with a rope"),
-            ("latency", f"median {1e3 * latency['median']:.1f} ms, of 99 % at most {1e3 * latency['p99']:.1f} ms"),
-            *((name, f"{each['value']:.5g} ± {each['std']:.2g}") for name, each in result["estimated"].items()),
-            ("messages", str(result["messages"])),
-            *([("warning", result["warning"])] if result["warning"] else []),
-            ("written", str(result["output"])),
-        ],
-        as_json=as_json,
-        one_line=True,
-    )
 
 
 class _Tally:

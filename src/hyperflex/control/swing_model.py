@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
+from hyperflex.control.period import swing_period
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion, Profile, arm_strokes
@@ -19,21 +19,6 @@ from hyperflex.trajectory import State
 SAMPLE_TIME = 0.02  # s, of predictions
 PLANNING_TOL = 1e-4  # m; docs/how-to/accuracy.md
 SOON = 1e-6  # s after now within which a crossing is not looked for: it may be the last one
-
-
-def swing_period(rope: Rope) -> float:
-    """Return the period of a small swing of a rope as a rigid rod, s; that of the rope itself is 2 % longer.
-
-    Raises InvalidInput if the rope has no weight.
-    """
-    base = np.concatenate([[0.0], np.cumsum(rope.length)[:-1]])
-    centre = base + rope.com
-    moment = float((rope.inertia + rope.mass * centre**2).sum() + rope.tip_mass * rope.total_length**2)
-    first = float((rope.mass * centre).sum() + rope.tip_mass * rope.total_length)
-    weight = first * math.hypot(*rope.gravity)
-    if weight == 0.0:
-        raise InvalidInput("rope has no weight, so it does not swing", got=rope.gravity, allowed="gravity")
-    return 2.0 * math.pi * math.sqrt(moment / weight)
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ class FitOptions:
     train: float | None = option(
         None, "Fit the samples before this time; predict the rest. inf fits all", unit="s", infinite=True, shown="80 %"
     )
-    loss: LossName = option("squares", "squares; huber or cauchy where there are outliers")
+    loss: LossName = option("squares", "Weight of the residuals: squares; huber or cauchy where there are outliers")
     lead: float = option(0.5, "Time on which the state of a prediction is fitted", unit="s", sign="positive")
     ahead: float = option(1.0, "Time that is predicted without data", unit="s", sign="positive")
     intervals: How | None = option("auto", "Method of the 95 % intervals: auto, covariance, profile or none")

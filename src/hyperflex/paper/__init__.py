@@ -13,7 +13,7 @@ if TYPE_CHECKING:
         swing_period,
     )
     from hyperflex.paper.regression import LeastSquares, Regression, fit_regression
-    from hyperflex.paper.report.part import verdicts
+    from hyperflex.paper.report.part import claims_table, verdicts
     from hyperflex.paper.report.reproduce import reproduce
     from hyperflex.paper.results import Claim, Table
     from hyperflex.paper.revision import (

@@ -5,8 +5,7 @@ Each field has its unit, range and reason in its metadata: ``help`` and ``unit``
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -16,11 +15,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Obstacle, Peg, checked_obstacles
-
-
-def option(default: Any, text: str, unit: str = "") -> Any:
-    """Return a field with a default, a help text and a unit, from which options of the command line are made."""
-    return field(default=default, metadata={"help": text, "unit": unit})
+from hyperflex.options import option
 
 
 def checked_behind(pegs: object) -> tuple[Peg, ...]:
@@ -62,7 +57,7 @@ class MotorLimits:
 
     speed: float = option(2.0 * math.pi / 0.73, "Greatest speed of the arm.", "rad/s")
     acceleration: float = option(4.0 * math.pi / 0.73**2, "Greatest acceleration of the arm.", "rad/s^2")
-    torque: float = option(math.inf, "Greatest torque at the shaft.", "N m")
+    torque: float = option(math.inf, "Greatest torque at the shaft.", "N m", shown="not limited")
     angles: tuple[float, float] = option((-math.pi, math.pi), "Least and greatest arm angle; 0 hangs down.", "rad")
 
     def __post_init__(self) -> None:
@@ -126,7 +121,9 @@ class WindCriteria:
     """
 
     turns: float = option(1.25, "Least turns about the target, from the arm's tip to the rope's end.")
-    contact: float = option(0.0, "Least angle of the target that the rope must cover.", "rad")
+    contact: float = option(
+        0.0, "Least angle of the target that the rope must cover.", "rad", shown="none, but a full turn is sought"
+    )
     settle: float = option(1.0, "Time from the arm's stop after which the rope is watched.", "s")
     watch: float = option(2.0, "Time for which the rope must stay wound and hold.", "s")
     max_slip: float = option(5e-3, "Greatest slip on the target in that time.", "m")
@@ -178,8 +175,12 @@ class Conditions:
         the rope hangs at rest.
     """
 
-    time_limit: float | None = option(None, "Time within which the goal must be reached.", "s")
-    clearance: float = option(0.0, "Least distance of the rope from its arm, the shaft and obstacles.", "m")
+    time_limit: float | None = option(
+        None, "Time within which the goal must be reached.", "s", shown="some periods of the rope's swing"
+    )
+    clearance: float = option(
+        0.0, "Least distance of the rope from its arm, the shaft and obstacles; -inf: no limit for arm and shaft.", "m"
+    )
     obstacles: tuple[Obstacle, ...] = ()
     side: int = option(0, "Side on which the arm stands at first: -1 left, 1 right, 0 either.")
     state0: RopeState | None = None
@@ -224,7 +225,7 @@ class SearchOptions:
         Show a progress bar.
     """
 
-    seed: int = option(0, "Of the search's random numbers.")
+    seed: int = option(0, "Seed of the search's random numbers.")
     threads: int | None = option(None, "Threads that the search may use. [default: one a processor]")
     skip_feasibility: bool = option(False, "Search even if the feasibility check calls the target out of reach.")
     fallback: bool = option(False, "If the plan fails, plan for the nearest targets until one succeeds.")

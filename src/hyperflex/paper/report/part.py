@@ -80,9 +80,10 @@ def _write_item(name: str, picture: bytes | None, table: Table, folder: Path) ->
         files.write_table(stage / f"{name}.csv", list(table.columns), rows, notes=table.notes)
 
 
-def claims_table(claims: Sequence[Claim]) -> TextTable:
-    """Return measured values, thresholds and verdicts of the paper's claims."""
-    rows = tuple(
+def claims_table(claims: Sequence[Claim], *, short: bool = False) -> TextTable:
+    """Return measured values, thresholds and verdicts of the paper's claims; `short` omits statements and notes."""
+    header = ("claim", "what is measured", "in", "value", "threshold", "verdict", "note")
+    rows = (
         (
             claim.name,
             claim.statement,
@@ -94,7 +95,8 @@ def claims_table(claims: Sequence[Claim]) -> TextTable:
         )
         for claim in claims
     )
-    return TextTable(("claim", "what is measured", "in", "value", "threshold", "verdict", "note"), rows)
+    shown = [k for k, name in enumerate(header) if not short or name not in ("what is measured", "note")]
+    return TextTable(tuple(header[k] for k in shown), tuple(tuple(row[k] for k in shown) for row in rows))
 
 
 def verdicts(claims: Sequence[Claim]) -> tuple[str, ...]:

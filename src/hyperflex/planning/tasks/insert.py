@@ -3,8 +3,8 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from dataclasses import MISSING, dataclass, replace
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Peg, Rope, Wall, recut
 from hyperflex.motion import Motion
+from hyperflex.options import check as check_options
+from hyperflex.options import option
 from hyperflex.planning.clearance import (
     clear_samples,
     obstacle_clearance,
@@ -89,24 +91,22 @@ class Slot:
     [0.21, 0.19]
     """
 
-    x: float
-    y: float
-    direction: float
-    width: float = 0.02
-    depth: float = 0.05
-    wall: float = 0.1
-    tube: float = 0.0
-    max_speed: float = math.inf
-    touching: bool = False
+    x: float = option(MISSING, "middle of the gap", "m")
+    y: float = option(MISSING, "middle of the gap", "m")
+    direction: float = option(MISSING, "the way in, across the walls: 0 is +x, pi/2 is up", "rad")
+    width: float = option(0.02, "width of the gap: three diameters of the rope or more", "m", sign="positive")
+    depth: float = option(0.05, "how far beyond the walls the tip must come", "m", sign="positive")
+    wall: float = option(0.1, "length of each wall", "m", sign="positive")
+    tube: float = option(
+        0.0, "length of the tube: walls that run inwards from the gap's edges", "m", sign="nonnegative"
+    )
+    max_speed: float = option(
+        math.inf, "greatest speed of the tip at that depth", "m/s", sign="positive", infinite=True, shown="any"
+    )
+    touching: bool = option(False, "the rope may touch the walls")
 
     def __post_init__(self) -> None:
-        signs = dict.fromkeys(("width", "depth", "wall", "max_speed"), "positive") | {"tube": "nonnegative"}
-        units = {"direction": "rad", "max_speed": "m/s"}
-        for name in ("x", "y", "direction", "width", "depth", "wall", "tube", "max_speed"):
-            how: dict[str, Any] = {"sign": signs.get(name, "any"), "unit": units.get(name, "m")}
-            value = checks.number(f"slot {name}", getattr(self, name), infinite=name == "max_speed", **how)
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "touching", checks.flag("slot touching", self.touching))
+        check_options(self, "slot")
 
     @property
     def point(self) -> Array:

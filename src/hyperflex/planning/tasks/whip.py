@@ -1,7 +1,7 @@
 """Whips: the tip passes a point at a peak of its speed, fast and in the required direction."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import MISSING, dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -14,6 +14,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Arm, Rope, divided
 from hyperflex.motion import Motion
+from hyperflex.options import check as check_options
+from hyperflex.options import option
 from hyperflex.planning.clearance import gap_of, holds, named, obstacle_gaps
 from hyperflex.planning.impact import Impact, simulate_impact
 from hyperflex.planning.moves import Moves
@@ -70,23 +72,24 @@ class TipTarget:
         If a value is not finite or has the wrong sign.
     """
 
-    x: float
-    y: float
-    direction: float = None  # type: ignore[assignment]  # a number once it is made
-    least_speed: float = 5.0
-    angle_tolerance: float = float(np.radians(20.0))
-    tolerance: float = 1e-3
+    x: float = option(MISSING, "place of the target", "m")
+    y: float = option(MISSING, "place of the target", "m")
+    direction: float = option(  # None becomes 0 when it is made
+        None, "direction of the tip's velocity there: 0 is +x, pi/2 is up", "rad", shown="any"
+    )
+    least_speed: float = option(5.0, "least speed of the tip there", "m/s", sign="positive")
+    angle_tolerance: float = option(
+        math.radians(20.0), "greatest angle between velocity and direction, at most pi", "rad", sign="positive"
+    )
+    tolerance: float = option(1e-3, "greatest distance of the tip from the target", "m", sign="positive")
 
     def __post_init__(self) -> None:
         if self.direction is None:
             object.__setattr__(self, "direction", 0.0)
             object.__setattr__(self, "angle_tolerance", float(np.pi))
-        for name, unit in (("x", "m"), ("y", "m"), ("direction", "rad")):
-            object.__setattr__(self, name, checks.number(f"target {name}", getattr(self, name), unit=unit))
-            checks.meant(f"target {name}", getattr(self, name), unit)
-        for name, unit in (("least_speed", "m/s"), ("angle_tolerance", "rad"), ("tolerance", "m")):
-            value = checks.number(f"target {name}", getattr(self, name), sign="positive", unit=unit)
-            object.__setattr__(self, name, value)
+        check_options(self, "target")
+        for name in ("x", "y"):
+            checks.meant(f"target {name}", getattr(self, name), "m")
         if self.angle_tolerance > np.pi:
             raise InvalidInput("target angle_tolerance is too large", got=self.angle_tolerance, allowed="<= pi, in rad")
 

@@ -10,12 +10,11 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from hyperflex import checks, files
 from hyperflex.cli import output
+from hyperflex.cli.command import Workers
 from hyperflex.errors import FileProblem, HyperflexError, MissingPackage
 from hyperflex.progress import progress_bar
 
@@ -24,25 +23,24 @@ POLL = 0.2  # s, between two looks at what has been compiled
 
 
 def warm(
-    jobs: Annotated[int, typer.Option(help="Processes: 1 or 2.")] = 2,
-    json: output.Json = False,
+    workers: Workers = 2,
 ) -> None:
-    """Compile all kernels in advance: about 80 s of processor time, once for each version.
+    """Compile all kernels in advance.
 
-    Without it each kernel is compiled when it is first needed. Of the kernels for ropes whose friction is as the source
-    paper prints it (friction_model="printed"), which only the paper's own figures use, nothing is compiled.
+    This takes about 80 s of processor time, once for each version. Without it each kernel is compiled when it is first
+    needed. Kernels of friction_model="printed", which only the paper's own figures use, are not compiled.
 
-    They lie in the user's cache folder, or where the environment variable HYPERFLEX_CACHE_DIR says. Those of other
-    versions are removed when they are 90 days old.
+    The compiled kernels are in the user's cache folder, or in that of the environment variable HYPERFLEX_CACHE_DIR.
+    Those of other versions are removed when they are 90 days old.
     """
     import numba
 
     from hyperflex.core import cache
 
-    count = checks.count("--jobs", jobs, most=len(LANES))
+    count = checks.count("--workers", workers, most=len(LANES))
     begin, spent = time.monotonic(), 0.0
     if numba.config.DISABLE_JIT:
-        _tell(json, {"kernels": 0, "compiled": 0}, "Nothing to do: NUMBA_DISABLE_JIT is set, and nothing is compiled.")
+        output.show({"kernels": 0, "compiled": 0}, "Nothing to do: NUMBA_DISABLE_JIT is set, nothing is compiled.")
         return
     kernels = every_kernel()
     stamp = cache.folder() / f"warm-{cache.fingerprint(module for module, _ in kernels)}.txt"
@@ -62,7 +60,7 @@ def warm(
         "folder": cache.folder(),
     }
     did = f"Compiled {now - before} of {len(kernels)} kernels" if spent else "Nothing to do: all kernels are compiled"
-    _tell(json, result, f"{did} ({result['seconds']:.0f} s); they lie in {cache.folder()}.")
+    output.show(result, f"{did} ({result['seconds']:.0f} s); they are in {cache.folder()}.")
 
 
 def _remove_old(own: set[Path], folder: Path) -> None:
@@ -74,13 +72,6 @@ def _remove_old(own: set[Path], folder: Path) -> None:
                 for path in kernels:
                     path.unlink(missing_ok=True)
                 place.rmdir()
-
-
-def _tell(as_json: bool, result: dict[str, Any], sentence: str) -> None:
-    if as_json:
-        output.print_json(result)
-    else:
-        output.console().print(sentence, soft_wrap=True)
 
 
 def every_kernel() -> list[tuple[str, str]]:
@@ -127,7 +118,7 @@ def _compile(kernels: list[tuple[str, str]], count: int) -> float:
     from hyperflex.core import cache
 
     lanes = [[name for lane in LANES[k::count] for name in lane] for k in range(min(count, len(LANES)))]
-    command = [sys.executable, "-c", "import sys; from hyperflex.cli.start.warm import call; call(sys.argv[1:])"]
+    command = [sys.executable, "-c", "import sys; from hyperflex.cli.warm import call; call(sys.argv[1:])"]
     workers = [
         subprocess.Popen([*command, *lane], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         for lane in lanes

@@ -16,6 +16,7 @@ import typer
 
 from hyperflex import __version__
 from hyperflex.cli import output
+from hyperflex.cli.output import Rows
 from hyperflex.errors import HyperflexError
 
 SPACE = 1e9  # bytes that should be free
@@ -35,39 +36,38 @@ class Finding:
 
 
 def doctor(
-    camera: Annotated[
-        int | None,
-        typer.Option(help="Camera to take a picture with, by number from 0. [default: none]"),
+    source: Annotated[
+        int | None, typer.Option(help="Number of a camera, from 0, to take a picture with. [default: none]")
     ] = None,
     no_speed: Annotated[bool, typer.Option("--no-speed", help="Do not time a run.")] = False,
-    json: output.Json = False,
 ) -> None:
-    """Check the installation: packages, extras, compiled kernels, folders, and how fast a run is.
+    """Check the installation and measure its speed.
 
-    Nothing is changed, and no camera is opened unless --camera names it. The exit code is 2 if something is wrong that
-    hyperflex cannot do without.
+    The command checks packages, extras, compiled kernels and folders. It changes nothing, and opens no camera unless
+    --source names it. The exit code is 2 if something is wrong that hyperflex needs.
     """
     found = [_interpreter(), *_packages(), _kernels(), *_folders()]
-    if camera is not None:
-        found.append(_camera(camera))
+    if source is not None:
+        found.append(_camera(source))
     speed = None if no_speed else _speed()
     if speed is not None:
         found.append(Finding("speed", "good", f"{speed:.3g} s of processor time for 1 s of a cable of 50 links"))
     wrong = [each.name for each in found if each.state == WRONG]
-    if json:
-        told = {"version": __version__, "wrong": wrong, "processor_seconds_per_simulated_second": speed}
-        output.print_json(told | {"findings": [asdict(each) for each in found]})
-    else:
-        title = f"{len(wrong)} wrong: {', '.join(wrong)}" if wrong else "Nothing is wrong"
-        output.print_pairs(title, [(f"{each.state:<9}{each.name}", f"{each.found} {each.fix}") for each in found])
-    if wrong:
-        raise typer.Exit(output.REFUSED)
+    result = {"version": __version__, "wrong": wrong, "processor_seconds_per_simulated_second": speed}
+    output.show(
+        result | {"findings": [asdict(each) for each in found]},
+        Rows(
+            f"{len(wrong)} wrong: {', '.join(wrong)}" if wrong else "Nothing is wrong",
+            [(f"{each.state:<9}{each.name}", f"{each.found} {each.fix}") for each in found],
+        ),
+        code=output.REFUSED if wrong else 0,
+    )
 
 
 def _interpreter() -> Finding:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     machine = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}, {cores} cores"
-    return Finding("hyperflex", "good", f"{__version__} in {Path(__file__).parents[2]}; {machine}")
+    return Finding("hyperflex", "good", f"{__version__} in {Path(__file__).parents[1]}; {machine}")
 
 
 def _packages() -> Iterator[Finding]:
@@ -109,7 +109,7 @@ def _version(name: str) -> str:
 def _kernels() -> Finding:
     import numba
 
-    from hyperflex.cli.start.warm import every_kernel
+    from hyperflex.cli.warm import every_kernel
     from hyperflex.core import cache
 
     if numba.config.DISABLE_JIT:

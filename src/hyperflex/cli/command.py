@@ -1,0 +1,150 @@
+"""Commands: options made from dataclasses, arguments that several commands share, and checks of what is given."""
+
+import functools
+import inspect
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import MISSING, Field, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+import typer
+
+from hyperflex import checks, files
+from hyperflex.cli import output
+from hyperflex.errors import InvalidInput
+from hyperflex.options import options_of
+
+Given = dict[str, Any]  # the options of a dataclass that were given, by name
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output and nothing else there.")]
+
+
+def positive(unit: str) -> Callable[[typer.CallbackParam, float | None], float | None]:
+    """Return the check of an option whose value, if given, must be positive and finite."""
+
+    def check(option: typer.CallbackParam, value: float | None) -> float | None:
+        return None if value is None else checks.number(option.opts[0], value, sign="positive", unit=unit)
+
+    return check
+
+
+OutFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if it does not exist.")]
+TimeBudget = Annotated[
+    float, typer.Option(callback=positive("s"), help="Time for the search and its verification, s, without compiling.")
+]
+ArcLengths = Annotated[
+    list[str] | None,
+    typer.Option(help="Distance of each marker along the rope, m; several times or with commas."),
+]
+Workers = Annotated[int, typer.Option(min=1, help="Number of processes; each takes one processor.")]
+
+
+def command(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a function whose signature has the options of dataclasses one by one, and ``--json``.
+
+    An argument annotated ``Annotated[Given, MotorLimits]`` becomes one option for each option of that dataclass, and
+    receives those that were given. With ``Annotated[Given, Problem, "clearance"]`` only the named ones. Options x and y
+    become one option with the name of the argument: ``--slot X Y``.
+    """
+    signature = inspect.signature(function, eval_str=True)
+    groups: dict[str, dict[str, tuple[str, ...]]] = {}
+    parameters: list[inspect.Parameter] = []
+    for each in signature.parameters.values():
+        kind, *names = getattr(each.annotation, "__metadata__", (None,))
+        if isinstance(kind, type) and is_dataclass(kind):
+            found = list(_options(each.name, kind, names))
+            groups[each.name] = {parameter.name: fields for parameter, fields in found}
+            parameters += [parameter for parameter, _ in found]
+        else:
+            parameters.append(each)
+    parameters.append(inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Json))
+
+    @functools.wraps(function)
+    def call(**values: Any) -> None:
+        output.json_only(values.pop("json"))
+        for name, own in groups.items():
+            given: Given = {}
+            for option, fields in own.items():
+                value = values.pop(option)
+                if value is not None and value is not False:
+                    chosen = None if value == "none" else value
+                    given |= zip(fields, value, strict=True) if len(fields) > 1 else {fields[0]: chosen}
+            values[name] = given
+        function(**values)
+
+    ordered = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in parameters]
+    call.__signature__ = signature.replace(parameters=ordered)  # type: ignore[attr-defined]
+    return call
+
+
+def _options(argument: str, kind: type, names: Sequence[str]) -> Iterator[tuple[inspect.Parameter, tuple[str, ...]]]:
+    """Yield a parameter for each option of a dataclass, with the fields that it stands for."""
+    hints = get_type_hints(kind)
+    for each in options_of(kind):
+        if (names and each.name not in names) or each.name == "y":
+            continue
+        place, flag, hint = each.name == "x", hints[each.name] is bool, hints[each.name]
+        if any(get_origin(part) is Literal for part in (hint, *get_args(hint))):
+            hint = str
+        option = argument if place else each.name
+        words = [f"--{option.replace('_', '-')}"] if flag else []
+        annotation = bool if flag else (tuple[float, float] if place else hint) | None
+        default, help_ = False if flag else None, _help(each, place)
+        yield (
+            inspect.Parameter(
+                option,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=default,
+                annotation=Annotated[annotation, typer.Option(*words, help=help_)],
+            ),
+            ("x", "y") if place else (each.name,),
+        )
+
+
+def _help(each: Field[Any], place: bool) -> str:
+    """Return the help of an option: its text, unit and default."""
+    rule, default = each.metadata, each.default
+    unit = f", {rule['unit']}" if rule["unit"] else ""
+    phrase = rule["help"].rstrip(".")
+    text = f"{phrase[0].upper()}{phrase[1:]}{': x to the right and y up' if place else ''}{unit}."
+    values = default if isinstance(default, tuple) else (default,)
+    shown = rule["shown"] or " ".join(f"{each:.4g}" if isinstance(each, float) else str(each) for each in values)
+    hidden = default is MISSING or isinstance(default, bool) or (default is None and not rule["shown"])
+    return text if hidden else f"{text} [default: {shown}]"
+
+
+def check_destination(out: Path | None, suffix: str, inputs: Sequence[Path | None]) -> None:
+    """Refuse, before any work, an output of another kind than `suffix`, among the inputs, or that cannot be written."""
+    if out is None:
+        return
+    check_no_input(out, inputs)
+    if out.suffix.lower() != suffix:
+        raise InvalidInput("the output has the wrong suffix", got=str(out), allowed=f"a name ending in {suffix}")
+    files.check_writable(out)
+
+
+def check_no_input(out: Path, inputs: Sequence[Path | None]) -> None:
+    """Refuse an output that is among the inputs; an input may be None."""
+    for path in inputs:
+        try:
+            same = path is not None and out.samefile(path)
+        except OSError:  # one of them does not exist
+            same = False
+        if same:
+            allowed, fix = f"a file other than {path}", "Give another name with -o"
+            raise InvalidInput(
+                "the output is one of the inputs and would overwrite it", got=str(out), allowed=allowed, fix=fix
+            )
+
+
+def words(given: Sequence[str] | None) -> list[str]:
+    """Return the words that an option was given, with commas or several times."""
+    return [word.strip() for text in given or () for word in text.split(",") if word.strip()]
+
+
+def numbers(option: str, given: Sequence[str], example: str) -> list[float]:
+    """Return the numbers that an option was given, in one or several words."""
+    try:
+        return [float(word) for word in words(given)]
+    except ValueError:
+        allowed = f"numbers such as {example}"
+        raise InvalidInput(f"{option} is not made of numbers", got=",".join(given), allowed=allowed) from None

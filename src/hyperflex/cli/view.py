@@ -1,0 +1,149 @@
+"""``hyperflex view``, ``plot`` and ``play``: a saved run in the browser or drawn, and a live page."""
+
+import contextlib
+import tempfile
+import webbrowser
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hyperflex.cli import output
+from hyperflex.cli.command import check_destination
+from hyperflex.cli.output import Rows
+from hyperflex.errors import InvalidInput
+
+_SUFFIXES = (".png", ".gif", ".mp4", ".html", ".csv")
+Run = Annotated[
+    Path, typer.Argument(help="NetCDF file of a run, such as simulate, cast and whip write.", metavar="RUN.nc")
+]
+Start = Annotated[float | None, typer.Option(help="First time to show, s. [default: the run's]")]
+End = Annotated[float | None, typer.Option(help="Last time to show, s. [default: the run's]")]
+Title = Annotated[str | None, typer.Option(help="Title of the drawing. [default: the file's name]")]
+NoOpen = Annotated[bool, typer.Option("--no-open", help="Open no browser.")]
+
+
+def plot(
+    run: Run,
+    out: Annotated[Path, typer.Option("--output", "-o", help="File to write: .png, .gif, .mp4, .html or .csv.")],
+    kind: Annotated[
+        str, typer.Option(help="What a .png shows: strobe (many instants in one) or course (curves over time).")
+    ] = "strobe",
+    start: Start = None,
+    end: End = None,
+    speed: Annotated[float, typer.Option(help="Simulated seconds in a second of a film.")] = 1.0,
+    width: Annotated[int, typer.Option(help="Width of a film, pixels.")] = 640,
+    title: Title = None,
+) -> None:
+    """Draw a saved run as a picture, film, page or table.
+
+    A picture is a .png, a film a .gif or .mp4, a page that plays the run an .html. The table, a .csv, holds all samples
+    in SI units: arm, link angles and rates, joints, energies and torque.
+    """
+    from hyperflex.report import save_png
+
+    suffix = out.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise InvalidInput(
+            "the output has the wrong suffix", got=str(out), allowed=", ".join(_SUFFIXES), fix="Change -o"
+        )
+    if suffix == ".csv" and not (start is None and end is None):
+        raise InvalidInput("--start and --end do not apply to a table", allowed="all samples", fix="Omit them")
+    check_destination(out, suffix, [run])
+    shown = _read(run, "plot")
+    named = run.name if kind == "course" else f"{run.name}, simulated"  # a course says so itself
+    options: dict[str, Any] = {"start": start, "end": end, "title": named if title is None else title}
+    if suffix == ".png":
+        save_png(shown.plot(kind, **options), out)
+    elif suffix == ".html":
+        shown.to_html(out, speed=speed, **options)
+    elif suffix == ".csv":
+        shown.to_csv(out)
+    else:
+        with output.spinner() as progress:
+            options["progress"] = lambda done, frames: progress(f"frame {done} of {frames}")
+            shown.animate(out, speed=speed, width=width, **options)
+    result = {"output": out, "bytes": out.stat().st_size, "run": run, "start_s": shown.t[0], "end_s": shown.t[-1]}
+    output.show(result, Rows(repr(shown), [("written", output.size_of(out))]))
+
+
+def view(
+    run: Run,
+    out: Annotated[
+        Path | None, typer.Option("--output", "-o", help="File to write, .html. [default: in a temporary folder]")
+    ] = None,
+    start: Start = None,
+    end: End = None,
+    title: Title = None,
+    no_open: NoOpen = False,
+) -> None:
+    """Play a saved run in the browser.
+
+    Scrub it, slow it down, and read arm, speed and energy. The page is a single file that needs no network: it can be
+    kept, sent, and opened anywhere.
+    """
+    check_destination(out, ".html", [run])
+    shown = _read(run, "view")
+    page = Path(tempfile.mkdtemp(prefix="hyperflex-")) / f"{run.stem}.html" if out is None else out
+    shown.to_html(page, start=start, end=end, title=f"{run.name}, simulated" if title is None else title)
+    opened = not no_open and webbrowser.open(page.resolve().as_uri())
+    rows = [("written", output.size_of(page))]
+    if not (opened or no_open):
+        rows.append(("no browser was found", "open the file with any browser"))
+    result = {"output": page, "bytes": page.stat().st_size, "opened": opened, "run": run}
+    output.show(result, Rows(repr(shown), rows))
+
+
+def _read(run: Path, command: str) -> Any:
+    """Return a saved run; refuse a set-up or a recording, with the command that makes a run of it."""
+    from hyperflex.trajectory import read_trajectory
+
+    makes = {
+        ".toml": f"hyperflex simulate {run} -o {run.stem}.nc makes one of a set-up; then {command} {run.stem}.nc",
+        ".csv": f"A recording is drawn with its fit: hyperflex identify {run} --rope rope.toml -o {run.stem}",
+    }
+    if fix := makes.get(run.suffix.lower()):
+        allowed = "a NetCDF file of a run, as simulate, cast and whip write"
+        raise InvalidInput(f"{command} shows runs, and this is none", got=str(run), allowed=allowed, fix=fix)
+    return read_trajectory(run)
+
+
+def play(
+    setup: Annotated[
+        Path | None, typer.Argument(help="TOML file of a set-up or a plan to begin with. [default: the paper's cable]")
+    ] = None,
+    folder: Annotated[
+        Path, typer.Option("--folder", "-f", help="Folder that the page may read and write; no other.")
+    ] = Path(),
+    port: Annotated[int, typer.Option(help="Port of the page; 0: any free one.")] = 0,
+    host: Annotated[str, typer.Option(help="Address to listen at; by default this machine alone.")] = "127.0.0.1",
+    allow: Annotated[
+        list[str] | None, typer.Option(help="A further host:port that browsers may use, several times; others get 403.")
+    ] = None,
+    no_open: NoOpen = False,
+) -> None:
+    """Swing, cast and watch a rope live in the browser.
+
+    Drag the target, change rope and arm, plan, and scrub the recorded motion. Ctrl-C ends it. Planning runs in a
+    separate process. The page requests nothing from any other host, and serves this machine alone unless --host and
+    --allow say otherwise: whoever can open it can save files in the folder.
+    """
+    from hyperflex.model import Setup
+    from hyperflex.planning import read_limits
+    from hyperflex.play import Folder, PlayServer, Session
+
+    if setup is not None and setup.suffix.lower() == ".nc":
+        fix = f"View a run with hyperflex view {setup}; in the page, Open takes one from the folder"
+        raise InvalidInput("play begins with a set-up", got=str(setup), allowed="a TOML file", fix=fix)
+    session = Session()
+    if setup is not None:
+        session.play(Setup.from_toml(setup), "file", limits=read_limits(setup))
+    with PlayServer(Folder(folder), session, port=port, host=host, allow=allow or ()) as server:
+        cable = f"the paper's cable ({session.scene()['rope']}); hyperflex play SETUP.toml shows another"
+        output.note(f"at {server.address}; Ctrl-C ends it. It shows {setup or cable}")
+        if output.as_json():
+            output.print_json({"address": server.address, "port": server.port, "folder": folder}, one_line=True)
+        if not no_open:
+            with contextlib.suppress(webbrowser.Error):
+                webbrowser.open(server.address)
+        server.wait()
