@@ -115,45 +115,38 @@ def _alone(target: Path) -> Iterator[None]:
 def _move(stage: Path, target: Path, own: Sequence[str]) -> None:
     """Put the files of `stage` in place of `own` ones; on any failure put everything back as it was."""
     names = sorted(path.name for path in stage.iterdir())
-    old = [name for name in own if name not in names]
     for name in (*names, *own):
         if (target / name).is_dir():
             raise FileProblem(f"{target / name} is a folder where a file shall go. Nothing was written. Move it away.")
+    done: list[tuple[Path, Path]] = []
     try:
         if not target.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
             stage.rename(target)
             return
         (stage / "earlier").mkdir()
-        for name in names:
-            if os.path.lexists(target / name):
-                (target / name).rename(stage / "earlier" / name)
-            (stage / name).rename(target / name)
-        for name in old:
-            if (target / name).is_file():
-                (target / name).rename(stage / "earlier" / name)
+        for name in (*names, *(set(own) - set(names))):
+            for source, place in ((target / name, stage / "earlier" / name), (stage / name, target / name)):
+                if os.path.lexists(source):
+                    source.rename(place)
+                    done.append((source, place))
     except BaseException as error:
-        try:
-            _put_back(names, old, stage, target)
-        except OSError as problem:
-            raise _NotPutBackError(
-                f"The folder {target} could not be filled, and not all its earlier files could be put back: "
-                f"{problem.strerror}. They are in {stage / 'earlier'}; move them back."
-            ) from error
+        _undo(done, stage, target, error)
         if isinstance(error, OSError):
             raise _problem(target, error) from error
         raise
 
 
-def _put_back(names: list[str], old: list[str], stage: Path, target: Path) -> None:
-    """Undo as much of a move as was done."""
-    if not stage.exists():  # interrupted just after it became the target: whole
-        return
-    for name in (*names, *old):
-        if name in names and not (stage / name).exists():
-            (target / name).replace(stage / name)
-        if os.path.lexists(stage / "earlier" / name):
-            (stage / "earlier" / name).replace(target / name)
+def _undo(done: list[tuple[Path, Path]], stage: Path, target: Path, error: BaseException) -> None:
+    """Undo renames from sources to places, the last one first."""
+    try:
+        for source, place in reversed(done):
+            place.replace(source)
+    except OSError as problem:
+        raise _NotPutBackError(
+            f"The folder {target} could not be filled, and not all its earlier files could be put back: "
+            f"{problem.strerror}. They are in {stage / 'earlier'}; move them back."
+        ) from error
 
 
 def _problem(target: Path, error: OSError) -> FileProblem:

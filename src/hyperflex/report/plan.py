@@ -75,6 +75,11 @@ class PlanReport(ABC, Generic[PlanT]):
         """The verified run; InvalidInput if there is none."""
         return self.plan.required(self.plan.run, "run")
 
+    @property
+    def outcome(self) -> Any:
+        """The outcome of the verified run; InvalidInput if there is none."""
+        return self.plan.required(self.plan.outcome, "outcome")
+
     def film(self) -> dict[str, Any]:
         """Return arguments of :func:`hyperflex.report.player_html`."""
         return {"title": f"planned {self.name}, simulated", "speed": self.film_speed, "overlay": self.overlay()}

@@ -71,7 +71,7 @@ class TipReport(PlanReport[TipPlanT]):
     @property
     def event(self) -> float:
         """Time of the peak, or when the tip is inside, s."""
-        return self.plan.required(self.plan.outcome, "outcome").t
+        return float(self.outcome.t)
 
     def overlay(self) -> Overlay:
         """Return notes and obstacles, and mark the event."""
@@ -166,13 +166,13 @@ class WhipReport(TipReport[WhipPlan]):
 
     def note_texts(self) -> tuple[str, str]:
         """Return target and peak."""
-        target, seen = self.plan.target, self.plan.required(self.plan.outcome, "outcome")
+        target, seen = self.plan.target, self.outcome
         place = f"target: x = {target.x:.4g} m, y = {target.y:.4g} m, {target.least_speed:.3g} m/s or more"
         return place, f"passes it at {seen.t:.2f} s: {seen.speed:.1f} m/s, {length(seen.miss, 2)} off"
 
     def figures(self) -> "dict[str, Figure]":
         """Draw the rope about the peak, the tip's path past the target, and the time course."""
-        target, run, seen = self.plan.target, self.run, self.plan.required(self.plan.outcome, "outcome")
+        target, run, seen = self.plan.target, self.run, self.outcome
         away = Plot("distance of the tip from the target", "m", (Line("", np.hypot(*(run.tip - target.point).T)),))
         required = (target.least_speed, f"{target.least_speed:.3g} m/s are required")
         speed = Panel(speed_plot(run), "speed", (GREEN,), required, f"peak at {seen.t:.2f} s: {seen.speed:.1f} m/s")
@@ -184,7 +184,7 @@ class WhipReport(TipReport[WhipPlan]):
 
     def _passing(self) -> "Figure":
         """Draw how the tip passes the target: its path, in the colour of its speed, and the required direction."""
-        target, seen = self.plan.target, self.plan.required(self.plan.outcome, "outcome")
+        target, seen = self.plan.target, self.outcome
         half = max(0.12, 1.3 * seen.miss)  # m about the target
         time = 2.0 * half / max(seen.speed, 1e-3)
         with new_figure(7.0, 5.6, "How the tip passes the target, simulated") as figure:
@@ -284,13 +284,13 @@ class InsertReport(TipReport[InsertPlan]):
 
     def note_texts(self) -> tuple[str, str]:
         """Return slot and entry."""
-        slot, seen = self.plan.target, self.plan.required(self.plan.outcome, "outcome")
+        slot, seen = self.plan.target, self.outcome
         end = f"inside at {seen.t:.2f} s: {seen.speed:.2f} m/s, {length(seen.wall_clearance, 2)} clear"
         return f"slot: x = {slot.x:.3g} m, y = {slot.y:.3g} m, {length(slot.width)} wide", end
 
     def figures(self) -> "dict[str, Figure]":
         """Draw the rope until the tip is inside, its way through the gap, and the time course."""
-        slot, run, seen = self.plan.target, self.run, self.plan.required(self.plan.outcome, "outcome")
+        slot, run, seen = self.plan.target, self.run, self.outcome
         inside = f"inside at {seen.t:.2f} s: {seen.speed:.2f} m/s"
         depth = Line("", (run.tip - slot.point) @ slot.axes[0])
         deep = Plot("depth of the tip beyond the line of the walls", "m", (depth,))
@@ -304,7 +304,7 @@ class InsertReport(TipReport[InsertPlan]):
 
     def _gap(self) -> "Figure":
         """Draw how the rope goes through the gap: path of the tip, in the colour of its speed, and rope at instants."""
-        slot, run, seen = self.plan.target, self.run, self.plan.required(self.plan.outcome, "outcome")
+        slot, run, seen = self.plan.target, self.run, self.outcome
         half = max(1.6 * slot.depth, 1.5 * slot.width)  # m about the gap
         time = max(seen.t - seen.t_enter, 0.02)
         with new_figure(7.0, 6.0, "How the rope goes through the gap, simulated") as figure:
