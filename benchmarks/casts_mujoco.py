@@ -1,6 +1,6 @@
 """Planned casts thrown again in MuJoCo: a model of its own, with its own contacts, joint limits and steps.
 
-python -m benchmarks.casts_mujoco FOLDER [FOLDER ...]    every set-up of a plan (``wound.toml``, ``cast.toml``) in them
+python -m benchmarks.casts_mujoco FOLDER [FOLDER ...]    every set-up of a plan (``cast.toml``) in them
 python -m benchmarks.casts_mujoco FOLDER --out -         a look; nothing is written
 python -m benchmarks.casts_mujoco FOLDER --workers 8     as many casts at once; each takes minutes
 

@@ -18,8 +18,7 @@ from hyperflex.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Frame = npt.NDArray[np.uint8]
+    from PIL import Image
 
 NIGHT, PALE, GROUND = "#0c1322", "#aab6c8", "#1c263a"
 ROPE, TRAIL, PEG, OBSTACLE = "#f2d479", "#4fc3c0", "#d65c46", "#a07be0"
@@ -143,7 +142,7 @@ def animate(
     times = np.arange(first, last + 0.5 * step, step)
     draw = _film(run, times, checks.count("width", width, least=64), title, overlay)
 
-    def frames() -> Iterator[Frame]:
+    def frames() -> "Iterator[Image.Image]":
         for k in range(times.size):
             yield draw(k)
             if progress is not None:
@@ -154,16 +153,16 @@ def animate(
         return
     from hyperflex.vision import VideoWriter
 
-    height, width = draw(0).shape[:2]
-    with VideoWriter(path, (width, height)) as video:
+    with VideoWriter(path, draw(0).size) as video:
         for k, frame in enumerate(frames()):
-            video.write(frame[..., ::-1], k / frame_rate)  # blue, green, red
+            video.write(np.asarray(frame)[..., ::-1], k / frame_rate)  # blue, green, red
 
 
-def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overlay) -> Callable[[int], Frame]:
-    """Return a function that draws frame k, uint8 (height, width, 3), at ``times[k]``, s."""
+def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overlay) -> "Callable[[int], Image.Image]":
+    """Return a function that draws frame k at ``times[k]``, s."""
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgb
+    from PIL import Image
 
     note = overlay.note or (lambda _: "")
     low, high = view(run, np.concatenate([run.joints.reshape(-1, 2), overlay.targets]), above=2.0)
@@ -195,7 +194,7 @@ def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overla
     background = canvas.copy_from_bbox(figure.bbox)
     step = times[1] - times[0] if times.size > 1 else 0.0
 
-    def draw(k: int) -> Frame:
+    def draw(k: int) -> Image.Image:
         t = float(times[k])
         now = shapes(run, np.maximum(t - step * np.arange(5.0, -1.0, -1.0), run.t[0]))
         ropes.set_segments(list(now.joints))
@@ -206,17 +205,17 @@ def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overla
         canvas.restore_region(background)
         for artist in moving:
             figure.draw_artist(artist)
-        return np.array(canvas.buffer_rgba())[..., :3]
+        return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
     return draw
 
 
-def _gif(frames: Iterator[Frame], colours: Frame, frame_rate: int) -> bytes:
+def _gif(frames: "Iterator[Image.Image]", colours: "Image.Image", frame_rate: int) -> bytes:
     """Return frames as an animated GIF, all with the palette of a picture with all `colours`."""
     from PIL import Image
 
-    palette = Image.fromarray(colours).quantize(96)
-    indexed = (Image.fromarray(each).quantize(palette=palette, dither=Image.Dither.NONE) for each in frames)
+    palette = colours.quantize(96)
+    indexed = (each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames)
     buffer, duration = io.BytesIO(), 1000 // frame_rate
     options: dict[str, Any] = {"save_all": True, "append_images": indexed, "loop": 0, "optimize": False}
     next(indexed).save(buffer, format="GIF", duration=duration, **options)
