@@ -18,7 +18,7 @@ from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import FitOptions, Identification, RecordingSetup, identify, lumped, ratios
 from hyperflex.identification.diagnosis.grade import Findings, grade
 from hyperflex.identification.fit.multiple_shooting import Fit, Linear, fit, fit_state
-from hyperflex.identification.measurements import Measurements
+from hyperflex.identification.fit.stages import Measurements
 from hyperflex.identification.fit.windows import Window, cut_windows, decimation_step, usual_length
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
@@ -557,7 +557,7 @@ def test_a_prediction_that_diverges_counts_as_infinitely_wrong(free_swing: Recor
 
 
 def test_failed_predictions_are_in_the_grade(free_swing: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperflex.identification.measurements.Plant", Wild)
+    monkeypatch.setattr("hyperflex.identification.problem.Plant", Wild)
     result = identify(free_swing, DOUBLE, ["friction"], options=FitOptions(train=4.0))
     assert "predictions of what was not fitted failed" in result.grade.reasons[0]
     assert result.summary()["held_out"]["rms"] == [None, None]  # JSON has no infinity
@@ -663,7 +663,7 @@ def test_ctrl_c_keeps_the_best_so_far(free_swing: Recording, after: int) -> None
             raise KeyboardInterrupt
 
     result = left_by(lambda: identify(free_swing, GUESS, ["inertia", "com", "friction"], progress=interrupt))
-    assert result.status == "interrupted"
+    assert result.message == "interrupted"
     assert len(result.history) == after
     assert (result.rope.friction != GUESS.friction).all()
     truth = ratios(DOUBLE)["J/p1"]

@@ -32,7 +32,7 @@ def test_one_that_is_elsewhere_is_told(off: float) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_those_that_are_as_declared_are_not(seed: int) -> None:
     result = found(0.0, seed)
-    assert result.grade == "usable for ratios"
+    assert result.grade.name == "usable for ratios"
     assert not any("where" in each and "marker" in each for each in result.grade.reasons)
 
 

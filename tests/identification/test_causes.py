@@ -19,7 +19,7 @@ def fitted(true: hf.Rope, guess: hf.Rope, free: Sequence[str], clock: float = 1.
 
 
 def reasons(found: hf.Identification) -> tuple[str, ...]:
-    assert found.grade == "do not use"
+    assert found.grade.name == "do not use"
     return found.grade.reasons
 
 

@@ -13,8 +13,8 @@ from benchmarks.wrong_input import noisy, swing
 import hyperflex as hf
 from hyperflex.identification import Identification, ratios
 from hyperflex.identification.diagnosis.grade import Findings, grade
-from hyperflex.identification.uncertainty.model_error import with_model_error
-from hyperflex.identification.declarations.score_tests import SCALES, ScoreTest
+from hyperflex.identification.diagnosis.model_error import DeclaredStds, with_model_error
+from hyperflex.identification.diagnosis.score_tests import SCALES, ScoreTest
 
 ROPE = hf.Rope(length=[0.4, 0.2], mass=[0.15, 0.05], com=[0.21, 0.09], inertia=[2.2e-3, 2e-4], friction=[4e-4, 5e-5])
 GUESS = ROPE.replace(inertia=[1.5e-3, 3e-4], com=[0.2, 0.1], friction=1e-4)
@@ -50,7 +50,7 @@ def test_what_explains_the_same_is_freed_in_the_order_of_likelihood(data_dir: Pa
     )
     guess = hf.Rope(length=recording.link_lengths(), mass=0.1, friction=1e-5)
     found = hf.identify(recording.window(26.0, 34.0), guess, options=hf.FitOptions(intervals=None))
-    assert found.grade == "usable for ratios"
+    assert found.grade.name == "usable for ratios"
     assert found.settings["free"][:3] == ["inertia", "friction", "com"]
     # of the whole recording, with its lengths and clock: docs/wrong-input.md
     np.testing.assert_allclose(found.ratios["J/p1"], [0.0906, 0.00691], rtol=0.02)
@@ -162,7 +162,7 @@ def test_a_clock_that_is_off_by_less_than_shows_is_in_the_deviations(data_dir: P
         ["inertia", "com", "friction"],
         options=hf.FitOptions(intervals=None),
     )
-    assert found.grade == "usable for ratios", found.grade
+    assert found.grade.name == "usable for ratios", found.grade
     for which, value in truth.items():
         assert (np.abs(found.ratios[which] - value) <= 2.5 * found.ratio_std[which] + 1e-9).all()
     assert found.ratio_std["J/p1"][0] < 0.02 * truth["J/p1"][0]  # not by saying that nothing is known
@@ -176,7 +176,7 @@ def test_a_chaotic_motion_is_predicted_as_far_as_its_band_tells(data_dir: Path) 
     found = hf.identify(part, guess, ["inertia", "com", "friction"], options=hf.FitOptions(intervals=None))
     assert found.held_out is not None
     assert found.held_out.rms.max() > 4.0
-    assert found.grade == "usable for ratios", found.grade
+    assert found.grade.name == "usable for ratios", found.grade
     assert (np.abs(found.ratios["J/p1"] - [0.0906, 0.00691]) < 2.0 * found.ratio_std["J/p1"]).all()
 
 
@@ -193,6 +193,6 @@ def test_short_recordings_that_are_right_are_not_refused(
     else:
         part, guess, truth = real_double(data_dir, begin, begin + duration)
     found = hf.identify(part, guess, ["inertia", "com", "friction"], options=hf.FitOptions(intervals=None))
-    assert found.grade == "usable for ratios", found.grade
+    assert found.grade.name == "usable for ratios", found.grade
     for which, value in truth.items():
         assert (np.abs(found.ratios[which] - value) <= 3.0 * found.ratio_std[which] + 1e-9).all()

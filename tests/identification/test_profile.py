@@ -444,4 +444,4 @@ def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
     monkeypatch.setattr(_intervals, "profiled", interrupted)
     result = left_by(lambda: swung(recording, PAPER, FREE))
     assert {result.intervals[name].kind for name in FREE} == {"covariance"}
-    assert result.status == "interrupted"
+    assert result.message == "interrupted"

@@ -17,7 +17,7 @@ from hyperflex.identification.fit.restarts import poor_windows, refit_poor_windo
 from hyperflex.identification.fit.state_search import _from_behind
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.measurements import build_plant, checked_measurements
+from hyperflex.identification.problem import build_plant, checked_measurements
 
 PAPER = hf.Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)  # inferred, see ../shared
 PAIR = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])

@@ -13,7 +13,7 @@ import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import About, about, pipeline
 from hyperflex.identification.diagnosis.grade import Findings, grade
-from hyperflex.identification.declarations.score_tests import ScoreTest
+from hyperflex.identification.diagnosis.score_tests import ScoreTest
 from hyperflex.identification.ending import alone
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.verdict import not_noise, swapped
@@ -105,7 +105,7 @@ def test_lengths_count_only_where_they_were_tested(monkeypatch: pytest.MonkeyPat
     assert fitted(PAIR, ["friction"], intervals=None).settings["length_std"] == 0.01
     monkeypatch.setattr(pipeline, "score_tests", stopped)
     found = left_by(lambda: fitted(PAIR, ["friction"], intervals=None))
-    assert found.status == "interrupted"
+    assert found.message == "interrupted"
     assert found.settings["length_std"] == 0.0
 
 
@@ -117,7 +117,7 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
     monkeypatch.setattr(pipeline, "score_tests", lambda *asked, **how: tests.pop(0)(*asked, **how))
     found = left_by(lambda: hf.identify(recording, PAIR, options=hf.FitOptions(intervals=None)))
     assert tests == []
-    assert found.status == "interrupted"
+    assert found.message == "interrupted"
     assert found.settings["free"] == ["inertia", "friction"]
     assert found.score_tests
     assert found.settings["length_std"] == 0.01

@@ -54,7 +54,7 @@ def test_it_is_told_and_deviations_hold_it(rope: Rope, free: list[str], words: s
     """c/p1 was off by 10 to 18 standard deviations, and nothing was suspected."""
     recording = recorded(rope, 1)
     found = identify(recording, GUESS, SHARED)
-    assert found.grade == "usable for ratios"
+    assert found.grade.name == "usable for ratios"
     assert found.grade.reasons[0].startswith(words)
     assert away(found, rope) < 2.0
     chosen = identify(recording, GUESS)
@@ -112,7 +112,7 @@ def test_an_elastic_rope_on_a_hinge(stiffness: float) -> None:
     recording = recorded(rope, 5)
     chosen = identify(recording, GUESS)
     assert chosen.settings["free"] == [*SHARED, "stiffness:inner"]
-    assert chosen.grade == "usable for ratios"
+    assert chosen.grade.name == "usable for ratios"
     assert away(chosen, rope) < 3.0
     assert chosen.residual_rms_all < 1.05 * NOISE
     found = identify(recording, GUESS, SHARED)

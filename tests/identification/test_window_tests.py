@@ -9,7 +9,7 @@ from benchmarks.wrong_input import DOUBLE, FREE, SINGLE, Array, noisy, swing
 
 import hyperflex as hf
 from hyperflex.identification.diagnosis.grade import Findings, grade
-from hyperflex.identification.declarations.clock import DRIFT
+from hyperflex.identification.diagnosis.window_tests import DRIFT, Scatter
 
 GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
 
@@ -39,7 +39,7 @@ def drift(found: hf.Identification) -> float:
 def test_a_clock_that_drifts_is_told(duration: float, free: tuple[str, ...] | None) -> None:
     t, q = swing(DOUBLE, [0.9, 0.6], duration)
     found = identified(t + 0.01 * t**2 / t[-1], q, free=free)
-    assert found.grade == "do not use"
+    assert found.grade.name == "do not use"
     assert "the clock drifts" in found.grade.reasons[0]
     assert "slower at its end" in found.grade.reasons[0]
     assert drift(found) == pytest.approx(-0.04 * (1.0 - 1.2 / duration), abs=0.01)  # between the windows' middles
@@ -66,7 +66,7 @@ def test_a_clock_that_drifts_is_no_stiffness() -> None:
 def test_a_drift_that_hardly_moves_ratios_is_in_their_deviations() -> None:
     t, q = swing(DOUBLE, [0.9, 0.6], 6.0)
     found = identified(t + 0.005 * t**2 / t[-1], q)
-    assert found.grade == "usable for ratios"
+    assert found.grade.name == "usable for ratios"
     assert "the clock seems to drift by 0.7" in found.grade.reasons[0]
     off = np.abs(found.ratios["J/p1"] - hf.identification.ratios(DOUBLE)["J/p1"])
     assert (off < 2.0 * found.ratio_std["J/p1"]).all()
@@ -84,7 +84,7 @@ def test_a_clock_that_does_not_drift_is_not_told(seed: int) -> None:
 def test_windows_of_which_some_show_another_rope_are_told() -> None:
     other = DOUBLE.replace(com=[0.14, 0.143])
     found = identified(*in_turn([DOUBLE, other, DOUBLE], [0.9, 0.6], 12.0))
-    assert found.grade == "do not use"
+    assert found.grade.name == "do not use"
     assert "windows disagree: p/p1[1] scatters between them" in found.grade.reasons[0]
     assert found.ratio_std["p/p1"][1] > 0.018 * found.ratios["p/p1"][1]  # as far as its windows scatter
 
@@ -94,7 +94,7 @@ def test_friction_that_changes_is_a_model_error() -> None:
     found = identified(
         *in_turn([SINGLE, other, SINGLE], [1.0], 24.0), SINGLE.replace(inertia=1e-3), ("inertia", "friction")
     )
-    assert found.grade == "usable for ratios"
+    assert found.grade.name == "usable for ratios"
     assert any("c/p1[0] scatters between windows" in each for each in found.grade.reasons)
 
 
