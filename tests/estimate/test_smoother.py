@@ -111,7 +111,7 @@ def interval(observations: list[Observations], density: float = 2.0) -> Interval
     frames = [InputFrame(seen, seen.seen, 1.0, nothing) for seen in observations]
     fitted = Interval(model.process, model.model, mean, rows, frames[0], np.zeros(2))
     for before, seen in itertools.pairwise(observations):
-        fitted.append(InputFrame(seen, seen.seen, 1.0, model.process.noise(seen.t - before.t, density)))
+        assert fitted.append(InputFrame(seen, seen.seen, 1.0, model.process.noise(seen.t - before.t, density)))
     return fitted
 
 

@@ -279,18 +279,16 @@ class Interval:
         """The posterior's squares over those of a right model: about 1, with some room."""
         return self.path.cost / (ROOM + sum(len(each.z) for each in self.path.measurements))
 
-    def append(self, frame: InputFrame) -> None:
-        """Add a frame; its state is at first the predicted one.
-
-        Raises
-        ------
-        SimulationError
-            If the rope's equations cannot be integrated to it.
-        """
+    def append(self, frame: InputFrame) -> bool:
+        """Add a frame; its state is at first the predicted one. Return False if it cannot be predicted."""
         path = self.path.copy()
-        self._extend(path, frame, self.frames[-1], np.zeros(len(frame.noise)))
+        try:
+            self._extend(path, frame, self.frames[-1], np.zeros(len(frame.noise)))
+        except SimulationError:
+            return False
         self.path, self.frames = path, [*self.frames, frame]
         self._smoothe()
+        return True
 
     def follow(self, frames: Sequence[InputFrame], states: Sequence[tuple[Array, Array]]) -> None:
         """Add all further frames, on a path near states that are known to about their covariances.

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from scipy.stats import qmc
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.errors import InvalidInput
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.changes import MISFIT, TOUCH, Change, Found
 from hyperflex.estimate.filter import RopeFilter
@@ -24,73 +24,57 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import Rope
 from hyperflex.sensors import lever_arms
 
-ALIKE = 0.1  # of a standard deviation: two starts have come to the same
-
-
-class Prior(NamedTuple):
-    """What was known of a state before its frame was seen.
-
-    Attributes
-    ----------
-    mean : (N,) float64
-    rows : (r, N) float64
-        Their squares are its covariance.
-    """
-
-    mean: Array
-    rows: Array
+ALIKE = 0.1  # of a standard deviation, largest difference of two fits that count as one
 
 
 class MovingHorizon(RopeFilter):
     """Estimates a rope's state from its markers in the last frames, all fitted at once.
 
-    It is used as the filter is. Where that corrects the last state alone, about derivatives that were taken at worse
-    estimates, this corrects the states of the last frames together, and takes all derivatives anew. What was seen
-    before goes on as the prior of the first of them (arrival cost), from the square root of the same factorisation.
+    It is used like the filter. The filter corrects the last state alone, with derivatives that were taken at worse
+    estimates; the horizon corrects the states of the last frames together, and takes all derivatives again. Earlier
+    observations remain as the prior of the first of them (arrival cost), from the same square-root factorisation.
 
     Parameters
     ----------
     rope : Rope
     arc_lengths : (K,) array_like
-        How far along the rope each marker sits, m from the first joint.
+        How far along the rope each marker is, m from the first joint.
     frames : int
-        How many frames are fitted together, at least 2.
+        Number of frames that are fitted together, at least 2.
     starts : int
-        How many start states are tried at most where the state may have several explanations: after the first frame,
-        and after a blackout. Each is fitted to the next frames; the most likely one goes on, and others are dropped as
-        they become unlikely. 1: none but the expected one.
+        Largest number of start states that are tried if the state may have several explanations: after the first frame,
+        and after a blackout. Each is fitted to the next frames; the estimate is the most likely one, and others are
+        dropped as they become unlikely. 1: only the expected one.
     **options
         As of :class:`RopeFilter`.
 
     Attributes
     ----------
-    begun : Prior or None
-        Of the frame with which the horizon began, or began anew.
+    begun : (N,) float64 and (r, N) float64, or None
+        Prior of the first frame since the horizon started (anew): its mean, and rows whose squares are its covariance.
     changed : bool
-        Whether the last update took over a change, or a touch goes on: the horizon begins after it.
+        Whether the last update adopted a change, or a touch continues: the horizon starts after it.
 
     Notes
     -----
-    The prior of the second frame when the first leaves is the filter's, linearised where the horizon has come to
-    (Rao, Rawlings and Mayne 2003, IEEE Trans. Automatic Control 48(2), 246; smoothing update). Cost: some ROUNDS times
+    The prior of the second frame when the first leaves is the filter's, linearised at the horizon's estimate (Rao,
+    Rawlings and Mayne 2003, IEEE Trans. Automatic Control 48(2), 246; smoothing update). Cost: some ROUNDS times
     `frames` times that of the filter.
 
-    Levels of noise are learnt once an explanation has held for a whole horizon, or if none ever does. Where all of
-    them fit badly (a wrong start is off by hundreds of standard deviations after two or three frames), the estimator
-    begins anew at the frame, with the parameters and levels of before.
+    Noise levels are adapted once an explanation has been valid for a whole horizon, or if none ever is. If all
+    explanations fit badly (a wrong start is off by hundreds of standard deviations after two or three frames), the
+    estimator starts anew at the frame, with the parameters and levels before.
 
-    While several explanations are alive, the covariance is that of their mixture about the most likely one.
+    While there are several explanations, the covariance is that of their mixture about the most likely one.
     """
 
-    ROUNDS = 3  # of Gauss-Newton, at each frame
-    FIRST_ROUNDS = 12  # at the first frame, and from the expected state where there are other starts
-    AMBIGUOUS = 0.5  # rad, standard deviation of a link's angle beyond which what is seen may have several explanations
+    ROUNDS, FIRST_ROUNDS, START_ROUNDS = 3, 12, 6  # of Gauss-Newton: at each frame, at the first, from other starts
+    AMBIGUOUS = 0.5  # rad: a larger standard deviation of a link's angle allows several explanations
     DIMENSIONS = 4  # in which starts differ
-    START_ROUNDS = 6  # from each of several starts
-    REPEATED = 5  # starts in a row that come to nothing new, after which no more are tried
-    NEGLIGIBLE = 7.0  # by how much a logarithm of a likelihood is below the best where its start is dropped
-    LOST = 10.0  # how many times too large what is squared is where no explanation is right
-    PATIENT = 8  # beginnings without an explanation that holds, after which levels of noise must have been too low
+    REPEATED = 5  # starts in a row that lead to known explanations, after which no more are tried
+    NEGLIGIBLE = 7.0  # difference of the log-likelihood from the best one's, beyond which an explanation is dropped
+    LOST = 10.0  # ratio of the squares to those of a right model, from which no explanation is right
+    PATIENT = 8  # starts without a valid explanation, after which the noise levels must have been too low
 
     def __init__(
         self, rope: Rope, arc_lengths: npt.ArrayLike, *, frames: int = 8, starts: int = 16, **options: Any
@@ -99,9 +83,9 @@ class MovingHorizon(RopeFilter):
         self.frames = checks.count("frames", frames, least=2)
         self.starts = checks.count("starts", starts)
         self._explanations: list[Interval] = []
-        self.begun: Prior | None = None
+        self.begun: tuple[Array, Array] | None = None
         self.changed = False
-        self._trusted, self._given_up = self._learnt(), 0  # beginnings since an explanation held
+        self._trusted, self._given_up = self._learnt(), 0  # starts since an explanation was valid
 
     @property
     def horizon(self) -> Interval | None:
@@ -115,7 +99,7 @@ class MovingHorizon(RopeFilter):
 
     @property
     def explanations(self) -> Array:
-        """Weights of the explanations that are alive, the most likely first; their sum is 1."""
+        """Weights of the explanations, the most likely first; their sum is 1."""
         if not self._explanations:
             return np.zeros(0)
         known = np.array([each.log_likelihood for each in self._explanations])
@@ -123,73 +107,70 @@ class MovingHorizon(RopeFilter):
         return np.asarray(weights / weights.sum())
 
     def update(self, seen: Observations) -> None:
-        """Look, as the filter does; each frame is later than the one before."""
+        """Predict and correct, as the filter does; each frame is later than the one before."""
         if self.horizon is not None and self.t is not None and seen.t == self.horizon.frames[-1].seen.t:
             allowed = f"more than {seen.t} s, the time of the frame before"
-            raise InvalidInput("two frames are of one time", got=seen.t, allowed=allowed, fix="Join what they show")
+            raise InvalidInput("two frames are of one time", got=seen.t, allowed=allowed, fix="Join their observations")
         super().update(seen)
 
     def restart(self) -> None:
-        """Forget the state; what was learnt of parameters and noise stays as a first guess."""
+        """Forget the state; parameters and noise levels remain as first guesses."""
         super().restart()
         self._explanations = []
 
     def _correct(self, seen: Observations, *, first: bool) -> None:
-        """Let the filter say which markers are plausible and what has changed, and fit the horizon."""
-        prior, unsure, self.changed = Prior(self.x.copy(), self.factor), self._unsure(), False
+        """Let the filter reject markers and notice changes, and fit the horizon."""
+        prior, self.changed = (self.x.copy(), self.factor), False
+        unsure = np.linalg.norm(self.factor[:, : self.n_links], axis=0).max() > self.AMBIGUOUS
         super()._correct(seen, first=first)
-        used = self.used
-        frame = InputFrame(seen, used, self.measurement_noise.value, self._noise_until(seen.t))
-        if not self._explanations:
+        used, known = self.used, self._explanations
+        noise = np.zeros((0, self.x.size))
+        if known:
+            noise = self.process.noise(seen.t - known[0].frames[-1].seen.t, self.process_noise.value)
+        frame = InputFrame(seen, used, self.measurement_noise.value, noise)
+        if not known:
             self.begun = prior
             self._explanations = [Interval(self.process, self.model, *prior, frame, self._qdd)]
             self._fit(self.FIRST_ROUNDS)
-            self._take()
-            return
-        if self.changed:  # what was seen before is of another rope, or of one that was not touched
+        elif self.changed:  # earlier observations are of another rope, or of one that was not touched
             self._explanations = [self._beginning(seen, self.x, self.factor, self._qdd)]
             return
-        if (
-            unsure
-            and self.starts > 1
-            and self._given_up <= self.PATIENT
-            and used.any()
-            and len(self._explanations) == 1
-        ):
-            self._explanations = self._started(frame)
-            self._fit(0)
         else:
-            self._explanations = [each for each in self._explanations if _appended(each, frame)]
-            self._fit(self.ROUNDS if used.any() else 0)
-        if used.any() and (not self._explanations or self._explanations[0].misfit > self.LOST):
-            self._begin_anew(seen)
-        elif self._settled():
-            self._trusted, self._given_up = self._learnt(), 0
+            if unsure and self.starts > 1 and self._given_up <= self.PATIENT and used.any() and len(known) == 1:
+                self._explanations = self._started(frame)
+                self._fit(0)
+            else:
+                self._explanations = [each for each in known if each.append(frame)]
+                self._fit(self.ROUNDS if used.any() else 0)
+            if used.any() and (not self._explanations or self._explanations[0].misfit > self.LOST):
+                self._begin_anew(seen)
+            elif self._settled():
+                self._trusted, self._given_up = self._learnt(), 0
         if self._explanations:
             self._take()
 
     def _adopt(self, found: Found) -> None:
-        """Take over a change, as the filter does; the horizon begins after it."""
+        """Adopt a change, as the filter does; the horizon starts after it."""
         super()._adopt(found)
         self.changed = True
 
     def _learn(self, *innovation: Any) -> None:
-        """Correct the levels of noise, where the horizon is known to be right."""
+        """Adapt the noise levels if the horizon is known to be right."""
         before = copy(self.process_noise), copy(self.measurement_noise)
         super()._learn(*innovation)
         if not self._settled() and self._given_up <= self.PATIENT:
             self.process_noise, self.measurement_noise = before
 
     def _settled(self) -> bool:
-        """Return whether one explanation has held for a whole horizon."""
+        """Return whether one explanation has been valid for a whole horizon."""
         return len(self._explanations) == 1 and len(self._explanations[0].frames) == self.frames
 
     def _learnt(self) -> tuple[Array, NoiseLevel, NoiseLevel]:
-        """Return copies of the parameters' values and the levels of noise."""
+        """Return copies of the parameters' values and the noise levels."""
         return self.x[2 * self.n_links :].copy(), copy(self.process_noise), copy(self.measurement_noise)
 
     def _begin_anew(self, seen: Observations) -> None:
-        """Begin at this frame, with what was learnt while an explanation held."""
+        """Start anew at this frame, with parameters and noise levels from when an explanation was valid."""
         self.restart()
         self._given_up += 1
         values, *levels = self._trusted
@@ -198,23 +179,11 @@ class MovingHorizon(RopeFilter):
         self.x[2 * self.n_links :] = values
         self._begin(seen)
 
-    def _unsure(self) -> bool:
-        """Return whether what was expected is too wide to be linear."""
-        return bool(np.linalg.norm(self.factor[:, : self.n_links], axis=0).max() > self.AMBIGUOUS)
-
-    def _noise_until(self, t: float) -> Array:
-        """Return rows of the process noise since the last frame."""
-        if not self._explanations:
-            return np.zeros((0, self.x.size))
-        return self.process.noise(t - self._explanations[0].frames[-1].seen.t, self.process_noise.value)
-
     def _started(self, frame: InputFrame) -> list[Interval]:
-        """Return fits from several starts, spread where the angles expected now are uncertain."""
+        """Return fits from several starts, spread in the directions in which the expected angles are uncertain."""
         last = self._explanations[0]
         begun = self._beginning(last.frames[-1].seen, last.x, last.factor, last.qdd)
-        try:
-            begun.append(frame)
-        except SimulationError:
+        if not begun.append(frame):
             return []
         angles = last.factor @ begun.path.predictions[-1].transition[: self.n_links].T
         ways, sizes, _ = np.linalg.svd(angles, full_matrices=False)
@@ -236,7 +205,7 @@ class MovingHorizon(RopeFilter):
         return found
 
     def _beginning(self, seen: Observations, x: Array, factor: Array, qdd: Array) -> Interval:
-        """Return an interval that begins with what is known after a frame."""
+        """Return an interval that starts with the estimate after a frame."""
         nothing = InputFrame(seen, np.zeros(len(seen.places), dtype=bool), 1.0, np.zeros((0, x.size)))
         return Interval(self.process, self.model, x.copy(), factor, nothing, qdd)
 
@@ -254,56 +223,41 @@ class MovingHorizon(RopeFilter):
         self._explanations = kept
 
     def _take(self) -> None:
-        """Hand out the most likely explanation, as unsure as all of them."""
-        best, weights = self._explanations[0], self.explanations
-        rows = [np.sqrt(weight) * each.factor for weight, each in zip(weights, self._explanations, strict=True)]
-        rows += [
-            np.sqrt(weight) * (each.x - best.x)[None]
-            for weight, each in zip(weights[1:], self._explanations[1:], strict=True)
-        ]
+        """Make the most likely explanation the estimate, with the covariance of the mixture."""
+        best, mixture = self._explanations[0], zip(np.sqrt(self.explanations), self._explanations, strict=True)
+        rows = [weight * np.concatenate([each.factor, (each.x - best.x)[None]]) for weight, each in mixture]
         self.factor = sr.compressed(np.concatenate(rows), self._least)
         first = 2 * self.n_links
-        x = best.x.copy()
-        x[first:] = self.parameters.possible(x[first:])
-        self.x, self._qdd = x, best.qdd
-
-
-def _appended(each: Interval, frame: InputFrame) -> bool:
-    try:
-        each.append(frame)
-    except SimulationError:
-        return False
-    return True
+        self.x, self._qdd = best.x.copy(), best.qdd
+        self.x[first:] = self.parameters.possible(self.x[first:])
 
 
 def _alike(one: Interval, other: Interval) -> bool:
-    """Return whether two fits have come to the same path."""
-    if len(one.frames) != len(other.frames):
+    """Return whether two fits have converged to the same path."""
+    paths = [[each.path.start, *each.path.noises] for each in (one, other)]
+    if len(paths[0]) != len(paths[1]):
         return False
-    return all(
-        np.abs(a - b).max(initial=0.0) < ALIKE
-        for a, b in zip([one.path.start, *one.path.noises], [other.path.start, *other.path.noises], strict=True)
-    )
+    return all(np.abs(a - b).max(initial=0.0) < ALIKE for a, b in zip(*paths, strict=True))
 
 
 WHOLE_ROUNDS = 30  # of Gauss-Newton
-EARLIER = 0.1  # s by which a change may have happened before the moment that was told
+EARLIER = 0.1  # s by which a change may have happened before its most likely moment
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothedTrack:
-    """The states of all frames, each given what was seen in all (made by :func:`smooth`).
+    """The states of all frames, each given the observations of all (the result of :func:`smooth`).
 
     Attributes
     ----------
     states : tuple of RopeState
         Of each frame, with its covariance.
     places : (T, K, 2) float64
-        Where the markers are seen, m or px, also where they were not.
+        Where the markers are, m or px, also if they were not seen.
     values : dict of str to (float, float)
         Each estimated parameter's value and standard deviation, at the end.
     log_likelihood : float
-        Of all that was seen.
+        Of all observations.
     """
 
     states: tuple[RopeState, ...]
@@ -316,9 +270,9 @@ class SmoothedTrack:
 def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> SmoothedTrack:
     """Estimate the states of all frames of a recording from all of it.
 
-    The estimator goes through the recording; then Gauss-Newton over all frames begins at what it found, with the levels
-    of noise that it learnt. Where it had to begin anew, the result begins there. Where it noticed a change or a touch,
-    the parameter or the rates may jump in any frame from shortly before the moment it told until it noticed.
+    The estimator processes the recording; then Gauss-Newton over all frames starts from its estimates, with its final
+    noise levels. If it had to start anew, the result starts there. If it noticed a change or a touch, the parameter or
+    the rates may jump in any frame from shortly before the most likely moment until it was noticed.
 
     Parameters
     ----------
@@ -331,7 +285,7 @@ def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> Sm
     InvalidInput
         If nothing is seen in any of them.
     SimulationError
-        If no rope can move along what was found.
+        If the rope's equations cannot be integrated along the estimates.
 
     Notes
     -----
@@ -349,7 +303,7 @@ def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> Sm
     if estimator.begun is None:
         raise InvalidInput("no marker was seen", allowed="observations of at least one")
     frames, prior = found.with_noise(estimator), estimator.begun
-    whole = Interval(estimator.process, estimator.model, prior.mean, prior.rows, frames[0], np.zeros(estimator.n_links))
+    whole = Interval(estimator.process, estimator.model, *prior, frames[0], np.zeros(estimator.n_links))
     if len(frames) > 1:
         whole.follow(frames[1:], found.states)
     whole.solve(WHOLE_ROUNDS)
@@ -357,7 +311,7 @@ def smooth(estimator: MovingHorizon, observations: Iterable[Observations]) -> Sm
 
 
 class _Collected:
-    """What an estimator found on its way, frame by frame, and where what it noticed may have changed the rope."""
+    """Estimates of all frames, and where a noticed change may have happened."""
 
     def __init__(self) -> None:
         self.states: list[tuple[Array, Array]] = []
