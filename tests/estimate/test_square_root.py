@@ -7,11 +7,11 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.estimate import EstimatedParameter, Observations, RopeFilter
+from hyperflex.estimate import EstimatedParameter
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.estimate.process import Process
-from tests.estimate.runs import ARM, LENGTH, SWINGS, free_swing, rope
+from tests.estimate.runs import ARM, SWINGS, rope
 
 
 @pytest.mark.parametrize("rank", [3, 12])
@@ -97,18 +97,3 @@ def test_an_update_is_never_worse_than_the_state_before() -> None:
     after, rows = sr.iterated_update(before, factor, wrong, 4, lambda *_: None)
     np.testing.assert_array_equal(after, before)
     assert abs(rows[0, 0]) < 1.0
-
-
-def test_what_noise_has_added_lies_in_the_covariance() -> None:
-    """Its rows are shares of the filter's, in each frame: what is left is below what a covariance leaves out."""
-    tracker = RopeFilter(rope(20), np.linspace(0.2, LENGTH, 10))
-    swing, ends = free_swing(0), np.linspace(0.0, LENGTH, 101)
-    for i in range(60, 900, 20):
-        places = np.stack(
-            [np.interp(np.linspace(0.2, LENGTH, 10), ends, swing.joints[i, :, c]) for c in (0, 1)], axis=1
-        )
-        tracker.update(Observations(float(swing.t[i]), places, 0.002))
-    rows = np.concatenate(tracker._by_noise.rows)
-    left = (rows - tracker._by_noise.shares(tracker.factor, tracker._least) @ tracker.factor) / tracker._least
-    assert np.abs(rows / tracker._least).max() > 30.0
-    assert np.abs(left).max() < 1.0

@@ -113,39 +113,25 @@ def test_a_tracker_on_a_moving_horizon(video: tuple[Path, Truth]) -> None:
     assert np.linalg.norm(places - true, axis=1).max() < 0.01
 
 
-def test_a_video_becomes_a_rope(video: tuple[Path, Truth], tmp_path: Path) -> None:
+def test_a_video_becomes_a_rope(video: tuple[Path, Truth], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """track, then identify: friction and inertia of the rope that was filmed, from a guess that is 30 % off."""
-    path, truth = video
-    rope(12).to_toml(tmp_path / "rope.toml")
-    camera(exposure=0.005, readout=0.02).write(tmp_path / "camera.toml")
-    arcs = ",".join(map(str, ARCS))
-    u, v = truth.pixels[0, 3].tolist()
-    named = ["--rope", tmp_path / "rope.toml", "--camera", tmp_path / "camera.toml", "--arc-lengths", arcs]
-    words = ["track", path, *named, "--click", u, v, "-o", tmp_path / "markers.nc", "--json"]
-    assert run([str(word) for word in words]) == 0
-    recording = hf.read_recording(tmp_path / "markers.nc")
-    guess = rope(12).replace(friction=1.3 * rope(12).friction)
-    result = hf.identify(
-        recording, guess, ["friction:factor"], setup=hf.RecordingSetup(arc_lengths=ARCS, origin=(0.0, 0.0))
-    )
-    assert result.success
-    assert result.rope.friction[3] == pytest.approx(rope(12).friction[3], rel=0.2)
-
-
-def test_the_command_says_what_it_saw(
-    video: tuple[Path, Truth], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
     path, truth = video
     rope(12).to_toml(tmp_path / "rope.toml")
     camera(exposure=0.005, readout=0.02).write(tmp_path / "camera.toml")
     u, v = truth.pixels[0, 3].tolist()
     named = ["--rope", tmp_path / "rope.toml", "--camera", tmp_path / "camera.toml", "-o", tmp_path / "markers.nc"]
-    words = ["track", path, *named, "--arc-lengths", *[",".join(map(str, ARCS))], "--click", u, v, "--json"]
+    words = ["track", path, *named, "--arc-lengths", ",".join(map(str, ARCS)), "--click", u, v, "--json"]
     assert run([str(word) for word in [*words, "--estimate", "scale=0.02"]]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["frames"] == stamps().size
     assert result["seen"] > 0.86  # 7 % are in the blackout
     assert abs(result["estimated"]["scale"]["value"]) < 5e-3  # it is right, and gravity tells; 12 links for 100
+    recording = hf.read_recording(tmp_path / "markers.nc")
+    guess = rope(12).replace(friction=1.3 * rope(12).friction)
+    setup = hf.RecordingSetup(arc_lengths=ARCS, origin=(0.0, 0.0))
+    result = hf.identify(recording, guess, ["friction:factor"], setup=setup)
+    assert result.success
+    assert result.rope.friction[3] == pytest.approx(rope(12).friction[3], rel=0.2)
 
 
 def test_no_rope_in_the_video(tmp_path: Path, video: tuple[Path, Truth]) -> None:

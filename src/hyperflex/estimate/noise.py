@@ -12,29 +12,29 @@ from hyperflex.checks import Array
 from hyperflex.estimate import square_root as sr
 
 LEAST, MOST = 1e-4, 1e4  # times the first guess of a noise level
-QUIET = 0.02  # of the first guess of the process noise: a rope at rest tells nothing of how well its motion is known
-AT_REST = 0.5  # of the declared noise of places: where a rope rests, it is the same in each frame, and does not show
-TINY = 1e-2  # of what is negligible, squared: so much rows that depend on each other are kept apart
+QUIET = 0.02  # least process noise over its first guess: a rope at rest gives no information about it
+AT_REST = 0.5  # least noise of places over the declared one: at rest, errors are the same in each frame
+TINY = 1e-2  # ridge of dependent rows, relative to what is negligible, squared
 
 
 class NoiseLevel:
-    """Standard deviations, corrected frame by frame.
+    """Standard deviations, adapted frame by frame.
 
     Parameters
     ----------
     value : (c,) array_like or float
         First guess.
     memory : float
-        Number of frames after which what was seen counts exp(-1).
+        Number of frames after which observations have a weight of exp(-1).
     doubt : float
         Standard deviation of the first guess's logarithm.
     least : float
-        Part of the first guess below which no level falls.
+        Smallest value relative to the first guess.
 
     Notes
     -----
-    Innovations nu have the covariance S. Where log(variance) of a noise changes, S changes by T, and the prediction by
-    m. The score is ``nu' S^-1 m + (nu' S^-1 T S^-1 nu - tr S^-1 T) / 2``, and the information of noises i and j
+    Innovations nu have the covariance S. The derivatives of S and of the prediction by log(variance) of a noise are T
+    and m. The score is ``nu' S^-1 m + (nu' S^-1 T S^-1 nu - tr S^-1 T) / 2``, and the information of noises i and j
     ``m_i' S^-1 m_j + tr (S^-1 T_i S^-1 T_j) / 2``.
     """
 
@@ -51,17 +51,17 @@ class NoiseLevel:
 
     @property
     def value(self) -> Any:
-        """The standard deviation, a float or (c,) as the first guess was."""
+        """The standard deviation, a float or (c,) like the first guess."""
         return float(self._values[0]) if self._single else self._values
 
     @property
     def log_std(self) -> Any:
-        """Standard deviation of the value's logarithm, from what was seen lately; float or (c,)."""
+        """Standard deviation of the value's logarithm, from recent observations; float or (c,)."""
         found = 0.5 * np.sqrt(np.diag(np.linalg.inv(self._known)))
         return float(found[0]) if self._single else found
 
     def see(self, whitened: Array, parts: Array, moved: Array | None = None) -> None:
-        """Correct the levels.
+        """Adapt the levels to an innovation.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class NoiseLevel:
         parts : (c, m, m) float64
             ``S^-1/2 T S^-T/2`` of each noise.
         moved : (c, m) float64, optional
-            ``S^-1/2 m`` of each, where that counts.
+            ``S^-1/2 m`` of each noise, if it has an effect.
         """
         score = 0.5 * (whitened @ parts @ whitened - np.trace(parts, axis1=1, axis2=2))
         flat = parts.reshape(len(parts), -1)
@@ -92,7 +92,7 @@ class NoiseDerivatives:
     The innovation and its covariance depend on the noise of all steps before; their derivatives follow those of the
     filter's own recursion (Gupta and Mehra 1974, IEEE Transactions on Automatic Control 19, 774-783).
 
-    They are carried as the filter's own covariance is, as rows whose squares add up.
+    They are propagated like the filter's covariance, as rows whose squares add up.
 
     Parameters
     ----------
@@ -106,13 +106,13 @@ class NoiseDerivatives:
 
     @property
     def rows(self) -> list[Array]:
-        """What a prediction carries on: rows (r, N) of each kind's covariance, and those of the state (kinds, N)."""
+        """Rows to propagate: (r, N) of each kind's covariance, and those of the state (kinds, N)."""
         return [*self._covariance, self._x]
 
     def shares(self, factor: Array, least: Array) -> Array:
-        """Return C (sum of r, s), for which C factor are the `rows` but for what is negligible.
+        """Return C (sum of r, s), for which C factor are the `rows` up to negligible differences.
 
-        No noise ever added what the filter's covariance has not, so they lie where its rows (s, N) do.
+        All noise is part of the filter's covariance, so that they are combinations of its rows (s, N).
         """
         even = factor / least
         grown = even @ even.T
@@ -120,34 +120,34 @@ class NoiseDerivatives:
         return np.asarray(dposv(grown, even @ (np.concatenate(self.rows) / least).T)[1].T)
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Start anew."""
         kinds, size = self._x.shape
         self._x, self._covariance = np.zeros((kinds, size)), [np.zeros((0, size))] * kinds
 
     def predict(self, carried: Sequence[Array], noises: Sequence[Array], least: Array) -> None:
-        """Go on.
+        """Predict.
 
         Parameters
         ----------
         carried : list of arrays
-            The `rows`, carried to the new time.
+            The `rows`, propagated to the new time.
         noises : list of (r, N) arrays
             Rows of each kind of noise.
         least : (N,) float64
-            What is negligible.
+            Negligible standard deviations.
         """
         *covariance, self._x = carried
         self._covariance = [sr.compressed(np.concatenate(each), least) for each in zip(covariance, noises, strict=True)]
 
     def update(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> tuple[Array, Array]:
-        """Look; returns `parts` and `moved` as :meth:`NoiseLevel.see` takes them.
+        """Correct; return `parts` and `moved` as :meth:`NoiseLevel.see` takes them.
 
         Parameters
         ----------
         jacobian : (m, N) float64
             Derivatives H of the observations.
         gain : (N, m) float64
-            K, by which the state is corrected.
+            Kalman gain K.
         upper : (m, m) float64
             Factor of the innovation's covariance.
         whitened : (m,) float64

@@ -1,9 +1,9 @@
 """Covariances by their square roots: prediction, measurement update and log-likelihood by QR factorisation.
 
-A covariance P (n, n) is kept as rows S (r, n) with P = S^T S. It stays symmetric and positive whatever rounding does
+A covariance P (n, n) is kept as rows S (r, n) with P = S^T S. It stays symmetric and positive despite rounding
 (Bierman 1977, Factorization Methods for Discrete Sequential Estimation; Kailath, Sayed and Hassibi 2000, section 12).
-A rope's motion is smooth soon, for its joints damp what is not: a few rows then say all that is not negligible, and
-what is carried through its equations is those few (Verlaan and Heemink 1997, Stochastic Hydrology and Hydraulics 11).
+A rope's joints soon damp motion that is not smooth: a few rows then represent all that is not negligible, and only
+those are propagated through its equations (Verlaan and Heemink 1997, Stochastic Hydrology and Hydraulics 11).
 """
 
 import math
@@ -22,7 +22,7 @@ CLOSE = 0.03  # of a standard deviation: an update has converged
 
 
 class Innovation(NamedTuple):
-    """How a measurement compares with its prediction.
+    """Comparison of a measurement with its prediction.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Innovation(NamedTuple):
 
 
 def without_lower(rows: Array) -> Array:
-    """Return rows (m, n) with zeros below their diagonal, as np.triu does, which builds its mask each time."""
+    """Return rows (m, n) with zeros below their diagonal: np.triu with a cached mask."""
     return np.asarray(np.where(_above(*rows.shape), rows, 0.0))
 
 
@@ -58,19 +58,19 @@ def solved(upper: Array, right: Array, *, transposed: bool = False) -> Array:
 
 
 def compressed(rows: Array, least: Array) -> Array:
-    """Return r <= n rows S (r, n) with S^T S = rows^T rows but for what is negligible.
+    """Return r <= n rows S (r, n) with S^T S = rows^T rows up to negligible differences.
 
     Parameters
     ----------
     rows : (m, n) float64
     least : (n,) float64
-        Standard deviation of each state that may be left out, > 0.
+        Negligible standard deviation of each state, > 0.
 
     Notes
     -----
-    Of the covariance over `least`, a Cholesky factorisation with pivoting (LAPACK's dpstrf) makes rows that grow
-    smaller and smaller, and ends where no state's variance left is above 1. Squares lose half of the digits, which is
-    no matter beside 1. It takes a third of the time of a QR factorisation of the rows.
+    A Cholesky factorisation with pivoting (LAPACK's dpstrf) of the covariance over `least` gives rows of decreasing
+    size, and ends when no remaining variance of a state is above 1. Squares lose half of the digits, which is
+    sufficient for that. It takes a third of the time of a QR factorisation of the rows.
     """
     even = rows / least
     upper, pivots, rank, _ = dpstrf(even.T @ even, tol=1.0, overwrite_a=True)
@@ -89,7 +89,7 @@ def updated(factor: Array, across: Array, upper: Array) -> Array:
 
 
 def whitened_gain(factor: Array, jacobian: Array) -> tuple[Array, Array, Array]:
-    """Return what a measurement of unit noise with derivatives H (m, n) is weighted with.
+    """Return the gain of a measurement of unit noise with derivatives H (m, n).
 
     Returns
     -------
@@ -141,7 +141,7 @@ def iterated_update(
 
     Notes
     -----
-    A step that does not lessen the cost is halved; where no part of it does, the state stays where it is.
+    A step that does not reduce the cost is halved; if no part of it does, the state is not changed.
     Bell, Cathey 1993, IEEE Transactions on Automatic Control 38, 294-297: the iterated extended Kalman filter.
     """
     u, x = np.zeros(len(factor)), before  # the state is before + factor' u

@@ -19,25 +19,25 @@ from hyperflex.simulation import (
 )
 from hyperflex.trajectory import State
 
-ROUNDING = 1e-9  # of the rope's length: sums of lengths of links differ by less
+ROUNDING = 1e-9  # of the rope's length: more than the rounding error of sums of link lengths
 POWERS = arm_polynomials("acceleration", 1.0)[0]
 
 
 class Accelerometer:
     """Proper acceleration (2,) of a place on a link, acceleration less gravity, m/s^2, in the link's own frame.
 
-    The frame is that of the world turned by the link's angle q: its x is (cos q, sin q), across the link, and its y
-    (-sin q, cos q), along it towards the motor. So a rope that hangs at rest reads (0, 9.81).
+    The frame is the world's, rotated by the link's angle q: x is (cos q, sin q), across the link, and y (-sin q, cos q),
+    along it towards the motor. A rope that hangs at rest reads (0, 9.81).
 
     Parameters
     ----------
     link : int
-        Link that it sits on, from 0.
+        Link with the sensor, from 0.
     arc_length : float
-        How far along the rope, m from the first joint; on that link, ends included. At a joint the place is of two
-        links, which turn differently.
+        Along the rope, m from the first joint; on that link, ends included. At a joint, the two links read
+        differently.
     bias : (2,) array_like
-        What it reads in free fall without turning, m/s^2.
+        Reading in free fall without rotation, m/s^2.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Accelerometer:
         by_state, seeds = state_directions("acceleration", chain, interval.drive)
         set_commands("acceleration", seeds, POWERS)
 
-        # the arm counts as a link before the others, and so does its acceleration among theirs
+        # the arm is treated as a link before the others
         alphas, slopes = (
             np.append(acceleration, link_accelerations(chain, interval.drive, 0.0, *start)),
             np.zeros((n + 1, 2 * n + 3)),

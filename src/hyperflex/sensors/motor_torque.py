@@ -15,8 +15,8 @@ from hyperflex.sensors.sensor import Measurement, angles_and_rates
 from hyperflex.simulation import Interval, ParameterChange, arm_polynomials
 from hyperflex.trajectory import State
 
-ANGLE_STEP = 1e-5  # rad, and of x: differences of a smooth function then err by some 1e-10 of it
-RATE_STEP = 1e-3  # rad/s: torque is quadratic in the rates, so that only rounding errs
+ANGLE_STEP = 1e-5  # rad, and relative: differences of a smooth function then have relative errors of 1e-10
+RATE_STEP = 1e-3  # rad/s: torque is quadratic in the rates, so that the only error is rounding
 
 
 class MotorTorque:
@@ -30,7 +30,7 @@ class MotorTorque:
     ----------
     arm : Arm
     factor : float
-        Torque as measured over torque: 1 where it is measured as it is.
+        Measured torque over torque: 1 for a calibrated sensor.
     """
 
     def __init__(self, arm: Arm, factor: float = 1.0) -> None:

@@ -16,8 +16,8 @@ from hyperflex.trajectory import State
 class PostureSensor(ABC):
     """A sensor of the posture of a rope.
 
-    `placed` tells whether it measures places, which depend on the first joint's; `values` (V,) are its own values that
-    may be fitted.
+    `placed` is true if it measures places, which depend on the first joint's; `values` (V,) are parameters of the
+    sensor that may be fitted.
     """
 
     placed = False
@@ -53,7 +53,7 @@ class PostureSensor(ABC):
 
 
 class Angles(PostureSensor):
-    """Absolute link angles, rad, times `factor`: 1 where they are read as they are."""
+    """Absolute link angles, rad, times `factor`: 1 for a calibrated sensor."""
 
     def __init__(self, factor: float = 1.0) -> None:
         self.values = np.array([checks.number("factor", factor, sign="positive")])
@@ -119,7 +119,7 @@ class Markers(PostureSensor):
         across = np.stack([np.cos(q), np.sin(q)], axis=2)
         before = np.tril(np.ones((q.shape[1], q.shape[1])), -1)[link]  # (K, n): which links lie before a marker's own
         result = np.einsum("ki,mia,mid->mkad", arms, across, dq, optimize=True)
-        if dlength.any():  # a marker keeps its distance along the rope: what is longer before it is shorter in its link
+        if dlength.any():  # a marker keeps its arc length: links before it grow, its part of its own link shrinks
             result += np.einsum("ki,mia,id->mkad", before, along, dlength, optimize=True)
             result -= np.einsum("mka,kd->mkad", along[:, link], before @ dlength, optimize=True)
         result += dpivot[:, None]
@@ -135,10 +135,10 @@ class Markers(PostureSensor):
 
 
 def lever_arms(rope: Rope, arc_lengths: Array) -> tuple[npt.NDArray[np.intp], Array]:
-    """Return the links (K,) on which points at arc lengths (K,), m, lie, and how much of each link is before them.
+    """Return the links (K,) of points at arc lengths (K,), m, and the length of each link before them (K, n), m.
 
-    The latter is (K, n), m: times the links' directions it is where the points are, on the line of the last link where
-    they are beyond the tip, on that of the first before its joint.
+    The latter times the links' directions gives the points; beyond the tip they lie on the line of the last link,
+    before the first joint on that of the first.
     """
     ends = np.cumsum(rope.length)
     link = np.minimum(np.searchsorted(ends, arc_lengths - 1e-12 * ends[-1]), rope.n_links - 1)

@@ -1,4 +1,4 @@
-"""What all sensors have in common: one call that returns what is seen in a state, with derivatives."""
+"""Interface of all sensors: one call that returns the measured channels of a state, with derivatives."""
 
 from typing import NamedTuple, Protocol
 
@@ -12,7 +12,7 @@ from hyperflex.trajectory import State
 
 
 class Measurement(NamedTuple):
-    """What a sensor shows in a state x = (arm angle, q, arm rate, qd), and its derivatives.
+    """Channels of a sensor in a state x = (arm angle, q, arm rate, qd), and their derivatives.
 
     Attributes
     ----------
@@ -30,18 +30,18 @@ class Measurement(NamedTuple):
 
 
 class Sensor(Protocol):
-    """Anything that shows something of a rope on an arm."""
+    """Sensor of a rope on an arm."""
 
     def measure(self, rope: Rope, arm: Arm, state: State, acceleration: float = 0.0) -> Measurement:
-        """Return what is seen in one state, with derivatives.
+        """Return the channels in one state, with derivatives.
 
         Parameters
         ----------
         rope, arm : Rope, Arm
         state : State
-            Its ``arm_angle`` and ``arm_rate`` count as 0 where they are not known (None).
+            Unknown (None) ``arm_angle`` and ``arm_rate`` count as 0.
         acceleration : float
-            Of the arm, rad/s^2; sensors of places and angles do not feel it.
+            Of the arm, rad/s^2; it has no effect on places and angles.
 
         Raises
         ------
@@ -52,7 +52,7 @@ class Sensor(Protocol):
 
 
 def angles_and_rates(rope: Rope, arm: Arm, state: State) -> tuple[Array, Array]:
-    """Return angles, rad, and rates, rad/s, (n + 1,) of the arm and all links, or refuse what cannot be used."""
+    """Return angles, rad, and rates, rad/s, (n + 1,) of the arm and all links, validated."""
     if not isinstance(rope, Rope) or not isinstance(arm, Arm) or not isinstance(state, State):
         got = [type(each).__name__ for each in (rope, arm, state)]
         raise InvalidInput("a sensor measures a rope on an arm", got=got, allowed="Rope, Arm, State")
