@@ -26,8 +26,8 @@ POWERS = arm_polynomials("acceleration", 1.0)[0]
 class Accelerometer:
     """Proper acceleration (2,) of a place on a link, acceleration less gravity, m/s^2, in the link's own frame.
 
-    The frame is the world's, rotated by the link's angle q: x is (cos q, sin q), across the link, and y (-sin q, cos q),
-    along it towards the motor. A rope that hangs at rest reads (0, 9.81).
+    The frame is the world's, rotated by the link's angle q: x is (cos q, sin q), across the link, and y is
+    (-sin q, cos q), along it towards the motor. A rope that hangs at rest reads (0, 9.81).
 
     Parameters
     ----------
