@@ -35,8 +35,9 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import HyperflexError
 from hyperflex.executor import refuse_lost, run_chunks
-from hyperflex.identification import ratios
+from hyperflex.identification import Kind, ratios
 from hyperflex.model import divided
+from hyperflex.status import Status
 
 RESULTS = Path(__file__).parent / "results"
 LEVEL = 0.95
@@ -51,7 +52,7 @@ EXACT = {"length_std": 0.0, "clock_std": 0.0}  # lengths and times are as declar
 LENGTH_STD, CLOCK_STD = 0.01, 0.005  # as identify takes them
 DRAG, LATE, PLACE_NOISE = 0.05, 0.02, 2e-3  # kg/m^2; s; m
 HOLDS = 0.88  # of intervals of a wrong model that is not called so
-WORDS = ("not white", "no noise", "as large as the declared noise")
+WARNINGS = (Kind.COLOURED, Kind.NOISE_UNDERSTATED)
 
 
 class Experiment(NamedTuple):
@@ -62,6 +63,7 @@ class Experiment(NamedTuple):
     free: list[str]
     truth: dict[str, float]
     setup: dict[str, Any] | None = None
+    window: float | None = np.inf
 
 
 Draw = Callable[[np.random.Generator], Experiment]
@@ -169,7 +171,7 @@ def late(random: np.random.Generator) -> Experiment:
     noise = NOISE * random.standard_normal(run.q.shape)
     recording = hf.Recording(t + LATE, run.q + noise, noise=NOISE)
     # links turn by up to 38 rad/s: over all 4 s no fit would follow them, so that its windows are the usual ones
-    return Experiment(recording, guess, free, truth, {"arm": arm, "motion": motion, "window": None})
+    return Experiment(recording, guess, free, truth, {"arm": arm, "motion": motion}, window=None)
 
 
 def stiff(random: np.random.Generator) -> Experiment:
@@ -289,23 +291,23 @@ def examine(draw: Draw, random: np.random.Generator) -> dict[str, Any]:
     began = time.perf_counter()
     try:
         setup = hf.RecordingSetup(**(case.setup or {}))
-        options = hf.FitOptions(window=np.inf, train=np.inf)
+        options = hf.FitOptions(window=case.window, train=np.inf)
         found = hf.identify(case.recording, case.guess, case.free, setup=setup, options=options)
     except HyperflexError as error:
         return {"status": type(error).__name__, "numbers": {}}
-    if found.message == "interrupted":
+    if found.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     numbers = {}
     for name, true in case.truth.items():
         each = found.intervals[name]
         numbers[name] = [short(x) for x in (true, estimate(found, name), each.low, each.high)] + [each.kind]
     return {
-        "status": found.message,
-        "grade": found.grade.name,
-        "links": any("use more links" in reason for reason in found.grade.reasons),
+        "status": "converged" if found.converged else str(found.status),
+        "grade": str(found.grade),
+        "links": found.has(Kind.LINKS_TOO_LONG),
         "seconds": short(time.perf_counter() - began),
         "rms": short(found.residual_rms_all),
-        "warned": any(word in text for text in found.verdict for word in WORDS),
+        "warned": found.has(*WARNINGS),
         "numbers": numbers,
     }
 

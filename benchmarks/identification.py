@@ -13,12 +13,13 @@ from clock import NOTE, alternately
 
 import hyperflex as hf
 from hyperflex.identification import identify
-from hyperflex.identification.fit.stages import Measurements, fit_in_stages
 from hyperflex.identification.fit.windows import usual_length
+from hyperflex.identification.measurements import Measurements
 from hyperflex.identification.measurements import measure as measured
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.multi_start import multi_start
 from hyperflex.paper import iterative_revision
 
 RATE = 7.5  # frames a second
@@ -102,7 +103,7 @@ def starts(recording: hf.Recording, count: int) -> list[dict[str, Any]]:
         shifted = hf.Recording(exact.t, exact.data + rng.uniform(-SHIFT, SHIFT, 5))
         began = time.perf_counter()
         usual = usual_length(exact, guess)
-        found, _, _ = fit_in_stages(plant, Measurements(exact, shifted), 1.001 * exact.duration, usual, lambda _: None)
+        found = multi_start(plant, Measurements(exact, shifted), 1.001 * exact.duration, usual).fit
         values = plant.parameters.values(found.x)
         rows.append(row("5 links, 81 frames", f"start {number}", time.perf_counter() - began, found.cost, values))
     return rows

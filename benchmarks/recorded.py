@@ -16,6 +16,7 @@ import numpy as np
 from clock import Times, once
 
 import hyperflex as hf
+from hyperflex.identification import Kind
 from hyperflex.model import divided
 
 Row = dict[str, Any]
@@ -71,7 +72,7 @@ def real_double() -> tuple[float, float, str]:
     found, seconds, clock = _timed(lambda: hf.identify(recording, guess, free, options=hf.FitOptions(train=np.inf)))
     off = np.abs(figures(found) / KNOWN - 1.0).max()
     profiled = sum(each.kind == "profile" for each in found.intervals.values())
-    return seconds, clock, f"ratios within {100 * off:.2g} % of those known; {profiled} profiles; {found.grade.name}"
+    return seconds, clock, f"ratios within {100 * off:.2g} % of those known; {profiled} profiles; {found.grade}"
 
 
 def arm_driven() -> tuple[float, float, str]:
@@ -90,7 +91,7 @@ def arm_driven() -> tuple[float, float, str]:
         )
     )
     off = max(abs(float(found.values[name]) - 0.5) / float(found.std[name]) for name in free)
-    return seconds, clock, f"truth within {off:.1f} standard deviations; {found.grade.name}"
+    return seconds, clock, f"truth within {off:.1f} standard deviations; {found.grade}"
 
 
 def coarse() -> tuple[float, float, str]:
@@ -109,7 +110,7 @@ def coarse() -> tuple[float, float, str]:
         )
     )
     holds = 0.5 in found.intervals["stiffness:factor"]
-    words = "use more links" if "use more links" in str(found.grade) else "more links are not asked for"
+    words = "use more links" if found.has(Kind.LINKS_TOO_LONG) else "more links are not asked for"
     factor, std = 2.0 * float(found.values["stiffness:factor"]), 2.0 * float(found.std["stiffness:factor"])
     return (
         seconds,

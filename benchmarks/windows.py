@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import sys
 import time
 from itertools import combinations
@@ -31,6 +30,9 @@ from benchmarks import machine
 
 import hyperflex as hf
 from hyperflex import files
+from hyperflex.identification import Kind
+from hyperflex.identification import text as text_of
+from hyperflex.identification.texts import percent
 from hyperflex.identification.uncertainty.ratios import ratio_spread
 
 RESULTS = Path(__file__).parent / "results"
@@ -45,7 +47,6 @@ RECORDINGS: dict[str, tuple[str, dict[str, str], list[str]]] = {
     "IBM 06": ("ibm_double_pendulum/run06_500Hz.csv", MARKERS, [*FREE, "gravity_angle"]),
     "IBM 16": ("ibm_double_pendulum/run16_500Hz.csv", MARKERS, [*FREE, "gravity_angle"]),
 }
-FRICTION = re.compile(r"riction is a model error: .* would change by (.*?) if ")
 
 
 def guess_of(recording: hf.Recording) -> hf.Rope:
@@ -66,9 +67,9 @@ def measure(folder: Path, name: str, count: int) -> list[dict[str, Any]]:
         began = time.process_time()
         found = hf.identify(part, guess, free, options=hf.FitOptions(train=np.inf))
         row = {"recording": name, "begin": float(begin), "seconds": time.process_time() - began}
-        row |= {"grade": found.grade.name, "reason": found.grade.reasons[0] if found.grade.reasons else ""}
-        said = FRICTION.search(str(found))
-        row["friction"] = said.group(1) if said else ""
+        row |= {"grade": str(found.grade), "reason": text_of(found.findings[0])}
+        parts = [percent(each.values["part"]) for each in found.findings if each.kind is Kind.FRICTION_MODEL]
+        row["friction"] = f"up to {parts[0]}" if parts else ""
         own, laws = (
             ratio_spread(found.basis.plant.parameters, found.basis.as_declared.information, model=model)
             for model in (False, True)

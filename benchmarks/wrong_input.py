@@ -5,7 +5,7 @@ python -m benchmarks.wrong_input --out -           simulated cases alone; nothin
 python -m benchmarks.wrong_input --only WORDS      cases with these words in their names; nothing is written
 
 Each case must end in one of five ways: it is refused; it is graded "do not use"; what is called usable has 95 %
-intervals that hold the truth and are no wider than its kind of case allows; its first line names what is wrong, as
+intervals that hold the truth and are no wider than its kind of case allows; its first finding is of what is wrong, as
 listed in CAUSES; or the recording is exactly that of another rope, and the reasons say by how much each per cent
 counts. The exit code is 1 where one is called usable and is wrong or says nearly nothing.
 """
@@ -13,7 +13,6 @@ counts. The exit code is 1 where one is called usable and is wrong or says nearl
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -30,12 +29,14 @@ from scipy.special import ndtri
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import HyperflexError
-from hyperflex.identification import About, about, ratios
+from hyperflex.identification import Grade, Kind, ratios, text
 
 Array = np.ndarray
-TIMES_OR_LENGTHS = ("times or lengths", "lengths seem", "times were to be multiplied")
-ANGLES = ("the zero of the angles", "gravity is turned", "gravity were turned")
-CAUSES: dict[str, tuple[str, ...]] = {  # by what is wrong, as in a case's name: words of which a first line has one
+TIMES_OR_LENGTHS = (Kind.CLOCK, Kind.LENGTHS)
+ANGLES = (Kind.ZERO, Kind.GRAVITY_ROTATED)
+CAUSES: dict[
+    str, tuple[Kind, ...]
+] = {  # by what is wrong, as in a case's name: kinds of which the first finding is one
     "clock x 1.1": TIMES_OR_LENGTHS,
     "clock x 0.8 (400 for 500 Hz)": TIMES_OR_LENGTHS,
     "clock x 1.005, as clocks err": TIMES_OR_LENGTHS,
@@ -45,19 +46,19 @@ CAUSES: dict[str, tuple[str, ...]] = {  # by what is wrong, as in a case's name:
     "length x 1.1": TIMES_OR_LENGTHS,
     "lengths x 1.1": TIMES_OR_LENGTHS,
     "lengths x 0.99": TIMES_OR_LENGTHS,
-    "first length x 1.1": ("lengths seem",),
-    "scale x 1.1": ("check their scale",),
-    "scale x 1.1, places fitted": ("(their scale)",),
-    "a clock that drifts, 2 % too slow at the end": ("the clock drifts", "the clock seems to drift"),
+    "first length x 1.1": (Kind.LENGTHS,),
+    "scale x 1.1": (Kind.MARKER_DISTANCES,),
+    "scale x 1.1, places fitted": (Kind.MARKER_SCALE,),
+    "a clock that drifts, 2 % too slow at the end": (Kind.DRIFT,),
     "zero off by 5 degrees": ANGLES,
     "camera turned by 8 degrees": ANGLES,
     "the tip's alone, camera turned by 5 degrees": ANGLES,
-    "com held wrong": ("'com'",),
-    "masses held wrong": ("'mass'", "'com'"),
-    "inertia held wrong": ("'inertia'",),
-    "arm's length x 1.01": ("lengths seem",),
-    "stamps 20 ms late": ("s late", "s off"),
-    "bent at rest, held straight": ("the rope seems bent at rest",),
+    "com held wrong": (Kind.HELD,),
+    "masses held wrong": (Kind.HELD,),
+    "inertia held wrong": (Kind.HELD,),
+    "arm's length x 1.01": (Kind.LENGTHS,),
+    "stamps 20 ms late": (Kind.DELAY,),
+    "bent at rest, held straight": (Kind.REST_BEND,),
 }
 BOTH = "clock x 1.1 and lengths x 1.21: a longer rope that moves alike"
 DOUBLE = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], com=[0.14, 0.13], inertia=[8e-4, 3.5e-4], friction=[3e-4, 1e-4])
@@ -343,13 +344,14 @@ def real_double(folder: Path) -> Iterator[Case]:
 
 
 class Outcome(NamedTuple):
-    """How a case ends (refused, do not use, right, suspicion, cannot be told, WIDE, WRONG), and its first line.
+    """How a case ends: refused, do not use, right, suspicion, cannot be told, WIDE or WRONG; its first line and kind.
 
     Of what is called usable: how many 95 % intervals hold the truth, of how many.
     """
 
     end: str
     line: str
+    kind: Kind | None = None
     held: int = 0
     intervals: int = 0
 
@@ -376,27 +378,28 @@ def outcome(case: Case) -> Outcome:
         )
     except HyperflexError as error:
         return Outcome("refused", str(error))
-    line = str(found.grade)
-    if found.grade.name == "do not use":
-        return Outcome("do not use", line)
+    first = found.findings[0]
+    line = f"{found.grade.capitalize()}: {text(first)}"
+    if found.grade is Grade.DO_NOT_USE:
+        return Outcome("do not use", line, first.kind)
     every = compared(found, case)
     holds = all(each.away <= together(len(every)) for each in every)
     if every and holds and all(each.width <= 1.0 for each in every):
-        return Outcome("right", line, sum(each.away <= 1.0 for each in every), len(every))
-    if case.undetectable and any(about(each) in (About.UNTESTED, About.UNDETECTABLE) for each in found.grade.reasons):
-        return Outcome("cannot be told", line)
-    named = any(words in line for words in CAUSES.get(case.wrong, ()))
+        return Outcome("right", line, first.kind, sum(each.away <= 1.0 for each in every), len(every))
+    if case.undetectable and found.has(Kind.UNTESTED, Kind.UNDETECTABLE):
+        return Outcome("cannot be told", line, first.kind)
+    named = first.kind in CAUSES.get(case.wrong, ())
     if named and case.right is not None and line != outcome(case.right).line:
-        return Outcome("suspicion", line)
-    return Outcome("WIDE" if holds else "WRONG", line)
+        return Outcome("suspicion", line, first.kind)
+    return Outcome("WIDE" if holds else "WRONG", line, first.kind)
 
 
 def compared(found: hf.Identification, case: Case) -> list[Compared]:
     """Return each interval of what is called usable beside the truth; what is hardly known may be of any width."""
-    usable = found.ratios | (found.values if found.grade.name == "usable" else {})
-    said = " ".join(each for each in found.grade.reasons if about(each) is About.NOT_KNOWN)
-    unknown = set(re.findall(r"(\S+) \(±", said))
-    model_error = any(about(each) is About.FRICTION for each in found.grade.reasons)
+    usable = found.ratios | (found.values if found.grade is Grade.USABLE else {})
+    loose = (each.values["names"] for each in found.findings if each.kind is Kind.POORLY_DETERMINED)
+    unknown = {name for names in loose for name in names}
+    model_error = found.has(Kind.FRICTION_MODEL)
     every = []
     for name in usable.keys() & case.truth.keys():
         errors = np.broadcast_to(case.error.get(name, 0.0), case.truth[name].shape)
@@ -461,7 +464,7 @@ PAGE = f"""# Wrong and poor inputs
 
 What `identify` says of {{count}} inputs that are not what they should be, or are. Simulated, but for those called
 real. Each is refused, or graded "do not use", or what it calls usable is "right", or its first line names what is
-wrong ("suspicion"; the script lists for each slip the words that name it). The rest "cannot be told": exactly such a
+wrong ("suspicion"; the script lists for each mistake the kinds of findings). The rest "cannot be told": exactly such a
 recording comes of another rope, with a right clock and right lengths, so that nothing in it can show the slip;
 one of the reasons says by how much each per cent counts, and standard deviations hold `clock_std` and `length_std`.
 
@@ -471,7 +474,7 @@ They must also say something: an interval reaches at most {NARROW:.0%} of the va
 recording is poor: noisy, short, with gaps or forces; of a mass or inertia that a torque tells {WEIGHED:.0%}; of a
 friction {FRICTION:.0%}), but for what a reason calls hardly known, or a friction that it calls a model error. "WIDE"
 is one that reaches farther, "WRONG" one that misses the truth. Of the {{intervals}} intervals as they are {{held}} do.
-A test holds this page, and that these motions are
+A test shows that these motions are
 exactly alike; `python -m benchmarks.wrong_input --data FOLDER` writes it.
 
 {{table}}"""

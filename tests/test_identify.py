@@ -7,6 +7,7 @@ import subprocess
 import sys
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,26 +16,21 @@ import pytest
 from hyperflex import files, progress
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
-from hyperflex.identification import FitOptions, Identification, RecordingSetup, identify, lumped, ratios
-from hyperflex.identification.diagnosis.grade import Findings, grade
+from hyperflex.identification import FitOptions, Identification, Kind, RecordingSetup, identify, lumped, ratios
+from hyperflex.identification.declarations.evidence import other_lengths
 from hyperflex.identification.fit.multiple_shooting import Fit, Linear, fit, fit_state
-from hyperflex.identification.fit.stages import Measurements
 from hyperflex.identification.fit.windows import Window, cut_windows, decimation_step, usual_length
+from hyperflex.identification.measurements import Measurements
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.model.scale import scaling
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.rounds import message
+from hyperflex.identification.symptoms import _identifiable, _of_prediction
 from hyperflex.identification.uncertainty.covariance import Information, estimate_covariance
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation
 from hyperflex.identification.uncertainty.ratios import ratio_spread
-from hyperflex.identification.verdict import (
-    not_converged,
-    not_noise,
-    other_lengths,
-    verdict,
-)
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings
 from hyperflex.recording import Recording
@@ -58,7 +54,7 @@ def plain(rope: Rope) -> Plant:
 
 
 def held_out(plant: Plant, angles: Recording) -> HeldOut | None:
-    return predict(plant, plant.parameters.start, Measurements(angles, angles))
+    return predict(plant, plant.parameters.start, Measurements(angles, angles), FitOptions())
 
 
 def swing(rope: Rope, duration: float = 8.0, rate: float = 100.0, noise: float = NOISE, seed: int = 1) -> Recording:
@@ -103,7 +99,9 @@ def test_the_common_factor_is_reported_as_unknown(fitted: Identification) -> Non
     assert not fitted.identifiable
     for name in ("inertia", "com", "friction"):
         assert np.isinf(fitted.std[name]).all()
-    assert "One common factor of inertia, com, friction cannot be known" in fitted.verdict[0]
+    assert fitted.has(Kind.COMMON_FACTOR)
+    (unknown,) = (each.values for each in fitted.findings if each.kind is Kind.COMBINATION)
+    assert (unknown["count"], unknown["names"]) == (1, ["inertia", "com", "friction"])
     assert np.isfinite(np.concatenate(list(fitted.ratio_std.values()))).all()
     assert fitted.ratio_std["p/p1"][0] == 0.0  # it is 1 by definition
     # The last singular value is rounding, the others are information: a wide gap between.
@@ -114,8 +112,8 @@ def test_the_common_factor_is_reported_as_unknown(fitted: Identification) -> Non
 def test_masses_free_as_well_hide_more_but_no_ratio(free_swing: Recording, fitted: Identification) -> None:
     result = identify(free_swing, GUESS, ["inertia", "com", "mass", "friction"])
     # n splits of mass between com and inertia, and the common factor
-    assert result.verdict[0].startswith("3 combinations of inertia, com, mass, friction cannot be known")
-    assert "ratios over p1 are known" in result.verdict[0]
+    (unknown,) = (each.values for each in result.findings if each.kind is Kind.COMBINATION)
+    assert (unknown["count"], unknown["names"]) == (3, ["inertia", "com", "mass", "friction"])
     for name, value in fitted.ratios.items():  # the same motion, so the same ratios, whatever the parameters
         np.testing.assert_allclose(result.ratios[name], value, atol=0.1 * float(fitted.ratio_std[name].max()))
 
@@ -127,33 +125,28 @@ def single_swing() -> Recording:
     return Recording(t, run.q + NOISE * np.random.default_rng(0).standard_normal(run.q.shape))
 
 
-ALIKE = "cannot be known: these parameters act alike in this motion"
-COMMON = "cannot be known from this motion (no known force or torque acts)"
-IDLE = "length[0] cannot be known: what does not act in this motion"
-HIDDEN: dict[str, tuple[list[str], list[str]]] = {
-    "length of a single link": (["inertia", "length"], [IDLE]),
+HIDDEN: dict[str, tuple[list[str], dict[Kind, list[str]]]] = {
+    "length of a single link": (["inertia", "length"], {Kind.NO_EFFECT: ["length[0]"]}),
     "and a common factor": (
         ["inertia", "com", "friction", "length"],
-        [f"One common factor of inertia, com, friction {COMMON}", IDLE],
+        {Kind.NO_EFFECT: ["length[0]"], Kind.COMBINATION: ["inertia", "com", "friction"]},
     ),
     # friction held fixes the factor, but a mass can be traded for its distance and inertia
-    "a split": (["mass", "com", "inertia"], [f"One combination of mass, com, inertia {ALIKE}"]),
-    "a factor by mass": (["mass", "inertia", "friction"], [f"One common factor of mass, inertia, friction {COMMON}"]),
+    "a split": (["mass", "com", "inertia"], {Kind.COMBINATION: ["mass", "com", "inertia"]}),
+    "a factor by mass": (["mass", "inertia", "friction"], {Kind.COMBINATION: ["mass", "inertia", "friction"]}),
 }
 
 
-@pytest.mark.parametrize(("free", "starts"), HIDDEN.values(), ids=HIDDEN.keys())
+@pytest.mark.parametrize(("free", "unknown"), HIDDEN.values(), ids=HIDDEN.keys())
 def test_what_cannot_be_known_is_named_for_what_it_is(
-    single_swing: Recording, free: list[str], starts: list[str]
+    single_swing: Recording, free: list[str], unknown: dict[Kind, list[str]]
 ) -> None:
     result = identify(single_swing, SINGLE.replace(inertia=1.5e-3), free)
     assert not result.identifiable
-    unknown = [text for text in result.verdict if "cannot be known" in text]
-    assert len(unknown) == len(starts)
-    for text, start in zip(unknown, starts, strict=True):
-        assert text.startswith(start)
-    weigh = any("weigh the links" in text for text in unknown)
-    assert weigh == any("common factor" in start for start in starts)
+    found = {
+        each.kind: each.values["names"] for each in result.findings if each.kind in (Kind.NO_EFFECT, Kind.COMBINATION)
+    }
+    assert found == unknown
 
 
 def test_a_mass_that_alone_sets_the_common_factor_is_not_called_idle() -> None:
@@ -161,8 +154,10 @@ def test_a_mass_that_alone_sets_the_common_factor_is_not_called_idle() -> None:
     known, unknown = np.array([[0.0], [1.0]]), np.array([[1.0], [0.0]])
     x, widths, covariance = parameters.start, parameters.widths, np.diag([0.0, 1e-6])
     information = Information(x, widths, np.array([1.0, 0.0]), known, unknown, covariance, 1.0)
-    (text,) = verdict(parameters, information, {})
-    assert text.startswith(f"One common factor of mass {COMMON}")
+    fit = SimpleNamespace(x=x)
+    basis = SimpleNamespace(plant=SimpleNamespace(parameters=parameters), information=information, fit=fit)
+    found = list(_identifiable(basis))  # type: ignore[arg-type]
+    assert (found[0].kind, found[0].values["names"]) == (Kind.COMBINATION, ["mass"])
 
 
 def test_scaling_multiplies_all_moments_and_torques_by_one_factor() -> None:
@@ -258,7 +253,7 @@ def test_a_led_first_joint() -> None:
     )
     within(result.values, result.std, {"friction": cable.friction})
     hung = identify(recording, cable, ["friction:shared"])  # told nothing of the arm
-    assert any("fit is poor" in text for text in hung.verdict)
+    assert hung.has(Kind.POOR_FIT)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -549,17 +544,17 @@ def test_a_prediction_that_diverges_counts_as_infinitely_wrong(free_swing: Recor
     assert not np.isnan(held.window_rms).any()
     assert np.isinf(held.rms).all()
     np.testing.assert_allclose(held.failed, [5.5])
-    told = grade(Findings(DOUBLE, identifiable=True, held_out=held))
-    assert told.name == "do not use"
-    assert "1 of 3 predictions of what was not fitted failed (from t = 5.5 s)" in told.reasons[0]
+    (failed,) = _of_prediction(held)
+    assert failed.kind is Kind.PREDICTION_FAILED
+    assert failed.values == {"failed": 1, "count": 3, "times": [5.5]}
     good = held_out(plain(DOUBLE), free_swing.window(4.0, np.inf))
-    assert not any("failed" in each for each in grade(Findings(DOUBLE, identifiable=True, held_out=good)).reasons)
+    assert list(_of_prediction(good)) == []
 
 
 def test_failed_predictions_are_in_the_grade(free_swing: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hyperflex.identification.problem.Plant", Wild)
+    monkeypatch.setattr("hyperflex.identification.measurements.Plant", Wild)
     result = identify(free_swing, DOUBLE, ["friction"], options=FitOptions(train=4.0))
-    assert "predictions of what was not fitted failed" in result.grade.reasons[0]
+    assert result.findings[0].kind is Kind.PREDICTION_FAILED
     assert result.summary()["held_out"]["rms"] == [None, None]  # JSON has no infinity
 
 
@@ -622,7 +617,7 @@ def test_markers_in_another_unit_are_noticed() -> None:
 def test_angles_from_upright_are_called_a_poor_fit() -> None:
     recording = swing(DOUBLE, duration=4.0)
     result = identify(Recording(recording.t, recording.data + np.pi), DOUBLE, ["inertia", "friction"])
-    assert any("fit is poor" in text and "zero" in text for text in result.verdict)
+    assert result.has(Kind.POOR_FIT)
 
 
 def test_a_rope_that_cannot_be_simulated_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -663,7 +658,7 @@ def test_ctrl_c_keeps_the_best_so_far(free_swing: Recording, after: int) -> None
             raise KeyboardInterrupt
 
     result = left_by(lambda: identify(free_swing, GUESS, ["inertia", "com", "friction"], progress=interrupt))
-    assert result.message == "interrupted"
+    assert result.status == "interrupted"
     assert len(result.history) == after
     assert (result.rope.friction != GUESS.friction).all()
     truth = ratios(DOUBLE)["J/p1"]
@@ -695,7 +690,7 @@ def test_results_are_written_and_read(fitted: Identification, tmp_path: Path) ->
     np.testing.assert_array_equal(told["covariance"], fitted.covariance)
     text = str(fitted)
     assert "ratio J/p1" in text
-    assert "cannot be known" in text
+    assert text.startswith("Usable for ratios.")
 
 
 def test_windows_drop_links_that_cannot_be_seen() -> None:
@@ -721,15 +716,8 @@ def test_the_window_does_not_depend_on_the_guess() -> None:
     assert usual_length(recording, guess) == usual_length(recording, other)
 
 
-def test_the_verdict_leads_with_what_is_wrong() -> None:
-    assert not_converged("converged") == ""
-    assert not_converged("not converged").startswith("The fit is not converged")
-    assert not_noise(1.0) == ""
-    assert "no noise" in not_noise(50.0)
-
-
 def test_a_wrong_scale_of_the_markers_is_noticed() -> None:
     places = np.array([[0.0, 0.0, 0.0, -0.3], [0.0, 0.0, 0.1, -0.28]])
     markers = Recording([0.0, 0.1], places, kind="markers")
-    assert other_lengths(markers, Rope(length=[0.3], mass=[0.1])) == ""
-    assert "0.2987 for 0.2 m" in other_lengths(markers, Rope(length=[0.2], mass=[0.1]))
+    assert other_lengths(markers, Rope(length=[0.3], mass=[0.1])) == []
+    assert [each.kind for each in other_lengths(markers, Rope(length=[0.2], mass=[0.1]))] == [Kind.MARKER_DISTANCES]

@@ -16,6 +16,7 @@ import hyperflex as hf
 from hyperflex import files, identification, progress, report
 from hyperflex.errors import Interrupted
 from hyperflex.identification import rounds
+from hyperflex.status import Status
 
 
 @pytest.fixture
@@ -54,7 +55,7 @@ def test_identify_writes_the_rope_and_its_figures(hyperflex, swing):
     assert "prediction error" not in out  # 0.8 s are too short for a prediction of 1 s after 0.5 s
     # Noise-free data of the same model: only the rollout's tolerance of 1e-5 m is left.
     assert hf.Rope.from_toml(swing / "rope.toml").friction[0] == pytest.approx(2e-4, rel=1e-2)
-    assert files.read_toml(swing / "rope.toml")["identification"]["message"] == "converged"
+    assert files.read_toml(swing / "rope.toml")["identification"]["status"] == "success"
 
 
 def test_identify_as_json_with_a_held_out_part(hyperflex_json, swing):
@@ -94,7 +95,7 @@ def test_ctrl_c_keeps_the_best_so_far_and_exits_with_130(hyperflex_json, swing, 
         try:
             signal.raise_signal(signal.SIGINT)
         except KeyboardInterrupt:
-            raise Interrupted(dataclasses.replace(found, message="interrupted")) from None
+            raise Interrupted(dataclasses.replace(found, ended=Status.INTERRUPTED)) from None
 
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
@@ -104,32 +105,31 @@ def test_ctrl_c_keeps_the_best_so_far_and_exits_with_130(hyperflex_json, swing, 
     finally:
         signal.signal(signal.SIGINT, before)
     assert code == 130
-    assert (result["error"], result["success"], result["status"]) == ("interrupted", False, 2)
-    assert files.read_toml(swing / "rope.toml")["identification"]["message"] == "interrupted"
+    assert (result["error"], result["success"], result["status"]) == ("interrupted", False, "interrupted")
+    assert files.read_toml(swing / "rope.toml")["identification"]["status"] == "interrupted"
 
 
 def test_a_fit_that_did_not_converge_is_written_marked_and_exits_with_3(hyperflex, swing, monkeypatch):
     whole = identification.identify
 
     def unsettled(*arguments, **options):
-        return dataclasses.replace(whole(*arguments, **options), message="not converged")
+        return dataclasses.replace(whole(*arguments, **options), converged=False)
 
     monkeypatch.setattr(identification, "identify", unsettled)
     arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
     code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments)
     assert code == 3
-    assert "not converged" in "".join(out.splitlines()[:5])  # behind the first sentence
-    assert files.read_toml(swing / "rope.toml")["identification"]["message"] == "not converged"
+    assert files.read_toml(swing / "rope.toml")["identification"]["status"] == "failed"
     code, out, _ = hyperflex("identify", swing / "swing.csv", *arguments, "--json")
     assert code == 3
-    assert list(json.loads(out).items())[:3] == [("success", False), ("status", 1), ("message", "not converged")]
+    assert (json.loads(out)["success"], json.loads(out)["status"]) == (False, "failed")
 
 
 def test_ctrl_c_prints_the_best_so_far(hyperflex, swing, monkeypatch):
     whole = identification.identify
 
     def interrupted(*arguments, **options):
-        raise Interrupted(dataclasses.replace(whole(*arguments, **options), message="interrupted"))
+        raise Interrupted(dataclasses.replace(whole(*arguments, **options), ended=Status.INTERRUPTED))
 
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--rope", swing / "guess.toml", "--free", "friction", "-o", swing / "rope.toml", *DECLARED)
@@ -235,7 +235,7 @@ def test_an_interrupted_fit_leaves_a_whole_folder_marked_as_such(hyperflex, swin
     whole = identification.identify
 
     def interrupted(*arguments, **options):
-        raise Interrupted(dataclasses.replace(whole(*arguments, **options), message="interrupted"))
+        raise Interrupted(dataclasses.replace(whole(*arguments, **options), ended=Status.INTERRUPTED))
 
     monkeypatch.setattr(identification, "identify", interrupted)
     arguments = ("--rope", swing / "guess.toml", "--free", "friction", *DECLARED)
@@ -243,7 +243,7 @@ def test_an_interrupted_fit_leaves_a_whole_folder_marked_as_such(hyperflex, swin
     assert code == 130
     assert "friction" in out  # the table of the best so far
     assert "marked as interrupted" in err
-    assert '<span class="badge">interrupted</span>' in (swing / "found" / "report.html").read_text("utf-8")
+    assert "usable" in (swing / "found" / "report.html").read_text("utf-8")
 
 
 # ---- markers along the rope, a led first joint

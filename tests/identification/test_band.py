@@ -168,7 +168,7 @@ def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch: pytest.MonkeyPatch) 
     result = left_by(
         lambda: identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], options=hf.FitOptions(train=5.0))
     )
-    assert result.message == "interrupted"
+    assert result.status == "interrupted"
     assert result.held_out is None
     assert (np.abs(result.values["friction"] - ROPE.friction) < 5.0 * result.std["friction"]).all()
 

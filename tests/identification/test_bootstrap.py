@@ -128,7 +128,7 @@ def test_refusals(found: Identification) -> None:
     with pytest.raises(InvalidInput, match="count"):
         bootstrap(found, 0)
     with pytest.raises(InvalidInput, match="no longer has its fit"):
-        bootstrap(replace(found, message="converged"))
+        bootstrap(replace(found))
     result = Bootstrap(("mass",), np.array([[1.0], [2.0]]), 0, interrupted=False)
     with pytest.raises(InvalidInput, match=r"no such parameter.*mass"):
         result.interval("inertia")

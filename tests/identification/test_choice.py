@@ -206,7 +206,7 @@ def test_ctrl_c_keeps_the_candidates_that_are_done(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(_choice, "identify", second_stops)
     found = left_by(lambda: compare_models(swing(DOUBLE), GUESS, MODELS))
-    assert found.message == "interrupted"
+    assert found.status == "interrupted"
     assert [model.name for model in found.models] == ["viscous"]
     assert found.preferred == "viscous"
     assert "nothing to compare it with" in found.recommendation

@@ -171,7 +171,7 @@ def test_ctrl_c_keeps_what_was_looked_at(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(_design, "expected_information", second_stops)
     second = Experiment("second", q0=0.5)
     found = left_by(lambda: design_experiment(SINGLE, "friction", [SHORT, second]))
-    assert found.message == "interrupted"
+    assert found.status == "interrupted"
     assert [plan.experiment.name for plan in found.plans] == ["short"]
     with pytest.raises(KeyboardInterrupt):
         design_experiment(SINGLE, "friction", [second])

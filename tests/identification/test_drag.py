@@ -7,6 +7,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.checks import Array
+from hyperflex.identification import Kind
 from hyperflex.model import divided
 from hyperflex.recording import Recording
 
@@ -61,7 +62,8 @@ def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tup
     words = ["mass:factor", "inertia:factor", "friction:shared", "drag:shared"]
     found = hf.identify(recording, CORD, words, setup=hf.RecordingSetup(arc_lengths=arc_lengths, origin=(0.0, 0.0)))
     assert not found.identifiable
-    assert "One common factor of mass, inertia, friction, drag" in found.verdict[0]
+    (unknown,) = (each.values["names"] for each in found.findings if each.kind is Kind.COMBINATION)
+    assert unknown == ["mass", "inertia", "friction", "drag"]
     assert np.isinf(found.std["drag"]).all()
     assert np.isfinite(found.ratio_std["d/p1"]).all()
     truth = DRAG / hf.identification.lumped(CORD)[0][0]

@@ -432,7 +432,7 @@ def test_refusals(found: Identification) -> None:
         with pytest.raises(InvalidInput, match="level"):
             profile(found, FREE[0], level)
     with pytest.raises(InvalidInput, match="no longer has its fit"):
-        profile(replace(found, message="converged"), FREE[0])
+        profile(replace(found), FREE[0])
 
 
 def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
@@ -444,4 +444,4 @@ def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
     monkeypatch.setattr(_intervals, "profiled", interrupted)
     result = left_by(lambda: swung(recording, PAPER, FREE))
     assert {result.intervals[name].kind for name in FREE} == {"covariance"}
-    assert result.message == "interrupted"
+    assert result.status == "interrupted"

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
-from hyperflex.identification.fit import alternating
-from hyperflex.identification.fit.alternating import fit_alternating
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.restarts import poor_windows, refit_poor_windows
-from hyperflex.identification.fit.state_search import _from_behind
 from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.problem import build_plant, checked_measurements
+from hyperflex.identification.multi_start import _from_behind, _Search, _settled
 
 PAPER = hf.Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)  # inferred, see ../shared
 PAIR = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
@@ -98,6 +94,12 @@ def test_friction_does_not_fall_to_its_bound_and_stay_there() -> None:
     assert abs(found.values["friction"][0] - 3e-4) < 3.0 * found.std["friction"][0]
 
 
+def search(plant: Plant, *, ambiguous: bool) -> _Search:
+    """What all starts of a recording without declared noise have in common."""
+    angles = hf.Recording(np.arange(4.0), np.zeros((4, plant.parameters.guess.n_links)))
+    return _Search(plant, Measurements(angles, angles), Loss(), Budget(), lambda _: None, ambiguous)
+
+
 def dry() -> hf.Recording:
     """A rod whose bearing grips, let go at 1.1 rad (simulated)."""
     rod = hf.Rope(length=[0.3], mass=[0.1], friction=[3e-4], dry_friction=[2.5e-3])
@@ -114,12 +116,10 @@ def test_a_state_that_is_caught_is_started_elsewhere() -> None:
     )._basis
     assert basis is not None
     plant, windows, good = basis.plant, basis.windows, basis.fit
-    assert poor_windows(windows, good, known_noise=False) == []
     states = list(good.states)
     states[1] = np.array([states[1][0] + 2.5, 0.0])
-    caught = fit(plant, windows, good.x, states, states_only=True, rounds=1)
-    assert poor_windows(windows, caught, known_noise=False) == [1]
-    found = refit_poor_windows(plant, windows, replace(caught), known_noise=False, report=lambda _: None)
+    assert fit(plant, windows, good.x, states, states_only=True, rounds=1).cost > 2.0 * good.cost
+    found = _settled(search(plant, ambiguous=False), windows, good.x, states, lambda _: None)
     assert found.cost == pytest.approx(good.cost, rel=1e-3)  # the same optimum, as far as a fit goes
 
 
@@ -133,8 +133,9 @@ def seen_at_its_tip(frames: int) -> tuple[Plant, list[Window], Array, list[Array
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=[2.0, 1.2], tol=1e-9)
     tip = run.joints[:, 2] + 5e-4 * np.random.default_rng(0).standard_normal((t.size, 2))
     recording = hf.Recording(t, tip, kind="markers", noise=5e-4)
-    measured, places = checked_measurements(recording, rope, [0.16], (0.0, 0.0), None, None)
-    plant = build_plant(recording, rope, ["inertia", "friction"], places, (0.0, 0.0), None, None)
+    setup = hf.RecordingSetup(arc_lengths=[0.16], origin=(0.0, 0.0))
+    measured, places = checked_measurements(recording, rope, setup)
+    plant = build_plant(recording, rope, ["inertia", "friction"], places, setup)
     windows, _ = measured.windows(0.4)
     states = [np.append(run.q[k], run.qd[k]) for k in np.searchsorted(t, [w.t[0] - 1e-9 for w in windows])]
     return plant, windows, plant.parameters.start, states
@@ -152,33 +153,6 @@ def test_the_state_of_a_window_is_found_from_the_one_after_it() -> None:
 def test_a_window_that_was_taken_for_its_mirror_image_is_turned() -> None:
     plant, windows, x, states = seen_at_its_tip(80)
     wrong = np.append(states[0][:2] + np.array([0.5, -1.5]), -states[0][2:])
-    found = fit_alternating(plant, windows, x, [wrong, *states[1:]], Loss(), lambda _: None)
+    found = _settled(search(plant, ambiguous=True), windows, x, [wrong, *states[1:]], lambda _: None)
     np.testing.assert_allclose(found.states[0][:2], states[0][:2], atol=0.02)
     assert found.cost - found.prior_cost < 2.0 * sum(window.values for window in windows)
-
-
-def test_settling_goes_on_from_other_starts_until_one_fits(monkeypatch: pytest.MonkeyPatch) -> None:
-    plant, windows, x, states = seen_at_its_tip(80)
-    good = fit(plant, windows, x, states)
-    bad = replace(good, residuals=[10.0 * r for r in good.residuals])
-    tried = iter([bad, bad, good, bad])
-    starts: list[Array] = []
-    monkeypatch.setattr(alternating, "_alternated", lambda _, __, x, *___: starts.append(x) or next(tried))
-    assert fit_alternating(plant, windows, x, states, Loss(), lambda _: None) is good
-    assert len(starts) == 3
-    np.testing.assert_array_equal(starts[0], x)
-    for other in starts[1:]:
-        factor = plant.parameters.values(other) / plant.parameters.values(x)
-        assert (np.abs(np.log(factor)) < 0.7).all()
-        assert np.ptp(np.log(factor)) > 0.1
-
-
-def test_windows_whose_rollouts_fail_are_left_to_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All but one fail: that one is fitted, the others keep their states until a search finds better ones."""
-    plant, windows, x, states = seen_at_its_tip(200)
-    whole = Plant.residual
-    monkeypatch.setattr(Plant, "residual", lambda *a: whole(*a) if a[2] is windows[0] else None)
-    found = alternating._fit_of_the_better(plant, windows, x, states, Loss(), lambda _: None)
-    assert found is not None
-    assert found[0] is not x
-    assert all(one is other for one, other in zip(found[1][1:], states[1:], strict=True))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,22 +11,22 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import About, about, pipeline
-from hyperflex.identification.diagnosis.grade import Findings, grade
-from hyperflex.identification.diagnosis.score_tests import ScoreTest
-from hyperflex.identification.ending import alone
+from hyperflex.identification import Kind, Severity, pipeline, text
+from hyperflex.identification.declarations.evidence import swapped
+from hyperflex.identification.declarations.score_findings import score_findings
+from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.verdict import not_noise, swapped
+from hyperflex.identification.symptoms import _far, _of_prediction
 from tests.faults.interrupting import left_by
 
 PAIR = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06], friction=[3e-4, 1e-4])
 T = np.arange(0.0, 4.0, 0.02)
 
 
-def fitted(rope: hf.Rope, free: list[str], **others: object) -> hf.Identification:
+def fitted(rope: hf.Rope, free: list[str], **others: Any) -> hf.Identification:
     run = hf.simulate(rope, duration=4.0, t_eval=T, q0=np.full(rope.n_links, 0.8))
     data = run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
-    return hf.identify(hf.Recording(T, data), rope, free, **others)  # type: ignore[arg-type]
+    return hf.identify(hf.Recording(T, data), rope, free, options=hf.FitOptions(**others))
 
 
 def test_what_all_links_share_is_printed_once() -> None:
@@ -37,14 +37,13 @@ def test_what_all_links_share_is_printed_once() -> None:
     assert line.count("±") == 1
     assert line.endswith("each")
     assert "gravity_angle " in said
-    assert max(len(line) for line in said.splitlines() if line not in str(found.verdict)) < 300
+    assert max(len(line) for line in said.splitlines() if line.startswith("  value")) < 300
     assert "and 4 more" in next(line for line in said.splitlines() if "fit error" in line)
     assert "± 0 " not in said + " "
 
 
 def test_what_was_held_is_left_out() -> None:
     found = fitted(PAIR, ["friction[1]"], intervals=None)
-    assert str(found).count("p1 is the first moment of link 0") == 1
     line = next(line for line in str(found).splitlines() if "value friction" in line)
     assert "[1]" in line
     assert line.count("±") == 1
@@ -105,7 +104,7 @@ def test_lengths_count_only_where_they_were_tested(monkeypatch: pytest.MonkeyPat
     assert fitted(PAIR, ["friction"], intervals=None).settings["length_std"] == 0.01
     monkeypatch.setattr(pipeline, "score_tests", stopped)
     found = left_by(lambda: fitted(PAIR, ["friction"], intervals=None))
-    assert found.message == "interrupted"
+    assert found.status == "interrupted"
     assert found.settings["length_std"] == 0.0
 
 
@@ -117,28 +116,10 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
     monkeypatch.setattr(pipeline, "score_tests", lambda *asked, **how: tests.pop(0)(*asked, **how))
     found = left_by(lambda: hf.identify(recording, PAIR, options=hf.FitOptions(intervals=None)))
     assert tests == []
-    assert found.message == "interrupted"
+    assert found.status == "interrupted"
     assert found.settings["free"] == ["inertia", "friction"]
     assert found.score_tests
     assert found.settings["length_std"] == 0.01
-
-
-@pytest.mark.parametrize(
-    ("identifiable", "words"),
-    [
-        (True, "Usable: {}; all else is known better. {}"),
-        (False, "Usable for ratios: {}; all other ratios are known better. {}"),
-    ],
-)
-def test_what_is_not_known_stands_beside_what_is(identifiable: bool, words: str) -> None:
-    told = grade(Findings(PAIR, identifiable=identifiable, hardly=["friction[1] (± 55 %)"]))
-    unknown = "friction[1] (± 55 %) is hardly known"
-    advice = "Record longer or larger swings, or hold what you know otherwise."
-    assert str(told) == words.format(unknown, advice)
-    poor = grade(
-        Findings(PAIR, identifiable=identifiable, warnings=["The fit is poor."], hardly=["friction[1] (± 55 %)"])
-    )
-    assert poor.reasons[1] == f"{unknown}. {advice}"
 
 
 def test_ratios_of_which_none_is_known_are_not_to_be_used() -> None:
@@ -148,11 +129,11 @@ def test_ratios_of_which_none_is_known_are_not_to_be_used() -> None:
     found = hf.identify(
         hf.Recording(T[:30], q), PAIR, ["inertia", "com"], options=hf.FitOptions(intervals=None, train=np.inf)
     )
-    assert found.success
+    assert found.converged
     assert (found.ratio_std["J/p1"] > 0.3 * found.ratios["J/p1"]).all()
-    assert str(found.grade).startswith("Do not use: no ratio of moments and inertias is known better than to 15 % of")
-    told = grade(Findings(PAIR, identifiable=False, hardly=["J/p1[1] (± 55 %)"]))
-    assert str(told).startswith("Usable for ratios: J/p1[1] (± 55 %) is hardly known")
+    assert found.has(Kind.NOTHING_KNOWN)
+    assert (found.success, found.status) == (False, "failed")
+    assert found.message == text(found.findings[0])
 
 
 def test_predictions_are_compared_as_far_as_their_band_is_narrow() -> None:
@@ -168,30 +149,18 @@ def test_predictions_are_compared_as_far_as_their_band_is_narrow() -> None:
     kept = held.foreseeable
     np.testing.assert_allclose(kept.t, np.append(t[:5], t + 1.0))
     assert kept.rms[0] == pytest.approx(3.0 * np.sqrt(5 / 15))
-    assert grade(Findings(PAIR, identifiable=True, held_out=held)).name == "do not use"
+    assert [each.kind for each in _of_prediction(held)] == [Kind.PREDICTION_POOR]
     std[15] = 0.5
-    assert grade(Findings(PAIR, identifiable=True, held_out=replace(held, std=std))).name == "usable"
-
-
-def test_a_fit_that_one_start_alone_came_to_is_told() -> None:
-    assert alone(3, 1).startswith("Of 3 starts one alone came to this fit")
-    assert alone(3, 2) == alone(1, 1) == ""
+    assert list(_of_prediction(replace(held, std=std))) == []
 
 
 def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used() -> None:
     """As a frame rate that is far too low makes it: times are stretched, and with them inertia over first moment."""
     rope = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09])
-    assert grade(Findings(rope, identifiable=True)).name == "usable"
-    odd = rope.replace(inertia=[0.0225, rope.inertia[1]])
-    told = grade(Findings(odd, identifiable=True))
-    assert told.name == "do not use"
-    assert "link 0 would have its mass" in told.reasons[0]
-    last = grade(Findings(rope.replace(inertia=[rope.inertia[0], 0.05]), identifiable=True))
-    assert "link 1 would have its mass" in last.reasons[0]
-    clock = ScoreTest("gravity_scale", 0.9, np.array([0.25]), moved=3.0, std=1e-3)
-    named = grade(Findings(odd, identifiable=True, tests=[clock])).reasons
-    assert "times or lengths are not as declared" in named[0]  # says more, and comes before
-    assert "link 0 would have its mass" in named[1]
+    assert list(_far(rope)) == []
+    for link, inertia in ((0, [0.0225, rope.inertia[1]]), (1, [rope.inertia[0], 0.05])):
+        (far,) = _far(rope.replace(inertia=inertia))
+        assert (far.kind, far.severity, far.values["link"]) == (Kind.MASS_FAR, Severity.WRONG, link)
 
 
 def test_questions_end_with_their_own_mark() -> None:
@@ -206,18 +175,9 @@ def test_markers_swapped_in_two_intervals_are_told_with_both() -> None:
     away = (t >= 1.0) & (t < 2.0) | (t >= 5.0) & (t < 5.5)
     places[away] = places[away][:, [0, 2, 1]]
     recording = hf.Recording(t, places.reshape(t.size, -1), kind="markers")
-    assert swapped(recording, rope) == (
-        "markers 1 and 2 are swapped from t = 1 to 1.98 s and from t = 5 to 5.48 s: swap them back there."
-    )
-
-
-def test_a_sentence_carries_what_it_is_about() -> None:
-    """In the verdict and, with a capital, among the further reasons of a grade; to another process, too."""
-    told = grade(Findings(PAIR, identifiable=True, noise="noise", hardly=["friction[1] (± 55 %)"], laws=(2.0, "drag")))
-    assert [about(each) for each in told.reasons[:3]] == [About.ELSE, About.NOT_KNOWN, About.FRICTION]
-    assert [about(each) for each in pickle.loads(pickle.dumps(told)).more[:2]] == [About.NOT_KNOWN, About.FRICTION]
-    assert told.more[0].startswith("Friction[1] (± 55 %) is hardly known")
-    assert about(not_noise(20.0)) is about(not_noise(1.0, 0.0)) is About.COLOURED
+    (found,) = swapped(recording, rope)
+    assert (found.values["first"], found.values["second"]) == (1, 2)
+    assert found.values["times"] == ["from t = 1 to 1.98 s", "from t = 5 to 5.48 s"]
 
 
 def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more() -> None:
@@ -225,13 +185,12 @@ def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more() ->
     links = ScoreTest("links", 0.3, np.array([32.0]), excess_gain=0.7, ratio_sensitivity=0.2)
     bent = ScoreTest("rest_angle:shared", 0.8, np.array([0.1]), moved=0.0)
 
-    def said(*tests: ScoreTest) -> str:
-        return str(grade(Findings(PAIR, identifiable=True, tests=tests)).reasons)
+    def kinds(*tests: ScoreTest) -> list[Kind]:
+        return [each.kind for each in score_findings(tests, odd=False, known=True, wrong=False)]
 
-    assert "use more links" in said(links)
-    assert "use more links" not in said(replace(links, gain=0.02))
-    assert "use more links" not in said(bent, links)
-    assert "the rope seems bent at rest, by 5.7 degrees a joint" in said(bent, links)
+    assert kinds(links) == [Kind.LINKS_TOO_LONG]
+    assert kinds(replace(links, gain=0.02)) == []
+    assert kinds(bent, links) == [Kind.REST_BEND]
 
 
 @pytest.mark.parametrize(("noise", "told"), [(2e-3, False), (1.2e-3, False), (6e-4, True), (None, False)])
@@ -240,7 +199,7 @@ def test_a_fit_that_leaves_far_more_than_the_declared_noise(noise: float | None,
     data = run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
     free = ["inertia", "com", "friction"]
     found = hf.identify(hf.Recording(T, data, noise=noise), PAIR, free, options=hf.FitOptions(intervals=None))
-    assert any("nothing that was tested explains it" in each for each in found.grade.reasons) is told
+    assert found.has(Kind.UNEXPLAINED) is told
     slow = hf.identify(hf.Recording(1.03 * T, data, noise=noise), PAIR, free, options=hf.FitOptions(intervals=None))
-    assert slow.grade.reasons[0].startswith("times or lengths are not as declared")
-    assert not any("nothing that was tested explains it" in each for each in slow.grade.reasons)
+    assert slow.findings[0].kind is Kind.CLOCK
+    assert not slow.has(Kind.UNEXPLAINED)

@@ -31,7 +31,9 @@ def demo(
     result = {
         "source": "simulated",
         "files": report.files,
-        **found.identification.ending(),
+        "success": found.identification.success,
+        "status": found.identification.status,
+        "message": found.identification.message,
         "parameters": {each.name: _parameter(each) for each in found.parameters},
         "held_out_rms_rad": error,
         "angle_noise_rad": noise,

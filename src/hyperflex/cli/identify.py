@@ -117,7 +117,7 @@ def identify(
             progress=True,
         )
     )
-    summary = result.ending() | {"output": out, **result.summary()}
+    summary = {"output": out, **result.summary()}
     if _is_folder(out):
         from hyperflex.report import identification_page, write_found
 
@@ -128,12 +128,13 @@ def identify(
     else:
         files.rescued(result.to_toml, out)
         written = {"rope": out}
-    unusable = output.NOT_USABLE if result.grade.name == "do not use" else 0
+    ended = result.converged and result.ended is None
+    unusable = 0 if result.success else output.NOT_USABLE
     output.show(
         summary | {"files": written},
         *_blocks(result, written),
         interrupted=f"Interrupted; the best so far is in {out}, marked as interrupted." if stopped else "",
-        code=unusable if result.success else output.NOT_CONVERGED,
+        code=unusable if ended else output.NOT_CONVERGED,
     )
 
 
@@ -172,11 +173,12 @@ def _blocks(found: "Identification", written: dict[str, Path]) -> list[Block]:
     from hyperflex.report import TextTable, parameters_table, ratios_table, readable_unit
 
     unit = readable_unit(found.unit, found.residual_rms)
-    rows = [("ended", found.message), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
+    rows = [("ended", str(found.status)), ("fit error, rms", f"{found.residual_rms_all / unit.size:.3g} {unit.name}")]
     if (held := found.held_out) is not None:
         worst = f"{held.rms.max() / unit.size:.3g} {unit.name}"
         rows.append((f"prediction error over {held.ahead:g} s", f"{worst} rms in the worst channel"))
-    blocks: list[Block] = [Rows(str(found.grade), [("", reason) for reason in found.grade.more]), Rows("Fit", rows)]
+    headline, *lines_ = found.report().splitlines()
+    blocks: list[Block] = [headline, *lines_, Rows("Fit", rows)]
     for table in (parameters_table(found, None), ratios_table(found)):
         if table is not None:
             first = [row[0] for row in table.rows]
@@ -188,4 +190,4 @@ def _blocks(found: "Identification", written: dict[str, Path]) -> list[Block]:
                 blocks.append(f"  and {len(table.rows) - len(kept)} more, in {written.get('page', 'the folder')}")
     names = {"rope": "rope and figures", "figures": "numbers", "page": "all results on one page"}
     files_ = Rows("Written", [(names[kind], str(path)) for kind, path in written.items()])
-    return [*blocks, *map(str, found.verdict), files_]
+    return [*blocks, files_]

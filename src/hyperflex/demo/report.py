@@ -142,7 +142,7 @@ def _sections(
     )
     tracked = _TRACKED.format(frames=demo.recording.t.size, seen=100.0 * demo.seen)
     recording = f"Recording: {demo.recording.source}; {demo.recording.gaps} coordinates are missing."
-    notes = (_MAPPED, " ".join(demo.identification.verdict), recording)
+    notes = (_MAPPED, " ".join(demo.identification.report(full=True).splitlines()[1:]), recording)
     film = (shown.pop("film"),) if "film" in shown else ()
     return [
         Section("The cast", report.verdicts[0], marks=report.verdicts[1:], pictures=film),

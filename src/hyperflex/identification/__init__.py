@@ -7,17 +7,17 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.identification.comparison.compare import compare_models
     from hyperflex.identification.comparison.result import FittedModel, ModelComparison
-    from hyperflex.identification.diagnosis.grade import Grade
-    from hyperflex.identification.diagnosis.score_tests import ScoreTest
+    from hyperflex.identification.declarations.score_tests import ScoreTest
     from hyperflex.identification.experiment_design.choice import ExperimentDesign, Plan, design_experiment
     from hyperflex.identification.experiment_design.experiments import Experiment
+    from hyperflex.identification.findings import Finding, Grade, Kind, Severity
     from hyperflex.identification.model.names import perturbed
     from hyperflex.identification.model.parameters import lumped
     from hyperflex.identification.options import FitOptions, RecordingSetup
     from hyperflex.identification.pipeline import identify
     from hyperflex.identification.prediction import BAND, HeldOut
     from hyperflex.identification.result import Identification
-    from hyperflex.identification.sentences import About, about
+    from hyperflex.identification.texts import text
     from hyperflex.identification.uncertainty.bootstrap import Bootstrap, bootstrap
     from hyperflex.identification.uncertainty.covariance import Basis, Interval
     from hyperflex.identification.uncertainty.profile import Profile, profile

@@ -1,6 +1,7 @@
-"""Measurements to fit: angles, places of markers, and motor torque."""
+"""Measurements to fit, checked against the rope, and the model that predicts them."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -8,16 +9,48 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit.stages import Measurements
-from hyperflex.identification.fit.windows import STILL
+from hyperflex.identification.fit.windows import CUT, Window, cut_windows
+from hyperflex.identification.model.names import parse
+from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.model.plant import Plant, pivot_places
+from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.model import Rope
 from hyperflex.recording import Recording, unwrap
+from hyperflex.sensors import Angles, Markers
 
 BEND = 0.5  # rad, standard deviation of the turn from the middle of a link to that of the next, over sqrt(n links)
 STUCK = 0.02  # of the swing of the marker that swings most, per distance from the first joint
 BENDS = 256  # that are looked at
 SWAY = 5.0  # rad/s, the same of its rate
 UNTOLD = 2e-3  # of the rope's length: noise of a marker where none is given and it must be weighed against these
+TRAIN = 0.8  # part of a recording that is fitted when nothing is said
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """What is fitted: channels, the angles that they show, and the prior of a state (see Window).
+
+    assumed: the channels' noise was not declared, but taken to be of a usual size. sides: other angles that would show
+    as the same channels.
+    """
+
+    channels: Recording
+    shape: Recording
+    prior: Array | None = None
+    assumed: bool = False
+    sides: tuple[Recording, ...] = ()
+
+    def windows(self, length: float, step: int = 1) -> tuple[list[Window], int]:
+        """Return windows of so many seconds with every `step`-th sample, and how many were left out."""
+        sides = [each.decimate(step).data for each in self.sides]
+        return cut_windows(self.channels.decimate(step), length, self.shape.decimate(step), self.prior, sides)
+
+    def between(self, start: float, end: float) -> "Measurements":
+        """Return the samples with ``start <= t < end``, s."""
+        sides = tuple(each.window(start, end) for each in self.sides)
+        return replace(
+            self, channels=self.channels.window(start, end), shape=self.shape.window(start, end), sides=sides
+        )
 
 
 def checked_arc_lengths(recording: Recording, rope: Rope, arc_lengths: npt.ArrayLike) -> Array:
@@ -48,7 +81,7 @@ def refuse_still_markers(recording: Recording, arc_lengths: Array) -> None:
     reach = np.hypot(*(np.nanmax(places, axis=0) - np.nanmin(places, axis=0)).T)
     beyond = arc_lengths > 1e-9 * arc_lengths.max()
     swing = reach[beyond] / arc_lengths[beyond]
-    if swing.max() > STILL and (swing < STUCK * swing.max()).any():
+    if swing.max() > CUT.still and (swing < STUCK * swing.max()).any():
         marker = int(np.flatnonzero(beyond)[np.argmin(swing)])
         raise InvalidInput(
             f"marker {marker} never moves while others do",
@@ -157,3 +190,82 @@ def first_joint(recording: Recording, arc_lengths: Array, pivot: Array) -> Array
     places = recording.data.reshape(recording.t.size, -1, 2)
     back = places[:, 0] - (places[:, 1] - places[:, 0]) * arc_lengths[0] / (arc_lengths[1] - arc_lengths[0])
     return np.asarray(np.nanmedian(back - pivot, axis=0))
+
+
+def checked_measurements(recording: Recording, rope: Rope, setup: RecordingSetup) -> tuple[Measurements, Array | None]:
+    """Return the measurements, if they fit the rope, and the arc lengths of markers that are not at the joints."""
+    if not isinstance(recording, Recording):
+        fix = "Read the file with read_recording first"
+        raise InvalidInput("recording is not a Recording", got=recording, allowed="hyperflex.Recording", fix=fix)
+    checks.instance("rope_guess", rope, Rope)
+    arc_lengths, origin = setup.arc_lengths, setup.origin
+    if arc_lengths is not None:
+        places = checked_arc_lengths(recording, rope, arc_lengths)
+        refuse_still_markers(recording, places)
+        joint = None
+        if places.size == 1 and origin is None:
+            raise InvalidInput(
+                "one marker alone does not show where the rope hangs from",
+                fix="Say where the camera sees that: origin=(x, y), in m; or track a second marker",
+            )
+        if origin is not None:
+            joint = checks.array("origin", origin, (2,), unit="m") + pivot_places(setup.motion, setup.arm, recording.t)
+        return measure(recording, rope, places, joint), places
+    if recording.n_links != rope.n_links:
+        raise InvalidInput(
+            "the recording and the rope have different numbers of links",
+            got=[recording.n_links, rope.n_links],
+            fix="Give a guess with as many links as the recording has angles (markers less one), or arc_lengths=[...]",
+        )
+    if recording.kind == "markers":
+        factor = recording.link_lengths() / rope.length
+        if (factor > 2.0).any() or (factor < 0.5).any():
+            raise InvalidInput(
+                "the distances of the markers do not fit the rope's link lengths",
+                got=[recording.link_lengths().tolist(), rope.length.tolist()],
+                allowed="within a factor of two, in m",
+                fix="Check the unit or scale of the markers, or the lengths of the guess",
+            )
+    refuse_still_markers(recording, np.append(0.0, np.cumsum(rope.length)))
+    return measure(recording, rope, None), None
+
+
+def build_plant(
+    recording: Recording, guess: Rope, free: Sequence[str], arc_lengths: Array | None, setup: RecordingSetup
+) -> Plant:
+    """Return the model that predicts the measurements, with its free parameters."""
+    motion, arm, origin, torque = setup.motion, setup.arm, setup.origin, setup.torque is not None
+    chosen = parse(guess, free, arc_lengths, moved=motion is not None, arm=arm if torque else None)
+    if arc_lengths is None:
+        if origin is not None:
+            raise InvalidInput(
+                "origin is given, but angles are fitted", fix="Give arc_lengths=... as well, or leave it out"
+            )
+        return Plant(Parameters(guess, chosen), Angles(), motion, arm, torque=torque)
+    if origin is None:
+        words = [word for word in ("origin_x", "origin_y") if word not in free]
+        chosen += parse(guess, words, arc_lengths) if words else []
+        place = first_joint(recording, arc_lengths, pivot_places(motion, arm, recording.t))
+    else:
+        place = checks.array("origin", origin, (2,), unit="m")
+    starts = {"origin_x": float(place[0]), "origin_y": float(place[1])}
+    chosen = [replace(each, start=starts.get(each.name, each.start)) for each in chosen]
+    return Plant(Parameters(guess, chosen), Markers(arc_lengths, place), motion, arm, torque=torque)
+
+
+def split(measured: Measurements, options: FitOptions) -> tuple[Measurements, Measurements | None]:
+    """Return the part to fit and the part held out."""
+    every = measured.channels
+    if options.train is None:
+        time = float(every.t[0] + TRAIN * every.duration)
+        if every.t[-1] - time < options.lead + options.ahead:
+            return measured, None
+    else:
+        time = options.train
+        if time > every.t[-1]:
+            return measured, None
+        if time <= every.t[0]:
+            raise InvalidInput("train leaves nothing to fit", got=time, allowed=f"a time after {every.t[0]:g} s")
+    fitted = measured.between(-np.inf, time)
+    rest = every.t >= time
+    return fitted, measured.between(time, np.inf) if rest.sum() > 1 else None

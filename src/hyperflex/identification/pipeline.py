@@ -3,42 +3,53 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-import numpy.typing as npt
+import numpy as np
 
 from hyperflex import checks
+from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted
-from hyperflex.identification.assembly import assemble_result, fit_settings
-from hyperflex.identification.diagnosis.declarations import ShortFit, explained, scaled_angles, suspicious
-from hyperflex.identification.diagnosis.free_parameters import Trial, choose_parameters
-from hyperflex.identification.diagnosis.link_test import link_test
-from hyperflex.identification.diagnosis.misdeclared import DECLARED, explaining, first_misdeclared
-from hyperflex.identification.diagnosis.model_error import DeclaredStds, with_model_error
-from hyperflex.identification.diagnosis.score_tests import SCALES, ScoreTest, score_tests
-from hyperflex.identification.diagnosis.tolerances import with_ratio_sensitivity
-from hyperflex.identification.diagnosis.window_tests import Scatter, drift_test, scatter_test, window_scores
-from hyperflex.identification.ending import INTERRUPTED, OUT_OF_TIME
+from hyperflex.identification.declarations.clock import SCALES
+from hyperflex.identification.declarations.evidence import evidence
+from hyperflex.identification.declarations.link_test import link_test
+from hyperflex.identification.declarations.mistakes import ShortFit, mistakes, spring_or_angles
+from hyperflex.identification.declarations.score_findings import explaining, first_misdeclared
+from hyperflex.identification.declarations.score_tests import ScoreTest, score_tests
+from hyperflex.identification.declarations.window_tests import drift_test, scatter_test, window_scores
 from hyperflex.identification.excitation import check_excitation
+from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Report, one_thread
-from hyperflex.identification.fit.stages import Measurements, check_memory, fit_in_stages, search_delay, with_delay
 from hyperflex.identification.fit.windows import part_left, usual_length, with_enough_frames
-from hyperflex.identification.measurements import with_torque
-from hyperflex.identification.options import FitOptions, How, RecordingSetup
+from hyperflex.identification.free_parameters import Trial, choose_parameters
+from hyperflex.identification.measurements import (
+    Measurements,
+    build_plant,
+    checked_measurements,
+    split,
+    with_torque,
+)
+from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.multi_start import check_memory, multi_start, search_delay, with_delay
+from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
-from hyperflex.identification.problem import build_plant, checked_measurements, split
 from hyperflex.identification.result import Identification
 from hyperflex.identification.rounds import rounds_shown
-from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information
+from hyperflex.identification.symptoms import LIMITS, residuals_of, symptoms
+from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information, of_ratios
 from hyperflex.identification.uncertainty.interval_method import all_intervals
-from hyperflex.identification.verdict import POOR, other_lengths, swapped, uneven_scale
-from hyperflex.interruption import catch_interrupt, deferred, interruptible, time_limit
-from hyperflex.model import Arm, Rope
-from hyperflex.motion import Motion
+from hyperflex.identification.uncertainty.model_error import with_model_error
+from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
+from hyperflex.interruption import deferred, interruptible, stoppable
+from hyperflex.model import Rope
 from hyperflex.recording import Recording
+from hyperflex.sensors import Angles, Markers
+from hyperflex.status import Status
 
-TIME_BUDGET = 1800.0  # s of processor time, where no time budget is given
+TIME_BUDGET = 1800.0  # s, where no time budget is given
+SMALL = 0.06  # rad: half a turn that was read as degrees
 
 
 @interruptible(Identification)
@@ -50,7 +61,7 @@ def identify(
     *,
     setup: RecordingSetup | None = None,
     options: FitOptions | None = None,
-    time_budget: float | None = None,
+    time_budget: float | Budget | None = None,
     progress: bool | Report = False,
 ) -> Identification:
     """Identify a rope from its recorded motion by multiple shooting with exact derivatives.
@@ -67,7 +78,7 @@ def identify(
         Fixed values, and first guesses of the free ones.
     free : sequence of str, optional
         By default inertia and friction (of more than four links one value for all), and what the score tests of a fit
-        with these ask for; the verdict says which, and why. Names are, for each link, ``inertia``, ``com``, ``mass``,
+        with these show; a finding says which, and why. Names are, for each link, ``inertia``, ``com``, ``mass``,
         ``length``, ``friction``, ``dry_friction``, ``stiffness``,
         ``rest_angle``, ``drag``; for the whole ``tip_mass``, ``gravity_angle`` (rad; for a camera that is not level),
         ``delay`` (s, of `motion` in the recording's time; at most a window's length), ``arc`` (m; each marker's place);
@@ -80,9 +91,9 @@ def identify(
         angles or markers are those of the joints.
     options : FitOptions, optional
         Windows, loss, held-out part, method of the intervals, and how well lengths, times and torques were measured.
-    time_budget : float, s, optional
-        Of processor time, compiling left out; 1800 by default, inf: no end. The best so far is returned then, with
-        ``message == "time budget exceeded"``.
+    time_budget : float or Budget, optional
+        Seconds by the clock, without compiling; 1800 by default, inf: no limit. Out of time, the result is the best so
+        far, with ``status`` OUT_OF_TIME.
     progress : bool or callable
         True shows a bar on standard error, or a line every ten seconds where nobody watches; a callable gets a dict
         with window, stage, stages, round, cost, gain, damping, and of a profile its parameter and ``phase="profile"``.
@@ -95,7 +106,7 @@ def identify(
     IdentificationError
         When no window can be simulated at all, or the time budget was over before anything was fitted.
     Interrupted
-        By Ctrl-C. Its ``partial`` is the best so far, with ``message == "interrupted"``, if anything was fitted.
+        By Ctrl-C. Its ``partial`` is the best so far, with ``status`` INTERRUPTED, if anything was fitted.
 
     Notes
     -----
@@ -115,189 +126,243 @@ def identify(
     >>> bool(abs(result.rope.friction[0] / 2e-4 - 1.0) < 1e-3)
     True
     """
-    began = time.monotonic()
+    budget = Budget.of(TIME_BUDGET if time_budget is None else time_budget)
     setup = checks.instance("setup", RecordingSetup() if setup is None else setup, RecordingSetup)
     options = checks.instance("options", FitOptions() if options is None else options, FitOptions)
-    motion, arm, arc_lengths, origin, torque = setup.motion, setup.arm, setup.arc_lengths, setup.origin, setup.torque
-    train, lead, ahead, window = options.train, options.lead, options.ahead, options.window
-    if time_budget is not None:
-        checks.number("time_budget", time_budget, sign="positive", unit="s", infinite=True)
-    declared = DeclaredStds(options.length_std, options.clock_std, options.torque_std)
-    measured, places = checked_measurements(recording, rope_guess, arc_lengths, origin, motion, arm)
-    fitted, rest = split(measured, train, lead, ahead)
-    check_excitation(fitted.channels, fitted.shape, rope_guess, moved=motion is not None)
-    seen = fitted if torque is None else split(with_torque(measured, torque, setup.torque_noise), train, lead, ahead)[0]
+    measured, places = checked_measurements(recording, rope_guess, setup)
+    fitted, rest = split(measured, options)
+    check_excitation(fitted.channels, fitted.shape, rope_guess, moved=setup.motion is not None)
+    seen = fitted
+    if setup.torque is not None:
+        seen = split(with_torque(measured, setup.torque, setup.torque_noise), options)[0]
     with rounds_shown(progress) as report:
-        problem = _Problem(
-            recording=recording,
-            guess=rope_guess,
-            fitted=seen,
-            untorqued=fitted,
-            rest=rest,
-            places=places,
-            arc_lengths=arc_lengths,
-            origin=origin,
-            motion=motion,
-            arm=arm,
-            torque=torque is not None,
-            declared=declared,
-            window=window,
-            loss=Loss(options.loss),
-            lead=lead,
-            ahead=ahead,
-            report=report,
-            limit=time_limit(TIME_BUDGET if time_budget is None else time_budget),
-        )
-        result = problem.solve(free, options.intervals, began)
-    if result.message == INTERRUPTED:
+        case = _Case(recording, rope_guess, setup, options, seen, fitted, rest, places, budget, report)
+        result = case.solve(free)
+    if result.status is Status.INTERRUPTED:
         raise Interrupted(result)
     return result
 
 
 @dataclass(frozen=True)
-class _Problem:
-    """What identify was asked; the names are its own.
+class _Case:
+    """What is to be identified.
 
-    fitted and rest are the measurements to fit and those held out, untorqued those to fit without torque.
+    seen and rest are the measurements to fit and those held out, untorqued those to fit without torque; places are the
+    markers' arc lengths.
     """
 
     recording: Recording
     guess: Rope
-    fitted: Measurements
+    setup: RecordingSetup
+    options: FitOptions
+    seen: Measurements
     untorqued: Measurements
     rest: Measurements | None
     places: Array | None
-    arc_lengths: npt.ArrayLike | None
-    origin: npt.ArrayLike | None
-    motion: Motion | None
-    arm: Arm | None
-    torque: bool
-    declared: DeclaredStds
-    window: float | None
-    loss: Loss
-    lead: float
-    ahead: float
+    budget: Budget
     report: Report
-    limit: time_limit
 
-    def solve(self, free: Sequence[str] | None, intervals: How | None, began: float) -> Identification:
-        """Return the result, or the best of it within the time limit."""
-        with self.limit:
-            try:
-                trial, remark = choose_parameters(self.fit, self.guess) if free is None else (self.fit(free), "")
-            except KeyboardInterrupt:
-                if not self.limit.over:
-                    raise
-                raise IdentificationError(
-                    f"The time budget was over before anything was fitted to {self.fitted.channels.t.size} samples. "
-                    "Allow more (time_budget=...), give a part of the recording, or look at its unit and its noise."
-                ) from None
-            return self.complete(self.judged(trial), intervals, remark, began)
+    def solve(self, free: Sequence[str] | None) -> Identification:
+        """Return the result, or the best of it within the time."""
+        began = time.monotonic()
+        try:
+            trial, chosen = choose_parameters(self.fit, self.guess) if free is None else (self.fit(free), [])
+        except OutOfTime:
+            raise IdentificationError(
+                f"The time budget was over before anything was fitted to {self.seen.channels.t.size} samples. "
+                "Allow more (time_budget=...), give a part of the recording, or check its unit and its noise."
+            ) from None
+        self.test(trial)
+        return self.complete(trial, chosen, began)
 
     def fit(self, free: Sequence[str]) -> Trial:
         """Return the fit of these parameters, its covariance (of noise alone) and score tests."""
-        shape = self.fitted.shape
-        plant = build_plant(
-            self.recording, self.guess, free, self.places, self.origin, self.motion, self.arm, torque=self.torque
-        )
+        shape, loss = self.seen.shape, Loss(self.options.loss)
+        plant = build_plant(self.recording, self.guess, free, self.places, self.setup)
         usual = with_enough_frames(usual_length(shape, self.guess), shape)
         delay = {}
         if "delay" in free:
-            delay["delay_from"] = search_delay(plant.without_torque(), self.untorqued, usual, self.loss)
+            delay["delay_from"] = search_delay(plant.without_torque(), self.untorqued, usual, loss)
             plant = with_delay(plant, delay["delay_from"])
-        length = min(usual if self.window is None else self.window, 1.001 * self.fitted.channels.duration)
-        check_memory(plant, self.fitted, length)
-        found, windows, settings = fit_in_stages(plant, self.fitted, length, usual, self.report, self.loss)
-        tests: tuple[ScoreTest, ...] = ()
-        scores = None
-        basis = Basis(plant, windows, found, fit_information(plant, windows, found))
-        with catch_interrupt() as stop:  # what was fitted is worth more than its tests
-            if found.converged and not found.interrupted:
-                tests = score_tests(basis, self.declared.gravity, angles=self.recording.kind == "angles")
-                scores = window_scores(basis, [each.name for each in tests if each.masks and not each.law])
-                tests = tuple(sorted((*tests, *drift_test(basis, scores)), key=lambda each: -each.gain))
-        found.interrupted = found.interrupted or stop.received
-        return Trial(list(free), basis, tests, settings | delay, scores)
+        wanted = usual if self.options.window is None else self.options.window
+        length = min(wanted, 1.001 * self.seen.channels.duration)
+        check_memory(plant, self.seen, length)
+        found = multi_start(plant, self.seen, length, usual, loss=loss, budget=self.budget, report=self.report)
+        windows, done = found.windows, found.fit
+        basis = Basis(plant, windows, done, fit_information(plant, windows, done))
+        trial = Trial(list(free), basis, basis, found.settings | delay)
+        with stoppable() as stop:  # what was fitted is worth more than its tests
+            if done.converged and done.status is None:
+                tests = score_tests(
+                    basis, self.options.gravity_std, angles=self.recording.kind == "angles", budget=self.budget
+                )
+                trial.tests = tests
+                trial.scores = window_scores(basis, [each.name for each in tests if each.masks and not each.law])
+                trial.tests = tuple(sorted((*tests, *drift_test(basis, trial.scores)), key=lambda each: -each.gain))
+        done.status = done.status or stop.status
+        return trial
 
-    def judged(self, trial: Trial) -> Trial:
-        """Return a trial with the test of its links, and with what the model leaves out in its covariance."""
-        basis, tests, found = trial.basis, trial.tests, trial.basis.fit
-        scatter: tuple[Scatter, ...] = ()
-        if tests:
-            basis = self._with_model_error(trial, tests)  # what stands if the next test is interrupted
-        with catch_interrupt() as stop:
-            if found.converged and not found.interrupted:
-                tests = (*tests, *link_test(trial.basis, tests))
-                basis = self._with_model_error(trial, tests)
-                scatter, covariance = scatter_test(trial.basis, trial.scores)
-                if scatter:
-                    basis = self._with_model_error(trial, tests, covariance)
-            tests = with_ratio_sensitivity(basis, tests)
-        found.interrupted = found.interrupted or stop.received
-        return trial._replace(basis=basis, tests=tests, scatter=scatter)
+    def test(self, trial: Trial) -> None:
+        """Test a trial's links and how its windows agree, and count in its covariance what the model omits."""
+        plain, done, stds = trial.plain, trial.plain.fit, self.options.scale_std
+        if not trial.tests:
+            return
+        trial.basis = with_model_error(plain, trial.tests, stds)  # what remains if the next test is interrupted
+        with stoppable() as stop:
+            if done.converged and done.status is None:
+                self.budget.check()
+                trial.tests = (*trial.tests, *link_test(plain, trial.tests))
+                scatter, covariance = scatter_test(plain, trial.scores)
+                trial.basis = with_model_error(plain, trial.tests, stds, covariance if scatter else None)
+                trial.scatter = scatter
+        done.status = done.status or stop.status
 
-    def _with_model_error(self, trial: Trial, tests: Sequence[ScoreTest], scatter: Array | None = None) -> Basis:
-        return with_model_error(trial.basis, tests, self.declared, scatter)
-
-    def complete(self, trial: Trial, intervals: How | None, remark: str, began: float) -> Identification:
-        """Return a fit as a result, with intervals, predictions of what was held out, and a grade."""
-        basis, tests, found, fitted = trial.basis, trial.tests, trial.basis.fit, self.fitted.channels
+    def complete(self, trial: Trial, chosen: list[Finding], began: float) -> Identification:
+        """Return a fit as a result, with intervals, predictions of what was held out, and findings."""
+        basis, done = trial.basis, trial.basis.fit
         ranges: dict[str, Interval] | None = None
+        remarks: list[Finding] = []
         held_out: HeldOut | None = None
-        with catch_interrupt() as stop:  # what was fitted is worth more than its intervals and its trial
-            ranges = self._intervals(trial, intervals)
-            if self.rest is not None and not found.interrupted:  # who stops a fit waits for nothing more
-                spread = prediction_uncertainty(basis, self.untorqued.channels.data.shape[1])
+        with stoppable() as stop:  # what was fitted is worth more than its intervals and its predictions
+            ranges = self._intervals(trial, remarks)
+            if self.rest is not None and done.status is None:
                 plant = basis.plant.without_torque()  # what is held out is predicted without force or torque
-                held_out = predict(plant, found.x, self.rest, self.lead, self.ahead, self.loss, spread)
-        if stop.received:
-            ranges, found.interrupted = stop.partial if ranges is None else ranges, True
-        settings = trial.settings | {"fitted_from": float(fitted.t[0]), "fitted_to": float(fitted.t[-1])}
-        settings |= {"autocorrelation": basis.information.correlation, "seconds": time.monotonic() - began}
-        settings |= fit_settings(basis.plant, trial.free, self.loss.name, self.origin)
-        tested = any(each.name == SCALES for each in tests)  # else nothing counts what was declared
-        counted = {f"{name}_std": std * tested for name, std in self.declared._asdict().items()}
-        settings |= {name: std for name, std in counted.items() if self.torque or name != "torque_std"}
-        settings["noise"] = "not declared" if self.recording.noise is None else "declared"
-        with catch_interrupt() as stop:
+                spread = prediction_uncertainty(basis, self.untorqued.channels.data.shape[1])
+                held_out = predict(plant, done.x, self.rest, self.options, spread)
+        if stop.status is not None:
+            ranges = stop.partial if ranges is None and isinstance(stop.partial, dict) else ranges
+            done.status = stop.status
+        settings = self._settings(trial, began)
+        doubts: list[Finding] = []
+        with stoppable() as stop:
             with deferred():
-                result = assemble_result(basis, held_out, settings, ranges, tests, trial.scatter, self._early)
-            if not found.interrupted:
-                result = self._doubted(result, trial)
-        if stop.received:
-            found.interrupted = True
-            result = assemble_result(basis, held_out, settings, ranges, tests, trial.scatter, self._early)
-        return result.with_remark(remark)
+                found = symptoms(basis, trial.tests, trial.scatter, held_out, settings)
+            if done.status is None:
+                doubts = self._mistakes(trial, found)
+        if stop.status is not None:
+            done.status = stop.status
+            found = symptoms(basis, trial.tests, trial.scatter, held_out, settings)
+        with deferred():
+            return _result(basis, held_out, settings, ranges, trial.tests, [*chosen, *found, *doubts, *remarks])
 
-    def _doubted(self, result: Identification, trial: Trial) -> Identification:
-        """Return a result with what looks wrong in what was declared of the recording, as far as short fits tell."""
-        short = ShortFit(self.guess, trial.free, self.arc_lengths, self.origin, self.motion, self.arm, self.loss)
-        first = first_misdeclared(trial.tests)
-        result = result.with_reason(said := scaled_angles(self.recording, short))
-        wrong = result.grade.doubtful or suspicious(self.fitted.shape)
-        wrong = wrong or any(each.suspected and each.name in DECLARED for each in trial.tests)
+    def _settings(self, trial: Trial, began: float) -> dict[str, Any]:
+        """Return what was fitted and how."""
+        setup, basis, fitted = self.setup, trial.basis, self.seen.channels
+        tested = any(each.name == SCALES for each in trial.tests)  # else nothing counts what was declared
+        stds = {name: getattr(self.options, name) * tested for name in ("length_std", "clock_std", "torque_std")}
+        if setup.torque is None:
+            del stds["torque_std"]
+        moved = "moved" if setup.arm is None else f"moved by an arm of {setup.arm.length:g} m"
+        settings = (
+            trial.settings
+            | stds
+            | {
+                "fitted_from": float(fitted.t[0]),
+                "fitted_to": float(fitted.t[-1]),
+                "autocorrelation": basis.information.correlation,
+                "seconds": time.monotonic() - began,
+                "free": trial.free,
+                "loss": self.options.loss,
+                "base": "fixed" if setup.motion is None else moved,
+                "noise": "not declared" if self.recording.noise is None else "declared",
+            }
+        )
+        if isinstance(basis.plant.sensor, Markers):
+            settings["arc_lengths"] = basis.plant.sensor.arc_lengths.tolist()
+        if setup.origin is not None:
+            settings["origin"] = np.asarray(setup.origin, dtype=np.float64).tolist()
+        return settings
+
+    def _mistakes(self, trial: Trial, found: list[Finding]) -> list[Finding]:
+        """Return what seems wrong in the declaration of the recording, as far as it and short fits show."""
+        short = ShortFit(self.guess, trial.free, self.setup, Loss(self.options.loss))
+        said = spring_or_angles(self.recording, short)
+        wrong = any(each.severity is Severity.WRONG or each.kind is Kind.GRAVITY_ROTATED for each in found)
+        shape = self.seen.shape
+        wrong = wrong or (shape.kind == "angles" and float(np.nanmax(np.abs(shape.data))) < SMALL)
+        wrong = wrong or any(each.suspected and each.quantity.declared for each in trial.tests)
         to_noise = self.recording.noise is not None and trial.basis.information.variance <= 1.0
-        if wrong and not to_noise and not said:  # which no slip explains better
-            cause = first or explaining(trial.tests)
-            named, gain = ("", 0.0) if cause is None else (cause.name, cause.gain)
-            result = result.with_reason(explained(self.recording, self.origin, short, named=named, gain=gain))
-        if self.arc_lengths is not None:
-            return result
-        result = result.with_suspicion(other_lengths(self.recording, self.guess))
-        result = result.with_reason(uneven_scale(self.recording))
-        return result.with_reason(swapped(self.recording, self.guess))
+        if wrong and not to_noise and not said:  # which no mistake explains better
+            named = first_misdeclared(trial.tests) or explaining(trial.tests)
+            said = mistakes(self.recording, short, named)
+        return [*said, *(evidence(self.recording, self.guess) if self.setup.arc_lengths is None else [])]
 
-    @property
-    def _early(self) -> str:
-        """What has ended a fit that was interrupted."""
-        return OUT_OF_TIME if self.limit.over else INTERRUPTED
-
-    def _intervals(self, trial: Trial, how: How | None) -> dict[str, Interval] | None:
-        basis = trial.basis
+    def _intervals(self, trial: Trial, remarks: list[Finding]) -> dict[str, Interval] | None:
+        basis, how = trial.basis, self.options.intervals
         if how is None or not basis.information.estimated:
             return None
-        if not basis.fit.converged or basis.fit.interrupted:
+        if not basis.fit.converged or basis.fit.status is not None:
             how = "covariance"
-        if how == "auto" and (first_misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > POOR):
+        if how == "auto" and (
+            first_misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > LIMITS.poor
+        ):
             how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
-        return all_intervals(basis, how, report=self.report)
+        return all_intervals(basis, how, remarks=remarks, budget=self.budget, report=self.report)
+
+
+def _result(
+    basis: Basis,
+    held_out: HeldOut | None,
+    settings: dict[str, Any],
+    intervals: dict[str, Interval] | None,
+    tests: tuple[ScoreTest, ...],
+    findings: list[Finding],
+) -> Identification:
+    """Return the result of a fit. Intervals of the ratios join those of the parameters."""
+    plant, information, found = basis.plant, basis.information, basis.fit
+    parameters = plant.parameters
+    x = parameters.rounded(found.x)
+    rope, slopes, (residuals, torque) = parameters.rope(x), parameters.derivatives(x), residuals_of(basis)
+    known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
+    covariance, by_length = information.covariances(slopes)
+    if intervals is not None:
+        intervals = intervals | of_ratios(known, ratio_std, information.freedom)
+    result = Identification(
+        rope=rope,
+        values=_by_name(plant, rope, parameters.values(x)),
+        std=_by_name(plant, None, information.deviations(slopes)),
+        ratios=known,
+        ratio_std=ratio_std,
+        model_std=_by_name(plant, None, information.model_spread(np.diag(slopes))),
+        ratio_model_std=ratio_spread(parameters, information, model=True),
+        intervals=intervals or {},
+        findings=(),
+        score_tests=tests,
+        residual_rms=np.sqrt(np.nanmean(residuals**2, axis=0)),
+        residual_t=np.concatenate([w.t for w in basis.windows]),
+        residuals=residuals,
+        held_out=held_out,
+        parameters=parameters.labels,
+        covariance=covariance,
+        length_covariance=by_length,
+        singular_values=information.singular,
+        settings=settings,
+        converged=found.converged,
+        ended=found.status,
+        unit="rad" if isinstance(plant.sensor, Angles) else "m",
+        history=tuple(found.history),
+        torque_residuals=torque,
+    )
+    object.__setattr__(result, "_basis", basis)
+    held = [Finding(Kind.HELD_VALUES, Severity.NOTE, {"names": list(result.held)})] if result.held else []
+    return result.with_findings([*findings, *held])
+
+
+def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array]:
+    """Return numbers (P,) by property: (n,) with the rope's own (or 0) where a link is not free, or single."""
+    parameters = plant.parameters
+    n = parameters.guess.n_links
+    result: dict[str, Array] = {}
+    for parameter, number in zip(parameters.all, numbers, strict=True):
+        name, held = parameter.name, np.zeros(n)
+        if not parameter.links:
+            result[name] = np.array(number)
+        elif parameter.law != "own":
+            result[parameter.label] = np.array(number)
+        else:
+            if name == "arc":
+                held = plant.sensor.values[2:] * (rope is not None)
+            elif rope is not None:
+                held = getattr(rope, name).copy()
+            result.setdefault(name, held)[list(parameter.links)] = number
+    return result

@@ -8,9 +8,10 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit_state, linearise
-from hyperflex.identification.fit.stages import Measurements
-from hyperflex.identification.fit.windows import LEAST, Window, decimation_step, first_state
+from hyperflex.identification.fit.windows import CUT, Window, decimation_step, first_state
+from hyperflex.identification.measurements import Measurements
 from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.options import FitOptions
 from hyperflex.identification.uncertainty.covariance import Basis
 
 BAND = 1.96  # standard deviations on either side that hold 95 %
@@ -95,17 +96,16 @@ def predict(
     plant: Plant,
     x: Array,
     measured: Measurements,
-    lead: float = 0.5,
-    ahead: float = 1.0,
-    loss: Loss | None = None,
+    options: FitOptions,
     uncertainty: "PredictionUncertainty | None" = None,
 ) -> HeldOut | None:
     """Predict the measurements piece by piece, with parameters x (P,); None if too short for one prediction.
 
-    The first prediction starts `lead` after the first sample, each next one `ahead` later, its state fitted to the
-    measurements on the `lead` before it. More than 200 samples in `lead` are decimated. All samples have equal weights,
-    beside a prior of the state those of the noise in `uncertainty` (1 rad or m without).
+    The first prediction starts ``options.lead`` after the first sample, each next one ``options.ahead`` later, its
+    state fitted to the measurements on the time `lead` before it. More than 200 samples in that time are decimated. All
+    samples have equal weights, beside a prior of the state those of the noise in `uncertainty` (1 rad or m without).
     """
+    lead, ahead, loss = options.lead, options.ahead, Loss(options.loss)
     step = decimation_step(measured.channels, lead)
     recording, angles = measured.channels.decimate(step), measured.shape.decimate(step).data
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
@@ -116,7 +116,7 @@ def predict(
         before = (t >= start - lead - slack) & (t < start + slack)
         after = (t > start + slack) & (t <= start + ahead + slack)
         known = ~np.isnan(data[before])
-        if not after.any() or (~np.isnan(angles[before])).sum(axis=0).min() < LEAST:
+        if not after.any() or (~np.isnan(angles[before])).sum(axis=0).min() < CUT.least:
             continue
         guess = first_state(t[before], angles[before])
         window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, prior)

@@ -1,5 +1,6 @@
 """The result of an identification."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -9,19 +10,20 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.identification.diagnosis.grade import Grade, GradeName
-from hyperflex.identification.diagnosis.score_tests import ScoreTest
-from hyperflex.identification.ending import Ended
+from hyperflex.identification.declarations.score_tests import ScoreTest
+from hyperflex.identification.findings import Finding, Grade, Kind, grade, ordered
 from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.texts import report, text
 from hyperflex.identification.uncertainty.covariance import Basis, Interval
 from hyperflex.model import Rope
+from hyperflex.status import Status
 
 MANY = 8  # numbers of a kind that are printed
 LARGE = 0.3  # part of a standard deviation from which the model's is printed
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identification(Ended):
+class Identification:
     """An identified rope, and how far it can be trusted.
 
     Attributes
@@ -41,14 +43,11 @@ class Identification(Ended):
         noise.
     intervals : dict of str to Interval
         95 %, of each of `parameters` and of each link's ratios (``J/p1[0]``). Empty where none were asked for.
-    grade : Grade
-        What it may be used for: its ``name`` is ``usable``, ``usable for ratios`` or ``do not use``, with ``reasons``.
+    findings : tuple of Finding
+        What the fit shows beside its values, the most severe first; the grade follows from them, and
+        :meth:`report` puts them in words.
     score_tests : tuple of ScoreTest
         What the data say of what was held or declared; the greatest gain first. Empty where the fit did not converge.
-    verdict : tuple of str
-        In words: what can be known, what cannot, and what looks wrong.
-    identifiable : bool
-        Whether all free parameters can be known.
     residual_rms : (C,) rad or m
         Fit error of each channel (each link's angle, or each marker's x and y) over all windows.
     residual_t (m,), residuals (m, C) : s, rad or m
@@ -67,9 +66,10 @@ class Identification(Ended):
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
         time of the residuals (samples), seconds taken; ``free``, loss, base, and where given `arc_lengths`, `origin`
         and the delay that the fit started from (s).
-    message, unit : str
-        ``converged``, ``not converged``, ``interrupted`` or ``time budget exceeded`` (the best so far); ``rad``
-        or ``m``.
+    converged, status : bool, Status
+        Whether the fit converged; SUCCESS if it did, all work was done, and the grade is not "do not use".
+    unit : str
+        ``rad`` or ``m``.
     history : tuple of dict
         Round by round: window length, stage (of how many stages), round, cost, gain, damping.
     torque_residuals : (m,) N m, or None
@@ -90,10 +90,8 @@ class Identification(Ended):
     model_std: dict[str, Array]
     ratio_model_std: dict[str, Array]
     intervals: dict[str, Interval]
-    grade: Grade
+    findings: tuple[Finding, ...]
     score_tests: tuple[ScoreTest, ...]
-    verdict: tuple[str, ...]
-    identifiable: bool
     residual_rms: Array
     residual_t: Array
     residuals: Array
@@ -103,11 +101,47 @@ class Identification(Ended):
     length_covariance: Array
     singular_values: Array
     settings: dict[str, Any]
-    message: str
+    converged: bool
+    ended: Status | None
     unit: str
     history: tuple[dict[str, float], ...]
     torque_residuals: Array | None = None
     _basis: Basis | None = field(default=None, init=False, repr=False)
+
+    @property
+    def grade(self) -> Grade:
+        """What it may be used for."""
+        return grade(self.findings)
+
+    @property
+    def status(self) -> Status:
+        """How it ended."""
+        if self.ended is not None:
+            return self.ended
+        return Status.SUCCESS if self.converged and self.grade is not Grade.DO_NOT_USE else Status.FAILED
+
+    @property
+    def success(self) -> bool:
+        """Whether the fit converged and may be used."""
+        return self.status is Status.SUCCESS
+
+    @property
+    def message(self) -> str:
+        """Why it is no success, and what to do; empty on success."""
+        return "" if self.success else text(self.findings[0])
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether all free parameters can be known."""
+        return self.has(Kind.IDENTIFIABLE)
+
+    def has(self, *kinds: Kind) -> bool:
+        """Return whether there is a finding of one of these kinds."""
+        return any(each.kind in kinds for each in self.findings)
+
+    def report(self, *, full: bool = False) -> str:
+        """Return the grade, and a line for each finding; five lines at most unless `full`."""
+        return report(self.grade, self.findings, full=full)
 
     @property
     def basis(self) -> Basis:
@@ -143,11 +177,11 @@ class Identification(Ended):
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
+        result: dict[str, Any] = {"grade": self.grade.value, "success": self.success, "status": self.status.value}
+        result |= {"message": self.message, "findings": [each.table for each in self.findings]}
         alike = ("identifiable", "unit", "values", "std", "model_std", "ratios", "ratio_std", "ratio_model_std")
-        result: dict[str, Any] = {"grade": self.grade.name, "reasons": self.grade.reasons} | self.ending()
-        result |= {
-            name: getattr(self, name) for name in (*alike, "held", "parameters", "covariance", "length_covariance")
-        }
+        names = (*alike, "held", "parameters", "covariance", "length_covariance")
+        result |= {name: getattr(self, name) for name in names}
         result["intervals"] = {
             name: {"low": each.low, "high": each.high, "kind": each.kind} for name, each in self.intervals.items()
         }
@@ -162,29 +196,12 @@ class Identification(Ended):
             each.name: {"gain": each.gain, "values": each.values, "refitted": each.refitted}
             for each in self.score_tests
         }
-        result |= {"verdict": self.verdict, "settings": self.settings, "rope": self.rope.table()}
+        result |= {"settings": self.settings, "rope": self.rope.table()}
         return dict(files.plain(result))
 
-    def with_reason(self, reason: str) -> "Identification":
-        """Return the same, not to be used for one more `reason`, which comes first; unchanged without any."""
-        return self._graded("do not use", reason)
-
-    def with_suspicion(self, reason: str) -> "Identification":
-        """Return the same grade with one more `reason`: the first, or last of "do not use"; unchanged without any."""
-        return self._graded(self.grade.name, reason, last=self.grade.name == "do not use")
-
-    def _graded(self, name: GradeName, reason: str, *, last: bool = False) -> "Identification":
-        reasons = (*self.grade.reasons, reason) if last else (reason, *self.grade.reasons)
-        return self._changed(grade=self.grade._replace(name=name, reasons=reasons)) if reason else self
-
-    def with_remark(self, remark: str, *, last: bool = False) -> "Identification":
-        """Return the same with `remark` as the first, or the `last`, sentence of the verdict; unchanged without any."""
-        if not remark:
-            return self
-        return self._changed(verdict=(*self.verdict, remark) if last else (remark, *self.verdict))
-
-    def _changed(self, **fields: Any) -> "Identification":
-        result: Identification = replace(self, **fields)
+    def with_findings(self, more: Iterable[Finding]) -> "Identification":
+        """Return the same result with more findings."""
+        result: Identification = replace(self, findings=ordered((*self.findings, *more)))
         object.__setattr__(result, "_basis", self._basis)
         return result
 
@@ -198,7 +215,7 @@ class Identification(Ended):
         files.write_toml(path, {"rope": self.rope.table(), "identification": _without_none(content)})
 
     def __repr__(self) -> str:
-        return f"Identification({self.grade.name}, {self.message}, {', '.join(self.values)} of {self.rope!r})"
+        return f"Identification({self.grade}, {self.status}, {', '.join(self.values)} of {self.rope!r})"
 
     def _repr_html_(self) -> str:
         from hyperflex.report import identification_html
@@ -208,7 +225,7 @@ class Identification(Ended):
     def __str__(self) -> str:
         settings = {k: f"{v:.4g}" if isinstance(v, float) else v for k, v in self.settings.items()}
         said = ", ".join(f"{k} {v}" for k, v in settings.items() if not isinstance(v, list))
-        lines = [str(self.grade), f"Identification {self.message}: {said}"]
+        lines = [self.report(), f"Identification, {self.status}: {said}"]
         kinds = (
             ("value", self.values, self.std, self.model_std),
             ("ratio", self.ratios, self.ratio_std, self.ratio_model_std),
@@ -228,7 +245,7 @@ class Identification(Ended):
         if self.held_out is not None:
             errors = _first_few([f"{1e3 * x:.2f}" for x in self.held_out.rms])
             lines.append(f"  prediction error over {self.held_out.ahead:g} s, m{self.unit}  {errors}")
-        return "\n".join([*lines, *(f"  {text}" for text in (*self.grade.more, *self.verdict))])
+        return "\n".join(lines)
 
 
 def _with_std(values: Array, spreads: Array, models: Array) -> str:

@@ -11,7 +11,6 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.dynamics import bias, mass_matrix
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
-from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.interruption import catch_interrupt, interruptible
@@ -28,6 +27,7 @@ from hyperflex.paper.simplex import (
 )
 from hyperflex.recording import Recording
 from hyperflex.simulation import AngleJacobian, angles
+from hyperflex.status import Status
 
 RevisionProfile = Literal["response", "calculated", "measured", "measured rates"]
 
@@ -64,7 +64,7 @@ class Round:
 
 
 @dataclass(frozen=True, eq=False)
-class IterativeRevision(Ended):
+class IterativeRevision:
     """What :func:`iterative_revision` found.
 
     Attributes
@@ -75,7 +75,8 @@ class IterativeRevision(Ended):
         Standard deviations of "inertia" and "friction" from the regression.
     rounds : tuple of Round
         All rounds; the first one has the guess's parameters.
-    message : {"converged", "not converged", "interrupted"}
+    status : Status
+        SUCCESS if nothing moved any more, FAILED or INTERRUPTED.
     samples : int
         Measured angles that were fitted, gaps left out.
     profile, rates : str
@@ -86,10 +87,20 @@ class IterativeRevision(Ended):
     best: Round
     std: dict[str, float]
     rounds: tuple[Round, ...]
-    message: str
+    status: Status
     samples: int
     profile: str
     rates: str
+
+    @property
+    def success(self) -> bool:
+        """Whether the rounds have converged."""
+        return self.status is Status.SUCCESS
+
+    @property
+    def message(self) -> str:
+        """Why it is no success; empty on success."""
+        return "" if self.success else f"{self.status}: the rounds did not converge; try another guess or more rounds"
 
     @property
     def converged_after(self) -> int | None:
@@ -176,7 +187,7 @@ def iterative_revision(
         raise InvalidInput("progress cannot be called", got=progress, allowed="a function of a round, or None")
     revision = _Revision(measured, rope_guess, rates, profile, checks.count("max_evaluations", max_evaluations))
     done: list[Round] = []
-    message, std = NOT_CONVERGED, {"inertia": float("inf"), "friction": float("inf")}
+    status, std = Status.FAILED, {"inertia": float("inf"), "friction": float("inf")}
     values = np.array([rope_guess.inertia.mean(), rope_guess.friction.mean()])
     with catch_interrupt() as stop:
         try:
@@ -186,7 +197,7 @@ def iterative_revision(
                 if progress is not None:
                     progress(found)
                 if len(done) > 1 and _unchanged(done[-2], found, std):
-                    message = CONVERGED
+                    status = Status.SUCCESS
                     break
                 values, spread = revision.parameters(found)
                 std = {"inertia": float(spread[0]), "friction": float(spread[1])}
@@ -196,11 +207,11 @@ def iterative_revision(
     if stop.received:
         if not done:
             raise Interrupted
-        message = INTERRUPTED
-    best = done[-1] if message == CONVERGED else min(done, key=lambda each: each.error)
+        status = Status.INTERRUPTED
+    best = done[-1] if status is Status.SUCCESS else min(done, key=lambda each: each.error)
     samples = int(np.isfinite(measured.data).sum())
     rope = revision.rope(np.array([best.inertia, best.friction]))
-    return stop.deliver(IterativeRevision(rope, best, std, tuple(done), message, samples, profile, rates))
+    return stop.deliver(IterativeRevision(rope, best, std, tuple(done), status, samples, profile, rates))
 
 
 def _unchanged(before: Round, now: Round, std: dict[str, float]) -> bool:

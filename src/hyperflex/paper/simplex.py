@@ -9,11 +9,11 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput, SimulationError
-from hyperflex.identification.ending import CONVERGED, INTERRUPTED, NOT_CONVERGED, Ended
 from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import angles
+from hyperflex.status import Status
 
 Rates = Literal["rest", "measured", "free"]
 
@@ -27,7 +27,7 @@ MAX_EVALUATIONS = 400  # rollouts for each unknown, in each of the two descents
 
 
 @dataclass(frozen=True, eq=False)
-class InitialState(Ended):
+class InitialState:
     """What :func:`estimate_initial_state` found.
 
     Attributes
@@ -38,14 +38,25 @@ class InitialState(Ended):
         E of (7): sum of squares over samples and links, rad^2; gaps left out.
     evaluations : int
         Number of rollouts.
-    message : {"converged", "not converged", "interrupted"}
+    status : Status
+        SUCCESS if the simplex converged, FAILED or INTERRUPTED.
     """
 
     q: Array
     qd: Array
     error: float
     evaluations: int
-    message: str
+    status: Status
+
+    @property
+    def success(self) -> bool:
+        """Whether the simplex has converged."""
+        return self.status is Status.SUCCESS
+
+    @property
+    def message(self) -> str:
+        """Why it is no success; empty on success."""
+        return "" if self.success else f"{self.status}: the simplex did not converge; allow more evaluations"
 
 
 @interruptible(InitialState)
@@ -101,12 +112,12 @@ def estimate_initial_state(
         raise IdentificationError(
             "The rope cannot be simulated from the start. Give another start or other parameters."
         )
-    message = INTERRUPTED
+    status = Status.INTERRUPTED
     with catch_interrupt() as stop:
         converged = [descent.descend(checks.count("max_evaluations", max_evaluations)) for _ in range(2)][-1]
-        message = CONVERGED if converged else NOT_CONVERGED
+        status = Status.SUCCESS if converged else Status.FAILED
     best = descent.best
-    return stop.deliver(InitialState(best[:n].copy(), best[n:].copy(), descent.least, descent.evaluations, message))
+    return stop.deliver(InitialState(best[:n].copy(), best[n:].copy(), descent.least, descent.evaluations, status))
 
 
 class _Descent:

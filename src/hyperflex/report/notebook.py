@@ -35,7 +35,7 @@ def run_html(run: Trajectory) -> str:
 
 def identification_html(found: Identification) -> str:
     """Return an identification's grade, its parameters and its verdict."""
-    sentences = (str(found.grade), *found.grade.more, *found.verdict)
+    sentences = tuple(found.report(full=True).splitlines())
     return _shown(repr(found), sentences, parameters_table(found, None))
 
 

@@ -11,7 +11,6 @@ from hyperflex import checks
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
 from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend
 from hyperflex.identification.comparison.result import FittedModel, ModelComparison
-from hyperflex.identification.ending import CONVERGED, INTERRUPTED
 from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.identification.model.names import scales
 from hyperflex.identification.model.parameters import GRAVITY
@@ -148,7 +147,7 @@ def _refit_from_nested(
 
 
 def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], stopped: bool) -> ModelComparison:
-    fits = [each.basis for each in done if not isinstance(each, str) and each.success]
+    fits = [each.basis for each in done if not isinstance(each, str) and each.converged]
     scores = dict(zip(map(id, fits), criteria(fits) if fits else [], strict=True))
     models, evidence, unit = [], [], "rad"
     for each, found in zip(todo, done, strict=True):
@@ -161,7 +160,7 @@ def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], s
         unknowns = model.parameters + sum(window.unknowns for window in found.basis.windows)
         evidence.append(Evidence(each.name, unknowns, model.bic, found.held_out, model.whiteness))
     preferred, words = recommend(evidence, unit)
-    return ModelComparison(tuple(models), preferred, words, INTERRUPTED if stopped else CONVERGED, unit)
+    return ModelComparison(tuple(models), preferred, words, unit, stopped)
 
 
 def _fitted_model(candidate: Candidate, found: Identification, bic: float | None) -> FittedModel:
@@ -172,7 +171,7 @@ def _fitted_model(candidate: Candidate, found: Identification, bic: float | None
         candidate.free,
         candidate.guess.n_links,
         found,
-        reason if found.success else f"the fit is {found.message}",
+        reason if found.converged else "the fit did not converge",
         information.known.shape[1],
         bic,
         found.residual_rms_all,

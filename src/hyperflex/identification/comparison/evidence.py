@@ -9,13 +9,28 @@ from hyperflex.checks import Array
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import Basis
 
-STRONG = 6.0  # difference of BIC from which evidence is strong (Kass and Raftery 1995, doi:10.2307/2291091)
-TINY = 1e-9  # probabilities below it are not told apart
-COLOURED = 0.01  # probability below which residuals are no white noise
-CLEAR = 2.0  # standard errors by which a prediction must be worse on the mean to count as worse
-FEW = 3  # predicted stretches, fewer have no standard error to speak of
-MATTERS = 1.02  # ratio of rms errors below which a difference is too small to matter
-ALIKE = 1.1  # ratio of rms errors within which predictions are as good as each other, where there are few
+
+@dataclass(frozen=True)
+class EvidenceOptions:
+    """When evidence prefers a model."""
+
+    # difference of BIC from which evidence is strong (Kass and Raftery 1995, doi:10.2307/2291091)
+    strong: float = 6.0
+    # probabilities below it are not told apart
+    tiny: float = 1e-09
+    # probability below which residuals are no white noise
+    coloured: float = 0.01
+    # standard errors by which a prediction must be worse on the mean to count as worse
+    clear: float = 2.0
+    # predicted stretches, fewer have no standard error to speak of
+    few: int = 3
+    # ratio of rms errors below which a difference is too small to matter
+    matters: float = 1.02
+    # ratio of rms errors within which predictions are as good as each other, where there are few
+    alike: float = 1.1
+
+
+SUPPORT = EvidenceOptions()
 
 
 @dataclass(frozen=True)
@@ -68,17 +83,19 @@ def why_alike(one: HeldOut | None, best: HeldOut | None) -> str:
     if one is None or best is None or not np.isfinite(_squares(one)).all():
         return ""
     mine, other = _squares(one), _squares(best)
-    if mine.size < FEW or mine.size != other.size:
-        near = np.sqrt(mine.mean()) <= ALIKE * np.sqrt(other.mean())
-        few = f"a difference within {100.0 * (ALIKE - 1.0):.0f} % counts for nothing where so little is held out"
+    if mine.size < SUPPORT.few or mine.size != other.size:
+        near = np.sqrt(mine.mean()) <= SUPPORT.alike * np.sqrt(other.mean())
+        few = (
+            f"a difference within {100.0 * (SUPPORT.alike - 1.0):.0f} % counts for nothing where so little is held out"
+        )
         return few if near else ""
-    if mine.mean() <= MATTERS**2 * other.mean():
-        return f"a difference within {100.0 * (MATTERS - 1.0):.0f} % is too small to matter"
+    if mine.mean() <= SUPPORT.matters**2 * other.mean():
+        return f"a difference within {100.0 * (SUPPORT.matters - 1.0):.0f} % is too small to matter"
     gap = mine - other
-    if gap.mean() > CLEAR * gap.std(ddof=1) / np.sqrt(gap.size):
+    if gap.mean() > SUPPORT.clear * gap.std(ddof=1) / np.sqrt(gap.size):
         return ""
     chance = f"over the {mine.size} predicted stretches the difference varies too much to be told from chance"
-    return f"{chance} (less than {CLEAR:g} standard errors)"
+    return f"{chance} (less than {SUPPORT.clear:g} standard errors)"
 
 
 def error(held_out: HeldOut | None) -> float:
@@ -99,7 +116,7 @@ def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, s
     if len(known) == 1:
         return known[0].name, f"Only {known[0].name} could be fitted: there was nothing to compare it with."
     least = min(known, key=lambda each: each.bic or 0.0)
-    likely = [each for each in known if _bic(each) - _bic(least) < STRONG]
+    likely = [each for each in known if _bic(each) - _bic(least) < SUPPORT.strong]
     predicted = [each for each in known if np.isfinite(error(each.held_out))]
     first = min(likely, key=lambda each: each.unknowns)
     if not predicted:
@@ -116,7 +133,7 @@ def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, s
             also = f"not clearly worse than {nearest.name} ({_error(nearest, unit)}): {alike[chosen.name]}."
         return chosen.name, f"{_by_bic(chosen, known)} It predicts {_error(chosen, unit)} off, {also}{_hue(chosen)}"
     simple = min(good, key=lambda each: each.unknowns)
-    chosen = simple if first.whiteness < COLOURED else first
+    chosen = simple if first.whiteness < SUPPORT.coloured else first
     why = "are no white noise, which BIC relies on" if chosen is simple else "are white noise, as BIC wants them"
     return chosen.name, (
         f"The two disagree: BIC prefers {first.name}, held-out prediction prefers {simple.name} "
@@ -133,7 +150,7 @@ def _by_bic(chosen: Evidence, known: Sequence[Evidence]) -> str:
     rest = min(_bic(each) for each in known if each is not chosen)
     ahead = rest - _bic(chosen)
     next_one = next(each for each in known if each is not chosen and _bic(each) == rest)
-    if ahead >= STRONG:
+    if ahead >= SUPPORT.strong:
         return f"{chosen.name}: BIC is lower by {ahead:.0f} than that of the next, {next_one.name}."
     what = "lower" if ahead >= 0.0 else "higher"
     weak = f"{chosen.name}: BIC is {what} than that of {next_one.name} by {abs(ahead):.1f} only: no strong evidence"
@@ -142,12 +159,12 @@ def _by_bic(chosen: Evidence, known: Sequence[Evidence]) -> str:
 
 def probability(value: float) -> str:
     """Return a p-value in words."""
-    return f"p = {value:.2g}" if value >= TINY else f"p < {TINY:.0e}"
+    return f"p = {value:.2g}" if value >= SUPPORT.tiny else f"p < {SUPPORT.tiny:.0e}"
 
 
 def _hue(chosen: Evidence) -> str:
     """Return a warning where even the chosen model leaves more than noise."""
-    if chosen.whiteness >= COLOURED:
+    if chosen.whiteness >= SUPPORT.coloured:
         return ""
     return f" But its residuals are no white noise ({probability(chosen.whiteness)}): all candidates miss something."
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from hyperflex import extras, files
 from hyperflex.files import PathLike
-from hyperflex.identification.comparison.evidence import COLOURED, probability
-from hyperflex.identification.ending import CONVERGED, Ended
+from hyperflex.identification.comparison.evidence import SUPPORT, probability
 from hyperflex.identification.result import Identification
+from hyperflex.status import Status
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -50,7 +50,7 @@ class FittedModel:
 
 
 @dataclass(frozen=True, eq=False)
-class ModelComparison(Ended):
+class ModelComparison:
     """Models of a rope compared by :func:`hyperflex.compare_models`; ``print`` shows the table and why.
 
     Attributes
@@ -59,17 +59,17 @@ class ModelComparison(Ended):
         In the order in which they were given, those that failed included.
     preferred, recommendation : str or None, str
         Name of the model that the evidence prefers, None if none could be fitted; and why, in words.
-    message : {"converged", "interrupted"}
-        Whether all candidates were fitted before Ctrl-C.
     unit : str
         Of the errors: ``rad`` or ``m``.
+    interrupted : bool
+        Whether Ctrl-C came before all candidates were fitted.
     """
 
     models: tuple[FittedModel, ...]
     preferred: str | None
     recommendation: str
-    message: str
     unit: str
+    interrupted: bool = False
 
     def __getitem__(self, name: str) -> FittedModel:
         for model in self.models:
@@ -78,9 +78,21 @@ class ModelComparison(Ended):
         raise KeyError(name)
 
     @property
+    def status(self) -> Status:
+        """SUCCESS if all candidates were tried and one is preferred."""
+        if self.interrupted:
+            return Status.INTERRUPTED
+        return Status.FAILED if self.best is None else Status.SUCCESS
+
+    @property
     def success(self) -> bool:
-        """Whether all candidates were fitted and one is preferred."""
-        return self.message == CONVERGED and self.best is not None
+        """Whether all candidates were tried and one is preferred."""
+        return self.status is Status.SUCCESS
+
+    @property
+    def message(self) -> str:
+        """Why it is no success; empty on success."""
+        return "" if self.success else f"{self.status}: {self.recommendation}"
 
     @property
     def best(self) -> Identification | None:
@@ -112,7 +124,8 @@ class ModelComparison(Ended):
         """Return the table, the preference and the words as plain numbers, lists and strings; None for no number."""
         names = ("name", "links", "parameters", "bic", "fit_rms", "held_out_rms", "whiteness", "reason")
         table = [{name: getattr(m, name) for name in (*names, "free")} for m in self.models]
-        result: dict[str, Any] = self.ending() | {"preferred": self.preferred, "unit": self.unit}
+        result: dict[str, Any] = {"success": self.success, "status": self.status, "message": self.message}
+        result |= {"preferred": self.preferred, "unit": self.unit}
         return dict(files.plain(result | {"recommendation": self.recommendation, "models": table}))
 
     def to_json(self, path: PathLike) -> None:
@@ -123,7 +136,7 @@ class ModelComparison(Ended):
         wide = max([5, *(len(model.name) for model in self.models)])
         least = min((m.bic for m in self.models if m.bic is not None), default=0.0)
         head = f"{'model':<{wide}}  links  parameters  BIC over best  fit, m{self.unit}  held out, m{self.unit}  white"
-        lines = [f"Models compared ({self.message})", f"  {head}"]
+        lines = [f"Models compared ({self.status})", f"  {head}"]
         lines += [f"  {_row(model, wide, least, len(self.unit))}" for model in self.models]
         return "\n".join([*lines, f"  {self.recommendation}"])
 
@@ -133,7 +146,7 @@ def _row(model: FittedModel, wide: int, least: float, unit: int) -> str:
     if model.identification is None:
         return f"{start}  failed: {model.reason}"
     above = "-" if model.bic is None else f"{model.bic - least:.1f}"
-    white = f"{'yes' if model.whiteness >= COLOURED else 'no'} ({probability(model.whiteness)})"
+    white = f"{'yes' if model.whiteness >= SUPPORT.coloured else 'no'} ({probability(model.whiteness)})"
     held = f"{1e3 * model.held_out_rms:.3f}" if np.isfinite(model.held_out_rms) else "-"
     fit = f"{1e3 * model.fit_rms:.3f}"
     mark = f"  {model.reason}" if model.reason else ""

@@ -9,7 +9,6 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.identification.ending import CONVERGED, INTERRUPTED, Ended
 from hyperflex.identification.experiment_design.experiments import Experiment, default_experiments, variations
 from hyperflex.identification.experiment_design.fisher_information import ExpectedInformation, expected_information
 from hyperflex.identification.model.names import parse
@@ -17,6 +16,7 @@ from hyperflex.identification.model.scale import common_factor
 from hyperflex.interruption import catch_interrupt, interruptible
 from hyperflex.model import Arm, Rope
 from hyperflex.progress import progress_bar
+from hyperflex.status import Status
 
 WEIGHED = ("mass", "com", "tip_mass")  # what a pair of scales can tell
 TORQUE_NOISE = 0.01  # part of the torque that holds arm and rope out level, all mass at the tip
@@ -60,7 +60,7 @@ class Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class ExperimentDesign(Ended):
+class ExperimentDesign:
     """Experiments ranked by what they would tell; ``print`` shows the table.
 
     Attributes
@@ -71,19 +71,31 @@ class ExperimentDesign(Ended):
         What was asked for.
     advice : str
         In words: which to make; or what to measure where none can tell.
-    message : {"converged", "interrupted"}
-        Whether all candidates were simulated before Ctrl-C.
+    interrupted : bool
+        Whether Ctrl-C came before all candidates were simulated.
     """
 
     plans: tuple[Plan, ...]
     want: tuple[str, ...]
     advice: str
-    message: str = CONVERGED
+    interrupted: bool = False
+
+    @property
+    def status(self) -> Status:
+        """SUCCESS if all candidates were simulated and one determines what is wanted."""
+        if self.interrupted:
+            return Status.INTERRUPTED
+        return Status.FAILED if self.best is None else Status.SUCCESS
 
     @property
     def success(self) -> bool:
-        """Whether all candidates were simulated and one can tell what is asked for."""
-        return self.message == CONVERGED and self.best is not None
+        """Whether all candidates were simulated and one determines what is wanted."""
+        return self.status is Status.SUCCESS
+
+    @property
+    def message(self) -> str:
+        """Why it is no success; empty on success."""
+        return "" if self.success else f"{self.status}: {self.advice}"
 
     @property
     def best(self) -> Plan | None:
@@ -93,12 +105,13 @@ class ExperimentDesign(Ended):
 
     def summary(self) -> dict[str, Any]:
         """Return ranking and words as plain numbers, lists and strings; None where something cannot be told."""
+        head = {"success": self.success, "status": self.status, "message": self.message}
         table = []
         for plan in self.plans:
             e = plan.experiment
             row: dict[str, Any] = {"name": e.name, "rate": e.rate, "duration": e.duration, "markers": e.markers}
             table.append(row | {"std": plan.std, "relative": plan.relative, "reason": plan.reason})
-        return dict(files.plain(self.ending() | {"want": self.want, "advice": self.advice, "plans": table}))
+        return dict(files.plain(head | {"want": self.want, "advice": self.advice, "plans": table}))
 
     def to_json(self, path: PathLike) -> None:
         """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""
@@ -108,7 +121,7 @@ class ExperimentDesign(Ended):
         wide = max([10, *(len(plan.experiment.name) for plan in self.plans)])
         labels = next((list(plan.std) for plan in self.plans if plan.std), [])[:SHOWN]
         columns = "".join(f"  {'std of ' + label:>18}" for label in labels)
-        lines = [f"Experiments for {', '.join(self.want)} ({self.message})"]
+        lines = [f"Experiments for {', '.join(self.want)} ({self.status})"]
         lines.append(f"  {'experiment':<{wide}}  frames/s  time, s  markers  {'relative':>9}{columns}")
         for plan in self.plans:
             e = plan.experiment
@@ -193,9 +206,8 @@ def design_experiment(
                 report(float(len(plans)))
     if stop.received and not plans:
         raise Interrupted
-    message = INTERRUPTED if stop.received else CONVERGED
     ranked = tuple(sorted(plans, key=lambda plan: (plan.score, bool(plan.reason))))
-    return stop.deliver(ExperimentDesign(ranked, words, _advice(asked, ranked, seen), message))
+    return stop.deliver(ExperimentDesign(ranked, words, _advice(asked, ranked, seen), stop.received))
 
 
 def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) -> list[Experiment]:

@@ -11,12 +11,24 @@ from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion, arm_swings
 
-MOST_FRAMES = 1_000_000
+
+@dataclass(frozen=True)
+class DefaultExperiments:
+    """The experiments that are tried by default."""
+
+    most_frames: int = 1000000
+    # rad at the first joint, and as much to the other side at the tip
+    bent: float = 0.8
+    # frames a second, s, and most markers of the default experiments
+    rate: float = 30.0
+    duration: float = 10.0
+    markers: int = 11
+
+
+DEFAULTS = DefaultExperiments()
 
 ANGLES = (0.3, 0.8, 1.5)  # rad, from which a straight rope is let go
-BENT = 0.8  # rad at the first joint, and as much to the other side at the tip
 RESTS = (0.34, 0.53, 0.80)  # s, of the paper's swings: its failure, its success, and a slow one
-RATE, DURATION, MARKERS = 30.0, 10.0, 11  # frames a second, s, and most markers of the default experiments
 RATES, DURATIONS, FEW = (7.5, 120.0), (5.0, 20.0), (3, 6)
 
 
@@ -46,8 +58,8 @@ class Experiment:
     motion: Motion | None = None
     q0: npt.ArrayLike | None = None
     qd0: npt.ArrayLike | None = None
-    rate: float = RATE
-    duration: float = DURATION
+    rate: float = DEFAULTS.rate
+    duration: float = DEFAULTS.duration
     markers: int | None = None
     noise: float | None = None
     torque_noise: float | None = None
@@ -61,11 +73,11 @@ class Experiment:
         if self.markers is not None:
             checks.count("experiment markers", self.markers, least=2)
         checks.text("experiment name", self.name)
-        if not 2.0 <= self.rate * self.duration + 1e-9 < MOST_FRAMES:
+        if not 2.0 <= self.rate * self.duration + 1e-9 < DEFAULTS.most_frames:
             raise InvalidInput(
                 "experiment rate and duration give too few frames, or too many",
                 got=[self.rate, self.duration],
-                allowed=f"3 to {MOST_FRAMES:g} frames",
+                allowed=f"3 to {DEFAULTS.most_frames:g} frames",
             )
 
     @property
@@ -84,11 +96,11 @@ class Experiment:
 def default_experiments(rope: Rope, arm: Arm | None) -> list[Experiment]:
     """Return the motions tried first: free swings, and with an arm the paper's."""
     n, hangs = rope.n_links, rope.hanging_angle
-    markers = min(n + 1, MARKERS)
+    markers = min(n + 1, DEFAULTS.markers)
     found = [Experiment(f"let go at {angle:g} rad", q0=hangs + angle, markers=markers) for angle in ANGLES]
     if n > 1:
-        bent = hangs + np.linspace(BENT, -BENT, n)
-        found.append(Experiment(f"let go bent, {BENT:g} to {-BENT:g} rad", q0=bent, markers=markers))
+        bent = hangs + np.linspace(DEFAULTS.bent, -DEFAULTS.bent, n)
+        found.append(Experiment(f"let go bent, {DEFAULTS.bent:g} to {-DEFAULTS.bent:g} rad", q0=bent, markers=markers))
     if arm is not None:
         found += [Experiment(f"swings, rest {rest:g} s", arm_swings(t_rest=rest), markers=markers) for rest in RESTS]
     return found

@@ -11,11 +11,11 @@ from hyperflex.identification.experiment_design.experiments import Experiment
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import linearise
 from hyperflex.identification.fit.windows import Window, decimation_step, usual_length
-from hyperflex.identification.measurements import measure, with_torque
+from hyperflex.identification.measurements import build_plant, measure, with_torque
 from hyperflex.identification.model.parameters import Parameter, Parameters
 from hyperflex.identification.model.plant import PRECISION, Plant, pivot_places
 from hyperflex.identification.model.scale import in_common_factor
-from hyperflex.identification.problem import build_plant
+from hyperflex.identification.options import RecordingSetup
 from hyperflex.identification.uncertainty.covariance import Information, known_directions
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.model import Arm, Rope
@@ -94,7 +94,8 @@ def expected_information(
     torque = experiment.torque_noise
     if torque is not None and base is None:
         raise InvalidInput("the torque of no motor can be measured", fix="Give a motion, and arm=... to design")
-    plant = build_plant(recording, rope, free, arc_lengths, None, motion, base, torque=torque is not None)
+    setup = RecordingSetup(motion, base, torque=None if torque is None else run.motor_torque)
+    plant = build_plant(recording, rope, free, arc_lengths, setup)
     measured = measure(recording, rope, arc_lengths)
     if torque is not None:
         measured = with_torque(measured, run.motor_torque, torque)

@@ -12,22 +12,42 @@ from typing import Any
 
 import numpy as np
 
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.plant import Plant
-from hyperflex.interruption import catch_interrupt
+from hyperflex.interruption import stoppable
+from hyperflex.status import Status
 
-LEAST_DAMPING, MOST_DAMPING = 1e-7, 1e10
-ENOUGH = 0.1  # gain of a round, in units of the residual variance, below which parameters move by less than their std
-SHORT = 1.0  # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
-HARDLY = 1e-2  # gain of a round, as a part of the cost, that ends a fit after which others come
-ROUGH = 1e-5  # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
-STALLS = 5  # rounds that hardly gain, though the linear model promises more, before a fit gives up
-NEAR, FALL = 1e-2, 0.7  # in scales: farther above its bound a parameter falls by no more than this part of the way
-PREDICTION_DAMPING = 1e-6  # for the predicted decrease: parameters that do not act promise nothing
-SKETCH = 6  # rounds after which one of several states is preferred
+
+@dataclass(frozen=True)
+class StepOptions:
+    """Damped steps, and when a fit ends."""
+
+    least_damping: float = 1e-07
+    most_damping: float = 10000000000.0
+    # gain of a round, in units of the residual variance, below which parameters move by less than their std
+    enough: float = 0.1
+    # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
+    short: float = 1.0
+    # gain of a round, as a part of the cost, that ends a fit after which others come
+    hardly: float = 0.01
+    # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
+    rough: float = 1e-05
+    # rounds that hardly gain, though the linear model promises more, before a fit gives up
+    stalls: int = 5
+    # in scales: farther above its bound a parameter falls by no more than this part of the way
+    near: float = 0.01
+    fall: float = 0.7
+    # for the predicted decrease: parameters that do not act promise nothing
+    prediction_damping: float = 1e-06
+    # rounds after which one of several states is preferred
+    sketch: int = 6
+
+
+STEPS = StepOptions()
 Report = Callable[[dict[str, Any]], None]
 
 
@@ -46,8 +66,13 @@ class Fit:
     loss: Loss = field(default_factory=Loss)
     prior_cost: float = 0.0  # sum of squares of the residuals of the states' prior, and of a target
     converged: bool = False
-    interrupted: bool = False
+    status: Status | None = None  # why it ended early; None if it did not
     history: list[dict[str, float]] = field(default_factory=list)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether it was ended early, by the user or by its budget."""
+        return self.status is not None
 
     @property
     def cost(self) -> float:
@@ -133,35 +158,38 @@ def fit(
     states_only: bool = False,
     rounds: int = 60,
     enough: float | None = None,
+    budget: Budget | None = None,
     report: Report | None = None,
     held: Sequence[int] = (),
     target: Target | None = None,
 ) -> Fit:
     """Fit parameters and all states together, or the states alone, from first guesses; parameters `held` stay.
 
-    A `target` counts as one residual more.
-
-    It ends with a round that gains less than the part `enough` of the cost; by default less than parameters move by
-    chance.
+    A `target` counts as one residual more. Out of time it returns the best so far. It ends with a round that gains less
+    than the part `enough` of the cost; by default less than parameters move by chance.
 
     Raises
     ------
     Interrupted
-        By Ctrl-C, with the best so far, marked ``interrupted``.
+        By Ctrl-C, with the best so far.
+    OutOfTime
+        If the time was over before it began.
     InvalidInput
         When the guess cannot be simulated.
     """
-    loss = loss or Loss()
+    loss, budget = loss or Loss(), budget or Budget()
+    budget.check()
     residuals = _residuals(plant, windows, x, states)
     if residuals is None:
         raise InvalidInput("the rope cannot be simulated from the guess", fix="Give a guess nearer to the real one")
     best = Fit(x, states, residuals, loss, _prior_cost(windows, x, states, target))
     count = sum(window.values for window in windows)
     lower = np.empty(0) if states_only else plant.parameters.lower
-    least = min(1e-4, ENOUGH / count) if enough is None else enough
+    least = min(1e-4, STEPS.enough / count) if enough is None else enough
     damping, stalled = 1e-3, 0
-    with catch_interrupt() as stop:
+    with stoppable() as stop:
         for number in range(rounds):
+            budget.check()
             best.loss = best.loss.scaled(best.residuals)
             before = best.cost
             linear = [
@@ -182,10 +210,10 @@ def fit(
             if report is not None:
                 report(best.history[-1])
             stalled = stalled + 1 if gain < least else 0
-            best.converged = stalled > 0 and (free or promised < max(least, ROUGH) * before)
-            if best.converged or stalled == STALLS:
+            best.converged = stalled > 0 and (free or promised < max(least, STEPS.rough) * before)
+            if best.converged or stalled == STEPS.stalls:
                 break
-    best.interrupted = stop.received
+    best.status = stop.status
     return stop.deliver(best)
 
 
@@ -204,7 +232,7 @@ def fit_state(
     """
     found: Fit | None = None
     for start in starts:
-        sketch = SKETCH if len(starts) > 1 else rounds
+        sketch = STEPS.sketch if len(starts) > 1 else rounds
         tried = _fit_state(plant, x, window, start, loss, sketch, enough)
         if tried is not None and (found is None or tried.cost < found.cost):
             found = tried
@@ -268,7 +296,7 @@ def _predicted_decrease(at: Fit, linear: Sequence[Linear], lower: Array) -> floa
     """Return the decrease of the squares that the linear model predicts; inf where no window has derivatives."""
     if not any(each.known for each in linear):
         return float("inf")
-    shared, states = _step(at, linear, lower, PREDICTION_DAMPING)
+    shared, states = _step(at, linear, lower, STEPS.prediction_damping)
     gained = 0.0
     for each, state in zip(linear, states, strict=True):
         ahead = each.residual + each.state @ state + each.shared @ shared
@@ -290,7 +318,7 @@ def _improve(
     Return the damping for the next round, and whether a step was taken that damping hardly shortened.
     """
     before = best.cost
-    while damping < MOST_DAMPING:
+    while damping < STEPS.most_damping:
         shared, moves = _step(best, linear, lower, damping)
         x = best.x + shared if lower.size else best.x
         states = [state + move for state, move in zip(best.states, moves[: len(windows)], strict=True)]
@@ -299,8 +327,8 @@ def _improve(
             tried = Fit(x, states, residuals, best.loss, _prior_cost(windows, x, states, target))
             if tried.cost <= before:
                 best.x, best.states, best.residuals, best.prior_cost = x, states, residuals, tried.prior_cost
-                free = damping <= SHORT and any(each.known for each in linear)
-                return max(0.1 * damping, LEAST_DAMPING), free
+                free = damping <= STEPS.short and any(each.known for each in linear)
+                return max(0.1 * damping, STEPS.least_damping), free
         damping = max(10.0 * damping, 1e-6)
     return 1e-3, False
 
@@ -325,8 +353,8 @@ def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
     unbounded = ~np.isfinite(lower)
     longest = float(np.abs(move[unbounded]).max()) if unbounded.any() else 0.0
     above = x - lower
-    far = ~unbounded & (above > NEAR)
-    falling = float((-move[far] / (FALL * above[far])).max()) if far.any() else 0.0
+    far = ~unbounded & (above > STEPS.near)
+    falling = float((-move[far] / (STEPS.fall * above[far])).max()) if far.any() else 0.0
     return move / max(1.0, longest, falling)
 
 

@@ -10,16 +10,34 @@ from hyperflex.checks import Array
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
-DENSEST = 200  # samples a window; more of them repeat what their neighbours say and only cost time
-FEWEST = 8  # samples a window, where the recording allows it
-SEEN = 20  # values of each link's angle in a window, ten for each unknown of its state, where the recording allows it
-PART = 1.2  # periods
-TURN = 8.0  # rad a link may turn within a window, as rms rate times time: beyond it fits find false minima
-BLIND = 0.5  # part of a window for which a link may be out of sight
-LEAST = 4  # values of a link's angle in a window
-ASIDE = 0.3  # rad by which a shape must differ from another to be a start of its own
-ROUNDS = 8  # of weighted least squares that come near to least absolute errors
-STILL = 1e-3  # rad, a recording that moves less holds no dynamics
+
+@dataclass(frozen=True)
+class WindowOptions:
+    """How a recording is cut into windows."""
+
+    # samples a window; more of them repeat what their neighbours say and only cost time
+    densest: int = 200
+    # samples a window, where the recording allows it
+    fewest: int = 8
+    # values of each link's angle in a window, ten for each unknown of its state, where the recording allows it
+    seen: int = 20
+    # periods
+    part: float = 1.2
+    # rad a link may turn within a window, as rms rate times time: beyond it fits find false minima
+    turn: float = 8.0
+    # part of a window for which a link may be out of sight
+    blind: float = 0.5
+    # values of a link's angle in a window
+    least: int = 4
+    # rad by which a shape must differ from another to be a start of its own
+    aside: float = 0.3
+    # of weighted least squares that come near to least absolute errors
+    rounds: int = 8
+    # rad, a recording that moves less holds no dynamics
+    still: float = 0.001
+
+
+CUT = WindowOptions()
 
 
 @dataclass(frozen=True)
@@ -66,19 +84,19 @@ def part_left(windows: Sequence[Window], residuals: Sequence[Array]) -> float:
 
 
 def usual_length(recording: Recording, rope: Rope) -> float:
-    """Return a window length (s): PART periods of a small swing of a rod as long as the rope, less for fast links."""
+    """Return a window length (s): some periods of a small swing of a rod as long as the rope, less for fast links."""
     gravity = float(np.hypot(*rope.gravity))
     period = 2.0 * np.pi * float(np.sqrt(2.0 * rope.total_length / (3.0 * gravity))) if gravity > 0.0 else 1.0
     fastest = max(rms_rate(recording.t, column) for column in recording.data.T)
     spacing = float(np.median(np.diff(recording.t)))
-    return max(min(PART * period, TURN / fastest if fastest > 0.0 else np.inf), FEWEST * spacing)
+    return max(min(CUT.part * period, CUT.turn / fastest if fastest > 0.0 else np.inf), CUT.fewest * spacing)
 
 
 def with_enough_frames(length: float, recording: Recording) -> float:
-    """Return a window length (s), doubled until it holds SEEN values of each link."""
+    """Return a window length (s), doubled until it holds ``CUT.seen`` values of each link."""
     spacing = float(np.median(np.diff(recording.t)))
     seen = float((~np.isnan(recording.data)).mean(axis=0).min()) * length / spacing
-    return float(length * 2.0 ** np.ceil(np.log2(SEEN / seen))) if 0.0 < seen < SEEN else length
+    return float(length * 2.0 ** np.ceil(np.log2(CUT.seen / seen))) if 0.0 < seen < CUT.seen else length
 
 
 def rms_rate(t: Array, angle: Array) -> float:
@@ -98,9 +116,9 @@ def rms_rate(t: Array, angle: Array) -> float:
 
 
 def decimation_step(recording: Recording, length: float) -> int:
-    """Return the step of the decimation that leaves at most DENSEST samples a window."""
+    """Return the step of the decimation that leaves at most ``CUT.densest`` samples a window."""
     spacing = float(np.median(np.diff(recording.t)))
-    return max(1, int(length / (spacing * DENSEST)))
+    return max(1, int(length / (spacing * CUT.densest)))
 
 
 def cut_windows(
@@ -128,11 +146,15 @@ def cut_windows(
         rows = number == k
         known = ~np.isnan(angles[rows])
         span = t[rows][-1] - t[rows][0]
-        if known.sum(axis=0).min() < LEAST or span < 0.5 * length or _longest_gap(t[rows], known) > BLIND * span:
+        if (
+            known.sum(axis=0).min() < CUT.least
+            or span < 0.5 * length
+            or _longest_gap(t[rows], known) > CUT.blind * span
+        ):
             dropped += 1
             continue
         guess, *others = (first_state(t[rows], each[rows]) for each in (angles, *sides))
-        others = [each for each in others if np.abs(each - guess)[: angles.shape[1]].max() > ASIDE]
+        others = [each for each in others if np.abs(each - guess)[: angles.shape[1]].max() > CUT.aside]
         windows.append(Window(t[rows], y[rows], weight[rows], guess, prior, tuple(others)))
     return windows, dropped
 
@@ -164,7 +186,7 @@ def _value_and_slope(tau: Array, y: Array) -> tuple[float, float]:
     """Return value and slope at 0 of the cubic nearest to y (m,), by least absolute errors: no outlier tilts it."""
     powers = np.vander(tau, min(3, tau.size - 2) + 1, increasing=True)
     weight = np.ones(tau.size)
-    for _ in range(ROUNDS):
+    for _ in range(CUT.rounds):
         found = np.linalg.lstsq(powers * weight[:, None], y * weight, rcond=None)[0]
         away = np.abs(powers @ found - y)
         weight = 1.0 / np.sqrt(np.maximum(away, 0.1 * away.mean() + 1e-12))

@@ -90,6 +90,10 @@ class Plant:
         """Return the same without the torque channel."""
         return self if self.motor is None else Plant(self.parameters, self.sensor, self.motion, self.arm)
 
+    def with_parameters(self, parameters: Parameters) -> "Plant":
+        """Return the same with other free parameters."""
+        return Plant(parameters, self.sensor, self.motion, self.arm, torque=self.motor is not None)
+
     def cut(self, x: Array, pieces: int) -> "Plant":
         """Return the same at x, without free parameters, each link cut into pieces; InvalidInput where none can be."""
         at = self._at(x)
@@ -272,8 +276,7 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
             continue
     extra = [each for group in groups for each in group]
     parameters = Parameters(plant.parameters.guess, [*plant.parameters.all, *extra])
-    model = Plant(parameters, plant.sensor, plant.motion, plant.arm, torque=plant.motor is not None)
-    return model, np.concatenate([x, [each.first for each in extra]]), groups
+    return plant.with_parameters(parameters), np.concatenate([x, [each.first for each in extra]]), groups
 
 
 def scale_words(plant: Plant) -> dict[int, str]:

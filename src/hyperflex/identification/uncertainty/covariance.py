@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
@@ -17,7 +18,7 @@ from hyperflex.identification.model.scale import Mask, in_common_factor
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.identification.uncertainty.whiteness import whiteness
-from hyperflex.interruption import catch_interrupt, look, time_limit
+from hyperflex.interruption import stoppable
 
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
@@ -136,19 +137,19 @@ def not_estimated(plant: Plant, fit: Fit) -> Information:
 
 
 def fit_information(plant: Plant, windows: Sequence[Window], found: Fit) -> Information:
-    """Return what the windows tell; of a fit that is interrupted, then or before, what can be told within GRACE."""
+    """Return what the windows tell; of a fit that was ended early, then or before, what can be told within GRACE."""
     known = not_estimated(plant, found)
-    if not found.interrupted:
-        with catch_interrupt() as stop:
+    if found.status is None:
+        with stoppable() as stop:
             known = estimate_covariance(plant, windows, found)
-        found.interrupted = stop.received
-    if found.interrupted:
-        with catch_interrupt(), time_limit(GRACE):
-            known = estimate_covariance(plant, windows, found)
+        found.status = stop.status
+    if found.status is not None:
+        with stoppable():
+            known = estimate_covariance(plant, windows, found, Budget(GRACE))
     return known
 
 
-def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> Information:
+def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budget: Budget | None = None) -> Information:
     """Return what the fit's windows tell, at the cost of one round of the fit.
 
     Sandwich covariance A^+ M A^+ of x, with S the derivatives of the residuals less what the states absorb:
@@ -165,7 +166,7 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit) -> In
     widths, total = plant.parameters.widths, len(plant.parameters)
     slopes = _sensitivities(windows, fit)
     mean = max(float(slopes.mean()), LEAST_SENSITIVITY)
-    models = _models(plant, windows, fit, mean)
+    models = _models(plant, windows, fit, mean, budget or Budget())
     rows = [model.shared * widths for model in models]
     singular, known, unknown = known_directions([*rows, np.zeros((total, total))])
     inner = known / singular[: known.shape[1]]  # A^+ = inner inner^T
@@ -224,11 +225,11 @@ class _Model:
         return np.asarray(np.tensordot(rows, correlated(memory, rows), axes=([0, 1], [0, 1])) + prior.T @ prior)
 
 
-def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float) -> list[_Model]:
+def _models(plant: Plant, windows: Sequence[Window], fit: Fit, mean: float, budget: Budget) -> list[_Model]:
     """Return all windows' derivatives, those of values times the root of the mean of psi'."""
     models = []
     for window, state, residual in zip(windows, fit.states, fit.residuals, strict=True):
-        look()
+        budget.check()
         linear = linearise(plant, window, fit.x, state, residual, Loss())
         scale = np.ones((linear.residual.size, 1))
         scale[: residual.size] = np.sqrt(mean)
@@ -260,7 +261,6 @@ class Interval:
 
     `kind` is its method: ``covariance`` (Student's quantile times the standard deviation), ``profile``, ``bootstrap``,
     or ``unknown`` where the data set no limits. `ends`: ``crossed``, the parameter's own ``bound``, or ``open``.
-    `remark` tells what went wrong, or nothing.
     """
 
     low: float
@@ -268,7 +268,6 @@ class Interval:
     kind: Literal["covariance", "profile", "bootstrap", "unknown"]
     ends: tuple[End, End] = ("crossed", "crossed")
     level: float = LEVEL
-    remark: str = ""
 
     def __str__(self) -> str:
         return f"{self.low:.5g} to {self.high:.5g} ({self.kind})"

@@ -4,44 +4,58 @@ from dataclasses import replace
 
 import numpy as np
 
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
+from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit.multiple_shooting import Report, with_entries
 from hyperflex.identification.options import How
 from hyperflex.identification.uncertainty.coordinate import ParameterCoordinate
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, End, Interval, from_covariance
-from hyperflex.identification.uncertainty.profile import BETTER, Profile, profiled
+from hyperflex.identification.uncertainty.profile import WALK, Profile, profiled
 from hyperflex.identification.uncertainty.threshold import near_bounds, quantile
-from hyperflex.interruption import catch_interrupt
+from hyperflex.interruption import stoppable
 
 TIED = 0.1  # correlation with a parameter beside its bound from which the bound is felt
 BENT = 0.1  # part by which the root of the rise may depart from a straight line before the covariance is left
 MOST = 4  # profiles that "auto" takes on, each as dear as two or three fits
 
 
-def all_intervals(basis: Basis, how: How, level: float = LEVEL, *, report: Report | None = None) -> dict[str, Interval]:
+def all_intervals(
+    basis: Basis,
+    how: How,
+    level: float = LEVEL,
+    *,
+    remarks: list[Finding] | None = None,
+    budget: Budget | None = None,
+    report: Report | None = None,
+) -> dict[str, Interval]:
     """Return intervals of all free parameters, by label.
 
     ``auto`` profiles up to four parameters whose covariance is skewed: within four standard deviations of a bound,
     correlated with such a one, or with squares that do not rise as a parabola; of more, those nearest to their bounds.
-    `report` gets each round of each profile, with its ``parameter`` and ``phase="profile"``. Ctrl-C raises Interrupted;
-    in its ``partial`` what was not profiled yet has intervals from the covariance.
+    What a profile shows besides is added to `remarks`. `report` gets each round of each profile, with its ``parameter``
+    and ``phase="profile"``. Ctrl-C raises Interrupted; in its ``partial``, and out of time, what was not profiled yet
+    has intervals from the covariance.
     """
     result = {label: from_covariance(basis, which, level) for which, label in enumerate(basis.plant.parameters.labels)}
     labels = list(result)
     if how == "covariance":
         return result
-    with catch_interrupt() as stop:
+    with stoppable() as stop:
         chosen = _skewed_parameters(basis) if how == "auto" else list(range(len(labels)))
         chosen = [k for k in chosen if result[labels[k]].kind != "unknown"]
         length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
         for number, k in enumerate(chosen):
             at = {"phase": "profile", "parameter": labels[k], "window": length, "stage": number, "stages": len(chosen)}
             along = ParameterCoordinate(basis, k)
-            found = profiled(basis, along, level, report=None if report is None else with_entries(report, at))
+            found = profiled(
+                basis, along, level, budget=budget, report=None if report is None else with_entries(report, at)
+            )
             if found.kind == "profile":
                 interval = Interval(found.low, found.high, found.kind, found.ends, level)
                 result[labels[k]] = _with_model_error(basis, k, interval)
-            result[labels[k]] = replace(result[labels[k]], remark=_remark(found))
+            if remarks is not None:
+                remarks += _remarks(found)
     return stop.deliver(result)
 
 
@@ -59,19 +73,11 @@ def _with_model_error(basis: Basis, which: int, interval: Interval) -> Interval:
     return replace(interval, low=max(low, least), high=high, ends=(end, interval.ends[1]))
 
 
-def _remark(found: Profile) -> str:
-    if found.gain > BETTER:
-        return (
-            f"Beside {found.name} the squares fall {found.gain:.3g} residual variances below those of this fit: it is "
-            "not the best one. Fit again from there: "
-            f"rope_guess=hyperflex.identification.profile(found, {found.name!r}).better."
-        )
-    if found.kind == "covariance":
-        return (
-            f"The profile of {found.name} was too dear to follow to its ends: its interval is that of the standard "
-            "deviation."
-        )
-    return ""
+def _remarks(found: Profile) -> list[Finding]:
+    """Return that a profile has found a better optimum, or took too long."""
+    if found.gain > WALK.better:
+        return [Finding(Kind.BETTER_OPTIMUM, Severity.LIMIT, {"name": found.name, "gain": found.gain})]
+    return [Finding(Kind.PROFILE_GIVEN_UP, Severity.LIMIT, {"name": found.name})] * (found.kind == "covariance")
 
 
 def skewed(basis: Basis, which: int) -> bool:

@@ -6,18 +6,36 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.interruption import look
+from hyperflex.interruption import raise_if_cancelled
 
-MOST_TERMS = 8  # of the autoregression
-MAX_WORSE_TERMS = 2  # further terms in a row that BIC does not ask for before the search ends
-NEAR_ONE = 0.995  # greatest size of a partial autocorrelation: beyond it noise would hardly ever return to 0
-LATER = 0.95  # greatest size of all partial autocorrelations but the first: tones that hardly die away are no noise
-AGREES = 0.05  # by which autocorrelations may miss those of the residuals before no process is said to leave them
-ROUNDS = 20  # of Gauss and Newton's steps
-SETTLED = 1e-9  # sum of squared misses of autocorrelations below which nothing is left to gain
-HARDLY = 0.01  # part of that sum which a step must gain for another to be worth its while
-SMOOTH = 0.8  # autocorrelation of neighbours from which a line bridges a gap well
-STEP = 1e-6  # of differences
+
+@dataclass(frozen=True)
+class NoiseOptions:
+    """Order and fit of the autoregression."""
+
+    # of the autoregression
+    most_terms: int = 8
+    # further terms in a row that BIC does not ask for before the search ends
+    max_worse_terms: int = 2
+    # greatest size of a partial autocorrelation: beyond it noise would hardly ever return to 0
+    near_one: float = 0.995
+    # greatest size of all partial autocorrelations but the first: tones that hardly die away are no noise
+    later: float = 0.95
+    # by which autocorrelations may miss those of the residuals before no process is said to leave them
+    agrees: float = 0.05
+    # of Gauss and Newton's steps
+    rounds: int = 20
+    # sum of squared misses of autocorrelations below which nothing is left to gain
+    settled: float = 1e-09
+    # part of that sum which a step must gain for another to be worth its while
+    hardly: float = 0.01
+    # autocorrelation of neighbours from which a line bridges a gap well
+    smooth: float = 0.8
+    # of differences
+    step: float = 1e-06
+
+
+NOISE = NoiseOptions()
 
 
 @dataclass(frozen=True)
@@ -37,13 +55,13 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     """Return the a_j (k,) of r_t = sum of a_j r_(t - j) + white noise for the residuals, and whether it explains them.
 
     The process is stationary, one for all channels and windows; k, often 0, is chosen by BIC. Partial autocorrelations,
-    within NEAR_ONE and LATER, are found by damped Gauss-Newton steps, so that the process, less what the fit absorbs,
-    has the residuals' autocorrelations. If none has, the terms are those of Yule and Walker for the residuals as they
-    are. Times are taken as even. Cost: a few Fourier transforms (m, C K) a window.
+    bounded, are found by damped Gauss-Newton steps, so that the process, less what the fit absorbs, has the residuals'
+    autocorrelations. If none has, the terms are those of Yule and Walker for the residuals as they are. Times are taken
+    as even. Cost: a few Fourier transforms (m, C K) a window.
     """
     observed = _lagged_products(pieces)
     longest = max(piece.residual.shape[0] for piece in pieces)
-    most = min(MOST_TERMS, longest // 4)
+    most = min(NOISE.most_terms, longest // 4)
     if observed[0] <= 0.0 or most == 0:
         return np.zeros(0), True
     target = observed / observed[0]
@@ -57,9 +75,9 @@ def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
         passed = 0 if asked < least else passed + 1
         if passed == 0:
             least, chosen, gap = asked, parts, misfit
-        if passed == MAX_WORSE_TERMS:
+        if passed == NOISE.max_worse_terms:
             break
-    if gap <= AGREES:
+    if gap <= NOISE.agrees:
         return ar_coefficients(chosen), True
     return ar_coefficients(plain[: chosen.size]), False
 
@@ -70,7 +88,7 @@ def partial_correlations(correlation: Array) -> Array:
     for k in range(1, correlation.size):
         terms = ar_coefficients(parts)
         part = (correlation[k] - terms @ correlation[k - 1 : 0 : -1]) / left
-        parts = np.append(parts, np.clip(part, -NEAR_ONE, NEAR_ONE))
+        parts = np.append(parts, np.clip(part, -NOISE.near_one, NOISE.near_one))
         left *= 1.0 - float(parts[-1]) ** 2
     return parts
 
@@ -106,7 +124,7 @@ def noise_memory(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     of such residuals hangs on differences of neighbours, which gaps blur.
     """
     longest = max(piece.residual.shape[0] for piece in pieces)
-    if longest > 1 and min(piece.seen.min() for piece in pieces) == 0.0 and _autocorrelations(pieces)[1] > SMOOTH:
+    if longest > 1 and min(piece.seen.min() for piece in pieces) == 0.0 and _autocorrelations(pieces)[1] > NOISE.smooth:
         pieces = [_bridged(piece) for piece in pieces]
     terms, agrees = autoregression(pieces)
     return correlations(terms, longest), agrees
@@ -159,7 +177,7 @@ def _autocorrelations(pieces: Sequence[Piece]) -> Array:
     longest = max(piece.residual.shape[0] for piece in pieces)
     sums = np.zeros(longest)
     for piece in pieces:
-        look()
+        raise_if_cancelled()
         for lag in range(piece.residual.shape[0]):
             sums[lag] += _lagged_product(piece.residual, lag)
     if sums[0] <= 0.0:
@@ -172,7 +190,7 @@ def _of_pairs(pieces: Sequence[Piece], most: int) -> Array:
     """Return what sums of products (most + 1,) miss for gaps: the pairs there would be without any, over those seen."""
     seen, every = np.zeros((2, most + 1))
     for piece in pieces:
-        look()
+        raise_if_cancelled()
         m, part = piece.seen.shape[0], piece.seen.mean()
         lags = np.arange(min(most + 1, m))
         seen[lags] += [_lagged_product(piece.seen, int(lag)) for lag in lags]
@@ -189,7 +207,7 @@ def expected_products(pieces: Sequence[Piece], most: int) -> Array:
     longest = max(most + 1, *(piece.residual.shape[0] for piece in pieces))
     result = np.zeros((most + 1, longest))
     for piece in pieces:
-        look()
+        raise_if_cancelled()
         basis, seen, m = piece.basis, piece.seen, piece.residual.shape[0]
         spectrum = np.fft.rfft(basis, 2 * m, axis=0)
         crossed = spectrum.conj().swapaxes(1, 2) @ spectrum
@@ -213,7 +231,7 @@ def _bic(parts: Array, count: float) -> float:
 
 def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Array, float]:
     """Return partial autocorrelations (k,) whose residuals show those target (k,), and the greatest miss."""
-    bound = np.append(NEAR_ONE, np.full(start.size - 1, LATER))
+    bound = np.append(NOISE.near_one, np.full(start.size - 1, NOISE.later))
     z = np.arctanh(np.clip(start / bound, -0.99, 0.99))
 
     def miss(at: Array) -> Array:
@@ -221,8 +239,8 @@ def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Arr
         return np.asarray(sums[1:] / max(float(sums[0]), 1e-300) - target)
 
     away, damping = miss(z), 1e-3
-    for _ in range(ROUNDS):
-        slope = np.stack([(miss(z + STEP * one) - away) / STEP for one in np.eye(z.size)], axis=1)
+    for _ in range(NOISE.rounds):
+        slope = np.stack([(miss(z + NOISE.step * one) - away) / NOISE.step for one in np.eye(z.size)], axis=1)
         normal = slope.T @ slope
         scale = np.diag(np.diag(normal) + 1e-12)
         move = -np.linalg.solve(normal + damping * scale, slope.T @ away)
@@ -232,7 +250,7 @@ def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Arr
             z, away, damping = z + move, tried, max(0.1 * damping, 1e-9)
         else:
             damping *= 10.0
-        if after < SETTLED or (1.0 - HARDLY) * before < after < before:
+        if after < NOISE.settled or (1.0 - NOISE.hardly) * before < after < before:
             break
     return bound * np.tanh(z), float(np.abs(away).max())
 
@@ -240,9 +258,9 @@ def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Arr
 def _lagged_products(pieces: Sequence[Piece]) -> Array:
     """Return the sums of products of residuals so many samples apart."""
     longest = max(piece.residual.shape[0] for piece in pieces)
-    sums = np.zeros(min(longest, MOST_TERMS + 1))
+    sums = np.zeros(min(longest, NOISE.most_terms + 1))
     for piece in pieces:
-        look()
+        raise_if_cancelled()
         for lag in range(min(sums.size, piece.residual.shape[0])):
             sums[lag] += _lagged_product(piece.residual, lag)
     return sums

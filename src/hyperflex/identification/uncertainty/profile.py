@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
@@ -17,18 +18,36 @@ from hyperflex.identification.uncertainty.threshold import quantile, threshold
 from hyperflex.interruption import interruptible
 from hyperflex.model import Rope
 
-FINISH = 1e-2  # gain of a round, in units of the residual variance, below which a point of the profile has settled
-CLOSE = 0.01  # std to which an end is found
-LOOSE = 0.1  # std, and part of the way to it; an end that is not known so well after all TRIES is not told
-REACHED = 0.1  # part of the way that a ratio may stay short of its aim
+
+@dataclass(frozen=True)
+class ProfileOptions:
+    """How a profile walks away from the optimum."""
+
+    # gain of a round, in units of the residual variance, below which a point of the profile has settled
+    finish: float = 0.01
+    # std to which an end is found
+    close: float = 0.01
+    # std, and part of the way to it; an end that is not known so well after all TRIES is not told
+    loose: float = 0.1
+    # part of the way that a ratio may stay short of its aim
+    reached: float = 0.1
+    # factor by which a step may grow
+    longest: float = 3.0
+    # points on either side
+    tries: int = 25
+    # of all fits on one side; usual are ten
+    most_rounds: int = 100
+    # rounds of a fit after which its squares must not be HOPELESS
+    promising: int = 4
+    # rise of the squares after the first rounds, over the residual variance: not this optimum's valley
+    hopeless: float = 10000.0
+    # fall of the squares, over the residual variance, from which another optimum is said to be better
+    better: float = 1.0
+
+
+WALK = ProfileOptions()
 # Firmness with which a ratio is drawn there, one after the other, before a bound is said to be in its way
 FIRMNESS = (1.0, 10.0, 100.0)
-LONGEST = 3.0  # factor by which a step may grow
-TRIES = 25  # points on either side
-MOST_ROUNDS = 100  # of all fits on one side; usual are ten
-PROMISING = 4  # rounds of a fit after which its squares must not be HOPELESS
-HOPELESS = 1e4  # rise of the squares after the first rounds, over the residual variance: not this optimum's valley
-BETTER = 1.0  # fall of the squares, over the residual variance, from which another optimum is said to be better
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +142,7 @@ def profile(
     basis, level, points = found.basis, checked_level(level), checks.count("points", points, least=0)
     labels = basis.plant.parameters.labels
     if name in labels:
-        return profiled(basis, ParameterCoordinate(basis, labels.index(name)), level, points, progress)
+        return profiled(basis, ParameterCoordinate(basis, labels.index(name)), level, points, report=progress)
     moved = {
         f"{ratio}[{k}]": (ratio, k) for ratio, std in found.ratio_std.items() for k in np.flatnonzero(std).tolist()
     }
@@ -133,20 +152,28 @@ def profile(
             got=name,
             allowed=", ".join([*labels, *moved]),
         )
-    return profiled(basis, RatioCoordinate(basis, *moved[name]), level, points, progress)
+    return profiled(basis, RatioCoordinate(basis, *moved[name]), level, points, report=progress)
 
 
-def profiled(basis: Basis, along: Coordinate, level: float, points: int = 0, report: Report | None = None) -> Profile:
+def profiled(
+    basis: Basis,
+    along: Coordinate,
+    level: float,
+    points: int = 0,
+    *,
+    budget: Budget | None = None,
+    report: Report | None = None,
+) -> Profile:
     """Return the profile along a coordinate; see :func:`profile`."""
     if not np.isfinite(along.std) or along.std == 0.0:
         return Profile(along.label, along.value(along.bound), np.inf, level, ("open", "open"), *np.zeros((3, 0)))
-    walk = _ProfileSearch(basis, along, level, report)
+    walk = _ProfileSearch(basis, along, level, budget or Budget(), report)
     kind: Literal["profile", "covariance"] = "profile"
     try:
         below, first = walk.side(-1.0)
         above, second = walk.side(1.0)
         low, high, ends = along.value(below), along.value(above), (first, second)
-    except _BudgetExceeded:
+    except _TooLong:
         kind, interval = "covariance", along.by_std(level)
         low, high, ends = interval.low, interval.high, interval.ends
     if points:
@@ -155,28 +182,24 @@ def profiled(basis: Basis, along: Coordinate, level: float, points: int = 0, rep
     values, rise, limit = np.array([(along.value(p.at), max(p.rise, 0.0), p.limit) for p in known]).T
     best = min(known, key=lambda p: p.rise)
     gain = (basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
-    better = basis.plant.parameters.rope(best.x) if gain > BETTER else None
+    better = basis.plant.parameters.rope(best.x) if gain > WALK.better else None
     return Profile(along.label, low, high, level, ends, values, rise, limit, kind, max(gain, 0.0), better)
 
 
-class _HopelessError(Exception):
-    """A fit is nowhere near."""
-
-
-class _BudgetExceeded(Exception):
+class _TooLong(Exception):
     """A side has taken all its rounds."""
 
 
 class _ProfileSearch:
     """Walks away from the optimum along one coordinate, to either side."""
 
-    def __init__(self, basis: Basis, along: Coordinate, level: float, report: Report | None) -> None:
-        self.basis, self.along, self.level, self.report = basis, along, level, report
-        self.budget = MOST_ROUNDS
+    def __init__(self, basis: Basis, along: Coordinate, level: float, budget: Budget, report: Report | None) -> None:
+        self.basis, self.along, self.level, self.budget, self.report = basis, along, level, budget, report
+        self.rounds = WALK.most_rounds  # that one side may still take
         information, found = basis.information, basis.fit
         self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
         self.unit = information.variance * along.widening
-        self.enough = FINISH * information.variance / max(found.cost, 1e-300)
+        self.enough = WALK.finish * information.variance / max(found.cost, 1e-300)
         best = self._fit(found.x, found.states, 10)
         self.least = best.cost
         self.points = [self._point(best.x, best.states, best.cost)]
@@ -187,11 +210,14 @@ class _ProfileSearch:
         limit = threshold(self.level, self.basis.information.freedom, which, covariance, above)
         return _Point(self.along.at(x), x, states, rise, limit)
 
-    def _fit(self, x: Array, states: list[Array], rounds: int, report: Report | None = None, **held: Any) -> Fit:
+    def _fit(self, x: Array, states: list[Array], rounds: int, **held: Any) -> Fit:
         """Return a fit from there, all free but for what is `held`."""
         plant, windows = self.basis.plant, self.basis.windows
-        loss, enough, report = self.loss, self.enough, report or self.report
-        return fit(plant, windows, x, states, loss=loss, enough=enough, rounds=rounds, report=report, **held)
+        how: dict[str, Any] = {"loss": self.loss, "enough": self.enough, "budget": self.budget, "report": self.report}
+        found = fit(plant, windows, x, states, rounds=rounds, **how, **held)
+        self.rounds -= max(len(found.history), 1)
+        self.budget.check()  # else a fit that the budget has ended would pass for one that has settled
+        return found
 
     def at(self, value: float) -> _Point | None:
         """Return the fit with the coordinate at `value`, from the nearest one known; None where none can be found."""
@@ -210,8 +236,8 @@ class _ProfileSearch:
         """Return the fit from there with the coordinate at `value`, as firmly held as it takes; None on failure."""
         point, found = None, None
         for firmness in FIRMNESS:
-            if self.budget <= 0:
-                raise _BudgetExceeded
+            if self.rounds <= 0:
+                raise _TooLong
             held = self.along.held(value, self.unit, firmness)
             found = self._reached(x, states, held)
             if found is None:
@@ -227,44 +253,38 @@ class _ProfileSearch:
     def short(self, point: _Point, value: float) -> bool:
         """Whether a point stays short of the value that it was drawn to, seen from the optimum."""
         origin = self.points[0].at
-        return bool((value - point.at) * np.sign(value - origin) > REACHED * abs(value - origin))
+        return bool((value - point.at) * np.sign(value - origin) > WALK.reached * abs(value - origin))
 
     def _reached(self, x: Array, states: list[Array], held: dict[str, Any]) -> Fit | None:
         """Return the fit from there, or None where it cannot be simulated or is far from any of interest."""
-        taken = 0
-
-        def look(entry: dict[str, Any]) -> None:
-            nonlocal taken
-            taken += 1
-            if self.report is not None:
-                self.report(entry)
-            if "target" not in held and taken >= PROMISING and (entry["cost"] - self.least) / self.unit > HOPELESS:
-                raise _HopelessError
-
+        rounds = min(20, self.rounds)
         try:
-            return self._fit(x, states, min(20, self.budget), look, **held)
-        except (InvalidInput, _HopelessError):
+            found = self._fit(x, states, min(WALK.promising, rounds), **held)
+            if found.converged or len(found.history) < WALK.promising:
+                return found
+            if "target" not in held and (found.cost - self.least) / self.unit > WALK.hopeless:
+                return None
+            return self._fit(found.x, found.states, max(1, rounds - WALK.promising), **held)
+        except InvalidInput:
             return None
-        finally:
-            self.budget -= max(taken, 1)
 
     def side(self, sign: float) -> tuple[float, End]:
         """Return the coordinate of the end of the interval below (-1) or above (1) the optimum, and its kind."""
-        self.budget = MOST_ROUNDS
+        self.rounds = WALK.most_rounds
         bound = self.along.bound if sign < 0.0 else np.inf
         inside, outside = self.points[0], None
         origin = inside.at
         step = self.along.std * float(np.sqrt(quantile(self.level, self.basis.information.freedom)))
         value = origin + sign * step
-        for _ in range(TRIES):
+        for _ in range(WALK.tries):
             value = max(value, bound) if sign < 0.0 else value
             if value == inside.at:  # at the bound, and allowed
                 return value, "bound"
             tried = self.at(value)
-            if tried is None or sign * (tried.at - inside.at) < -REACHED * self.along.std:  # or on the wrong side
+            if tried is None or sign * (tried.at - inside.at) < -WALK.reached * self.along.std:  # or on the wrong side
                 value = 0.5 * (value + inside.at)
                 continue
-            if abs(tried.excess) < CLOSE:
+            if abs(tried.excess) < WALK.close:
                 return tried.at, "crossed"
             short = self.short(tried, value)
             inside, outside = (tried, outside) if tried.excess < 0.0 else (inside, tried)
@@ -273,16 +293,16 @@ class _ProfileSearch:
             value = self._next(origin, inside, outside, step)
         if outside is None:
             return sign * np.inf, "open"
-        known = LOOSE * min(self.along.std, abs(outside.at - origin))
-        if outside.excess > LOOSE and abs(outside.at - inside.at) > known:
-            raise _BudgetExceeded
+        known = WALK.loose * min(self.along.std, abs(outside.at - origin))
+        if outside.excess > WALK.loose and abs(outside.at - inside.at) > known:
+            raise _TooLong
         return outside.at, "crossed"
 
     def _next(self, origin: float, inside: _Point, outside: _Point | None, step: float) -> float:
         """Return where to look next: where the root of the rise, taken as linear, meets the limit."""
         here = inside.at
         if outside is None:
-            root = max(float(np.sqrt(max(inside.rise, 0.0) / inside.limit)), 1.0 / LONGEST)
+            root = max(float(np.sqrt(max(inside.rise, 0.0) / inside.limit)), 1.0 / WALK.longest)
             return origin + max(1.0 / root, 1.05) * (here - origin) if here != origin else origin + step
         part = -inside.excess / (outside.excess - inside.excess)
         return here + float(np.clip(part, 0.05, 0.95)) * (outside.at - here)
@@ -292,6 +312,6 @@ class _ProfileSearch:
         values = np.array([p.at for p in self.points])
         for end in (values.min(), values.max()):
             for value in np.linspace(values[0], end, points + 2)[1:-1]:
-                self.budget = MOST_ROUNDS
+                self.rounds = WALK.most_rounds
                 if value != values[0]:
                     self.at(float(value))

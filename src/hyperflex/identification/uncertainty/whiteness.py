@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.uncertainty.noise import Piece
-from hyperflex.interruption import look
+from hyperflex.interruption import raise_if_cancelled
 
 CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
 LAGS = 10  # samples, or a quarter of the shortest window
@@ -29,7 +29,7 @@ def whiteness(parts: Sequence[Piece]) -> float:
     spread = _channel_covariance(parts)
     away, covariance = np.zeros(lags.size), np.zeros((lags.size, lags.size))
     for part in parts:
-        look()
+        raise_if_cancelled()
         mean, varies = _moments(part, spread, lags)
         away += np.array([float((part.residual[k:] * part.residual[:-k]).sum()) for k in lags]) - mean
         covariance += varies

@@ -206,7 +206,7 @@ def profiles_table() -> TextTable:
 
 def _ending(found: IterativeRevision) -> str:
     if found.converged_after is None:
-        return f"{found.message} after {len(found.rounds) - 1} revisions"
+        return f"{found.status} after {len(found.rounds) - 1} revisions"
     return "never moved" if found.converged_after == 0 else f"converged after {found.converged_after} revisions"
 
 

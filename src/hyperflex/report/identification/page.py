@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperflex.identification import BAND, About, HeldOut, Identification, about
+from hyperflex.identification import BAND, Identification, Severity, text
+from hyperflex.identification.texts import GRADES
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.report.folder import whole_folder
@@ -29,9 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LONG = 16  # rows of a table that are shown at once
-_PLAIN = (About.UNDETECTABLE, About.MEANING)  # what sentences are about that warn of nothing
-_WIDE = 0.5  # of the error of a prediction that nothing moves on
-_TRUSTED = 0.85  # part of held-out values within their 95 % band, below which the page warns
 _DPI = 110
 PAGE = "report.html"
 
@@ -67,7 +65,7 @@ def identification_page(
     view = fitted_channels(recording, found)
     many = len(view.names) > len(view.chosen)
     sections = [
-        _verdict(found),
+        _assessment(found),
         *_found(found, guess),
         _fit(view, many),
         _prediction(view),
@@ -79,67 +77,29 @@ def identification_page(
         *([_all(view)] if many else []),
     ]
     title = f"{recording.name or 'A recording'}, identified"
-    write_page(path, title, lead(recording, found, found.rope), found.message, sections)
+    write_page(path, title, lead(recording, found, found.rope), str(found.grade), sections)
     return {"page": Path(path)}
 
 
-def _verdict(found: Identification) -> Section:
-    every = numbers(found)
-    rms = found.residual_rms_all
+def _assessment(found: Identification) -> Section:
+    every, rms = numbers(found), found.residual_rms_all
     unit = readable_unit(found.unit, rms)
     known = sum(np.isfinite(each.std) for each in every)
     tiles = [
-        (f"{known} of {len(every)}", "free numbers that this motion can tell on their own"),
-        (f"{rms / unit.size:.3g} {unit.name}", "left by the fit (rms over all channels)"),
+        (f"{known} of {len(every)}", "free numbers that this motion determines on their own"),
+        (f"{rms / unit.size:.3g} {unit.name}", "residual of the fit (rms over all channels)"),
     ]
-    settled = found.success
-    marks = [(settled and about(sentence) is About.ALL_KNOWN, sentence) for sentence in found.verdict]
-    held = found.held_out
-    if held is not None:
+    if (held := found.held_out) is not None:
         error = float(np.sqrt(np.mean(held.rms**2)))
-        told = readable_unit(found.unit, error)
-        error_words = f"{error / told.size:.3g} {told.name}" if np.isfinite(error) else "failed"
-        tiles.append((error_words, f"off when {held.ahead:g} s are predicted that the fit has not seen (rms)"))
+        unit = readable_unit(found.unit, error)
+        words = f"{error / unit.size:.3g} {unit.name}" if np.isfinite(error) else "failed"
+        tiles.append((words, f"error when {held.ahead:g} s are predicted that the fit has not seen (rms)"))
         if np.isfinite(held.inside):
-            half = f"within ± {_half_band(held) / told.size:.3g} {told.name}"
-            tiles.append((f"{100.0 * held.inside:.0f} %", f"of these predictions lie where 95 % are expected, {half}"))
-            still = f"{held.persistence / told.size:.3g} {told.name}"
-            marks = _with_trust(marks, held, half, still)
-    usable = settled and found.grade.name != "do not use"
-    marks = [*((False, sentence) for sentence in found.grade.more), *marks]
-    text = tuple(sentence for _, sentence in marks if about(sentence) in _PLAIN)
-    marks = [mark for mark in marks if mark[1] not in text]
-    return Section("Verdict", verdict=(usable, str(found.grade)), tiles=tuple(tiles), text=text, marks=tuple(marks))
-
-
-def _half_band(held: HeldOut) -> float:
-    """Return how far the band that should hold 95 % reaches to either side, rms over all values, rad or m."""
-    return BAND * float(np.sqrt(np.nanmean(held.std**2)))
-
-
-def _with_trust(marks: list[tuple[bool, str]], held: HeldOut, half: str, still: str) -> list[tuple[bool, str]]:
-    """Return the marks with what the held-out part says of the fit's own uncertainty.
-
-    In words: `half` of its band, and by what keeping `still` would err.
-
-    Where residuals are model error, predictions that hold are no reason to believe the parameters' deviations: both
-    are said in one sentence. A band that is nearly as wide as the motion holds anything.
-    """
-    part = f"{100.0 * held.inside:.0f} % of the values that the fit has not seen lie where it expects 95 %"
-    if held.inside < _TRUSTED:
-        text = f"Only {part}: the model leaves something out, and real uncertainties are larger than given here."
-        return [*marks, (False, text)]
-    part = f"{part}, {half}"
-    if _half_band(held) > _WIDE * held.persistence:
-        return [*marks, (False, f"{part}: so wide a band says little, for keeping still would err by {still}.")]
-    told = [k for k, (_, sentence) in enumerate(marks) if about(sentence) is About.COLOURED]
-    if not told:
-        return [*marks, (True, f"{part}: its uncertainties can be believed over {held.ahead:g} s.")]
-    text = (
-        f"{marks[told[0]][1]} Predictions over {held.ahead:g} s hold all the same ({part}): what the model leaves out "
-        "moves them less than it moves the parameters."
-    )
-    return [*marks[: told[0]], (False, text), *marks[told[0] + 1 :]]
+            half = BAND * float(np.sqrt(np.nanmean(held.std**2))) / unit.size
+            band = f"within ± {half:.3g} {unit.name}"
+            tiles.append((f"{100.0 * held.inside:.0f} %", f"of these predictions lie where 95 % is expected, {band}"))
+    marks = tuple((each.severity is Severity.NOTE, text(each)) for each in found.findings)
+    return Section("Assessment", verdict=(found.success, GRADES[found.grade]), tiles=tuple(tiles), marks=marks)
 
 
 def _found(found: Identification, guess: Rope | None) -> list[Section]:
@@ -152,7 +112,7 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
         counted = f"That residuals hang together, over {factor:.3g} samples, is counted in"
     deviations = (
         "std: standard deviation; it, the interval and the guess are in the unit of the value. "
-        f"95 % interval: {intervals}. {counted}. They allow for errors of the model as far as the verdict says."
+        f"95 % interval: {intervals}. {counted}. They allow for errors of the model as far as the assessment says."
     )
     counting = "Links and markers count from 0: link 0 hangs from the first joint."
     unknown = not all(np.isfinite(each.std) for each in numbers(found))
@@ -196,8 +156,8 @@ def _prediction(view: FittedChannels) -> Section:
     title = "Prediction of what the fit has not seen"
     if held is None:
         why = "the recording was fitted to its end, or what was left of it is too short"
-        if found.message in {"interrupted", "time budget exceeded"}:
-            why = f"the fit ended early ({found.message})"
+        if found.ended is not None:
+            why = f"the fit ended early ({found.ended})"
         return Section(title, text=(f"Nothing was predicted: {why}.",))
     times = "once" if held.starts.size == 1 else f"{held.starts.size} times, one after the other"
     text = (

@@ -79,7 +79,7 @@ def fit_table(found: Identification) -> TextTable:
         ("fitted time", f"{done['fitted_from']:.6g} to {done['fitted_to']:.6g} s"),
         ("windows", f"{done['windows']} of {done['window']:.4g} s, each from a state of its own{left}{picked}"),
         ("loss", _LOSS[done["loss"]]),
-        ("ended", f"{found.message}, after {len(found.history)} rounds and {done['seconds']:.2g} s"),
+        ("ended", f"{found.status}, after {len(found.history)} rounds and {done['seconds']:.2g} s"),
         ("versions", ", ".join([*(f"{name} {version(name)}" for name in _PACKAGES), _python()])),
     ]
     return TextTable(("what", "value"), tuple(rows))

@@ -7,8 +7,8 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.diagnosis.score_tests import ROUNDS, WINDOWS, ScoreTest, fit_with, within
-from hyperflex.identification.diagnosis.tested_words import FEW_LINKS
+from hyperflex.identification.declarations.held import FEW_LINKS
+from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, fit_with, within
 from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameter
@@ -45,12 +45,12 @@ def link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTest
     few, own = n <= FEW_LINKS, any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")
     if n == 1 or plant.motor is not None or (basis.information.whiteness >= CHANCE if few else own):
         return ()
-    every = -(-len(basis.windows) // WINDOWS)
+    every = -(-len(basis.windows) // TESTING.windows)
     windows, states = basis.windows[::every], list(found.states[::every])
     try:
         finer = plant.cut(x, PIECES)
         seen = [_seen(plant.parameters.rope(x), finer, *each) for each in zip(windows, states, strict=True)]
-        again = fit(plant, seen, x, states, loss=found.loss, rounds=ROUNDS)
+        again = fit(plant, seen, x, states, loss=found.loss, rounds=TESTING.rounds)
     except InvalidInput:  # links that are not uniform, or that cannot be simulated
         return ()
     pairs = list(zip(found.residuals[::every], again.residuals, strict=True))

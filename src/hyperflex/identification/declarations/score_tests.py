@@ -5,34 +5,51 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.diagnosis.tested_words import words_for_tests
+from hyperflex.identification.declarations.clock import SCALES
+from hyperflex.identification.declarations.held import HeldQuantity
+from hyperflex.identification.declarations.registry import LAWS, quantity, words_for_tests
 from hyperflex.identification.fit.multiple_shooting import Fit, fit, linearise
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.plant import ANGLES, Plant, extended, scale_words
+from hyperflex.identification.model.plant import Plant, extended, scale_words
 from hyperflex.identification.model.scale import Mask
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
-from hyperflex.model import RESISTANCES
 
-SUSPECT = 0.3  # part of the sum of squares, to first order, from which a refit is made: less than what is believed
-LAW = 0.15  # the same of a resistance, whose derivative where there is none of it tells less: drag's grows from there
-REFITS, ROUNDS, WINDOWS = 3, 40, 12  # refits at most, rounds of each, and windows, spread over the recording: for time
-LAWS = tuple(each.name for each in RESISTANCES)
-SURE = 0.93  # part of a gain, 1 - 1 / chi^2: chi^2 = 14, one in 6000 right fits
-EXPLAINS = 0.5  # part of the sum of squares: what takes away most of it is believed whatever the noise
-EQUAL = 0.05  # part of the sum of squares: gains that differ by less explain the same
-MOVES = 0.01  # relative, of ratios: independent fits of real pendulums differ by so much
-COVERED = 2.0  # standard deviations: the 95 % intervals reach so far, and hold smaller moves
-TURNED = 0.03  # rad, of gravity: 1.7 degrees, more than a camera is off that was levelled by eye
-FARTHEST = 6.0  # factor of gravity: a frame rate off by two makes it four; beyond, something else is wrong
-MISREAD, SCALED = 2.0, 0.02  # factor of angles: beyond, something else is wrong; its logarithm: encoders are better
-SCALES = "scales"  # factors on the links' lengths, on gravity, which a clock makes, the arm's length and the torque
-HIDING = 2  # refits that are tested again, each with one thing more freed: the triple pendulum needs two, drag and dry
-SLIGHT = 0.01  # relative, of lengths: a ruler errs by so much; the triple pendulum seems 0.0067 off with drag free
-TINY = 1e-8  # part of the largest eigenvalue of scaled information: about the root of rounding
+
+@dataclass(frozen=True)
+class ScoreTestOptions:
+    """Thresholds of the score tests, and how far they refit."""
+
+    # part of the sum of squares, to first order, from which a refit is made: less than what is believed
+    suspect: float = 0.3
+    # the same of a resistance, whose derivative where there is none of it tells less: drag's grows from there
+    law: float = 0.15
+    # refits at most, rounds of each, and windows, spread over the recording: for time
+    refits: int = 3
+    rounds: int = 40
+    windows: int = 12
+    # part of a gain, 1 - 1 / chi^2: chi^2 = 14, one in 6000 right fits
+    sure: float = 0.93
+    # part of the sum of squares: what takes away most of it is believed whatever the noise
+    explains: float = 0.5
+    # part of the sum of squares: gains that differ by less explain the same
+    equal: float = 0.05
+    # relative, of ratios: independent fits of real pendulums differ by so much
+    moves: float = 0.01
+    # standard deviations: the 95 % intervals reach so far, and hold smaller moves
+    covered: float = 2.0
+    # refits that are tested again, each with one thing more freed: the triple pendulum needs two, drag and dry
+    hiding: int = 2
+    # part of the largest eigenvalue of scaled information: about the root of rounding
+    tiny: float = 1e-08
+
+
+TESTING = ScoreTestOptions()
+CLOCK = "gravity_scale"  # what a wrong clock, or wrong lengths, move
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,67 +111,76 @@ class ScoreTest:
     declared_std: float = 0.0
 
     @property
+    def quantity(self) -> HeldQuantity:
+        """What it is about."""
+        return quantity(self.name)
+
+    @property
     def law(self) -> bool:
         """Whether it is a resistance that was left out."""
         return self.name.partition(":")[0] in LAWS
-
-    @property
-    def believed(self) -> bool:
-        """Whether something else than what was held or declared fits: it takes most away, or more than noise can."""
-        return self.refitted and (self.gain > EXPLAINS or (self.sure and self.excess_gain > SURE))
-
-    @property
-    def possible(self) -> bool:
-        """Whether a recording may be declared so wrongly: gravity up to FARTHEST by the clock, angles up to MISREAD."""
-        farthest = {"gravity_scale": FARTHEST, ANGLES: MISREAD}.get(self.name, np.inf)
-        return farthest == np.inf or abs(np.log(max(float(self.values[0]), 1e-9))) <= np.log(farthest)
-
-    @property
-    def matters(self) -> bool:
-        """Whether ratios would move by more than is of no account and noise may move them, or gravity or angles do."""
-        if not self.possible or self.slight or self.expected:
-            return False
-        turned = self.name == "gravity_angle" and abs(float(self.values[0])) > TURNED
-        if turned or (self.name == ANGLES and abs(np.log(self.values[0])) > SCALED):
-            return True
-        return self.moved > MOVES and self.beyond > COVERED
-
-    @property
-    def covered(self) -> bool:
-        """Whether something else is believed to fit, and moves ratios, but by no more than noise may."""
-        return self.believed and self.possible and not self.slight and self.moved > MOVES and not self.matters
-
-    @property
-    def suspected(self) -> bool:
-        """Whether what was held or declared may be off: a refit takes much away and moves ratios, unbelieved."""
-        return self.refitted and not self.law and self.gain > SUSPECT and self.matters and not self.believed
-
-    @property
-    def slight(self) -> bool:
-        """Whether lengths seem hardly off: no more than a ruler errs, or than a law that was left out makes it seem."""
-        gravity = self.name == "gravity_scale" and self.refitted
-        return bool(gravity and abs(np.log(max(float(self.values[0]), 1e-9))) <= SLIGHT)
-
-    @property
-    def expected(self) -> bool:
-        """Whether lengths and times that err as was declared make gravity seem so far off: deviations hold that."""
-        known = self.refitted and self.declared_std > 0.0
-        return bool(known and abs(np.log(max(self.values[0], 1e-9))) <= COVERED * np.hypot(self.declared_std, self.std))
-
-    @property
-    def masks(self) -> bool:
-        """Whether a refit explains so much by what changes no conclusion that other causes may stand behind it."""
-        if self.law:
-            return self.refitted and self.gain > SUSPECT
-        return self.believed and not self.matters and self.name != "gravity_scale"
 
     @property
     def refitted(self) -> bool:
         """Whether a refit has confirmed it."""
         return not np.isnan(self.moved)
 
+    @property
+    def significant(self) -> bool:
+        """Whether something else than what was held or declared fits: it takes most away, or more than noise can."""
+        return self.refitted and (self.gain > TESTING.explains or (self.sure and self.excess_gain > TESTING.sure))
 
-def score_tests(basis: Basis, declared_std: float = 0.0, *, angles: bool = False) -> tuple[ScoreTest, ...]:
+    @property
+    def size(self) -> float:
+        """How far its value is from what was held; see :meth:`HeldQuantity.size`."""
+        return self.quantity.size(float(self.values[0]))
+
+    @property
+    def possible(self) -> bool:
+        """Whether something can be held or declared so wrongly."""
+        return self.quantity.farthest == np.inf or self.size <= np.log(self.quantity.farthest)
+
+    @property
+    def slight(self) -> bool:
+        """Whether it is no farther off than instruments err."""
+        return self.refitted and 0.0 < self.quantity.slight >= self.size
+
+    @property
+    def expected(self) -> bool:
+        """Whether lengths and times that err as was declared explain it: standard deviations include that."""
+        known = self.refitted and self.declared_std > 0.0
+        return bool(known and self.size <= TESTING.covered * np.hypot(self.declared_std, self.std))
+
+    @property
+    def matters(self) -> bool:
+        """Whether ratios would move by more than is negligible and noise may move them, or it is large by itself."""
+        if not self.possible or self.slight or self.expected:
+            return False
+        return self.size > self.quantity.enough or (self.moved > TESTING.moves and self.beyond > TESTING.covered)
+
+    @property
+    def covered(self) -> bool:
+        """Whether something else seems to fit, and moves ratios, but by no more than noise may."""
+        return (
+            self.significant and self.possible and not self.slight and self.moved > TESTING.moves and not self.matters
+        )
+
+    @property
+    def suspected(self) -> bool:
+        """Whether what was held or declared may be off: a refit takes much away and moves ratios, not significantly."""
+        return self.refitted and not self.law and self.gain > TESTING.suspect and self.matters and not self.significant
+
+    @property
+    def masks(self) -> bool:
+        """Whether a refit explains so much by what changes no conclusion that it may hide other causes."""
+        if self.law:
+            return self.refitted and self.gain > TESTING.suspect
+        return self.significant and not self.matters and self.name != CLOCK
+
+
+def score_tests(
+    basis: Basis, declared_std: float = 0.0, *, angles: bool = False, budget: Budget | None = None
+) -> tuple[ScoreTest, ...]:
     """Test what a fit has held, and `angles` if these were read off a sensor; the greatest gain comes first.
 
     Lengths and times as declared give gravity a relative standard deviation of `declared_std`.
@@ -169,24 +195,25 @@ def score_tests(basis: Basis, declared_std: float = 0.0, *, angles: bool = False
     three that explain much are fitted along, in some of the windows. A resistance that explains much, or anything that
     explains most and changes no ratio, may hide what else is wrong: a fit with it free is tested again.
     """
-    found, freed = _refitted_tests(basis, angles=angles), list[str]()
+    budget = budget or Budget()
+    found, freed = _refitted_tests(basis, budget, angles=angles), list[str]()
     tests, later, now = found, dict[str, ScoreTest](), basis
-    for _ in range(HIDING):
+    for _ in range(TESTING.hiding):
         hiding = next((each.name for each in tests if each.masks), "")
         richer = fit_with(now, hiding) if hiding else None
         if richer is None:
             break
         now = richer
         freed.append(hiding)
-        tests = _refitted_tests(now, angles=angles)
+        tests = _refitted_tests(now, budget, angles=angles)
         for each in tests:
             each = within(each, basis.fit.x.size, freed)
-            if each.believed and (each.matters or each.slight) and not each.law:
+            if each.significant and (each.matters or each.slight) and not each.law:
                 later.setdefault(each.name, each)
-    known = {each.name for each in found if each.believed}
+    known = {each.name for each in found if each.significant}
     found = [each if each.name in known else later.pop(each.name, each) for each in found]
     found += [each for name, each in later.items() if name not in known]
-    found = [replace(each, declared_std=declared_std) if each.name == "gravity_scale" else each for each in found]
+    found = [replace(each, declared_std=declared_std) if each.name == CLOCK else each for each in found]
     return tuple(sorted(found, key=lambda each: -each.gain))
 
 
@@ -196,17 +223,18 @@ def within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
     return replace(test, freed_with=tuple(freed))
 
 
-def _refitted_tests(basis: Basis, *, angles: bool) -> list[ScoreTest]:
+def _refitted_tests(basis: Basis, budget: Budget, *, angles: bool) -> list[ScoreTest]:
     """Return the tests of a fit, the greatest gain first; those that explain much with what a refit says."""
     found = [each for words in words_for_tests(basis.plant, angles=angles) for each in _tested(basis, words)]
     found += _tested(basis, list(scale_words(basis.plant).values()), SCALES)
     found.sort(key=lambda each: -each.gain)
     others = [k for k, each in enumerate(found) if each.name != SCALES]
-    slips = [k for k in others[REFITS:] if found[k].name in ("gravity_angle", ANGLES)]  # that are easily mended
-    laws = [k for k in others[REFITS:] if found[k].law][:1]
-    for k in [*others[:REFITS], *slips, *laws]:
+    slips = [k for k in others[TESTING.refits :] if found[k].quantity.enough < np.inf]  # that are easily mended
+    laws = [k for k in others[TESTING.refits :] if found[k].law][:1]
+    for k in [*others[: TESTING.refits], *slips, *laws]:
         each = found[k]
-        if each.gain > (LAW if each.law else SUSPECT) or each.excess_gain > SURE:
+        if each.gain > (TESTING.law if each.law else TESTING.suspect) or each.excess_gain > TESTING.sure:
+            budget.check()
             found[k] = _refitted(basis, each)
     return sorted(found, key=lambda each: -each.gain)
 
@@ -228,7 +256,7 @@ def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[Scor
     scale[scale == 0.0] = np.inf
     matrix, score = matrix / np.outer(scale, scale), score / scale
     free = [k for k in range(basis.fit.x.size) if x[k] > plant.parameters.lower[k]]
-    inner = np.linalg.pinv(matrix[np.ix_(free, free)], rcond=TINY, hermitian=True)
+    inner = np.linalg.pinv(matrix[np.ix_(free, free)], rcond=TESTING.tiny, hermitian=True)
     tests, first = [], basis.fit.x.size
     for word, group in zip((each[0].name for each in groups), groups, strict=True):
         own = list(range(first, first + len(group)))
@@ -271,7 +299,7 @@ def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[Scor
 def _std(information: Array, noise: float, scale: Array) -> float:
     """Return the greatest standard deviation of values with an information matrix (k, k); inf where one has none."""
     size, directions = np.linalg.eigh(information)
-    if size[0] <= TINY:
+    if size[0] <= TESTING.tiny:
         return np.inf
     return float(np.sqrt(np.max(noise * (directions**2 / size).sum(axis=1) * scale**2)))
 
@@ -300,13 +328,13 @@ def fit_with(basis: Basis, name: str) -> Basis | None:
 
 def _some(basis: Basis) -> tuple[list[Window], list[Array]]:
     """Return windows spread over the recording, and their states."""
-    every = -(-len(basis.windows) // WINDOWS)
+    every = -(-len(basis.windows) // TESTING.windows)
     return basis.windows[::every], list(basis.fit.states[::every])
 
 
 def _fit(plant: Plant, windows: list[Window], x: Array, states: list[Array], basis: Basis) -> Fit | None:
     try:
-        return fit(plant, windows, x, states, loss=basis.fit.loss, rounds=ROUNDS)
+        return fit(plant, windows, x, states, loss=basis.fit.loss, rounds=TESTING.rounds)
     except InvalidInput:
         return None
 
@@ -324,12 +352,12 @@ def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     later, size, std = (np.concatenate([each[name] for name in names]) for each in (then, now, spread))
     step = np.abs(later / size - 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):  # what was held has no deviation: inf if it moves
-        beyond = np.where(step > TINY, np.abs(later - size) / std, 0.0)
+        beyond = np.where(step > TESTING.tiny, np.abs(later - size) / std, 0.0)
     gain = 1.0 - after.cost / before.cost if before.cost > 0.0 else 0.0
     excess_gain = max(0.0, 1.0 - (1.0 - test.excess_gain) * test.gain / gain) if gain > 0.0 else 0.0
     values = plant.parameters.values(x)[basis.fit.x.size :]
     sure = basis.information.whiteness >= CHANCE
-    if not sure and excess_gain > SURE:  # what is held may be all that colours the residuals
+    if not sure and excess_gain > TESTING.sure:  # what is held may be all that colours the residuals
         sure = estimate_covariance(plant, windows, after).whiteness >= CHANCE
     moved, far = float(step.max()), float(beyond.max())
     return replace(test, gain=gain, values=values, moved=moved, beyond=far, excess_gain=excess_gain, sure=sure)

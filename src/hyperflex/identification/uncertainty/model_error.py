@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.diagnosis.link_test import LINKS
-from hyperflex.identification.diagnosis.score_tests import LAWS, SCALES, SLIGHT, ScoreTest
-from hyperflex.identification.diagnosis.uneven import is_uneven, uneven_shift
-from hyperflex.identification.diagnosis.window_tests import DRIFT
+from hyperflex.identification.declarations.clock import CLOCK, DRIFT, SCALES
+from hyperflex.identification.declarations.link_test import LINKS
+from hyperflex.identification.declarations.registry import LAWS
+from hyperflex.identification.declarations.resistances import is_uneven, uneven_shift
+from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.model.parameters import Parameters, lumped
 from hyperflex.identification.model.plant import scale_words
 from hyperflex.identification.uncertainty.covariance import Basis
@@ -21,22 +21,7 @@ CLOCK_POWER = {"N m s/rad": -0.5, "N m": -1.0, "N m/rad": -1.0}  # of gravity's 
 FLOOR = 5e-4  # relative, of a value: no clock, length or weight is known better; 6e-4 was seen of a good pendulum
 
 
-class DeclaredStds(NamedTuple):
-    """Relative standard deviations of what was declared: all lengths, all times, the torque."""
-
-    length: float
-    clock: float
-    torque: float
-
-    @property
-    def gravity(self) -> float:
-        """That of gravity, as lengths and times tell it."""
-        return float(np.hypot(self.length, 2.0 * self.clock))
-
-
-def with_model_error(
-    basis: Basis, tests: Sequence[ScoreTest], declared: DeclaredStds, scatter: Array | None = None
-) -> Basis:
+def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array, scatter: Array | None = None) -> Basis:
     """Return a fit whose information counts what the model leaves out, and what was declared, beside noise.
 
     Links that are too long, and each resistance that was left out and that the data ask for, would move the parameters
@@ -50,12 +35,14 @@ def with_model_error(
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
     counted = False
     for each in tests:
-        if each.name == SCALES or (is_uneven(each) and not each.believed):
+        if each.name == SCALES or (is_uneven(each.name) and not each.significant):
             continue
-        asked = white or each.law or each.believed or each.suspected or each.name == DRIFT  # which has a std of its own
+        asked = (
+            white or each.law or each.significant or each.suspected or each.name == DRIFT
+        )  # which has a std of its own
         counts = asked and each.excess_gain > ASKED and not (each.slight and each.freed_with)
         if counts or each.name == LINKS:  # whose excess_gain is a probability
-            shift = uneven_shift(each, basis.plant.parameters, x)
+            shift = uneven_shift(each.name, each.values, each.shift, basis.plant.parameters, x)
             model += each.excess_gain * (np.outer(shift, shift) + (each.added if each.law else 0.0))
             counted = counted or each.name == "gravity_scale"
     if not white:
@@ -65,9 +52,8 @@ def with_model_error(
         model += scatter
     gravity = next((float(each.values[0]) for each in tests if each.name == "gravity_scale"), 1.0)
     driven = basis.plant.motion is not None
-    told = driven or (not counted and (white or abs(np.log(max(gravity, 1e-9))) > SLIGHT))
-    std = np.array([declared.length, 2.0 * declared.clock, declared.length, declared.torque])
-    scales, error = _scale_error(basis, tests, std, told=told)
+    told = driven or (not counted and (white or abs(np.log(max(gravity, 1e-9))) > CLOCK.slight))
+    scales, error = _scale_error(basis, tests, scale_std, told=told)
     return replace(basis, information=replace(information, model=model, scales=scales, scale_error=error))
 
 
@@ -78,8 +64,8 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, told: 
     factor besides. What the data tell are some combinations, as a rule: the posterior covariance keeps the width of
     `std` where they tell nothing. It is about what was declared: what the data say counts as an error if `told`, of
     one of them, for a slip is of one. Not where gravity counts already; nor, where residuals of a free swing are not
-    white, within SLIGHT, for a law that was left out makes it seem so. A drive has lengths and times of its own, beside
-    which the data tell those of the rope.
+    white, within what a ruler errs, for a law that was left out makes it seem so. A drive has its own
+    lengths and times, by which the data determine those of the rope.
     """
     parameters, x = basis.plant.parameters, basis.fit.x
     rate, known, step = np.zeros((x.size, std.size)), np.zeros((std.size, std.size)), np.zeros(std.size)
@@ -141,8 +127,8 @@ def _law_errors(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[Array, list[s
     own = np.array([p.name in LAWS and p.kind.unit != "N m/rad" for p in parameters.all]) & (x > parameters.lower)
     sizes, names = np.zeros(x.size), [""] * x.size
     for each in tests:
-        if each.law and each.shift.size and (each.believed or not is_uneven(each)):
-            shift = uneven_shift(each, parameters, x)
+        if each.law and each.shift.size and (each.significant or not is_uneven(each.name)):
+            shift = uneven_shift(each.name, each.values, each.shift, parameters, x)
             size = np.sqrt(shift**2 + np.maximum(np.diag(each.added), 0.0)) * own
             names = [each.name if more else name for more, name in zip(size > sizes, names, strict=True)]
             sizes = np.maximum(sizes, size)

@@ -7,17 +7,28 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.diagnosis.score_tests import EXPLAINS, ScoreTest
+from hyperflex.identification.declarations.clock import DRIFT
+from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.fit.multiple_shooting import linearise
 from hyperflex.identification.model.plant import extended
 from hyperflex.identification.uncertainty.covariance import UNKNOWN, Basis
 from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratio_spread, ratios
 from hyperflex.identification.uncertainty.whiteness import CHANCE
 
-DRIFT = "clock_drift"
-LEAST = 4  # windows: a trend takes two degrees of freedom, and its scatter needs two more
-RARE = 0.01  # probability, by Student's t of the windows' own scatter, of such a drift where there is none
-BEYOND = 4.0  # standard deviations of the noise that a drift exceeds as well: few windows may scatter little by chance
+
+@dataclass(frozen=True)
+class WindowTestLimits:
+    """Thresholds of the tests of drift and scatter."""
+
+    # windows: a trend takes two degrees of freedom, and its scatter needs two more
+    least: int = 4
+    # probability, by Student's t of the windows' own scatter, of such a drift where there is none
+    rare: float = 0.01
+    # standard deviations of the noise that a drift exceeds as well: few windows may scatter little by chance
+    beyond: float = 4.0
+
+
+WINDOWED = WindowTestLimits()
 SMALL = UNKNOWN**2  # part of the largest eigenvalue of scaled information below which a direction is unknown
 
 
@@ -53,7 +64,7 @@ def window_scores(basis: Basis, beside: Sequence[str] = ()) -> WindowScores | No
 
     `beside`: words of what was held and explains so much that a drift may seem to be there for it.
     """
-    if len(basis.windows) < LEAST:
+    if len(basis.windows) < WINDOWED.least:
         return None
     plant, count = basis.plant, basis.fit.x.size
     heavy = bool(np.any(plant.parameters.guess.gravity))
@@ -111,12 +122,12 @@ def drift_test(basis: Basis, scores: WindowScores | None) -> tuple[ScoreTest, ..
     gain = min(drift**2 * information / total, 1.0)
     scatter = float(np.sum((each + own * drift) ** 2)) * place.size / (place.size - 2.0)
     noise = float(np.sqrt(basis.information.variance * total / scores.total * (1.0 - gain) / information))
-    std, least = float(np.sqrt(scatter)) / information, float(stdtrit(place.size - 2.0, 1.0 - 0.5 * RARE))
-    sure = abs(drift) > max(least * std, BEYOND * noise)
+    std, least = float(np.sqrt(scatter)) / information, float(stdtrit(place.size - 2.0, 1.0 - 0.5 * WINDOWED.rare))
+    sure = abs(drift) > max(least * std, WINDOWED.beyond * noise)
     by_gravity = scores.inverse(scores.free)[:count] @ scores.information.sum(axis=0)[:, gravity]
     std = max(std, noise)
     excess_gain = max(0.0, 1.0 - (std / drift) ** 2) if drift else 0.0
-    moved = 0.5 * abs(drift) if sure or gain > EXPLAINS else np.nan
+    moved = 0.5 * abs(drift) if sure or gain > TESTING.explains else np.nan
     shift = -0.5 * drift * by_gravity
     values = np.array([drift])
     return (ScoreTest(DRIFT, gain, values, moved, std=std, shift=shift, excess_gain=excess_gain, sure=sure),)

@@ -1,0 +1,1 @@
+"""Tests of what was declared of a recording or held in a fit; registry.py lists them."""

@@ -1,0 +1,219 @@
+"""Short fits of a recording as it may have been meant: which mistake in its declaration explains a poor fit."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.errors import IdentificationError, InvalidInput
+from hyperflex.identification.declarations.score_tests import CLOCK, ScoreTest
+from hyperflex.identification.declarations.slips import MISTAKES, TRIED, angles_as
+from hyperflex.identification.findings import Finding, Kind, Severity
+from hyperflex.identification.fit.loss import Loss
+from hyperflex.identification.fit.multiple_shooting import STEPS, fit
+from hyperflex.identification.fit.windows import decimation_step, part_left, usual_length, with_enough_frames
+from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements
+from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification.model.plant import ANGLES, Plant
+from hyperflex.identification.multi_start import search_delay, with_delay
+from hyperflex.identification.options import RecordingSetup
+from hyperflex.model import FREE_PROPERTIES, Rope
+from hyperflex.recording import Recording
+
+
+@dataclass(frozen=True)
+class MistakeOptions:
+    """Short fits of what may have been meant, and when they explain a poor fit."""
+
+    # Thresholds from the recordings of benchmarks/wrong_input.py, and IBM 06 and 16 and the triple pendulum as they
+    # are part of the residual that a mistake leaves at most: right ones left 0.01 to 0.2, others 0.6 and more
+    better: float = 0.5
+    # part of the motion: right ones leave 0.0015 to 0.008
+    fits: float = 0.05
+    # of a short fit: its first windows, how many, and rounds at most, for some 0.1 s
+    shorter: float = 4.0
+    windows: int = 6
+    rounds: int = 12
+    # logarithms of factors of angles, or of the arm's length: tried, and reported
+    gain: float = 0.3
+    least_gain: float = 0.005
+    # times the residual of another explanation: one that leaves no more explains as well
+    as_good: float = 1.1
+    # the same of a spring's: a real pendulum read 10 % too large left 1.16, a double one with springs 1.5
+    spring: float = 1.25
+    # rad, 5 degrees: between what is no mistake and the 10 degrees that were tried
+    zero: float = 0.09
+
+
+SHORT_FIT = MistakeOptions()
+SKEWED = (CLOCK, "gravity_angle")  # a wrong clock or scale, a camera that is not level
+LEAST_ANGLE, LEAST_CLOCK = np.radians(1.0), 0.01  # of a skew that is reported
+
+Tried = tuple[float, list[Finding]]  # part of the motion that is left, and what that means
+
+
+@dataclass(frozen=True)
+class ShortFit:
+    """A cheap fit of the first windows of a recording."""
+
+    rope: Rope
+    free: Sequence[str]
+    setup: RecordingSetup
+    loss: Loss
+
+    def __call__(self, recording: Recording, more: Sequence[str] = ()) -> tuple[float, list[float]]:
+        """Return the residual, rms, as a part of the motion (inf: nothing fits), and values of `more`, also free."""
+        words = [*self.free, *(each for each in more if each not in self.free)]
+        words = [word for word in words if FREE_PROPERTIES[_base(word)].owner != "arm"]
+        try:
+            measured, places = checked_measurements(recording, self.rope, self.setup)
+            plant = build_plant(recording, self.rope, words, places, replace(self.setup, torque=None))
+            part, x = self._left(plant, measured)
+        except (InvalidInput, IdentificationError):
+            return np.inf, [np.nan] * len(more)
+        return part, [plant.parameters.single(name, x) for name in more]
+
+    def _left(self, plant: Plant, measured: Measurements) -> tuple[float, Array]:
+        usual = with_enough_frames(usual_length(measured.shape, self.rope), measured.shape)
+        if "delay" in plant.parameters.names:
+            plant = with_delay(plant, search_delay(plant, measured, usual, self.loss))
+        x, fitted = plant.parameters.start, None
+        for length in (usual / SHORT_FIT.shorter, usual):
+            windows, _ = measured.windows(length, decimation_step(measured.channels, length))
+            windows = windows[: SHORT_FIT.windows]
+            if sum(each.values - each.unknowns for each in windows) <= x.size:
+                continue
+            states = [each.guess for each in windows]
+            found = fit(plant, windows, x, states, loss=self.loss, rounds=SHORT_FIT.rounds, enough=STEPS.hardly)
+            x, fitted = found.x, (windows, found.residuals)
+        if fitted is None or lumped(plant.parameters.rope(x))[0][0] <= 0.0:
+            return np.inf, x
+        return part_left(*fitted), x
+
+
+def spring_or_angles(recording: Recording, left: ShortFit) -> list[Finding]:
+    """Return that angles read too large or too small explain as much as a stiffness that was freed.
+
+    A pendulum whose angles are read 10 % too large seems to swing faster with its amplitude than gravity makes it. So
+    does one with a spring. Nothing is said where the guess has a stiffness, or where one explains clearly more.
+    """
+    words = [word for word in left.free if _base(word) != "stiffness"]
+    if recording.kind != "angles" or len(words) == len(left.free) or left.rope.stiffness.any():
+        return []
+    plain = replace(left, free=words)
+    least, factor = _best_factor(lambda factor: plain(angles_as(recording, factor * recording.data, factor))[0])
+    if abs(np.log(factor)) < SHORT_FIT.least_gain or least > SHORT_FIT.spring * left(recording)[0]:
+        return []
+    return [Finding(Kind.SPRING_OR_ANGLES, Severity.WRONG, {"factor": factor})]
+
+
+def mistakes(recording: Recording, left: ShortFit, named: ScoreTest | None) -> list[Finding]:
+    """Return the mistake that explains a fit that is not good, or nothing.
+
+    A mistake is named if it leaves half of what the recording as declared leaves at most, and that is little. A wrong
+    clock or scale and a camera that is not level come before a mistake that explains less, and beside one that explains
+    as much; the zero of one link comes where nothing else explains. It has to leave half of what the score test `named`
+    leaves, too.
+    """
+    declared, _ = left(recording)
+    skewed, (scale, angle) = left(recording, SKEWED)
+    most, name = declared, "" if named is None else named.name
+    if _base(name) in FREE_PROPERTIES and name not in (*SKEWED, "delay"):
+        most = min(most, left(recording, (name,))[0])
+    if named is not None and name in (ANGLES, "delay"):  # a short fit does not free the one, and searches the other
+        most = min(most, declared * float(np.sqrt(1.0 - named.gain)))
+    tried = [*_meant(recording, left), *_driven(recording, left)]
+    least, found = min(tried, key=lambda each: each[0], default=(np.inf, []))
+    if name in SKEWED:
+        most = min(most, skewed)
+    elif least > SHORT_FIT.better * min(most, skewed):
+        skew = _skew(float(np.sqrt(scale)), float(angle))
+        found = [*skew, *found] if least <= SHORT_FIT.as_good * skewed < np.inf else skew
+        least = min(least, skewed)
+    if least > min(SHORT_FIT.better * most, SHORT_FIT.fits):
+        most = min(most, skewed)
+        least, found = min(_zeros(recording, left, declared), key=lambda each: each[0], default=(np.inf, []))
+    if least > min(SHORT_FIT.better * most, SHORT_FIT.fits):
+        return []
+    gain = 1.0 - min(1.0, least / min(declared, 1.0)) ** 2
+    shown = {"left": least, "before": min(declared, 1.0)}
+    return [replace(each, severity=Severity.WRONG, gain=gain, values=each.values | shown) for each in found]
+
+
+def _base(word: str) -> str:
+    return word.partition("[")[0].partition(":")[0]
+
+
+def _meant(recording: Recording, left: ShortFit) -> Iterator[Tried]:
+    """Yield what a short fit leaves with each mistake mended.
+
+    Not where a free direction of gravity then turns by more than 45 degrees: it makes all zeros of the angles explain
+    as much, each with another direction.
+    """
+    for mistake in MISTAKES:
+        if mistake.of != recording.kind:
+            continue
+        for values, meant in mistake.variants(recording, left.setup):
+            if "gravity_angle" in left.free:
+                part, (angle,) = left(meant, ("gravity_angle",))
+                part = part if np.cos(angle) > np.sqrt(0.5) else np.inf
+            else:
+                part = left(meant)[0]
+            yield part, [Finding(mistake.kind, values=values)]
+
+
+def _zeros(recording: Recording, left: ShortFit, declared: float) -> Iterator[Tried]:
+    """Yield what a short fit leaves with the zero of each link moved to where the sum of squares is least.
+
+    About quadratic in the zero: its least value follows from what is left at three zeros.
+    """
+    n = recording.data.shape[1]
+    if recording.kind != "angles" or not 1 < n <= TRIED.swaps:
+        return
+
+    def moved(k: int, zero: float) -> float:
+        return left(angles_as(recording, recording.data - zero * np.eye(n)[k]))[0]
+
+    for k in range(n):
+        below, above = moved(k, -SHORT_FIT.zero) ** 2, moved(k, SHORT_FIT.zero) ** 2
+        bend = below - 2.0 * declared**2 + above
+        if 0.0 < bend < np.inf:
+            zero = 0.5 * SHORT_FIT.zero * (below - above) / bend
+            yield moved(k, zero), [Finding(Kind.LINK_ZERO, values={"link": k, "angle": zero})]
+
+
+def _driven(recording: Recording, left: ShortFit) -> Iterator[Tried]:
+    """Yield what a short fit leaves with another length of the arm, and with stamps that come late."""
+    setup, arm = left.setup, left.setup.arm
+    if arm is None:
+        return
+
+    def longer(factor: float) -> float:
+        return replace(left, setup=replace(setup, arm=replace(arm, length=factor * arm.length)))(recording)[0]
+
+    part, factor = _best_factor(longer)
+    yield part, [Finding(Kind.ARM_LENGTH, values={"length": factor * arm.length})]
+    if "delay" not in left.free:
+        part, (delay,) = left(recording, ("delay",))
+        yield part, [Finding(Kind.DELAY, values={"delay": delay})]
+
+
+def _best_factor(part: Callable[[float], float]) -> tuple[float, float]:
+    """Return the least part of the motion that a factor leaves, and that factor."""
+    from scipy.optimize import minimize_scalar
+
+    found = minimize_scalar(
+        lambda log: part(float(np.exp(log))),
+        bounds=(-SHORT_FIT.gain, SHORT_FIT.gain),
+        method="bounded",
+        options={"xatol": 2e-3, "maxiter": 12},
+    )
+    return float(found.fun), float(np.exp(found.x))
+
+
+def _skew(clock: float, angle: float) -> list[Finding]:
+    """Return a clock that is off by a factor, and a gravity that is rotated by an angle, rad."""
+    turned = [Finding(Kind.ZERO, values={"angle": angle})] if abs(angle) > LEAST_ANGLE else []
+    values = {"clock": clock, "scale": clock**2, "moved": abs(clock**2 - 1.0)}
+    return turned + [Finding(Kind.CLOCK, values=values)] * (abs(clock - 1.0) > LEAST_CLOCK)

@@ -1,0 +1,349 @@
+"""What a fit shows of itself: whether it fits and predicts, what it determines, and what its values stand for."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hyperflex.checks import Array
+from hyperflex.identification.declarations.evidence import hangs_upwards, unlike_lengths
+from hyperflex.identification.declarations.registry import LAWS
+from hyperflex.identification.declarations.resistances import as_free
+from hyperflex.identification.declarations.score_findings import REPORTED, score_findings
+from hyperflex.identification.declarations.score_tests import CLOCK, TESTING, ScoreTest
+from hyperflex.identification.declarations.window_tests import Scatter
+from hyperflex.identification.findings import Finding, Kind, Severity
+from hyperflex.identification.fit.loss import NORMAL, Loss
+from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model.scale import common_factor, in_common_factor
+from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.texts import percent
+from hyperflex.identification.uncertainty.covariance import TOUCHED, Basis, Information
+from hyperflex.identification.uncertainty.model_error import law_error
+from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratio_spread, ratios
+from hyperflex.identification.uncertainty.whiteness import CHANCE
+from hyperflex.model import RESISTANCES, Rope
+from hyperflex.sensors import Angles
+
+MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
+
+
+@dataclass(frozen=True)
+class FitLimits:
+    """Limits from which a fit is reported as poor, poorly determined or odd."""
+
+    # Of the fit: part of the motion that may stay unexplained (right fits of real pendulums leave 0.1 to 1 %); the
+    # same where what stays is white, so that it is noise, and of a torque, which sensors or currents do not tell
+    # better
+    poor: float = 0.05
+    white_poor: float = 0.2
+    # times the declared noise: residuals below show less noise, or are as good as the recording
+    quiet: float = 0.5
+    noisy: float = 1.5
+    # times the declared noise's variance: twice as much is no mistake of whoever declared it
+    unexplained: float = 4.0
+    # rad, of gravity's angle: 11 degrees, more than any camera that was meant to be level
+    axes: float = 0.2
+    # lengths of a link, to which its mass may reach; 1 is the most without counterweights (Cauchy-Schwarz)
+    reach: float = 2.0
+    # Of the prediction: part of the error that no motion would make; parts of the values within the 95 % band: fewer
+    # than half are there where deviations are 2.9 times too small, and with 0.9 the error is about as stated
+    persistence: float = 0.5
+    inside: float = 0.5
+    as_stated: float = 0.9
+    # std over value, beyond which it is poorly determined; of frictions, stiffnesses
+    loose: float = 0.15
+    friction_loose: float = 0.3
+    # part of a friction: by more than another law would change it, it is called a model error
+    friction_moves: float = 0.1
+    # part of the windows
+    left_out: float = 0.2
+    # samples
+    correlated: float = 10.0
+    # independent values; a variance from fewer has no std
+    least_freedom: float = 2.0
+    # of centres of mass: the change that people think in
+    per_cent: float = 0.01
+
+
+LIMITS = FitLimits()
+
+
+def symptoms(
+    basis: Basis,
+    tests: Sequence[ScoreTest],
+    scatter: Sequence[Scatter],
+    held_out: HeldOut | None,
+    settings: dict[str, Any],
+) -> list[Finding]:
+    """Return all that a fit, its tests and its predictions show."""
+    rope = basis.plant.parameters.rope(basis.plant.parameters.rounded(basis.fit.x))
+    odd = [*_of_fit(basis), *_of_prediction(held_out), *_disagreeing(scatter)]
+    known, loose = _determined(basis, rope)
+    impossible = hangs_upwards(rope)
+    declared = score_findings(
+        tests, odd=any(each.severity is Severity.WRONG for each in odd), known=known, wrong=bool(impossible)
+    )
+    found = [*impossible, *declared, *odd, *_far(rope), *loose, *_rotated(basis)]
+    wrong = any(each.severity is Severity.WRONG for each in found)
+    found += [replace(each, severity=Severity.WRONG if wrong else each.severity) for each in unlike_lengths(rope)]
+    if settings["noise"] == "declared":
+        found += _of_noise(basis, tests)
+    return [*found, *_scale(basis, tests), *_limits(basis, tests, scatter, settings), *_identifiable(basis)]
+
+
+def _of_fit(basis: Basis) -> Iterator[Finding]:
+    """Yield that a fit did not converge, or leaves much of the motion or of the torque.
+
+    White residuals are measuring noise, of which more is allowed, and as much as was declared; declared noise excuses
+    residuals that are not white as far as that, too.
+    """
+    fit, white = basis.fit, basis.information.whiteness >= CHANCE
+    if fit.status is not None or not fit.converged:
+        yield Finding(Kind.NOT_CONVERGED, Severity.WRONG, {"how": fit.status or "not converged"})
+    residuals, torque = residuals_of(basis)
+    rms, spread, noise = _sizes(basis.windows, residuals, 0, fit.loss)
+    worst = int(np.argmax(np.where(rms > LIMITS.noisy * noise * white, rms / np.maximum(spread, 1e-12), 0.0)))
+    excused = LIMITS.noisy * noise[worst]
+    allowed = max(LIMITS.white_poor * spread[worst], excused)
+    if not white:
+        allowed = max(LIMITS.poor * spread[worst], min(excused, LIMITS.white_poor * spread[worst]))
+    if rms[worst] > allowed:
+        angles = isinstance(basis.plant.sensor, Angles)
+        what = f"Link {worst}" if angles else f"Marker {worst // 2}"
+        values = {"what": what, "rms": float(rms[worst]), "motion": float(spread[worst])}
+        yield Finding(Kind.POOR_FIT, Severity.WRONG, values | {"unit": "rad" if angles else "m"})
+    if torque is not None:
+        (off,), (moved,), (noisy,) = _sizes(basis.windows, torque[:, None], residuals.shape[1], fit.loss)
+        if off > max(LIMITS.white_poor * moved, LIMITS.noisy * noisy):
+            yield Finding(Kind.POOR_TORQUE, Severity.WRONG, {"rms": float(off), "motion": float(moved)})
+
+
+def residuals_of(basis: Basis) -> tuple[Array, Array | None]:
+    """Return measured less fitted values (m, C) of all windows, rad or m, and torques (m,), N m; NaN in gaps."""
+    weights = np.concatenate([w.weight for w in basis.windows])
+    each = zip(basis.fit.residuals, basis.windows, strict=True)
+    flat = np.concatenate([residual.reshape(w.y.shape) for residual, w in each])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        every = np.where(weights > 0.0, -flat / weights, np.nan)
+    return (every, None) if basis.plant.motor is None else (every[:, :-1], every[:, -1])
+
+
+def _sizes(windows: Sequence[Window], residuals: Array, first: int, loss: Loss) -> tuple[Array, Array, Array]:
+    """Return rms (C,) of residuals (medians under a robust loss), motion and declared noise, channels from `first`."""
+    part = slice(first, first + residuals.shape[1])
+    known = [np.where(w.weight > 0.0, w.y, np.nan)[:, part] for w in windows]
+    weights = np.concatenate([w.weight for w in windows])[:, part]
+    with np.errstate(divide="ignore"):
+        noise = np.sqrt(np.nanmean(np.where(weights > 0.0, 1.0 / weights**2, np.nan), axis=0))
+    noise = np.where(((weights == 0.0) | (weights == 1.0)).all(axis=0), 0.0, noise)  # not declared
+    spread = np.sqrt(np.mean([np.nanvar(y, axis=0) for y in known], axis=0))
+    if loss.name == "squares":
+        return np.sqrt(np.nanmean(residuals**2, axis=0)), spread, noise
+    return NORMAL * np.nanmedian(np.abs(residuals), axis=0), spread, noise
+
+
+def _of_prediction(held_out: HeldOut | None) -> Iterator[Finding]:
+    """Yield how predictions of what was not fitted fail."""
+    if held_out is None:
+        return
+    if held_out.failed.size:
+        values = {"failed": held_out.failed.size, "count": held_out.starts.size, "times": held_out.failed.tolist()}
+        yield Finding(Kind.PREDICTION_FAILED, Severity.WRONG, values)
+        return
+    held_out = held_out.foreseeable
+    error, still = float(np.sqrt(np.mean(held_out.rms**2))), held_out.persistence
+    if error > LIMITS.persistence * still > 0.0 and not held_out.inside >= LIMITS.as_stated:
+        yield Finding(Kind.PREDICTION_POOR, Severity.WRONG, {"part": error / still})
+    elif held_out.inside < LIMITS.inside:
+        yield Finding(Kind.PREDICTION_OUTSIDE, Severity.WRONG, {"part": held_out.inside})
+
+
+def _disagreeing(scatter: Sequence[Scatter]) -> Iterator[Finding]:
+    """Yield the ratio of moments and inertias of which windows disagree most."""
+    for first in [each for each in scatter if each.label.startswith(MASSES)][:1]:
+        yield Finding(
+            Kind.WINDOWS_DISAGREE, Severity.WRONG if first.part > TESTING.moves else Severity.DOUBT, first._asdict()
+        )
+
+
+def _far(rope: Rope) -> Iterator[Finding]:
+    """Yield that a link's mass lies far beyond the link.
+
+    All mass of a link, and beyond, is between its joints or at the far one, so J <= l p (Cauchy-Schwarz); a real link
+    may reach beyond its joint.
+    """
+    p, inertia = lumped(rope)
+    reach = inertia / np.where(p > 0.0, p, np.inf) / rope.length
+    k = int(np.argmax(reach))
+    if reach[k] > LIMITS.reach:
+        yield Finding(Kind.MASS_FAR, Severity.WRONG, {"link": k, "reach": float(reach[k])})
+
+
+def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
+    """Return whether any ratio of moments and inertias is known that is free, and what is poorly determined.
+
+    A name stands for all its links. Ratios stand for the values that they are of where no torque tells these. What
+    cannot be known at all is reported elsewhere.
+    """
+    parameters, information = basis.plant.parameters, basis.information
+    known, spreads = ratios(rope, parameters.names), ratio_spread(parameters, information)
+    parts = {name: _parts(known[name], spreads[name]) for name in known}
+    masses = np.concatenate([parts[name] for name in MASSES])
+    nothing = bool(masses.any() and (masses[masses > 0.0] > LIMITS.loose).all())
+    std = information.deviations(parameters.derivatives(information.x))
+    values = parameters.values(parameters.rounded(information.x))
+    by_ratios = {"mass", "com", "inertia", *LAWS} if basis.plant.motor is None else set()
+    loose: dict[str, float] = {}
+    for each, value, spread in zip(parameters.all, values, std, strict=True):
+        if value > 0.0 and each.kind.form != "linear" and each.name not in by_ratios:
+            part = float(spread / value)
+            if (LIMITS.friction_loose if each.name in LAWS else LIMITS.loose) < part < np.inf:
+                loose[each.label] = part
+    for name, own in parts.items():
+        wide = np.flatnonzero(own > (LIMITS.loose if name in MASSES else LIMITS.friction_loose))
+        if 1 < wide.size == np.count_nonzero(own):
+            loose[name] = float(own.max())
+        else:
+            loose |= {f"{name}[{k}]": float(own[k]) for k in wide}
+    found = [Finding(Kind.NOTHING_KNOWN, Severity.WRONG, {"limit": LIMITS.loose})] * nothing
+    if loose:
+        labels = [f"{label} (± {percent(part)})" for label, part in loose.items()]
+        others = "values" if information.unknown.shape[1] == 0 else "ratios"
+        found.append(Finding(Kind.POORLY_DETERMINED, values={"labels": labels, "names": list(loose), "others": others}))
+    return not nothing, found
+
+
+def _parts(values: Array, std: Array) -> Array:
+    """Return standard deviations (n,) as parts of values (n,); 0 of what was held or cannot be known at all."""
+    known = (std > 0.0) & (std < np.inf)
+    return np.where(known, std, 0.0) / np.maximum(np.abs(values), 1e-300)
+
+
+def _rotated(basis: Basis) -> Iterator[Finding]:
+    """Yield that gravity was found far from where it was taken to be."""
+    angle = basis.plant.parameters.single("gravity_angle", basis.fit.x)
+    if abs(angle) > LIMITS.axes:
+        yield Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)})
+
+
+def _of_noise(basis: Basis, tests: Sequence[ScoreTest]) -> Iterator[Finding]:
+    """Yield that declared noise is far larger than residuals, or these far larger than noise without a known cause."""
+    rms, _, noise = _sizes(basis.windows, residuals_of(basis)[0], 0, basis.fit.loss)
+    declared, left = float(np.sqrt(np.mean(noise**2))), float(np.sqrt(np.mean(rms**2)))
+    if left <= LIMITS.quiet * declared:
+        values = {"declared": declared, "left": left, "times": declared / max(left, 1e-300)}
+        yield Finding(Kind.NOISE_OVERSTATED, values=values)
+    elif tests and not any(each.significant for each in tests) and basis.information.variance > LIMITS.unexplained:
+        yield Finding(Kind.UNEXPLAINED, values={"times": float(np.sqrt(basis.information.variance))})
+
+
+def _scale(basis: Basis, tests: Sequence[ScoreTest]) -> Iterator[Finding]:
+    """Yield what the scale of masses, inertias and frictions is."""
+    if basis.information.unknown.shape[1]:
+        yield Finding(Kind.COMMON_FACTOR, Severity.LIMIT)
+    elif basis.plant.motor is not None:
+        yield Finding(Kind.TORQUE_SCALE, Severity.LIMIT)
+    else:
+        moves = next((_com_sensitivity(basis, each) for each in tests if each.name == "com"), 0.0)
+        words = f" (1 % of a centre of mass moves ratios by up to {percent(moves)})" if moves > 0.0 else ""
+        yield Finding(Kind.HELD_SCALE, Severity.LIMIT, {"sensitivity": words})
+
+
+def _com_sensitivity(basis: Basis, test: ScoreTest) -> float:
+    """Return by what part 1 % of held centres of mass moves a ratio that seems to be known better; 0 for none."""
+    if test.freed_with:
+        return 0.0
+    parameters, information = basis.plant.parameters, basis.information
+    gradients, known = ratio_gradients(parameters, information.x), ratios(parameters.rope(information.x))
+    stds, worst = ratio_spread(parameters, information), 0.0
+    for name in MASSES:
+        moved = np.max(np.abs(gradients[name] @ (test.rate * np.abs(test.values))), axis=1) * LIMITS.per_cent
+        beyond = (moved > 2.0 * stds[name]) & (stds[name] > 0.0)
+        worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
+    return worst
+
+
+def moves_alike(plant: Plant) -> bool:
+    """Whether a longer and slower rope moves exactly alike: nothing but gravity and the lengths has a scale.
+
+    With times x a and lengths x a^2 gravity stays. A drive, a torque, and inertias or resistances that are held do not
+    go along.
+    """
+    if plant.motion is not None or plant.motor is not None or not plant.parameters.guess.gravity.any():
+        return False
+    names = {each.name for each in plant.parameters.all}
+    held = [each.name for each in RESISTANCES if each.name not in names]
+    return "inertia" in names and not any(getattr(plant.parameters.guess, name).any() for name in held)
+
+
+def _limits(
+    basis: Basis, tests: Sequence[ScoreTest], scatter: Sequence[Scatter], settings: dict[str, Any]
+) -> Iterator[Finding]:
+    """Yield what no motion tells, and what the model, the windows and the noise leave open."""
+    information = basis.information
+    if moves_alike(basis.plant) and any(each.name == CLOCK and each.std <= REPORTED.untested for each in tests):
+        yield Finding(Kind.UNDETECTABLE, Severity.LIMIT)
+    part, name = law_error(basis, tests)
+    if part > LIMITS.friction_moves:
+        yield Finding(Kind.FRICTION_MODEL, Severity.LIMIT, {"part": part, "name": as_free([name])[0]})
+    missing = max(0, settings["left_out"] - 1)  # what remains at the end is no window, as a rule
+    if missing > LIMITS.left_out * (missing + settings["windows"]):
+        yield Finding(Kind.WINDOWS_LEFT_OUT, Severity.LIMIT, {"part": missing / (missing + settings["windows"])})
+    for first in [each for each in scatter if not each.label.startswith(MASSES)][:1]:
+        yield Finding(Kind.RESISTANCE_CHANGES, Severity.LIMIT, first._asdict())
+    if settings.get("starts", 1) > 1 and settings["starts_agree"] <= 1:
+        yield Finding(Kind.LONE_START, Severity.LIMIT, {"starts": settings["starts"]})
+    if information.correlation > LIMITS.correlated or information.whiteness < CHANCE:
+        yield Finding(Kind.COLOURED, Severity.LIMIT, {"samples": information.correlation})
+    if not information.agrees:
+        yield Finding(Kind.NOT_STATIONARY, Severity.LIMIT)
+    elif information.freedom < LIMITS.least_freedom:
+        yield Finding(Kind.FEW_VALUES, Severity.LIMIT, {"values": information.freedom})
+    if settings["noise"] == "declared" and _exceeds_noise(information):
+        yield Finding(Kind.NOISE_UNDERSTATED, Severity.LIMIT, {"times": float(np.sqrt(information.variance))})
+
+
+def _exceeds_noise(information: Information) -> bool:
+    """Whether the variance of residuals over the declared noise's fails a chi-squared test."""
+    from scipy.special import gammaincc
+
+    return bool(gammaincc(0.5 * information.freedom, 0.5 * information.freedom * information.variance) < CHANCE)
+
+
+def _identifiable(basis: Basis) -> Iterator[Finding]:
+    """Yield what can be known: all, or all but a common factor, parameters without effect, and those that act alike."""
+    parameters, information = basis.plant.parameters, basis.information
+    unknown, x = information.unknown, information.x
+    if not information.estimated:
+        yield Finding(Kind.NOT_ESTIMATED, Severity.LIMIT)
+        return
+    if unknown.shape[1] == 0:
+        yield Finding(Kind.IDENTIFIABLE, Severity.NOTE)
+    else:
+        common, grows = common_factor(parameters, x, unknown), in_common_factor(parameters, x, unknown)
+        others = unknown if common is None else unknown - np.outer(common, common @ unknown)
+        idle = (np.sqrt((others**2).sum(axis=1)) > 1.0 - TOUCHED) & ~grows
+        touched = (np.sqrt((unknown**2).sum(axis=1)) > TOUCHED) | grows
+        names = [p.name for p, there, alone in zip(parameters.all, touched, idle, strict=True) if there and not alone]
+        if (count := unknown.shape[1] - int(idle.sum())) > 0:
+            spreads = ratio_spread(parameters, information)
+            lost = [name for name, std in spreads.items() if np.isinf(std).any()]
+            words = f"Not even known: {', '.join(lost)}." if lost else "The ratios over p1 are known."
+            values = {
+                "count": count,
+                "names": list(dict.fromkeys(names)),
+                "ratios": words,
+                "common": common is not None,
+            }
+            yield Finding(Kind.COMBINATION, Severity.NOTE if values["common"] else Severity.LIMIT, values)
+        if lost := [label for label, alone in zip(parameters.labels, idle, strict=True) if alone]:
+            yield Finding(Kind.NO_EFFECT, Severity.LIMIT, {"names": lost})
+    values_now = parameters.values(parameters.rounded(x))
+    pairs = zip(parameters.all, values_now, strict=True)
+    none = [each.label for each, value in pairs if each.form == "nonnegative" and value == 0.0]
+    if none:
+        yield Finding(Kind.AT_ZERO, Severity.LIMIT, {"names": none})
