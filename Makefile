@@ -60,9 +60,8 @@ $(INSTALLED): pyproject.toml constraints.txt
 		{ echo "No Python 3.11 or newer found. Install one, or name it: make PYTHON=/path/to/python3 ..." >&2; exit 1; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
 		{ echo "This Python has no venv module (on Debian and Ubuntu: apt install python3-venv)." >&2; exit 1; }
-	@echo "Setting up .venv with the pinned packages and compiling the kernels: about two minutes, once."
+	@echo "Setting up .venv with the pinned packages: about a minute, once."
 	@test -x $(BIN)/pip || $(PYTHON) -m venv .venv
 	@$(PIP) hatchling editables
 	@$(PIP) --no-build-isolation --editable '.[dev]'
-	@$(BIN)/hyperflex warm
 	@touch $@

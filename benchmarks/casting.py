@@ -37,7 +37,7 @@ from benchmarks import machine
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.motion import Motion
 from hyperflex.paper import T_REST, casting_arm

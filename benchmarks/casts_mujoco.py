@@ -36,7 +36,7 @@ from benchmarks import machine
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.checks import Array
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.planning import MIN_TURNS
 
 RESULTS = Path(__file__).parent / "results"

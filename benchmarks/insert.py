@@ -28,7 +28,7 @@ from benchmarks import log, machine
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.control import swing_period
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.planning import InsertOutcome, InsertPlan, MotorLimits, Problem, Slot, plan_insert
 from hyperflex.planning.tasks.insert import (
     InsertTask,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import hyperflex.planning
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 
 Row = dict[str, Any]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 import hyperflex
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 
 PACKAGES = ("numba", "numpy", "scipy", "mujoco", "pin", "drake")
 

@@ -25,7 +25,7 @@ from benchmarks.pumping_cases import WANTED, caster
 
 from hyperflex import files
 from hyperflex.checks import Array
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.paper import T_MOVE, cable, casting_arm
 from hyperflex.planning.search.evolution import CmaEs
 from hyperflex.simulation import simulate_batch

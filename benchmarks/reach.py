@@ -26,7 +26,7 @@ from benchmarks import machine
 from benchmarks.casting import RESULTS, TIP, problem, target
 
 from hyperflex import files
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.planning import Feasibility, check_feasibility, plan_cast
 from hyperflex.planning.feasibility import SWING as MODEL
 

@@ -37,7 +37,7 @@ from benchmarks.robust_page import page
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.errors import HyperflexError, SimulationError
 from hyperflex.planning import (
     CastPlan,

@@ -31,7 +31,7 @@ from rich.progress import Progress
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.errors import SimulationError
 from tests.reference.event_times import LOCATED
 from tests.reference.judging import USUAL, OutOfPatience, drift, judge

@@ -26,7 +26,7 @@ from benchmarks import log, machine
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.planning import Conditions, MotorLimits, Problem, TipTarget, WhipPlan, plan_whip, simulate_impact
 from hyperflex.planning.clearance import obstacle_clearance, samples_clear_of_arm
 from hyperflex.planning.tasks.insert import finer_rope

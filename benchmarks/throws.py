@@ -26,7 +26,7 @@ from benchmarks import log, machine
 
 import hyperflex as hf
 from hyperflex import files
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.errors import SimulationError
 from tests.reference.random_throws import draw
 

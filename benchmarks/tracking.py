@@ -25,7 +25,7 @@ from benchmarks import log, machine
 from scipy import stats
 
 from hyperflex import files
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.estimate import ChangeTests, EstimatedParameter, Observations, RopeFilter, square_root
 from tests.estimate.runs import (
     ARM,

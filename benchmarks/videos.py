@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks import log, machine
 
 from hyperflex import files
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.paper import estimation
 from hyperflex.vision import VideoReader
 from tests.estimate.videos import HardVideo, follow

@@ -31,7 +31,7 @@ from benchmarks import log, machine
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.control import swing_period
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.identification import identify
 from hyperflex.model import divided
 from hyperflex.model.stretch import stretched

@@ -14,9 +14,9 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.drive import Segment, base_state, segment
 from hyperflex.core.chain.lanes import COLUMNS, load, rows, set_slip
 from hyperflex.core.integrate import steps as steppers
-from hyperflex.core.integrate.progress import JOINT, LENGTH, MODES
-from hyperflex.core.integrate.substeps import new_substeps
-from hyperflex.core.stiction.constraint_torques import QUICK
+from hyperflex.core.integrate.rollout import JOINT, LENGTH, MODES
+from hyperflex.core.integrate.steps import new_substeps
+from hyperflex.core.stiction import STICTION
 from hyperflex.simulation.rollouts import TABLES, Rollout, rollout_limits
 from hyperflex.simulation.sensitivity.directions import ParameterDirections, parameter_directions
 from hyperflex.simulation.sensitivity.sensitivity import forward_derivatives, record_steps
@@ -95,7 +95,7 @@ class Frozen:
             joint = int(row[JOINT])
             if end >= before.end or end >= self.stop:
                 length = (part.end if end >= before.end else self.stop) - self.t
-            elif joint >= 0 and length >= QUICK:  # else rounding makes a joint at its limit stick and slip
+            elif joint >= 0 and length >= STICTION.quick:  # else rounding makes a joint at its limit stick and slip
                 length = self.until(part, order, length, grip, joint)
             self.y = self.step(part, order, length, grip)
             self.t, old = self.t + length, end

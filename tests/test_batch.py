@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.core.batch import members
 from hyperflex.core.batch import rollouts as core
+from hyperflex.core.batch import rollouts as members
 from hyperflex.errors import InvalidInput
 from hyperflex.simulation.batch import batch as simulation_batch
 from tests.faults.interrupting import left_by

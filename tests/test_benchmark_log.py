@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from benchmarks import log, throws
 
-from hyperflex.core.jit import SOURCE_HASH
+from hyperflex.core.cache import SOURCE_HASH
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.core.integrate.progress import JOINT, MODES
+from hyperflex.core.integrate.rollout import JOINT, MODES
 from hyperflex.simulation import AngleJacobian
 from tests.frozen import check
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.core.integrate.progress import JOINT, MODES
+from hyperflex.core.integrate.rollout import JOINT, MODES
 from hyperflex.simulation import AngleJacobian
 from tests.frozen import check
 

@@ -14,8 +14,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain import articulated_body as core
 from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.read_only import read_only
-from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
-from hyperflex.core.stiction.slip_modes import find_modes
+from hyperflex.core.stiction import find_modes, new_stiction_workspace
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.simulation import (

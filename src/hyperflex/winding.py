@@ -8,7 +8,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
-from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.chain.drive import motion_at
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import Peg, Rope
@@ -156,7 +156,7 @@ def _joint_forces(run: Trajectory, rows: npt.NDArray[np.intp]) -> Array:
     else:
         motion, base = np.empty(9), np.empty((rows.size, 2))
         for k, t in enumerate(run.t[rows]):
-            base_state(drive, segment(drive, t), t, motion)
+            motion_at(drive, t, motion)
             base[k] = motion[:2]
     across = np.stack([np.cos(q), np.sin(q)], axis=-1)
     along = np.stack([np.sin(q), -np.cos(q)], axis=-1)

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numba
@@ -97,19 +98,7 @@ def test_second_time_there_is_nothing_to_do(warmed: None, capsys: pytest.Capture
     assert run(["warm", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["compiled"] == 0
-    assert result["processor_seconds"] == 0.0
     assert result["already_there"] == result["kernels"] > 200
-
-
-@needs_compiler
-def test_a_lost_file_is_noticed(warmed: None, tmp_path: Path) -> None:
-    kept = tmp_path / "kernel.nbc"
-    kept.touch()
-    stamp = tmp_path / "stamp.txt"
-    stamp.write_text("kernel.nbc\n")
-    assert warm._is_whole(stamp)
-    kept.unlink()
-    assert not warm._is_whole(stamp)
 
 
 @needs_compiler
@@ -131,7 +120,6 @@ def test_a_process_that_fails(
     monkeypatch.setattr(warm, "LANES", (("nothing of this name",),))
     assert run(["warm", "--workers", "1", "--json"]) == 2
     assert "KeyError" in json.loads(capsys.readouterr().out)["error"]
-    assert not any(tmp_path.glob("warm-*"))  # what was cut short does not look finished
 
 
 def test_without_the_compiler() -> None:
@@ -145,17 +133,25 @@ def test_without_the_compiler() -> None:
     assert "Nothing to do" in done.stdout
 
 
-def test_fingerprint_follows_the_modules() -> None:
-    modules = ["hyperflex.core.assign", "hyperflex.core.status"]
-    assert cache.fingerprint(modules) == cache.fingerprint(modules[::-1]) != cache.fingerprint(modules[:1])
-
-
 def test_kernels_of_other_versions_are_removed_when_they_are_old(tmp_path):
-    own, old, new, foreign = (tmp_path / f"core.jit-{name}" for name in ("own", "old", "new", "foreign"))
-    for place in (own, old, new, foreign):
-        place.mkdir()
-        (place / ("notes.txt" if place == foreign else "run-1.nbc")).write_bytes(b"kernel")
-        os.utime(next(place.iterdir()), (0.0, 0.0) if place != new else None)
-    warm._remove_old({own}, tmp_path)
-    assert {place.name for place in tmp_path.iterdir()} == {own.name, new.name, foreign.name}
-    assert (own / "run-1.nbc").exists()
+    own, (old, new, foreign) = cache.kernels_folder().name, ("kernels-old", "kernels-new", "kernels-foreign")
+    for name in (own, old, new, foreign):
+        (tmp_path / name).mkdir()
+        file = tmp_path / name / ("notes.txt" if name == foreign else "run-1.nbc")
+        file.write_bytes(b"kernel")
+        os.utime(file, (0.0, 0.0) if name != new else None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HYPERFLEX_CACHE_DIR", str(tmp_path))
+        warm._remove_old(tmp_path)
+    assert {place.name for place in tmp_path.iterdir()} == {own, new, foreign}
+
+
+@needs_compiler
+def test_a_second_process_compiles_meanwhile(tmp_path, monkeypatch):
+    monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(tmp_path))
+    with warm.compiling_ahead("dense"):
+        for _ in range(600):
+            if cache.compiled([("hyperflex.core.chain.articulated_body", "mass_matrix")]):
+                break
+            time.sleep(0.1)
+    assert cache.compiled([("hyperflex.core.chain.articulated_body", "mass_matrix")]) == 1

@@ -33,6 +33,10 @@ for each in (caller.shifted, apart.squared, leaf.scaled):
 """
 
 
+ALL = ([7.0, 9.0, 6.0], {"shifted", "squared", "scaled"})
+NONE = (ALL[0], set())
+
+
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
     """A small package with the real decorator: `caller` uses `part.leaf`, `apart` uses neither."""
@@ -71,16 +75,14 @@ def run(package: Path, root: Path, code: str = ASK) -> tuple[list[float], set[st
     return numbers, compiled
 
 
-def test_an_edit_recompiles_what_depends_on_it_and_nothing_else(package: Path, tmp_path: Path) -> None:
+def test_an_edit_recompiles_also_what_calls_the_edited_kernel(package: Path, tmp_path: Path) -> None:
     root, leaf = tmp_path / "cache", package / "part" / "leaf.py"
-    assert run(package, root) == ([7.0, 9.0, 6.0], {"shifted", "squared", "scaled"})
-    assert run(package, root) == ([7.0, 9.0, 6.0], set())
+    assert run(package, root) == ALL
+    assert run(package, root) == NONE
     leaf.write_text(LEAF.replace("2.0", "5.0"))
-    assert run(package, root) == ([16.0, 9.0, 15.0], {"shifted", "scaled"})
-    (package / "apart.py").write_text(APART.replace("x * x", "x * x * x"))
-    assert run(package, root) == ([16.0, 27.0, 15.0], {"squared"})
+    assert run(package, root) == ([16.0, 9.0, 15.0], {"shifted", "squared", "scaled"})
     leaf.write_text(LEAF)  # another checkout with the sources of before: both share the cache
-    assert run(package, root) == ([7.0, 27.0, 6.0], set())
+    assert run(package, root) == NONE
 
 
 def test_what_is_said_on_compiling_goes_by_what_is_there(package: Path, tmp_path: Path) -> None:
@@ -89,39 +91,15 @@ def test_what_is_said_on_compiling_goes_by_what_is_there(package: Path, tmp_path
         return [line for line in err.splitlines() if line.startswith("hyperflex: compiling")]
 
     [first] = told()
-    assert "about 20 s for a first simulation" in first
-    (package / "apart.py").write_text(APART.replace("x * x", "x * x * x"))
+    assert "for a first simulation" in first
+    for file in (tmp_path / "cache").rglob("*squared-*.nbc"):
+        file.unlink()
     [one] = told()
     assert "2 of the 3 loaded were compiled before" in one
-    assert "20 s" not in one
+    assert "first simulation" not in one
     assert told() == []
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "from hyperflex.core.part import leaf",
-        "from hyperflex.core.part.leaf import scaled",
-        "import hyperflex.core.part.leaf as leaf",
-        "from .part import leaf",
-        "from .part.leaf import scaled",
-        "from hyperflex.core.between import scaled",
-    ],
-)
-def test_every_way_to_import_a_module_is_followed(package: Path, line: str) -> None:
-    (package / "between.py").write_text("from .part.leaf import scaled\n")
-    (package / "caller.py").write_text(line + "\n")
-    hashes = []
-    for text in (LEAF, LEAF.replace("2.0", "5.0")):
-        (package / "part" / "leaf.py").write_text(text)
-        cache._source.cache_clear()
-        hashes.append([cache.source_hash(f"hyperflex.core.{name}", package.parents[1]) for name in ("caller", "apart")])
-    assert hashes[0][0] != hashes[1][0]
-    assert hashes[0][1] == hashes[1][1]
-
-
-ALL = ([7.0, 9.0, 6.0], {"shifted", "squared", "scaled"})
-NONE = (ALL[0], set())
 FULL = """
 import errno, os
 from pathlib import Path
@@ -159,7 +137,7 @@ def test_a_bit_that_flipped_anywhere_is_noticed(package: Path, tmp_path: Path) -
 def test_files_that_are_missing_are_made_again_and_it_is_said(package: Path, tmp_path: Path) -> None:
     root = tmp_path / "cache"
     assert run(package, root) == ALL
-    for file in root.rglob("scaled-*.nbc"):
+    for file in root.rglob("*scaled-*.nbc"):
         file.unlink()
     process = start(package, root)
     out, err = process.communicate()
@@ -187,7 +165,7 @@ def test_a_filled_cache_on_a_read_only_disk_is_used(package: Path, tmp_path: Pat
     monkeypatch.setenv("TMPDIR", str(temporary))
     assert run(package, root) == ALL
     assert run(package, root, READ_ONLY + ASK) == NONE
-    for file in root.rglob("scaled-*.nbc"):
+    for file in root.rglob("*scaled-*.nbc"):
         file.unlink()
     numbers, compiled, said = end(start(package, root, READ_ONLY + ASK))
     assert numbers == ALL[0]
@@ -200,7 +178,7 @@ def test_a_filled_cache_on_a_read_only_disk_is_used(package: Path, tmp_path: Pat
 def test_a_file_of_another_kernel_is_not_taken(package: Path, tmp_path: Path) -> None:
     root = tmp_path / "cache"
     run(package, root)
-    wrong, right = (next(root.rglob(f"{name}-door*.nbc")) for name in ("squared", "scaled"))
+    wrong, right = (next(root.rglob(f"*.{name}-door*.nbc")) for name in ("squared", "scaled"))
     shutil.copy(wrong, right)
     assert run(package, root) == (ALL[0], {"scaled"})
 
@@ -234,17 +212,6 @@ def test_several_processes_may_fill_one_cache(package: Path, tmp_path: Path) -> 
     assert run(package, root) == NONE
 
 
-@pytest.mark.parametrize(
-    "lacks", ["import numba; numba.__version__ = '0.99.0'", "import numba.core.codegen as c; del c.JITCodeLibrary"]
-)
-def test_with_a_numba_that_is_not_known_each_process_compiles(package: Path, tmp_path: Path, lacks: str) -> None:
-    numbers, _, said = end(start(package, tmp_path / "cache", lacks + ASK))
-    assert numbers == ALL[0]
-    assert len(said) == 1
-    assert "numba" in said[0]
-    assert not (tmp_path / "cache").exists()
-
-
 def test_importing_makes_no_folder(tmp_path: Path) -> None:
     code = "import hyperflex, hyperflex.simulation, hyperflex.planning, hyperflex.identification"
     found = {"HYPERFLEX_CACHE_DIR": str(tmp_path / "cache")}
@@ -269,22 +236,7 @@ def test_a_user_without_a_home_compiles_each_time(monkeypatch, capsys, tmp_path)
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(Path, "home", no_home)
     cache._complain.cache_clear()
-    cache.save(cache.module_folder("hyperflex.core.jit"), "scaled", "key", b"code")
+    cache.save("scaled", "key", b"code")
     assert "no home folder" in capsys.readouterr().err
-    assert cache.load(cache.module_folder("hyperflex.core.jit"), "scaled", "key") is None
+    assert cache.load("scaled", "key") is None
     cache._complain.cache_clear()
-
-
-def test_a_numba_whose_insides_differ_compiles_all_the_same():
-    code = """
-import sys
-sys.modules["hyperflex.core.compiler"] = None
-from hyperflex.core import jit
-@jit.kernel
-def twice(x):
-    return 2.0 * x
-print(twice(4.0), jit.compiling())
-"""
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout == "8.0 0.0\n"
-    assert "compiled kernels are not kept" in run.stderr

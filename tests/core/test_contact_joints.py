@@ -8,9 +8,9 @@ import pytest
 import hyperflex as hf
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
-from hyperflex.core.contact.joints import ANY, NEAR, joints_in_play
+from hyperflex.core.contact.arrays import new_contact_memory, save_memory
+from hyperflex.core.contact.joints import ANY, JOINTS, joints_in_play
 from hyperflex.core.contact.step import new_contact_workspace, try_step
-from hyperflex.core.contact.warm_start import new_contact_memory, save_memory
 from tests.reference import dense
 from tests.reference.joint_impulses import rates_after
 
@@ -105,7 +105,7 @@ def test_a_step_with_dry_friction_is_that_of_dense_projections(n: int, seed: int
 def test_joints_in_play_have_dry_friction_or_are_near_a_limit() -> None:
     """A search for modes takes one more round for each of them, and no more for a limit that is far."""
     bend = np.array([0.0, 1.0, -1.0, 0.4, 0.0])
-    limit = np.array([np.inf, 1.0 + 0.9 * NEAR, 1.0 + 0.9 * NEAR, 1.0, 1.0])
+    limit = np.array([np.inf, 1.0 + 0.9 * JOINTS.near, 1.0 + 0.9 * JOINTS.near, 1.0, 1.0])
     for dry, count in ((0.0, 2), (np.array([0.0, 0.0, 0.0, 0.0, 1e-3]), 3)):
         rope = hf.Rope([0.1] * 5, [0.01] * 5, max_bend=limit, dry_friction=dry)
         setup = hf.Setup(rope)

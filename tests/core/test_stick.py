@@ -7,9 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hyperflex.core.integrate import event_search as events
-from hyperflex.core.stiction import constraint_torques as stick
-from hyperflex.core.stiction import slip_modes as modes
+from hyperflex.core import stiction as stick
+from hyperflex.core.integrate import events
 from tests.core.helpers import chain_of
 from tests.reference import dense
 from tests.reference.cases import State, random_grip, random_links, random_state
@@ -43,7 +42,7 @@ def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n: int) -> None:
         held = np.abs(dense.accelerations(links, *state, grip=np.zeros(n)).held).astype(float)
         links = links._replace(dry=held * np.random.default_rng(seed).uniform(0.4, 1.6, n))
         slip, workspace = np.zeros(n), stick.new_stiction_workspace(n)
-        assert modes.find_modes(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, slip, workspace)
+        assert stick.find_modes(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, slip, workspace)
         np.testing.assert_array_equal(slip, lawful(links, *state))
         kinds |= set(slip)
     assert len(kinds) == 3 or n == 1
@@ -71,10 +70,10 @@ def test_friction_without_reaction_leaves_lawful_modes_as_well(n: int, seeds: in
         links = links._replace(dry=held * rng.uniform(0.1, 1.2, n))
         chain, slip, workspace = chain_of(links), np.zeros(n), stick.new_stiction_workspace(n)
         known = (chain, state.q, state.w, state.base, 0.0)
-        assert modes.find_modes(*known, 1.0, slip, workspace)
+        assert stick.find_modes(*known, 1.0, slip, workspace)
         assert obeys_the_law(links, state, slip)
-        stubborn += not modes.active_set_search(*known, 1.0, n, np.zeros(n), np.zeros(n), workspace)
-        assert modes.continuation(
+        stubborn += not stick.active_set_search(*known, 1.0, n, np.zeros(n), np.zeros(n), workspace)
+        assert stick.continuation(
             *known, np.ones(n), slip, workspace
         )  # all of them, not only those that would not come right
         assert obeys_the_law(links, state, slip)
@@ -87,10 +86,10 @@ def test_events_that_change_nothing_are_rounding_and_chatter_has_an_end() -> Non
     state = State(state.q, np.full(n, state.base[3]), state.base)
     slip, workspace = np.zeros(n), stick.new_stiction_workspace(n)
     known = (chain_of(links), state.q, state.w, state.base, 0.0)
-    assert modes.find_modes(*known, 1.0, slip, workspace)
+    assert stick.find_modes(*known, 1.0, slip, workspace)
 
     def settled(chatter: float, before: Real) -> tuple[bool, float]:
-        answer: tuple[bool, float] = modes.decide_modes(*known, chatter, before.copy(), np.zeros(n), workspace)
+        answer: tuple[bool, float] = stick.decide_modes(*known, chatter, before.copy(), np.zeros(n), workspace)
         return answer
 
     assert settled(0.0, slip) == (True, 0.0)  # the first event may change nothing
@@ -99,8 +98,8 @@ def test_events_that_change_nothing_are_rounding_and_chatter_has_an_end() -> Non
     assert stick.tolerance_factor(chatter, n) == pytest.approx(10.0)
     assert settled(1.0, slip + 1.0) == (True, 1.0)
     assert stick.tolerance_factor(stick.chatter_allowance(n) + 26.0, n) == 1e8  # and no more
-    assert settled(stick.chatter_allowance(n) + stick.HOPELESS, slip)[0]
-    assert not settled(stick.chatter_allowance(n) + 1.0 + stick.HOPELESS, slip)[0]
+    assert settled(stick.chatter_allowance(n) + stick.STICTION.hopeless, slip)[0]
+    assert not settled(stick.chatter_allowance(n) + 1.0 + stick.STICTION.hopeless, slip)[0]
     state.w[:] += 2e-10 * np.arange(1, n + 1)  # rest, where limits are wider by a thousand
     settled(stick.chatter_allowance(n) + 3.0, slip)
     np.testing.assert_array_equal(state.w, state.base[3])
@@ -109,7 +108,7 @@ def test_events_that_change_nothing_are_rounding_and_chatter_has_an_end() -> Non
 def test_a_joint_that_turns_slips_whatever_its_load() -> None:
     links, state = random_links(5, 1), random_state(5, 1)
     slip, workspace = np.zeros(5), stick.new_stiction_workspace(5)
-    assert modes.find_modes(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, slip, workspace)
+    assert stick.find_modes(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, slip, workspace)
     np.testing.assert_array_equal(slip, np.sign(np.diff(state.w, prepend=state.base[3])))
 
 
@@ -143,7 +142,7 @@ def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
         attempts += 1
     assert verdict == events.EVENT
     assert at <= taken + 1e-15
-    assert taken - at <= 1.01 * stick.INSTANT + 4e-16 / abs(slope(at))  # and the rounding of the margin itself
+    assert taken - at <= 1.01 * stick.STICTION.instant + 4e-16 / abs(slope(at))  # and the rounding of the margin itself
     assert attempts <= 11  # halving alone would take 43
 
 
@@ -202,7 +201,7 @@ def test_a_dip_before_another_joint_s_event_is_found() -> None:
         taken = step
         verdict, step = events.assess_step(locked, search, step)
     assert verdict == events.EVENT
-    assert taken == pytest.approx(np.arccos(-0.9) / (2.0 * np.pi), abs=2 * stick.INSTANT)
+    assert taken == pytest.approx(np.arccos(-0.9) / (2.0 * np.pi), abs=2 * stick.STICTION.instant)
 
 
 def test_a_search_that_has_come_further_does_not_go_back_for_a_dip_before() -> None:
@@ -240,7 +239,7 @@ def test_a_joint_that_comes_loose_does_not_stop_for_rounding() -> None:
         verdict, step = events.assess_step(locked, search, step)
         attempts += 1
     assert verdict == events.EVENT
-    assert taken == pytest.approx(end + 2.0 * start / jerk, abs=2 * stick.INSTANT)
+    assert taken == pytest.approx(end + 2.0 * start / jerk, abs=2 * stick.STICTION.instant)
     assert attempts <= 16
 
 

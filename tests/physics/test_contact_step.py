@@ -12,13 +12,11 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
 from hyperflex.core.chain.torque_peaks import COLUMNS, WINDOWS
-from hyperflex.core.contact import bounds as at
-from hyperflex.core.contact.arrays import OPEN
-from hyperflex.core.contact.modes import ALL, EVEN, LOOSEST, NONE, STIFF, USUAL_TOL, looseness, update_modes
-from hyperflex.core.contact.output import branch_off, new_branch
+from hyperflex.core.contact import run as at
+from hyperflex.core.contact.arrays import OPEN, new_contact_memory, save_memory
+from hyperflex.core.contact.modes import ALL, EVEN, NONE, SOLVER, USUAL_TOL, looseness, update_modes
+from hyperflex.core.contact.run import branch_off, choose_step, complete_step, new_branch
 from hyperflex.core.contact.step import new_contact_workspace, try_step
-from hyperflex.core.contact.step_control import choose_step, complete_step
-from hyperflex.core.contact.warm_start import new_contact_memory, save_memory
 from tests.reference.wrapping import laid
 
 RADIUS, TOP, STEP = 0.05, 0.4, 1e-4  # m, m, s
@@ -140,7 +138,7 @@ def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> No
         save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, STEP)
         known.append(memory.penalty[0])
     assert np.all(np.diff(known) >= 0.0)
-    assert known[-1] == pytest.approx(STIFF * rope.total_mass, rel=1e-12)
+    assert known[-1] == pytest.approx(SOLVER.stiff * rope.total_mass, rel=1e-12)
 
 
 @pytest.mark.parametrize(("which", "first", "by"), [(NONE, 0, 1), (ALL, 0, 1), (EVEN, 0, 2), (EVEN + 1, 1, 2)])
@@ -165,4 +163,4 @@ def test_a_round_changes_all_contacts_that_break_the_law_or_every_second_one(whi
 
 def test_a_solution_may_leave_more_in_proportion_to_the_tolerance() -> None:
     tolerances = np.array([1e-8, 1e-5, 1e-4, 1.0])
-    np.testing.assert_allclose([looseness(tol) for tol in tolerances], [1.0, 1.0, 1e-4 / USUAL_TOL, LOOSEST])
+    np.testing.assert_allclose([looseness(tol) for tol in tolerances], [1.0, 1.0, 1e-4 / USUAL_TOL, SOLVER.loosest])

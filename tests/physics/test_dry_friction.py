@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 import hyperflex as hf
 from hyperflex.core import status
-from hyperflex.core.integrate.progress import REJECTED, TAKEN
+from hyperflex.core.integrate.rollout import REJECTED, TAKEN
 from hyperflex.motion import Motion
 from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
 from tests.reference import stick

@@ -10,8 +10,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.core.chain.drive import segment
 from hyperflex.core.chain.lanes import COLUMNS, load, rows
-from hyperflex.core.integrate.steps import COURSE, extrapolate, scheme
-from hyperflex.core.integrate.substeps import add_substeps, new_substeps, weigh_terms
+from hyperflex.core.integrate.steps import COURSE, add_substeps, extrapolate, new_substeps, scheme, weigh_terms
 from hyperflex.errors import InvalidInput
 from tests.reference.arm import cast, links_of, still
 

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 import hyperflex as hf
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
+from hyperflex.core.contact.arrays import new_contact_memory
 from hyperflex.core.contact.step import new_contact_workspace, try_step
-from hyperflex.core.contact.warm_start import new_contact_memory
 from hyperflex.winding import measure_winding, rope_slip
 from tests.reference.wrapping import ARM, laid
 

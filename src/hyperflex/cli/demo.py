@@ -7,10 +7,12 @@ import typer
 
 from hyperflex.cli import output
 from hyperflex.cli.output import Rows
+from hyperflex.cli.warm import compiling_ahead
 
 if TYPE_CHECKING:
     from hyperflex.demo.run import Parameter
 
+AHEAD = ("dry", "batch", "contact", "wound", "plan")  # kernels of the fit and the plan, compiled during the tracking
 _SHOWN = ("parameter", "identified", "95 % interval", "without noise", "inside")
 
 
@@ -24,7 +26,7 @@ def demo(
     from hyperflex.demo import write_demo
     from hyperflex.report import TextTable
 
-    with output.spinner() as progress:
+    with compiling_ahead(*AHEAD), output.spinner() as progress:
         report = write_demo(out, progress)
     found, table, held = report.demo, report.parameters, report.demo.held
     error, noise = found.held_out_rms, found.angle_noise.mean()

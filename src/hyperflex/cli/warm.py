@@ -8,18 +8,20 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from subprocess import DEVNULL
 from typing import Any
 
-from hyperflex import checks, files
+from hyperflex import checks
 from hyperflex.cli import output
 from hyperflex.cli.command import Workers
 from hyperflex.errors import FileProblem, HyperflexError, MissingPackage
 from hyperflex.progress import progress_bar
 
 OLD = 90 * 86_400.0  # s, after which kernels of other versions are removed
-POLL = 0.2  # s, between two looks at what has been compiled
+POLL = 0.2  # s, between two checks of what has been compiled
+COMMAND = (sys.executable, "-c", "import sys; from hyperflex.cli.warm import call; call(sys.argv[1:])")
 
 
 def warm(
@@ -38,40 +40,57 @@ def warm(
     from hyperflex.core import cache
 
     count = checks.count("--workers", workers, most=len(LANES))
-    begin, spent = time.monotonic(), 0.0
+    begin = time.monotonic()
     if numba.config.DISABLE_JIT:
         output.show({"kernels": 0, "compiled": 0}, "Nothing to do: NUMBA_DISABLE_JIT is set, nothing is compiled.")
         return
     kernels = every_kernel()
-    stamp = cache.folder() / f"warm-{cache.fingerprint(module for module, _ in kernels)}.txt"
     before = cache.compiled(kernels)
-    if not _is_whole(stamp):
-        _check_folder(cache.folder())
-        spent = _compile(kernels, count)
-        _stamp(stamp, kernels)
-    _remove_old({cache.module_folder(module) for module, _ in kernels}, cache.folder())
-    now = cache.compiled(kernels)
+    _check_folder(cache.folder())
+    spent = _compile(kernels, count)
+    _remove_old(cache.folder())
     result = {
         "kernels": len(kernels),
-        "compiled": now - before,
+        "compiled": cache.compiled(kernels) - before,
         "already_there": before,
         "seconds": time.monotonic() - begin,
         "processor_seconds": spent,
         "folder": cache.folder(),
     }
-    did = f"Compiled {now - before} of {len(kernels)} kernels" if spent else "Nothing to do: all kernels are compiled"
-    output.show(result, f"{did} ({result['seconds']:.0f} s); they are in {cache.folder()}.")
+    done = f"Compiled {result['compiled']} of {len(kernels)} kernels"
+    if not result["compiled"]:
+        done = "Nothing to do: all kernels are compiled"
+    output.show(result, f"{done} ({result['seconds']:.0f} s). They are in {cache.folder()}.")
 
 
-def _remove_old(own: set[Path], folder: Path) -> None:
-    """Remove kernels of other versions that are `OLD` s old; what cannot be removed stays."""
-    for place in folder.glob("*-*/") if folder.is_dir() else ():
-        kernels = [] if place in own else list(place.glob("*.nbc"))
+@contextlib.contextmanager
+def compiling_ahead(*names: str) -> Iterator[None]:
+    """Let a second process compile the kernels of some calls (see `CALLS`) meanwhile."""
+    with subprocess.Popen([*COMMAND, *names], stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL) as worker:
+        try:
+            yield
+        finally:
+            worker.terminate()
+
+
+def _remove_old(folder: Path) -> None:
+    """Remove the kernels of other versions that are `OLD` s old; what cannot be removed stays."""
+    from hyperflex.core import cache
+
+    for place in folder.glob("kernels-*/"):
+        kernels = [] if place == cache.kernels_folder() else list(place.glob("*.nbc"))
         with contextlib.suppress(OSError):
             if kernels and time.time() - max(path.stat().st_mtime for path in kernels) > OLD:
                 for path in kernels:
                     path.unlink(missing_ok=True)
                 place.rmdir()
+
+
+def _tell(as_json: bool, result: dict[str, Any], sentence: str) -> None:
+    if as_json:
+        output.print_json(result)
+    else:
+        output.console().print(sentence, soft_wrap=True)
 
 
 def every_kernel() -> list[tuple[str, str]]:
@@ -82,23 +101,6 @@ def every_kernel() -> list[tuple[str, str]]:
     for each in pkgutil.walk_packages(core.__path__, f"{core.__name__}."):
         importlib.import_module(each.name)
     return KERNELS
-
-
-def _is_whole(stamp: Path) -> bool:
-    """Return whether all the files that a stamp names are still there."""
-    try:
-        names = stamp.read_text("utf-8").splitlines()
-    except OSError:
-        return False
-    return all((stamp.parent / name).is_file() for name in names)
-
-
-def _stamp(stamp: Path, kernels: list[tuple[str, str]]) -> None:
-    """Note which files make up a full cache."""
-    from hyperflex.core import cache
-
-    names = sorted(path.relative_to(stamp.parent).as_posix() for _, path in cache.files(kernels))
-    files.write_text(stamp, "\n".join(names) + "\n")
 
 
 def _check_folder(folder: Path) -> None:
@@ -118,10 +120,8 @@ def _compile(kernels: list[tuple[str, str]], count: int) -> float:
     from hyperflex.core import cache
 
     lanes = [[name for lane in LANES[k::count] for name in lane] for k in range(min(count, len(LANES)))]
-    command = [sys.executable, "-c", "import sys; from hyperflex.cli.warm import call; call(sys.argv[1:])"]
     workers = [
-        subprocess.Popen([*command, *lane], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        for lane in lanes
+        subprocess.Popen([*COMMAND, *lane], stdin=DEVNULL, stdout=DEVNULL, stderr=subprocess.PIPE) for lane in lanes
     ]
     begin = _children_time()
     try:
@@ -157,12 +157,21 @@ def _children_time() -> float:
 
 def _simulate() -> None:
     hf, rope, arm, _ = _parts()
-    for each in (rope, rope.replace(dry_friction=[1e-3] * rope.n_links)):
-        hf.simulate(each, hf.arm_swings(), arm=arm, duration=0.02)
+    hf.simulate(rope, hf.arm_swings(), arm=arm, duration=0.02)
     hf.simulate(rope, hf.arm_swings(), arm=arm, duration=0.02, method="rk4", step=1e-4)
     hf.simulate(rope, torque=lambda *_: 0.0, arm=hf.Arm(length=0.1, inertia=1e-3), duration=0.02, control_rate=100.0)
     hf.predictability(rope, hf.arm_swings(), arm=arm, duration=0.1)
     hf.forward_kinematics(rope, [0.0] * rope.n_links)
+
+
+def _dry() -> None:
+    hf, rope, arm, _ = _parts()
+    hf.simulate(rope.replace(dry_friction=[1e-3] * rope.n_links), hf.arm_swings(), arm=arm, duration=0.02)
+
+
+def _dry_batch() -> None:
+    hf, rope, arm, _ = _parts()
+    hf.simulate_batch([rope.replace(dry_friction=[1e-3] * rope.n_links)], hf.arm_swings(), arm=arm, duration=0.02)
 
 
 def _sensitivities() -> None:
@@ -257,8 +266,10 @@ def _parts() -> tuple[Any, Any, Any, Any]:
 
 CALLS: dict[str, Callable[[], None]] = {
     "simulate": _simulate,
+    "dry": _dry,
     "sensitivities": _sensitivities,
     "batch": _batch,
+    "dry_batch": _dry_batch,
     "contact": _contact,
     "plan": _plan,
     "dense": _dense,
@@ -267,4 +278,7 @@ CALLS: dict[str, Callable[[], None]] = {
     "estimate": _estimate,
 }
 # What one process compiles while another does the other: they share little, and "wound" needs what "simulate" has made.
-LANES = (("simulate", "plan", "sensitivities", "estimate"), ("contact", "batch", "dense", "wound", "vision"))
+LANES = (
+    ("simulate", "dry", "plan", "sensitivities", "estimate"),
+    ("contact", "batch", "dry_batch", "dense", "wound", "vision"),
+)

@@ -23,6 +23,8 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.imputils import impl_ret_borrowed
 from numba.core.registry import CPUDispatcher
 from numba.core.types import Dispatcher, unliteral  # type: ignore[attr-defined]
+from numba.core.types.functions import BaseFunction
+from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.extending import intrinsic
 
 from hyperflex.core import cache
@@ -95,12 +97,12 @@ class _Door(CPUDispatcher):  # type: ignore[misc]
         return Dispatcher(self.part)
 
     def compile(self, sig: Any) -> Any:
-        with _fewer_collections():
+        with _economical():
             return _with_room(super().compile, sig)
 
 
 class _PartDispatcher(CPUDispatcher):  # type: ignore[misc]
-    """A kernel for kernels. A number that stands in the call makes no kernel of its own, as it does in numba."""
+    """A kernel for kernels. A literal number in the call does not make another specialisation, as it does in numba."""
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         return super().get_call_template(
@@ -108,15 +110,42 @@ class _PartDispatcher(CPUDispatcher):  # type: ignore[misc]
         )
 
 
+def _part_decorator(template: Any) -> Any:
+    """Return the decorator of what serves a builtin, such as ``np.zeros``: as for a part, without machine code."""
+    return functools.partial(_jit_decorator(template), pipeline_class=_PartCompiler, no_cfunc_wrapper=True)
+
+
 @contextmanager
-def _fewer_collections() -> Iterator[None]:
-    """Let Python's garbage collector walk less often through all that the compiler makes."""
+def _economical() -> Iterator[None]:
+    """Resolve each builtin operation once, and let the garbage collector walk less often through what is compiled."""
     was = gc.get_threshold()
     gc.set_threshold(20_000, 20, 100)
+    _Function.get_call_type, _Overload._get_jit_decorator = _remembered_type, _part_decorator
     try:
         yield
     finally:
         gc.set_threshold(*was)
+        _Function.get_call_type, _Overload._get_jit_decorator = _call_type, _jit_decorator
+
+
+_Function: Any = BaseFunction
+_call_type: Any = BaseFunction.get_call_type
+_Overload: Any = _OverloadFunctionTemplate
+_jit_decorator: Any = _OverloadFunctionTemplate._get_jit_decorator
+
+
+def _remembered_type(function: Any, context: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+    """Return the signature of a call as numba does, which tries all of a dozen overloads for each ``x + y``.
+
+    It is remembered by the types of the arguments, unless an overload serves: that depends on how it is compiled.
+    """
+    known = function.__dict__.setdefault("_signatures", {})
+    if kws or args not in known:
+        signature = _call_type(function, context, args, kws)
+        if kws or function._impl_keys[signature.args] is not function.typing_key:
+            return signature
+        known[args] = signature
+    return known[args]
 
 
 def _with_room(function: Callable[[Any], Any], argument: Any) -> Any:
@@ -163,12 +192,12 @@ class _PartCompiler(compiler.Compiler):  # type: ignore[misc]
 
 
 def _name_of_its_own() -> Any:
-    """Return what numba looks up a part by: a function of the kind it expects, unlike any other, and never called."""
+    """Return the key by which numba finds a part: a function of the kind it expects, unique and never called."""
     return [].append
 
 
 class _Kept:
-    """What numba asks for the compiled code of a kernel, and gives it to after it has compiled it.
+    """The cache of one kernel, as numba uses it.
 
     Parameters
     ----------
@@ -181,13 +210,13 @@ class _Kept:
     """
 
     def __init__(self, function: Callable[..., Any], kind: str, pack: Any, unpack: Any) -> None:
-        self._module, self._name = function.__module__, f"{function.__qualname__}-{kind}"
+        self._name = f"{function.__module__}.{function.__qualname__}-{kind}"
         self._pack, self._unpack = pack, unpack
 
-    @functools.cached_property
+    @property
     def cache_path(self) -> Path:
-        """The folder of this kernel and those of its module."""
-        return cache.module_folder(self._module)
+        """The folder of all kernels."""
+        return cache.kernels_folder()
 
     def _key(self, argument_types: Any, codegen: Any) -> str:
         return repr((argument_types, codegen.magic_tuple()))
@@ -195,13 +224,13 @@ class _Kept:
     def load_overload(self, argument_types: Any, context: Any) -> Any:
         """Return the compiled kernel for such types of arguments, None if there is none that can be used."""
         context.refresh()
-        packed = cache.load(self.cache_path, self._name, self._key(argument_types, context.codegen()))
+        packed = cache.load(self._name, self._key(argument_types, context.codegen()))
         return None if packed is None else self._unpack(context, *pickle.loads(packed))
 
     def save_overload(self, argument_types: Any, made: Any) -> None:
         """Keep a compiled kernel; where that fails it is compiled again by the next process."""
         packed = serialize.dumps(self._pack(made))
-        cache.save(self.cache_path, self._name, self._key(argument_types, made.library.codegen), packed)
+        cache.save(self._name, self._key(argument_types, made.library.codegen), packed)
 
 
 def _pack_door(made: Any) -> Any:

@@ -1,22 +1,15 @@
 """Decorators of kernels: the one place with numba's options."""
 
 import functools
-import hashlib
 import sys
 from collections.abc import Callable
 from collections.abc import Set as AbstractSet
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numba
-from numba.extending import register_jitable
+from numba import types
 
-from hyperflex.core import cache
-
-try:
-    from hyperflex.core import compiler
-except (ImportError, AttributeError):
-    compiler = None  # type: ignore[assignment]
+from hyperflex.core import cache, compiler
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -26,32 +19,6 @@ _FASTMATH = {"contract", "arcp", "nsz"}
 
 
 KERNELS: list[tuple[str, str]] = []  # module and name of each kernel of the modules that have been imported
-
-# numba's minor versions with the insides that `compiler` uses; pyproject.toml ends there too
-_KNOWN = range(66, 69)
-
-
-def _source_hash() -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
-    core = Path(__file__).parent
-    for path in sorted(core.rglob("*.py")):
-        digest.update(path.relative_to(core).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-SOURCE_HASH = _source_hash()  # of all kernels, to tell apart what was measured with them
-
-
-@functools.cache
-def _is_known() -> bool:
-    """Whether this is a numba that :mod:`hyperflex.core.compiler` knows; if not, say so."""
-    if compiler is not None and tuple(map(int, numba.__version__.split(".")[:2])) in {(0, minor) for minor in _KNOWN}:
-        return True
-    sys.stderr.write(
-        f"hyperflex: compiled kernels are not kept with numba {numba.__version__}, and each process takes minutes to "
-        f"compile its own. Install numba 0.{_KNOWN[-1]}.\n"
-    )
-    return False
 
 
 def kernel(function: _F) -> _F:
@@ -85,19 +52,29 @@ def _compiled(function: _F, counts: bool = True, more: AbstractSet[str] = frozen
     if numba.config.DISABLE_JIT:
         return function
     KERNELS.append((function.__module__, function.__qualname__))
-    compiled = compiler.door(function, options, counts) if _is_known() else numba.njit(**options)(function)
-    return compiled  # type: ignore[no-any-return]
+    return compiler.door(function, options, counts)  # type: ignore[no-any-return]
+
+
+class _Inlined:
+    """A function whose body numba copies into kernels; numba needs no more of it than these attributes."""
+
+    targetoptions: ClassVar = {"inline": "always"}
+    _numba_type_ = types.Dummy("inlined")
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.py_func = function
+        functools.update_wrapper(self, function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.py_func(*arguments)
 
 
 def inlined(function: _F) -> _F:
-    """Mark a leaf that is copied into its callers, so that loops over lanes around it turn into SIMD code."""
-    return numba.njit(error_model="numpy", fastmath=_FASTMATH, inline="always")(function)  # type: ignore[no-any-return]
+    """Copy a function into the kernels that call it, so that loops over lanes around it turn into SIMD code.
 
-
-def shared(function: _F) -> _F:
-    """Mark a leaf that is copied into kernels as an inlined one is, and that numpy arrays can go through as well."""
-    options = {"error_model": "numpy", "fastmath": _FASTMATH}
-    return register_jitable(inline="always", **options)(function)  # type: ignore[no-any-return]
+    Python calls it as it is, with numbers or numpy arrays.
+    """
+    return function if numba.config.DISABLE_JIT else _Inlined(function)  # type: ignore[return-value]
 
 
 def _constant(array: Any) -> Any:
@@ -105,19 +82,16 @@ def _constant(array: Any) -> Any:
     return array
 
 
-if numba.config.DISABLE_JIT:
-    constant = _constant
-else:
-    constant = shared(_constant) if compiler is None else compiler.read_only
+constant = _constant if numba.config.DISABLE_JIT else compiler.read_only
 
 
 @functools.cache
 def _announce() -> None:
-    """Say on standard error, once a process, that kernels are being compiled."""
+    """Report on standard error, once a process, that kernels are being compiled."""
     there, loaded = cache.compiled(KERNELS), len(KERNELS)
     known = f"{there} of the {loaded} loaded were compiled before{', for other arguments' if there == loaded else ''}"
     if not there:
-        known = "about 20 s for a first simulation"
+        known = "10 to 30 s for a first simulation"
     sys.stderr.write(
         f"hyperflex: compiling kernels for this machine, once; {known} (hyperflex warm compiles all of them in "
         "advance) ...\n"
@@ -125,9 +99,9 @@ def _announce() -> None:
     sys.stderr.flush()
 
 
-_TIMER = None if compiler is None else compiler.Timer(_announce)
+_TIMER = compiler.Timer(_announce)
 
 
 def compiling() -> float:
     """Return the time that this process has spent on compiling until now, s."""
-    return 0.0 if _TIMER is None else _TIMER.spent
+    return _TIMER.spent

@@ -12,24 +12,24 @@ prints it. All functions take numbers or numpy arrays. The law is taken to be li
 step and its tangent use the slopes of ``jacobian``. One that is not needs them at the joint's state.
 """
 
-from hyperflex.core.jit import shared
+from hyperflex.core.jit import inlined
 
 
-@shared
+@inlined
 def friction(joint, rate, slip):  # type: ignore[no-untyped-def]
     """Friction torque F of a joint at a relative rate, rad/s, in the sense `slip`; N m."""
     viscous, dry, _, _ = joint
     return -viscous * rate - dry * slip
 
 
-@shared
+@inlined
 def spring(joint, angle):  # type: ignore[no-untyped-def]
     """Torque G of a joint's stiffness at a relative angle, rad; N m."""
     _, _, stiffness, rest = joint
     return -stiffness * (angle - rest)
 
 
-@shared
+@inlined
 def spring_energy(joint, angle):  # type: ignore[no-untyped-def]
     """Energy that a joint's stiffness stores at a relative angle, rad; J."""
     _, _, stiffness, rest = joint
@@ -37,13 +37,13 @@ def spring_energy(joint, angle):  # type: ignore[no-untyped-def]
     return 0.5 * stiffness * bend * bend
 
 
-@shared
+@inlined
 def power(joint, reaction_factor, w, up, slip):  # type: ignore[no-untyped-def]
     """Power that friction takes from a link that turns at w and from its parent that turns at `up`, rad/s; W."""
     return -friction(joint, w - up, slip) * (w - reaction_factor * up)
 
 
-@shared
+@inlined
 def jacobian(joint, reaction_factor, by_rate, by_angle):  # type: ignore[no-untyped-def]
     """What joint torque falls by, on the link and on its parent, where rate and angle grow by these; N m.
 
@@ -55,9 +55,9 @@ def jacobian(joint, reaction_factor, by_rate, by_angle):  # type: ignore[no-unty
     return by_rate * viscous + by_angle * stiffness, reaction_factor * (by_rate * viscous) + by_angle * stiffness
 
 
-@shared
+@inlined
 def torques(joint, reaction_factor, angle, rate, slip, h):  # type: ignore[no-untyped-def]
-    """T on the link, T_back on its parent, N m, and kappa, kappa_back, kg m^2, as ``link_step`` wants them (M.13).
+    """T on the link, T_back on its parent, N m, and kappa, kappa_back, kg m^2, as ``link_step`` takes them (M.13).
 
     `angle`, rad, and `rate`, rad/s, are relative; h > 0 makes the joint implicit over a step of so many seconds.
     """
@@ -67,7 +67,7 @@ def torques(joint, reaction_factor, angle, rate, slip, h):  # type: ignore[no-un
     return own + bent, reaction_factor * own + bent, kappa, kappa_back
 
 
-@shared
+@inlined
 def variation(joint, seed, reaction_factor, bend, rate, change, slip, h, stretch):  # type: ignore[no-untyped-def]
     """Change of the torques on link and parent (N m) by changes of the joint and of an implicit step's length, (M.22).
 

@@ -2,15 +2,10 @@
 
 from typing import Final
 
-OK: Final = 0
-RUNNING: Final = 1  # the step budget of one call is spent; call again
-STEP_TOO_SMALL: Final = 2
-NOT_FINITE: Final = 3
-ENERGY: Final = 4
-FRICTION: Final = 5
-REACHED: Final = 6  # what was to end the run has happened
-LEFT: Final = 7  # no link is near a peg any more, and no joint near its limit: a stepper without them may go on
-LIMIT: Final = 8  # a joint has come to its limit, of which the stepper knows no more
+# RUNNING: the step budget of one call is spent; call again. REACHED: the event that ends the run has happened. LEFT: no
+# link is near a peg and no joint near its limit, so a stepper without them may continue. LIMIT: a joint has reached its
+# limit, which this stepper cannot handle
+OK, RUNNING, STEP_TOO_SMALL, NOT_FINITE, ENERGY, FRICTION, REACHED, LEFT, LIMIT = range(9)
 
 NAMES: Final = {
     OK: "ok",
@@ -27,16 +22,16 @@ NAMES: Final = {
 ADVICE: Final = {
     OK: "",
     RUNNING: "",
-    STEP_TOO_SMALL: "the tolerance cannot be met. Loosen tol, add joint friction, or look for links whose "
-    "mass and inertia are nearly zero beside their neighbours'",
+    STEP_TOO_SMALL: "the tolerance cannot be met. Loosen tol, add joint friction, or check for links whose "
+    "mass and inertia are nearly zero compared with their neighbours'",
     NOT_FINITE: "the motion left the range of numbers. Check q0, qd0 and the motion for wild values; with "
     "method='rk4' take a smaller step",
     ENERGY: "the energy of the rope changed by more than the motor and friction explain, so the result cannot be "
     "trusted. Tighten tol; with method='rk4' take a smaller step",
     REACHED: "",
     LEFT: "",
-    LIMIT: "a joint has come to its limit (max_bend), and what was asked for, derivatives or an event, knows no "
-    "impacts. Leave it out, give max_bend = inf, or end the run before",
-    FRICTION: "joints stick and come loose again and again without end. Change dry_friction a little, add viscous "
+    LIMIT: "a joint has reached its limit (max_bend), but derivatives and events do not support impacts. "
+    "Omit them, set max_bend = inf, or end the run before",
+    FRICTION: "joints stick and slip in endless alternation. Change dry_friction a little, add viscous "
     "friction, or take friction_model='relative': as printed, friction may push a joint the way that it slips",
 }

@@ -11,7 +11,7 @@ from scipy.linalg.lapack import dposv
 
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import mass_matrix
-from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.chain.drive import motion_at
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.parameters import NEGLIGIBLE, ParameterStates
 from hyperflex.interfaces import RopeState
@@ -289,7 +289,7 @@ class Process:
         moment = t if x is None else t - self.parameters.value("delay", x[2 * self.rope.n_links :])
         if moment != self._moment:
             drive, now = self._run.drive, np.empty(9)
-            base_state(drive, segment(drive, moment), moment, now)
+            motion_at(drive, moment, now)
             self._moment, self._base = moment, np.array([now[7:9], now[5:7], now[0:2]])
         return self._base.copy()
 

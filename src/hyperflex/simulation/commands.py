@@ -7,7 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import ANGLE, TORQUE, Drive
-from hyperflex.core.tangent.directions import Directions
+from hyperflex.core.tangent.extrapolation import Directions
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup
 from hyperflex.motion import torque_profile

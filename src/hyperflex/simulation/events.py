@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex import checks
-from hyperflex.core.integrate.end_conditions import ANGLE, CROSSES, PEAK, PHASE, Until
+from hyperflex.core.integrate.events import ANGLE, CROSSES, PEAK, PHASE, Until
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup
 

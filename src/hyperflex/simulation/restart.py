@@ -8,8 +8,8 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.chain.drive import base_state, segment
-from hyperflex.core.integrate.progress import MARK, STEP, T, restart
+from hyperflex.core.chain.drive import motion_at
+from hyperflex.core.integrate.rollout import MARK, STEP, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup
@@ -114,7 +114,7 @@ def state_of(
         arm = float(y[0]), float(y[n])
     elif arm is None:
         motion = np.empty(9)
-        base_state(run.drive, segment(run.drive, t), t, motion)
+        motion_at(run.drive, t, motion)
         arm = float(motion[4]), float(motion[3])
     q, qd = y[own:n].copy(), y[n + own : 2 * n].copy()
     q.setflags(write=False)

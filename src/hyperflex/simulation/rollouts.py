@@ -12,11 +12,11 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import joint_law, status
 from hyperflex.core.chain.articulated_body import Chain, accelerations, can_stick, sticks_often
-from hyperflex.core.chain.drive import TORQUE, Drive, base_state, segment
+from hyperflex.core.chain.drive import TORQUE, Drive, motion_at
 from hyperflex.core.chain.motor_torque import senses
 from hyperflex.core.integrate import rollout
-from hyperflex.core.integrate.end_conditions import NEVER, Until
-from hyperflex.core.integrate.progress import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
+from hyperflex.core.integrate.events import NEVER, Until
+from hyperflex.core.integrate.rollout import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import MOST_ORDER, scheme
 from hyperflex.core.read_only import read_only
@@ -70,6 +70,10 @@ class Rollout:
     facts: dict[str, float] = field(default_factory=dict)
     kept: dict[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Find out which events are watched; neither the chain nor what ends the run changes."""
+        self._events = rollout.watched(self.chain, self.limits.until)
+
     @property
     def done(self) -> int:
         """Number of output rows written."""
@@ -82,7 +86,8 @@ class Rollout:
 
     def advance(self) -> int:
         """Run for one budget of steps and return the status code."""
-        return int(rollout.run(self.chain, self.drive, TABLES, self.limits, self.progress, self.t, self.y))
+        given = self.chain, self.drive, TABLES, self.limits, self._events, self.progress
+        return int(rollout.run(*given, self.t, self.y))
 
 
 def prepare_rollout(
@@ -112,7 +117,7 @@ def link_accelerations(chain: Chain, drive: Drive, t: float, q: Array, qd: Array
     """Return the links' accelerations (n,), rad/s^2, at time t, s; joints that dry friction holds are locked."""
     n = q.size
     y, base, slip, alphas = np.concatenate([q, qd]), np.empty(9), np.ones((1, n)), np.empty(n)
-    torque = base_state(drive, segment(drive, t), t, base)
+    torque = motion_at(drive, t, base)
     if can_stick(chain):
         senses(chain, drive, np.array([t]), y[None], slip)
     y.setflags(write=False)  # the kernel is compiled for one kind

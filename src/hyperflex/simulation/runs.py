@@ -11,7 +11,7 @@ from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core import status
-from hyperflex.core.integrate.end_conditions import NEVER
+from hyperflex.core.integrate.events import NEVER
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup, SetupFields

@@ -11,9 +11,9 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import can_stick
 from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.contact.run import clearance
-from hyperflex.core.integrate.progress import JOINT, MARK, MODES, REJECTED, TAKEN
+from hyperflex.core.integrate.rollout import JOINT, MARK, MODES, REJECTED, TAKEN
 from hyperflex.core.tangent import forward_sensitivity
-from hyperflex.core.tangent.directions import Directions
+from hyperflex.core.tangent.extrapolation import Directions
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Rope, Setup, SetupFields

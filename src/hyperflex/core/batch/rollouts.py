@@ -1,44 +1,35 @@
-"""Batch rollouts: each lane runs one member with its own step and then takes the next.
+"""Batch rollouts: members, dry friction in the lanes, and the run loop.
 
-No number of one lane ever enters another, so a member's result does not depend on its neighbours or on the threads.
+Each lane runs one member with its own step and then takes the next. No number of one lane ever enters another, so a
+member's result does not depend on its neighbours or on the threads.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.core import status
-from hyperflex.core.batch.members import (
-    AFTER,
-    BASE,
-    CLOCK,
-    END,
-    EXTERNAL,
-    LAST,
-    NEXT_STEP,
-    ORIGIN,
-    PATH,
-    RESTARTED,
-    RETRY,
-    SINCE,
-    SIZE,
-    STEP,
-    TIME,
-    UNDECIDED,
-    base_motion,
-    chain_of,
-    enter,
-    piece,
-    save_clock,
-)
-from hyperflex.core.batch.stiction import assess_lane, decide_lane_modes, finish_lane, new_lane_stiction
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import can_stick, sincos
-from hyperflex.core.integrate.event_search import AGAIN, EVENT
+from hyperflex.core.chain.articulated_body import (
+    ONE_SIDED,
+    Array,
+    Chain,
+    can_stick,
+    chain_of_rows,
+    dry_joints,
+    energies,
+    sincos,
+    sticks_often,
+)
+from hyperflex.core.chain.drive import ANGLE, ROUNDING, TORQUE, X, Y, polynomial
+from hyperflex.core.integrate.events import AGAIN, EVENT, TRIES, Search, allow_lateness, assess_step, begin_search
 from hyperflex.core.integrate.step_size import (
     LARGEST_STEP,
-    MOST,
     SMALLEST_STEP,
+    STEP_SIZE,
     allowed,
     fitted,
     is_rounding,
@@ -46,7 +37,345 @@ from hyperflex.core.integrate.step_size import (
     longer,
     shorter,
 )
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.jit import inlined, kernel, non_allocating
+from hyperflex.core.stiction import (
+    STICTION,
+    StictionWorkspace,
+    decide_modes,
+    margins,
+    midpoint_state,
+    new_stiction_workspace,
+    project_stuck,
+    stop_joints,
+    stuck_loss,
+    stuck_power,
+    tolerance_factor,
+)
+
+
+class Members(NamedTuple):
+    """What the members of a batch are made of; drives lie one after the other, member m's from first[m] on."""
+
+    links: Array  # (m, 11, n): the fields of a Chain in their order, and the lever
+    whole: Array  # (m, 5): tip mass, gravity x, y, arm length, torque limit
+    start: Array  # (m, 2 n + 2) states at begin
+    breaks: Array  # (sum of k + 1,), s
+    coef: Array  # (sum of k + 1, 4, 6); the last row of each member is not used
+    loop: npt.NDArray[np.int64]  # (m,) as in Drive
+    first: npt.NDArray[np.int64]  # (m + 1,)
+    clock: Array  # (m, 3) STEP, AFTER and CHATTER of each, changed in place: a batch that continues needs them
+
+
+class Terms(NamedTuple):
+    """What the members have in common."""
+
+    begin: float  # s
+    tol: float  # m
+    reaction: tuple[int, ...]  # as in Chain
+    fixed: float  # s, a step chosen beforehand; 0.0: error control
+    best: Array  # (p + 1,) weights of the columns, as in Scheme
+    gap: Array  # in the error estimate
+    rounding: float  # m, as in Scheme
+
+
+LENGTH, DRY, LEVER = map(Chain._fields.index, ("length", "dry", "tip_mass"))  # rows of ``links``
+TIP_MASS, GRAVITY_X, GRAVITY_Y, ARM_LENGTH, TORQUE_LIMIT = range(5)
+# a lane's clock, s: as in rollout, with the piece of the drive that holds and the step wanted next
+# RETRY: 1.0 while a step is being shortened to end at an event
+TIME, STEP, AFTER, RESTARTED, LAST, SIZE, UNDECIDED, CHATTER, ORIGIN, END, NEXT_STEP, RETRY, CLOCK = range(13)
+# What moves the first joints, in lanes: slot * k + lane. Coefficients of four channels, parameters that seldom change,
+# the time since the piece began; then the torque on link 0 and what ``drive.base_state`` gives, less gravity
+COEF, ARM, GX, GY, LIMIT, SINCE, EXTERNAL, BASE, PATH = 0, 24, 25, 26, 27, 28, 29, 30, 39
+
+
+@non_allocating
+def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore[no-untyped-def]
+    """Put member m into lane j: parameters, state at the start, clock (CLOCK,) and energies (4,)."""
+    k = len(ln.MEMBERS)
+    n = members.links.shape[2]
+    whole = members.whole[m]
+    ln.load_lane(ln.MEMBERS, j, chain_of(members, terms, m, whole[GRAVITY_X], whole[GRAVITY_Y]), lanes, tip)
+    for i in range(n):
+        row = lanes[(i + 1) * ln.ROW * k : (i + 2) * ln.ROW * k]
+        row[ln.LEVER * k + j] = members.links[m, LEVER, i]
+        row[ln.Q_START * k + j] = members.start[m, i]
+        row[ln.W_START * k + j] = members.start[m, n + i]
+        row[ln.SIN_START * k + j], row[ln.COS_START * k + j] = sincos(members.start[m, i])
+    path[ARM * k + j], path[LIMIT * k + j] = whole[ARM_LENGTH], whole[TORQUE_LIMIT]
+    path[GX * k + j], path[GY * k + j] = whole[GRAVITY_X], whole[GRAVITY_Y]
+    energy[0], energy[1] = members.start[m, 2 * n], members.start[m, 2 * n + 1]
+    lane[:] = 0.0
+    lane[TIME] = lane[END] = terms.begin
+    lane[STEP], lane[AFTER], lane[CHATTER] = members.clock[m]
+
+
+@non_allocating
+def save_clock(members, m, lane):  # type: ignore[no-untyped-def]
+    """Keep what member m, in the lane with the clock `lane` (CLOCK,), needs to continue."""
+    members.clock[m, 0], members.clock[m, 1], members.clock[m, 2] = lane[STEP], lane[AFTER], lane[CHATTER]
+
+
+@non_allocating
+def piece(members, m, t, path, j, lane):  # type: ignore[no-untyped-def]
+    """Find the piece of member m's drive that holds from t on; copies its coefficients, notes its origin and end."""
+    k = len(ln.MEMBERS)
+    which, still, lane[ORIGIN], lane[END] = find_piece(members, m, t)
+    for channel in range(4):
+        coef = members.coef[which, channel]
+        for power in range(6):
+            path[(COEF + channel * 6 + power) * k + j] = 0.0 if still >= 0.0 else coef[power]
+        if still >= 0.0 and channel != TORQUE:
+            path[(COEF + channel * 6) * k + j] = polynomial(coef, still)[0]
+
+
+@non_allocating
+def find_piece(members, m, t):  # type: ignore[no-untyped-def]
+    """Row of ``members.coef`` that holds for member m from t on, time at which it is at rest there, origin and end.
+
+    The second is negative where the drive moves.
+    """
+    first = members.first[m]
+    count = members.first[m + 1] - first - 1
+    breaks = members.breaks[first : first + count + 1]
+    t += ROUNDING * (1.0 + abs(t))  # as in drive.segment
+    if t < breaks[0] or (t >= breaks[count] and members.loop[m] < 0):  # standing still
+        if t < breaks[0]:
+            return first, 0.0, t, breaks[0]
+        return first + count - 1, breaks[count] - breaks[count - 1], t, np.inf
+    offset = 0.0
+    j = 0
+    if t >= breaks[count]:
+        j = members.loop[m]
+        period = breaks[count] - breaks[j]
+        cycle = np.floor((t - breaks[j]) / period)
+        if cycle * period + breaks[count] <= t:
+            cycle += 1.0
+        offset = cycle * period
+    while j < count - 1 and offset + breaks[j + 1] <= t:
+        j += 1
+    return first + j, -1.0, offset + breaks[j], offset + breaks[j + 1]
+
+
+@inlined
+def lane_polynomial(path, k, j, channel, t):  # type: ignore[no-untyped-def]
+    """Value, first and second derivative at t of a channel of lane j, as ``drive.polynomial``."""
+    i = (COEF + 6 * channel) * k + j
+    return polynomial((path[i], path[i + k], path[i + 2 * k], path[i + 3 * k], path[i + 4 * k], path[i + 5 * k]), t)
+
+
+@non_allocating
+def base_motion(width, path):  # type: ignore[no-untyped-def]
+    """Torque on link 0 (EXTERNAL) and motion of the first joint (BASE) in every lane, at the time SINCE."""
+    k = len(width)
+    for j in range(k):
+        t = path[SINCE * k + j]
+        angle, rate, alpha = lane_polynomial(path, k, j, ANGLE, t)
+        x, vx, ax = lane_polynomial(path, k, j, X, t)
+        y, vy, ay = lane_polynomial(path, k, j, Y, t)
+        torque, _, _ = lane_polynomial(path, k, j, TORQUE, t)
+        limit = path[LIMIT * k + j]
+        torque = limit if torque > limit else torque
+        path[EXTERNAL * k + j] = -limit if torque < -limit else torque
+        sin, cos = sincos(angle)
+        length = path[ARM * k + j]
+        path[BASE * k + j] = ax + length * (cos * alpha - sin * rate * rate) - path[GX * k + j]
+        path[(BASE + 1) * k + j] = ay + length * (sin * alpha + cos * rate * rate) - path[GY * k + j]
+        path[(BASE + 2) * k + j] = alpha
+        path[(BASE + 3) * k + j] = rate
+        path[(BASE + 4) * k + j] = angle
+        path[(BASE + 5) * k + j] = vx + length * cos * rate
+        path[(BASE + 6) * k + j] = vy + length * sin * rate
+        path[(BASE + 7) * k + j] = x + length * sin
+        path[(BASE + 8) * k + j] = y - length * cos
+
+
+@inlined
+def chain_of(members, terms, m, gx, gy):  # type: ignore[no-untyped-def]
+    """Chain of member m in the gravity (gx, gy), m/s^2."""
+    return chain_of_rows(members.links[m], members.whole[m, TIP_MASS], gx, gy, terms.reaction)
+
+
+@non_allocating
+def observe_block(members, terms, low, high, t, y, kinetic, potential, joint, trig):  # type: ignore[no-untyped-def]
+    """Energies and first joints of members low..high - 1 at times t (T,) and states y (high - low, T, 2 n + 2).
+
+    Outputs: kinetic, potential (high - low, T), J; joint (high - low, T, 2), position of the first joint, m. `trig`
+    (2 n,) is scratch.
+    """
+    n = members.links.shape[2]
+    for m in range(low, high):
+        whole = members.whole[m]
+        chain = chain_of(members, terms, m, whole[GRAVITY_X], whole[GRAVITY_Y])
+        for k in range(t.size):
+            which, still, origin, _ = find_piece(members, m, t[k])
+            since = still if still >= 0.0 else t[k] - origin
+            angle, rate, _ = polynomial(members.coef[which, ANGLE], since)
+            x, vx, _ = polynomial(members.coef[which, X], since)
+            yy, vy, _ = polynomial(members.coef[which, Y], since)
+            if still >= 0.0:
+                rate = vx = vy = 0.0
+            sin, cos = sincos(angle)
+            reach = whole[ARM_LENGTH]
+            x += reach * sin
+            yy -= reach * cos
+            joint[m - low, k, 0], joint[m - low, k, 1] = x, yy
+            state = y[m - low, k]
+            base = (x, yy, vx + reach * cos * rate, vy + reach * sin * rate, angle, rate)
+            kinetic[m - low, k], potential[m - low, k] = energies(chain, state[:n], state[n : 2 * n], base, trig)
+
+
+class LaneStiction(NamedTuple):
+    """What is kept for each of k lanes between the attempts of a step, and working arrays."""
+
+    span: Array  # (k, 4) and so on as in events.Search
+    low: Array  # (k, 2, n + 1)
+    high: Array
+    here: Array
+    middle: Array
+    late: Array  # (k, n + 1)
+    alpha: Array  # (k, n) accelerations at the beginning of the step
+    power: Array  # (k, 3) of stuck joints
+    slip: Array  # (k, n)
+    locked: Array  # (k, n + 1) as in events.assess_step
+    start: Array  # (k, 2 n + 2) angles and rates at the beginning of the step, the last two not used
+    out: Array  # (k, 2 n + 2) and at its end
+    before: Array  # (k, 9) motion of the first joint, less gravity, at the beginning of the step
+    after: Array  # (9,) at another time
+    workspace: StictionWorkspace
+
+
+@kernel
+def new_lane_stiction(n):  # type: ignore[no-untyped-def]
+    """Arrays for chains of n links in all lanes."""
+    k = len(ln.MEMBERS)
+    span, still = np.zeros((k, 4)), np.full((4, k, 2, n + 1), np.inf)
+    some = np.zeros((2, k, 2 * n + 2))
+    return LaneStiction(
+        span,
+        still[0],
+        still[1],
+        still[2],
+        still[3],
+        np.zeros((k, n + 1)),
+        np.zeros((k, n)),
+        np.zeros((k, 3)),
+        np.ones((k, n)),
+        np.zeros((k, n + 1)),
+        some[0],
+        some[1],
+        np.zeros((k, 9)),
+        np.zeros(9),
+        new_stiction_workspace(n),
+    )
+
+
+@inlined
+def chain_without_gravity(members, terms, m):  # type: ignore[no-untyped-def]
+    """Chain of member m without gravity, which the base's acceleration holds in a batch."""
+    return chain_of(members, terms, m, 0.0, 0.0)
+
+
+@non_allocating
+def base_at(path, j, since, base):  # type: ignore[no-untyped-def]
+    """Motion of lane j's first joint, less gravity, to ``base`` (9,), `since` its piece began; returns the torque."""
+    k = len(ln.MEMBERS)
+    path[SINCE * k + j] = since
+    base_motion(ln.MEMBERS, path)
+    for s in range(9):
+        base[s] = path[(BASE + s) * k + j]
+    return path[EXTERNAL * k + j]
+
+
+@non_allocating
+def decide_lane_modes(members, terms, m, lanes, path, j, lane, friction):  # type: ignore[no-untyped-def]
+    """Decide how the joints of member m in lane j slip or stick in its present state; False if they chatter."""
+    k, n = len(ln.MEMBERS), members.links.shape[2]
+    start, slip, base = friction.start[j], friction.slip[j], friction.before[j]
+    for i in range(n):
+        start[i] = lanes[((i + 1) * ln.ROW + ln.Q_START) * k + j]
+        start[n + i] = lanes[((i + 1) * ln.ROW + ln.W_START) * k + j]
+    torque = base_at(path, j, lane[TIME] - lane[ORIGIN], base)
+    chain, before = chain_without_gravity(members, terms, m), friction.out[j, :n]
+    rates = start[n : 2 * n]
+    tools = friction.workspace
+    good, chatter = decide_modes(chain, start[:n], rates, base[:7], torque, lane[CHATTER], slip, before, tools)
+    lane[CHATTER] = chatter
+    for i in range(n):
+        lanes[((i + 1) * ln.ROW + ln.SLIP) * k + j] = slip[i]
+        lanes[((i + 1) * ln.ROW + ln.W_START) * k + j] = rates[i]
+        friction.locked[j, i] = 1.0 - slip[i] * slip[i]
+    lane[UNDECIDED] = 0.0
+    return good
+
+
+@non_allocating
+def assess_lane(members, terms, m, lanes, path, j, lane, friction):  # type: ignore[no-untyped-def]
+    """Assess the step of lane j as ``events.assess_step`` does; with AGAIN, NEXT_STEP is shorter."""
+    k, n = len(ln.MEMBERS), members.links.shape[2]
+    chain, tools = chain_without_gravity(members, terms, m), friction.workspace
+    start, out, slip = friction.start[j], friction.out[j], friction.slip[j]
+    before, after = friction.before[j], friction.after
+    search = Search(
+        friction.span[j], friction.low[j], friction.high[j], friction.here[j], friction.middle[j], friction.late[j]
+    )
+    since, step, widen = lane[TIME] - lane[ORIGIN], lane[NEXT_STEP], tolerance_factor(lane[CHATTER], n)
+    until = (lane[TIME] + step) - lane[ORIGIN]  # as the next step will reckon it
+    if lane[RETRY] == 0.0:
+        for i in range(n):
+            start[i] = lanes[((i + 1) * ln.ROW + ln.Q_START) * k + j]
+            start[n + i] = lanes[((i + 1) * ln.ROW + ln.W_START) * k + j]
+        torque = base_at(path, j, since, before)
+        margins(chain, start[:n], start[n : 2 * n], slip, before[:7], torque, widen, tools, search.low)
+        assign(friction.alpha[j], tools.alpha)
+        friction.power[j, 0] = stuck_power(chain, start[n : 2 * n], slip, tools.load)
+        begin_search(search)
+        friction.late[j] = 0.0
+        if sticks_often(chain):
+            allow_lateness(search, friction.locked[j], chain, terms.tol, step)
+    for i in range(n):
+        row = lanes[(i + 1) * ln.ROW * k : (i + 2) * ln.ROW * k]
+        out[i] = row[ln.Q_START * k + j] + row[ln.Q_SUM * k + j]
+        out[n + i] = row[ln.W_START * k + j] + row[ln.W_SUM * k + j]
+    torque = base_at(path, j, until, after)
+    project_stuck(chain, slip, start, before, out, after)
+    margins(chain, out[:n], out[n : 2 * n], slip, after[:7], torque, widen, tools, search.here)
+    friction.power[j, 2] = stuck_power(chain, out[n : 2 * n], slip, tools.load)
+    if search.span[TRIES] == 0.0 or (len(chain.reaction) == len(ONE_SIDED) and not slip.all()):
+        midpoint_state(step, start[:n], start[n : 2 * n], friction.alpha[j], out, tools)
+        torque = base_at(path, j, since + 0.5 * step, after)
+        margins(chain, tools.state[:n], tools.state[n:], slip, after[:7], torque, widen, tools, tools.margin)
+        assign_rows(search.middle[:, :n], tools.margin)
+        friction.power[j, 1] = stuck_power(chain, tools.state[n:], slip, tools.load)
+        base_at(path, j, until, after)
+    verdict, length = assess_step(friction.locked[j], search, step)
+    if verdict == EVENT:
+        stop_joints(chain, slip, search.here, out, after)
+    lane[RETRY] = 1.0 if verdict == AGAIN else 0.0
+    lane[NEXT_STEP] = length
+    return verdict
+
+
+@non_allocating
+def finish_lane(lanes, n, j, lane, energy, step, event, friction):  # type: ignore[no-untyped-def]
+    """Make the end of lane j's step, of the length `step`, the start of its next one."""
+    k = len(ln.MEMBERS)
+    for i in range(n):
+        lanes[((i + 1) * ln.ROW + ln.Q_START) * k + j] = friction.out[j, i]
+        lanes[((i + 1) * ln.ROW + ln.W_START) * k + j] = friction.out[j, n + i]
+        sin, cos = sincos(friction.out[j, i])
+        lanes[((i + 1) * ln.ROW + ln.SIN_START) * k + j] = sin
+        lanes[((i + 1) * ln.ROW + ln.COS_START) * k + j] = cos
+    power = friction.power[j]
+    energy[j, 1] += stuck_loss(power, step, 1.0)
+    power[:] = 0.0
+    if event:
+        lane[STEP] = min(lane[STEP], lane[AFTER])
+        lane[RESTARTED] = lane[UNDECIDED] = 1.0
+        lane[LAST] = 0.0
+    if event and step < STICTION.quick:
+        lane[CHATTER] += 1.0
+    elif step >= STICTION.quick:
+        lane[CHATTER] = 0.0
 
 
 @non_allocating
@@ -218,7 +547,7 @@ def control_step(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def
     if size <= 1.0:
         lane[TIME] = end if step >= end - lane[TIME] else lane[TIME] + step
         faint = sticks and is_rounding(size, terms.tol, step, terms.rounding)
-        grown = MOST * step if faint else longer(step, size, lane[LAST], lane[SIZE], order)
+        grown = STEP_SIZE.growth * step if faint else longer(step, size, lane[LAST], lane[SIZE], order)
         lane[STEP] = max(grown, lane[STEP]) if step < lane[STEP] else grown
         lane[LAST], lane[SIZE] = 0.0 if faint else step, size
         if lane[RESTARTED] == 1.0:
@@ -231,7 +560,6 @@ def control_step(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def
     return status.STEP_TOO_SMALL if lane[STEP] < SMALLEST_STEP else status.RUNNING
 
 
-@kernel
 def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  # type: ignore[no-untyped-def]
     """Run members low..high - 1; each step ends at a break of the drive or at an output at the latest.
 
@@ -245,6 +573,13 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
     reached : (high - low,) out, s
     stop : (1,) int64; once another thread makes it 1, the block ends: members at work keep their codes as they were
     """
+    dry = dry_joints(members.links[low:high, DRY])
+    run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, stop)
+
+
+@kernel
+def run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, stop):  # type: ignore[no-untyped-def]
+    """Do what :func:`run_block` does; `dry` is SLIDING or STICKING."""
     k = len(ln.MEMBERS)
     n = members.links.shape[2]
     lanes, tip = ln.rows(ln.MEMBERS, n)
@@ -254,7 +589,9 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
     member = np.full(k, -1)
     index = np.zeros(k, dtype=np.int64)
     coming = low
-    sticks, friction = np.zeros(k, dtype=np.bool_), new_lane_stiction(n)
+    sticks = np.zeros(k, dtype=np.bool_)
+    if len(dry) > 0:
+        friction = new_lane_stiction(n)
     for i in range(1, n + 1):  # idle lanes are swept too: an inertia keeps their numbers finite
         lanes[(i * ln.ROW + ln.INERTIA) * k : (i * ln.ROW + ln.INERTIA + 1) * k] = 1.0
     while True:
@@ -271,10 +608,11 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
                 if member[j] >= 0:
                     reached[member[j] - low] = lane[j, TIME]
             return
-        for j in range(k):
-            unsettled = sticks[j] and member[j] >= 0 and lane[j, UNDECIDED] == 1.0
-            if unsettled and not decide_lane_modes(members, terms, member[j], lanes, path, j, lane[j], friction):
-                codes[member[j] - low], reached[member[j] - low], member[j] = status.FRICTION, lane[j, TIME], -1
+        if len(dry) > 0:
+            for j in range(k):
+                unsettled = sticks[j] and member[j] >= 0 and lane[j, UNDECIDED] == 1.0
+                if unsettled and not decide_lane_modes(members, terms, member[j], lanes, path, j, lane[j], friction):
+                    codes[member[j] - low], reached[member[j] - low], member[j] = status.FRICTION, lane[j, TIME], -1
         extrapolate_lanes(members, terms, lane, energy, lanes, tip, path)
         for j in range(k):
             if member[j] < 0:
@@ -285,14 +623,14 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
             step, verdict = lane[j, NEXT_STEP], 0
             if lane[j, RETRY] == 1.0 and size < np.inf:
                 size = min(size, 1.0)  # its longer attempt was good
-            if sticks[j] and size <= 1.0:
+            if len(dry) > 0 and sticks[j] and size <= 1.0:
                 verdict = assess_lane(members, terms, member[j], lanes, path, j, lane[j], friction)
                 if verdict == AGAIN:
                     continue
             code = control_step(terms, lane[j], end, size, sticks[j])
             if code == status.OK:
                 accept(lanes, n, j, energy)
-                if sticks[j]:
+                if len(dry) > 0 and sticks[j]:
                     finish_lane(lanes, n, j, lane[j], energy, step, verdict == EVENT, friction)
                 if t_out[index[j]] <= lane[j, TIME]:
                     write(lanes, n, j, energy, y_out[m, index[j]])

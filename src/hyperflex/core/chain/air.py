@@ -5,12 +5,12 @@ motor-side joint and grows to u + w l at its far joint. With S = |u| + |u + w l|
 needs to know whether v changes its sign on the way, and none cancels where the link hardly turns.
 """
 
-from hyperflex.core.jit import inlined, non_allocating, shared
+from hyperflex.core.jit import inlined, non_allocating
 
-TINY = 1e-140  # m/s, beside which any speed counts; its square is still a number
+TINY = 1e-140  # m/s, negligible against any speed; its square is still a number
 
 
-@shared
+@inlined
 def link_drag(drag, length, across, turn):  # type: ignore[no-untyped-def]
     """Resistance of one link, (M.30).
 

@@ -250,13 +250,31 @@ def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ign
     return fx, fy, moment
 
 
-@non_allocating
+# Whether dry friction may hold a joint: tuples, whose length the compiler knows, so that it leaves stiction out
+SLIDING, STICKING = (), (0,)
+
+
+def dry_joints(dry):  # type: ignore[no-untyped-def]
+    """Return STICKING if any dry friction in an array is above zero, else SLIDING."""
+    return STICKING if np.any(dry) else SLIDING
+
+
+@inlined
 def can_stick(chain):  # type: ignore[no-untyped-def]
     """Whether dry friction may hold a joint."""
     return chain.dry.any()
 
 
-@non_allocating
+@inlined
+def has_limits(chain):  # type: ignore[no-untyped-def]
+    """Whether any joint has a limit."""
+    least = np.inf
+    for limit in chain.max_bend:
+        least = min(least, limit)
+    return least < np.inf
+
+
+@inlined
 def sticks_often(chain):  # type: ignore[no-untyped-def]
     """Whether MANY_DRY joints or more may stick, so that their events, not the error, set the length of steps."""
     dry = 0

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from hyperflex.core.chain.articulated_body import sincos
 from hyperflex.core.jit import inlined, non_allocating
 
-ANGLE, X, Y, TORQUE = 0, 1, 2, 3  # channels of Drive.coef
+ANGLE, X, Y, TORQUE = range(4)  # channels of Drive.coef
 ROUNDING = 1e-12  # relative; some thousand times that of the arithmetic
 
 
@@ -17,7 +17,7 @@ class Drive(NamedTuple):
 
     Piece j holds from breaks[j] to breaks[j + 1] with coefficients coef[j]: 4 channels, 6 ascending powers of the time
     since breaks[j]. After the last break the pieces from `loop` on repeat for ever; where `loop` is negative, and
-    before the first break, the end values stand still.
+    before the first break, the end values are constant.
     """
 
     breaks: npt.NDArray[np.float64]  # (k + 1,), s
@@ -34,7 +34,7 @@ class Segment(NamedTuple):
     start: float
     end: float  # s, absolute; may be inf
     offset: float  # s, of the period's beginning
-    first: int  # pieces first..last; first > last where the drive stands still
+    first: int  # pieces first..last; first > last where the drive is at rest
     last: int
 
 
@@ -74,9 +74,9 @@ def segment(drive, t):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def within(drive, part, t):  # type: ignore[no-untyped-def]
-    """Find the piece j that holds at time t within Segment `part`, the time s into it, and whether all stands still.
+    """Return the piece j at time t within Segment `part`, the time s into it, and whether the drive is at rest.
 
-    Before the first break and after the last one s is where the drive stands still.
+    Before the first break and after the last one s is that of the constant values.
     """
     k = drive.breaks.size - 1
     if part.first == 0 and part.last < 0:
@@ -96,6 +96,12 @@ def polynomial(c, t):  # type: ignore[no-untyped-def]
     rate = c[1] + t * (2.0 * c[2] + t * (3.0 * c[3] + t * (4.0 * c[4] + t * 5.0 * c[5])))
     second = 2.0 * c[2] + t * (6.0 * c[3] + t * (12.0 * c[4] + t * 20.0 * c[5]))
     return value, rate, second
+
+
+@non_allocating
+def motion_at(drive, t, base):  # type: ignore[no-untyped-def]
+    """Write the motion of the first joint at time t as :func:`base_state` does; return the motor torque, N m."""
+    return base_state(drive, segment(drive, t), t, base)
 
 
 @non_allocating

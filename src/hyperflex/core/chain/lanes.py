@@ -134,7 +134,7 @@ def load_joint(row, k, j, h, external, reaction_factor):  # type: ignore[no-unty
 
 @inlined
 def load_answer(row, k, j, reaction_factor, at):  # type: ignore[no-untyped-def]
-    """Answer of the row at offset ``at``, as ``link_step`` takes that of the link beyond."""
+    """Answer of the row at offset ``at``, as ``link_step`` takes the answer of the link beyond."""
     answer = (
         row[(at + AXX) * k + j],
         row[(at + AXY) * k + j],

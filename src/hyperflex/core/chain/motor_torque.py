@@ -2,18 +2,21 @@
 
 import numpy as np
 
-from hyperflex.core.chain.articulated_body import accelerations, can_stick
+from hyperflex.core.chain.articulated_body import accelerations, dry_joints
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.jit import kernel
-from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
-from hyperflex.core.stiction.slip_modes import find_modes
+from hyperflex.core.stiction import find_modes, new_stiction_workspace
+
+
+def senses(chain, drive, t, y, slip):  # type: ignore[no-untyped-def]
+    """Sense in which each joint slips, 1.0 or -1.0, or 0.0 where it sticks, to `slip` (m, n); t (m,), y (m, 2 n)."""
+    write_senses(chain, drive, dry_joints(chain.dry), t, y, slip)
 
 
 @kernel
-def senses(chain, drive, t, y, slip):  # type: ignore[no-untyped-def]
-    """Sense in which each joint slips, 1.0 or -1.0, or 0.0 where it sticks, to `slip` (m, n); t (m,), y (m, 2 n)."""
+def write_senses(chain, drive, dry, t, y, slip):  # type: ignore[no-untyped-def]
+    """Do what :func:`senses` does; `dry` is SLIDING or STICKING."""
     n = chain.length.size
-    sticks = can_stick(chain)
     base, workspace = np.empty(9), new_stiction_workspace(n)
     for k in range(t.size):
         torque = base_state(drive, segment(drive, t[k]), t[k], base)
@@ -21,13 +24,13 @@ def senses(chain, drive, t, y, slip):  # type: ignore[no-untyped-def]
         for i in range(n):
             slip[k, i] = -1.0 if y[k, n + i] < up else 1.0
             up = y[k, n + i]
-        if sticks:
+        if len(dry) > 0:
             find_modes(chain, y[k, :n], y[k, n : 2 * n], base[:7], torque, 1.0, slip[k], workspace)
 
 
 @kernel
 def reactions(chain, drive, t, y, slip, out):  # type: ignore[no-untyped-def]
-    """What the rope asks of the motor at given states, and the motion of the arm there.
+    """Load of the rope on the motor at given states, and the motion of the arm there.
 
     Parameters
     ----------

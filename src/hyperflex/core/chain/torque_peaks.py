@@ -1,11 +1,11 @@
-"""Peaks of the torque that a rope in contact asks of the motor: greatest means over short windows, impacts included."""
+"""Peak motor torques of a rope in contact: greatest means over short windows, impacts included."""
 
 import math
 
 from hyperflex.core.jit import non_allocating
 
 WINDOWS = (5e-4, 5e-3)  # s; an impact takes no time, so its torque is a mean over some
-PARTS = 10  # a window slides over cells of such a part of it; of the one that it is leaving what is left counts
+PARTS = 10  # cells of a window, which slides over them; the cell that it leaves counts in part
 CELLS = PARTS + 1
 END, CELL, SUM, PEAK, WHEN, FIRST = range(6)  # of a window: end, last cell, N m s, peak, its time, first cell
 COLUMNS = FIRST + CELLS

@@ -18,7 +18,7 @@ from hyperflex.core.jit import kernel, non_allocating
 
 Index = npt.NDArray[np.int64]
 NOWHERE = 1e9  # m, gap of what cannot touch
-LARGEST_TURN = 1.5  # rad, that a single contact stands for; more is a kink, not an arc
+LARGEST_TURN = 1.5  # rad, largest arc of a single contact; more is a kink
 
 
 class Pegs(NamedTuple):
@@ -121,7 +121,7 @@ def nearest(link, obstacle):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def corner(q, i):  # type: ignore[no-untyped-def]
-    """Factor on the friction of link i, which stands for the arc between the middles of its two corners.
+    """Factor on the friction of link i, which represents the arc between the middles of its two corners.
 
     Tangential forces meet the hinges of a polygon outside the circle: a wrapped polygon of corners d holds
     exp(mu theta sin(d) / d) in place of exp(mu theta). With d / sin(d) times the friction it holds as much as the rope.

@@ -8,6 +8,7 @@ more than a change of the joint's (T, kappa) in the sweep.
 """
 
 import math
+from typing import Final, NamedTuple
 
 from hyperflex.core import joint_law
 from hyperflex.core.chain.articulated_body import joint_of
@@ -24,21 +25,35 @@ from hyperflex.core.contact.arrays import (
     LOWER,
     LOWEST,
     OPEN,
+    RELAXED,
     START,
     STICK,
     UPPER,
 )
-from hyperflex.core.integrate.end_conditions import limit_gap
+from hyperflex.core.integrate.events import limit_gap
 from hyperflex.core.jit import non_allocating
 
+
+class JointContact(NamedTuple):
+    """Numbers of joints with dry friction or limits in a contact step."""
+
+    # rad, gap at which a limit is reached
+    reached: float = 1e-5
+    # rad, past a limit at which a step is tried again at half its length
+    beyond: float = 2e-4
+    # rad/s, by which a rate must pass its bound to be held
+    closing: float = 1e-9
+    # rad/s, below which a joint with dry friction sticks at first
+    slow: float = 1e-8
+    # rad, gap to a limit that no joint closes in a step
+    near: float = 0.1
+    # s, over which the present rate is extrapolated to a gap
+    soon: float = 0.01
+
+
+JOINTS: Final = JointContact()
+
 ANY = 1e9  # rad/s, bound of a rate that nothing holds
-REACHED = 1e-5  # rad, gap at which a limit is reached
-BEYOND = 2e-4  # rad, past a limit at which a step is tried again at half its length
-CLOSING = 1e-9  # rad/s, by which a rate must pass its bound to be held
-SLOW = 1e-8  # rad/s, below which a joint with dry friction sticks at first
-RELAXED = 0.99  # of the last step's torque is where the next step starts
-NEAR = 0.1  # rad, gap to a limit that no joint closes in a step
-SOON = 0.01  # s, for which the present rate counts in what is left of a gap
 
 
 @non_allocating
@@ -64,9 +79,9 @@ def joint_mode(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no
         return impulse, AHEAD if impulse < -bound else BACK if impulse > bound else mode
     sense = 1.0 if mode == AHEAD else -1.0 if mode == BACK else 0.0
     new_mode = mode
-    if rate > upper + CLOSING:
+    if rate > upper + JOINTS.closing:
         new_mode = UPPER
-    elif rate < lower - CLOSING:
+    elif rate < lower - JOINTS.closing:
         new_mode = LOWER
     elif lower < 0.0 < upper and -sense * impulse < bound:
         new_mode = STICK
@@ -97,12 +112,12 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
 def allowed_rate(workspace, gap, closing, h, struck):  # type: ignore[no-untyped-def]
     """Greatest rate, rad/s, at which a gap, rad in the middle of a step, may close that closes at `closing` before."""
     if h == 0.0:
-        return 0.0 if gap <= 2.0 * REACHED else ANY
+        return 0.0 if gap <= 2.0 * JOINTS.reached else ANY
     if gap >= ANY:
         return ANY
     away = gap + 0.5 * h * closing  # at the beginning of the step
-    if closing > workspace.brisk and (away > REACHED or not struck):
-        workspace.touch[0] = min(workspace.touch[0], 0.0 if away <= REACHED else away / closing)
+    if closing > workspace.brisk and (away > JOINTS.reached or not struck):
+        workspace.touch[0] = min(workspace.touch[0], 0.0 if away <= JOINTS.reached else away / closing)
         return ANY
     return max(gap, 0.0) / h
 
@@ -114,7 +129,7 @@ def initial_joint_mode(last, rate, lower, upper, bound):  # type: ignore[no-unty
     if bound == 0.0:
         mode = last if last >= UPPER else OPEN
     elif last == OPEN:
-        mode = STICK if abs(rate) <= SLOW else AHEAD if rate > 0.0 else BACK
+        mode = STICK if abs(rate) <= JOINTS.slow else AHEAD if rate > 0.0 else BACK
     if mode in (STICK, AHEAD) and upper <= 0.0:
         return UPPER
     if mode in (STICK, BACK) and lower >= 0.0:
@@ -126,7 +141,7 @@ def initial_joint_mode(last, rate, lower, upper, bound):  # type: ignore[no-unty
 def joints_in_play(joints, h):  # type: ignore[no-untyped-def]
     """Number of joints that may change their mode in a step `h`, s: with dry friction, or near a limit."""
     of, count = joints.of, 0
-    near = NEAR / h if h > 0.0 else ANY
+    near = JOINTS.near / h if h > 0.0 else ANY
     for i in joints.which:
         count += of[BOUND, i] > 0.0 or min(of[HIGHEST, i], -of[LOWEST, i]) < near
     return count
@@ -170,7 +185,7 @@ def update_joint_modes(motion, joints, penalty, change):  # type: ignore[no-unty
 
 @non_allocating
 def update_joint_multipliers(joints, penalty):  # type: ignore[no-untyped-def]
-    """As ``modes.update_multipliers`` for the joints: residual velocity, m/s, and the energy that it stands for, J."""
+    """As ``modes.update_multipliers`` for the joints: residual velocity, m/s, and its energy, J."""
     of = joints.of
     worst = given = 0.0
     for i in joints.which:
@@ -209,7 +224,7 @@ def joint_losses(joints):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def bend_clearance(chain, q, w, angle, rate):  # type: ignore[no-untyped-def]
-    """Smallest gap of a joint to its limit, rad, and the smallest that is left SOON; infinite where none has limits.
+    """Smallest gap of a joint to its limit, rad, now and ``JOINTS.soon`` later; infinite where no joint has limits.
 
     `q`, `w` (n or more,) are angles, rad, and rates, rad/s, of the links, `angle` and `rate` those of the parent of the
     first one.
@@ -218,7 +233,7 @@ def bend_clearance(chain, q, w, angle, rate):  # type: ignore[no-untyped-def]
     for i in range(chain.length.size):
         if chain.max_bend[i] < math.inf:
             gap, opening = limit_gap(chain, i, q[i] - angle, w[i] - rate)
-            least, left = min(least, gap), min(left, gap + SOON * min(opening, 0.0))
+            least, left = min(least, gap), min(left, gap + JOINTS.soon * min(opening, 0.0))
         angle, rate = q[i], w[i]
     return least, left
 
@@ -242,9 +257,9 @@ def friction_impulse(chain, motion, trend, steady, base, h, i):  # type: ignore[
     """
     theta = implicitness(motion, i, h)
     rate = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
-    foretold = steady * h * (trend[0, i] - (trend[0, i - 1] if i > 0 else base[0, 2]))
+    predicted = steady * h * (trend[0, i] - (trend[0, i - 1] if i > 0 else base[0, 2]))
     slope, _ = joint_law.jacobian(joint_of(chain, i), 1.0, theta * h, 0.0)
-    return h * joint_law.friction(joint_of(chain, i), rate - (theta - 0.5) * foretold, 0.0), slope
+    return h * joint_law.friction(joint_of(chain, i), rate - (theta - 0.5) * predicted, 0.0), slope
 
 
 @non_allocating

@@ -6,6 +6,7 @@ on the cone. Its residual velocity is (P - P0) / M and dies out where the load i
 """
 
 import math
+from typing import Final, NamedTuple
 
 from hyperflex.core.chain.articulated_body import sines
 from hyperflex.core.contact.arrays import AHEAD, BACK, GOOD, OPEN, START, STICK
@@ -33,28 +34,57 @@ from hyperflex.core.contact.sweep import (
 from hyperflex.core.contact.turning_pegs import turn_pegs
 from hyperflex.core.jit import absorbed, inlined, non_allocating
 
-STIFF = 1e3  # M in masses of the whole rope
-SOFTER = 0.01  # of an M for which no modes are found, where none were found before
-GROW, STIFFEST = 10.0, 1e6  # most that M grows from one search to the next; the stiffest, in masses of the rope
-TRIES = 24  # searches, of which each starts from the last that found modes
-STALE = 0.7  # of a residual, below which the next one at the same M is to fall; else stiffer ones are tried in turn
-LEAST = 1.4  # growth of M; where none is found for less, the search ends
-CLOSING = 1e-9  # m/s, at which an open contact closes
-SLOW = 1e-6  # m/s, below which a contact that closes sticks at first
-ROUNDS = 12  # of a search, and one more a joint in play; one that takes longer goes in a circle more often than not
-# Rounds in a row with no fewer violations than before, and one more a joint in play, after which a search of a coarse
-# run ends. Until then it changes the modes of every second contact alone, in turn: changed at once, neighbours go to
-# and fro together. At the usual tolerance this gained 5 %, and energy rose by 0.2 mJ in two of 500 throws
-STALLED = 4
+
+class Solver(NamedTuple):
+    """Numbers of the contact solver: the proximal mass M, the searches for modes, and what a solution may leave."""
+
+    # masses of the whole rope, M of the first search
+    stiff: float = 1e3
+    # factor on an M for which no modes are found, where none were found before
+    softer: float = 0.01
+    # most that M grows from one search to the next
+    most_growth: float = 10.0
+    # masses of the whole rope, the largest M
+    stiffest: float = 1e6
+    # each search starts from the last that found modes
+    searches: int = 24
+    # part of a residual below which the next one at the same M must fall; else larger M are tried
+    stale: float = 0.7
+    # growth of M; where no modes are found for less, the search ends
+    least_growth: float = 1.4
+    # m/s, at which an open contact closes
+    closing: float = 1e-9
+    # m/s, below which a contact that closes sticks at first
+    slow: float = 1e-6
+    # of a search, and one more a joint in play; a longer search goes in a circle more often than not
+    rounds: int = 12
+    # rounds in a row with no fewer violations than before, and one more a joint in play, after which a search of a
+    # coarse run ends. Until then it changes the modes of every second contact alone, in turn: changed at once,
+    # neighbours go to and fro together. At the usual tolerance this gained 5 %, and energy rose by 0.2 mJ in two of
+    # 500 throws
+    stalled: int = 4
+    # relative change of the rates at which the centrifugal terms have settled, in steps of `usual_step` and longer
+    settled: float = 2e-5
+    # s; shorter steps leave less, so that the energy that is left does not grow per second
+    usual_step: float = 1e-4
+    # largest factor on what a solution may leave, for a tolerance above `usual_tol`
+    loosest: float = 100.0
+    # rounds in which the centrifugal terms settle where no modes are found
+    settling: int = 4
+    # times that a solution with a slight residual starts the search anew
+    again: int = 8
+    # m/s, residual velocity of a solution at the usual tolerance
+    slight: float = 1e-5
+    # growth of M from one step to the next, after one that took a softer one
+    recovering: float = 1.3
+    # s, an impact may give as much energy as a step of this length
+    instant: float = 1e-6
+
+
+SOLVER: Final = Solver()
+USUAL_TOL = 1e-5  # m, tolerance of positions to which the numbers of steps in contact belong
+
 NONE, ALL, EVEN = range(3)  # contacts whose modes a round changes; EVEN + 1 are the odd ones
-SETTLED = 2e-5  # relative change of the rates at which the centrifugal terms have settled, in steps of USUAL and more
-USUAL = 1e-4  # s; in shorter ones less, so that what is left is no more energy a second
-USUAL_TOL, LOOSEST = 1e-5, 100.0  # m; with a larger tolerance in proportion more is left, up to so many times as much
-SETTLING = 4  # rounds in which they settle anew
-AGAIN = 8  # times that a solution with a slight residual starts the search anew
-SLIGHT = 1e-5  # m/s, residual velocity of a solution, at USUAL_TOL
-RECOVERING = 1.3  # growth of M from one step to the next, after one that took a softer one
-INSTANT = 1e-6  # s, an impact may give as much as a step of this length
 
 
 @non_allocating
@@ -79,7 +109,7 @@ def update_modes(contacts, impulses, motion, joints, spin, penalty, change):  # 
     """Read velocities and impulses off the changes of the rates; change the modes that break the law.
 
     What slips sticks again where P0 - M v is back inside the cone, by the same measure by which what sticks leaves it:
-    were it asked whether the velocity turns, P0 outside the cone would let neither hold. `change` tells of which
+    a criterion of velocity would let neither mode hold for a P0 outside the cone. `change` selects the
     contacts: NONE, ALL, EVEN or EVEN + 1. Returns how many broke it.
     """
     violations = update_joint_modes(motion, joints, penalty, change != NONE)
@@ -94,9 +124,9 @@ def update_modes(contacts, impulses, motion, joints, spin, penalty, change):  # 
         new_mode = mode
         if mode == OPEN:
             impulses.normal[c] = impulses.tangent[c] = 0.0
-            if vn + impulses.target[c] < -CLOSING:
+            if vn + impulses.target[c] < -SOLVER.closing:
                 new_mode = AHEAD if vt >= 0.0 else BACK
-                if mu > 0.0 and (abs(vt) <= SLOW or impulses.closed[c] % 2 == 1):
+                if mu > 0.0 and (abs(vt) <= SOLVER.slow or impulses.closed[c] % 2 == 1):
                     new_mode = STICK
         else:
             impulses.normal[c] = pn
@@ -201,17 +231,17 @@ def solve_round(chain, contacts, impulses, motion, joints, spin, penalty, change
 @non_allocating
 def looseness(tol):  # type: ignore[no-untyped-def]
     """How many times as much as usual a solution may leave, where positions may err by `tol`, m."""
-    return max(1.0, min(tol / USUAL_TOL, LOOSEST))
+    return max(1.0, min(tol / USUAL_TOL, SOLVER.loosest))
 
 
 @absorbed
 def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type: ignore[no-untyped-def]
     """Find modes that obey the law for one M = `penalty`, kg; returns the rounds, negative if none are found."""
-    settled = SETTLED * impulses.loose * max(0.1, min(1.0, h / USUAL))
+    settled = SOLVER.settled * impulses.loose * max(0.1, min(1.0, h / SOLVER.usual_step))
     for c in range(contacts.total[0]):
         impulses.closed[c] = 0
     more, hasty = joints_in_play(joints, h), h > 0.0 and impulses.loose > 1.0
-    most = ROUNDS + more
+    most = SOLVER.rounds + more
     fewest, stalled = contacts.total[0] + motion.w.size + 1, 0
     for turn in range(most):
         if turn == 0 or h > 0.0:  # an impact is linear
@@ -225,7 +255,7 @@ def search(chain, contacts, impulses, motion, joints, spin, h, penalty):  # type
             motion.pull[:] = 0.0
             return -(turn + 1)
         stalled = 0 if violations < fewest else stalled + 1
-        if hasty and stalled == STALLED + more:
+        if hasty and stalled == SOLVER.stalled + more:
             return -(turn + 1)
         fewest = violations if violations > 0 else fewest
     return -most
@@ -255,9 +285,9 @@ def restore(contacts, impulses, joints):  # type: ignore[no-untyped-def]
 def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-untyped-def]
     """Store a solution for M = `penalty`, kg, and let the next one start from it.
 
-    Returns its residual, m/s, the energy that the residual stands for, J, and the M for the next search, kg. That is
-    stiffer by GROW, or less where contacts leave much: M times the residual is then the mean of their impulses, weighed
-    by themselves. Where it is more the next round takes most contacts for open.
+    Returns its residual, m/s, the energy that the residual stands for, J, and the M for the next search, kg. M grows by
+    ``most_growth``, or by less where the residual is large: M times the residual is then the mean of the contacts'
+    impulses, weighted by themselves. A larger M would make the next round open most contacts.
     """
     store(contacts, impulses, joints)
     worst, given = update_joint_multipliers(joints, penalty)
@@ -276,8 +306,8 @@ def update_multipliers(contacts, impulses, joints, penalty):  # type: ignore[no-
             left = max(0.0, -sense * (impulses.vt[c] + impulses.tangent_target[c]))
             worst, given = max(worst, left), given + left * abs(pt)
         impulses.normal0[c], impulses.tangent0[c] = pn, pt
-    if borne * GROW * penalty * worst <= squares:
-        return worst, given, GROW * penalty
+    if borne * SOLVER.most_growth * penalty * worst <= squares:
+        return worst, given, SOLVER.most_growth * penalty
     return worst, given, max(penalty, squares / (borne * worst))
 
 
@@ -286,11 +316,11 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
     """Find modes, impulses and changes of the rates that obey the law; each round is one O(n) sweep.
 
     Where no modes are found for the stiff M, the search begins anew with a softer one, for which they are found nearly
-    always, and each solution starts the next search, for an M as stiff as :func:`update_multipliers` tells; so it goes
-    until the residual (P - P0) / M is slight. Where a stiffer M fails the last one is taken once more, from the P0 that
-    it had; unless its residual falls M grows by GROW from then on, half as far on where that fails. The last solution
-    that was found holds: its impulses obey Coulomb's law, its velocities up to the residual. The next step starts with
-    the M that did, and a little more.
+    always. Each solution starts the next search, for the M that :func:`update_multipliers` returns, until the residual
+    (P - P0) / M is slight. Where a larger M fails, the last one is tried again, from the P0 that it had. Unless its
+    residual falls, M grows by ``most_growth`` from then on, and by the square root of that where a search fails. The
+    last solution found is the result: its impulses obey Coulomb's law, its velocities obey it up to the residual. The
+    next step starts with a slightly larger M.
 
     Parameters
     ----------
@@ -300,39 +330,39 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
 
     Returns
     -------
-    int : rounds, negative if the law is not obeyed to within SLIGHT, or more where `impulses` are loose.
+    int : rounds, negative if the law is not obeyed to within SOLVER.slight, or more where `impulses` are loose.
     """
     store(contacts, impulses, joints)
-    penalty = impulses.penalty[0] if impulses.penalty[0] > 0.0 else STIFF * whole
+    penalty = impulses.penalty[0] if impulses.penalty[0] > 0.0 else SOLVER.stiff * whole
     last, residual, given = 0.0, math.inf, math.inf
-    slight, most = SLIGHT * impulses.loose, STIFFEST * whole
-    total, again, rounds, climbs = 0, AGAIN, 0, False
-    for _ in range(TRIES):
+    slight, most = SOLVER.slight * impulses.loose, SOLVER.stiffest * whole
+    total, again, rounds, climbs = 0, SOLVER.again, 0, False
+    for _ in range(SOLVER.searches):
         rounds = search(chain, contacts, impulses, motion, joints, spin, h, penalty)
         total += abs(rounds)
         if rounds < 0:
             restore(contacts, impulses, joints)
             if last == 0.0:
-                penalty *= SOFTER
-            elif climbs and penalty < LEAST * last:
+                penalty *= SOLVER.softer
+            elif climbs and penalty < SOLVER.least_growth * last:
                 break
             elif climbs:
                 penalty = math.sqrt(penalty * last)
             elif penalty > last:
                 penalty = most = last
             else:  # none are found any more where some were
-                penalty, climbs = math.sqrt(GROW) * last, True
+                penalty, climbs = math.sqrt(SOLVER.most_growth) * last, True
             continue
         before, last = residual, penalty
         residual, given, stiffer = update_multipliers(contacts, impulses, joints, penalty)
         if residual <= slight:
             again -= 1
-            if given <= impulses.residual_power * max(h, INSTANT) or again < 0:
+            if given <= impulses.residual_power * max(h, SOLVER.instant) or again < 0:
                 break
-            penalty = max(penalty, min(stiffer, STIFF * whole, most))
+            penalty = max(penalty, min(stiffer, SOLVER.stiff * whole, most))
             continue
-        climbs = climbs or (penalty >= most and residual > STALE * before)
-        penalty = min(GROW * penalty, STIFFEST * whole) if climbs else min(stiffer, most)
+        climbs = climbs or (penalty >= most and residual > SOLVER.stale * before)
+        penalty = min(SOLVER.most_growth * penalty, SOLVER.stiffest * whole) if climbs else min(stiffer, most)
     if rounds < 0:
         restore(contacts, impulses, joints)
         if last == 0.0:  # nothing was found at all: let go
@@ -340,8 +370,8 @@ def solve(chain, contacts, impulses, motion, joints, spin, h, whole):  # type: i
             for c in range(contacts.total[0]):
                 impulses.mode[c] = OPEN
         motion.change[:] = 0.0
-        for _ in range(SETTLING):
+        for _ in range(SOLVER.settling):
             linearize(chain, motion, h)
             solve_round(chain, contacts, impulses, motion, joints, spin, last if last > 0.0 else penalty, NONE)
-    impulses.penalty[0] = min(RECOVERING * last, STIFF * whole)
+    impulses.penalty[0] = min(SOLVER.recovering * last, SOLVER.stiff * whole)
     return total if residual <= slight else -total

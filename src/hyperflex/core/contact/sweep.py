@@ -87,7 +87,7 @@ def changes(chain, joint, frame, touch, base, tip, change, place, pull, work):  
     frame : (n, 8) how the links move, see the names above
     touch : (n, 12) contacts, see the names above
     base : (3,) change of the first joint's velocity less step times gravity, m/s, and of the parent's rate, rad/s
-    tip : (2,) impulse on the tip beside gravity, N s
+    tip : (2,) impulse on the tip in addition to gravity, N s
     change : (n,) out, rad/s
     place : (2, n) out, change of the velocity of each link's motor-side joint less step times gravity, m/s
     pull : (2, n) out, forces along which T turns each link, times their levers, N m s

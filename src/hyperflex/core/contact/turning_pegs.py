@@ -23,7 +23,7 @@ class Spin(NamedTuple):
     """Pegs that turn, k of m, and the answer of n links to each."""
 
     which: Index  # (k,) pegs that turn
-    row: Index  # (m,) where each stands in `which`; -1 if it is fixed
+    row: Index  # (m,) index of each in `which`; -1 if it is fixed
     reach: Array  # (m,) m, lever of the rope's axis about the axle
     inertia: Array  # (m,) kg m^2
     bearing: Array  # (m,) N m s, viscous friction of the axle

@@ -9,7 +9,7 @@ COLUMNS = COLOUR + 3
 LARGEST = 64  # blobs in one picture, 255 at most
 GROWTH = 2  # px beyond the threshold that still count
 FAINT = 0.2  # of a blob's greatest weight: less is no part of it
-PIECE = 32  # pixels that are looked at together, whether any is above the threshold
+PIECE = 32  # pixels that are compared with the threshold together
 FULLY = 0.85  # weight from which a pixel shows the marker alone
 
 

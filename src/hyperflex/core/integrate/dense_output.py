@@ -5,11 +5,10 @@ import math
 import numpy as np
 
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import Array, can_stick, energies
+from hyperflex.core.chain.articulated_body import Array, dry_joints, energies
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.jit import inlined, kernel, non_allocating
-from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
-from hyperflex.core.stiction.slip_modes import find_modes
+from hyperflex.core.stiction import find_modes, new_stiction_workspace
 
 
 def _hermite(derivatives: int) -> Array:
@@ -93,19 +92,23 @@ def enter_state(j, chain, q, w, trig, base, torque, lanes, tip, motion):  # type
     motion[1, j] -= chain.gy
 
 
-@kernel
 def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-untyped-def]
-    """What a run looks like at given states: accelerations, base motion, energies, motor torque.
+    """Write accelerations, base motion, energies and motor torque at given states of a run.
 
     Parameters
     ----------
-    t : (m,) times, s; y : (m, 2 n + 2) states; at each, stiction holds what it can (``slip_modes.find_modes``)
+    t : (m,) times, s; y : (m, 2 n + 2) states; at each, stiction holds what it can (``stiction.find_modes``)
     qdd : (m, n) out, rad/s^2
     base_out : (m, 9) out, motion of the first joint (``drive.base_state``)
     scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m
     """
+    observe_states(chain, drive, dry_joints(chain.dry), t, y, qdd, base_out, scalars)
+
+
+@kernel
+def observe_states(chain, drive, dry, t, y, qdd, base_out, scalars):  # type: ignore[no-untyped-def]
+    """Do what :func:`observe` does; `dry` is SLIDING or STICKING."""
     n, k = chain.length.size, len(ln.COLUMNS)
-    sticks = can_stick(chain)
     slip, workspace = np.ones(n), new_stiction_workspace(n)
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
@@ -115,13 +118,13 @@ def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-unty
         for m in range(first, last):  # lanes that are left over hold what they held, or a chain at rest
             base, q, w, trig = base_out[m], y[m, :n], y[m, n : 2 * n], workspace.work
             torque = base_state(drive, segment(drive, t[m]), t[m], base)
-            if sticks:
+            if len(dry) > 0:
                 find_modes(chain, q, w, base[:7], torque, 1.0, slip, workspace)
                 ln.set_lane_slip(ln.COLUMNS, m - first, lanes, slip)
             point = (base[7], base[8], base[5], base[6], base[4], base[3])
             scalars[m, 0], scalars[m, 1] = energies(chain, q, w, point, trig)
             enter_state(m - first, chain, q, w, trig, base, torque, lanes, tip, motion)
-        ln.euler(ln.COLUMNS, chain.reaction, ln.LAST, lanes, tip, motion)
+        ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, lanes, tip, motion)
         for m in range(first, last):
             j = m - first
             for i in range(n):

@@ -1,43 +1,43 @@
-"""Run loop of a rollout: error control, restarts at switches, dense output."""
+"""A rollout in free flight: its state, the steps that end at events, error control, restarts at switches, outputs."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from hyperflex.core import status
-from hyperflex.core.assign import assign
+from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import can_stick, sines, sticks_often
+from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, can_stick, has_limits, sines, sticks_often
 from hyperflex.core.chain.drive import base_state, segment
-from hyperflex.core.integrate.air import air_size
 from hyperflex.core.integrate.dense_output import interpolate
-from hyperflex.core.integrate.end_conditions import NOTHING
-from hyperflex.core.integrate.event_location import find_event, update_modes
-from hyperflex.core.integrate.progress import (
-    AFTER,
-    CHATTER,
-    INDEX,
-    JOINT,
-    LAST,
-    MODES,
-    ORDER,
-    REJECTED,
-    RESTARTED,
-    SIZE,
-    STEP,
-    TAKEN,
-    UNDECIDED,
-    T,
-    advance,
-    new_workspace,
-    restart,
-    save_mark,
+from hyperflex.core.integrate.events import (
+    AGAIN,
+    EVENT,
+    NOTHING,
+    PEAK,
+    TRIES,
+    UNWATCHED,
+    WATCHED,
+    Search,
+    Until,
+    allow_lateness,
+    assess_step,
+    begin_search,
+    event_value,
+    first_past,
+    is_past,
+    limits,
+    new_search,
+    on_right_side,
+    watched_sense,
 )
 from hyperflex.core.integrate.step_size import (
     LARGEST_STEP,
-    MOST,
+    LONGEST_WATCHED,
     SMALLEST_STEP,
-    WATCHED,
+    STEP_SIZE,
+    air_size,
     allowed,
     cheapest,
     fitted,
@@ -47,13 +47,276 @@ from hyperflex.core.integrate.step_size import (
     shorter,
     until_next_event,
 )
-from hyperflex.core.integrate.steps import COURSE, COURSE_ERRORS, rates
-from hyperflex.core.integrate.substeps import MOST_SUBSTEPS, add_substeps, weigh_terms
+from hyperflex.core.integrate.steps import (
+    COURSE,
+    COURSE_ERRORS,
+    MOST_SUBSTEPS,
+    add_substeps,
+    extrapolate,
+    new_substeps,
+    rates,
+    runge_kutta,
+    weigh_terms,
+)
 from hyperflex.core.jit import inlined, kernel, non_allocating
-from hyperflex.core.stiction.constraint_torques import QUICK, project_stuck, stuck_loss
+from hyperflex.core.stiction import (
+    STICTION,
+    StictionWorkspace,
+    constraint_torques,
+    decide_modes,
+    margins,
+    margins_of,
+    midpoint_state,
+    new_stiction_workspace,
+    project_stuck,
+    stop_joints,
+    stuck_loss,
+    stuck_power,
+    tolerance_factor,
+)
+
+
+class Limits(NamedTuple):
+    """Bounds of a rollout."""
+
+    stop: float  # s, run until here
+    tol: float  # m, error allowed in the position of any joint, of a step and of SHARE seconds
+    lever: Array  # (n,) m, how far a link's angle moves mass: the larger of its length and its radius of gyration
+    reach: float  # m, length of the chain
+    fall: float  # J, weight times length, and what may stick: the scale of the chain's energy at rest
+    fixed: float  # s, fixed Runge-Kutta step; 0.0: extrapolation with error control
+    least: int  # order of the extrapolation, also the first
+    most: int
+    budget: int  # steps of one call, so that callers can show progress and be interrupted
+    until: Until  # what ends the run before
+
+
+class Progress(NamedTuple):
+    """State of a rollout; all arrays are changed in place."""
+
+    y: Array  # (2 n + 2,) angles, rates, work put in, energy dissipated
+    mark: Array  # (2 n + 2,) the state before the first step that was cut short to end at `stop`
+    slip: Array  # (n,) modes of the joints, as in ``articulated_body.accelerations``
+    mark_slip: Array
+    clock: Array  # (CLOCK,) see the names below; the mark's time is -inf while no step has been cut
+    log: Array  # (m, 3) or (m, 4 + n) with stiction: of the first m steps that succeed, see below
+
+
+# A row of the log: length of the step, s, its end, s, and order; with stiction also the joint whose change of mode
+# ended it, -1 where none did, and the joints' modes meanwhile
+LENGTH, END, DEGREE, JOINT, MODES = range(5)
+# AFTER: first step that succeeded after the last switch, where the motion is least smooth; tried first at the next one
+# RESTARTED: 1.0 from a switch (or an event) until a step has succeeded behind it
+# LAST, SIZE: length and error of the last step that succeeded since the last switch; LAST is 0.0 where there is none
+# UNDECIDED: 1.0 where the modes of the joints are to be decided anew
+# CHATTER: events in a row that ended very short steps
+# ORDER: of the extrapolation, for the next step; taken into the limits
+# MARK: from here on, copies of these nine at the mark
+# PENDING: margin of what is to end the run at the end of the last step, 0.0 where it is not watched
+T, STEP, AFTER, RESTARTED, LAST, SIZE, UNDECIDED, CHATTER, ORDER, MARK = range(10)
+INDEX, TAKEN, REJECTED, PENDING, CLOCK = range(2 * MARK, 2 * MARK + 5)
+
+
+@non_allocating
+def restart(clock):  # type: ignore[no-untyped-def]
+    """Note that the motion switches here: the next step is no longer than what succeeded after the last switch."""
+    clock[STEP] = min(clock[STEP], clock[AFTER])
+    clock[RESTARTED] = 1.0
+    clock[LAST] = 0.0
+    clock[UNDECIDED] = 1.0
+
+
+@non_allocating
+def save_mark(progress):  # type: ignore[no-untyped-def]
+    """Save the state from which an uninterrupted run would continue, unless one is saved already."""
+    clock = progress.clock
+    if clock[MARK] == -np.inf:
+        assign(progress.mark, progress.y)
+        assign(progress.mark_slip, progress.slip)
+        assign(clock[MARK : 2 * MARK], clock[:MARK])
+
+
+class Workspace(NamedTuple):
+    """Working arrays of a run."""
+
+    out: Array  # (2 n + 2,) state after the step
+    errors: Array  # (2, 2 n + 2), as in steps.extrapolate
+    ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives
+    dys: Array
+    stage: Array  # (3, 2 n + 2)
+    base: Array  # (9, lanes)
+    lanes: Array  # ((n + 2) ROW lanes,)
+    tip: Array  # (ROW lanes,)
+    stiction: StictionWorkspace
+    search: Search
+    before: Array  # (9,) motion of the first joint at the beginning of a step, and at another time
+    after: Array
+    between: Array
+    alpha: Array  # (n,) accelerations at the beginning of a step
+    locked: Array  # (n + 1,) or, where a joint has limits, (2 n + 1,), as in events.assess_step
+    power: Array  # (3,) of stuck joints, see stiction.stuck_loss
+    kept: Array  # (MOST_SUBSTEPS, 2 n + 2) substeps of a step in which there are outputs, and their weights
+    weight: Array
+
+
+@kernel
+def new_workspace(chain):  # type: ignore[no-untyped-def]
+    """Working arrays for a chain, its parameters loaded into the lanes."""
+    n = chain.length.size
+    m = 2 * n + 1 if has_limits(chain) else n + 1
+    lanes, tip = ln.rows(ln.COLUMNS, n)
+    ln.load(ln.COLUMNS, chain, lanes, tip)
+    kept, weight = new_substeps(n)
+    return Workspace(
+        np.empty(2 * n + 2),
+        np.zeros((2, 2 * n + 2)),
+        np.empty((3, 2 * n + 2)),
+        np.empty((3, 2 * n + 2)),
+        np.empty((3, 2 * n + 2)),
+        np.zeros((9, len(ln.COLUMNS))),
+        lanes,
+        tip,
+        new_stiction_workspace(n),
+        new_search(m),
+        np.empty(9),
+        np.empty(9),
+        np.empty(9),
+        np.empty(n),
+        np.zeros(m),
+        np.zeros(3),
+        kept,
+        weight,
+    )
+
+
+@non_allocating
+def advance(chain, drive, part, table, fixed, t, step, y, slip, out, kept, workspace):  # type: ignore[no-untyped-def]
+    """Take one step of the chosen integrator from y at t to `out`; the lanes of `workspace` know `slip`.
+
+    `kept` is as in ``steps.extrapolate``.
+    """
+    work, lanes, tip = workspace.stiction.work, workspace.lanes, workspace.tip
+    if fixed > 0.0:
+        runge_kutta(chain, drive, part, t, step, y, slip, out, workspace.stage, work)
+    else:
+        base = workspace.base
+        extrapolate(chain, drive, part, table, t, step, y, out, workspace.errors, kept, lanes, tip, base, work)
+
+
+@non_allocating
+def update_modes(chain, drive, part, progress, workspace):  # type: ignore[no-untyped-def]
+    """Decide the modes of the joints now; False where no modes obey the law, or joints chatter."""
+    y, slip, clock = progress.y, progress.slip, progress.clock
+    n = slip.size
+    torque = base_state(drive, part, clock[T], workspace.before)
+    now, before = workspace.before[:7], workspace.out[:n]
+    tools = workspace.stiction
+    good, chatter = decide_modes(chain, y[:n], y[n : 2 * n], now, torque, clock[CHATTER], slip, before, tools)
+    clock[CHATTER] = chatter
+    ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
+    return good
+
+
+@non_allocating
+def end_margins(chain, until, sense, q, w, alpha, base, last, out):  # type: ignore[no-untyped-def]
+    """Write the margins of joint limits and, in column `last`, of the end of the run to ``out`` (2, last + 1)."""
+    if sense != 0.0:
+        value, slope = event_value(until, chain, q, w, alpha, base)
+        out[0, last], out[1, last] = sense * value, sense * slope
+    if last > q.size:
+        limits(chain, q, w, base, out)
+
+
+@non_allocating
+def begin_event(chain, drive, part, terms, progress, step, workspace, decided, widen):  # type: ignore[no-untyped-def]
+    """Begin the search within a step with the margins at its start; arguments as for :func:`find_event`.
+
+    `widen`: factor on the tolerance of the dry friction.
+    """
+    y, slip, search, tools = progress.y, progress.slip, workspace.search, workspace.stiction
+    n, t = slip.size, progress.clock[T]
+    for i in range(n):
+        workspace.locked[i] = 1.0 - slip[i] * slip[i]
+    if not decided:
+        torque = base_state(drive, part, t, workspace.before)
+        constraint_torques(chain, y[:n], y[n : 2 * n], slip, workspace.before[:7], torque, tools)
+    margins_of(chain, y[n : 2 * n], slip, workspace.before, widen, tools, search.low)
+    assign(workspace.alpha, tools.alpha)
+    workspace.power[0] = stuck_power(chain, y[n : 2 * n], slip, tools.load)
+    begin_search(search)
+    if sticks_often(chain) and terms.fixed == 0.0 and progress.log.shape[0] == 0:  # derivatives need the exact event
+        allow_lateness(search, workspace.locked, chain, terms.tol, step)
+
+
+@non_allocating
+def find_event(chain, drive, part, table, terms, progress, step, workspace, decided):  # type: ignore[no-untyped-def]
+    """Shorten the step to ``workspace.out`` until it holds no event, or ends at its first one; `terms` are the Limits.
+
+    `decided`: modes were decided where it begins, and the constraint torques there are known.
+
+    Returns
+    -------
+    step : float, s
+    event : int, 0: none; 1: a joint changes its mode; 2: what ends the run has happened; 3: a joint is at its limit
+    joint : int, the one that changes its mode, -1 where none does
+    """
+    until = terms.until
+    y, slip, clock, search, tools = progress.y, progress.slip, progress.clock, workspace.search, workspace.stiction
+    n, last = slip.size, workspace.locked.size - 1
+    limited = last > n
+    t, widen, stuck, sticks = clock[T], tolerance_factor(clock[CHATTER], n), not slip.all(), can_stick(chain)
+    begin_event(chain, drive, part, terms, progress, step, workspace, decided, widen)
+    sense = 0.0
+    workspace.locked[last] = 1.0 if until.kind == PEAK else 0.0
+    if until.kind != NOTHING:
+        value, slope = event_value(until, chain, y[:n], y[n : 2 * n], workspace.alpha, workspace.before)
+        sense = watched_sense(until, value, slope, t)
+        if until.kind == PEAK and sense == 0.0 and clock[PENDING] > 0.0:
+            return 0.0, 2, -1  # the speed grew until here, and falls from here on
+        search.low[:, last] = np.inf
+        search.here[:, last] = np.inf
+    end_margins(chain, until, sense, y[:n], y[n : 2 * n], workspace.alpha, workspace.before, last, search.low)
+    while True:
+        out = workspace.out
+        torque = base_state(drive, part, min(t + step, part.end), workspace.after)
+        project_stuck(chain, slip, y, workspace.before, out, workspace.after)
+        margins(chain, out[:n], out[n : 2 * n], slip, workspace.after[:7], torque, widen, tools, search.here)
+        workspace.power[2] = stuck_power(chain, out[n : 2 * n], slip, tools.load)
+        end_margins(chain, until, sense, out[:n], out[n : 2 * n], tools.alpha, workspace.after, last, search.here)
+        first = search.span[TRIES] == 0.0 and (sticks or limited or (sense != 0.0 and until.kind == PEAK))
+        if first or (stuck and len(chain.reaction) == len(ONE_SIDED)):
+            midpoint_state(step, y[:n], y[n : 2 * n], workspace.alpha, out, tools)
+            torque = base_state(drive, part, t + 0.5 * step, workspace.between)
+            bend = tools.state
+            margins(chain, bend[:n], bend[n:], slip, workspace.between[:7], torque, widen, tools, tools.margin)
+            assign_rows(search.middle[:, :n], tools.margin)
+            workspace.power[1] = stuck_power(chain, bend[n:], slip, tools.load)
+            if sense != 0.0 and until.kind == PEAK:
+                value, slope = event_value(until, chain, bend[:n], bend[n:], tools.alpha, workspace.between)
+                search.middle[0, last] = sense * value
+            if limited:
+                limits(chain, bend[:n], bend[n:], workspace.between, search.middle)
+        verdict, length = assess_step(workspace.locked, search, step)
+        if verdict == EVENT:
+            stop_joints(chain, slip, search.here, out, workspace.after)
+        if verdict != AGAIN:
+            clock[PENDING] = search.here[0, last] if sense != 0.0 else 0.0
+            joint = first_past(workspace.locked, search.here) if verdict == EVENT else -1
+            if verdict == EVENT and joint >= n and joint < last:
+                return step, 3, joint
+            if verdict == EVENT and is_past(workspace.locked, search.here, last):
+                good = on_right_side(until, chain, out[:n], out[n : 2 * n], workspace.after)
+                clock[PENDING] = 0.0
+                return step, 2 if good else 1, joint
+            return step, 1 if verdict == EVENT else 0, joint
+        step = length
+        clock[TAKEN] += 1
+        clock[REJECTED] += 1
+        advance(chain, drive, part, table, terms.fixed, t, step, y, slip, out, workspace.kept[:0], workspace)
+
 
 ENERGY = 10.0  # see error_norms
-SETTLED = 0.3  # part of the step behind a switch that its substeps do not tell well
+SETTLED = 0.3  # first part of the step after a switch, where the dense output of its substeps is inaccurate
 TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
 
 
@@ -74,7 +337,7 @@ def error_norms(chain, limits, table, y, errors, step, work):  # type: ignore[no
     """Sizes of two errors of a step, `errors` (2, 2 n + 2), in units of what is allowed; both inf if not finite.
 
     The greatest error of any joint's position, of its velocity and of energy. Work and dissipation may err by
-    ENERGY tol / reach of the chain's energy. Without that bound sharp friction, which hardly moves a joint while it
+    ENERGY tol / reach of the chain's energy. Without that bound sharp friction, which barely moves a joint while it
     changes sign, would leave the energy balance unchecked. `work` is (6 n,) scratch.
     """
     n = chain.length.size
@@ -108,10 +371,13 @@ def error_norms(chain, limits, table, y, errors, step, work):  # type: ignore[no
 def error_sizes(chain, limits, table, step, cut, workspace):  # type: ignore[no-untyped-def]
     """Error of the step to ``workspace.out`` in units of what is allowed, and what it would have been at an order less.
 
-    `cut`: the step ends where it was told to. Fixed steps have no errors: 0.0, or inf where the state is not finite.
+    `cut`: the step ends at a prescribed time. Fixed steps have no errors: 0.0, or inf where the state is not finite.
     """
     if limits.fixed > 0.0:
-        return (0.0, 0.0) if np.abs(workspace.out).max() < np.inf else (np.inf, 0.0)
+        for x in workspace.out:
+            if not abs(x) < np.inf:
+                return np.inf, 0.0
+        return 0.0, 0.0
     work = workspace.stiction.work
     size, lower_size = error_norms(chain, limits, table, workspace.out, workspace.errors, step, work)
     if cut and step < SMALLEST_STEP and size < np.inf:
@@ -127,7 +393,7 @@ def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, want
     """
     order = table.order
     faint = sticks and is_rounding(size, limits.tol, step, table.rounding)
-    grown = MOST * step if faint else longer(step, size, clock[LAST], clock[SIZE], order)
+    grown = STEP_SIZE.growth * step if faint else longer(step, size, clock[LAST], clock[SIZE], order)
     if not faint:
         clock[ORDER], grown = cheapest(tables, limits.least, limits.most, order, step, lower_size, grown, longest)
     clock[STEP] = min(max(grown, clock[STEP]) if step < wanted else grown, longest)
@@ -139,7 +405,7 @@ def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, want
 
 @non_allocating
 def course_size(chain, limits, table, step, workspace):  # type: ignore[no-untyped-def]
-    """Error of what the kept substeps say of the course of a step, in units of what the step may err.
+    """Error of the dense output from the kept substeps, in units of the error allowed for the step.
 
     It is written over the errors of the step itself.
     """
@@ -161,9 +427,9 @@ def log_step(progress, step, end, order, event, joint):  # type: ignore[no-untyp
         if entry.size > JOINT:
             entry[JOINT] = joint
             assign(entry[MODES:], progress.slip)
-    if event == 1 and step < QUICK:
+    if event == 1 and step < STICTION.quick:
         clock[CHATTER] += 1.0
-    elif step >= QUICK:
+    elif step >= STICTION.quick:
         clock[CHATTER] = 0.0
 
 
@@ -196,10 +462,10 @@ def write_course(table, progress, step, workspace, t_out, y_out):  # type: ignor
 
 @non_allocating
 def write_between(chain, drive, part, table, limits, progress, step, kept, workspace, t_out, y_out):  # type: ignore[no-untyped-def]
-    """Write the outputs strictly within the step from where `progress` stands to ``workspace.out``.
+    """Write the outputs strictly within the step from the state in `progress` to ``workspace.out``.
 
-    `kept` are its substeps, which tell its course where they are accurate enough; else it is interpolated through its
-    middle. Where friction settles behind a switch, outputs are the ends of steps of their own.
+    `kept` are its substeps, which give the outputs if they are accurate enough; else the step is interpolated
+    through its middle. Where friction settles behind a switch, outputs are the ends of steps of their own.
     """
     y, slip, clock = progress.y, progress.slip, progress.clock
     fixed, none = limits.fixed, workspace.kept[:0]
@@ -211,13 +477,13 @@ def write_between(chain, drive, part, table, limits, progress, step, kept, works
     assign(ys[0], y)
     assign(ys[2], workspace.out)
     first = int(clock[INDEX])
-    told = kept.shape[0] > 0 and course_size(chain, limits, table, step, workspace) <= 1.0
-    settled = t + SETTLED * step if told else end
+    dense = kept.shape[0] > 0 and course_size(chain, limits, table, step, workspace) <= 1.0
+    settled = t + SETTLED * step if dense else end
     while fixed == 0.0 and clock[RESTARTED] == 1.0 and samples(clock, t_out, settled):
         index = int(clock[INDEX])
         advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, slip, y_out[index], none, workspace)
         clock[INDEX] += 1
-    if told:
+    if dense:
         write_course(table, progress, step, workspace, t_out, y_out)
     if samples(clock, t_out, end):
         advance(chain, drive, part, table, fixed, t, 0.5 * step, y, slip, ys[1], none, workspace)
@@ -243,18 +509,25 @@ def next_step(limits, part, clock):  # type: ignore[no-untyped-def]
         end = min(end, limits.until.after)
     if limits.fixed > 0.0:
         return end, limits.fixed, min(limits.fixed, end - t)
-    wanted = min(clock[STEP], WATCHED if limits.until.kind != NOTHING else LARGEST_STEP)
+    wanted = min(clock[STEP], LONGEST_WATCHED if limits.until.kind != NOTHING else LARGEST_STEP)
     return end, wanted, fitted(wanted, end - t)
 
 
+def watched(chain, until):  # type: ignore[no-untyped-def]
+    """Return WATCHED if joints may stick or reach their limits, or if `until` may end the run; else UNWATCHED."""
+    watches = can_stick(chain) or until.kind != NOTHING or has_limits(chain)
+    return WATCHED if watches else UNWATCHED
+
+
 @kernel
-def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[no-untyped-def]
+def run(chain, drive, tables, limits, events, progress, t_out, y_out):  # type: ignore[no-untyped-def]
     """Run until ``limits.stop`` or until the budget is spent; O(n) a step.
 
     Parameters
     ----------
     chain, drive, limits, progress : Chain, Drive, Limits, Progress
     tables : tuple of Scheme, of successive orders
+    events : tuple, UNWATCHED or WATCHED as :func:`watched` returns it
     t_out : (m,) increasing times, s, at which to write the state
     y_out : (m, 2 n + 2) out; row k is written once the run has passed t_out[k]
 
@@ -268,8 +541,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
     fixed = limits.fixed
     sticks, often = can_stick(chain), sticks_often(chain)
     airy = fixed == 0.0 and chain.drag.any()
-    watching = sticks or limits.until.kind != NOTHING or chain.max_bend.min() < np.inf
-    looked_at = fixed == 0.0 and not watching
+    continuous = fixed == 0.0 and len(events) == 0
     ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
     write_until(clock, t_out, clock[T], y, y_out)
     part = segment(drive, clock[T])
@@ -280,7 +552,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
         if t >= part.end:
             part = segment(drive, t)
         decided = sticks and clock[UNDECIDED] == 1.0
-        if decided and not update_modes(chain, drive, part, progress, workspace):
+        if len(events) > 0 and decided and not update_modes(chain, drive, part, progress, workspace):
             return status.FRICTION
         clock[UNDECIDED] = 0.0
         end, wanted, step = next_step(limits, part, clock)
@@ -289,7 +561,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
             save_mark(progress)
         order = min(max(int(clock[ORDER]), limits.least), limits.most)
         table = tables[order - tables[0].order]
-        kept = workspace.kept[: MOST_SUBSTEPS if looked_at and samples(clock, t_out, t + step) else 0]
+        kept = workspace.kept[: MOST_SUBSTEPS if continuous and samples(clock, t_out, t + step) else 0]
         advance(chain, drive, part, table, fixed, t, step, y, slip, workspace.out, kept, workspace)
         clock[TAKEN] += 1
         size, lower_size = error_sizes(chain, limits, table, step, cut, workspace)
@@ -304,7 +576,7 @@ def run(chain, drive, tables, limits, progress, t_out, y_out):  # type: ignore[n
                 return status.STEP_TOO_SMALL
             continue
         taken, event, joint = step, 0, -1
-        if watching:
+        if len(events) > 0:
             taken, event, joint = find_event(chain, drive, part, table, limits, progress, step, workspace, decided)
             if taken == 0.0:
                 return status.REACHED

@@ -1,21 +1,40 @@
-"""Step-size control: from the error, its trend, and the time that is left."""
+"""Step-size control from the error, its trend and the remaining time; error of a step by drag reversal (M.35)."""
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
-from hyperflex.core.jit import non_allocating
+import numpy as np
+
+from hyperflex.core.chain.articulated_body import sines
+from hyperflex.core.chain.drive import base_state
+from hyperflex.core.jit import kernel, non_allocating
+
+
+class StepSize(NamedTuple):
+    """Numbers of the step-size control of free flight."""
+
+    # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
+    share: float = 0.02
+    # another order is taken where it costs less than this part of the work
+    cheaper: float = 0.9
+    # 0.9 saves no time: it trades steps for rejected ones
+    safety: float = 0.8
+    # times what an event left of the last step is the next one tried
+    often: float = 2.2
+    # a step is at most so many times as long as the last one,
+    growth: float = 3.0
+    # and at least this part of it
+    shrinkage: float = 0.2
+
+
+STEP_SIZE: Final = StepSize()
 
 FIRST_STEP: Final = 0.01  # s, tried first; error control does the rest
 LARGEST_STEP: Final = 0.25  # s
-WATCHED: Final = 0.01  # s, longest step while something may end the run; what comes and goes within one may be missed
+LONGEST_WATCHED: Final = (
+    0.01  # s, longest step while something may end the run; what comes and goes within one may be missed
+)
 SMALLEST_STEP: Final = 1e-10  # s
-SHARE: Final = 0.02  # s; shorter steps may err only in proportion, or a thousand of them would add up unseen
-CHEAPER: Final = 0.9  # another order is taken where it is to cost less than this part of the work
-SAFETY: Final = 0.8  # 0.9 saves no time: it trades steps for rejected ones
-OFTEN: Final = 2.2  # as many times as long as what an event left of the last step the next is tried
-MOST: Final = 3.0  # a step is at most so many times as long as the last one
-LEAST: Final = 0.2
-TINY: Final = 1e-12
 
 
 @non_allocating
@@ -44,14 +63,14 @@ def longer(step, size, last, last_size, order):  # type: ignore[no-untyped-def]
 
     Notes
     -----
-    If errors grow from step to step by a factor, they are expected to go on doing so (predictive control, Gustafsson
+    If errors grow from step to step by a factor, they are expected to continue to do so (predictive control, Gustafsson
     1994, doi:10.1145/198429.198437).
     """
-    factor = SAFETY * max(size, TINY) ** (-1.0 / order)
+    factor = STEP_SIZE.safety * max(size, 1e-12) ** (-1.0 / order)
     if last > 0.0:
-        trend = (step / last) * (max(last_size, TINY) / max(size, TINY)) ** (1.0 / order)
+        trend = (step / last) * (max(last_size, 1e-12) / max(size, 1e-12)) ** (1.0 / order)
         factor *= min(1.0, trend)
-    return step * min(MOST, max(LEAST, factor))
+    return step * min(STEP_SIZE.growth, max(STEP_SIZE.shrinkage, factor))
 
 
 @non_allocating
@@ -80,9 +99,9 @@ def cheapest(tables, least, most, order, step, lower_size, grown, longest):  # t
     rounds_below = tables[here - 1].column.shape[0]
     lower = longer(step, lower_size, 0.0, 0.0, order - 1)
     work, work_below = rounds / min(grown, longest), rounds_below / min(lower, longest)
-    if order > least and work_below < CHEAPER * work:
+    if order > least and work_below < STEP_SIZE.cheaper * work:
         return order - 1, lower
-    if order < most and work < CHEAPER * work_below:
+    if order < most and work < STEP_SIZE.cheaper * work_below:
         return order + 1, grown * tables[here + 1].column.shape[0] / rounds
     return order, grown
 
@@ -90,13 +109,14 @@ def cheapest(tables, least, most, order, step, lower_size, grown, longest):  # t
 @non_allocating
 def shorter(step, size, order):  # type: ignore[no-untyped-def]
     """Length of the next attempt after a step whose error was too large (`size` > 1, or not finite)."""
-    return step * (max(LEAST, SAFETY * size ** (-1.0 / order)) if size < float("inf") else LEAST)
+    factor = STEP_SIZE.safety * size ** (-1.0 / order) if size < float("inf") else 0.0
+    return step * max(STEP_SIZE.shrinkage, factor)
 
 
 @non_allocating
 def until_next_event(step, taken):  # type: ignore[no-untyped-def]
     """Longest step, s, to try after one of the length `step` that an event ended after `taken`, s."""
-    return step * max(0.5, math.sqrt(OFTEN * taken / step))
+    return step * max(0.5, math.sqrt(STEP_SIZE.often * taken / step))
 
 
 @non_allocating
@@ -106,12 +126,12 @@ def allowed(tol, step, rounding):  # type: ignore[no-untyped-def]
     Where stiff friction settles, steps of nanoseconds are tried. Their share is beyond the arithmetic, and shorter
     ones would only make it smaller. `rounding` is ``Scheme.rounding``.
     """
-    return max(tol * min(1.0, step / SHARE), min(tol, rounding))
+    return max(tol * min(1.0, step / STEP_SIZE.share), min(tol, rounding))
 
 
 @non_allocating
 def is_rounding(size, tol, step, rounding):  # type: ignore[no-untyped-def]
-    """Whether a step's error, `size` in units of what is allowed, is rounding, which says nothing of its length.
+    """Whether a step's error, `size` in units of what is allowed, is rounding, and no measure for the length of steps.
 
     With a tight `tol` rounding is no small part of it. Short steps, as events leave them, would then stay short.
     """
@@ -120,10 +140,70 @@ def is_rounding(size, tol, step, rounding):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def lasting(step):  # type: ignore[no-untyped-def]
-    """Time, s, for which an error of a velocity made in a step counts: the geometric mean of the step and SHARE.
+    """Time, s, for which an error of a velocity counts: the geometric mean of the step and ``STEP_SIZE.share``.
 
-    One that lasts (a vibration) moves joints for SHARE at least, however short the step; one that friction wipes out
-    counts for less than its step. Weighed by the step alone, a thousand short ones would add up unseen; weighed by
-    SHARE, steps would have to resolve how friction settles.
+    An error that lasts (a vibration) moves joints for `share` at least, however short the step; an error that friction
+    damps out counts for less than its step. Weighted by the step alone, a thousand short errors would add up unseen;
+    weighted by `share`, steps would have to resolve how friction settles.
     """
-    return math.sqrt(step * max(step, SHARE))
+    return math.sqrt(step * max(step, STEP_SIZE.share))
+
+
+NEAR = 2.0  # substeps of the finest column from an end of a step, within which a kink goes unnoticed
+
+
+@non_allocating
+def across_ends(chain, y, base, trig, out):  # type: ignore[no-untyped-def]
+    """Velocities across each link at its near and far joint to ``out`` (2, n), m/s; `trig` (2 n,) is scratch.
+
+    `y` (2 n or more,) are angles and rates, `base` (7 or more,) as in ``accelerations``.
+    """
+    n = out.shape[1]
+    sines(y[:n], trig, 0)
+    vx, vy = base[5], base[6]
+    for i in range(n):
+        turn = chain.length[i] * y[n + i]
+        out[0, i] = vx * trig[n + i] + vy * trig[i]
+        out[1, i] = out[0, i] + turn
+        vx += turn * trig[n + i]
+        vy += turn * trig[i]
+
+
+@non_allocating
+def unseen(chain, before, after, step, order):  # type: ignore[no-untyped-def]
+    """Error of velocities, m/s, where drag changes its sense so near an end of a step that no column resolves it.
+
+    The error estimate shows a kink amid the substeps of the finest column, which takes `order` a step. All columns take
+    a kink before the second substep or after the last one for smooth, and a kink beyond the next one barely shows. The
+    error of these is estimated here.
+
+    Parameters
+    ----------
+    before, after : (2, n) velocities across the links at the step's ends, see :func:`across_ends`
+    step, order : s, int
+    """
+    length, mass, worst = 0.0, chain.tip_mass, 0.0
+    for i in range(before.shape[1]):
+        length += chain.length[i]
+        mass += chain.mass[i]
+        for end in range(2):
+            first, last = before[end, i], after[end, i]
+            if first * last < 0.0:
+                least = min(abs(first), abs(last))
+                part = least / (abs(first) + abs(last))
+                if part * order < NEAR:
+                    now = before if abs(first) < abs(last) else after
+                    width = least / max(abs(now[1, i] - now[0, i]), least)
+                    worst = max(worst, chain.drag[i] * least * least * part * width)
+    return (2.0 / 3.0) * step * worst * length / mass
+
+
+@kernel
+def air_size(chain, drive, part, limits, table, t, step, y, workspace):  # type: ignore[no-untyped-def]
+    """Error of the step from y to ``workspace.out`` that the air makes unseen, in units of what is allowed."""
+    base, trig, ends = workspace.after, workspace.stiction.work, np.empty((2, 2, chain.length.size))
+    for k in range(2):
+        base_state(drive, part, min(t + k * step, part.end), base)
+        across_ends(chain, workspace.out if k == 1 else y, base, trig, ends[k])
+    error = unseen(chain, ends[0], ends[1], step, table.order)
+    return error * lasting(step) / allowed(limits.tol, step, table.rounding)

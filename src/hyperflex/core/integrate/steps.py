@@ -1,6 +1,11 @@
-"""One step of each integrator: extrapolated implicit Euler, Runge-Kutta.
+"""One step of each integrator: extrapolated implicit Euler with its dense output, Runge-Kutta.
 
 The state y (2 n + 2,) holds angles, rates, work put in and energy dissipated.
+
+Dense output: a column that takes j substeps h = H / j has the states Y_j(t) = y(t) + h e_1(t) + h^2 e_2(t) + ... in the
+step, where all e_k are zero at its beginning (Hairer and Ostermann 1990, doi:10.1007/BF01386410). The p (p + 1) / 2
+substeps of the columns 1..p determine all terms in h^k (t - t_0)^m with k + m <= p, and so y(t) to the order of the
+step, at the cost of sums.
 """
 
 import math
@@ -13,8 +18,76 @@ from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import accelerations, lost_power, sines
 from hyperflex.core.chain.drive import base_state
-from hyperflex.core.integrate.substeps import LOOKS, MOST_SUBSTEPS, keep, polynomials
-from hyperflex.core.jit import inlined, kernel, non_allocating
+from hyperflex.core.jit import inlined, kernel, non_allocating, summing
+
+MOST_SUBSTEPS = 40  # rounds times lanes of order 8, and a spare round
+# Parts of the step at which the error is evaluated, where friction settles and in the middle, and its weight there:
+# where friction settles, estimates are half of the error. Two: ``rollout.error_norms`` takes as many errors
+LOOKS = ((0.125, 2.0), (0.5, 1.0))
+
+
+def polynomials(order, column, done):  # type: ignore[no-untyped-def]
+    """Weights of the substeps as polynomials of the part of the step that has passed.
+
+    Parameters
+    ----------
+    order : int, of the dense output
+    column, done : (rounds, lanes) int, as in ``steps.Scheme``; the columns beyond 1..order help as well
+
+    Returns
+    -------
+    (order, rounds lanes) : row m - 1 holds the coefficients of part^m; the least that will do where there is a choice
+    """
+    used = column.ravel() > 0
+    step = 1.0 / column.ravel()[used]
+    part = (done.ravel()[used] + 1) * step
+    terms = [(k, m) for k in range(order) for m in range(1, order - k + 1)]
+    weights = np.linalg.pinv(np.array([step**k * part**m for k, m in terms]))
+    found = np.zeros((order, used.size))
+    found[:, used] = weights[:, [terms.index((0, m)) for m in range(1, order + 1)]].T
+    return found
+
+
+@non_allocating
+def keep(turn, y, lanes, kept):  # type: ignore[no-untyped-def]
+    """Keep what the lanes have reached in a round, less the state y (2 n + 2,) that the step began with."""
+    k = len(ln.COLUMNS)
+    n = (y.size - 2) // 2
+    for j in range(k):
+        row = kept[turn * k + j]
+        for i in range(n):
+            row[i] = lanes[((i + 1) * ln.ROW + ln.Q) * k + j] - y[i]
+            row[n + i] = lanes[((i + 1) * ln.ROW + ln.W) * k + j] - y[n + i]
+        row[2 * n] = lanes[ln.WORK * k + j] - y[2 * n]
+        row[2 * n + 1] = lanes[ln.LOST * k + j] - y[2 * n + 1]
+
+
+@summing
+def weigh_terms(terms, part, weight):  # type: ignore[no-untyped-def]
+    """Weights of the substeps where `part` of the step, 0..1, has passed, from their polynomials (p, ...)."""
+    weight[:] = 0.0
+    for m in range(terms.shape[0] - 1, -1, -1):
+        for s in range(weight.size):
+            weight[s] = (weight[s] + terms[m, s]) * part
+
+
+@summing
+def add_substeps(weight, kept, out):  # type: ignore[no-untyped-def]
+    """Add to `out` (2 n + 2,) the kept substeps, each times its weight.
+
+    `weight` (s,): s is a multiple of 4 (of whole rounds), and at most the number of rows of `kept`.
+    """
+    for s in range(0, weight.size, 4):  # four at once: `out` is read and written a quarter as often
+        a, b, c, d = weight[s], weight[s + 1], weight[s + 2], weight[s + 3]
+        for i in range(out.size):
+            out[i] += (a * kept[s, i] + b * kept[s + 1, i]) + (c * kept[s + 2, i] + d * kept[s + 3, i])
+
+
+@kernel
+def new_substeps(n):  # type: ignore[no-untyped-def]
+    """Room for the substeps of a chain of n links (MOST_SUBSTEPS, 2 n + 2), and for their weights."""
+    return np.zeros((MOST_SUBSTEPS, 2 * n + 2)), np.zeros(MOST_SUBSTEPS)
+
 
 ROUNDING = 3e-16  # m, of a place a metre or two away
 
@@ -97,7 +170,7 @@ COURSE, COURSE_ERRORS = _courses(MOST_ORDER)
 def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base, trig):  # type: ignore[no-untyped-def]
     """Make the lanes ready for a round: the state where a column begins, the base's motion, the step of each lane.
 
-    Arguments are those of ``extrapolate``; `trig` holds the sines and cosines of the angles in `y`.
+    Arguments as for ``extrapolate``; `trig` holds the sines and cosines of the angles in `y`.
     """
     k = len(ln.COLUMNS)
     n = chain.length.size
@@ -156,7 +229,7 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, kept, lanes,
     chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
     y, out : (2 n + 2,) state, new state (out)
     errors : (2, 2 n + 2) out, error estimates of the result, and of the one that an order less would have given
-    kept : (MOST_SUBSTEPS, 2 n + 2) out, the substeps (``substeps.keep``); (0, ...) where nobody will ask for them
+    kept : (MOST_SUBSTEPS, 2 n + 2) out, the substeps (:func:`keep`); (0, ...) where they are not needed
     lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
     base, trig : (9, lanes), (2 n,) scratch
     """

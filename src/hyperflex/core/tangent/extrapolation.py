@@ -1,17 +1,121 @@
-"""Tangent of an extrapolated step, for any number of directions."""
+"""Directions of a derivative (changes of chain, drive and base motion), and the tangent of an extrapolated step."""
 
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import Array, sines
+from hyperflex.core.chain.articulated_body import Array, sincos, sines
+from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y, polynomial, segment, within
 from hyperflex.core.integrate.steps import begin_columns, end_columns
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.jit import inlined, kernel, non_allocating
 from hyperflex.core.tangent import air as dg
-from hyperflex.core.tangent import directions as dr
 from hyperflex.core.tangent import step as tg
+
+TIP_MASS, GRAVITY_X, GRAVITY_Y = range(3)  # columns of Directions.whole
+# what base_change writes
+ACC_X, ACC_Y, ALPHA, RATE, TURN, MOTOR, PLACE_X, PLACE_Y, SPEED_X, SPEED_Y = range(10)
+CHANGES = 10
+LINKS, ENDS = 1, 2  # links (or the torque on the first one) change; the base's motion, gravity or the tip mass do
+
+
+class Directions(NamedTuple):
+    """Changes of everything that a run depends on but its start; b pairs of directions."""
+
+    links: Array  # (b, 2, n, SEEDS): of the links' parameters, see core/tangent/step.py
+    whole: Array  # (b, 2, 3): of tip mass, kg, and gravity, m/s^2
+    kind: npt.NDArray[np.int64]  # (b,) sum of LINKS and ENDS, where a pair changes more than the state
+    driven: npt.NDArray[np.int64]  # (b, 2) row of the following that changes the drive, -1: none does
+    breaks: Array  # (m, k + 1), s
+    coef: Array  # (m, k, 4, 6)
+    arm: Array  # (m,) of the arm's length, m
+
+
+@kernel
+def cycle_shift(drive, part, breaks):  # type: ignore[no-untyped-def]
+    """Change of the beginning of the period that the Segment `part` lies in, s; `breaks` (k + 1,) as in Directions."""
+    if part.offset == 0.0:
+        return 0.0
+    last, first = drive.breaks.size - 1, drive.loop
+    cycle = round(part.offset / (drive.breaks[last] - drive.breaks[first]))
+    return cycle * (breaks[last] - breaks[first])
+
+
+@non_allocating
+def end_shift(drive, part, breaks):  # type: ignore[no-untyped-def]
+    """Change of the time at which the Segment `part` ends, s."""
+    return cycle_shift(drive, part, breaks) + breaks[part.last + 1]
+
+
+@inlined
+def moved(c, dc, s, ds):  # type: ignore[no-untyped-def]
+    """Change of a polynomial c (6,), of its rate and of its second derivative at s by dc (6,) and ds."""
+    _, rate, second = polynomial(c, s)
+    third = 6.0 * c[3] + s * (24.0 * c[4] + s * 60.0 * c[5])
+    value, slope, bend = polynomial(dc, s)
+    return value + rate * ds, slope + second * ds, bend + third * ds
+
+
+@non_allocating
+def base_change(drive, part, t, shift, directions, m, out):  # type: ignore[no-untyped-def]
+    """Change of the first joint's motion at time t within the Segment `part`.
+
+    Parameters
+    ----------
+    drive, part, directions : Drive, Segment, Directions
+    t, shift : float, s, and its own change
+    m : int, row of ``directions.breaks``, ``coef`` and ``arm``
+    out : (CHANGES,) out: acceleration x, y (m/s^2); of the arm alpha (rad/s^2), rate, angle; motor torque (N m);
+        position x, y (m); velocity x, y (m/s)
+    """
+    j, s, still = within(drive, part, t)
+    breaks = directions.breaks[m]
+    k = drive.breaks.size - 1
+    if still:
+        ds = breaks[k] - breaks[k - 1] if s > 0.0 else 0.0
+    else:
+        ds = shift - cycle_shift(drive, part, breaks) - breaks[j]
+    angle, rate, alpha = polynomial(drive.coef[j, ANGLE], s)
+    turn, d_rate, d_alpha = moved(drive.coef[j, ANGLE], directions.coef[m, j, ANGLE], s, ds)
+    x, vx, ax = moved(drive.coef[j, X], directions.coef[m, j, X], s, ds)
+    y, vy, ay = moved(drive.coef[j, Y], directions.coef[m, j, Y], s, ds)
+    torque = polynomial(drive.coef[j, TORQUE], s)[0]
+    motor = moved(drive.coef[j, TORQUE], directions.coef[m, j, TORQUE], s, ds)[0]
+    if still:
+        rate = alpha = d_rate = d_alpha = vx = vy = ax = ay = motor = 0.0
+    if abs(torque) >= drive.torque_limit:
+        motor = 0.0
+    sin, cos = sincos(angle)
+    length, longer = drive.arm_length, directions.arm[m]
+    zx, zy = cos * alpha - sin * rate * rate, sin * alpha + cos * rate * rate
+    out[ACC_X] = ax + longer * zx + length * (cos * d_alpha - zy * turn - 2.0 * sin * rate * d_rate)
+    out[ACC_Y] = ay + longer * zy + length * (sin * d_alpha + zx * turn + 2.0 * cos * rate * d_rate)
+    out[ALPHA] = d_alpha
+    out[RATE] = d_rate
+    out[TURN] = turn
+    out[MOTOR] = motor
+    out[PLACE_X] = x + longer * sin + length * cos * turn
+    out[PLACE_Y] = y - longer * cos + length * sin * turn
+    out[SPEED_X] = vx + (longer * rate + length * d_rate) * cos - length * sin * turn * rate
+    out[SPEED_Y] = vy + (longer * rate + length * d_rate) * sin + length * cos * turn * rate
+
+
+@kernel
+def place_changes(drive, directions, t, out):  # type: ignore[no-untyped-def]
+    """Change of the first joint's position at times t (T,) to out (T, 2, p), m."""
+    moved = np.zeros(CHANGES)
+    for k in range(t.size):
+        part = segment(drive, t[k])
+        for b in range(directions.kind.size):
+            for d in range(2):
+                m = directions.driven[b, d]
+                if m >= 0:
+                    base_change(drive, part, t[k], 0.0, directions, m, moved)
+                    out[k, 0, 2 * b + d] = moved[PLACE_X]
+                    out[k, 1, 2 * b + d] = moved[PLACE_Y]
+
 
 K = len(ln.COLUMNS)
 CELL = 4 * K  # a pair's numbers of one link in the lanes: angle and rate, two directions each
@@ -64,7 +168,7 @@ def new_tangent_workspace(chain, pairs):  # type: ignore[no-untyped-def]
         np.zeros((pairs, 2)),
         np.zeros(K),
         np.zeros(K),
-        np.zeros(dr.CHANGES),
+        np.zeros(CHANGES),
         np.zeros((3, 2 * n + 2)),
         np.zeros((3, 2 * n + 2)),
         np.zeros((3, 2 * n, 2 * pairs)),
@@ -97,21 +201,21 @@ def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-
     for d in range(2):
         moved[:] = 0.0
         m = directions.driven[b, d]
-        gx, gy = directions.whole[b, d, dr.GRAVITY_X], directions.whole[b, d, dr.GRAVITY_Y]
-        heavier = directions.whole[b, d, dr.TIP_MASS]
+        gx, gy = directions.whole[b, d, GRAVITY_X], directions.whole[b, d, GRAVITY_Y]
+        heavier = directions.whole[b, d, TIP_MASS]
         for j in range(K):
             if m >= 0:
                 late = workspace.shift[b, d] + workspace.into[j] * workspace.change[b, d]
-                dr.base_change(drive, part, workspace.when[j], late, directions, m, moved)
-            lanes[(tg.DQ + d) * K + j] = moved[dr.TURN]
-            lanes[(tg.DW + d) * K + j] = moved[dr.RATE]
-            lanes[(tg.PX + d) * K + j] = moved[dr.ACC_X] - gx
-            lanes[(tg.PY + d) * K + j] = moved[dr.ACC_Y] - gy
-            lanes[(tg.ALPHA + d) * K + j] = moved[dr.ALPHA]
-            lanes[(tg.RHS + d) * K + j] = moved[dr.MOTOR]
+                base_change(drive, part, workspace.when[j], late, directions, m, moved)
+            lanes[(tg.DQ + d) * K + j] = moved[TURN]
+            lanes[(tg.DW + d) * K + j] = moved[RATE]
+            lanes[(tg.PX + d) * K + j] = moved[ACC_X] - gx
+            lanes[(tg.PY + d) * K + j] = moved[ACC_Y] - gy
+            lanes[(tg.ALPHA + d) * K + j] = moved[ALPHA]
+            lanes[(tg.RHS + d) * K + j] = moved[MOTOR]
             if workspace.air.size > 0:
-                workspace.air[(dg.DVX + d) * K + j] = moved[dr.SPEED_X]
-                workspace.air[(dg.DVY + d) * K + j] = moved[dr.SPEED_Y]
+                workspace.air[(dg.DVX + d) * K + j] = moved[SPEED_X]
+                workspace.air[(dg.DVY + d) * K + j] = moved[SPEED_Y]
             tip[(tg.BX + d) * K + j] = heavier * far[ln.PX * K + j]
             tip[(tg.BY + d) * K + j] = heavier * far[ln.PY * K + j]
 
@@ -228,11 +332,11 @@ def tangent_step(chain, drive, part, table, t, step, y, out, directions, result,
         begins, ends = anew.any(), weight.any()
         for b in range(kind.size):
             enter(lanes, store[b], anew, begins)
-            if kind[b] & dr.ENDS:
+            if kind[b] & ENDS:
                 set_ends(drive, part, directions, b, workspace)
             else:
                 clear_ends(workspace)
-            if airy or kind[b] & dr.LINKS or stretch[b, 0] != 0.0 or stretch[b, 1] != 0.0:
+            if airy or kind[b] & LINKS or stretch[b, 0] != 0.0 or stretch[b, 1] != 0.0:
                 step_pair(reaction, lanes, air, links[b], stretch[b])
             else:
                 tg.step_state(ln.COLUMNS, reaction, lanes)

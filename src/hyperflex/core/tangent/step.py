@@ -18,7 +18,7 @@ DQ, DW, RHS, BX, BY, BETA = range(ln.Q_START, ln.Q_START + 12, 2)
 PX, PY, ALPHA = BX, BY, BETA
 # rate before the step, sine and cosine of the angle
 BEFORE, SIN, COS = range(DQ + 12, DQ + 15)
-# what multiplies the derivatives of angle and rate in the moment and in the force (M.21), in place of what nobody needs
+# what multiplies the derivatives of angle and rate in the moment and in the force (M.21), in slots that are free
 # once a step is taken
 BY_Q, BY_W, QX, QY, WX, WY = ln.RD, ln.S, ln.BETA, ln.DISSIPATED, ln.LOST, ln.WORK
 # the seeds of a direction for one link: changes of its parameters

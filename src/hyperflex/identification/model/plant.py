@@ -10,8 +10,8 @@ from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive
-from hyperflex.core.integrate.progress import Limits
-from hyperflex.core.tangent.directions import Directions, place_changes
+from hyperflex.core.integrate.rollout import Limits
+from hyperflex.core.tangent.extrapolation import Directions, place_changes
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.names import parse

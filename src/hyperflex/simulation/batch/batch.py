@@ -16,7 +16,7 @@ from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
-from hyperflex.core.batch.members import LENGTH, observe_block
+from hyperflex.core.batch.rollouts import LENGTH, observe_block
 from hyperflex.core.chain.lanes import MEMBERS
 from hyperflex.errors import InvalidInput
 from hyperflex.executor import checked_chunks, run_chunks

@@ -7,7 +7,7 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.batch.members import LEVER, Members, Terms
+from hyperflex.core.batch.rollouts import LEVER, Members, Terms
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive
 from hyperflex.core.integrate.step_size import FIRST_STEP

@@ -14,7 +14,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.batch import rollouts as core
-from hyperflex.core.batch.members import Members
+from hyperflex.core.batch.rollouts import Members
 from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.chain.lanes import MEMBERS
 from hyperflex.errors import InvalidInput

@@ -13,13 +13,12 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.core import status
 from hyperflex.core.chain.articulated_body import energies
-from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.chain.drive import motion_at
 from hyperflex.core.chain.torque_peaks import COLUMNS, PEAK, WHEN, WINDOWS
-from hyperflex.core.contact import bounds as at
+from hyperflex.core.contact import run as at
 from hyperflex.core.contact import run as core
-from hyperflex.core.contact.arrays import STICK
-from hyperflex.core.contact.warm_start import new_contact_memory
-from hyperflex.core.integrate.progress import INDEX, MARK, T
+from hyperflex.core.contact.arrays import STICK, new_contact_memory
+from hyperflex.core.integrate.rollout import INDEX, MARK, T
 from hyperflex.interruption import deferred, raise_if_cancelled
 from hyperflex.model import DEFAULT_TOL, Setup
 from hyperflex.simulation.contact.start import check_start
@@ -37,7 +36,7 @@ CLEAR = 0.03  # m, gap at which a rope that was in contact has left, where it is
 APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/rad
 BUDGET = 250  # steps between two looks at progress and Ctrl-C; some take milliseconds
 STEP = "contact_step"
-# in a state's checkpoint, in the order of ``contact.warm_start.ContactMemory``
+# in a state's checkpoint, in the order of ``contact.arrays.ContactMemory``
 KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_penalty", "joint_torque", "joint_mode")
 
 
@@ -131,7 +130,7 @@ class ContactRun:
         if not self.contact.memory.bent.any():
             return
         run, base, n = self.run, np.empty(9), self.run.chain.length.size
-        base_state(run.drive, segment(run.drive, run.time), run.time, base)
+        motion_at(run.drive, run.time, base)
         for i in np.flatnonzero(self.contact.memory.bent == STICK):
             run.progress.y[n + i] = run.progress.y[n + i - 1] if i > 0 else base[3]
 
@@ -174,7 +173,7 @@ class ContactRun:
         """Energy scale, J: kinetic, potential by a fall of the whole rope, and by the force on the tip or a torque."""
         run = self.run
         chain, n, base = run.chain, run.chain.length.size, np.empty(9)
-        base_state(run.drive, segment(run.drive, run.time), run.time, base)
+        motion_at(run.drive, run.time, base)
         y = run.progress.y
         kinetic, _ = energies(chain, y[:n], y[n : 2 * n], (*base[7:9], *base[5:7], base[4], base[3]), np.empty(2 * n))
         kinetic += float(spin_energy(self.setup, self.contact.spin[1]))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.chain.drive import motion_at
 from hyperflex.core.contact.gaps import Pegs
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Setup, Wall
@@ -23,7 +23,7 @@ def check_outside(setup: Setup, t: float = 0.0, q: Array | None = None, who: str
     chain, drive, pegs = setup.chain(), setup.drive(), setup.contacts()
     q = setup.start()[0] if q is None else q
     base = np.empty(9)
-    base_state(drive, segment(drive, t), t, base)
+    motion_at(drive, t, base)
     steps = chain.length[:, None] * np.stack([np.sin(q), -np.cos(q)], axis=1)
     joints = np.concatenate([base[None, 7:9], base[7:9] + np.cumsum(steps, axis=0)])
     found = depths(pegs, joints)
@@ -50,7 +50,7 @@ def check_limits(setup: Setup, t: float = 0.0, q: Array | None = None, who: str 
     if not setup.rope.limited:
         return
     chain, drive, base = setup.chain(), setup.drive(), np.empty(9)
-    base_state(drive, segment(drive, t), t, base)
+    motion_at(drive, t, base)
     bend = np.diff(setup.start()[0] if q is None else q, prepend=base[4]) - chain.rest
     past = np.abs(bend) - chain.max_bend
     i = int(np.argmax(past))

@@ -12,9 +12,9 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import TORQUE, Drive
 from hyperflex.core.read_only import read_only
-from hyperflex.core.tangent import directions as dr
+from hyperflex.core.tangent import extrapolation as dr
 from hyperflex.core.tangent import step as tg
-from hyperflex.core.tangent.directions import Directions
+from hyperflex.core.tangent.extrapolation import Directions
 from hyperflex.errors import InvalidInput
 from hyperflex.model import LINK_PROPERTIES, Arm, Setup
 from hyperflex.motion import motion_derivatives, motion_parameters

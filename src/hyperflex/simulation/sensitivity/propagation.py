@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.core.integrate.progress import MODES
+from hyperflex.core.integrate.rollout import MODES
 from hyperflex.core.tangent import forward_sensitivity as core
-from hyperflex.core.tangent.directions import Directions
+from hyperflex.core.tangent.extrapolation import Directions
 from hyperflex.model import Rope, Setup
 from hyperflex.motion import Motion
 from hyperflex.simulation.rollouts import TABLES, link_accelerations, rollout_limits

@@ -14,14 +14,12 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, can_stick
 from hyperflex.core.chain.drive import Drive, base_state, segment
 from hyperflex.core.chain.lanes import COLUMNS, set_slip
-from hyperflex.core.integrate.progress import JOINT, MODES, REJECTED, STEP, TAKEN, Limits
+from hyperflex.core.integrate.rollout import JOINT, MODES, REJECTED, STEP, TAKEN, Limits
 from hyperflex.core.integrate.step_size import FIRST_STEP
-from hyperflex.core.stiction.constraint_torques import new_stiction_workspace
-from hyperflex.core.stiction.slip_modes import find_modes
+from hyperflex.core.stiction import find_modes, new_stiction_workspace
 from hyperflex.core.tangent import forward_sensitivity as core
-from hyperflex.core.tangent.dense_output import acceleration_derivatives
-from hyperflex.core.tangent.directions import Directions, place_changes
-from hyperflex.core.tangent.extrapolation import new_tangent_workspace
+from hyperflex.core.tangent.extrapolation import Directions, new_tangent_workspace, place_changes
+from hyperflex.core.tangent.forward_sensitivity import acceleration_derivatives
 from hyperflex.interruption import OutOfTime, interruptible
 from hyperflex.model import Rope, Setup, SetupFields
 from hyperflex.motion import Motion

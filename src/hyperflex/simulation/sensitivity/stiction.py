@@ -5,8 +5,8 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain, mass_matrix
 from hyperflex.core.chain.drive import Drive, segment
-from hyperflex.core.tangent import directions as dr
-from hyperflex.core.tangent.directions import Directions
+from hyperflex.core.tangent import extrapolation as dr
+from hyperflex.core.tangent.extrapolation import Directions
 
 
 def stiction_projection(

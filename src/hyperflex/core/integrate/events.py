@@ -1,29 +1,141 @@
-"""Root search for the first event of a step.
+"""Events within a step: what ends a run, margins of joint limits, and the root search for the first event.
 
-Every event is a margin that falls from above zero to zero: of each joint that may stick
-(``constraint_torques.margins``), of each joint to its limits where a chain has some (``end_conditions.limits``), and in
-the last column of what is to end the run. A margin comes with its slope where that is known.
+Every event is a margin that falls from above zero to zero: of each joint that may stick (``stiction.margins``), of each
+joint to its limits where a chain has limits (``limits``), and in the last column of the event that ends the run. A
+margin comes with its slope where that is known.
 """
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from hyperflex.core.assign import assign_rows
-from hyperflex.core.chain.articulated_body import Array
+from hyperflex.core.chain.articulated_body import Array, sincos
 from hyperflex.core.integrate.step_size import allowed, lasting
 from hyperflex.core.jit import kernel, non_allocating
-from hyperflex.core.stiction.constraint_torques import INSTANT, QUICK, STILL
+from hyperflex.core.stiction import STICTION
+
+# Whether a run watches for events: tuples, whose length the compiler knows, so that it leaves out what finds events
+UNWATCHED, WATCHED = (), (0,)
+NOTHING, CROSSES, PEAK, PHASE, ANGLE = range(5)
+
+
+class Until(NamedTuple):
+    """What ends a run; the meaning of the numbers a to d depends on the kind.
+
+    CROSSES: a, b point, m; c, d unit vector. PEAK: none. PHASE: a phase, rad; b time constant, s.
+    ANGLE: a angle, rad; b number of the link in the chain, or -1.0 for a prescribed arm.
+    """
+
+    kind: int
+    a: float
+    b: float
+    c: float
+    d: float
+    sense: float  # 1.0 or -1.0: the reading must rise or fall through zero; 0.0: either
+    after: float  # s, absolute; nothing ends the run before
+
+
+NEVER = Until(NOTHING, 0.0, 0.0, 0.0, 0.0, 0.0, -math.inf)
+
+
+@non_allocating
+def tip_motion(chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
+    """Position, m, velocity, m/s, and acceleration, m/s^2, of the tip: (x, y, vx, vy, ax, ay)."""
+    x, y, vx, vy, ax, ay = base[7], base[8], base[5], base[6], base[0], base[1]
+    for i in range(q.size):
+        sin, cos = sincos(q[i])
+        length, rate2 = chain.length[i], w[i] * w[i]
+        x += length * sin
+        y -= length * cos
+        vx += length * cos * w[i]
+        vy += length * sin * w[i]
+        ax += length * (cos * alpha[i] - sin * rate2)
+        ay += length * (sin * alpha[i] + cos * rate2)
+    return x, y, vx, vy, ax, ay
+
+
+@non_allocating
+def event_value(until, chain, q, w, alpha, base):  # type: ignore[no-untyped-def]
+    """Reading of a state and its slope (0.0 for PEAK, where it is not known).
+
+    CROSSES: distance beyond the line, m. PEAK: less half the growth of the squared tip speed, m^2/s^3. PHASE: distance
+    of (c dx/dt, x) from the ray of the phase, on the side of later phases, m. ANGLE: angle beyond, rad.
+    """
+    if until.kind == ANGLE:
+        link = int(until.b)
+        return (base[4] - until.a, base[3]) if link < 0 else (q[link] - until.a, w[link])
+    x, y, vx, vy, ax, ay = tip_motion(chain, q, w, alpha, base)
+    if until.kind == CROSSES:
+        return (x - until.a) * until.c + (y - until.b) * until.d, vx * until.c + vy * until.d
+    if until.kind == PEAK:
+        return -(vx * ax + vy * ay), 0.0
+    sin, cos = math.sin(until.a), math.cos(until.a)
+    return x * cos - until.b * vx * sin, vx * cos - until.b * ax * sin
+
+
+@non_allocating
+def limit_gap(chain, i, angle, rate):  # type: ignore[no-untyped-def]
+    """Gap of joint i, at a relative angle and rate, to the nearer of its limits, rad, and how fast the gap grows."""
+    bend = angle - chain.rest[i]
+    return chain.max_bend[i] - abs(bend), -rate if bend > 0.0 else rate
+
+
+@non_allocating
+def limits(chain, q, w, base, out):  # type: ignore[no-untyped-def]
+    """Write the gaps of all joints to their limits, rad, and how they grow to ``out[:, n : 2 * n]``."""
+    n = q.size
+    up, up_rate = base[4], base[3]
+    for i in range(n):
+        out[0, n + i], out[1, n + i] = limit_gap(chain, i, q[i] - up, w[i] - up_rate)
+        up, up_rate = q[i], w[i]
+
+
+@non_allocating
+def watched_sense(until, value, slope, t):  # type: ignore[no-untyped-def]
+    """Sense in which a reading is watched from the beginning of a step: margin = sense * reading; 0.0: not watched."""
+    if until.kind == NOTHING or t < until.after:
+        return 0.0
+    if until.sense != 0.0:
+        return -until.sense if -until.sense * value > 0.0 else 0.0
+    if value != 0.0:
+        return 1.0 if value > 0.0 else -1.0
+    return 1.0 if slope > 0.0 else -1.0
+
+
+@kernel
+def on_right_side(until, chain, q, w, base):  # type: ignore[no-untyped-def]
+    """False where a phase is passed on the opposite ray, half a turn away."""
+    if until.kind != PHASE:
+        return True
+    x, _, vx, _, _, _ = tip_motion(chain, q, w, np.zeros(q.size), base)
+    return x * math.sin(until.a) + until.b * vx * math.cos(until.a) > 0.0
+
+
+class EventSearch(NamedTuple):
+    """Numbers of the search for the first event of a step."""
+
+    # of a step at which a margin is evaluated
+    points: int = 16
+    # attempts that are searched for hidden events; later ones only if they end at an event
+    glances: int = 3
+    # part of a span: where a margin grows at first, a cubic's zero before this is but a joint that came loose
+    soon: float = 0.125
+    # of the velocity that a step may err by is what a joint may turn at, the other way, when it is stopped
+    stopped: float = 1e-3
+    # part of dry friction by which the load of a joint may exceed it where it is released, at most, and
+    latest: float = 0.01
+    # the same for each unit of tol / reach
+    late: float = 2e3
+    # attempts after which the span is halved, whatever the margins are; twice that ends the search
+    attempts: int = 40
+
+
+EVENTS: Final = EventSearch()
 
 DONE, EVENT, AGAIN = range(3)
 LOW, HIGH, TRIES, SIDE = range(4)  # of Search.span: s, s, attempts so far, end of the span that moved last
-LOOKS = 16  # at a margin's course within a step
-GLANCES = 3  # attempts that are searched for hidden events; later ones only if they end at an event
-SOON = 0.125  # part of a span: where a margin grows at first, a cubic's zero before this is but a joint that came loose
-STOPPED = 1e-3  # of the velocity that a step may err by is what a joint may turn at, the other way, when it is stopped
-LATE, LATEST = 2e3, 0.01  # part of dry friction by which a joint's load exceeds it, where it is let go, for tol / reach
-MAX_ATTEMPTS = 40  # attempts after which the span is halved, whatever the margins say; twice that ends the search
 
 
 class Search(NamedTuple):
@@ -58,8 +170,8 @@ def allow_lateness(search, locked, chain, tol, step):  # type: ignore[no-untyped
     longest = reach = 0.0
     for i in range(chain.length.size):
         longest, reach = max(longest, chain.length[i]), reach + chain.length[i]
-    rate = STOPPED * allowed(tol, step, 0.0) / (lasting(step) * longest)
-    part = min(LATEST, LATE * tol / reach)
+    rate = EVENTS.stopped * allowed(tol, step, 0.0) / (lasting(step) * longest)
+    part = min(EVENTS.latest, EVENTS.late * tol / reach)
     for i in range(chain.length.size):
         search.late[i] = rate if locked[i] == 0.0 else part
 
@@ -75,8 +187,8 @@ def margin_polynomial(low, high, i, length, x):  # type: ignore[no-untyped-def]
 def first_zero(low, high, i, length, most):  # type: ignore[no-untyped-def]
     """First part of an interval, but for its beginning, at which margin i is zero or less; `most` if that is before."""
     before, at = 0.0, most
-    for k in range(1, LOOKS + 1):
-        x = min(k / LOOKS, most)
+    for k in range(1, EVENTS.points + 1):
+        x = min(k / EVENTS.points, most)
         if margin_polynomial(low, high, i, length, x) <= 0.0:
             at = x
             break
@@ -104,8 +216,8 @@ def stays_positive(search, i, length):  # type: ignore[no-untyped-def]
 def hidden_event(locked, search, length):  # type: ignore[no-untyped-def]
     """Part of the length, s, from LOW to the end of an attempt at which an event may hide; else 1.0.
 
-    Margins with slopes by the cubics through both ends and the middle, those of stuck joints by the parabola. Those
-    that tell of an event at the end do not count.
+    Margins with slopes by the cubics through both ends and the middle, those of stuck joints by the parabola.
+    Margins with an event at the end do not count.
     """
     part = 1.0
     for i in range(locked.size):
@@ -113,8 +225,8 @@ def hidden_event(locked, search, length):  # type: ignore[no-untyped-def]
         if v0 == np.inf or v1 == np.inf or is_past(locked, search.here, i):
             continue
         if locked[i] == 0.0 and not (vm < np.inf and stays_positive(search, i, length)):
-            for k in range(1, LOOKS):
-                x = k / LOOKS
+            for k in range(1, EVENTS.points):
+                x = k / EVENTS.points
                 if vm == np.inf:
                     value = margin_polynomial(search.low, search.here, i, length, x)
                 elif x <= 0.5:
@@ -135,9 +247,9 @@ def hidden_event(locked, search, length):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def is_past(locked, margin, i):  # type: ignore[no-untyped-def]
-    """Whether margin i says that its event has happened; one that hardly differs from zero must not be growing."""
+    """Whether the event of margin i has happened; a margin that is zero but for rounding must not be growing."""
     if locked[i] == 0.0 and i < locked.size - 1 and margin[1, i] > 0.0:
-        return margin[0, i] < -STILL
+        return margin[0, i] < -STICTION.still
     return margin[0, i] < 0.0 or (margin[0, i] == 0.0 and locked[i] == 0.0)
 
 
@@ -151,7 +263,7 @@ def fall(locked, search, i, step):  # type: ignore[no-untyped-def]
 
 @non_allocating
 def first_past(locked, margin):  # type: ignore[no-untyped-def]
-    """Return the first margin that says that its event has happened, -1: none."""
+    """Return the first margin whose event has happened, -1: none."""
     for i in range(locked.size):
         if is_past(locked, margin, i):
             return i
@@ -173,25 +285,25 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
 
     Notes
     -----
-    A step of QUICK or less hides nothing: its course would be rounding. The span shrinks by the cubics' zeros, for
-    stuck joints by the rule of Anderson and Bjorck (1973), in the end by halving. A step that ends at an event ends on
-    its far side, within INSTANT: attempts aim at the middle of that.
+    A step of ``STICTION.quick`` or less hides nothing: its course would be rounding. The span shrinks by the cubics'
+    zeros, for stuck joints by the rule of Anderson and Bjorck (1973), in the end by halving. A step that ends at an
+    event ends on its far side, within ``STICTION.instant``: attempts aim at the middle of that.
     """
     span = search.span
     span[TRIES] += 1.0
     if span[LOW] > 0.0:
-        search.middle[:] = np.inf  # it is that of a whole attempt, and the search has come further than its beginning
+        search.middle[:] = np.inf  # it belongs to a whole attempt, and the search has passed its beginning
     over = False
     near = True
     for i in range(locked.size):
         if is_past(locked, search.here, i):
             over = True
-            past = max(INSTANT * fall(locked, search, i, step), search.late[i])
+            past = max(STICTION.instant * fall(locked, search, i, step), search.late[i])
             near = near and search.here[0, i] >= -past
     clear = not over and span[HIGH] == np.inf
-    ends = clear or (over and (near or step - span[LOW] <= INSTANT or span[TRIES] > 2 * MAX_ATTEMPTS))
+    ends = clear or (over and (near or step - span[LOW] <= STICTION.instant or span[TRIES] > 2 * EVENTS.attempts))
     at = step
-    if step > QUICK and (span[TRIES] <= GLANCES or (ends and over and span[TRIES] <= MAX_ATTEMPTS)):
+    if step > STICTION.quick and (span[TRIES] <= EVENTS.glances or (ends and over and span[TRIES] <= EVENTS.attempts)):
         at = span[LOW] + hidden_event(locked, search, step - span[LOW]) * (step - span[LOW])
     if ends and at >= step:
         return EVENT if over else DONE, step
@@ -242,7 +354,7 @@ def first_part(locked, search, i, length, most):  # type: ignore[no-untyped-def]
         if x == 0.5 and most > 0.5:
             x += 0.5 * first_zero(middle, high, i, 0.5 * length, 2.0 * most - 1.0)
     if low[1, i] > 0.0:
-        x = max(x, SOON)
+        x = max(x, EVENTS.soon)
     return min(most, x + aim / (-high[1, i] * length)) if high[1, i] < 0.0 else x
 
 
@@ -251,12 +363,13 @@ def estimate_event_time(locked, search):  # type: ignore[no-untyped-def]
     """Where in the span the first event should lie, s."""
     span = search.span
     length = span[HIGH] - span[LOW]
-    if length <= INSTANT:
+    if length <= STICTION.instant:
         return span[HIGH]
     at = 1.0
     for i in range(locked.size):
         if is_past(locked, search.high, i):
             at = first_part(locked, search, i, length, at)
-    if span[TRIES] > MAX_ATTEMPTS:
+    if span[TRIES] > EVENTS.attempts:
         at = 0.5
-    return min(max(span[LOW] + at * length + 0.45 * INSTANT, span[LOW] + 0.9 * INSTANT), span[HIGH] - 0.9 * INSTANT)
+    instant = STICTION.instant
+    return min(max(span[LOW] + at * length + 0.45 * instant, span[LOW] + 0.9 * instant), span[HIGH] - 0.9 * instant)

@@ -1,1 +1,0 @@
-"""Dry joint friction: slip modes, and the constraint torques of stuck joints."""
