@@ -86,13 +86,6 @@ def _remove_old(folder: Path) -> None:
                 place.rmdir()
 
 
-def _tell(as_json: bool, result: dict[str, Any], sentence: str) -> None:
-    if as_json:
-        output.print_json(result)
-    else:
-        output.console().print(sentence, soft_wrap=True)
-
-
 def every_kernel() -> list[tuple[str, str]]:
     """Return module and name of every kernel."""
     from hyperflex import core
