@@ -286,10 +286,6 @@ def test_missing_file_is_named(tmp_path: Path, read: Callable[[Path], object]) -
         (lambda: hf.Setup(ROD, pegs=(None,)), "a sequence of Peg"),
         (lambda: hf.Stepper(ROD, arm=hf.Arm(), pegs=hf.Peg(1.0, 1.0, 0.1)), "a sequence of Peg"),
         (lambda: hf.sensitivities(ROD, duration=0.1, wrt=None), "neither a name nor a mapping"),
-        (lambda: hf.simulate(hf.Setup(ROD, tol=1e-3), tol=1e-5), "arguments beside a whole set-up"),
-        (lambda: hf.Stepper(hf.Setup(ROD, arm=hf.Arm()), tol=1e-5), "arguments beside a whole set-up"),
-        (lambda: hf.predictability(hf.Setup(ROD), tol=1e-5), "arguments beside a whole set-up"),
-        (lambda: hf.simulate(hf.Setup(ROD, arm=hf.Arm()), arm_angle0=0.0), "arguments beside a whole set-up"),
     ],
 )
 def test_what_would_be_ignored_is_refused(call: Callable[[], object], words: str) -> None:

@@ -41,7 +41,8 @@ def setup_of(rope: Rope | Setup, fields: Mapping[str, Any], *, refine: bool = Fa
         arm = given.get("arm")
         pieces = cuts(rope, pegs, arm=arm)
         rope = refine_rope(rope, pegs, arm=arm)
-        given |= {name: per_piece(given[name], pieces) for name in ("q0", "qd0") if name in given}
+        starts = {name: checks.array(name, given[name], None) for name in ("q0", "qd0") if name in given}
+        given |= {name: per_piece(values, pieces) for name, values in starts.items()}
     return build(rope, given), pieces
 
 

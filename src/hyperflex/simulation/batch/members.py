@@ -46,7 +46,8 @@ def setups_of(
         pegs = [pegs]
     starts = [None if (value := common.pop(name, None)) is None else value for name in ("q0", "qd0")]
     rows = [[None] if each is None else list(np.atleast_2d(checks.array("q0 or qd0", each, None))) for each in starts]
-    every: list[list[Any]] = [_each("ropes", ropes, Rope), _each("motions", motions, Motion), pegs or [()], *rows]
+    obstacles = [checked_obstacles(each) for each in pegs] or [()]
+    every: list[list[Any]] = [_each("ropes", ropes, Rope), _each("motions", motions, Motion), obstacles, *rows]
     counts = [len(each) for each in every]
     count = max(counts)
     if 0 in counts or set(counts) - {1, count}:
@@ -55,11 +56,11 @@ def setups_of(
     for rope in every[0]:
         checks.instance("rope of a member", rope, Rope)
     _alike("links or friction model", {(rope.n_links, rope.friction_model) for rope in every[0]})
-    _alike("number of pegs", {len(each) for each in every[2]} if len(every[2]) > 1 else set())
+    _alike("number of pegs", {len(each) for each in obstacles})
 
     def member(m: int) -> Setup:
-        rope, motion, obstacles, q0, qd0 = (each[m % len(each)] for each in every)
-        parts = {"motion": motion, "pegs": checked_obstacles(obstacles), "q0": q0, "qd0": qd0}
+        rope, motion, pegs, q0, qd0 = (each[m % len(each)] for each in every)
+        parts = {"motion": motion, "pegs": pegs, "q0": q0, "qd0": qd0}
         return setup_of(rope, {**common, **parts}, refine=refine)[0]
 
     return [member(m) for m in range(count)]
