@@ -6,11 +6,15 @@ from pathlib import Path
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.files.writing import PathLike, as_path
 
-LARGEST = 1 << 30  # bytes that are read into memory, unless a reader has a bound of its own
+LARGEST = 1 << 30  # bytes that are read into memory
+# By kind of file, bytes: text is read into memory; a rope of 100,000 links, each property an array, has some 20 MB
+SMALLER = {"table": 256_000_000, "TOML file": 64_000_000}
 
 
-def regular_file(path: PathLike, what: str = "file", most: float = LARGEST) -> Path:
-    """Return the path of a regular file that holds something, at most `most` bytes; `what` names its kind in messages.
+def regular_file(path: PathLike, what: str = "file", most: float | None = None) -> Path:
+    """Return the path of a regular file that is not empty; `what` names its kind in messages.
+
+    It has at most `most` bytes, by default SMALLER for its kind, or LARGEST.
 
     Raises
     ------
@@ -19,7 +23,7 @@ def regular_file(path: PathLike, what: str = "file", most: float = LARGEST) -> P
     InvalidInput
         When `path` is no path at all, e.g. None.
     """
-    file = as_path(path, what)
+    file, most = as_path(path, what), SMALLER.get(what, LARGEST) if most is None else most
     try:
         status = file.stat()
     except FileNotFoundError:
@@ -49,10 +53,10 @@ def regular_file(path: PathLike, what: str = "file", most: float = LARGEST) -> P
     return file
 
 
-def read_bytes(path: PathLike, what: str = "file", most: int = LARGEST) -> bytes:
+def read_bytes(path: PathLike, what: str = "file") -> bytes:
     """Return the content of a file. Raises FileProblem and InvalidInput as :func:`regular_file` does."""
     try:
-        with regular_file(path, what, most).open("rb") as file:
+        with regular_file(path, what).open("rb") as file:
             return file.read()
     except FileProblem:
         raise
@@ -60,9 +64,9 @@ def read_bytes(path: PathLike, what: str = "file", most: int = LARGEST) -> bytes
         raise FileProblem(f"The {what} {path} cannot be read: {error.strerror}. Give another path.") from error
 
 
-def read_text(path: PathLike, what: str = "file", most: int = LARGEST) -> str:
+def read_text(path: PathLike, what: str = "file") -> str:
     """Return a UTF-8 text (a byte order mark is dropped). Raises FileProblem for other encodings and binary files."""
-    content = read_bytes(path, what, most)
+    content = read_bytes(path, what)
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise FileProblem(f"{path} is UTF-16 text. Save it as UTF-8 and try again.")
     try:

@@ -14,7 +14,6 @@ from hyperflex.files import cells as _cells
 from hyperflex.files.reading import read_text
 from hyperflex.files.writing import PathLike, atomic
 
-LARGEST = 256_000_000  # bytes of a table: text is read into memory
 _CUT = "The file ends within this line: it was probably cut off; get it again"
 _MEND = "Mend or remove the line"
 _EXAMPLE = "a number such as 0.5 or 1e-3, or nothing, NA, nan or - for a gap"
@@ -84,7 +83,7 @@ def read_table(path: PathLike) -> Table:
         infinite (line and column are named), a comma may be a decimal comma or group thousands, or the file ends,
         without a line feed, in a number with fewer digits than its column has: most likely it was cut off there.
     """
-    text = read_text(path, "table", LARGEST).replace("\r\n", "\n").replace("\r", "\n")
+    text = read_text(path, "table").replace("\r\n", "\n").replace("\r", "\n")
     numbered = [(k, line) for k, line in enumerate(text.split("\n"), 1) if line.strip()]
     comments = [(k, line.strip().lstrip("#").strip()) for k, line in numbered if line.lstrip().startswith("#")]
     rows = [(k, line) for k, line in numbered if not line.lstrip().startswith("#")]

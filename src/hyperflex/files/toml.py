@@ -12,7 +12,6 @@ from hyperflex.errors import InvalidInput
 from hyperflex.files.reading import read_text
 from hyperflex.files.writing import PathLike, write_text
 
-LARGEST = 64_000_000  # bytes of a TOML file: a rope of 100,000 links, each property an array, has some 20 MB
 _PARTS = 50
 _LONG_KEY = re.compile(rf"(?<![\w\"'-])(?:[\w\"'-]++\s*+\.\s*+){{{_PARTS}}}")
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+\Z")
@@ -20,7 +19,7 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+\Z")
 
 def read_toml(path: PathLike) -> dict[str, Any]:
     """Return the content of a TOML file. Raises FileProblem (missing, empty) or InvalidInput (place named)."""
-    return loads_toml(read_text(path, "TOML file", LARGEST), str(path))
+    return loads_toml(read_text(path, "TOML file"), str(path))
 
 
 def loads_toml(text: str, name: str = "the text") -> dict[str, Any]:

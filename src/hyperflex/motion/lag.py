@@ -11,7 +11,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
 
 # Time constants after a break at which a piece ends: what fades there is no polynomial, and is drawn through these.
-NODES = (0.5, 1.0, 1.75, 2.75, 4.0, 6.0, 9.0, 13.0, 20.0)
+NODES = np.geomspace(0.5, 20.0, 9)
 FADED = 25.0  # time constants after the end at which the arm stands still
 
 

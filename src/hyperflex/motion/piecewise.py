@@ -15,7 +15,7 @@ from hyperflex.errors import InvalidInput
 
 CHANNELS = 4  # arm angle, pivot x, pivot y, torque
 POWERS = 6  # coefficients of a piece: up to the fifth power, which minimum jerk needs
-_MEET = 1e-9  # rad or m: how far two motions may be apart where one hands over to the other
+MEET = 1e-9  # rad, m or s: greatest difference of two values that are meant to be equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +145,11 @@ class Motion:
             raise InvalidInput("what follows is not a motion", got=other, allowed="a Motion, such as hold(angle)")
         for name, channel in (("arm angle", ANGLE), ("pivot x", X), ("pivot y", Y)):
             one, two = (float(each._evaluate(at, channel, 0)) for each in (self, other))
-            if abs(one - two) > _MEET:
+            if abs(one - two) > MEET:
                 raise InvalidInput(
                     f"{name} jumps at t = {at:g} s",
                     got=[one, two],
-                    allowed=f"motions that meet within {_MEET:g}",
+                    allowed=f"motions that meet within {MEET:g}",
                     fix="Shift the second motion or move to its start first",
                 )
         breaks, coef, switch = self._unrolled(at)

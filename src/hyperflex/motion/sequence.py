@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
-from hyperflex.motion.piecewise import Motion
+from hyperflex.motion.piecewise import MEET, Motion
 from hyperflex.motion.profiles import (
     Profile,
     arm_motion,
@@ -18,7 +18,6 @@ from hyperflex.motion.profiles import (
 )
 
 BANG_BANG = 0.5 - 1e-6  # ramp beyond which no way at full speed is left
-_MEET = 1e-9  # s: a half turn that starts this much before the last one ends follows it at once
 
 
 def arm_moves(
@@ -128,7 +127,7 @@ def arm_strokes(
     now = 0.0
     for k, start in enumerate(begin.tolist(), start=number):
         here, there = ends[k % 2], ends[(k + 1) % 2]
-        if start - now > _MEET:
+        if start - now > MEET:
             breaks.append(now)
             rows.append([here])
             now = start
@@ -143,7 +142,7 @@ def arm_strokes(
 
 
 def _refuse_overlap(starts: checks.Array, t_move: float) -> None:
-    early = np.flatnonzero(np.diff(starts) < t_move - _MEET)
+    early = np.flatnonzero(np.diff(starts) < t_move - MEET)
     if early.size:
         k = int(early[0])
         raise InvalidInput(

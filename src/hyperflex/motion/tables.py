@@ -11,11 +11,10 @@ import numpy as np
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput, located
 from hyperflex.motion import profiles
-from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
+from hyperflex.motion.piecewise import CHANNELS, MEET, POWERS, Motion
 from hyperflex.motion.sequence import arm_moves, arm_strokes
 
 MOVES = "moves"  # key of the note with the arguments of ``arm_moves`` as JSON
-AGREE = 1e-9  # rad
 
 
 def read_motion(path: str | Path) -> Motion:
@@ -29,7 +28,7 @@ def read_motion(path: str | Path) -> Motion:
     -------
     Motion
         A spline through the samples (:func:`sampled_motion`). Where a plan wrote the file, its own moves, from the note
-        MOVES in its head, if they agree with the samples within AGREE: a spline asks up to 1.4 times the acceleration
+        MOVES in its head, if they agree with the samples within MEET: a spline asks up to 1.4 times the acceleration
         beside each of its jumps.
 
     Raises
@@ -46,7 +45,7 @@ def read_motion(path: str | Path) -> Motion:
         exact = arm_moves(**json.loads(table.notes[MOVES]))
     except (InvalidInput, KeyError, TypeError, ValueError):  # not what a plan wrote
         return sampled
-    return exact if np.abs(exact.angle(t) - angle).max() <= AGREE else sampled
+    return exact if np.abs(exact.angle(t) - angle).max() <= MEET else sampled
 
 
 def from_spec(spec: Mapping[str, Any], folder: Path | None = None) -> Motion:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hyperflex import extras
 from hyperflex.errors import FileProblem, InvalidInput, MissingPackage
-from hyperflex.files import PathLike, regular_file
+from hyperflex.files import LARGEST, PathLike, regular_file
 from hyperflex.recording import rosbag
 from hyperflex.recording.declare import Raw
 from hyperflex.recording.messages import Joints, Poses, Selection, Topic, choose, joints, poses, refuse_columns
@@ -21,7 +21,6 @@ MCAP_FORMAT = "hyperflex mcap 1"
 MCAP_METADATA = "hyperflex"  # name of the record that declares what a file of ours holds
 JOINT_STATES, POSES_IN_FRAME, POSE_IN_FRAME = "foxglove.JointStates", "foxglove.PosesInFrame", "foxglove.PoseInFrame"
 KINDS: dict[str, Kind] = {JOINT_STATES: "angles", POSES_IN_FRAME: "markers", POSE_IN_FRAME: "markers"}
-LARGEST = 1 << 30  # bytes of a record
 # What the mcap package raises on damaged files, found by altering sound ones, beside its own errors.
 _DAMAGE: tuple[type[Exception], ...] = (struct.error, ValueError, LookupError, TypeError, AttributeError, OSError)
 _DAMAGE += (EOFError, OverflowError, MemoryError, RuntimeError, AssertionError, StopIteration)

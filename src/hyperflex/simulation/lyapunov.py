@@ -17,11 +17,9 @@ from hyperflex.simulation.outcome import refuse_failure
 from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
 from hyperflex.simulation.runs import simulate
 
-SAMPLE_TIME = 0.05  # s, between two renormalisations
 NUDGE = 1e-5  # of the rope's length: far above the runs' own errors, far below where growth is no longer proportional
 MOST_NUDGES = 1000
 FINE = 1e-9  # of the rope's length: the tolerance of all runs
-NUDGES = 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,9 +100,9 @@ def predictability(
     rope: Rope | Setup,
     motion: Motion | None = None,
     *,
-    nudges: int = NUDGES,
+    nudges: int = 3,
     seed: int = 0,
-    sample_time: float = SAMPLE_TIME,
+    sample_time: float = 0.05,
     **setup: Unpack[SetupFields],
 ) -> Predictability:
     """Measure how fast small errors grow along a run: for how long comparing it point by point means anything.

@@ -5,6 +5,7 @@ more than was allowed for, it is flown again by the stepper for contacts. A flig
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -26,18 +27,48 @@ from hyperflex.simulation.contact.turning_pegs import coast, spin_energy, starti
 from hyperflex.simulation.rollouts import Rollout, starting_clock
 from hyperflex.trajectory import State
 
-SHORTEST_FLIGHT = 0.01  # s; for less the hand-over does not pay
-FASTER, SUDDEN = 2.0, 2.0  # a flight allows for speeds so many times as large, and by so much more, m/s
-FLIGHT_TOL = 1e-3  # of the tolerance: with all of it a flight would gain and lose more energy than contact may
-SLACK = 0.01  # rad, gap at which a joint has left its limit
-CLEAR = 0.03  # m, gap at which a rope that was in contact has left, where it is not so fast that it would be back
-# Energy that may come from nowhere at the usual tolerance, in parts of the energy at stake for each second; and where
-# joint friction is so low that the rope's own motion, and not contact, sets the steps
-APPEARING, APPEARING_FREE, LOW_FRICTION = 1e-6, 1e-4, 1e-4  # 1/s, 1/s, N m s/rad
-BUDGET = 250  # steps between two looks at progress and Ctrl-C; some take milliseconds
 STEP = "contact_step"
 # in a state's checkpoint, in the order of ``contact.arrays.ContactMemory``
 KEPT = ("contact_normal", "contact_tangent", "contact_mode", "contact_penalty", "joint_torque", "joint_mode")
+
+
+@dataclass(frozen=True)
+class HandOver:
+    """When free flight and contact steps alternate, and how much energy contact steps may add.
+
+    Attributes
+    ----------
+    shortest_flight : float
+        s; the hand-over takes more time than a shorter flight saves.
+    faster, sudden : float
+        A flight allows for speeds so many times as large, and for so much more, m/s.
+    flight_tol : float
+        Tolerance of a flight as a part of the run's: with all of it a flight would gain and lose more energy than
+        contact may.
+    slack : float
+        Gap at which a joint has left its limit, rad.
+    clear : float
+        Gap at which a rope that was in contact has left, m, unless it is so fast that it would be back at once.
+    gain, gain_free, low_friction : float
+        Energy that may appear at the default tolerance, in parts of the energy scale for each second: if joint friction
+        is at least `low_friction`, N m s/rad, and if it is lower. Then the rope's own motion sets the steps.
+    budget : int
+        Steps between two checks of the budget and of interrupts; some take milliseconds.
+    """
+
+    shortest_flight: float = 0.01
+    faster: float = 2.0
+    sudden: float = 2.0
+    flight_tol: float = 1e-3
+    slack: float = 0.01
+    clear: float = 0.03
+    gain: float = 1e-6
+    gain_free: float = 1e-4
+    low_friction: float = 1e-4
+    budget: int = 250
+
+
+RULE = HandOver()
 
 
 class ContactRun:
@@ -51,14 +82,14 @@ class ContactRun:
         n, m = run.chain.length.size, contacts.x.size
         self.looser = setup.tol / DEFAULT_TOL
         if setup.pegs:
-            run.limits = run.limits._replace(tol=FLIGHT_TOL * setup.tol)
+            run.limits = run.limits._replace(tol=RULE.flight_tol * setup.tol)
         self.run, self.setup = run, setup
         self.contacts = contacts
         self.pull, self.longest = np.array(setup.tip_force), setup.contact_step
         run.spin, run.seen = np.zeros((2, m)), np.full((run.t.size, 3 * n + 4 + 2 * m), np.nan)
         torque = np.zeros((len(WINDOWS), COLUMNS))
         self.contact = at.ContactState(run.progress.y, np.zeros(at.CLOCK), run.spin, new_contact_memory(n, m), torque)
-        self.flights, self.flown, self.clear = 0, 0.0, CLEAR
+        self.flights, self.flown, self.clear = 0, 0.0, RULE.clear
         self.enter(state)
 
     def enter(self, state: State | None) -> None:
@@ -97,9 +128,9 @@ class ContactRun:
         if self.pull.any():
             return status.LEFT
         gap, speed, left = core.clearance(run.chain, run.drive, self.contacts, run.time, run.progress.y, 0.0)
-        bound = FASTER * speed + SUDDEN
-        self.clear = max(CLEAR, SHORTEST_FLIGHT * bound)
-        if gap < self.clear or left <= SLACK:
+        bound = RULE.faster * speed + RULE.sudden
+        self.clear = max(RULE.clear, RULE.shortest_flight * bound)
+        if gap < self.clear or left <= RULE.slack:
             return status.LEFT
         self._lock()
         y, before, begin, spin = run.progress.y.copy(), clock.copy(), run.time, self.contact.spin.copy()
@@ -153,13 +184,13 @@ class ContactRun:
         run, clock, contact = self.run, self.run.progress.clock, self.contact
         scale = self._energy()
         friction = float(run.chain.viscous.max())
-        rate = self.looser * scale * (APPEARING if friction >= LOW_FRICTION else APPEARING_FREE)
+        rate = self.looser * scale * (RULE.gain if friction >= RULE.low_friction else RULE.gain_free)
         contact.clock[at.T], contact.clock[at.INDEX] = clock[T], clock[INDEX]
         always = bool(self.pull.any())  # free flight knows no force on the tip
         forced = run.time < least
         stop = min(run.limits.stop, least) if forced else run.limits.stop
         clear = np.inf if always or forced else self.clear
-        bounds = at.Bounds(stop, self.longest, self.setup.tol, rate, clear, SLACK, BUDGET)
+        bounds = at.Bounds(stop, self.longest, self.setup.tol, rate, clear, RULE.slack, RULE.budget)
         with deferred():  # else state and clock would not fit together
             code = int(
                 core.run(run.chain, run.drive, self.contacts, self.pull, bounds, contact, run.t, run.y, run.seen)
