@@ -10,6 +10,7 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.simulation.arguments import file_size
     from hyperflex.simulation.batch.batch import Batch, simulate_batch
+    from hyperflex.simulation.batch.members import BatchFields
     from hyperflex.simulation.batch.stepper import BatchState, BatchStepper
     from hyperflex.simulation.commands import arm_polynomials, set_commands, setup_for, state_directions
     from hyperflex.simulation.contact.start import check_limits, check_outside
