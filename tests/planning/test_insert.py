@@ -215,7 +215,8 @@ def test_a_floor_that_the_rope_would_touch_is_kept_clear_of() -> None:
     free, blocked = (
         InsertTask(each, SLOT).score(swing(each, planned().moves))[0][0] for each in (planned().problem, who)
     )
-    assert free < 0.1 < blocked
+    assert free < 0.1
+    assert blocked > free + 0.03  # three times the depth in the floor, with the radius
 
 
 def test_free_swings_tell_what_runs_beside_the_walls_do() -> None:
