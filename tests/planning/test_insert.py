@@ -298,7 +298,7 @@ def test_out_of_reach_is_said_before_any_search() -> None:
     far = plan_insert(ROPE, ARM, Slot(1.2, 0.0, 0.0))
     assert (far.success, far.status) == (False, 1)
     assert "the rope ends 0.15 m short of that depth" in far.message
-    up = plan_insert(ROPE, ARM, Slot(0.0, 0.3, 0.5 * np.pi), threads=1, time_limit=0.5)
+    up = plan_insert(ROPE, ARM, Slot(0.0, 0.3, 0.5 * np.pi), conditions=Conditions(time_limit=0.5))
     assert (up.success, up.status) == (False, 1)
     assert "in no swing does the tip go through" in up.message
 
