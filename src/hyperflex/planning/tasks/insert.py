@@ -380,10 +380,7 @@ class InsertTask(TipTask):
         return found
 
     def start(self, number: int) -> Candidate | None:
-        """Return the cheapest swing of each side and number of moves, then the second of each, and so on.
-
-        It gets moves enough to vary all that an entry requires.
-        """
+        """Return the cheapest swing of each side and number of moves, then the second of each, and so on."""
         limits, alike, order = self.problem.limits, Counter[tuple[int, int]](), list[tuple[int, int]]()
         cut = [each.moves.cut(each.t + OPTIONS.window, limits) for each in self.swings]
         for k, moves in enumerate(cut):
@@ -391,12 +388,16 @@ class InsertTask(TipTask):
             alike[kind] += 1
         if number >= len(order):
             return None
-        k = sorted(order)[number][1]
-        found = self.swings[k]
-        more = with_more(cut[k], 4, found.t - 0.2 * self.problem.period, limits)
+        return self.swings[sorted(order)[number][1]]
+
+    def freed(self, found: Candidate, rounds: int) -> Candidate:
+        """Return a swing with moves enough to vary all that an entry requires, and with two more in each round."""
+        limits = self.problem.limits
+        cut = found.moves.cut(found.t + OPTIONS.window, limits)
+        more = with_more(cut, 4 + 2 * rounds, found.t - 0.2 * self.problem.period, limits)
         t = np.arange(0.0, found.t + 0.3, OPTIONS.sample_time)
         (cost, at), self.runs = self.score(Flights(self.problem, [more], t))[0], self.runs + 1
-        return Candidate(more, -cost, at) if math.isfinite(cost) else replace(found, moves=cut[k])
+        return Candidate(more, -cost, at) if math.isfinite(cost) else replace(found, moves=cut)
 
     def aims(self, flights: Flights, near: Sequence[float]) -> list[Aim | None]:
         """Return the ways through the slot that end next to times `near`, s."""
@@ -724,6 +725,7 @@ def plan_insert(
         if task.swings and (known.feasible or options.skip_feasibility):
             planner = Planner(task, budget.share(0.8), 0.5)
             planner.run()
+            task.verify_best(planner, budget)
             if planner.best is not None and planner.succeeds:
                 best = planner.best.candidate
                 given = (problem, slot, best.moves, best.t, uncertainty)

@@ -262,7 +262,7 @@ class TipTask(Task):
         needed = problem.rope.radius + max(problem.clearance, 0.0)
         left = [min(gap_of(each, *place) for place in places) - needed for each in problem.obstacles]
         self._spare = np.clip(0.5 * np.array(left), 0.0, OPTIONS.spare)  # half of what the target leaves, at most
-        self._searched, self._given = 0, False
+        self._searches, self._given, self._begun = 0, False, list[tuple[Candidate, int]]()
 
     @abstractmethod
     def score(self, flights: Flights) -> list[tuple[float, float]]:
@@ -297,21 +297,37 @@ class TipTask(Task):
         """Return the swing about which search number `number` is made; None without one."""
         return self.swings[number] if number < len(self.swings) else None
 
+    def freed(self, found: Candidate, rounds: int) -> Candidate:
+        """Return the swing with which a search begins that continues one of so many `rounds`."""
+        return found
+
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Return the random swings, then the result of a search by CMA-ES about one after the other."""
+        """Return the random swings; then results of searches by CMA-ES about one after the other.
+
+        After each of them the best one that gained a tenth of its cost is continued.
+        """
         if not self._given:
             self._given = True
             return self.swings
-        begin = self.start(self._searched)
-        self._searched += 1
-        return [] if begin is None else [self._evolved(begin, budget)]
+        begin = self.start(self._searches)
+        self._searches += 1
+        self._begun.sort(key=lambda each: -each[0].score)
+        best, self._begun = self._begun[:1], self._begun[1:]
+        results = list[Candidate]()
+        for each, rounds in [*([] if begin is None else [(begin, 0)]), *best]:
+            free = self.freed(each, rounds)
+            result = self._evolved(free, budget)
+            results.append(result)
+            if -self.ready > result.score > 0.9 * free.score:
+                self._begun.append((result, rounds + 1))
+        return results
 
     def _evolved(self, begin: Candidate, budget: Budget) -> Candidate:
         """Return the best swing of a search by CMA-ES about a swing."""
         options, best, k = OPTIONS, begin, begin.moves.ends.size
         scale = np.repeat([np.pi, self.problem.period], k)
         spread = np.repeat([options.end_spread, options.rest_spread], k)
-        random = np.random.default_rng([1, self.seed, self._searched])
+        random = np.random.default_rng([1, self.seed, self.runs])
         optimizer = CmaEs(begin.moves.parameters / scale, options.narrow, spread, options.members, random)
         t = np.arange(0.0, min(self.problem.time, begin.t + 0.3), options.sample_time)
         for _ in range(options.generations):
@@ -374,6 +390,11 @@ class TipTask(Task):
             damping = max(dampings[k], least)
             best, jacobian, later = self._derivatives(better, budget)
         return best
+
+    def verify_best(self, planner: Planner, budget: Budget) -> None:
+        """Verify the best aim if no candidate of a planner was worth it: its runs show why it fails."""
+        if planner.best is None and planner.rolled and not budget.expired:
+            planner.best = self.verify(planner.rolled[0], budget)
 
     def _scale(self, moves: Moves) -> Array:
         """Return standard deviations (2 k,) of a random swing's parameters, rad and s."""

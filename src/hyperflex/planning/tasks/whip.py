@@ -549,8 +549,9 @@ def plan_whip(
         known = check_whip_feasibility(whip_map, target)
         if math.isfinite(known.cost) and (known.feasible or options.skip_feasibility):
             task = WhipTask(replace(whip_map, problem=problem), target, options.seed)
-            planner = Planner(task, budget, 0.5)
+            planner = Planner(task, budget.share(0.8), 0.5)
             planner.run()
+            task.verify_best(planner, budget)
     found = plan_fields(planner, known.message, "no peak of the tip's speed comes near it", stop, budget)
     return stop.deliver(WhipPlan(problem, target, known, **found))
 
