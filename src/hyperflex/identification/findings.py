@@ -39,7 +39,6 @@ class Kind(StrEnum):
     PICTURE_SCALE = "different scales along x and y", Rank.EVIDENCE
     MARKER_DISTANCES = "marker distances unlike link lengths", Rank.EVIDENCE
     UNLIKE_LENGTHS = "link lengths of different units", Rank.EVIDENCE
-    HANGS_UPWARDS = "gravity holds the rope up", Rank.EVIDENCE
     NOISE_OVERSTATED = "declared noise too large", Rank.EVIDENCE
     UNEXPLAINED = "residuals larger than noise", Rank.EVIDENCE
     SPRING_OR_ANGLES = "angles scaled, or a spring", Rank.EVIDENCE
@@ -73,6 +72,7 @@ class Kind(StrEnum):
     UNEVEN_RESISTANCE = "resistance differs along the rope", Rank.CAUSE
     LINKS_TOO_LONG = "links too long", Rank.CAUSE
     # What the fit looks like
+    HANGS_UPWARDS = "gravity holds the rope up", Rank.SYMPTOM
     NOT_CONVERGED = "fit not converged", Rank.SYMPTOM
     POOR_FIT = "poor fit", Rank.SYMPTOM
     POOR_TORQUE = "torque does not fit", Rank.SYMPTOM
@@ -155,5 +155,7 @@ def grade(findings: Iterable[Finding]) -> Grade:
 
 
 def ordered(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings, each kind of one cause once, the most severe first; then by rank, and by gain."""
-    return tuple(sorted(findings, key=lambda each: (-each.severity, each.kind.rank, -each.gain)))
+    """Return findings, the most severe first, then by rank; what a short fit has confirmed first, then by gain."""
+    return tuple(
+        sorted(findings, key=lambda each: (-each.severity, each.kind.rank, "before" not in each.values, -each.gain))
+    )

@@ -129,7 +129,7 @@ def mistakes(recording: Recording, left: ShortFit, named: ScoreTest | None) -> l
         most = min(most, skewed)
     elif least > SHORT_FIT.better * min(most, skewed):
         skew = _skew(float(np.sqrt(scale)), float(angle))
-        found = [*skew, *found] if least <= SHORT_FIT.as_good * skewed < np.inf else skew
+        found = [*found, *skew] if least <= SHORT_FIT.as_good * skewed < np.inf else skew
         least = min(least, skewed)
     if least > min(SHORT_FIT.better * most, SHORT_FIT.fits):
         most = min(most, skewed)
