@@ -603,8 +603,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize(("change", "match"), BAD.values(), ids=BAD.keys())
 def test_bad_input_is_refused_with_advice(change: dict[str, Any], match: str) -> None:
     arguments: dict[str, Any] = {"recording": RECORDING, "rope_guess": PENDULUM, "free": ["friction"]} | change
+    of_fit = {name: arguments.pop(name) for name in ("window", "train", "lead") if name in arguments}
+    of_setup = {name: arguments.pop(name) for name in ("motion", "arm", "arc_lengths", "origin") if name in arguments}
     with pytest.raises(InvalidInput, match=match):
-        identify(**arguments)
+        identify(**arguments, setup=RecordingSetup(**of_setup), options=FitOptions(**of_fit))
 
 
 def test_markers_in_another_unit_are_noticed() -> None:
