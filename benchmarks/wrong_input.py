@@ -1,6 +1,6 @@
 """What identify says of wrong and poor inputs, simulated and real.
 
-python -m benchmarks.wrong_input --data FOLDER     all cases; the table goes to docs/wrong-input.md
+python -m benchmarks.wrong_input --data FOLDER     all cases; the table goes to benchmarks/results/wrong-input.md
 python -m benchmarks.wrong_input --out -           simulated cases alone; nothing is written
 python -m benchmarks.wrong_input --only WORDS      cases with these words in their names; nothing is written
 
@@ -447,7 +447,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, help="folder with the real recordings")
     parser.add_argument("--workers", type=int, default=1, help="processes (1)")
-    parser.add_argument("--out", default="docs/wrong-input.md", help="- writes nothing")
+    parser.add_argument("--out", default="benchmarks/results/wrong-input.md", help="- writes nothing")
     parser.add_argument("--only", default="", help="words in the names of the cases to run; nothing is written")
     options = parser.parse_args()
     count = len(cases(options.data, options.only))

@@ -30,6 +30,7 @@ from tests.names import code_names
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+GENERATED = ("cli.md", "modules.md", "wrong-input.md")  # pages that exist in the built site alone
 MODULES = sorted(m.name for m in pkgutil.walk_packages(hyperflex.__path__, "hyperflex."))
 
 
@@ -54,7 +55,8 @@ def test_python_of_a_page_runs_as_it_stands(page: Path, tmp_path: Path, monkeypa
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_local_links_of_a_page_lead_somewhere(page: Path) -> None:
     targets = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", page.read_text("utf-8"))
-    assert [t for t in targets if not (page.parent / t).exists()] == []
+    made = {ROOT / "docs" / name for name in GENERATED}
+    assert [t for t in targets if not (page.parent / t).exists() and (page.parent / t).resolve() not in made] == []
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -71,12 +73,6 @@ def test_equations_that_the_code_names_are_in_the_models_page() -> None:
     named_there = set(re.findall(r"\(?(M\.\d+)\b", sources))
     assert named_there
     assert named_there <= known
-
-
-def test_page_on_the_command_line_is_what_help_prints() -> None:
-    from docs import generate_cli
-
-    assert (ROOT / "docs" / "cli.md").read_text("utf-8") == generate_cli.page(), "run python docs/generate_cli.py"
 
 
 def test_site_builds_and_needs_no_network(tmp_path: Path) -> None:

@@ -58,7 +58,7 @@ def test_what_explains_the_same_is_freed_in_the_order_of_likelihood(data_dir: Pa
     found = hf.identify(recording.window(26.0, 34.0), guess, options=hf.FitOptions(intervals=None))
     assert found.grade == "usable for ratios"
     assert found.settings["free"][:3] == ["inertia", "friction", "com"]
-    # of the whole recording, with its lengths and clock: docs/wrong-input.md
+    # of the whole recording, with its lengths and clock: benchmarks/results/wrong-input.md
     np.testing.assert_allclose(found.ratios["J/p1"], [0.0906, 0.00691], rtol=0.02)
 
 
