@@ -10,13 +10,6 @@ from hyperflex.checks import Array
 from hyperflex.control.swing_model import SwingModel, arrival_time
 from hyperflex.interfaces import RopeState
 
-COARSE, FINE = 0.04, 0.01  # s, between rests that are tried
-STEPS = (0.05, 0.02, 0.007)  # s, by which the rests of a plan are moved
-HORIZON = 1.38  # periods of the rope to look ahead: the next half turn and the swing that it drives
-MARGIN = 0.1  # periods to look ahead beyond the end of a plan
-SHORTFALL_COST = 3.0  # s/m
-OVERSHOOT_COST = 20.0  # of an overshoot, relative to a shortfall
-
 
 class LookaheadRule(ABC):
     """Receding horizon: the next rests by coordinate search over the model's predictions; each sweep is one batch.
@@ -29,15 +22,17 @@ class LookaheadRule(ABC):
     depth : int
         Rests that are optimized together; the first one is used, the others are the next search's start.
     horizon : float, optional
-        Time to look ahead, s; by default HORIZON periods.
+        Time to look ahead, s; by default 1.38 periods of the rope: the next half turn and the swing that it drives.
     """
+
+    coarse, fine = 0.04, 0.01  # s, between rests that are tried
 
     def __init__(self, model: SwingModel, target: float, *, depth: int = 2, horizon: float | None = None) -> None:
         self.model = model
         self.target = checks.number("target", target, sign="positive", unit="m")
         depth = checks.count("depth", depth)
         period = model.period
-        self.horizon = HORIZON * period
+        self.horizon = 1.38 * period
         if horizon is not None:
             self.horizon = checks.number("horizon", horizon, sign="positive", unit="s")
         self.longest = 0.6 * period
@@ -53,9 +48,9 @@ class LookaheadRule(ABC):
         if not self._waited(now, made):
             self.rests = np.append(self.rests[1:], self.model.usual_rest)
         for k in range(self.rests.size):
-            self._choose(k, np.arange(0.0, self.longest, COARSE), self.horizon, now, made)
+            self._choose(k, np.arange(0.0, self.longest, self.coarse), self.horizon, now, made)
         for k in range(self.rests.size):
-            self._choose(k, self.rests[k] + FINE * np.arange(-4, 5), self.horizon, now, made)
+            self._choose(k, self.rests[k] + self.fine * np.arange(-4, 5), self.horizon, now, made)
         return now.t + float(self.rests[0])
 
     def _waited(self, now: RopeState, made: int) -> bool:
@@ -95,6 +90,10 @@ class PumpingRule(LookaheadRule):
     paper, which leaves more efficient casting to future work.
     """
 
+    shortfall_cost = 3.0  # s/m
+    steps = (0.05, 0.02, 0.007)  # s, by which the rests of a plan are moved
+    margin = 0.1  # periods to look ahead beyond the end of a plan
+
     def __init__(
         self,
         model: SwingModel,
@@ -114,9 +113,9 @@ class PumpingRule(LookaheadRule):
             self.rests = np.append(0.0, self.plan)
 
     def cost(self, t: Array, amplitude: Array) -> Array:
-        """Return the arrival time, s; without arrival the end and SHORTFALL_COST times the shortfall."""
+        """Return the arrival time, s; without arrival the end and `shortfall_cost` times the shortfall."""
         first = arrival_time(t, amplitude, self.target)
-        return np.where(np.isfinite(first), first, t[-1] + SHORTFALL_COST * (self.target - amplitude.max(axis=1)))
+        return np.where(np.isfinite(first), first, t[-1] + self.shortfall_cost * (self.target - amplitude.max(axis=1)))
 
     def next_start(self, now: RopeState, made: int) -> float:
         """Return the start of the next half turn, s."""
@@ -124,8 +123,8 @@ class PumpingRule(LookaheadRule):
             return super().next_start(now, made)
         self.rests = self.rests[-(self.plan.size - made + 1) :].copy()
         self._waited(now, made)
-        left = max(0.5 * self.model.period, self.arrival_time - now.t) + MARGIN * self.model.period
-        for step in STEPS:
+        left = max(0.5 * self.model.period, self.arrival_time - now.t) + self.margin * self.model.period
+        for step in self.steps:
             for k in range(self.rests.size):
                 self._choose(k, self.rests[k] + step * np.arange(-2, 3), left, now, made)
         return now.t + float(self.rests[0])
@@ -142,14 +141,16 @@ class AmplitudeRule(LookaheadRule):
     Notes
     -----
     The cost is the shortfall of the greatest amplitude in the last half period of the horizon, a fifth of that in the
-    half before, and OVERSHOOT_COST times the overshoot of any point. Half turns are all of one size, so the amplitude
+    half before, and `overshoot_cost` times the overshoot of any point. Half turns are all of one size, so the amplitude
     cannot be kept exactly: half turns that drive and half turns that brake alternate.
     """
 
+    overshoot_cost = 20.0  # of an overshoot, relative to a shortfall
+
     def cost(self, t: Array, amplitude: Array) -> Array:
-        """Return the shortfall, m, and OVERSHOOT_COST times the overshoot, m."""
+        """Return the shortfall, m, and `overshoot_cost` times the overshoot, m."""
         half = 0.55 * self.model.period
         late, before = t > self.horizon - half, (t <= self.horizon - half) & (t > self.horizon - 2.0 * half)
         short = np.abs(self.target - amplitude[:, late].max(axis=1))
         short = short + 0.2 * np.abs(self.target - amplitude[:, before].max(axis=1, initial=0.0))
-        return np.asarray(short + OVERSHOOT_COST * np.maximum(amplitude.max(axis=1) - self.target, 0.0))
+        return np.asarray(short + self.overshoot_cost * np.maximum(amplitude.max(axis=1) - self.target, 0.0))

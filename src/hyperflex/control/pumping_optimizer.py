@@ -13,10 +13,6 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.interruption import catch_interrupt, interruptible
 
-MEMBERS = 60  # of a generation
-SPREAD = 0.08  # s, of the first generation about constant rests
-MIN_GAIN = 0.04  # s: deadlines are bisected to this
-
 
 @dataclass(frozen=True, eq=False)
 class PumpingPlan:
@@ -94,7 +90,7 @@ def optimize_pumping(
     )
     low, high = found.arrival_time - 0.6 * model.period, found.arrival_time
     with catch_interrupt() as stop:
-        while rounds and high - low > MIN_GAIN:
+        while rounds and high - low > 0.04:  # s, to which the deadline is bisected
             deadline = 0.5 * (low + high)
             found, reached = _before(deadline, model, want, rest, found, rounds, seed)
             low, high = (low, found.arrival_time) if reached else (deadline, high)
@@ -114,8 +110,9 @@ def _before(
 
     count = max(1, math.ceil(deadline / (model.t_move + found.constant_rest)))
     random = np.random.default_rng(seed)
-    middle = found.constant_rest * np.linspace(0.4, 1.6, MEMBERS)
-    first = np.clip(middle[:, None] + SPREAD * random.standard_normal((MEMBERS, count)), 0.0, 0.5 * model.period)
+    members, spread = 60, 0.08  # of a generation; s, of the first one about constant rests
+    middle = found.constant_rest * np.linspace(0.4, 1.6, members)
+    first = np.clip(middle[:, None] + spread * random.standard_normal((members, count)), 0.0, 0.5 * model.period)
     first[0] = np.resize(found.rests, count)
     rollouts = 0
 

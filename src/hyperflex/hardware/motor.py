@@ -9,8 +9,6 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import Motion, sampled_motion
 
-STEP = 2.5e-4  # s, of the simulated servo
-STEPS_A_LAG = 16.0  # at least, in its lag
 SAMPLE_TIME = 2e-3  # s, between samples of what it has done
 
 
@@ -107,7 +105,7 @@ class SimulatedMotor:
 
     def _run(self, until: float) -> None:
         """Take the servo's steps that end by `until`, s; semi-implicit Euler."""
-        step = min(STEP, self.lag / STEPS_A_LAG)
+        step = min(2.5e-4, self.lag / 16.0)  # s; at least 16 steps in a lag
         count = math.floor((until - self._t) / step + 1e-9)
         if count < 1:
             return

@@ -27,12 +27,6 @@ DURATION = 14.0  # s
 RATE = 1000  # samples per second: the tip cracks like a whip, and r peaks within a few milliseconds
 TOL = 1e-8
 TABLE_RATE = 100  # rows per second
-WINDOW = 2.0  # s
-REACH_RATIO = 1.6
-STRAIGHTNESS = 0.995
-SETTLED = 2.0  # s, from when on theta(t) is fitted
-CONCENTRATION = 0.9
-NEARLY_FULL = 0.9  # share of the greatest r up to which the rope counts as being pumped up
 
 
 @dataclass(frozen=True)
@@ -206,8 +200,7 @@ def _thin(subject: Cast, values: Array) -> Array:
 
 def reach_table(subject: Cast) -> Array:
     """Return the greatest ``|x|`` of the tip in each 2 s from the start on, m."""
-    starts = np.arange(0.0, subject.t[-1] - 0.5 * WINDOW, WINDOW)
-    return np.array([subject.reach(start, start + WINDOW) for start in starts])
+    return np.array([subject.reach(start, start + 2.0) for start in np.arange(0.0, subject.t[-1] - 1.0, 2.0)])
 
 
 def success_over_failure(reading: Reading) -> Claim:
@@ -223,9 +216,7 @@ def success_over_failure(reading: Reading) -> Claim:
         f"{success.reach(10.0, 14.0):.2f} m against {failure.reach(10.0, 14.0):.2f} m; "
         f"the failure peaks at {peaks.max():.2f} m and ends at {peaks[-1]:.2f} m"
     )
-    return Claim(
-        "C2", "rest 0.53 s succeeds, 0.34 s fails: ratio of reach in 10-14 s", reading, ratio, REACH_RATIO, note
-    )
+    return Claim("C2", "rest 0.53 s succeeds, 0.34 s fails: ratio of reach in 10-14 s", reading, ratio, 1.6, note)
 
 
 def straight_phase(reading: Reading) -> Claim:
@@ -236,17 +227,18 @@ def straight_phase(reading: Reading) -> Claim:
     straightness, slope, off = straight_fit(cast(reading, "success"))
     failure = straight_fit(cast(reading, "failure"))[0]
     rate = 1.0 / cast(reading, "success").spiral.c
-    tells = "below the threshold" if failure < STRAIGHTNESS else "would pass too: this does not tell the two apart"
+    threshold = 0.995
+    tells = "below the threshold" if failure < threshold else "would pass too: this does not tell the two apart"
     note = (
         f"the failure's R^2, for information: {failure:.4f}, {tells}; "
         f"slope {slope:.3f} rad/s, 1/c = {rate:.3f} rad/s; rms off the line {off:.2f} rad"
     )
-    return Claim("C3", "theta(t) is straight from 2 s on: R^2", reading, straightness, STRAIGHTNESS, note)
+    return Claim("C3", "theta(t) is straight from 2 s on: R^2", reading, straightness, threshold, note)
 
 
 def straight_fit(subject: Cast) -> tuple[float, float, float]:
     """Return R^2, slope (rad/s) and rms residual (rad) of the straight line fitted to theta from 2 s on."""
-    late = subject.t >= SETTLED
+    late = subject.t >= 2.0
     t, theta = subject.t[late], subject.spiral.theta[late]
     slope, offset = np.polyfit(t, theta, 1)
     residual = theta - (slope * t + offset)
@@ -268,7 +260,7 @@ def steady_step_phase(reading: Reading) -> Claim:
     listed = ", ".join(f"{phase:.2f}" for phase in rises)
     note = f"mean phase {centre:.2f}, when the arm {doing}; by half cycle: {listed}"
     statement = "r rises fastest at one phase of the arm's half cycle: concentration"
-    return Claim("C4", statement, reading, concentration(rises), CONCENTRATION, note)
+    return Claim("C4", statement, reading, concentration(rises), 0.9, note)
 
 
 def concentration(phases: Array) -> float:
@@ -293,4 +285,4 @@ def _pumped_up(subject: Cast) -> float:
     t = subject.t
     size = 2 * round(0.5 * subject.period / (t[1] - t[0])) + 1
     level = median_filter(subject.spiral.r, size=size, mode="nearest")
-    return float(t[np.argmax(level >= NEARLY_FULL * level.max())])
+    return float(t[np.argmax(level >= 0.9 * level.max())])

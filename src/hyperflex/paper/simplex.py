@@ -19,9 +19,6 @@ Rates = Literal["rest", "measured", "free"]
 
 RATES = ("rest", "measured", "free")
 PRECISION = 1e-6  # tolerance of a rollout over the rope's length: some 1e-5 rad, far below the noise of a camera
-SPREAD = 0.05  # rad, edge of the first simplex in an angle; in a rate, this over the time below
-PACE = 0.2  # s, the time in which such a rate makes such an angle
-ANGLE_STEP, ERROR_STEP = 1e-4, 1e-6  # rad and rad^2: tolerances of the simplex, far below the noise of a camera
 BEYOND = 1e3  # rad or rad/s: no state that a simplex may try
 MAX_EVALUATIONS = 400  # rollouts for each unknown, in each of the two descents
 
@@ -123,6 +120,10 @@ def estimate_initial_state(
 class _Descent:
     """Counts rollouts and remembers the best state, so that Ctrl-C loses nothing."""
 
+    edge = 0.05  # rad, of the first simplex in an angle; in a rate, this over the time below
+    pace = 0.2  # s, the time in which such a rate makes such an angle
+    angle_step, error_step = 1e-4, 1e-6  # rad and rad^2: tolerances of the simplex, far below the noise of a camera
+
     def __init__(self, measured: Recording, rope: Rope, state: Array, free: int) -> None:
         self.measured, self.rope, self.free = measured, rope, free
         self.best, self.least, self.evaluations = state.copy(), np.inf, 0
@@ -141,7 +142,7 @@ class _Descent:
         from scipy.optimize import minimize
 
         n = self.rope.n_links
-        edges = np.repeat([SPREAD, SPREAD / PACE], n)[: self.free]
+        edges = np.repeat([self.edge, self.edge / self.pace], n)[: self.free]
         here = self.best[: self.free]
         result = minimize(
             self,
@@ -149,8 +150,8 @@ class _Descent:
             method="Nelder-Mead",
             options={
                 "initial_simplex": np.vstack([here, here + np.diag(edges)]),
-                "xatol": ANGLE_STEP if self.free == n else ANGLE_STEP / PACE,
-                "fatol": ERROR_STEP,
+                "xatol": self.angle_step / (1.0 if self.free == n else self.pace),
+                "fatol": self.error_step,
                 "maxfev": max_evaluations * self.free,
                 "maxiter": max_evaluations * self.free,
                 "adaptive": self.free > n,

@@ -17,7 +17,6 @@ DURATION = 20.0  # s
 WINDOW = 2.5  # s, over which the median of r is taken
 RATE = 200  # samples per second
 TOL = 1e-6  # m
-FIRST = 1.0  # ratio at which t_b = 0 just ends largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +95,7 @@ def largest_in_the_end(reading: Reading) -> Claim:
         f"r by t_b, first window: {first}; {WINDOW * half:g}-{WINDOW * (half + 1):g} s: {middle}; end: {last}; "
         f"0.20 s leads in {ahead} of {len(leading) - 1} windows on the way"
     )
-    return Claim("C5", "t_b = 0 ends with the largest r: over the next largest", reading, ratio, FIRST, note)
+    return Claim("C5", "t_b = 0 ends with the largest r: over the next largest", reading, ratio, 1.0, note)
 
 
 def _order(levels: dict[float, Array], k: int) -> str:
