@@ -12,7 +12,7 @@ HEAD = """\
 
 Every command takes `--json`: it then prints one JSON object on standard output and nothing else there. Progress and
 messages go to standard error. A command that fails prints `{"error": ..., "type": ...}` under `--json`; Ctrl-C and
-SIGTERM give `"error": "interrupted"` ([Interrupt it](how-to/faults.md#interrupt-it)).
+SIGTERM give `"error": "interrupted"` ([Interruptions](how-to/faults.md)).
 
 | exit code | meaning |
 |---|---|
