@@ -307,12 +307,16 @@ def test_table_that_does_not_fit_its_names_is_refused(tmp_path: Path) -> None:
 # ---- TOML
 
 KEYS = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
-VALUES = st.one_of(
+SCALARS = st.one_of(
     st.booleans(),
     st.integers(-(2**63), 2**63 - 1),
     st.floats(allow_nan=False),
     st.text(st.characters(exclude_categories=["Cs"]), max_size=8),
+)
+VALUES = st.one_of(
+    SCALARS,
     st.lists(st.floats(allow_nan=False), max_size=4),
+    st.lists(st.dictionaries(KEYS, SCALARS, max_size=3), max_size=3),
 )
 TABLES = st.recursive(
     st.dictionaries(KEYS, VALUES, max_size=4), lambda inner: st.dictionaries(KEYS, VALUES | inner, max_size=4)

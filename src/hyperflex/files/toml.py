@@ -115,6 +115,9 @@ def _toml_value(name: str, value: Any) -> str:
         return _toml_string(value)
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_toml_value(name, item) for item in value) + "]"
+    if isinstance(value, Mapping):  # in an array: an inline table
+        pairs = (f"{_toml_key(key)} = {_toml_value(f'{name}.{key}', item)}" for key, item in value.items())
+        return "{" + ", ".join(pairs) + "}"
     raise InvalidInput(
         f"{name} cannot be written as TOML", got=value, allowed="text, numbers, booleans, arrays, tables"
     )
