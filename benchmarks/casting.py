@@ -37,6 +37,7 @@ from benchmarks import machine
 
 import hyperflex as hf
 from hyperflex import files
+from hyperflex.budget import Budget
 from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.motion import Motion
@@ -51,7 +52,7 @@ from hyperflex.planning import (
     plan_cast,
     verify_cast,
 )
-from hyperflex.planning.search.strikes import simulate_strikes
+from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
 
 RESULTS = Path(__file__).parent / "results"
 LINKS = 50
@@ -223,9 +224,8 @@ def done(
                 known.arm,
                 target(number, rope, seed),
                 time_budget=time_budget,
-                skip_feasibility=True,
-                seed=number,
-                on_plan=lambda found, told=told: told.append(found.seconds),  # type: ignore[misc]
+                options=hf.SearchOptions(skip_feasibility=True, seed=number),
+                on_plan=lambda found, told=told: told.append(found.seconds),
             )
             planned.append((number, rope, plan, ours_alone, told[0] if told else None))
             if plans is not None and plan.success:
@@ -306,7 +306,9 @@ def timed(rope: str) -> Motion:
 
 def until_strike(rope: str, peg: hf.Peg, motion: Motion) -> Motion | None:
     """A motion that ends with the half turn in which the rope strikes; None if it does not strike."""
-    struck = float(simulate_strikes(problem(rope), peg, [motion]).t[0])
+    known = problem(rope)
+    batch = RolloutBatch.from_start(known, [known.rope], [peg], [motion])
+    struck = float(fly_to_strikes(known, peg, batch, Budget()).t[0])
     if math.isnan(struck):
         return None
     begins = [t for t in motion.switches(0.0, struck) if abs(float(motion.rate([t])[0])) < 1e-9]

@@ -37,7 +37,7 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.core.cache import SOURCE_HASH
-from hyperflex.planning import MIN_TURNS
+from hyperflex.planning import WindCriteria
 
 RESULTS = Path(__file__).parent / "results"
 ARM = 1e5  # kg m^2, armature of the arm: the rope then disturbs it by 1e-5 rad/s^2
@@ -137,7 +137,7 @@ def entry(path: Path, name: str, step: float) -> dict[str, Any]:
         "turns": mine,
         "turns in MuJoCo": other,
         "step": step,
-        "winds": bool(abs(other) >= MIN_TURNS and mine * other > 0.0),
+        "winds": bool(abs(other) >= WindCriteria.turns and mine * other > 0.0),
         "agrees": bool(abs(mine - other) <= NEAR),
         "seconds": time.process_time() - begin,
         "kernels": SOURCE_HASH,

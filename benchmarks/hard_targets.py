@@ -66,7 +66,7 @@ def called(arguments: dict[str, Any], budget: float) -> dict[str, Any]:
     """Plan once; return what came of it, and by how much the call outlasted its budget, s."""
     begin, planned, runs = time.perf_counter(), False, 0
     try:
-        plan = plan_cast(**arguments, time_budget=budget, seed=1)
+        plan = plan_cast(**arguments, time_budget=budget, options=hf.SearchOptions(seed=1))
         planned, runs, told = plan.success, plan.runs, "wound and held" if plan.success else plan.message
     except HyperflexError as error:
         told = str(error)

@@ -27,7 +27,7 @@ from benchmarks.casting import RESULTS, TIP, problem, target
 
 from hyperflex import files
 from hyperflex.core.cache import SOURCE_HASH
-from hyperflex.planning import Feasibility, check_feasibility, plan_cast
+from hyperflex.planning import Feasibility, SearchOptions, check_feasibility, plan_cast
 from hyperflex.planning.feasibility import SWING as MODEL
 
 FIRST, COUNTED = 300, 10_000
@@ -108,7 +108,11 @@ def planned(rope: str, number: int, time_budget: float) -> dict[str, Any]:
     """A row: what a search finds for a target."""
     who = problem(rope)
     plan = plan_cast(
-        who.rope, who.arm, target(number), time_budget=time_budget, skip_feasibility=True, seed=number, threads=1
+        who.rope,
+        who.arm,
+        target(number),
+        time_budget=time_budget,
+        options=SearchOptions(skip_feasibility=True, seed=number, threads=1),
     )
     return {
         "kernels": SOURCE_HASH,

@@ -37,13 +37,14 @@ from benchmarks.robust_page import page
 
 import hyperflex as hf
 from hyperflex import files
+from hyperflex.budget import Budget
 from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.errors import HyperflexError, SimulationError
 from hyperflex.planning import (
     CastPlan,
+    Moves,
     Problem,
     ScenarioStateSource,
-    Throw,
     Uncertainty,
     check_feasibility,
     estimate_success_probability,
@@ -51,9 +52,9 @@ from hyperflex.planning import (
     plan_cast,
     verify_cast,
 )
-from hyperflex.planning.outcome import SAMPLE_TIME, WATCH_TIME, evaluate_cast
-from hyperflex.planning.robust.scenario_rollouts import scenario_scores
-from hyperflex.planning.robust.uncertainty import Scenario
+from hyperflex.planning.outcome import SAMPLE_TIME, evaluate_cast
+from hyperflex.planning.rollouts import RolloutBatch, winding_scores
+from hyperflex.planning.uncertainty import Scenario
 
 RESULTS = Path(__file__).parent / "results"
 STREAM = 31337  # of the draws; planner, stated success and closed loop have others
@@ -170,43 +171,45 @@ class Case:
             self.peg,
             uncertainty=known,
             time_budget=time_budget,
-            skip_feasibility=True,
-            seed=self.number,
-            threads=threads,
+            options=hf.SearchOptions(skip_feasibility=True, seed=self.number, threads=threads),
         )
         stated = plan.success_probability
-        if (stated is None or not stated.samples) and plan.throw is not None:
+        if (stated is None or not stated.samples) and plan.moves is not None:
             stated = estimate_success_probability(
-                self.known, self.peg, plan.throw, self.uncertainty, seed=self.number, threads=threads
+                self.known,
+                self.peg,
+                plan.moves,
+                self.uncertainty,
+                options=hf.SearchOptions(seed=self.number, threads=threads),
             )
         return {
             "seconds": round(plan.seconds, 1),
             "planned": plan.success,
             "reason": plan.message,
             "stated": None if stated is None else [stated.successes, stated.samples],
-            "throw": None if plan.throw is None else written(plan.throw),
+            "throw": None if plan.moves is None else written(plan.moves),
         }
 
     def worlds(self, count: int, links: Problem | None = None) -> list[Scenario]:
         """Fresh draws, the same for all plans of a target and for any number of links."""
         return self.uncertainty.sample(count, links or self.known, self.peg, seed=[STREAM, self.number])
 
-    def open(self, throw: Throw, count: int) -> dict[str, Any]:
+    def open(self, throw: Moves, count: int) -> dict[str, Any]:
         """Make a throw as planned."""
         return self.judged([(throw, world) for world in self.worlds(count)])
 
-    def closed(self, throw: Throw, count: int) -> dict[str, Any]:
+    def closed(self, throw: Moves, count: int) -> dict[str, Any]:
         """Follow a throw on the true state of each drawn world; a throw that is given up has lost."""
         begin, worlds = time.perf_counter(), self.worlds(count)
         plan = CastPlan(self.known, self.peg, check_feasibility(self.known, self.peg), throw)
 
-        def one(k: int) -> tuple[Throw, bool, list[str]]:
+        def one(k: int) -> tuple[Moves, bool, list[str]]:
             source = ScenarioStateSource(worlds[k], self.known.arm)
             try:
                 done = follow_plan(plan, source, uncertainty=self.uncertainty, seed=k, threads=1)
             except HyperflexError:
                 return throw, True, ["failed"]
-            return done.throw, not done.completed, [each.action for each in done.decisions]
+            return done.moves, not done.completed, [each.action for each in done.decisions]
 
         with ThreadPoolExecutor(self.options.threads or os.cpu_count()) as pool:
             found = list(pool.map(one, range(count)))
@@ -217,16 +220,20 @@ class Case:
         row |= {word: words.count(word) for word in ("kept", "changed", "aborted", "failed")}
         return row | {"seconds": round(time.perf_counter() - begin, 1)}
 
-    def judged(self, pairs: list[tuple[Throw, Scenario]]) -> dict[str, Any]:
+    def judged(self, pairs: list[tuple[Moves, Scenario]]) -> dict[str, Any]:
         """Which draws are won, and in which the rope is also held."""
-        won = scenario_scores(self.known, pairs, threads=self.options.threads).turns >= self.known.turns
+        motions = [world.motion(moves, self.known) for moves, world in pairs]
+        ropes, pegs = [each.rope for _, each in pairs], [each.peg for _, each in pairs]
+        batch = RolloutBatch.from_start(self.known, ropes, pegs, motions)
+        found = winding_scores(self.known, batch, Budget(threads=self.options.threads))
+        won = found.turns >= self.known.criteria.turns
         return {"won": won.astype(int).tolist(), "held": self.each(lambda pair: self.held(*pair), pairs)}
 
-    def held(self, throw: Throw, world: Scenario) -> bool:
+    def held(self, throw: Moves, world: Scenario) -> bool:
         """Whether the rope winds and slips by less than 5 mm in 2 s, on links as coarse as those of the judge."""
         motion, known = world.motion(throw, self.known), replace(self.known, rope=world.rope)
         stop = float(motion.breaks[-1])
-        t = np.arange(0.0, stop + known.settle + WATCH_TIME, SAMPLE_TIME)
+        t = np.arange(0.0, stop + known.criteria.settle + known.criteria.watch, SAMPLE_TIME)
         try:
             run = hf.simulate(
                 world.rope,
@@ -243,7 +250,7 @@ class Case:
             return False
         return evaluate_cast(known, world.peg, run, stop).success
 
-    def fine(self, throw: Throw, count: int) -> dict[str, Any]:
+    def fine(self, throw: Moves, count: int) -> dict[str, Any]:
         """Judge a throw in the first draws with 2.5 times the links, refined beside the peg, and shorter steps."""
         known = problem(self.options.rope, FINER)
 
@@ -269,14 +276,14 @@ def uncertainty(level: float) -> Uncertainty:
     )
 
 
-def written(throw: Throw) -> dict[str, Any]:
+def written(throw: Moves) -> dict[str, Any]:
     """A throw as plain numbers."""
     return {name: np.asarray(value).tolist() for name, value in asdict(throw).items()}
 
 
-def read(numbers: dict[str, Any]) -> Throw:
+def read(numbers: dict[str, Any]) -> Moves:
     """A throw from plain numbers."""
-    return Throw(**{name: np.array(value) if isinstance(value, list) else value for name, value in numbers.items()})
+    return Moves(**{name: np.array(value) if isinstance(value, list) else value for name, value in numbers.items()})
 
 
 def line(number: int, row: dict[str, Any]) -> str:

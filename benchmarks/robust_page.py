@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from hyperflex.planning import MAX_SLIP, MIN_TURNS, WATCH_TIME, SuccessProbability
-from hyperflex.planning.search.contact_phase import END_TIME, LAST
+from hyperflex.planning import SuccessProbability, WindCriteria
+from hyperflex.planning.rollouts import MODEL
 
 RESAMPLES, STREAM = 10_000, 4711  # of the bootstrap over targets
 AIM, AGREES, APART = 0.9, 0.9, 0.05  # success; targets with 0 inside; stated less observed overall
@@ -43,11 +43,12 @@ def page(rows: Rows, options: dict[str, Any]) -> str:
 
 def definition() -> str:
     """What counts."""
+    usual = WindCriteria()
     return (
-        f"Won: the rope makes {MIN_TURNS:g} turns or more from the arm's tip to its end and keeps them over the last "
-        f"{LAST:g} s of the {END_TIME:g} s after the arm has stopped, clear of arm and shaft, in a run on links "
-        "as coarse as those of the search. Stated and observed success both ask for this, in draws of their own. "
-        f"Whether the rope also slips by less than {1e3 * MAX_SLIP:g} mm in {WATCH_TIME:g} s is not asked; it is told "
+        f"Won: the rope makes {usual.turns:g} turns or more from the arm's tip to its end and keeps them over the last "
+        f"{MODEL.last:g} s of the {1.5 + usual.settle:g} s after the arm has stopped, clear of arm and shaft, in a "
+        "run on links as coarse as those of the search. Stated and observed success both require this, in separate "
+        f"draws. Whether the rope also slips by less than {1e3 * usual.max_slip:g} mm in {usual.watch:g} s is reported "
         "as held. A throw that is given up, and a target without any throw, has lost."
     )
 

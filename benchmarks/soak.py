@@ -67,7 +67,7 @@ def fit(_: Path, seed: int) -> None:
 
 def plan(_: Path, seed: int) -> None:
     """A short search for a cast."""
-    hf.plan_cast(CABLE, ARM, PEG, time_budget=0.2, seed=seed)
+    hf.plan_cast(CABLE, ARM, PEG, time_budget=0.2, options=hf.SearchOptions(seed=seed))
 
 
 ROUND: tuple[Callable[[Path, int], None], ...] = (free, contact, batch, free, refused, contact, free, batch, fit, plan)

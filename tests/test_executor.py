@@ -58,7 +58,7 @@ def test_what_cannot_be_sent_to_processes_is_refused_with_the_reason(two: Execut
         results(partial(squares, on_plan=lambda _: True), 4, two, 2)
     targets = [hf.Peg(2.5, 0.0, 0.03)]
     with pytest.raises(InvalidInput, match="defined at the top of a module"):
-        hf.plan_casts(ROPE, hf.Arm(length=0.1), targets, executor=two, on_plan=lambda _: True)
+        hf.plan_cast(ROPE, hf.Arm(length=0.1), targets, options=hf.SearchOptions(executor=two), on_plan=lambda _: True)
     with pytest.raises(ZeroDivisionError):  # an error of the work itself is none of sending it
         results(fails, 10, two, 3)
 

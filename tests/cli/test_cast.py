@@ -12,10 +12,9 @@ import pytest
 import hyperflex as hf
 from hyperflex import files, planning
 from hyperflex.interruption import _USUAL
-from hyperflex.planning import FallbackTarget
+from hyperflex.planning import FallbackTarget, SuccessProbability
 from hyperflex.planning.outcome import TOO_LONG
-from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
-from hyperflex.planning.robust.uncertainty import Uncertainty
+from hyperflex.planning.uncertainty import Uncertainty
 from hyperflex.report import CastReport
 from tests.planning.known import CABLE, PEG, late, planned, stopped
 

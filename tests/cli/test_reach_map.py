@@ -26,7 +26,7 @@ def test_targets_are_like_the_first_peg_and_the_rest_are_obstacles(hyperflex_jso
     code, told = hyperflex_json("reach-map", setup, "--cells", 1, "-o", tmp_path / "out")
     assert (code, told["targets"], told["feasible"], told["complete"]) == (0, 2, 0, True)
     found = hf.read_reach_map(told["files"]["map"])
-    assert (found.problem.obstacles, found.problem.contact) == ((OTHER, FLOOR), 0.0)
+    assert (found.problem.obstacles, found.problem.criteria.contact) == ((OTHER, FLOOR), 0.0)
     assert (found.radius, found.mu) == (POST.radius, POST.mu)
     words = [text.get_text() for text in found.plot().legends[0].get_texts()]
     assert not [word for word in words if "obstacle" in word]  # they lie beyond the picture
@@ -39,12 +39,12 @@ def test_targets_are_like_the_first_peg_and_the_rest_are_obstacles(hyperflex_jso
         "reach-map", setup, "--cells", 1, "--radius", 0.4, "--mu", 0.1, "-o", tmp_path / "out", "--contact", 6.28
     )
     found = hf.read_reach_map(told["files"]["map"])
-    assert (found.radius, found.mu, found.problem.contact) == (0.4, 0.1, 6.28)
-    assert (found.problem.turns, found.problem.settle) == (1.25, 1.0)
+    assert (found.radius, found.mu, found.problem.criteria.contact) == (0.4, 0.1, 6.28)
+    assert (found.problem.criteria.turns, found.problem.criteria.settle) == (1.25, 1.0)
     asked = ("--turns", 0.75, "--settle", 2.5)
     code, told = hyperflex_json("reach-map", setup, "--cells", 1, "-o", tmp_path / "out", *asked)
     found = hf.read_reach_map(told["files"]["map"])
-    assert (code, found.problem.turns, found.problem.settle) == (0, 0.75, 2.5)
+    assert (code, found.problem.criteria.turns, found.problem.criteria.settle) == (0, 0.75, 2.5)
 
 
 def test_an_interrupt_leaves_the_map_so_far_and_says_so(hyperflex_json, setup, tmp_path, monkeypatch):

@@ -19,7 +19,7 @@ from hyperflex.envs import CrossingPolicy, PlannedCast, PumpingPolicy, Scores, s
 from hyperflex.envs.drawing import default_rope
 from hyperflex.envs.policies import members_of
 from hyperflex.errors import InvalidInput, MissingPackage
-from hyperflex.planning import Throw, check_feasibility
+from hyperflex.planning import Moves, check_feasibility
 
 SWING, CAST = "hyperflex/Swing-v0", "hyperflex/Cast-v0"
 
@@ -61,17 +61,24 @@ def test_a_plan_is_for_the_start_of_the_episode_and_the_first_that_winds_in_a_re
         hf.Problem(default_rope(40), hf.Arm(), hf.MotorLimits()),
     )
     rests = np.array([0.0, 0.50848401, 0.40848401, 0.52848401, 0.50848401, 0.70848401, 0.30848401])
-    winds = Throw(-1, np.full(7, 2.98451302), rests, 0.5 * np.pi, 0.36848401, 1.0, 7)
+    ends = -0.5 * np.pi + 2.98451302 * (np.arange(7) % 2 == 0)
+    winds = Moves(-1, np.append(ends, 0.5 * np.pi), np.append(rests, 0.36848401))
     reach = check_feasibility(problem, target)
     plans = [hf.CastPlan(problem, target, reach, each) for each in (None, winds)]
-    misses = replace(plans[1], throw=replace(winds, rests=np.full(7, 0.2)))
+    misses = replace(plans[1], moves=replace(winds, rests=np.full(8, 0.2)))
     seen: list[tuple[int, bool]] = []
 
-    def plan_cast(*_: Any, seed: int, on_plan: Callable[[hf.CastPlan], bool], **given: Any) -> hf.CastPlan:
-        np.testing.assert_array_equal(given["state0"].q, world.q[0])
-        assert given["side"] == -1
-        found = (plans[0], misses, plans[1])[seed]
-        seen.append((seed, found.throw is not None and on_plan(found)))
+    def plan_cast(
+        *_: Any,
+        conditions: hf.Conditions,
+        options: hf.SearchOptions,
+        on_plan: Callable[[hf.CastPlan], bool],
+        **given: Any,
+    ) -> hf.CastPlan:
+        np.testing.assert_array_equal(conditions.state0.q, world.q[0])
+        assert conditions.side == -1
+        found = (plans[0], misses, plans[1])[options.seed]
+        seen.append((options.seed, found.moves is not None and on_plan(found)))
         return found
 
     monkeypatch.setattr("hyperflex.envs.policies.plan_cast", plan_cast)

@@ -245,7 +245,7 @@ def test_a_peg_that_no_links_can_follow_is_refused(tmp_path: Path, capsys: pytes
 
 def test_a_cast_may_not_swing_for_ever() -> None:
     with pytest.raises(InvalidInput, match=r"time is longer than anybody swings.*got 10000000000\.0.*100 periods"):
-        hf.plan_cast(ROPE, hf.Arm(length=0.1), hf.Peg(0.3, -0.2, 0.03), time_limit=1e10)
+        hf.plan_cast(ROPE, hf.Arm(length=0.1), hf.Peg(0.3, -0.2, 0.03), conditions=hf.Conditions(time_limit=1e10))
 
 
 # ---- progress where nobody watches

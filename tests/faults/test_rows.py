@@ -12,7 +12,6 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,11 +20,9 @@ import hyperflex as hf
 from hyperflex import progress
 from hyperflex.cli.app import run
 from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.interruption import _USUAL, handle_signals
+from hyperflex.interruption import _USUAL
 from hyperflex.paper.report import casting
 from hyperflex.paper.report.part import Item
-from hyperflex.planning.search.throw_search import ThrowSearch
-from hyperflex.planning.wind.fallback_targets import plan_fallback
 from hyperflex.report.units import length
 from hyperflex.simulation import time_budget
 from tests.faults.bounds import LEAKED, bounded, readable
@@ -178,20 +175,6 @@ def test_random_samples_are_fitted_with_a_word_until_they_are_interrupted(monkey
         code = run(["identify", *given, "-o", "found.toml", "--json"])
     assert (code, json.loads(capsys.readouterr().out)["error"]) == (130, "interrupted")
     assert heard
-
-
-def test_a_plan_for_another_target_is_kept_when_the_next_is_interrupted() -> None:
-    other = SimpleNamespace(success=True)
-
-    def interrupted(_: object) -> None:
-        raise hf.Interrupted(other)
-
-    far, arm = hf.Peg(2.5, 0.0, 0.03), hf.Arm(length=0.105)
-    failed = hf.plan_cast(CABLE, arm, far)
-    search = ThrowSearch(failed.problem, far, 0, 1, 0.0)
-    with pytest.raises(hf.Interrupted) as stop, handle_signals():
-        plan_fallback(failed, search, 1e-3, interrupted)
-    assert stop.value.partial.fallback.plan is other
 
 
 def test_lengths_are_told_in_a_unit_of_their_size() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hyperflex.planning.search.evolution import CmaEs
+from hyperflex.planning.evolution import CmaEs
 
 
 def least(loss: Callable[[np.ndarray], float], search: CmaEs, generations: int) -> tuple[float, np.ndarray]:

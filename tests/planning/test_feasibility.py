@@ -14,10 +14,14 @@ import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import MotorLimits, Problem, check_feasibility
 from hyperflex.planning.feasibility import SWING, find_remedies, nearest_feasible
-from hyperflex.planning.problem import MIN_TURNS
 
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
 CAST_SETUP = Problem(CABLE, hf.Arm(length=0.105), MotorLimits())
+
+
+def pulled(force: float) -> Problem:
+    """Return the problem of a rope that must withstand a pull, N."""
+    return replace(CAST_SETUP, criteria=hf.WindCriteria(holding_force=force))
 
 
 def at(far: float, aside: float, radius: float = 0.03) -> hf.Peg:
@@ -125,9 +129,7 @@ def test_the_room_needed_is_that_of_a_rope_wound_and_hanging(aside: float, radiu
     far, axis = 1.0, radius + 0.0025
     ends = axis * np.linspace(SWING.hanging, 40.0, 20001)
     drawn = [wound(far, aside, axis, more, ends) for more in (0, 1, 2)]
-    rooms = [
-        (length[turns >= MIN_TURNS + SWING.spare_turns] - far + axis).min(initial=np.inf) for length, turns in drawn
-    ]
+    rooms = [(length[turns >= 1.25 + SWING.spare_turns] - far + axis).min(initial=np.inf) for length, turns in drawn]
     needed = min(rooms) / (2.0 * np.pi * axis)
     assert check_feasibility(CAST_SETUP, at(far, aside, radius)).needed_turns == pytest.approx(
         needed, abs=1e-3
@@ -143,8 +145,8 @@ def test_the_hold_asked_for_counts() -> None:
         contact = 2.0 * np.pi * turns - np.arccos(0.0425 / 1.36)
         bears.append(weight * (2.0 - bare) * np.exp(0.3 * contact))
     assert known.holding_force == pytest.approx(max(bears), rel=1e-6)  # the polyline's arc is shorter by 1e-9
-    assert check_feasibility(CAST_SETUP, peg, holding_force=0.9 * known.holding_force).feasible
-    assert "required" in check_feasibility(CAST_SETUP, peg, holding_force=1.1 * known.holding_force).message
+    assert check_feasibility(pulled(0.9 * known.holding_force), peg).feasible
+    assert "required" in check_feasibility(pulled(1.1 * known.holding_force), peg).message
 
 
 def test_what_is_down_is_where_gravity_points() -> None:
@@ -197,7 +199,7 @@ def test_a_target_ten_centimetres_too_far_has_one_near_by() -> None:
 
 def test_what_the_nearest_place_shall_have_to_spare_and_hold_counts() -> None:
     plain, safe = (nearest_feasible(CAST_SETUP, FAR, margin=margin) for margin in (0.0, 0.5))
-    firm = nearest_feasible(CAST_SETUP, FAR, holding_force=2.0)
+    firm = nearest_feasible(pulled(2.0), FAR)
     assert plain is not None and safe is not None and firm is not None  # noqa: PT018
     spares = [check_feasibility(CAST_SETUP, one).margin() for one in (plain, safe)]
     assert 0.0 <= spares[0] < 0.1

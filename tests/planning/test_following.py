@@ -17,35 +17,35 @@ from hyperflex.planning import (
     FollowOptions,
     MotorStateSource,
     ScenarioStateSource,
-    Throw,
     Uncertainty,
     check_feasibility,
     follow_plan,
     read_plan,
 )
 from hyperflex.planning.feedback import Goal, _Loop, features
-from hyperflex.planning.robust.uncertainty import MOVES
+from hyperflex.planning.moves import Moves
+from hyperflex.planning.uncertainty import MOVES
 from hyperflex.status import Status
-from tests.planning.known import simulated_strikes
+from tests.planning.known import PEG, WINDS, problem, simulated_strikes
 from tests.planning.known_whip import planned_whip
-from tests.planning.test_landing import CAST_SETUP, PEG, WINDS
 from tests.planning.test_uncertainty import NONE
 
+CAST_SETUP = problem()
 LIMITS = CAST_SETUP.limits
 OPTIONS = FollowOptions()
 PLAN = CastPlan(CAST_SETUP, PEG, check_feasibility(CAST_SETUP, PEG), WINDS)
 
 
-def rest_before(throw: Throw, move: int) -> float:
+def rest_before(moves: Moves, move: int) -> float:
     """When the arm comes to rest before a move, s."""
-    return float(throw.starts(LIMITS)[move]) - float(np.append(throw.rests, throw.rest)[move])
+    return float(moves.starts(LIMITS)[move]) - float(moves.rests[move])
 
 
 def test_the_goal_is_the_strike_of_the_plan() -> None:
     goal = Goal.of(CAST_SETUP, PEG, WINDS, OPTIONS)
     assert goal is not None
     assert goal.t == pytest.approx(float(simulated_strikes(CAST_SETUP, PEG, [WINDS]).t[0]))
-    assert Goal.of(CAST_SETUP, PEG, replace(WINDS, strokes=np.full(6, 0.06)), OPTIONS) is None
+    assert Goal.of(CAST_SETUP, PEG, replace(WINDS, ends=np.full(7, -1.5)), OPTIONS) is None
 
 
 def test_a_throw_that_was_late_by_one_rest_is_led_back() -> None:
@@ -62,12 +62,12 @@ def test_a_throw_that_was_late_by_one_rest_is_led_back() -> None:
     assert ways
     best = ways[0]
     assert best.rests[:move].tolist() == late.rests[:move].tolist()  # what was done stays done
-    assert best.strokes[:move].tolist() == late.strokes[:move].tolist()
+    assert best.ends[:move].tolist() == late.ends[:move].tolist()
     assert best.rests[move] >= 0.1
     assert miss(best, goal) < 0.3 * miss(late, goal)  # 0.15 was seen
 
 
-def miss(throw: Throw, goal: Goal) -> float:
+def miss(throw: Moves, goal: Goal) -> float:
     """Distance from the goal's features, by whole flights from rest, at the best time about the goal's."""
     from hyperflex.simulation import simulate
 
@@ -117,13 +117,13 @@ def test_a_throw_that_cannot_win_any_more_is_given_up_slowly() -> None:
     assert done.decisions[-1].after == 0.0
     assert done.message == f"aborted at {done.decisions[-1].t:.2f} s: it succeeds in 0 % of the likely scenarios"
     made = done.decisions[-1].move
-    assert made >= WINDS.count - 1
-    assert done.throw.count == made
+    assert made >= WINDS.ends.size - 2
+    assert done.moves.ends.size == made + 1
     end = float(done.motion.breaks[-1])
     assert float(done.motion.angle(end)) == pytest.approx(0.0, abs=1e-9)
     t = np.linspace(done.decisions[-1].t, end, 500)
     assert float(np.abs(done.motion.rate(t)).max()) <= 0.31 * LIMITS.speed
-    assert done.throw.starts(LIMITS)[-1] == pytest.approx(done.decisions[-1].t + OPTIONS.decision_time)
+    assert done.moves.starts(LIMITS)[-1] == pytest.approx(done.decisions[-1].t + OPTIONS.decision_time)
 
 
 def test_what_is_due_too_soon_to_be_decided_is_made_as_planned() -> None:
@@ -132,8 +132,8 @@ def test_what_is_due_too_soon_to_be_decided_is_made_as_planned() -> None:
     assert (done.completed, done.status) == (False, Status.FAILED)
     move = done.decisions[-1].move
     assert done.decisions[-1].left < 1.0
-    assert done.throw.count == move + 1
-    assert done.throw.starts(LIMITS)[-1] == pytest.approx(rest_before(done.throw, move + 1) + 1.0)
+    assert done.moves.ends.size == move + 2
+    assert done.moves.starts(LIMITS)[-1] == pytest.approx(rest_before(done.moves, move + 1) + 1.0)
 
 
 class Kept(SimulatedMotor):

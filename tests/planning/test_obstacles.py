@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hyperflex as hf
+from hyperflex.budget import Budget
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import (
     TipTarget,
@@ -19,8 +20,7 @@ from hyperflex.planning import (
     verify_cast,
 )
 from hyperflex.planning.clearance import FINE, obstacle_clearance, sampled_obstacle_gaps
-from hyperflex.planning.search.contact_phase import simulate_contact
-from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.rollouts import RolloutBatch, simulate_contact
 from hyperflex.planning.verification import verified_setup
 from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_strikes
 
@@ -109,10 +109,11 @@ def test_a_search_sees_what_lies_in_the_way() -> None:
     assert blocked.score[0] < 0.0
     motion = WINDS.motion(problem().limits).shifted(-free.t[0])
     one = RolloutBatch([CABLE], [PEG], [motion], free.q, free.qd)
-    on = simulate_contact(one, free.t, replace(problem(), clearance=-np.inf))
+    loose = replace(problem(), clearance=-np.inf)
+    on = simulate_contact(loose, one, free.t, Budget(threads=1))
     after = run.joints[run.t > free.t[0] + 0.1].reshape(-1, 2)
     lowest = hf.Ground(0.0, float(after[:, 1].min()) + 0.02)
-    off = simulate_contact(replace(one, obstacles=(lowest,)), free.t, replace(problem(), clearance=-np.inf))
+    off = simulate_contact(replace(loose, obstacles=[lowest]), one, free.t, Budget(threads=1))
     assert off.score[0] < on.score[0]
     assert off.turns[0] < on.turns[0]
 
@@ -129,9 +130,9 @@ def test_obstacles_that_cannot_be_are_refused() -> None:
     with pytest.raises(InvalidInput, match="turning arm hits the wall"):
         replace(problem(), obstacles=[hf.Wall(0.05, -0.05, 0.05, 0.05)])
     with pytest.raises(InvalidInput, match="obstacles holds something else"):
-        hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, obstacles=["a wall"])  # type: ignore[list-item]
+        hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, conditions=hf.Conditions(obstacles=["a wall"]))  # type: ignore[list-item]
     with pytest.raises(InvalidInput, match="begins in an obstacle"):
-        hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, obstacles=[hf.Ground(0.0, -1.9)])
+        hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, conditions=hf.Conditions(obstacles=[hf.Ground(0.0, -1.9)]))
     with pytest.raises(InvalidInput, match="past obstacles are not followed"):
         hf.follow_plan(replace(planned(), problem=replace(problem(), obstacles=[FLOOR])), None)  # type: ignore[arg-type]
 
@@ -140,20 +141,15 @@ def test_what_begins_or_lies_in_an_obstacle_is_told_before_a_search() -> None:
     arm, floor, post = hf.Arm(length=0.105), hf.Ground(0.0, -1.0), hf.Peg(-0.8, -1.1, 0.1)
     slot = hf.Slot(0.56, -1.9, -0.78)
     for plan in (
-        lambda: hf.plan_cast(CABLE, arm, PEG, obstacles=[floor]),
-        lambda: hf.plan_whip(CABLE, arm, [0.3, -2.05], obstacles=[floor]),
-        lambda: hf.plan_insert(CABLE, arm, slot, obstacles=[floor]),
+        lambda: hf.plan_cast(CABLE, arm, PEG, conditions=hf.Conditions(obstacles=[floor])),
+        lambda: hf.plan_whip(CABLE, arm, TipTarget(0.3, -2.05), conditions=hf.Conditions(obstacles=[floor])),
+        lambda: hf.plan_insert(CABLE, arm, slot, conditions=hf.Conditions(obstacles=[floor])),
     ):
         with pytest.raises(InvalidInput, match="the rope begins in an obstacle"):
             plan()
-    for single in (
-        lambda: hf.plan_cast(CABLE, arm, PEG, obstacles=post),  # type: ignore[arg-type]
-        lambda: hf.plan_whip(CABLE, arm, [0.3, -2.05], obstacles=post),  # type: ignore[arg-type]
-        lambda: hf.plan_insert(CABLE, arm, slot, obstacles=post),  # type: ignore[arg-type]
-    ):
-        with pytest.raises(InvalidInput, match="obstacles holds something else"):
-            single()
-    seen = hf.plan_cast(CABLE, arm, hf.Peg(-0.8, -1.1, 0.03), obstacles=[post])
+    with pytest.raises(InvalidInput, match="obstacles holds something else"):
+        hf.Conditions(obstacles=post)  # type: ignore[arg-type]
+    seen = hf.plan_cast(CABLE, arm, hf.Peg(-0.8, -1.1, 0.03), conditions=hf.Conditions(obstacles=[post]))
     assert (seen.status, seen.message) == (1, "the target lies in the peg at (-0.8, -1.1) m")
     whip_map = build_whip_map(replace(problem(), obstacles=[post], time=1.0), swings=1)
     assert check_whip_feasibility(whip_map, TipTarget(-0.8, -1.1)).message == seen.message
@@ -161,7 +157,7 @@ def test_what_begins_or_lies_in_an_obstacle_is_told_before_a_search() -> None:
 
 def test_a_target_that_the_rope_begins_in_is_not_feasible_and_others_are_planned_all_the_same() -> None:
     places = [hf.Peg(-0.105, -1.0, 0.03), hf.Peg(-0.8, 1.9, 0.03)]
-    on, far = hf.plan_casts(CABLE, hf.Arm(length=0.105), places, side=-1)
+    on, far = hf.plan_cast(CABLE, hf.Arm(length=0.105), places, conditions=hf.Conditions(side=-1))
     assert on.message.startswith("the rope begins in the target")
     assert (on.status, far.status) == (1, 1)
 
@@ -170,8 +166,8 @@ def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search() ->
     """And places that they leave none are no fallback targets, and a remedy is one that makes room."""
     arm, room = hf.Arm(length=0.105), 2e3 * CABLE.radius
     near = hf.Wall(PEG.x - PEG.radius - 0.003, -1.5, PEG.x - PEG.radius - 0.003, -0.8)
-    plan = hf.plan_cast(CABLE, arm, PEG, obstacles=[near])
-    said = f"out of reach: the wall at ({near.x:.4g}, -1.5) m leaves 3 mm beside the target, the rope takes {room:.3g}"
+    plan = hf.plan_cast(CABLE, arm, PEG, conditions=hf.Conditions(obstacles=[near]))
+    said = f"out of reach: the wall at ({near.x:.4g}, -1.5) m is 3 mm from the target, the rope needs {room:.3g}"
     assert (plan.status, plan.message, plan.feasibility.impossible) == (1, said, False)
     assert plan.remedies == ("a peg of 37.9 mm radius",)
     assert plan.fallback is not None
@@ -179,7 +175,7 @@ def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search() ->
     assert plan.fallback.distance < 0.02
     between = hf.Wall(-0.7, -0.4, -0.2, -0.9)
     for obstacles in ([between], [hf.Peg(2.0, 0.0, 0.1), between]):
-        behind = hf.plan_cast(CABLE, arm, PEG, obstacles=obstacles)
+        behind = hf.plan_cast(CABLE, arm, PEG, conditions=hf.Conditions(obstacles=obstacles))
         assert behind.message == "out of reach: the wall at (-0.7, -0.4) m stands between the arm and the target"
         there = behind.fallback.target
         sight = [np.linspace(tip, (there.x, there.y), 4001) for tip in arm.tip(np.linspace(-np.pi, np.pi, 25))]
@@ -190,8 +186,8 @@ def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search() ->
 
 def test_a_cast_is_found_beside_a_wall_that_leaves_room() -> None:
     cord = hf.Rope.uniform(length=1.2, mass=0.06, n_links=15, radius=0.003, friction=5e-4)
-    where = {"obstacles": [hf.Ground(0.0, -1.4)], "contact": 0.0, "on_plan": lambda plan: True, "time_budget": 300.0}
-    plan = hf.plan_cast(cord, hf.Arm(length=0.15), hf.Peg(0.5, -0.6, 0.03), **where)  # type: ignore[arg-type]
+    floor = hf.Conditions(obstacles=[hf.Ground(0.0, -1.4)])
+    plan = hf.plan_cast(cord, hf.Arm(length=0.15), hf.Peg(0.5, -0.6, 0.03), conditions=floor, on_plan=lambda plan: True)
     assert plan.success, plan.message
     assert plan.clearance > 0.0
     assert plan.run is not None

@@ -11,14 +11,9 @@ import pytest
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastOutcome, CastPlan, FallbackTarget, SuccessProbability, Throw, verify_cast
-from hyperflex.planning.outcome import WATCH_TIME
+from hyperflex.planning import CastOutcome, CastPlan, FallbackTarget, Moves, SuccessProbability, verify_cast
 from hyperflex.planning.plan import to_table
-from hyperflex.planning.problem import SETTLING_TIME
-from hyperflex.planning.search.candidates import Candidate
-from hyperflex.planning.search.throw_search import ThrowSearch
-from tests.faults.interrupting import left_by
-from tests.planning.known import PEG, WINDS, late, planned, problem, stopped, unreachable
+from tests.planning.known import PEG, WINDS, late, planned, stopped, unreachable
 
 
 def test_the_motors_table_holds_the_planned_angles(tmp_path):
@@ -29,7 +24,7 @@ def test_the_motors_table_holds_the_planned_angles(tmp_path):
     np.testing.assert_array_equal(rows[:, 1], plan.motion.angle(rows[:, 0]))
     np.testing.assert_allclose(np.diff(rows[:, 0]), 1.0 / 250.0, rtol=1e-9)  # rounding of k / 250
     assert plan.motion.breaks[-1] <= rows[-1, 0] < plan.motion.breaks[-1] + 1.0 / 250.0
-    assert rows[-1, 1] == plan.throw.angles(plan.problem.limits)[-1]
+    assert rows[-1, 1] == plan.moves.angles(plan.problem.limits)[-1]
 
 
 def test_the_motors_table_reads_back_as_the_motion(tmp_path):
@@ -112,9 +107,9 @@ def test_a_plan_reads_back_as_it_was_written(tmp_path, made):
 def test_parts_read_back_as_their_classes(tmp_path):
     with_fallback().to_toml(tmp_path / "plan.toml")
     back = hf.read_plan(tmp_path / "plan.toml")
-    for part, kind in ((back.throw, Throw), (back.outcome, CastOutcome), (back.fallback.plan, CastPlan)):
+    for part, kind in ((back.moves, Moves), (back.outcome, CastOutcome), (back.fallback.plan, CastPlan)):
         assert type(part) is kind
-    assert type(back.throw.strokes) is np.ndarray
+    assert type(back.moves.ends) is np.ndarray
     assert type(back.fallback.plan.problem.limits.angles) is tuple
     assert back.remedies == ("a rope of 2.94 m", "an arm of 120 mm")
 
@@ -157,7 +152,7 @@ def test_the_set_up_of_a_plan_without_a_run_lasts_as_long_as_one(tmp_path, made)
     plan = made()
     plan.to_toml(tmp_path / "plan.toml")
     setup = hf.Setup.from_toml(tmp_path / "plan.toml")
-    assert setup.duration == pytest.approx(WINDS.stops(plan.problem.limits) + SETTLING_TIME + WATCH_TIME)
+    assert setup.duration == pytest.approx(WINDS.stops(plan.problem.limits) + 3.0)
     assert setup.duration == planned().outcome.run.setup.duration
 
 
@@ -166,7 +161,7 @@ def test_a_summary_has_the_figures_of_the_plan():
     assert (told["source"], told["success"], told["status"], told["message"]) == ("simulated", True, 0, "")
     assert told["outcome"]["turns"] == planned().outcome.turns
     assert told["success_probability"]["interval"] == SuccessProbability(37, 40).interval
-    assert len(told["starts"]) == planned().throw.count + 1
+    assert len(told["starts"]) == planned().moves.ends.size
     assert told["stop"] == pytest.approx(planned().motion.breaks[-1], rel=1e-15)  # summed in another order
     assert "run" not in told["outcome"]
     assert with_fallback().summary()["fallback"]["plan"]["success"]
@@ -191,22 +186,6 @@ def test_the_motors_table_of_a_throw_that_stands_bears_no_mark(tmp_path):
     assert notes["arm"] == "0.105 m, begins at -1.5708 rad"
 
 
-def test_an_interrupt_leaves_the_best_throw_that_was_not_verified(tmp_path, monkeypatch):
-    def swing(self):
-        if self.candidates:
-            raise KeyboardInterrupt
-        self.candidates.append(Candidate(2.0, 2.0, -1, np.zeros(3), WINDS))
-        return 1.0
-
-    monkeypatch.setattr(ThrowSearch, "evolve_swings", swing)
-    monkeypatch.setattr(ThrowSearch, "try_last_moves", lambda self, **_: None)
-    plan = left_by(lambda: hf.plan_cast(problem().rope, problem().arm, PEG))
-    assert plan.interrupted
-    assert (plan.throw, plan.outcome) == (WINDS, None)
-    plan.to_csv(tmp_path / "motion.csv")
-    assert files.read_table(tmp_path / "motion.csv").notes["not verified"] == plan.message
-
-
 def test_a_plan_without_a_throw_has_nothing_to_write(tmp_path):
     plan = unreachable()
     for write in (plan.to_csv, plan.to_toml, plan.to_netcdf):
@@ -216,7 +195,7 @@ def test_a_plan_without_a_throw_has_nothing_to_write(tmp_path):
 
 
 def test_a_set_up_is_no_plan(tmp_path):
-    hf.Setup(problem().rope).to_toml(tmp_path / "setup.toml")
+    hf.Setup(planned().problem.rope).to_toml(tmp_path / "setup.toml")
     with pytest.raises(InvalidInput, match="holds no plan"):
         hf.read_plan(tmp_path / "setup.toml")
 

@@ -13,8 +13,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.model import divided, refine_rope
 from hyperflex.planning import CastPlan, Problem
-from hyperflex.planning.search.rollouts import RolloutBatch
-from hyperflex.planning.search.throw_search import ThrowSearch
+from hyperflex.planning.rollouts import RolloutBatch, free_sides
 from hyperflex.planning.verification import verified_setup
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=12, radius=0.004, friction=1e-3)
@@ -33,9 +32,17 @@ def test_a_plan_from_a_swinging_rope_winds_in_a_run_from_what_was_seen(tmp_path)
         heard.append(found)
         return True
 
-    plan = hf.plan_cast(CORD, ARM, PEG, state0=SEEN, side=-1, contact=0.0, time_budget=300.0, on_plan=on_plan)
+    plan = hf.plan_cast(
+        CORD,
+        ARM,
+        PEG,
+        conditions=hf.Conditions(state0=SEEN, side=-1),
+        criteria=hf.WindCriteria(contact=0.0),
+        time_budget=300.0,
+        on_plan=on_plan,
+    )
     assert plan.success, plan.message
-    assert [one.throw for one in heard] == [plan.throw]
+    assert [one.moves for one in heard] == [plan.moves]
     assert plan.motion is not None
     stop = BEFORE + float(plan.motion.breaks[-1])
     motion = hf.hold_arm(float(plan.motion.angle(0.0))).then(plan.motion.shifted(BEFORE), BEFORE)
@@ -61,18 +68,17 @@ def test_a_start_is_that_of_the_same_rope_with_shorter_links() -> None:
 
 
 def test_all_swings_of_a_search_begin_there() -> None:
-    search = ThrowSearch(SWINGS, PEG)
-    assert list(search.parametrizations) == [-1]
+    assert free_sides(SWINGS, [PEG]) == [-1]
     batch = RolloutBatch.from_start(SWINGS, [CORD] * 2, [], [hf.hold_arm(0.0)] * 2)
     assert np.array_equal(batch.q, [SEEN.q] * 2)
     assert np.array_equal(batch.qd, [SEEN.qd] * 2)
-    assert list(ThrowSearch(replace(SWINGS, q0=(), qd0=(), side=1), PEG).parametrizations) == [1]
+    assert free_sides(replace(SWINGS, q0=(), qd0=(), side=1), [PEG]) == [1]
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"side": None}, "side of the arm at the start"),
+        ({"side": 0}, "side of the arm at the start"),
         ({"side": 2}, "side of the arm at the start"),
         ({"state0": RopeState(0.1, SEEN.q, SEEN.qd)}, "after the motion's begin"),
         ({"state0": "swings"}, "no rope state"),
@@ -81,9 +87,9 @@ def test_all_swings_of_a_search_begin_there() -> None:
     ],
 )
 def test_a_start_that_cannot_be_is_refused(change: dict[str, object], told: str) -> None:
-    given: dict[str, object] = {"state0": SEEN, "side": -1, "time_budget": 0.01} | change
+    given: dict[str, object] = {"state0": SEEN, "side": -1} | change
     with pytest.raises(InvalidInput, match=told):
-        hf.plan_cast(CORD, ARM, PEG, **given)  # type: ignore[arg-type]
+        hf.plan_cast(CORD, ARM, PEG, conditions=hf.Conditions(**given), time_budget=0.01)  # type: ignore[arg-type]
 
 
 def test_a_rope_that_touches_something_before_the_motion_begins_is_not_cast() -> None:
@@ -94,7 +100,9 @@ def test_a_rope_that_touches_something_before_the_motion_begins_is_not_cast() ->
     wall = hf.Wall(0.5 * (least - 0.2), -1.5, 0.5 * (least - 0.2), -0.8)
     assert tips[0, 0] > wall.x + 0.1
     seen = RopeState(-2.0, SEEN.q, SEEN.qd)
-    plan = hf.plan_cast(CORD, ARM, PEG, state0=seen, side=-1, obstacles=[wall], time_budget=60.0)
+    plan = hf.plan_cast(
+        CORD, ARM, PEG, conditions=hf.Conditions(state0=seen, side=-1, obstacles=[wall]), time_budget=60.0
+    )
     assert not plan.success
     assert plan.feasibility.impossible
     assert "the rope touches the wall at" in plan.message

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import MotorLimits, Problem, Throw, verify_cast
+from hyperflex.planning import MotorLimits, Moves, Problem, verify_cast
 from hyperflex.planning.clearance import FINE, rope_clearance
 from hyperflex.planning.feasibility import check_feasibility
 from hyperflex.planning.tasks.whip import TipTarget, verify_whip
 from hyperflex.planning.verification import folded_flat, greatest_bend, limit_bend, motor_torques, verified_setup
-from hyperflex.planning.wind import planner as cast_planner
 from tests.planning.known import PEG, WINDS, late, planned, problem
 from tests.planning.known_whip import planned_whip
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=15, radius=0.004, friction=2e-5)
 QUICK = Problem(CORD, hf.Arm(length=0.2), MotorLimits(speed=12.0, acceleration=80.0), 3.0)
-FOLDS = Throw(-1, np.array([3.0, 2.9, 3.0]), np.array([0.2, 0.5, 0.5]), -1.5, 0.3, 1.0, 3)
+FOLDS = Moves(
+    -1, np.array([3.0, 0.1, 3.1, -1.5]) - [np.pi / 2, np.pi / 2, np.pi / 2, 0.0], np.array([0.2, 0.5, 0.5, 0.3])
+)
 
 
 def test_no_joint_bends_further_than_the_ropes_thickness_lets_it() -> None:
@@ -144,46 +144,25 @@ def test_what_the_rope_covers_is_asked_and_told() -> None:
     assert np.degrees(seen.contact_angle) == pytest.approx(616, abs=3)  # 643 at its end
     assert 0.25 < abs(seen.turns) - seen.contact_angle / (2.0 * np.pi) < 0.8
     motion = WINDS.motion(problem().limits)
-    assert verify_cast(replace(problem(), contact=10.5), PEG, motion).success
-    more = verify_cast(replace(problem(), contact=12.0), PEG, motion)
+    assert verify_cast(replace(problem(), criteria=hf.WindCriteria(contact=10.5)), PEG, motion).success
+    more = verify_cast(replace(problem(), criteria=hf.WindCriteria(contact=12.0)), PEG, motion)
     assert (more.wound, more.held, more.success) == (True, True, False)
     assert more.message.endswith("degrees of the peg, and 688 are asked")
 
 
 def test_contact_that_is_asked_needs_rope() -> None:
-    known = [check_feasibility(replace(problem(), contact=contact), PEG) for contact in (0.0, 6.0, 7.0, 60.0)]
+    known = [
+        check_feasibility(replace(problem(), criteria=hf.WindCriteria(contact=contact)), PEG)
+        for contact in (0.0, 6.0, 7.0, 60.0)
+    ]
     needed = [each.needed_turns for each in known]
     assert needed == sorted(needed)
     assert needed[1] == needed[2] == pytest.approx(needed[0] + 1.0)  # another time round
     assert [each.feasible for each in known] == [True, True, True, False]
     with pytest.raises(InvalidInput, match="contact"):
-        hf.plan_cast(problem().rope, problem().arm, PEG, contact=-1.0)
+        hf.plan_cast(problem().rope, problem().arm, PEG, criteria=hf.WindCriteria(contact=-1.0))
     with pytest.raises(InvalidInput, match="clearance"):
-        hf.plan_cast(problem().rope, problem().arm, PEG, clearance=-1.0)
-
-
-@pytest.mark.parametrize(("radius", "contact", "enough"), [(0.04, 6.5, True), (0.04, 5.0, False), (0.085, 5.0, True)])
-def test_a_search_goes_on_for_a_full_turn_of_contact_where_the_rope_is_long_enough(
-    radius: float, contact: float, enough: bool
-) -> None:
-    peg = replace(PEG, radius=radius)
-    work = cast_planner.CastPlanner(SimpleNamespace(problem=problem(), peg=peg, candidates=[]), 1.0)
-    good = SimpleNamespace(
-        success=True,
-        turns=2.0,
-        slip=1e-3,
-        load_ratio=0.8,
-        tip_hangs=True,
-        spare_clearance=0.1,
-        folded=False,
-        contact_angle=contact,
-        completed=True,
-    )
-    work.best = ("a throw", good, good)
-    assert work.done() is enough
-    work = cast_planner.CastPlanner(work.search, 1.0, full_turn=False)
-    work.best = ("a throw", good, good)
-    assert work.done()
+        hf.plan_cast(problem().rope, problem().arm, PEG, conditions=hf.Conditions(clearance=-1.0))
 
 
 def test_a_whip_through_its_own_arm_fails() -> None:

@@ -136,7 +136,7 @@ def test_a_search_that_did_not_end_invents_no_results_and_advises_to_continue(tm
     plan = made()
     path = CastReport(plan).write(tmp_path)["page"]
     page = words_of(path)
-    assert ("not known strike, turns and hold" in page) == (plan.throw is not None)
+    assert ("not known strike, turns and hold" in page) == (plan.moves is not None)
     assert 'class="bad"' not in path.read_text("utf-8")
     for invented in ("never", "0.00", "does not stay", "Nearest", "No place was found"):
         assert invented not in page
@@ -172,7 +172,7 @@ def test_a_feasible_target_without_a_cast_is_not_called_out_of_reach():
 
 def test_heuristic_criteria_are_called_rules_of_thumb():
     rope, arm = planned().problem.rope, planned().problem.arm
-    heavy = CastReport(hf.plan_cast(rope, arm, PEG, holding_force=20.0))
+    heavy = CastReport(hf.plan_cast(rope, arm, PEG, criteria=hf.WindCriteria(holding_force=20.0)))
     assert "out of reach by a rule of thumb: its holding force is 2.94 N at most" in heavy.verdict
     assert "found: out of reach: the rope ends" in CastReport(unreachable()).verdict  # geometry
 

@@ -88,8 +88,7 @@ def cast(
     file can be given as set-up; its criteria count unless options say otherwise.
 
     A rope is wound with --turns turns, counted from the arm's tip to its end, and holds if it slips by less than 5 mm
-    in 2 s. If the rope is long enough, the search continues for a full turn of contact. A rope that goes through
-    itself, its arm or the motor's shaft fails.
+    in 2 s. A rope that goes through itself, its arm or the motor's shaft fails.
 
     The first plan that succeeds, and each better one, is reported on standard error. The search ends with a plan that
     has a margin, or with the time. The plan is verified in simulation with shorter links. The command writes a page
@@ -103,29 +102,21 @@ def cast(
     from hyperflex.report import CastReport, check_folder
 
     check_folder(out)
-    problem, targets = read_problem(setup, rope, arm_length, limits, criteria | conditions, wind=True)
+    problem, targets = read_problem(setup, rope, arm_length, limits, conditions, criteria)
     uncertainty = Uncertainty.from_rope_file(rope or setup or Path()) if robust else None
     peg = peg_of(targets["peg"], target, radius, mu)
-    required = problem.contact if problem.contact or "contact" in criteria else None
     plan, _ = output.run(
         lambda: plan_cast(
             problem.rope,
             problem.arm,
             peg,
             problem.limits,
-            time_limit=conditions.get("time_limit"),
-            holding_force=criteria.get("holding_force", 0.0),
-            contact=required,
-            turns=problem.turns,
-            settle=problem.settle,
-            clearance=problem.clearance,
-            obstacles=problem.obstacles,
-            behind=problem.behind,
+            criteria=problem.criteria,
+            conditions=Conditions(**conditions | {"clearance": problem.clearance, "obstacles": problem.obstacles}),
             uncertainty=uncertainty,
             time_budget=time_budget,
-            progress=True,
+            options=SearchOptions(**search, progress=True),
             on_plan=_report_plan,
-            **search,
         )
     )
     written, result = _write(CastReport(plan, None), out, rate)
@@ -186,7 +177,7 @@ def whip(
 
     check_folder(out)
     problem, targets = read_problem(setup, rope, arm_length, limits, conditions)
-    refuse_behind(problem.behind, "a whip")
+    refuse_behind(problem.criteria.behind, "a whip")
     aim = target_of("target", TipTarget, targets["target"], target)
     plan, _ = output.run(
         lambda: plan_whip(
@@ -239,7 +230,7 @@ def insert(
 
     check_folder(out)
     problem, targets = read_problem(setup, rope, arm_length, limits, conditions)
-    refuse_behind(problem.behind, "an insertion")
+    refuse_behind(problem.criteria.behind, "an insertion")
     where = target_of("slot", Slot, targets["slot"], slot)
     plan, _ = output.run(
         lambda: plan_insert(
@@ -314,11 +305,11 @@ def reach_map(
 
     Ctrl-C ends it; the map so far is written, marked as incomplete.
     """
-    from hyperflex.planning import NOT_PLANNED, build_reach_map
+    from hyperflex.planning import NOT_PLANNED, TargetGrid, build_reach_map
     from hyperflex.report import check_folder, save_png, whole_folder
 
     check_folder(out)
-    problem, targets = read_problem(setup, rope, arm_length, limits, criteria | conditions, wind=True)
+    problem, targets = read_problem(setup, rope, arm_length, limits, conditions, criteria)
     first = targets["peg"]
     like = peg_of(first, None if first else (0.0, 0.0), radius or (None if first else _RADIUS), mu)
     with _processes(workers) as executor:
@@ -327,21 +318,11 @@ def reach_map(
                 problem.rope,
                 problem.arm,
                 problem.limits,
-                cells=cells,
-                radius=like.radius,
-                mu=like.mu,
+                grid=TargetGrid(cells=cells, radius=like.radius, mu=like.mu),
+                criteria=problem.criteria,
+                conditions=Conditions(clearance=problem.clearance, obstacles=problem.obstacles),
                 time_budget=time_budget,
-                holding_force=criteria.get("holding_force", 0.0),
-                contact=problem.contact or None,
-                turns=problem.turns,
-                settle=problem.settle,
-                clearance=problem.clearance,
-                obstacles=problem.obstacles,
-                behind=problem.behind,
-                threads=1,
-                executor=executor,
-                progress=True,
-                **search,
+                options=SearchOptions(**search, threads=1, executor=executor, progress=True),
             )
         )
 

@@ -28,28 +28,33 @@ ArmLength = Annotated[
     float | None,
     typer.Option(callback=positive("m"), help="Length of the arm that the motor turns, m. [default: 0.105]"),
 ]
-_CRITERIA = ("clearance", "contact", "turns", "settle")  # fields of a problem that options give
 _ROPE_AND_OBSTACLES = ("rope", "arm", "pegs", "walls", "grounds")  # tables of a set-up file, as for simulate
 
 
 def read_problem(
-    setup: Path | None, rope: Path | None, arm_length: float | None, limits: Given, criteria: Given, wind: bool = False
+    setup: Path | None,
+    rope: Path | None,
+    arm_length: float | None,
+    limits: Given,
+    conditions: Given,
+    criteria: Given | None = None,
 ) -> "tuple[Problem, dict[str, Any]]":
     """Return a planning problem and the targets of the file: tables [target] and [slot], and "peg", the first peg.
 
-    Options override the file. The first peg is a target if the task is to `wind`, else an obstacle like all others. A
+    Options override the file. The first peg is a target if `criteria` of a wound rope are given, else an obstacle. A
     plan's file gives the problem that the plan was made for, with the rope before it was cut.
     """
     from hyperflex.model import PLAN, PLANNING, Arm, Rope, Setup, check_tables
-    from hyperflex.planning import MotorLimits, Problem
+    from hyperflex.planning import MotorLimits, Problem, WindCriteria
 
-    criteria = {name: value for name, value in criteria.items() if name in _CRITERIA}
+    wind, clearance = criteria is not None, conditions.get("clearance")
+    criteria = criteria or {}
     content = {} if setup is None else files.read_toml(setup)
     if setup is not None and PLAN in content:
-        problem, targets = _problem_of_plan(setup, criteria, wind)
+        problem, targets = _problem_of_plan(setup, criteria, clearance, wind)
         whole = problem.rope if rope is None else Rope.from_toml(rope)
         arm = problem.arm if arm_length is None else replace(problem.arm, length=arm_length)
-        return replace(problem, rope=whole, arm=arm, limits=replace(problem.limits, **limits), **criteria), targets
+        return replace(problem, rope=whole, arm=arm, limits=replace(problem.limits, **limits)), targets
     tables = {name: content.get(name, {}) for name in ("limits", "target", "slot", "behind")}
     for name, table in tables.items():
         if not isinstance(table, Mapping):
@@ -73,8 +78,9 @@ def read_problem(
     first = next(iter(read.round_pegs), None) if wind else None
     obstacles = tuple(each for each in read.pegs if each is not first)
     chosen = MotorLimits(**{**tables["limits"], **limits})
-    behind = _behind(tables["behind"])
-    return Problem(read.rope, arm, chosen, obstacles=obstacles, behind=behind, **criteria), tables | {"peg": first}
+    required = WindCriteria(**criteria, behind=_behind(tables["behind"]))
+    found = Problem(read.rope, arm, chosen, clearance=clearance or 0.0, criteria=required, obstacles=obstacles)
+    return found, tables | {"peg": first}
 
 
 def _behind(table: Mapping[str, Any]) -> "tuple[Peg, ...]":
@@ -86,24 +92,30 @@ def _behind(table: Mapping[str, Any]) -> "tuple[Peg, ...]":
     return checked_behind(obstacles_of({"pegs": table}) if table else ())
 
 
-def _problem_of_plan(path: Path, criteria: Given, wind: bool) -> "tuple[Problem, dict[str, Any]]":
+def _problem_of_plan(
+    path: Path, criteria: Given, clearance: float | None, wind: bool
+) -> "tuple[Problem, dict[str, Any]]":
     """Return problem and target of an earlier plan; report criteria that are not the defaults."""
     from hyperflex.model import Setup
-    from hyperflex.planning import CastPlan, InsertPlan, read_plan
+    from hyperflex.planning import CastPlan, InsertPlan, WindCriteria, read_plan
 
     plan = read_plan(path)
     problem, there = plan.problem, Setup.from_toml(path).pegs
-    if gone := [each for each in (*problem.obstacles, *problem.behind) if each not in there]:
+    if gone := [each for each in (*problem.obstacles, *problem.criteria.behind) if each not in there]:
         fix = "Plan from a set-up file of your own that holds the present obstacles"
         raise InvalidInput(f"{path} is of a plan for other obstacles than it names", got=gone[0], fix=fix)
     if problem.q0:
         fix = "Plan in Python, with state0"
         raise InvalidInput(f"{path} was planned for a rope that swings at first", got="q0", allowed="none", fix=fix)
-    kept = {name: getattr(problem, name) for name in _CRITERIA if name not in criteria}
-    usual = {each.name: each.default for each in fields(problem)}
-    if special := [f"--{name} {value:g}" for name, value in kept.items() if value != usual[name]]:
+    kept = {
+        each: getattr(problem.criteria, each.name) for each in options_of(WindCriteria) if each.name not in criteria
+    }
+    special = [f"--{each.name.replace('_', '-')} {value:g}" for each, value in kept.items() if value != each.default]
+    special += [f"--clearance {problem.clearance:g}"] if clearance is None and problem.clearance else []
+    if special:
         output.note(f"{path} was planned with {' '.join(special)}, which is required again; give another to change it")
-    problem = replace(problem, side=0, time=0.0)
+    clearance = problem.clearance if clearance is None else clearance
+    problem = replace(problem, side=0, time=0.0, clearance=clearance, criteria=replace(problem.criteria, **criteria))
     targets: dict[str, Any] = {"target": {}, "slot": {}, "peg": None}
     if not isinstance(plan, CastPlan):
         name = "slot" if isinstance(plan, InsertPlan) else "target"

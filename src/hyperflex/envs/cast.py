@@ -10,7 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.envs.vector import Flags, RopeEnv, RopeVectorEnv
 from hyperflex.envs.worlds import PegWorld
 from hyperflex.model import Peg
-from hyperflex.planning import MIN_TURNS
+from hyperflex.planning import WindCriteria
 from hyperflex.trajectory import swept
 
 
@@ -44,7 +44,7 @@ class CastVectorEnv(RopeVectorEnv):
         self._turns[which], self._wound[which] = self._about(places)[which], 0.0
 
     def _score(self, places: Array) -> tuple[Array, Flags]:
-        part = [np.minimum(np.abs(turns) / MIN_TURNS, 1.0) for turns in (self._turns, self._about(places))]
+        part = [np.minimum(np.abs(turns) / WindCriteria.turns, 1.0) for turns in (self._turns, self._about(places))]
         self._turns = self._about(places)
         self._wound = np.where(part[1] < 1.0, 0.0, self._wound + self.dt)
         return part[1] - part[0] + self._held, self._held

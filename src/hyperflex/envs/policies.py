@@ -15,7 +15,7 @@ from hyperflex.envs.vector import RopeEnv
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
-from hyperflex.planning import CastPlan, plan_cast
+from hyperflex.planning import CastPlan, Conditions, SearchOptions, plan_cast
 
 
 class RulePolicy:
@@ -105,12 +105,20 @@ class PlannedCast:
         self._motion: Motion | None = None
         if isinstance(self._members.actuator, TimingActuator):
             raise InvalidInput("a planned cast needs accelerations", got="timing", allowed='action="acceleration"')
-        given: dict[str, Any] = {"time_limit": time_limit, "time_budget": time_budget, "threads": threads}
         model, arm, limits, world = (getattr(self._members, name) for name in ("model", "arm", "limits", "world"))
         begin = RopeState(0.0, world.q[0].copy(), world.qd[0].copy())
-        given |= {"state0": begin, "side": -1, "clearance": -np.inf, "contact": 0.0}
+        given = Conditions(time_limit=time_limit, clearance=-np.inf, side=-1, state0=begin)
         for seed in range(tries):
-            plan = plan_cast(model, arm, self._members.pegs[0], limits, seed=seed, on_plan=self._rehearse, **given)
+            plan = plan_cast(
+                model,
+                arm,
+                self._members.pegs[0],
+                limits,
+                conditions=given,
+                time_budget=time_budget,
+                options=SearchOptions(seed=seed, threads=threads),
+                on_plan=self._rehearse,
+            )
             self._motion = plan.motion or self._motion
             if self._succeeds:
                 break

@@ -5,6 +5,9 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
+    from hyperflex.planning.cast_plan import CastPlan, FallbackTarget
+    from hyperflex.planning.casting import plan_cast
+    from hyperflex.planning.ensemble import SuccessProbability, estimate_success_probability
     from hyperflex.planning.feasibility import Feasibility, check_feasibility
     from hyperflex.planning.feedback import (
         Decision,
@@ -16,11 +19,16 @@ if TYPE_CHECKING:
     )
     from hyperflex.planning.impact import Impact, simulate_impact
     from hyperflex.planning.moves import Moves
-    from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
+    from hyperflex.planning.options import (
+        Conditions,
+        MotorLimits,
+        SearchOptions,
+        WindCriteria,
+        checked_behind,
+        refuse_behind,
+    )
     from hyperflex.planning.outcome import (
         BOUNCE_TIME,
-        MAX_SLIP,
-        WATCH_TIME,
         CastOutcome,
         HoldingForce,
         measure_holding_force,
@@ -28,12 +36,9 @@ if TYPE_CHECKING:
     )
     from hyperflex.planning.plan import RATE
     from hyperflex.planning.plan_files import read_limits, read_plan
-    from hyperflex.planning.problem import MIN_TURNS, SETTLING_TIME, Problem
-    from hyperflex.planning.reach_map import NOT_PLANNED, ReachMap, build_reach_map, read_reach_map
-    from hyperflex.planning.robust.posterior import RopePosterior
-    from hyperflex.planning.robust.scenario_rollouts import SuccessProbability, estimate_success_probability
-    from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty, scaled_rope
-    from hyperflex.planning.routing import checked_behind, refuse_behind
+    from hyperflex.planning.posterior import RopePosterior
+    from hyperflex.planning.problem import Problem
+    from hyperflex.planning.reach_map import NOT_PLANNED, ReachMap, TargetGrid, build_reach_map, read_reach_map
     from hyperflex.planning.tasks.insert import (
         InsertOutcome,
         InsertPlan,
@@ -52,9 +57,6 @@ if TYPE_CHECKING:
         check_whip_feasibility,
         plan_whip,
     )
-    from hyperflex.planning.throw import Throw
-    from hyperflex.planning.wind.cast_plan import CastPlan, FallbackTarget
-    from hyperflex.planning.wind.casting import plan_cast
-    from hyperflex.planning.wind.many import plan_casts
+    from hyperflex.planning.uncertainty import Scenario, Uncertainty, scaled_rope
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

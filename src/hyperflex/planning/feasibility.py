@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Rope
 from hyperflex.planning.clearance import holds, named, obstacle_gaps
+from hyperflex.planning.moves import PUMPING
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.routing import refuse_behind
-from hyperflex.planning.throw import KEEPING_STEP
 
 
 @dataclass(frozen=True)
@@ -109,8 +107,8 @@ class Feasibility:
         return -1.0 if self.impossible else min(ratios) - 1.0
 
 
-def check_feasibility(problem: Problem, peg: Peg, *, holding_force: float = 0.0) -> Feasibility:
-    """Check whether a target is feasible; `holding_force` is the pull that the wound rope must withstand, N.
+def check_feasibility(problem: Problem, peg: Peg) -> Feasibility:
+    """Check whether a target is feasible by necessary conditions alone.
 
     Notes
     -----
@@ -119,13 +117,11 @@ def check_feasibility(problem: Problem, peg: Peg, *, holding_force: float = 0.0)
     hangs nearly below the target's centre, a short one at its side and makes up to a quarter turn less. The swing is
     limited on the target's side by the target itself, on the other side by that and the gain of one stroke.
     """
-    required = checks.number("holding_force", holding_force, sign="nonnegative", unit="N")
-    if required > 0.0:
-        refuse_behind(problem.behind, "a holding force")
+    required = problem.criteria.holding_force
     target = _Target(problem, peg)
     energy, holding = target.energy_ratio(), target.holding_force()
     impossible, message = target.geometry()
-    obstacles = (*problem.behind, *problem.obstacles)
+    obstacles = (*problem.criteria.behind, *problem.obstacles)
     torque = _start_torque(problem)
     if torque > problem.limits.torque:
         needs = f"the rope that hangs from the arm needs {torque:.3g} N m at the start"
@@ -153,7 +149,7 @@ def search_time(problem: Problem, peg: Peg) -> float:
     """
     gain = _gain(problem)
     strokes = (_Target(problem, peg).angle + gain) / (SWING.mean_gain * gain)
-    periods = min(KEEPING_STEP * strokes + SWING.spare_periods, SWING.max_periods)
+    periods = min(PUMPING * strokes + SWING.spare_periods, SWING.max_periods)
     return max(problem.time, periods * problem.period)
 
 
@@ -174,7 +170,7 @@ class _Target:
             math.hypot(each.x - x0, each.y - y0)
             + math.hypot(peg.x - each.x, peg.y - each.y)
             - 2.0 * (each.radius + self.rope.radius)
-            for each in problem.behind
+            for each in problem.criteria.behind
         ]
         self.way = max([self.distance, *ways])
         self.available_turns = (self.rope.total_length - self.way + self.axis) / (2.0 * math.pi * self.axis)
@@ -189,9 +185,9 @@ class _Target:
         """Least room of a rope that makes the required turns, covers the required angle, and hangs, in turns."""
         angle, rooms = self.contact, list[float]()
         while len(rooms) < 2:  # a turn more may need less rope: its end may be shorter
-            turns = self.problem.turns + SWING.spare_turns
+            turns = self.problem.criteria.turns + SWING.spare_turns
             end = 2.0 * math.pi * turns - touching - angle if self.way > 0.0 else 0.0
-            if angle > 0.0 and angle >= self.problem.contact and end < 0.5 * math.pi:
+            if angle > 0.0 and angle >= self.problem.criteria.contact and end < 0.5 * math.pi:
                 hanging = max(SWING.hanging, math.tan(max(end, 0.0)))
                 rooms.append((self.straight + angle + hanging) / (2.0 * math.pi))
             angle += 2.0 * math.pi
@@ -199,7 +195,7 @@ class _Target:
 
     def geometry(self) -> tuple[bool, str]:
         """Return whether distance and length rule the target out, and why it is infeasible; empty if it is not."""
-        turns, behind = self.problem.turns, self.problem.behind
+        turns, behind = self.problem.criteria.turns, self.problem.criteria.behind
         arm, length = self.problem.arm, self.rope.total_length
         short = self.way - self.axis - length - arm.length
         if short > 0.0:
@@ -214,7 +210,7 @@ class _Target:
             return True, f"out of reach: {reason}"
         if self.available_turns < self.needed_turns:
             left = f"rope for {max(self.available_turns, 0.0):.2f} turns remains beyond the target"
-            wound = f" to wind {turns:g}" if self.problem.more_turns else ""
+            wound = f" to wind {turns:g}" if turns != 1.25 else ""
             return False, f"out of reach: {left}, {self.needed_turns:.2f} needed{wound}"
         return False, ""
 
@@ -256,18 +252,18 @@ def _blocked(problem: Problem, peg: Peg, arm_angles: int = 73) -> str:
     The rope goes round the target, and straight to one of its sides from the arm's tip at some of `arm_angles`, unless
     it is to run behind pegs.
     """
-    obstacles, rope, arm = (*problem.behind, *problem.obstacles), problem.rope, problem.arm
+    obstacles, rope, arm = (*problem.criteria.behind, *problem.obstacles), problem.rope, problem.arm
     if not obstacles:
         return ""
     centre: Array = np.array([[peg.x, peg.y]])
     room = obstacle_gaps(obstacles, centre, centre)[:, 0] - peg.radius
-    clearance = np.where(np.arange(len(obstacles)) < len(problem.behind), 0.0, max(problem.clearance, 0.0))
+    clearance = np.where(np.arange(len(obstacles)) < len(problem.criteria.behind), 0.0, max(problem.clearance, 0.0))
     nearest = int((room - clearance).argmin())
     needed = 2.0 * rope.radius + clearance[nearest]
     if room[nearest] < needed:
         gap = f"is {1e3 * max(room[nearest], 0.0):.3g} mm from the target"
         return f"{named(obstacles[nearest])} {gap}, the rope needs {1e3 * needed:.3g}"
-    if problem.behind:
+    if problem.criteria.behind:
         return ""
     tips = arm.tip(np.linspace(*problem.limits.angles, arm_angles))
     ways = centre - tips
@@ -306,13 +302,10 @@ def _pendulum(problem: Problem) -> float:
     return math.hypot(*problem.rope.gravity) * (problem.period / (2.0 * math.pi)) ** 2
 
 
-def find_remedies(
-    problem: Problem, peg: Peg, *, holding_force: float = 0.0, most: float = 3.0, motor: float = 10.0
-) -> tuple[str, ...]:
+def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float = 10.0) -> tuple[str, ...]:
     """Return changes, as text, that would each make a target feasible; none if it is feasible.
 
-    `holding_force` is the pull that the wound rope must withstand, N; `most` is the greatest factor of a change,
-    `motor` that of a change of the motor. Factors are found to 1 %.
+    `most` is the greatest factor of a change, `motor` that of a change of the motor. Factors are found to 1 %.
     """
     rope, arm, limits = problem.rope, problem.arm, problem.limits
 
@@ -326,7 +319,7 @@ def find_remedies(
     def least(changed: Callable[[float], tuple[Problem, Peg]], most: float = most) -> float:
         def feasible(factor: float) -> bool:
             try:
-                return check_feasibility(*changed(factor), holding_force=holding_force).feasible
+                return check_feasibility(*changed(factor)).feasible
             except InvalidInput:  # no such set-up: a longer arm hits an obstacle, for example
                 return False
 
@@ -373,12 +366,10 @@ def _least_factor(feasible: Callable[[float], bool], most: float) -> float:
     return float(high)
 
 
-def nearest_feasible(
-    problem: Problem, peg: Peg, *, holding_force: float = 0.0, margin: float = 0.0, fineness: int = 40
-) -> Peg | None:
+def nearest_feasible(problem: Problem, peg: Peg, *, margin: float = 0.0, fineness: int = 40) -> Peg | None:
     """Find the nearest place at which a peg passes the feasibility check; None if there is none.
 
-    `holding_force` is the pull that the wound rope must withstand, N, `margin` the least :meth:`Feasibility.margin`.
+    `margin` is the least :meth:`Feasibility.margin`.
 
     Notes
     -----
@@ -397,7 +388,7 @@ def nearest_feasible(
             if _Target(problem, there).geometry()[1]:
                 continue
             known = check_feasibility(problem, there)
-            if known.feasible and known.margin(holding_force) >= margin:
+            if known.feasible and known.margin(problem.criteria.holding_force) >= margin:
                 return np.asarray(places[k])
         return None
 

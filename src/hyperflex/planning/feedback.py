@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.control import TrueState, hanging_state
 from hyperflex.errors import InvalidInput
@@ -16,16 +17,15 @@ from hyperflex.interfaces import Motor, RopeState, StateSource
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
+from hyperflex.planning.cast_plan import CastPlan
+from hyperflex.planning.moves import Moves
+from hyperflex.planning.options import refuse_behind
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.robust.refinement import robust_values
-from hyperflex.planning.robust.scenario_rollouts import first_strikes, free_flight, winding_scores
-from hyperflex.planning.robust.uncertainty import Scenario, Uncertainty
-from hyperflex.planning.routing import refuse_behind
-from hyperflex.planning.search.rollouts import RolloutBatch
-from hyperflex.planning.search.strikes import arm_tip
-from hyperflex.planning.throw import MIN_SPEED, MIN_STROKE, Throw
-from hyperflex.planning.wind.cast_plan import CastPlan
+from hyperflex.planning.rollouts import RolloutBatch, arm_tip, fly_to_strikes, robust_values, winding_scores
+from hyperflex.planning.uncertainty import Scenario, Uncertainty
 from hyperflex.status import Status
+
+SLOWLY = 0.3  # fraction of the motor's speed at which an aborted throw takes the arm down
 
 
 @dataclass(frozen=True)
@@ -129,15 +129,15 @@ class FollowResult:
 
     Attributes
     ----------
-    throw : Throw
-        The throw that was commanded in the end.
+    moves : Moves
+        The moves that were commanded in the end.
     motion : Motion
-        Its motion.
+        Their motion.
     decisions : tuple of Decision
     options : FollowOptions
     """
 
-    throw: Throw
+    moves: Moves
     motion: Motion
     decisions: tuple[Decision, ...]
     options: FollowOptions
@@ -220,16 +220,16 @@ def follow_plan(
     """
     if not isinstance(plan, CastPlan):
         raise InvalidInput("only casts are followed", got=type(plan).__name__, allowed="a CastPlan")
-    problem, throw = plan.problem, plan.required(plan.throw, "throw")
+    problem, moves = plan.problem, plan.required(plan.moves, "motion")
     if problem.obstacles:
         raise InvalidInput("casts past obstacles are not followed", got=f"{len(problem.obstacles)} obstacles")
-    refuse_behind(problem.behind, "a plan that is followed")
+    refuse_behind(problem.criteria.behind, "a plan that is followed")
     if problem.q0:
         fix = "Follow a plan without state0"
         raise InvalidInput("casts that begin with a swinging rope are not followed", got="q0 and qd0", fix=fix)
     chosen = options or FollowOptions()
     prior, seeds = uncertainty or Uncertainty(), [checks.count("seed", seed, least=0), 1]
-    loop = _Loop(plan, throw, chosen, prior.sample(chosen.samples, problem, plan.target, seed=seeds), threads)
+    loop = _Loop(plan, moves, chosen, prior.sample(chosen.samples, problem, plan.target, seed=seeds), threads)
     if motor is not None:
         motor.set_motion(loop.motion(), 0.0)
     decisions: list[Decision] = []
@@ -239,7 +239,7 @@ def follow_plan(
             motor.set_motion(loop.motion(), decision.t)
         if decision.action == "aborted":
             break
-    return FollowResult(loop.throw, loop.motion(), tuple(decisions), chosen)
+    return FollowResult(loop.moves, loop.motion(), tuple(decisions), chosen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,14 +250,15 @@ class Goal:
     features: Array
 
     @classmethod
-    def of(cls, problem: Problem, peg: Peg, throw: Throw, options: FollowOptions) -> "Goal | None":
-        """Return the goal of a throw; None without a strike."""
-        motion = throw.motion(problem.limits)
+    def of(cls, problem: Problem, peg: Peg, moves: Moves, options: FollowOptions) -> "Goal | None":
+        """Return the goal of moves; None without a strike."""
+        motion = moves.motion(problem.limits)
         one = RolloutBatch.from_start(problem, [problem.rope], [peg], [motion])
-        t, q, qd, _ = first_strikes(one, problem)
-        if not np.isfinite(t[0]):
+        found = fly_to_strikes(problem, peg, one, Budget())
+        if not np.isfinite(found.t[0]):
             return None
-        return cls(float(t[0]), features(problem.rope, problem.arm, motion, t, q, qd, options)[0])
+        now = features(problem.rope, problem.arm, motion, found.t, found.q, found.qd, options)
+        return cls(float(found.t[0]), now[0])
 
 
 def features(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array, options: FollowOptions) -> Array:
@@ -281,32 +282,36 @@ class _Loop:
     """
 
     def __init__(
-        self, plan: CastPlan, throw: Throw, options: FollowOptions, scenarios: Sequence[Scenario], threads: int | None
+        self, plan: CastPlan, moves: Moves, options: FollowOptions, scenarios: Sequence[Scenario], threads: int | None
     ) -> None:
-        self.problem, self.throw, self.options, self.threads = plan.problem, throw, options, threads
+        self.problem, self.moves, self.options, self.budget = plan.problem, moves, options, Budget(threads=threads)
         self.scenarios, self.errors = list(scenarios), np.zeros(len(scenarios))
-        self.goal = Goal.of(plan.problem, plan.target, throw, options)
+        self.goal = Goal.of(plan.problem, plan.target, moves, options)
         self.move, self.delay = 1, 0.0
         self._last = hanging_state(plan.problem.rope)
 
+    @property
+    def last(self) -> int:
+        """Number of the last move."""
+        return self.moves.ends.size - 1
+
     def motion(self) -> Motion:
         """Return the commanded motion."""
-        return self.throw.motion(self.problem.limits)
+        return self.moves.motion(self.problem.limits)
 
     def starts(self) -> Array:
         """Return the starts of the moves, s."""
-        return self.throw.starts(self.problem.limits)
+        return self.moves.starts(self.problem.limits)
 
     def decide(self, source: StateSource, motor: Motor | None) -> Decision | None:
         """Observe the rope at the rest before the next move, and decide; None after the last observation."""
-        if self.goal is None or self.move > self.throw.count:
+        if self.goal is None or self.move > self.last:
             return None
         options, move, begin = self.options, self.move, time.monotonic()
-        rests = np.append(self.throw.rests[: self.throw.count], self.throw.rest)
-        now = float(self.starts()[move] - abs(rests[move]))
+        now = float(self.starts()[move] - self.moves.timing(self.problem.limits)[0][move])
         if now > self.goal.t + self.delay - options.blind_time:
             return None
-        left, planned = float(self.starts()[move]) - now, (self.throw, self.delay)
+        left, planned = float(self.starts()[move]) - now, (self.moves, self.delay)
         state = source.state(now, self.motion())
         arm_error = math.nan if motor is None else motor.angle(now) - float(self.motion().angle(now))
         first = move if left >= options.decision_time else move + 1  # that may still be changed
@@ -317,7 +322,7 @@ class _Loop:
             before, after, action = self.choose(self.goal, state, first)
         seconds = time.monotonic() - begin
         if options.real_time and seconds > options.decision_time and action != "kept" and not far:
-            (self.throw, self.delay), after, action = planned, before, "late"
+            (self.moves, self.delay), after, action = planned, before, "late"
         self.move += 1
         return Decision(move, now, left, before, after, action, seconds, arm_error)
 
@@ -328,7 +333,7 @@ class _Loop:
         motions = [each.without_delays().executed_motion(self.motion()) for each in self.scenarios]
         ropes, arm, t = [each.rope for each in self.scenarios], self.problem.arm, np.array([state.t])
         batch = RolloutBatch.from_state(ropes, [], motions, self._last)
-        _, q, qd = free_flight(batch, arm, state.t - batch.since, at_end=True, threads=self.threads)
+        _, q, qd = batch.fly(arm, state.t - batch.since, self.budget, at_end=True)
         for m, (rope, motion) in enumerate(zip(ropes, motions, strict=True)):
             observed = features(rope, arm, motion, t, state.q[None], state.qd[None], self.options)
             predicted = features(rope, arm, motion, t, q[m, -1:], qd[m, -1:], self.options)
@@ -344,61 +349,62 @@ class _Loop:
 
         It may be aborted from one move before the last one that starts before the strike.
         """
-        scenarios, throws, begun = self.likely(), [self.throw], int((self.starts() < goal.t + self.delay).sum())
+        scenarios, throws, begun = self.likely(), [self.moves], int((self.starts() < goal.t + self.delay).sum())
         probability, value = self.probabilities(throws, state, scenarios)
-        if first < self.throw.count and probability[0] < 1.0:
+        if first < self.last and probability[0] < 1.0:
             others = self.corrections(goal, scenarios[0].without_delays(), state, first)
             if others:
                 throws.append(others[int(np.argmax(self.probabilities(others, state, scenarios[:1])[1]))])
                 probability, value = self.probabilities(throws, state, scenarios)
         chosen = int(value[-1] > value[0] + self.options.min_gain)
         before, after = float(probability[0]), float(probability[chosen])
-        if after < self.options.min_probability and self.move >= begun - 1 and first <= self.throw.count:
+        if after < self.options.min_probability and self.move >= begun - 1 and first <= self.last:
             return before, after, self.abort(first)
         last = self.starts()[-1]
-        self.throw = throws[chosen]
+        self.moves = throws[chosen]
         self.delay += float(self.starts()[-1] - last)
         return before, after, "changed" if chosen else "kept"
 
     def abort(self, first: int) -> str:
         """Take the arm slowly to hanging, from move `first` on; return the action."""
-        made = min(first, self.throw.count)
-        self.throw = replace(self.throw, count=made, end=0.0, rest=self.options.decision_time, speed=MIN_SPEED)
+        made = min(first, self.last)
+        cut = Moves(self.moves.side, self.moves.ends[:made], self.moves.rests[:made])
+        self.moves = cut.then(0.0, self.options.decision_time, SLOWLY)
         return "aborted"
 
     def probabilities(
-        self, throws: Sequence[Throw], state: RopeState, scenarios: Sequence[Scenario]
+        self, throws: Sequence[Moves], state: RopeState, scenarios: Sequence[Scenario]
     ) -> tuple[Array, Array]:
         """Return the fraction of the scenarios in which each throw succeeds, and its mean score (W,)."""
         pairs = [(throw, scenario) for throw in throws for scenario in scenarios]
         motions = [scenario.motion(throw, self.problem) for throw, scenario in pairs]
         ropes, pegs = [scenario.rope for _, scenario in pairs], [scenario.peg for _, scenario in pairs]
         batch = RolloutBatch.from_state(ropes, pegs, motions, state)
-        found = winding_scores(batch, self.problem, threads=self.threads)
+        found = winding_scores(self.problem, batch, self.budget)
         shape = (len(throws), len(scenarios))
-        succeeds = (found.turns >= self.problem.turns).reshape(shape)
+        succeeds = (found.turns >= self.problem.criteria.turns).reshape(shape)
         return succeeds.mean(axis=1), robust_values(found, self.problem).reshape(shape).mean(axis=1)
 
-    def corrections(self, goal: Goal, scenario: Scenario, state: RopeState, first: int) -> list[Throw]:
+    def corrections(self, goal: Goal, scenario: Scenario, state: RopeState, first: int) -> list[Moves]:
         """Change strokes and rests from move `first` on so that the rope comes near the goal in a scenario.
 
         Returns throws that come nearer than the present one, the nearest first. Changes have a quadratic cost; a delay
         of the whole does as well.
         """
-        options, rest = self.options, slice(first, self.throw.count)
-        x = np.concatenate([np.abs(self.throw.rests[rest]), self.throw.strokes[rest]])
+        options, rest = self.options, slice(first, self.last)
+        x = np.concatenate([self.moves.rests[rest], self.moves.ends[rest]])
         k = x.size // 2
         scales = np.repeat([options.rest_scale, options.stroke_scale], k)
-        least = np.repeat([0.0, MIN_STROKE], k)
+        least = np.repeat([0.0, -np.inf], k)
         least[0] = min(options.decision_time, x[0])
 
-        def throw(point: Array) -> Throw:
-            rests, strokes = self.throw.rests.copy(), self.throw.strokes.copy()
-            rests[rest], strokes[rest] = point[:k], point[k:]
-            return replace(self.throw, rests=rests, strokes=strokes)
+        def throw(point: Array) -> Moves:
+            rests, ends = self.moves.rests.copy(), self.moves.ends.copy()
+            rests[rest], ends[rest] = point[:k], point[k:]
+            return replace(self.moves, rests=rests, ends=ends)
 
         misses, rows, drift = self._distances(goal, scenario, state, [throw(x)])
-        tried = [(float(misses[0]), self.throw)]
+        tried = [(float(misses[0]), self.moves)]
         step = options.difference * np.where(np.arange(2 * k) < k, scales, -scales)  # a longer stroke may not fit
         weights = np.append(scales, options.delay_scale)
         for _ in range(options.rounds):
@@ -418,7 +424,7 @@ class _Loop:
         return [changed for _, changed in better[: options.corrections]]
 
     def _distances(
-        self, goal: Goal, scenario: Scenario, state: RopeState, throws: Sequence[Throw]
+        self, goal: Goal, scenario: Scenario, state: RopeState, throws: Sequence[Moves]
     ) -> tuple[Array, Array, Array]:
         """Simulate throws (M) from a state.
 
@@ -428,7 +434,7 @@ class _Loop:
         arm, options = self.problem.arm, self.options
         motions = [scenario.motion(throw, self.problem) for throw in throws]
         batch = RolloutBatch.from_state([scenario.rope] * len(throws), [], motions, state)
-        t, q, qd = free_flight(batch, arm, goal.t - state.t + options.window, threads=self.threads)
+        t, q, qd = batch.fly(arm, goal.t - state.t + options.window, self.budget)
         near = np.flatnonzero(np.abs(t + state.t - goal.t) <= options.window)
         at = int(np.abs(t[near] + state.t - goal.t).argmin())
         flights = [

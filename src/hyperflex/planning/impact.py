@@ -9,7 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.model import DEFAULT_CONTACT_STEP, Peg, Setup
 from hyperflex.motion import Motion
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.search.contact_phase import starts_outside
+from hyperflex.planning.rollouts import starts_outside
 from hyperflex.planning.tasks.tip import touched_samples
 from hyperflex.planning.verification import limit_bend
 from hyperflex.simulation import simulate

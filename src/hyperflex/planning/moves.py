@@ -10,6 +10,7 @@ from hyperflex.planning.options import MotorLimits
 
 MIN_MOVE = 0.05  # rad: shorter moves are made so long, so that each has a direction
 MIN_REST = 1e-3  # s; there is always a rest, so that it can vary
+PUMPING = 0.54  # periods from stroke to stroke that keep step with a swing
 
 
 @dataclass(frozen=True, eq=False)

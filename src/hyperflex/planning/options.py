@@ -5,7 +5,9 @@ Each field has its unit, range and reason in its metadata: ``help`` and ``unit``
 
 import math
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -121,9 +123,7 @@ class WindCriteria:
     """
 
     turns: float = option(1.25, "Least turns about the target, from the arm's tip to the rope's end.")
-    contact: float = option(
-        0.0, "Least angle of the target that the rope must cover.", "rad", shown="none, but a full turn is sought"
-    )
+    contact: float = option(0.0, "Least angle of the target that the rope must cover.", "rad", shown="none")
     settle: float = option(1.0, "Time from the arm's stop after which the rope is watched.", "s")
     watch: float = option(2.0, "Time for which the rope must stay wound and hold.", "s")
     max_slip: float = option(5e-3, "Greatest slip on the target in that time.", "m")
@@ -205,7 +205,7 @@ class Conditions:
                 raise InvalidInput("state0 is after the motion's begin", got=t, allowed=allowed, fix=fix)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SearchOptions:
     """How a plan is searched for.
 
@@ -223,13 +223,71 @@ class SearchOptions:
         same time budget. Without it the fallback is only expected to be feasible.
     progress : bool
         Show a progress bar.
+    start_from : sequence of CastPlan
+        Plans for targets near by, for the same rope and arm, whose moves are tried first.
+    executor : concurrent.futures.Executor, optional
+        Where many targets are planned, or scenarios simulated: processes, or other machines
+        (``docs/how-to/many-machines.md``). Give ``threads=1`` where workers share a machine.
+    chunk_size : int, optional
+        Targets, or scenarios, that a worker takes at once.
+    improve : float
+        A plan that succeeds without a margin is improved for this fraction of the time that it took to find.
+    width, siblings : int
+        Swings from each side that are continued by a stroke, and how many of them may differ in the last stroke alone.
+    rests : int
+        Rests that are tried after each stroke.
+    longest_rest : float
+        The longest of them, in periods of the rope's swing.
+    stroke : float
+        Full stroke, in half turns; later passes try shorter ones, too.
+    watched : float
+        Periods after a stroke in which a strike is looked for.
+    back : int
+        Strokes before the first strike at which the next pass begins: those before pump the rope up.
+    pieces : int
+        Pieces of each link in the checks with shorter links; thirds found more errors than halves.
+    coarse : float
+        Longest link in contact, in radii of the target and the rope: longer ones are cut.
+    deviation : float
+        Of the rope with shorter links after a stroke, root mean square in rope lengths, up to which a swing counts as
+        predictable.
+    batch : int
+        Swings that are tried in contact at once.
+    finishes : int
+        Last moves that are tried with each swing.
+    members, parents : int
+        Varied moves of a generation, and the candidates that they are made from; without members there are none.
+    spread : float
+        Greatest standard deviation of varied strokes, in half turns, and rests, in periods.
+    scenarios : int
+        Sampled scenarios in which a robust plan is verified.
     """
 
     seed: int = option(0, "Seed of the search's random numbers.")
     threads: int | None = option(None, "Threads that the search may use. [default: one a processor]")
     skip_feasibility: bool = option(False, "Search even if the feasibility check calls the target out of reach.")
     fallback: bool = option(False, "If the plan fails, plan for the nearest targets until one succeeds.")
-    progress: bool = option(False, "Show a progress bar.")
+    progress: bool = False
+    start_from: Sequence[Any] = ()
+    executor: Executor | None = None
+    chunk_size: int | None = None
+    improve: float = 0.25
+    width: int = 12
+    siblings: int = 2
+    rests: int = 5
+    longest_rest: float = 0.6
+    stroke: float = 0.95
+    watched: float = 0.7
+    back: int = 3
+    pieces: int = 3
+    coarse: float = 2.0
+    deviation: float = 0.005
+    batch: int = 8
+    finishes: int = 3
+    members: int = 16
+    parents: int = 4
+    spread: float = 0.15
+    scenarios: int = 32
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "seed", checks.count("seed", self.seed, least=0))

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks, winding
+from hyperflex import winding
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import interruptible
@@ -13,6 +14,7 @@ from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
 from hyperflex.planning.clearance import Clearance, named
 from hyperflex.planning.problem import Problem
+from hyperflex.planning.rollouts import deadline
 from hyperflex.planning.routing import runs_behind
 from hyperflex.planning.verification import (
     clearances,
@@ -23,12 +25,10 @@ from hyperflex.planning.verification import (
     spare_clearance,
     verified_setup,
 )
-from hyperflex.simulation import OUT_OF_TIME, Deadline, simulate
+from hyperflex.simulation import OUT_OF_TIME, simulate
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
 
-WATCH_TIME = 2.0  # s for which the rope must hold
-MAX_SLIP = 5e-3  # m, in the watch
 SAMPLE_TIME = 0.01  # s
 BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
 FREE = Clearance(np.inf, 0.0, "")  # of the arm, where obstacles alone are looked at
@@ -43,10 +43,10 @@ class CastOutcome:
     Attributes
     ----------
     wound : bool
-        Whether the rope makes the turns that the set-up asks for, or more, about the peg all through the watch:
-        WATCH_TIME seconds, from the set-up's `settle` after the arm's stop.
+        Whether the rope makes the required turns, or more, about the peg in all of the criteria's `watch`, from
+        `settle` after the arm's stop on.
     held : bool
-        Whether it slips by less than MAX_SLIP in the watch, and withstands the pull that was asked for.
+        Whether it slips by less than `max_slip` in the watch, and withstands the required pull.
     turns : float
         Signed turns from the arm's tip to the rope's end at the end of the run, positive counterclockwise.
     slip : float
@@ -132,8 +132,7 @@ def verify_cast(
     *,
     tol: float = DEFAULT_TOL,
     contact_step: float = DEFAULT_CONTACT_STEP,
-    watch_time: float = WATCH_TIME,
-    time_budget: float | Deadline | None = None,
+    time_budget: float | Budget | None = None,
 ) -> CastOutcome:
     """Simulate a motion from rest with a peg, and evaluate the outcome.
 
@@ -145,19 +144,17 @@ def verify_cast(
         With an end, after which the arm stands still.
     tol, contact_step : float
         As for :func:`hyperflex.simulate`, m and s.
-    watch_time : float
-        Time for which the rope must hold, s, from the set-up's `settle` after the arm's stop.
-    time_budget : float or Deadline, optional
-        Processor time of the run, s, or a share in a time by the clock; a run that takes more has failed.
+    time_budget : float or Budget, optional
+        Time of the run by the clock, s; a run that takes more has failed.
     """
-    watch_time = checks.number("watch_time", watch_time, sign="positive", unit="s")
+    budget, criteria = Budget.of(time_budget), problem.criteria
     stop = float(motion.breaks[-1])
-    duration = stop + problem.settle + watch_time
+    duration = stop + criteria.settle + criteria.watch
     setup = verified_setup(problem, motion, duration, (peg,), tol=tol, contact_step=contact_step)
     t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)
     t[-1] = min(t[-1], duration)
     try:
-        run = simulate(setup, t_eval=t, time_budget=time_budget)
+        run = simulate(setup, t_eval=t, time_budget=deadline(budget))
     except SimulationError as error:
         nan, late = float("nan"), error.status == OUT_OF_TIME
         message = TOO_LONG if late else f"the simulation failed ({error.status})"
@@ -168,36 +165,38 @@ def verify_cast(
 def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> CastOutcome:
     """Evaluate a run whose arm stopped at `stop`, s."""
     wound = winding.measure_winding(run, peg)
-    watched = run.t >= stop + problem.settle
+    watched = run.t >= stop + problem.criteria.settle
     turns = wound.turns[watched]
     sense = np.sign(turns[-1])
-    slips = winding.rope_slip(run, peg, since=stop + problem.settle)[watched]
+    slips = winding.rope_slip(run, peg, since=stop + problem.criteria.settle)[watched]
     on = bool(np.isfinite(slips).all())
     slip = float(np.abs(slips).max())
-    enough = bool((sense * turns >= problem.turns).all())
-    held = on and slip < MAX_SLIP
+    enough = bool((sense * turns >= problem.criteria.turns).all())
+    held = on and slip < problem.criteria.max_slip
     touched = np.isfinite(wound.before)
     torque, torque_peak = motor_torques(run)
     max_bend, near = greatest_bend(run), clearances(problem, run)
     covered = float(wound.contact[watched].min())
     above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
-    led = runs_behind(run.setup.rope, peg, problem.behind, run.q[watched], run.joints[watched])
+    led = runs_behind(run.setup.rope, peg, problem.criteria.behind, run.q[watched], run.joints[watched])
     message = ""
     if not touched.any():
         message = "the rope does not touch the peg"
     elif not enough:
         least, most = max(0.0, float((sense * turns).min())), float(np.abs(wound.turns).max())
-        message = f"of {most:.2f} turns {least:.2f} stay while it is watched, and {problem.turns:g} are asked"
+        message = f"of {most:.2f} turns {least:.2f} stay while it is watched, and {problem.criteria.turns:g} are asked"
     elif not held:
         message = (
-            "the rope leaves the peg" if not on else f"it slips by {1e3 * slip:.1f} mm, {1e3 * MAX_SLIP:g} allowed"
+            "the rope leaves the peg"
+            if not on
+            else f"it slips by {1e3 * slip:.1f} mm, {1e3 * problem.criteria.max_slip:g} allowed"
         )
     elif refused := refusal(problem, max_bend, near):
         message = refused
     elif not all(led):
-        message = f"the rope does not run behind {named(problem.behind[led.index(False)])}"
-    elif covered < problem.contact:
-        asked = f"{np.degrees(problem.contact):.0f} are asked"
+        message = f"the rope does not run behind {named(problem.criteria.behind[led.index(False)])}"
+    elif covered < problem.criteria.contact:
+        asked = f"{np.degrees(problem.criteria.contact):.0f} are asked"
         message = f"it covers {np.degrees(covered):.0f} degrees of the peg, and {asked}"
     elif torque > problem.limits.torque:
         message = f"it asks {torque:.3g} N m of a motor that gives {problem.limits.torque:.3g}"
@@ -272,33 +271,31 @@ class HoldingForce:
 
 @interruptible()
 def measure_holding_force(
-    run: Trajectory, peg: Peg, *, time_budget: float | Deadline | None = None
+    run: Trajectory, peg: Peg, *, time_budget: float | Budget | None = None
 ) -> HoldingForce | None:
     """Tug at the rope from the end of a run with a peg; None if it is not on the peg or the tug cannot be simulated.
 
     `time_budget`, s, is as of :func:`hyperflex.simulate`.
     """
     try:
-        return _tugged(run, peg, time_budget)
+        return _tugged(run, peg, Budget.of(time_budget))
     except SimulationError:
         return None
 
 
-def _tugged(run: Trajectory, peg: Peg, time_budget: float | Deadline | None) -> HoldingForce | None:
+def _tugged(run: Trajectory, peg: Peg, budget: Budget) -> HoldingForce | None:
     """Tug at the rope as :func:`measure_holding_force` does; SimulationError if the run fails."""
     wound = winding.measure_winding(run, peg)
     if not np.isfinite(wound.tail[-1]):
         return None
     try:
-        tug = winding.tug_test(run, peg, time_budget=time_budget)
+        tug = winding.tug_test(run, peg, time_budget=deadline(budget))
     except InvalidInput:
         return None
     return HoldingForce(tug, float(wound.tail[-1]), abs(float(wound.arc[-1])), peg.mu)
 
 
-def require_holding_force(
-    outcome: CastOutcome, peg: Peg, force: float, time_budget: Deadline | None = None
-) -> CastOutcome:
+def require_holding_force(outcome: CastOutcome, peg: Peg, force: float, budget: Budget) -> CastOutcome:
     """Return the outcome, as a failure if a simulated tug shows that the rope withstands less than `force`, N.
 
     A force of 0 asks for nothing.
@@ -306,7 +303,7 @@ def require_holding_force(
     if force <= 0.0 or not outcome.success or outcome.run is None:
         return outcome
     try:
-        measured = _tugged(outcome.run, peg, time_budget)
+        measured = _tugged(outcome.run, peg, budget)
     except SimulationError as error:
         measured = None
         if error.status == OUT_OF_TIME:

@@ -15,8 +15,8 @@ from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN, Rope, Setup, obstacle_tables, obstacles_of
 from hyperflex.motion import MOVES, Motion
+from hyperflex.planning.moves import Moves
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.throw import Moves
 from hyperflex.trajectory import Trajectory
 
 T = TypeVar("T")
@@ -55,17 +55,13 @@ class Plan(ABC):
     kind: ClassVar[str]  # in files
     problem: Problem
     target: Any
+    moves: Moves | None
     outcome: Any
     finer_outcome: Any
     message: str
     runs: int
     seconds: float
     interrupted: bool
-
-    @property
-    @abstractmethod
-    def moves(self) -> Moves | None:
-        """Moves of the arm; None if none were found."""
 
     @property
     def motion(self) -> Motion | None:

@@ -7,11 +7,11 @@ from typing import Any
 from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN
+from hyperflex.planning.cast_plan import CastPlan
 from hyperflex.planning.options import MotorLimits
 from hyperflex.planning.plan import from_table
 from hyperflex.planning.tasks.insert import InsertPlan
 from hyperflex.planning.tasks.whip import WhipPlan
-from hyperflex.planning.wind.cast_plan import CastPlan
 
 _AGAIN = "Write it again with to_toml, or plan again"
 AnyPlan = CastPlan | WhipPlan | InsertPlan

@@ -72,8 +72,12 @@ class Planner:
         return [*work, VERIFY] if self._promising() is not None else work
 
     def _promising(self) -> Candidate | None:
-        """Return the best candidate that is worth a verification and was not verified."""
-        return next((one for one in self.rolled if one.good and not any(one is other for other in self._tried)), None)
+        """Return the best candidate that is worth a verification, of those least like others that have failed."""
+        good = [one for one in self.rolled if one.good and not any(one is other for other in self._tried)]
+        failed = self._tried if not self.succeeds else []
+        return min(
+            good, key=lambda one: (sum(self.task.alike(one, other) for other in failed), -one.score), default=None
+        )
 
     def _sample(self) -> None:
         found = self.task.sample(self.rolled, self.budget)

@@ -1,7 +1,7 @@
-"""What a plan is made for: a rope on an arm, the motor's limits, and the time until the strike."""
+"""What is planned for: a rope on an arm, the motor's limits, what must not be touched, the start, and the criteria."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,16 +12,11 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Obstacle, Peg, Rope, checked_obstacles, divided
 from hyperflex.planning.clearance import named, obstacle_gaps
-from hyperflex.planning.options import MotorLimits
-from hyperflex.planning.routing import checked_behind
+from hyperflex.planning.options import MotorLimits, WindCriteria
 
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
 MIN_LINKS, MIN_TIME = 4, 0.1  # links, s
 MAX_PERIODS = 100.0  # time until the strike at most: a search through as many strokes takes hours
-MIN_TURNS = 1.25  # turns of a wound rope, from the arm's tip to the rope's end, unless others are asked
-SETTLING_TIME = 1.0  # s from the arm's stop to the watch, unless another is asked
-# Turns that may be asked: more than a rope that only lies over a peg makes. s until the watch, at most
-LEAST_TURNS, MOST_TURNS, MOST_SETTLE = 0.5, 20.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -40,20 +35,12 @@ class Problem:
     clearance : float
         Least distance of the rope from its own arm and shaft in verified runs, m, >= 0; -inf lets it go through both,
         where it swings in front of them.
-    contact : float
-        Least angle of a peg that a wound rope covers, rad, >= 0.
-    turns : float
-        Least turns of a wound rope about a peg, from the arm's tip to the rope's end; more than LEAST_TURNS, up to
-        MOST_TURNS.
-    settle : float
-        Time from the arm's stop, s, after which a wound rope is watched, >= 0, up to MOST_SETTLE.
+    criteria : WindCriteria
+        When a rope counts as wound round a target. The arm must not reach the pegs that the rope is to run behind.
     side : {-1, 0, 1}
         Side on which the arm stands at first, left or right; 0 lets the planner choose.
     obstacles : sequence of Peg, Wall, Ground
         That the rope must not touch: it keeps `clearance` from them in verified runs. The arm must not reach them.
-    behind : sequence of Peg
-        Fixed pegs behind which the rope is to run on its way from the arm to the target of a cast: in the end it
-        touches each of them between the arm and its first touch of the target. The arm must not reach them.
     q0, qd0 : (n,) tuples of float
         Link angles, rad, and rates, rad/s, of a rope that swings at first; then `side` is -1 or 1. Empty: it hangs.
 
@@ -61,26 +48,22 @@ class Problem:
     ------
     InvalidInput
         If a part is not of its class, the rope has fewer than MIN_LINKS links or no weight, the time is too short or
-        too long, clearance or contact is below 0, turns or settle are out of range, the arm reaches an obstacle or a
-        peg, pegs `behind` are not fixed pegs, or side or start are not as above.
+        too long, clearance is below 0, the arm reaches an obstacle or a peg, or side or start are not as above.
     """
 
     rope: Rope
     arm: Arm
-    limits: MotorLimits
+    limits: MotorLimits = field(default_factory=MotorLimits)
     time: float = 0.0
     clearance: float = 0.0
-    contact: float = 0.0
-    turns: float = MIN_TURNS
-    settle: float = SETTLING_TIME
+    criteria: WindCriteria = field(default_factory=WindCriteria)
     side: int = 0
     obstacles: tuple[Obstacle, ...] = ()
-    behind: tuple[Peg, ...] = ()
     q0: tuple[float, ...] = ()
     qd0: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, kind in (("rope", Rope), ("arm", Arm), ("limits", MotorLimits)):
+        for name, kind in (("rope", Rope), ("arm", Arm), ("limits", MotorLimits), ("criteria", WindCriteria)):
             if not isinstance(getattr(self, name), kind):
                 raise InvalidInput(f"{name} is not of its class", got=getattr(self, name), allowed=kind.__name__)
         if self.rope.n_links < MIN_LINKS:
@@ -97,38 +80,24 @@ class Problem:
             allowed = f"up to {MAX_PERIODS:g} periods of its swing, {MAX_PERIODS * self.period:.4g} s"
             raise InvalidInput("time is longer than anybody swings a rope before a cast", got=time, allowed=allowed)
         object.__setattr__(self, "time", time or PERIODS * self.period)
-        self._check_criterion()
+        if self.clearance != -math.inf:
+            clearance = checks.number("clearance", self.clearance, sign="nonnegative", unit="m")
+            object.__setattr__(self, "clearance", clearance)
         object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles, "obstacles"))
-        object.__setattr__(self, "behind", checked_behind(self.behind))
         torque = min(self.limits.torque, self.arm.torque_limit)
         object.__setattr__(self, "limits", replace(self.limits, torque=torque))
         self._check_obstacles()
         self._check_start()
 
-    def _check_criterion(self) -> None:
-        """Refuse what cannot be asked of a wound rope."""
-        if self.clearance != -math.inf:
-            clearance = checks.number("clearance", self.clearance, sign="nonnegative", unit="m")
-            object.__setattr__(self, "clearance", clearance)
-        for name, unit in (("contact", "rad"), ("turns", ""), ("settle", "s")):
-            value = checks.number(name, getattr(self, name), sign="nonnegative", unit=unit)
-            object.__setattr__(self, name, value)
-        if not LEAST_TURNS < self.turns <= MOST_TURNS:
-            allowed = f"more than {LEAST_TURNS:g} turns, up to {MOST_TURNS:g}"
-            raise InvalidInput("turns are not those of a wound rope", got=self.turns, allowed=allowed)
-        if self.settle > MOST_SETTLE:
-            allowed = f"up to {MOST_SETTLE:g} s"
-            raise InvalidInput("settle is longer than a rope takes to come to rest", got=self.settle, allowed=allowed)
-
     def _check_obstacles(self) -> None:
         """Refuse what the turning arm would hit, and pegs that are to be touched and not to be touched."""
-        for k, peg in enumerate(self.behind):
-            if peg in self.obstacles or peg in self.behind[:k]:
-                how = "given twice" if peg in self.behind[:k] else "an obstacle, too"
+        for k, peg in enumerate(self.criteria.behind):
+            if peg in self.obstacles or peg in self.criteria.behind[:k]:
+                how = "given twice" if peg in self.criteria.behind[:k] else "an obstacle, too"
                 fix = "Give it once, in behind alone"
                 raise InvalidInput(f"a peg that the rope is to run behind is {how}", got=peg, fix=fix)
         pivot: Array = np.array([self.arm.pivot])
-        for each in (*self.behind, *self.obstacles):
+        for each in (*self.criteria.behind, *self.obstacles):
             room = float(obstacle_gaps((each,), pivot, pivot)[0, 0]) - self.arm.length - self.arm.radius
             if room <= 0.0:
                 what = f"the turning arm hits {named(each)}"
@@ -149,11 +118,6 @@ class Problem:
         return swing_period(self.rope)
 
     @property
-    def more_turns(self) -> float:
-        """Turns asked beyond MIN_TURNS, for which scores and what they are compared with were chosen; or below it."""
-        return self.turns - MIN_TURNS
-
-    @property
     def start(self) -> tuple[Array, Array]:
         """Link angles (n,), rad, and rates, rad/s, at the start."""
         if self.q0:
@@ -162,7 +126,7 @@ class Problem:
 
     def beside(self, target: Peg) -> tuple[Obstacle, ...]:
         """Return all that the rope may come upon: the target, pegs that it is to run behind, and obstacles."""
-        return (target, *self.behind, *self.obstacles)
+        return (target, *self.criteria.behind, *self.obstacles)
 
     def start_on(self, rope: Rope) -> tuple[Array, Array]:
         """Return the start of the same rope cut into shorter links (m,)."""

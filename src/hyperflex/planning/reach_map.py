@@ -2,8 +2,7 @@
 
 import operator
 import tomllib
-from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,19 +14,19 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
 from hyperflex.interruption import interruptible
-from hyperflex.model import Arm, Peg, Rope, checked_obstacles
-from hyperflex.planning.options import MotorLimits
+from hyperflex.model import Arm, Peg, Rope
+from hyperflex.options import option
+from hyperflex.planning.casting import CastRequest, plan_each
+from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, WindCriteria, refuse_behind
 from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED, from_table, to_table
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.routing import refuse_behind
-from hyperflex.planning.wind.many import plan_each
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMAT = "hyperflex reach map 2"
 NOT_PLANNED = -1  # status of a target that was not planned before an interrupt
-ATTRIBUTES = ("radius", "mu", "time_budget", "holding_force", "seed")  # of the file, beside format and problem
+ATTRIBUTES = ("radius", "mu", "time_budget", "seed")  # of the file, beside format and problem
 VARIABLES = {  # name: dimensions, unit, long name
     "x": (("x",), "m", "targets' x"),
     "y": (("y",), "m", "targets' y"),
@@ -55,8 +54,6 @@ class ReachMap:
         Of the targets, m, and their friction with the rope.
     time_budget : float
         Of each target's search, s.
-    holding_force : float
-        Pull that the wound ropes withstand, N.
     seed : int
         Of the searches.
     status : (Y, X) int64
@@ -74,7 +71,6 @@ class ReachMap:
     radius: float
     mu: float
     time_budget: float
-    holding_force: float
     seed: int
     status: npt.NDArray[np.int64]
     turns: Array
@@ -128,42 +124,60 @@ class ReachMap:
         files.write_netcdf(path, NetCDF(held, about))
 
 
+@dataclass(frozen=True, eq=False)
+class TargetGrid:
+    """Targets on a grid.
+
+    Parameters
+    ----------
+    cells : int
+        From the arm's pivot to as far as the rope comes.
+    x, y : array_like, optional
+        Of the targets' middles, m, increasing. By default all that the rope can come to on the right-hand side; on the
+        left it is the mirror image if the motor's angles, and obstacles, are alike on both sides.
+    radius, mu : float
+        Of the targets, m, and their friction with the rope.
+    """
+
+    cells: int = option(8, "Targets from the arm's pivot to as far as the rope comes.")
+    x: npt.ArrayLike | None = None
+    y: npt.ArrayLike | None = None
+    radius: float = option(0.03, "Radius of the targets.", "m")
+    mu: float = option(0.3, "Friction between rope and targets.")
+
+    def places(self, problem: Problem) -> tuple[Array, Array]:
+        """Return x (X,) and y (Y,) of the targets for a problem, m."""
+        (x0, y0), count = problem.arm.pivot, checks.count("cells", self.cells)
+        steps = (np.arange(count) + 0.5) * (problem.arm.length + problem.rope.total_length) / count
+        x = x0 + steps if self.x is None else _increasing("x", self.x)
+        y = y0 + np.concatenate([-steps[::-1], steps]) if self.y is None else _increasing("y", self.y)
+        if x.size * y.size > 100_000:
+            raise InvalidInput("the grid is too fine", got=x.size * y.size, allowed="100000 targets at most")
+        return x, y
+
+
+@checks.arguments(limits=MotorLimits)
 @interruptible(ReachMap)
 def build_reach_map(
     rope: Rope,
     arm: Arm,
     limits: MotorLimits | None = None,
     *,
-    cells: int = 8,
-    x: npt.ArrayLike | None = None,
-    y: npt.ArrayLike | None = None,
-    radius: float = 0.03,
-    mu: float = 0.3,
+    grid: TargetGrid | None = None,
+    criteria: WindCriteria | None = None,
+    conditions: Conditions | None = None,
     time_budget: float = 10.0,
-    executor: Executor | None = None,
-    chunk_size: int | None = None,
-    progress: bool = False,
-    **options: Any,
+    options: SearchOptions | None = None,
 ) -> ReachMap:
     """Plan a cast for each target of a grid.
 
     Parameters
     ----------
-    rope, arm, limits
-        As of :func:`plan_cast`.
-    cells : int
-        Of the grid, from the arm's pivot to as far as the rope comes.
-    x, y : array_like, optional
-        Of the grid instead, m, increasing. By default all that the rope can come to on the right-hand side; on the left
-        it is the mirror image where the motor's angles are alike to both sides, and obstacles too.
-    radius, mu : float
-        Of the targets, m, and their friction with the rope.
+    rope, arm, limits, criteria, conditions, options
+        As of :func:`plan_cast`; without pegs to run behind, and a rope that hangs at first.
+    grid : TargetGrid, optional
     time_budget : float
         Of each target, s. A search ends with the first plan that succeeds.
-    executor, chunk_size, progress
-        As of :func:`plan_casts`.
-    **options
-        Others of :func:`plan_cast`, the same for all targets, such as `holding_force`, `turns` and `obstacles`.
 
     Returns
     -------
@@ -190,29 +204,22 @@ def build_reach_map(
 
     >>> import hyperflex as hf
     >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    >>> hf.build_reach_map(cable, hf.Arm(length=0.105), x=[2.2, 2.4], y=[0.0])
+    >>> hf.build_reach_map(cable, hf.Arm(length=0.105), grid=hf.planning.TargetGrid(x=[2.2, 2.4], y=[0.0]))
     ReachMap(2 targets, 0 feasible, 0 wound)
     """
-    if "obstacles" in options:
-        options["obstacles"] = checked_obstacles(options["obstacles"], "obstacles")
-    named = ("clearance", "turns", "settle", "side", "obstacles", "behind")
-    known = {name: options[name] for name in named if options.get(name) is not None}
-    known |= {"time": options.get("time_limit") or 0.0, "contact": options.get("contact") or 0.0}
-    problem = Problem(rope, arm, MotorLimits() if limits is None else limits, **known)
-    refuse_behind(problem.behind, "a reach map")
-    if options.get("state0") is not None:
+    grid, given = grid or TargetGrid(), conditions or Conditions()
+    chosen = replace(options or SearchOptions(), fallback=False)
+    refuse_behind((criteria or WindCriteria()).behind, "a reach map")
+    if given.state0 is not None:
         fix = "Plan these targets one by one"
         raise InvalidInput("a reach map begins with a rope that hangs", got="state0", allowed="none", fix=fix)
-    middle, far = problem.arm.pivot, problem.arm.length + problem.rope.total_length
-    count = checks.count("cells", cells)
-    steps = (np.arange(count) + 0.5) * far / count
-    places = middle[0] + steps if x is None else _increasing("x", x)
-    levels = middle[1] + np.concatenate([-steps[::-1], steps]) if y is None else _increasing("y", y)
-    if (size := places.size * levels.size) > 100_000:
-        raise InvalidInput("the grid is too fine", got=size, allowed="100000 targets at most")
-    targets = [Peg(float(one), float(level), radius, mu) for level in levels for one in places]
-    given = {"time_budget": time_budget, "on_plan": operator.attrgetter("success"), **options}
-    plans, stop = plan_each(rope, arm, targets, limits, given, executor, chunk_size, progress)
+    first = operator.attrgetter("success")
+    parts = limits or MotorLimits(), criteria or WindCriteria(), given, None, time_budget, chosen, first
+    request = CastRequest(rope, arm, *parts)
+    problem = request.problem()
+    x, y = grid.places(problem)
+    targets = [Peg(float(one), float(level), grid.radius, grid.mu) for level in y for one in x]
+    plans, stop = plan_each(request, targets)
     values = {name: np.full(len(targets), np.nan) for name in ("turns", "contact_angle", "seconds")}
     values["status"] = np.full(len(targets), NOT_PLANNED)
     for number, plan in plans.items():
@@ -221,9 +228,9 @@ def build_reach_map(
         if plan.success and plan.outcome is not None:
             values["turns"][number] = abs(plan.outcome.turns)
             values["contact_angle"][number] = plan.outcome.contact_angle
-    shaped: dict[str, Any] = {name: each.reshape(levels.size, places.size) for name, each in values.items()}
-    asked = time_budget, options.get("holding_force", 0.0), options.get("seed", 0)
-    return stop.deliver(ReachMap(problem, places, levels, targets[0].radius, targets[0].mu, *asked, **shaped))
+    shaped: dict[str, Any] = {name: each.reshape(y.size, x.size) for name, each in values.items()}
+    found = ReachMap(problem, x, y, targets[0].radius, targets[0].mu, time_budget, chosen.seed, **shaped)
+    return stop.deliver(found)
 
 
 def read_reach_map(path: str | Path) -> ReachMap:

@@ -5,26 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.errors import InvalidInput
-from hyperflex.model import Peg, Rope, checked_obstacles
+from hyperflex.model import Peg, Rope
 from hyperflex.winding import TOUCH, closest_points
-
-
-def checked_behind(pegs: object) -> tuple[Peg, ...]:
-    """Return the pegs of a sequence as a tuple; InvalidInput if they are something else, or turn."""
-    given = checked_obstacles(pegs, "behind")
-    for each in given:
-        if not isinstance(each, Peg) or each.turns:
-            allowed = "fixed pegs: hyperflex.Peg(x, y, radius, mu)"
-            raise InvalidInput("a rope is led behind fixed pegs alone", got=each, allowed=allowed)
-    return tuple(each for each in given if isinstance(each, Peg))
-
-
-def refuse_behind(pegs: Sequence[Peg], what: str) -> None:
-    """Raise InvalidInput where there are pegs that the rope is to run behind, for `what` does not take these."""
-    if pegs:
-        words = f"{what} takes no pegs that the rope is to run behind"
-        raise InvalidInput(words, got=f"{len(pegs)} pegs", fix="Leave out behind")
 
 
 def way_gaps(rope: Rope, target: Peg, behind: Sequence[Peg], q: Array, joints: Array) -> Array:

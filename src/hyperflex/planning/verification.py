@@ -46,7 +46,7 @@ def verified_setup(
     Links are refined near `pegs`, and near those that the rope is to run behind. The set-up's obstacles, which are not
     to be touched, are there as well.
     """
-    pegs = (*pegs, *problem.behind)
+    pegs = (*pegs, *problem.criteria.behind)
     rope = limit_bend(refine_rope(problem.rope, pegs, arm=problem.arm))
     arm = problem.arm
     setup = Setup(

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from hyperflex.errors import HyperflexError
 from hyperflex.model import Arm, Obstacle, Peg, Rope
@@ -44,8 +44,16 @@ class PlanningTask(NamedTuple):
         """Plan, with one processor left to others; `on_plan` is called with each better plan for a cast."""
         threads = max(1, (os.cpu_count() or 2) - 1)
         if self.kind == "cast":
-            given: dict[str, Any] = {"time_budget": self.time_budget, "threads": threads, "obstacles": self.obstacles}
-            return plan_cast(self.rope, self.arm, self.target, self.limits, on_plan=on_plan, **given)
+            return plan_cast(
+                self.rope,
+                self.arm,
+                self.target,
+                self.limits,
+                conditions=Conditions(obstacles=self.obstacles),
+                time_budget=self.time_budget,
+                options=SearchOptions(threads=threads),
+                on_plan=on_plan,
+            )
         return plan_whip(
             self.rope,
             self.arm,

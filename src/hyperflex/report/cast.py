@@ -9,7 +9,7 @@ import numpy as np
 
 from hyperflex import winding
 from hyperflex.model import Peg
-from hyperflex.planning import BOUNCE_TIME, MAX_SLIP, SETTLING_TIME, WATCH_TIME, CastOutcome, CastPlan, HoldingForce
+from hyperflex.planning import BOUNCE_TIME, CastOutcome, CastPlan, HoldingForce, WindCriteria
 from hyperflex.report.curves import Panel, time_course
 from hyperflex.report.maps import target_map
 from hyperflex.report.page import Picture, Section
@@ -116,8 +116,10 @@ class CastReport(PlanReport[CastPlan]):
         else:
             shown.append((f"{cast.strike_time:.2f} s", "after the start the rope strikes the target"))
             words = f"in the end, {self.way}, from the arm's tip to the rope's end"
-            shown.append((f"{abs(cast.turns):.2f} turns", f"{words}; {plan.problem.turns:g} are required"))
-            required = f"; {plan.problem.contact:.3g} rad are required" if plan.problem.contact else ""
+            shown.append((f"{abs(cast.turns):.2f} turns", f"{words}; {plan.problem.criteria.turns:g} are required"))
+            required = (
+                f"; {plan.problem.criteria.contact:.3g} rad are required" if plan.problem.criteria.contact else ""
+            )
             words = f"contact: the angle of the target that the rope covers, {cast.contact_angle:.2f} rad{required}"
             shown.append((f"{math.degrees(cast.contact_angle):.0f}\N{DEGREE SIGN}", words))
         shown += self.arm_tiles()
@@ -168,26 +170,26 @@ class CastReport(PlanReport[CastPlan]):
             struck = f"The rope grazes the target at {cast.touch_time:.2f} s and comes off again. {struck}"
         if not math.isfinite(cast.slip):
             return f"{struck} and does not stay wound on it: {cast.message}."
-        settle = self.plan.problem.settle
-        watch = "" if settle == SETTLING_TIME else f", from {settle:g} s after the arm's stop on,"
+        criteria = self.plan.problem.criteria
+        watch = "" if criteria.settle == 1.0 else f", from {criteria.settle:g} s after the arm's stop on,"
         return (
             f"{struck}, winds {self.way}, and lies round it with {abs(cast.turns):.2f} turns: the angle about the "
             "target's centre from the arm's tip along the rope to its end. Straight parts and the hanging tail count "
             f"in addition to what lies on the target ({math.degrees(cast.contact_angle):.0f} degrees), and a tail that "
-            f"swings changes it. In the last {WATCH_TIME:g} s{watch} the rope slips on the target by {_slip(cast)}; "
-            f"{1e3 * MAX_SLIP:g} mm are allowed.{self._behind(cast)}"
+            f"swings changes it. In the last {criteria.watch:g} s{watch} the rope slips on it by {_slip(cast)}; "
+            f"{1e3 * criteria.max_slip:g} mm are allowed.{self._behind(cast)}"
         )
 
     def _behind(self, cast: CastOutcome) -> str:
         """Return which pegs the rope runs behind, in a sentence after a space; "" without any."""
-        pegs = zip(self.plan.problem.behind, cast.runs_behind, strict=False)
+        pegs = zip(self.plan.problem.criteria.behind, cast.runs_behind, strict=False)
         found = [f"{'behind' if there else 'not behind'} {in_words(peg)}" for peg, there in pegs]
         return f" On its way from the arm it runs {', and '.join(found)}." if found else ""
 
     def figures(self) -> "dict[str, Figure]":
         """Draw strike, time course, and tug if there was one."""
         middle = self._strike if math.isfinite(self._strike) else self._stop - 0.8  # before the arm stops
-        red = "the target, and pegs before it" if self.plan.problem.behind else "the target"
+        red = "the target, and pegs before it" if self.plan.problem.criteria.behind else "the target"
         drawn = {"strike": self.strobe_at(middle, 0.6, 0.8, f"red: {red}"), "course": self._course()}
         return drawn if self.held is None else drawn | {"tug": tug_figure(self.held)}
 
@@ -226,11 +228,11 @@ class CastReport(PlanReport[CastPlan]):
         lines = (Line("towards the arm", wound.before), Line("towards the tip", wound.after))
         tension = Plot("tension of the rope where it leaves the target", "N", lines)
         struck = f"strikes at {self._strike:.2f} s"
-        required = (setup.turns, f"{setup.turns:g} turns are required")
+        required = (setup.criteria.turns, f"{setup.criteria.turns:g} turns are required")
         panels = Panel(turns, "turns", (GREEN,), required, struck), Panel(tension, "tension")
         figure = time_course(run, "the cast", panels, self.moves(), self._strike)
         for axis in figure.axes:
-            axis.axvspan(self._stop + setup.settle, run.t[-1], color=GREEN, alpha=0.10, lw=0)
+            axis.axvspan(self._stop + setup.criteria.settle, run.t[-1], color=GREEN, alpha=0.10, lw=0)
         _, upper, lower, _ = figure.axes
         place = {"transform": upper.get_xaxis_transform(), "va": "top", "ha": "right"}
         note(upper, run.t[-1], 0.84, "slip is measured ", GREEN, **place)
@@ -253,7 +255,7 @@ def tug_figure(held: HoldingForce) -> "Figure":
         pull.axhline(held.capstan_force, color=GREY, ls=":", lw=1.4, label=capstan)
         pull.set(ylabel="pull, N", ylim=(0.0, 1.05 * max(held.force, held.capstan_force, float(tension.max()))))
         pull.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8.0)
-        allowed = 1e3 * MAX_SLIP
+        allowed = 1e3 * WindCriteria.max_slip
         slip.plot(way, 1e3 * np.abs(tug.slip), color=RED)
         slip.axhline(allowed, color=GREY, ls="--", lw=1.0)
         note(slip, way[0], allowed, f" {allowed:g} mm: has slipped")
@@ -325,7 +327,7 @@ def _lacks(plan: CastPlan) -> str:
         return ""
     if cast.torque > given:
         return f"This throw needs a motor of {cast.torque:.3g} N m; {given:.3g} N m are given."
-    if MAX_SLIP <= cast.slip < math.inf:
+    if plan.problem.criteria.max_slip <= cast.slip < math.inf:
         return (
             "The rope winds but slips: it would hold with more friction on the target, or a weight at the rope's end."
         )

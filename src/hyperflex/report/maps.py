@@ -23,7 +23,7 @@ def target_map(plan: CastPlan, nearest: str) -> "Figure":
     setup, fallback = plan.problem, plan.fallback
     arm, limits, gravity = setup.arm, setup.limits, np.array(setup.rope.gravity)
     pivot, far = np.array(arm.pivot), arm.length + setup.rope.total_length
-    pegs = [(peg, INK, "peg that the rope must run behind") for peg in setup.behind]
+    pegs = [(peg, INK, "peg that the rope must run behind") for peg in setup.criteria.behind]
     pegs.append((plan.target, RED, "target"))
     if fallback is not None:
         pegs.append((fallback.target, GREEN, f"{nearest}, {length(fallback.distance, small='cm')} away"))

@@ -165,7 +165,7 @@ class PlanReport(ABC, Generic[PlanT]):
     def pictures(self, drawn: Mapping[str, Path]) -> dict[str, Picture | Film]:
         """Return the player of the run, if there is one, and the figures that :meth:`draw` drew, with captions."""
         setup, shown = self.plan.problem, dict[str, Picture | Film]()
-        words = " Red as well: pegs that the rope is to run behind." if setup.behind else ""
+        words = " Red as well: pegs that the rope is to run behind." if setup.criteria.behind else ""
         words += " Violet: obstacles, which the rope must not touch." if setup.obstacles else ""
         for name, caption in (item for part in self.layout.values() for item in part.items()):
             if name == "film" and self.plan.run is not None:
@@ -300,7 +300,7 @@ def _quantity(value: float, unit: str, otherwise: str) -> str:
 def _obstacles(setup: Problem) -> str:
     """Return pegs to run behind and obstacles in a sentence each, after a space; "" without any."""
     heads = {
-        "The rope must run behind these on its way from the arm to the target": setup.behind,
+        "The rope must run behind these on its way from the arm to the target": setup.criteria.behind,
         "Obstacles, which the rope must not touch": setup.obstacles,
     }
     return "".join(f" {head}: {'; '.join(map(in_words, some))}." for head, some in heads.items() if some)

@@ -25,14 +25,12 @@ from hyperflex.planning.clearance import (
     sampled_clearance,
     samples_clear_of_arm,
 )
+from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
 from hyperflex.planning.planner import Planner
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
-from hyperflex.planning.robust.uncertainty import Uncertainty
-from hyperflex.planning.search.contact_phase import starts_outside
-from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.rollouts import RolloutBatch, starts_outside
 from hyperflex.planning.tasks.task import Candidate, Verified
 from hyperflex.planning.tasks.tip import (
     OPTIONS,
@@ -52,6 +50,7 @@ from hyperflex.planning.tasks.tip import (
     simulate_in_time,
     tip_problem,
 )
+from hyperflex.planning.uncertainty import Uncertainty
 from hyperflex.planning.verification import at_limits, limit_bend, verified_setup
 from hyperflex.trajectory import Trajectory
 
@@ -299,7 +298,7 @@ class InsertPlan(TipPlan):
     problem: Problem
     target: Slot
     feasibility: TipFeasibility
-    moves: Moves | None = None  # type: ignore[assignment]
+    moves: Moves | None = None
     outcome: InsertOutcome | None = None
     finer_outcome: InsertOutcome | None = None
     position_std: float = math.nan

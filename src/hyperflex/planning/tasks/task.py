@@ -85,6 +85,10 @@ class Task(ABC):
     def rollout(self, some: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Return candidates with dear scores, made from `some` samples: fewer, as many or more."""
 
+    def alike(self, one: Candidate, other: Candidate) -> bool:
+        """Whether two candidates are so alike that they mostly fail alike."""
+        return False
+
     @abstractmethod
     def verify(self, one: Candidate, budget: Budget) -> Verified:
         """Verify a candidate; ends at the first reason to fail. Raises OutOfTime if the budget ends before."""

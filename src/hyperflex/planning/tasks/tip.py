@@ -20,14 +20,13 @@ from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import Stop
 from hyperflex.model import DAMPING, Arm, Obstacle, Rope, Setup, Wall
 from hyperflex.planning.clearance import gap_of, obstacle_gaps
+from hyperflex.planning.evolution import CmaEs
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits
 from hyperflex.planning.plan import Plan
 from hyperflex.planning.planner import Planner
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.search.contact_phase import check_start, free_sides
-from hyperflex.planning.search.evolution import CmaEs
-from hyperflex.planning.search.rollouts import RolloutBatch
+from hyperflex.planning.rollouts import RolloutBatch, check_start, free_sides
 from hyperflex.planning.tasks.task import Candidate, Task, Verified
 from hyperflex.planning.verification import (
     clearances,

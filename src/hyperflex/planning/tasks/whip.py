@@ -22,7 +22,7 @@ from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, refuse_behind
 from hyperflex.planning.planner import Planner
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.search.contact_phase import starts_outside
+from hyperflex.planning.rollouts import starts_outside
 from hyperflex.planning.tasks.task import Candidate, Verified
 from hyperflex.planning.tasks.tip import (
     OPTIONS,
@@ -264,7 +264,7 @@ def build_whip_map(
     InvalidInput
         If the time of the problem is too short for a peak.
     """
-    refuse_behind(problem.behind, "a whip")
+    refuse_behind(problem.criteria.behind, "a whip")
     if problem.time < (least := 4.0 * OPTIONS.sample_time):
         allowed = f"at least {least:g} s; three periods of the rope's swing are usual"
         raise InvalidInput("time_limit is too short for any whip", got=problem.time, allowed=allowed)
@@ -345,7 +345,7 @@ class WhipPlan(TipPlan):
     problem: Problem
     target: TipTarget
     feasibility: TipFeasibility
-    moves: Moves | None = None  # type: ignore[assignment]
+    moves: Moves | None = None
     outcome: TipStrike | None = None
     finer_outcome: TipStrike | None = None
     position_std: float = math.nan

@@ -12,10 +12,10 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import DAMPING, Peg, Rope
 from hyperflex.motion import Motion, arm_moves, lagged
+from hyperflex.planning.moves import MIN_REST, Moves
+from hyperflex.planning.options import refuse_behind
+from hyperflex.planning.posterior import RopePosterior
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.robust.posterior import RopePosterior
-from hyperflex.planning.routing import refuse_behind
-from hyperflex.planning.throw import MIN_REST, Throw
 
 if TYPE_CHECKING:
     from hyperflex.identification import Identification
@@ -45,9 +45,9 @@ class Scenario:
         """Return the same scenario with moves that start in time."""
         return replace(self, delays=np.zeros_like(self.delays))
 
-    def motion(self, throw: Throw, problem: Problem) -> Motion:
-        """Return the arm's motion when this throw is commanded."""
-        return self.executed_motion(throw.motion(problem.limits))
+    def motion(self, moves: Moves, problem: Problem) -> Motion:
+        """Return the arm's motion when these moves are commanded."""
+        return self.executed_motion(moves.motion(problem.limits))
 
     def executed_motion(self, motion: Motion) -> Motion:
         """Return the arm's motion when a motion of moves and rests is commanded."""
@@ -169,7 +169,7 @@ class Uncertainty:
 
         Scenario number m of a `seed`, an integer or several, is the same for any `count`.
         """
-        refuse_behind(problem.behind, "an uncertainty")
+        refuse_behind(problem.criteria.behind, "an uncertainty")
         stem = [seed] if isinstance(seed, int | np.integer) else list(seed)
         rngs = [np.random.default_rng([*stem, m]) for m in range(checks.count("samples", count))]
         return [self._sample(rng, problem, peg) for rng in rngs]

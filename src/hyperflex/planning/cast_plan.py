@@ -4,18 +4,12 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from hyperflex.model import Peg, Setup
+from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.feasibility import Feasibility
-from hyperflex.planning.outcome import (
-    MAX_SLIP,
-    WATCH_TIME,
-    CastOutcome,
-    HoldingForce,
-    measure_holding_force,
-)
+from hyperflex.planning.moves import Moves
+from hyperflex.planning.outcome import CastOutcome, HoldingForce, measure_holding_force
 from hyperflex.planning.plan import INFEASIBLE, NOT_FOUND, Plan
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.robust.scenario_rollouts import SuccessProbability
-from hyperflex.planning.throw import Throw
 from hyperflex.planning.verification import verified_setup
 
 
@@ -30,13 +24,15 @@ class CastPlan(Plan):
     target : Peg
     feasibility : Feasibility
         Result of the check before the search.
-    throw : Throw or None
-        The best throw found; None if none strikes the target.
+    moves : Moves or None
+        The best moves found; None if none strike the target.
     outcome : CastOutcome or None
-        Its outcome in a simulated run; None if Ctrl-C came before.
+        Their outcome in a simulated run; None if there was none.
     finer_outcome : CastOutcome or None
-        Its outcome with links of a third of the length; without a margin, of that run and of those with links of half
-        and a fifth the one that fails or differs most.
+        Their outcome with links of a third of the length.
+    margin : float
+        How much of each criterion is to spare in both runs, over what is usual: the least; see
+        :func:`hyperflex.planning.ensemble.margin`. Of a robust plan it is 1 if it succeeds in all scenarios.
     success_probability : SuccessProbability or None
         In scenarios that the search has not seen; only with an uncertainty. Of 0 samples where no time was left.
     fallback : FallbackTarget or None
@@ -49,21 +45,17 @@ class CastPlan(Plan):
     problem: Problem
     target: Peg
     feasibility: Feasibility
-    throw: Throw | None = None
+    moves: Moves | None = None
     outcome: CastOutcome | None = None
     finer_outcome: CastOutcome | None = None
     message: str = ""
+    margin: float = 0.0
     runs: int = 0
     seconds: float = 0.0
     interrupted: bool = False
     success_probability: SuccessProbability | None = None
     fallback: "FallbackTarget | None" = None
     remedies: tuple[str, ...] = ()
-
-    @property
-    def moves(self) -> Throw | None:
-        """The throw."""
-        return self.throw
 
     @property
     def status(self) -> int:
@@ -88,19 +80,20 @@ class CastPlan(Plan):
 
     def setup(self) -> Setup:
         """Return the set-up of the verified run, with links refined near the target, and joint limits."""
-        motion = self.required(self.motion, "throw")
-        end = float(motion.breaks[-1]) + self.problem.settle + WATCH_TIME
+        motion, criteria = self.required(self.motion, "motion"), self.problem.criteria
+        end = float(motion.breaks[-1]) + criteria.settle + criteria.watch
         return verified_setup(self.problem, motion, end, (self.target,))
 
     def measure_holding_force(self) -> HoldingForce | None:
         """Tug at the rope from the end of the verified run; None unless it is wound and does not slip by itself."""
-        if self.outcome is None or self.run is None or not (self.outcome.wound and self.outcome.slip < MAX_SLIP):
+        outcome = self.outcome
+        if outcome is None or self.run is None or not (outcome.wound and outcome.slip < self.problem.criteria.max_slip):
             return None
         return measure_holding_force(self.run, self.target)
 
     def notes(self) -> dict[str, str]:
         """Return notes for the head of the motor's file."""
-        peg, rope, motion = self.target, self.problem.rope, self.required(self.motion, "throw")
+        peg, rope, motion = self.target, self.problem.rope, self.required(self.motion, "motion")
         return super().notes() | {
             "target": f"x {peg.x:g} m, y {peg.y:g} m, radius {peg.radius:g} m, mu {peg.mu:g}",
             "rope": f"{rope.total_length:.4g} m, {rope.total_mass:.4g} kg",
@@ -111,9 +104,9 @@ class CastPlan(Plan):
     def summary(self) -> dict[str, Any]:
         """Return the plan in figures, for JSON: its fields, and the start of each move and the arm's stop, s."""
         table = super().summary()
-        if self.throw is not None:
+        if self.moves is not None:
             limits = self.problem.limits
-            table |= {"starts": self.throw.starts(limits), "stop": self.throw.stops(limits)}
+            table |= {"starts": self.moves.starts(limits), "stop": self.moves.stops(limits)}
         if self.fallback is not None and self.fallback.plan is not None:
             table["fallback"]["plan"] = self.fallback.plan.summary()
         if self.success_probability is not None:

@@ -1,0 +1,419 @@
+"""Plan casts: check the target, search for moves that wind the rope and hold, verify them, look for fallbacks."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import overload
+
+import numpy as np
+
+from hyperflex import checks
+from hyperflex.budget import Budget
+from hyperflex.errors import Interrupted, InvalidInput
+from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
+from hyperflex.interruption import CaughtInterrupt, catch_interrupt, interruptible
+from hyperflex.model import Arm, Peg, Rope, Setup, cuts
+from hyperflex.motion import hold_arm
+from hyperflex.planning.cast_plan import CastPlan, FallbackTarget
+from hyperflex.planning.clearance import obstacle_clearance, rope_clearance
+from hyperflex.planning.ensemble import estimate_success_probability
+from hyperflex.planning.feasibility import (
+    Feasibility,
+    check_feasibility,
+    find_remedies,
+    moved,
+    nearest_feasible,
+    search_time,
+)
+from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, WindCriteria, refuse_behind
+from hyperflex.planning.planner import Planner
+from hyperflex.planning.problem import Problem
+from hyperflex.planning.rollouts import check_start
+from hyperflex.planning.tasks.wind import WindTask
+from hyperflex.planning.uncertainty import Uncertainty
+from hyperflex.progress import progress_bar
+from hyperflex.simulation import simulate
+
+OnPlan = Callable[[CastPlan], bool | None]
+# Margins of fallback targets that are planned for, one after the other, beyond the margin of the target if that is
+# feasible. The last one is not planned for
+MARGINS = (0.0, 0.25, 0.75, 1.5)
+ROBUST = 0.9  # fraction of the time of a robust plan after which its success probability is estimated
+NEIGHBOURS, NEAR = (
+    3,
+    0.2,
+)  # plans that a search for one of many targets starts from, and how near they are, rope lengths
+
+
+@dataclass(frozen=True, eq=False)
+class CastRequest:
+    """All that a cast is planned for but the target; see :func:`plan_cast`."""
+
+    rope: Rope
+    arm: Arm
+    limits: MotorLimits
+    criteria: WindCriteria
+    conditions: Conditions
+    uncertainty: Uncertainty | None
+    time_budget: float | Budget | None
+    options: SearchOptions
+    on_plan: OnPlan | None = None
+
+    def __post_init__(self) -> None:
+        for name, kind in (("criteria", WindCriteria), ("conditions", Conditions), ("options", SearchOptions)):
+            checks.instance(name, getattr(self, name), kind)
+        if self.uncertainty is not None:
+            checks.instance("uncertainty", self.uncertainty, Uncertainty)
+
+    def problem(self) -> Problem:
+        """Return the problem without a target."""
+        given = self.conditions
+        return Problem(
+            self.rope,
+            self.arm,
+            self.limits,
+            given.time_limit or 0.0,
+            clearance=given.clearance,
+            criteria=self.criteria,
+            side=given.side,
+            obstacles=given.obstacles,
+        )
+
+    def checked_problem(self, target: Peg) -> tuple[Problem, str]:
+        """Return the problem, and what a rope that swings at first touches before the motion, empty if nothing."""
+        problem, touch = self.problem(), ""
+        if self.uncertainty is not None:
+            refuse_behind(self.criteria.behind, "a plan with an uncertainty")
+        if self.conditions.state0 is not None:
+            problem, touch = _swinging(problem, self.conditions, target)
+        # Refuses, before any search, what cannot touch a peg
+        Setup(self.rope, arm=self.arm, pegs=problem.beside(target))
+        cuts(self.rope, (target, *self.criteria.behind), arm=self.arm)  # or not be wound round it
+        if self.rope.gravity[0] != 0.0 or self.rope.gravity[1] > 0.0:
+            fix = "Rotate the axes: y up"
+            raise InvalidInput("casts are planned with gravity along -y", got=self.rope.gravity, fix=fix)
+        check_start(problem)
+        limited = self.conditions.time_limit is not None
+        return (problem if limited else replace(problem, time=search_time(problem, target))), touch
+
+    @interruptible(CastPlan)
+    def plan(self, target: Peg, near: Sequence[CastPlan] = ()) -> CastPlan:
+        """Plan a cast round a target; the moves of plans `near` are tried first."""
+        if not isinstance(target, Peg):
+            raise InvalidInput("target is not a peg", got=target, allowed="hyperflex.Peg(x, y, radius, mu)")
+        if target.turns:
+            raise InvalidInput("casts are planned for fixed targets", got=target, fix="Leave out inertia and bearing")
+        budget = Budget.of(self.time_budget, threads=self.options.threads)
+        problem, touch = self.checked_problem(target)
+        known = check_feasibility(problem, target)
+        start = [one.moves for one in (*near, *self.options.start_from) if one.moves is not None]
+        task = WindTask(problem, target, self.options, self.uncertainty, start)
+        if touch or not task.sides:
+            inside = "the rope begins in the target, or beside it in an obstacle"
+            known = replace(known, impossible=True, message=touch or inside)
+        if known.impossible or not (known.feasible or self.options.skip_feasibility):
+            plan = CastPlan(problem, target, known, message=known.message)
+            planner = None
+        else:
+            plan, planner = self._search(task, known, budget)
+        if plan.success or plan.interrupted:
+            return _delivered(plan)
+        with catch_interrupt() as stop:
+            plan = replace(plan, remedies=find_remedies(problem, target))
+            plan = replace(plan, fallback=None if plan.unfinished else _expected(plan))
+            if self.options.fallback:
+                plan = self._plan_fallback(plan, planner)
+        plan = stop.partial if isinstance(stop.partial, CastPlan) else plan
+        return _delivered(replace(plan, interrupted=stop.received or plan.interrupted))
+
+    def _search(self, task: WindTask, known: Feasibility, budget: Budget) -> tuple[CastPlan, Planner]:
+        """Search for moves, verify them, and estimate their success probability."""
+        robust = self.uncertainty is not None
+        search = budget.share(ROBUST) if robust and math.isfinite(budget.remaining) else budget
+        improve = math.inf if robust else self.options.improve
+
+        def improved() -> bool | None:
+            return None if self.on_plan is None else self.on_plan(_plan(task, known, planner, budget))
+
+        planner = Planner(task, search, improve, improved)
+        with catch_interrupt() as stop, budget.progress(self.options.progress, "planning"):
+            planner.run()
+            plan = _plan(task, known, planner, budget)
+            if self.uncertainty is not None and plan.moves is not None:
+                given = task.problem, task.peg, plan.moves, self.uncertainty
+                chance = estimate_success_probability(*given, time_budget=budget, options=self.options)
+                plan = replace(plan, success_probability=chance)
+        if stop.received:
+            plan = replace(_plan(task, known, planner, budget), interrupted=True)
+        return plan, planner
+
+    def _plan_fallback(self, plan: CastPlan, planner: Planner | None) -> CastPlan:
+        """Plan for the nearest targets until a plan succeeds, first with the moves found; return the failed plan.
+
+        Ctrl-C raises Interrupted with it, and with the plan for the nearest target if that succeeds as far as it got.
+        """
+        alone = replace(self, options=replace(self.options, fallback=False), on_plan=None)
+        if planner is not None and self.uncertainty is None:
+            seconds = self.time_budget.seconds if isinstance(self.time_budget, Budget) else self.time_budget
+            budget = Budget.of(seconds, threads=self.options.threads)
+            for peg in _near_by(plan):
+                task = WindTask(plan.problem, peg, alone.options, start=[one.moves for one in planner.rolled[:6]])
+                task.given_alone = True
+                other = Planner(task, budget.share(0.5), 0.0)
+                other.run()
+                if other.succeeds:
+                    near = _plan(task, check_feasibility(plan.problem, peg), other, budget)
+                    return replace(plan, fallback=FallbackTarget(peg, _distance(plan.target, peg), near))
+        tried: list[Peg] = []
+        for number in range(len(MARGINS)):
+            found = _expected(plan, number)
+            if found is None or found.target in tried:
+                continue
+            found = replace(found, failed_plans=len(tried))
+            if number == len(MARGINS) - 1:
+                return replace(plan, fallback=found)
+            with catch_interrupt() as stop:
+                near = alone.plan(found.target)
+            near = stop.partial if stop.received and isinstance(stop.partial, CastPlan) else near
+            if near.success:
+                plan = replace(plan, fallback=replace(found, plan=near))
+            if stop.received or near.success:
+                return stop.deliver(plan)
+            tried.append(found.target)
+        return plan
+
+
+@overload
+def plan_cast(
+    rope: Rope,
+    arm: Arm,
+    target: Peg,
+    limits: MotorLimits | None = None,
+    *,
+    criteria: WindCriteria | None = None,
+    conditions: Conditions | None = None,
+    uncertainty: Uncertainty | None = None,
+    time_budget: float | Budget | None = ...,
+    options: SearchOptions | None = None,
+    on_plan: OnPlan | None = None,
+) -> CastPlan: ...
+
+
+@overload
+def plan_cast(
+    rope: Rope,
+    arm: Arm,
+    target: Sequence[Peg],
+    limits: MotorLimits | None = None,
+    *,
+    criteria: WindCriteria | None = None,
+    conditions: Conditions | None = None,
+    uncertainty: Uncertainty | None = None,
+    time_budget: float | Budget | None = ...,
+    options: SearchOptions | None = None,
+    on_plan: OnPlan | None = None,
+) -> list[CastPlan]: ...
+
+
+@checks.arguments(limits=MotorLimits, criteria=WindCriteria, conditions=Conditions, options=SearchOptions)
+def plan_cast(
+    rope: Rope,
+    arm: Arm,
+    target: Peg | Sequence[Peg],
+    limits: MotorLimits | None = None,
+    *,
+    criteria: WindCriteria | None = None,
+    conditions: Conditions | None = None,
+    uncertainty: Uncertainty | None = None,
+    time_budget: float | Budget | None = 60.0,
+    options: SearchOptions | None = None,
+    on_plan: OnPlan | None = None,
+) -> CastPlan | list[CastPlan]:
+    """Plan how an arm casts its rope round a target so that the rope winds and holds.
+
+    Parameters
+    ----------
+    rope, arm : Rope, Arm
+        The rope hangs from the arm, which points to one side, at rest unless the conditions have a `state0`.
+    target : Peg or sequence of Peg
+        To be wound. Of many targets those that lie apart are planned first, then the others, starting from the moves
+        for the nearest of these; `options.executor` plans them in parallel.
+    limits : MotorLimits, optional
+        Of the motor; by default the paper's.
+    criteria : WindCriteria, optional
+        When the rope counts as wound.
+    conditions : Conditions, optional
+        Time limit, clearance, obstacles and start.
+    uncertainty : Uncertainty, optional
+        Of rope, target and motor. With it the plan is the one that succeeds in most of the sampled scenarios, and its
+        success probability is estimated in others, as many as there is time for.
+    time_budget : float or Budget, optional
+        Time by the clock for search, verifications and success probability of a target, s, without compiling. A plan
+        that succeeds with a margin ends the search before (:func:`hyperflex.planning.ensemble.margin`), one without
+        after a quarter more time. With an uncertainty, one with a margin that succeeds in all scenarios does.
+    options : SearchOptions, optional
+        Seed, threads, fallback and other options of the search.
+    on_plan : callable, optional
+        Called with the first plan that succeeds as soon as it does, and with each better one. If it returns True the
+        search ends with that plan. It does not get plans for fallback targets, nor success probabilities.
+
+    Returns
+    -------
+    CastPlan, or a list of them for a sequence of targets
+
+    Raises
+    ------
+    InvalidInput
+        If an argument is out of range or of another class.
+    WorkerLost
+        If targets kill the workers of the executor.
+    Interrupted
+        By Ctrl-C. Its ``partial`` is the best plan until then, or the list of the plans until then; what was not
+        verified before is not verified any more.
+
+    Examples
+    --------
+    The first plan that succeeds, in a second or two; without `on_plan` better ones are searched for:
+
+    >>> import hyperflex as hf
+    >>> cord = hf.Rope.uniform(length=1.2, mass=0.05, n_links=15, radius=0.002, friction=2e-4)
+    >>> plan = hf.plan_cast(cord, hf.Arm(length=0.15), hf.Peg(-0.5, -0.7, 0.03), on_plan=lambda plan: True)
+    >>> plan.success, plan.outcome.wound, plan.outcome.held
+    (True, True, True)
+
+    A target out of reach:
+
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> far = hf.plan_cast(cable, hf.Arm(length=0.105), hf.Peg(2.5, 0.0, 0.03))
+    >>> far.success, far.message
+    (False, 'out of reach: the rope ends 0.36 m short of the target')
+    >>> near = far.fallback  # expected to be feasible: nothing was planned for it
+    >>> round(near.target.x, 1), round(near.distance, 1), near.plan
+    (1.6, 0.9, None)
+    >>> far.remedies
+    ('a rope of 2.94 m',)
+    """
+    Budget.of(time_budget)
+    chosen = criteria or WindCriteria(), conditions or Conditions(), uncertainty, time_budget
+    request = CastRequest(rope, arm, limits or MotorLimits(), *chosen, options or SearchOptions(), on_plan)
+    if isinstance(target, Peg | str) or not isinstance(target, Sequence):
+        return request.plan(target)
+    return _plan_list(request, [checks.instance("target", each, Peg) for each in target])
+
+
+@interruptible(list)
+def _plan_list(request: CastRequest, targets: Sequence[Peg]) -> list[CastPlan]:
+    plans, stop = plan_each(request, targets)
+    return stop.deliver([plans[number] for number in sorted(plans)])
+
+
+def plan_each(request: CastRequest, targets: Sequence[Peg]) -> tuple[dict[int, CastPlan], CaughtInterrupt]:
+    """Plan casts for many targets; return plans by the targets' numbers, and the interrupt."""
+    executor, size = checked_chunks(request.options.executor, request.options.chunk_size, 1)
+    alone = list[int]()
+    for k, each in enumerate(targets):
+        if all(_distance(each, targets[other]) > NEAR * request.rope.total_length for other in alone):
+            alone.append(k)
+    work = _Work(replace(request, options=replace(request.options, executor=None, progress=False)))
+    plans, todo = dict[int, CastPlan](), list[tuple[int, Peg, list[CastPlan]]]()
+    progress = request.options.progress
+    with catch_interrupt() as stop, progress_bar(0, len(targets), progress, "planning", "targets") as report:
+
+        def done(low: int, found: list[CastPlan]) -> None:
+            plans.update(zip((number for number, *_ in todo[low:]), found, strict=False))
+            if report is not None:
+                report(len(plans))
+
+        for chosen in (alone, [number for number in range(len(targets)) if number not in alone]):
+            known = [plans[number] for number in alone if number in plans and plans[number].success]
+            todo = [(k, targets[k], _nearest(targets[k], known, request.rope)) for k in chosen]
+            refuse_lost(run_chunks(work, todo, executor, size if executor else 1, done), "targets")
+    if isinstance(stop.partial, CastPlan):  # of the one that was planned in this process
+        plans[next(number for number, *_ in todo if number not in plans)] = stop.partial
+    return plans, stop
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """Plans a chunk of targets; it can be sent to an executor."""
+
+    request: CastRequest
+
+    def __call__(self, chunk: list[tuple[int, Peg, list[CastPlan]]]) -> list[CastPlan]:
+        return [self.request.plan(target, near) for _, target, near in chunk]
+
+
+def _plan(task: WindTask, known: Feasibility, planner: Planner, budget: Budget) -> CastPlan:
+    """Return the plan so far; if nothing was verified, with the best rollout."""
+    best, moves, message = planner.best, None, "no moves were found that strike it"
+    outcome = finer = None
+    if best is not None:
+        moves, message, outcome, finer = best.candidate.moves, best.message, best.outcome, best.finer_outcome
+    elif planner.rolled:
+        moves, good = planner.rolled[0].moves, planner.rolled[0].good
+        message = "the best moves do not wind the rope" if not good else "no time was left to verify the best moves"
+    elif not task.runs:
+        message = "the time budget was over before the search began"
+    margin = 0.0 if best is None or best.message else best.margin
+    return CastPlan(task.problem, task.peg, known, moves, outcome, finer, message, margin, task.runs, budget.elapsed)
+
+
+def _delivered(plan: CastPlan) -> CastPlan:
+    if plan.interrupted:
+        raise Interrupted(plan)
+    return plan
+
+
+def _expected(plan: CastPlan, number: int = 0) -> FallbackTarget | None:
+    """Return the nearest target with margin number `number`; a feasible target begins with the second."""
+    margin = MARGINS[number]
+    if plan.feasibility.feasible:
+        own = plan.feasibility.margin(plan.problem.criteria.holding_force)
+        margin = own + MARGINS[min(number + 1, len(MARGINS) - 1)]
+    peg = nearest_feasible(plan.problem, plan.target, margin=margin)
+    return None if peg is None else FallbackTarget(peg, _distance(plan.target, peg))
+
+
+def _near_by(plan: CastPlan) -> Iterator[Peg]:
+    """Yield pegs on rings about the target, the nearest first, that geometry does not rule out."""
+    target, length = plan.target, plan.problem.rope.total_length
+    for radius in (0.01, 0.02, 0.035, 0.05, 0.075, 0.1):  # rope lengths
+        for angle in 2.0 * np.pi * np.arange(8) / 8:
+            peg = moved(
+                target, np.array([target.x, target.y]) + radius * length * np.array([np.cos(angle), np.sin(angle)])
+            )
+            if not check_feasibility(plan.problem, peg).impossible:
+                yield peg
+
+
+def _nearest(target: Peg, plans: list[CastPlan], rope: Rope) -> list[CastPlan]:
+    """Return the plans whose targets lie near by, the nearest first."""
+    near = [plan for plan in plans if _distance(target, plan.target) <= NEAR * rope.total_length]
+    return sorted(near, key=lambda plan: _distance(target, plan.target))[:NEIGHBOURS]
+
+
+def _distance(one: Peg, other: Peg) -> float:
+    return math.dist((one.x, one.y), (other.x, other.y))
+
+
+def _swinging(problem: Problem, conditions: Conditions, target: Peg) -> tuple[Problem, str]:
+    """Return the problem whose rope begins in the state that it has at t = 0, while the arm stands still until then.
+
+    And what the rope touches until then, as text; empty if nothing.
+    """
+    state = conditions.state0
+    if state is None:
+        return problem, ""
+    begins = replace(problem, q0=tuple(state.q), qd0=tuple(state.qd))
+    if state.t == 0.0:
+        return begins, ""
+    held, span = hold_arm(problem.limits.start_angle(problem.side)), -state.t
+    polls = np.linspace(0.0, span, math.ceil(100.0 * span) + 1)
+    run = simulate(problem.rope, held, arm=problem.arm, duration=span, q0=state.q, qd0=state.qd, t_eval=polls)
+    near = [obstacle_clearance(run, problem.beside(target))]
+    near += [] if problem.clearance == -math.inf else [rope_clearance(run)]
+    least = min(near)
+    touch = (
+        f"the rope touches {least.what} {span - least.t:.2f} s before the motion begins" if least.value < 0.0 else ""
+    )
+    return replace(begins, q0=tuple(run.q[-1]), qd0=tuple(run.qd[-1])), touch

@@ -1,0 +1,224 @@
+"""The one rule of success: a candidate succeeds if it does so in each member of an ensemble.
+
+Members are the rope as planned, the rope with shorter links, and for a robust plan sampled scenarios. How much of each
+criterion is to spare in the members is the margin.
+"""
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+from hyperflex import checks
+from hyperflex.budget import Budget
+from hyperflex.errors import InvalidInput
+from hyperflex.interruption import interruptible
+from hyperflex.model import DEFAULT_CONTACT_STEP, Peg
+from hyperflex.planning.moves import Moves
+from hyperflex.planning.options import SearchOptions, WindCriteria
+from hyperflex.planning.outcome import CastOutcome, require_holding_force, verify_cast
+from hyperflex.planning.problem import Problem
+from hyperflex.planning.rollouts import RolloutBatch, winding_scores
+from hyperflex.planning.tasks.task import Candidate, Verified
+from hyperflex.planning.uncertainty import Scenario, Uncertainty
+
+COUNTED = 8  # samples of an estimate that are simulated at once
+STREAM = 7001  # of the random numbers of an estimate, apart from those of a search
+Z_95 = 1.959963984540054  # standard deviations on either side that hold 95 %
+
+
+@dataclass(frozen=True)
+class Spare:
+    """Amounts to spare with which the margin of a wound rope is 1.
+
+    Parameters
+    ----------
+    turns : float
+        Turns beyond those required; below, two of 20 plans failed an independent run.
+    slip : float
+        Fraction of the allowed slip that is not used.
+    clearance : float
+        Distance from arm, shaft and obstacles beyond that required, m: with shorter links one of 0.2 mm was -0.9 mm.
+    falling : float
+        Turns beyond those required of a rope whose end lies on top of the target: it loses them if it falls.
+    delay : float
+        Time between the first touches of two members, s. Those of throws that succeed agree to a sample or two.
+    """
+
+    turns: float = 0.1
+    slip: float = 0.6
+    clearance: float = 3e-3
+    falling: float = 1.0
+    delay: float = 0.05
+
+
+SPARE = Spare()
+
+
+def verify_members(problem: Problem, model: Problem, peg: Peg, one: Candidate, pieces: int, budget: Budget) -> Verified:
+    """Verify moves on a `model` as planned, with each link cut into pieces, and then on the rope itself.
+
+    The model has viscous friction in place of dry friction, which makes runs expensive; without dry friction it is the
+    problem. The first reason to fail ends it: the second run ends if the first fails. A candidate whose first two runs
+    take more than half of the remaining time fails.
+    """
+    share = budget.share(0.5)
+    finer_budget, motion = share.limit(math.inf), one.moves.motion(problem.limits)
+
+    def run(which: Problem, left: Budget, step: float = DEFAULT_CONTACT_STEP) -> CastOutcome:
+        outcome = verify_cast(which, peg, motion, contact_step=step, time_budget=left)
+        return require_holding_force(outcome, peg, problem.criteria.holding_force, left)
+
+    def as_planned() -> CastOutcome:
+        outcome = run(model, share)
+        if not outcome.success:
+            finer_budget.cancel()
+        return outcome
+
+    with ThreadPoolExecutor(min(2, budget.threads)) as pool:
+        first_job = pool.submit(as_planned)
+        finer_job = pool.submit(run, model.cut(pieces), finer_budget, 2.0 * DEFAULT_CONTACT_STEP)
+        first, finer = first_job.result(), finer_job.result()
+    budget.check()
+    if first.success and finer.success and model is not problem:
+        first = run(problem, budget)
+        budget.check()
+    if not first.success:
+        return Verified(one, first, None, first.message, -1.0)
+    finer = repeatable(first, finer)
+    message = f"with shorter links {finer.message}" if finer.message else ""
+    return Verified(one, first, finer, message, -1.0 if message else margin(problem.criteria, first, finer))
+
+
+def repeatable(first: CastOutcome, finer: CastOutcome) -> CastOutcome:
+    """Return the outcome with shorter links, as failed if both do not agree on what a real rope does.
+
+    That is so if the rope touches the target at another time, or passes arm, shaft or obstacle with little to spare and
+    less than the difference of both runs.
+    """
+    if not finer.success:
+        return finer
+    delay, given, now = finer.touch_time - first.touch_time, first.spare_clearance, finer.spare_clearance
+    if abs(delay) > SPARE.delay:
+        how = f"touches the peg {abs(delay):.2f} s {'later' if delay > 0.0 else 'sooner'}"
+        return replace(finer, message=f"it {how}, {SPARE.delay:g} allowed: the swing is left to chance")
+    if min(given, now) < min(SPARE.clearance, abs(given - now)):
+        how = f"with {1e3 * now:.1f} mm to spare, not {1e3 * given:.1f} mm"
+        return replace(finer, message=f"it passes arm, shaft or obstacle {how}: whether it touches is left to chance")
+    return finer
+
+
+def margin(criteria: WindCriteria, *outcomes: CastOutcome) -> float:
+    """Return how much of each criterion is to spare in all outcomes, over what is usual: the least."""
+    parts, turns = [], [abs(each.turns) for each in outcomes]
+    for each, made in zip(outcomes, turns, strict=True):
+        more = made - criteria.turns
+        parts += [more / SPARE.turns, (1.0 - each.slip / criteria.max_slip) / SPARE.slip]
+        parts += [1.0 / max(each.load_ratio, 1e-9), each.spare_clearance / SPARE.clearance]
+        parts += [] if each.tip_hangs else [more / SPARE.falling]
+        parts += [0.0] if each.folded else []
+    spread = max(turns) - min(turns)
+    parts.append((min(turns) - criteria.turns) / max(spread, 1e-9))
+    return max(0.0, min(parts))
+
+
+@dataclass(frozen=True)
+class SuccessProbability:
+    """Number of sampled scenarios in which moves succeed; 0 samples: not estimated, as no time remained."""
+
+    successes: int
+    samples: int
+
+    def __post_init__(self) -> None:
+        checks.count("samples", self.samples, least=0)
+        if not 0 <= self.successes <= self.samples:
+            allowed = f"0 to {self.samples}"
+            raise InvalidInput("there are more successes than samples", got=self.successes, allowed=allowed)
+
+    @property
+    def estimate(self) -> float:
+        """Successes over samples; NaN without samples."""
+        return self.successes / self.samples if self.samples else math.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % confidence interval of the probability (Wilson, 1927); 0 to 1 without samples."""
+        if not self.samples:
+            return 0.0, 1.0
+        n, p, z = self.samples, self.estimate, Z_95
+        centre = (p + z**2 / (2.0 * n)) / (1.0 + z**2 / n)
+        half = z / (1.0 + z**2 / n) * math.sqrt(p * (1.0 - p) / n + z**2 / (4.0 * n**2))
+        low, high = max(0.0, centre - half), min(1.0, centre + half)
+        return (0.0 if self.successes == 0 else low), (1.0 if self.successes == n else high)
+
+    def __str__(self) -> str:
+        if not self.samples:
+            return "not estimated, no time was left"
+        low, high = self.interval
+        counts = f"{self.successes} of {self.samples}"
+        return f"{100 * self.estimate:.0f} % ({100 * low:.0f} to {100 * high:.0f} %, {counts})"
+
+
+@interruptible()
+def estimate_success_probability(
+    problem: Problem,
+    peg: Peg,
+    moves: Moves,
+    uncertainty: Uncertainty | None = None,
+    *,
+    samples: int = 40,
+    time_budget: float | Budget | None = None,
+    options: SearchOptions | None = None,
+) -> SuccessProbability:
+    """Estimate how often moves wind the rope, clear of arm and obstacles, and it stays wound, in sampled scenarios.
+
+    The moves are made in open loop: they start when planned, apart from the timing noise of each scenario.
+
+    Parameters
+    ----------
+    uncertainty : Uncertainty, optional
+        By default that of a realistic identification. The scenarios of a search are others in any case.
+    samples : int
+    time_budget : float or Budget, optional
+        Time by the clock, s. Fewer samples are counted if it ends before; it is not used with an executor.
+    options : SearchOptions, optional
+        Seed, threads, executor and chunk size, COUNTED samples by default.
+
+    Returns
+    -------
+    SuccessProbability
+    """
+    options = options or SearchOptions()
+    budget = Budget.of(time_budget, threads=options.threads)
+    known = uncertainty or Uncertainty()
+    scenarios = known.sample(samples, problem, peg, seed=[STREAM, options.seed])
+    work = _Estimate(problem, moves)
+    if options.executor is not None:
+        from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
+
+        executor, size = checked_chunks(options.executor, options.chunk_size, COUNTED)
+        found: dict[int, int] = {}
+        refuse_lost(run_chunks(work, scenarios, executor, size, found.__setitem__), "samples")
+        return SuccessProbability(sum(found.values()), len(scenarios))
+    successes = counted = 0
+    while counted < samples and not budget.expired:
+        some = scenarios[counted : counted + COUNTED]
+        now = work(some, budget)
+        if budget.expired:  # some were cut short
+            break
+        successes, counted = successes + now, counted + len(some)
+    return SuccessProbability(successes, counted)
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """Counts the scenarios in which moves succeed; it can be sent to an executor."""
+
+    problem: Problem
+    moves: Moves
+
+    def __call__(self, scenarios: list[Scenario], budget: Budget | None = None) -> int:
+        motions = [each.motion(self.moves, self.problem) for each in scenarios]
+        ropes, pegs = [each.rope for each in scenarios], [each.peg for each in scenarios]
+        batch = RolloutBatch.from_start(self.problem, ropes, pegs, motions)
+        found = winding_scores(self.problem, batch, budget or Budget(threads=1))
+        return int((found.turns >= self.problem.criteria.turns).sum())

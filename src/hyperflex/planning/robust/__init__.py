@@ -1,1 +1,0 @@
-"""Uncertainty: sampled scenarios, robust refinement of throws, and their success probability."""

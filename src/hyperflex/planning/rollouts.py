@@ -1,0 +1,461 @@
+"""Rollouts in batch: free flight to the first strike on a peg, and contact from there, with their scores.
+
+Free flights simulate no contact: a swing costs milliseconds. Runs in contact are coarse, and end as soon as the rope
+cannot be wound any more.
+"""
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hyperflex.budget import Budget
+from hyperflex.checks import Array
+from hyperflex.core.batch import proximity
+from hyperflex.errors import InvalidInput
+from hyperflex.interfaces import RopeState
+from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
+from hyperflex.motion import Motion, hold_arm
+from hyperflex.planning.clearance import (
+    clear_samples,
+    sampled_clearance,
+    sampled_obstacle_gaps,
+    samples_clear_of_arm,
+)
+from hyperflex.planning.problem import Problem
+from hyperflex.planning.routing import way_gaps
+from hyperflex.planning.verification import FOLD, at_limits, limit_bend
+from hyperflex.simulation import Batch, Deadline, check_outside, simulate_batch
+from hyperflex.trajectory import interpolated
+from hyperflex.winding import TOUCH, slid
+
+
+@dataclass(frozen=True)
+class RolloutModel:
+    """How coarse rollouts are, and how they are scored. Lengths in m, times in s.
+
+    Parameters
+    ----------
+    step, tol : float
+        Between samples of a free flight, and its tolerance; with 1e-3 the best swings of a search were often errors.
+    near : float
+        Gap between rope and peg below which a free flight strikes.
+    contact_tol, contact_step : float
+        Tolerance and step of runs in contact; coarser runs of wound ropes took longer.
+    poll : float
+        Between two checks of the distance from arm and obstacles in contact.
+    max_ratio, max_tail : float
+        Energy ratio of a strike, and turns of its tail, above which more does not count.
+    hanging_tail : float
+        Turns of the tail that hang from the peg in the end.
+    folded : float
+        Factor of the score of a swing in which the rope folds flat: what it does then is left to chance.
+    sweep, sweep_turns : float
+        A run in contact ends that makes fewer turns until so many sqrt(length / g): of 2,423 runs 141 wound in the end,
+        12 of these had fewer, and 57 % of all simulated time came later.
+    check, check_turns : float
+        The same at so many s after the arm's stop.
+    last : float
+        End of a run in which turns must stay.
+    max_turns : float
+        Turns beyond those required that count in a score.
+    passing, late, slip, fault : float
+        Weight of turns that are undone again, cost of a second of delay, slip that costs half a turn, and cost of a
+        rope that comes too near its arm or an obstacle, folds flat, or does not run behind a peg, turns.
+    longest : float
+        Processor time of a run in contact, at most.
+    """
+
+    step: float = 0.02
+    tol: float = 1e-4
+    near: float = 0.02
+    contact_tol: float = 1e-3
+    contact_step: float = 1e-3
+    poll: float = 0.005
+    max_ratio: float = 2.0
+    max_tail: float = 2.0
+    hanging_tail: float = 0.7
+    folded: float = 0.3
+    sweep: float = 1.3
+    sweep_turns: float = 0.65
+    check: float = 0.9
+    check_turns: float = 0.75
+    last: float = 0.8
+    max_turns: float = 1.75
+    passing: float = 0.25
+    late: float = 0.02
+    slip: float = 0.02
+    fault: float = 0.5
+    longest: float = 6.0
+
+
+MODEL = RolloutModel()
+NEVER = -1.0  # score of a swing without a strike, less its distance in m
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutBatch:
+    """A batch of M rollouts, each with its own rope, peg and motion.
+
+    Motions begin with the rollout, at t = 0; without contact `pegs` may be empty. `q`, rad, and `qd`, rad/s, (M, n) are
+    those at the start, `since`, s, is the planned time there. `obstacles`, which must not be touched, are not
+    simulated.
+    """
+
+    ropes: Sequence[Rope]
+    pegs: Sequence[Peg]
+    motions: Sequence[Motion]
+    q: Array
+    qd: Array
+    since: float = 0.0
+
+    @classmethod
+    def from_start(
+        cls, problem: Problem, ropes: Sequence[Rope], pegs: Sequence[Peg], motions: Sequence[Motion]
+    ) -> "RolloutBatch":
+        """Return rollouts of ropes (M,) from the start of a problem."""
+        q, qd = (np.tile(part, (len(ropes), 1)) for part in problem.start)
+        return cls(ropes, pegs, motions, q, qd)
+
+    @classmethod
+    def from_state(
+        cls, ropes: Sequence[Rope], pegs: Sequence[Peg], motions: Sequence[Motion], state: RopeState
+    ) -> "RolloutBatch":
+        """Return rollouts (M,) from an observed state, under motions whose time is that of the state."""
+        q, qd = (np.broadcast_to(part, (len(ropes), part.size)) for part in (state.q, state.qd))
+        return cls(ropes, pegs, [motion.shifted(-state.t) for motion in motions], q, qd, state.t)
+
+    def __len__(self) -> int:
+        return len(self.ropes)
+
+    def select(self, rows: Sequence[int]) -> "RolloutBatch":
+        """Return some of the rollouts."""
+        pegs = [self.pegs[m] for m in rows] if self.pegs else []
+        ropes, motions = [self.ropes[m] for m in rows], [self.motions[m] for m in rows]
+        return replace(self, ropes=ropes, pegs=pegs, motions=motions, q=self.q[list(rows)], qd=self.qd[list(rows)])
+
+    def run(self, arm: Arm, t: Array, **options: Any) -> Batch:
+        """Simulate to the last of the times t (T,), s, with samples there; `options` as for ``simulate_batch``."""
+        given: dict[str, Any] = {"arm": arm, "duration": float(t[-1]), "q0": self.q, "qd0": self.qd, "t_eval": t}
+        return simulate_batch(list(self.ropes), list(self.motions), **given, **options)
+
+    def fly(self, arm: Arm, span: float, budget: Budget, *, at_end: bool = False) -> tuple[Array, Array, Array]:
+        """Simulate free flight for a span, s; return samples t (T,), q and qd (M, T, n). `at_end`: the end alone."""
+        t: Array = MODEL.step * np.arange(1.0, math.ceil(span / MODEL.step - 1e-9) + 1.0)
+        t = np.array([span]) if at_end else t
+        given: dict[str, Any] = {"time_budget": deadline(budget), "threads": budget.threads}
+        run = self.run(arm, t, tol=MODEL.tol, keep=("q", "qd"), **given)
+        return t, run.q, run.qd
+
+
+def deadline(budget: Budget) -> Deadline:
+    """Return a budget as the simulations take it."""
+    return Deadline(math.inf, lambda: budget.remaining)
+
+
+def arm_tip(arm: Arm, motion: Motion, t: Array) -> tuple[Array, Array]:
+    """Position, m, and velocity, m/s, of the rope's first joint (T, 2) at times t (T,), s."""
+    angle, rate = motion.angle(t), motion.rate(t)
+    position = np.stack([np.sin(angle), -np.cos(angle)], axis=-1) * arm.length + np.array(arm.pivot)
+    return position, np.stack([np.cos(angle), np.sin(angle)], axis=-1) * (arm.length * rate)[:, None]
+
+
+def starts_outside(setup: Setup, *start: Any) -> bool:
+    """Whether a rope keeps clear of its pegs at the start, as of :func:`check_outside`."""
+    try:
+        check_outside(setup, *start)
+    except InvalidInput:
+        return False
+    return True
+
+
+def free_sides(problem: Problem, pegs: Sequence[Obstacle]) -> list[int]:
+    """Return the sides on which the arm may stand at first without the rope in one of the `pegs`."""
+    sides = [side for side in (-1, 1) if problem.side in (side, 0)]
+    (q, _), angle = problem.start, problem.limits.start_angle
+    starts = [Setup(problem.rope, hold_arm(angle(side)), problem.arm, pegs=tuple(pegs)) for side in sides]
+    return [side for side, start in zip(sides, starts, strict=True) if starts_outside(start, 0.0, q)]
+
+
+def check_start(problem: Problem) -> None:
+    """Raise InvalidInput if the rope begins in an obstacle, or a peg that it must run behind, on all sides."""
+    behind, obstacles = problem.criteria.behind, problem.obstacles
+    some_pegs, both = "a peg that it is to run behind", "an obstacle or a peg that it is to run behind"
+    for what, some in (("an obstacle", obstacles), (some_pegs, behind), (both, (*behind, *obstacles))):
+        if not free_sides(problem, some):
+            fix = "Move it; the rope hangs from the arm, which points to one side"
+            raise InvalidInput(f"the rope begins in {what}, whatever the arm's side", fix=fix)
+
+
+@dataclass(frozen=True, eq=False)
+class Strikes:
+    """First strikes of M swings.
+
+    `score` (M,): greater is better; below 0 without a strike. `t` (M,): last sample before the strike, s, NaN without a
+    strike; `q`, rad, and `qd`, rad/s, (M, n): state there. `clear` (M,): samples before the rope comes too near an
+    obstacle, or its arm before the strike.
+
+    Notes
+    -----
+    The score is the energy with which the tail turns about the peg as a rigid body, over the energy that lifts its
+    centre of mass over the top, times the turns for which the tail is long enough.
+    """
+
+    score: Array
+    t: Array
+    q: Array
+    qd: Array
+    clear: npt.NDArray[np.int64]
+
+    @classmethod
+    def joined(cls, parts: Sequence["Strikes"]) -> "Strikes":
+        """Return the strikes of several batches as those of one."""
+        return cls(*(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(cls)))
+
+
+def find_strikes(problem: Problem, peg: Peg, batch: RolloutBatch, t: Array, q: Array, qd: Array) -> Strikes:
+    """Find the first strikes in samples q, qd (M, T, n) at times t (T,) of free flights.
+
+    On the peg or on one that the rope must run behind, whichever comes first. A rope that comes too near an obstacle,
+    its arm or the shaft before does not strike. `t` may begin with the batch's start.
+    """
+    arm, rows = problem.arm, np.arange(len(batch))
+    tips = {id(each): arm_tip(arm, each, t) for each in batch.motions}
+    base, base_velocity = (np.stack(each) for each in zip(*(tips[id(each)] for each in batch.motions), strict=True))
+    lengths = np.stack([rope.length for rope in batch.ropes])
+    moved = [batch.pegs or [peg] * len(batch), *([each] * len(batch) for each in problem.criteria.behind)]
+    seen = [first_contact(q, base, lengths, each, batch.ropes[0].radius) for each in moved]
+    which = np.stack([np.where(at > 0, at, t.size) for at, *_ in seen]).argmin(axis=0)
+    at, link, least = (np.stack(part)[which, rows] for part in zip(*seen, strict=True))
+    before = np.where(at > 0, at, t.size)
+    clear = clear_samples(batch.ropes, problem.obstacles, q, base, problem.clearance)
+    for rope in {id(each): each for each in batch.ropes}.values():
+        same = np.array([each is rope for each in batch.ropes])
+        near = samples_clear_of_arm(rope, arm, q[same], base[same], problem.clearance, before[same])
+        clear[same] = np.minimum(clear[same], near)
+    finite: Array = np.asarray(np.all(np.isfinite(q), axis=2))
+    failed = np.where(finite.all(axis=1), t.size, finite.argmin(axis=1))
+    struck = (at > 0) & (at <= clear) & (failed > at)
+    least = least + np.where((at > 0) & ~struck, 1.0 - clear / np.maximum(at, 1), 0.0)
+    at = np.where(struck, at, 1)
+    score = np.zeros(len(batch))
+    for m in np.flatnonzero(struck).tolist():
+        hit = moved[which[m]][m], q[m, at[m]], qd[m, at[m]], base[m, at[m]], base_velocity[m, at[m]], int(link[m])
+        ratio, left = tail_energy(batch.ropes[m], *hit)
+        if which[m]:
+            axis, beyond = hit[0].radius + batch.ropes[m].radius, math.dist((peg.x, peg.y), (hit[0].x, hit[0].y))
+            turn = 2.0 * np.pi * (peg.radius + batch.ropes[m].radius)
+            left = max(2.0 * np.pi * axis * left - beyond, 0.0) / turn
+        tail = np.clip(left - MODEL.hanging_tail, 0.0, MODEL.max_tail + problem.criteria.turns - 1.25)
+        score[m] = min(ratio, MODEL.max_ratio) * tail
+    flat = np.array([at_limits(limit_bend(rope), q[m, : at[m]]).any() for m, rope in enumerate(batch.ropes)])
+    score = np.where(struck, np.where(flat, MODEL.folded, 1.0) * score, NEVER - least)
+    return Strikes(score, np.where(struck, t[at - 1], np.nan), q[rows, at - 1], qd[rows, at - 1], clear)
+
+
+def fly_to_strikes(
+    problem: Problem, peg: Peg, batch: RolloutBatch, budget: Budget, until: float | None = None
+) -> Strikes:
+    """Simulate free flights until a time of the problem, s, by default all of it, and find their first strikes."""
+    span = (problem.time if until is None else until) - batch.since
+    t, q, qd = batch.fly(problem.arm, max(span, 2.0 * MODEL.step), budget)
+    return find_strikes(problem, peg, batch, t, q, qd)
+
+
+def first_contact(
+    q: Array, base: Array, lengths: Array, pegs: Sequence[Peg], rope_radius: float
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Array]:
+    """Return sample and link of the first strike on a peg, and the smallest gap until then, m, (M,) each.
+
+    Sample 0 means no strike. `q` (M, T, n) are angles, rad, `base` (M, T, 2) positions of the rope's first joint, m,
+    `lengths` (M, n) those of the links, m. If a flight fails before its first sample, the gap is the rope's length.
+    """
+    at, link, least = np.zeros(len(q), np.int64), np.zeros(len(q), np.int64), np.zeros(len(q))
+    for peg in dict.fromkeys(pegs):
+        same = np.array([each == peg for each in pegs])
+        count, place = int(same.sum()), (peg.x, peg.y, peg.radius + rope_radius, MODEL.near)
+        here, which, gap = np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(count)
+        some, bases, sizes = (np.ascontiguousarray(each[same]) for each in (q, base, lengths))
+        proximity.first_contacts(some, bases, sizes, *place, here, which, gap)
+        at[same], link[same], least[same] = here, which, gap
+    return at, link, np.where(np.isfinite(least), least, lengths.sum(axis=1))
+
+
+def mass_points(rope: Rope, q: Array, qd: Array, base: Array, velocity: Array) -> tuple[Array, Array]:
+    """Positions, m, and velocities, m/s, of the links' centres of mass and of the tip (..., n + 1, 2).
+
+    Angles `q` (..., n), rad, and rates `qd`, rad/s; `base`, m, and `velocity`, m/s, (..., 2) of the first joint.
+    """
+    along = np.stack([np.sin(q), -np.cos(q)], axis=-1)
+    across = np.stack([np.cos(q), np.sin(q)], axis=-1) * qd[..., None]
+    ends = base[..., None, :] + np.cumsum(rope.length[:, None] * along, axis=-2)
+    speeds = velocity[..., None, :] + np.cumsum(rope.length[:, None] * across, axis=-2)
+    back = (rope.length - rope.com)[:, None]
+    return (
+        np.concatenate([ends - back * along, ends[..., -1:, :]], axis=-2),
+        np.concatenate([speeds - back * across, speeds[..., -1:, :]], axis=-2),
+    )
+
+
+def tail_energy(
+    rope: Rope, peg: Peg, q: Array, qd: Array, base: Array, velocity: Array, link: int
+) -> tuple[float, float]:
+    """Return energy ratio and turns of the tail of a strike with `link`; see :class:`Strikes`.
+
+    Angles q (n,), rad, rates qd (n,), rad/s; position and velocity (2,) of the first joint, m and m/s.
+    """
+    places, speeds = mass_points(rope, q, qd, base, velocity)
+    places = places - np.array([peg.x, peg.y])
+    mass = np.append(rope.mass, rope.tip_mass) * (np.arange(rope.n_links + 1) >= link)
+    momentum = float((mass * (places[:, 0] * speeds[:, 1] - places[:, 1] * speeds[:, 0])).sum())
+    inertia, down = float((mass * (places**2).sum(axis=1)).sum()), np.array(rope.gravity)
+    centre = (mass[:, None] * places).sum(axis=0)
+    lift = float(np.hypot(*down) * np.hypot(*centre) + centre @ down)
+    turns = float(rope.length[link:].sum()) / (2.0 * np.pi * (peg.radius + rope.radius))
+    return 0.5 * momentum**2 / max(inertia * max(lift, 1e-12), 1e-300), turns
+
+
+@dataclass(frozen=True, eq=False)
+class WindingScores:
+    """Scores (M,) of runs in contact, greater is better, and the turns (M,) that stay; 0 if a run failed."""
+
+    score: Array
+    turns: Array
+
+
+def simulate_contact(
+    problem: Problem, batch: RolloutBatch, begin: Array, budget: Budget, *, sweeping: bool = False
+) -> WindingScores:
+    """Simulate ropes (M,) with pegs from shortly before their strikes at `begin` (M,), s, under motions that end.
+
+    The score is in turns: those that stay, a part of those that do not, less what delay, slip, and a rope that is too
+    near arm or obstacles, folds flat or does not run behind a peg cost; with such a fault fewer turns stay. With
+    `sweeping` runs end early that make few turns.
+    """
+
+    def one(k: int) -> tuple[float, float]:
+        return _Contact(problem, batch.select([k]), float(begin[k]), sweeping, budget).score()
+
+    with ThreadPoolExecutor(budget.threads) as pool:
+        found = list(pool.map(one, range(len(batch))))
+    return WindingScores(*np.array(found).reshape(-1, 2).T)
+
+
+class _Contact:
+    """One run in contact."""
+
+    def __init__(self, problem: Problem, batch: RolloutBatch, begin: float, sweeping: bool, budget: Budget) -> None:
+        self.problem, self.batch, self.begin, self.sweeping, self.budget = problem, batch, begin, sweeping, budget
+        self.rope, self.motion, self.peg = batch.ropes[0], batch.motions[0], batch.pegs[0]
+        self.pegs = (self.peg, *problem.criteria.behind)
+
+    def score(self) -> tuple[float, float]:
+        """Score and turns of the run, in up to three parts: it ends after one that leaves no hope."""
+        criteria, rope = self.problem.criteria, self.rope
+        stop = max(float(self.motion.breaks[-1]), 0.5)
+        end, check = stop + 1.5 + criteria.settle, stop + MODEL.check
+        sweep = MODEL.sweep * math.sqrt(rope.total_length / max(math.hypot(*rope.gravity), 1e-9))
+        usual = min(1.0, criteria.turns / 1.25)  # the limits below suit 1.25 turns, and those of more
+        parts = [(min(sweep, check), usual * MODEL.sweep_turns)] if self.sweeping else []
+        t, turns, q, qd = np.zeros(0), np.zeros(0), np.zeros((0, rope.n_links)), np.zeros((0, rope.n_links))
+        now, hope = self.batch, usual * MODEL.check_turns
+        for until, least in [*parts, (check, hope), (end, 0.0)]:
+            since = float(t[-1]) if t.size else 0.0
+            if since >= until - 1e-9:
+                continue
+            setup = Setup(rope, now.motions[0], self.problem.arm, pegs=self.pegs)
+            if not starts_outside(setup, 0.0, now.q[0]):  # too deep in the peg
+                return min(self._turns(t, turns, since)[0], hope), 0.0
+            now, *more = self._run(now, since, until)
+            t, turns, q, qd = (np.concatenate(each) for each in zip((t, turns, q, qd), more, strict=True))
+            seen = turns if until < check - 1e-9 else turns[-1:]
+            if not float(np.abs(seen).max()) >= least:
+                return min(self._turns(t, turns, float(t[-1]))[0], hope), 0.0
+        score, stay = self._turns(t, turns, end)
+        settled = t >= check
+        if stay >= criteria.turns:
+            way = float(np.abs(slid(rope, self.peg, q[settled], self._joints(t, q)[settled])).max())
+            score -= way / (way + MODEL.slip) if math.isfinite(way) else 1.0
+        faults = self._faults(t, q, qd)
+        if faults > 0.0:
+            score, stay = score - max(min(stay, 3.0) - criteria.turns, 0.0) - faults, min(stay, hope)
+        if at_limits(limit_bend(rope), q, -FOLD).any():
+            score -= MODEL.fault
+        return score, stay
+
+    def _turns(self, t: Array, turns: Array, span: float) -> tuple[float, float]:
+        """Score by the turns (T,) at times t (T,) up to a span, s, alone, and the least turns in its last part."""
+        if not (t.size and np.isfinite(turns).all()):
+            return NEVER, 0.0
+        most = MODEL.max_turns + self.problem.criteria.turns
+        ending = turns[t >= span - MODEL.last]
+        stay = max(float((np.sign(ending.sum()) * ending).min()), 0.0)
+        score = min(stay, most) + MODEL.passing * min(float(np.abs(turns).max()), most)
+        return score - MODEL.late * self.begin, stay
+
+    def _faults(self, t: Array, q: Array, qd: Array) -> float:
+        """Return the cost of a rope that is too near arm or obstacles, or does not run behind its pegs in the end."""
+        problem, rope = self.problem, self.rope
+        polls: Array = np.linspace(t[0], t[-1], round((t[-1] - t[0]) / MODEL.poll) + 1)
+        places = interpolated(t, q, qd, polls), arm_tip(problem.arm, self.motion, polls)[0]
+        near = np.zeros(polls.size, dtype=bool)
+        if problem.clearance > -math.inf:
+            near |= sampled_clearance(rope, problem.arm, *places) <= problem.clearance
+        if problem.obstacles:
+            near |= sampled_obstacle_gaps(rope, problem.obstacles, *places) <= max(problem.clearance, 0.0)
+        seconds = MODEL.poll * int(near.sum())
+        cost = MODEL.fault * (1.0 + seconds / (seconds + 0.3)) if seconds else 0.0
+        if behind := problem.criteria.behind:
+            some = t >= t[-1] - MODEL.last
+            apart = float(way_gaps(rope, self.peg, behind, q[some], self._joints(t, q)[some]).max(initial=0.0))
+            if apart > TOUCH:
+                cost += MODEL.fault * (1.0 + (apart / (apart + 0.05) if math.isfinite(apart) else 1.0))
+        return cost
+
+    def _joints(self, t: Array, q: Array) -> Array:
+        return self.rope.joints(q, arm_tip(self.problem.arm, self.motion, t)[0])
+
+    def _run(self, now: RolloutBatch, since: float, until: float) -> tuple[Any, Array, Array, Array, Array]:
+        """Simulate on; return the rollout from there, and times, turns, angles and rates of the samples."""
+        t: Array = MODEL.step * np.arange(1.0, math.ceil((until - since) / MODEL.step - 1e-9) + 1.0)
+        run = now.run(
+            self.problem.arm,
+            t,
+            tol=MODEL.contact_tol,
+            contact_step=MODEL.contact_step,
+            refine=False,
+            pegs=[self.pegs],
+            keep=("turns", "q", "qd"),
+            time_budget=Deadline(MODEL.longest, lambda: self.budget.remaining),
+            threads=1,
+        )
+        onward = replace(now, motions=[now.motions[0].shifted(-t[-1])], q=run.q[:, -1], qd=run.qd[:, -1])
+        return onward, since + t, run.values["turns"][0, :, 0], run.q[0], run.qd[0]
+
+
+def winding_scores(problem: Problem, batch: RolloutBatch, budget: Budget) -> WindingScores:
+    """Simulate moves (M,) in free flight until they strike, and in contact from there.
+
+    They must strike within the time of the problem, or until 0.5 s after the arm's stop. Turns are 0 without a strike
+    or if a run fails.
+    """
+    stop = max(float(motion.breaks[-1]) for motion in batch.motions)
+    found = fly_to_strikes(problem, batch.pegs[0], batch, budget, max(problem.time, batch.since + stop + 0.5))
+    score, turns, hit = found.score.copy(), np.zeros(len(batch)), np.flatnonzero(np.isfinite(found.t))
+    if hit.size:
+        some = batch.select(hit.tolist())
+        motions = [motion.shifted(-t) for motion, t in zip(some.motions, found.t[hit], strict=True)]
+        struck = replace(some, motions=motions, q=found.q[hit], qd=found.qd[hit])
+        wound = simulate_contact(problem, struck, found.t[hit] + batch.since, budget)
+        score[hit], turns[hit] = wound.score, wound.turns
+    return WindingScores(score, turns)
+
+
+def robust_values(found: WindingScores, problem: Problem) -> Array:
+    """Return the values (M,) of moves: one for the turns that are required, and 0.2 at most for the score."""
+    most = MODEL.max_turns + problem.criteria.turns
+    return np.asarray((found.turns >= problem.criteria.turns) + 0.2 * np.clip(found.score / most, -1.0, 1.0))

@@ -1,1 +1,0 @@
-"""The search for a throw: free swings, beam search, CMA-ES, and the contact phase."""

@@ -1,0 +1,284 @@
+"""The task of a cast: swing a rope so that it winds round a target and holds."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hyperflex.budget import Budget
+from hyperflex.checks import Array
+from hyperflex.model import Peg, Rope
+from hyperflex.planning.ensemble import verify_members
+from hyperflex.planning.moves import PUMPING, Moves
+from hyperflex.planning.options import SearchOptions
+from hyperflex.planning.problem import Problem
+from hyperflex.planning.rollouts import (
+    MODEL,
+    RolloutBatch,
+    Strikes,
+    WindingScores,
+    fly_to_strikes,
+    free_sides,
+    robust_values,
+    simulate_contact,
+    winding_scores,
+)
+from hyperflex.planning.swings import Beam, Strike
+from hyperflex.planning.tasks.task import Candidate, Task, Verified
+from hyperflex.planning.uncertainty import Scenario, Uncertainty
+
+# Moves after the strike: strokes still made, then the end of the last move, in half turns towards the target's side,
+# and the rest before it, in periods, in which a short tail comes to rest. Of 461 swings that struck 43 targets 53 wound
+# with the first, 95 with one of the first eight of these and 100 with any of 15 without a rest
+FINISHES = (
+    (2, 0.5, 0.0),
+    (0, 1.0, 0.0),
+    (0, 0.5, 0.0),
+    (0, 0.5, 2.0),
+    (1, 0.5, 0.0),
+    (0, -0.5, 2.0),
+    (2, 1.0, 0.0),
+    (0, -1.0, 0.0),
+    (0, 1.0, 2.0),
+    (2, -0.5, 0.0),
+)
+MIN_SPEED = 0.3  # of the last move, over the motor's
+
+
+class WindTask(Task):
+    """Wind a rope round a target.
+
+    Rollouts take viscous friction in place of dry friction (:func:`viscous`); verifications do not.
+
+    Parameters
+    ----------
+    problem : Problem
+    peg : Peg
+    options : SearchOptions
+    uncertainty : Uncertainty, optional
+        With it candidates are compared, and verified, in sampled scenarios as well.
+    start : sequence of Moves
+        Moves to begin with.
+
+    Attributes
+    ----------
+    given_alone : bool
+        Whether only these are tried.
+    """
+
+    given_alone = False
+
+    def __init__(
+        self,
+        problem: Problem,
+        peg: Peg,
+        options: SearchOptions,
+        uncertainty: Uncertainty | None = None,
+        start: Sequence[Moves] = (),
+    ) -> None:
+        self.problem, self.peg, self.options, self.batch, self.enough = problem, peg, options, options.batch, 1.0
+        self.sides = free_sides(problem, problem.beside(peg))
+        self.model, self._factor = viscous(problem)
+        cuts = math.ceil(problem.rope.length.max() / (options.coarse * (peg.radius + problem.rope.radius)))
+        self.contact, self.finer = self.model.cut(cuts), self.model.cut(max(options.pieces, cuts + 1))
+        self.random = np.random.default_rng(options.seed)
+        self.beam = Beam(self.model, peg, self.sides, self.random, options)
+        self.scenarios: list[Scenario] = []
+        if uncertainty is not None:
+            self.scenarios = uncertainty.sample(options.scenarios, problem, peg, seed=[9001, options.seed])
+        self._start, self._samples = [one for one in start if one.side in self.sides], 0
+
+    def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
+        """Return swings that strike: those given, then by turns of the beam search and near the best rollouts."""
+        if self._start:
+            given, self._start = self._start, []
+            return list(self._strikes(given, budget, math.inf)) or self.sample(found, budget)
+        if self.given_alone:
+            return []
+        self._samples += 1
+        if found and self.options.members and self._samples % 2 == 0:
+            return list(self._near(found, budget)) or self.sample(found, budget)
+        new = list[Candidate]()
+        while not new:  # one or more strokes until something is struck
+            budget.check()
+            before = self.beam.runs
+            new = list(self.beam.extend(budget))
+            self.runs += self.beam.runs - before
+        return _distinct(new)
+
+    def _near(self, found: Sequence[Candidate], budget: Budget) -> list[Strike]:
+        """Vary the best rollouts of different swings, by little and by much; return the better half of the strikes."""
+        best = _distinct(found[: 4 * self.options.parents], self.options.parents)
+        moves = []
+        for _ in range(self.options.members):
+            parent = best[self.random.integers(len(best))].moves
+            k, size = parent.ends.size, self.options.spread * 10.0 ** -self.random.uniform(0.0, 1.5)
+            scale = np.repeat([math.pi, self.problem.period], k)
+            speed = float(np.clip(parent.speed + size * self.random.standard_normal(), MIN_SPEED, 1.0))
+            varied = parent.varied(size * scale * self.random.standard_normal(2 * k))
+            moves.append(replace(varied, rests=np.abs(varied.rests), speed=speed))
+        first = math.inf if best[0].good else 0.0  # else they wait for better swings
+        return self._strikes(moves, budget, first)[: max(1, self.options.members // 2)]
+
+    def _strikes(self, moves: Sequence[Moves], budget: Budget, score: float) -> list[Strike]:
+        """Return the strikes of whole moves, the best first, each with at least a `score`."""
+        seen = self._fly(self.model, moves, budget)
+        order = np.argsort(-seen.score)
+        return [
+            Strike(
+                moves[k],
+                max(score, float(seen.score[k])),
+                float(seen.t[k]),
+                q=seen.q[k],
+                qd=seen.qd[k],
+                follow=(moves[k],),
+            )
+            for k in order[np.isfinite(seen.t[order])].tolist()
+        ]
+
+    def _fly(self, problem: Problem, moves: Sequence[Moves], budget: Budget) -> Strikes:
+        motions, count = [one.motion(problem.limits) for one in moves], len(moves)
+        batch = RolloutBatch.from_start(problem, [problem.rope] * count, [self.peg] * count, motions)
+        self.runs += count
+        return fly_to_strikes(problem, self.peg, batch, budget)
+
+    def rollout(self, some: Sequence[Candidate], budget: Budget) -> list[Candidate]:
+        """Simulate strikes in contact with several last moves; simulate those that wind with shorter links, too."""
+        swings = [one for one in some if isinstance(one, Strike)]
+        pairs = [(one, moves) for one in swings for moves in one.follow or self.finishes(one)]
+        q, qd = np.stack([one.q for one, _ in pairs]), np.stack([one.qd for one, _ in pairs])
+        t: Array = np.array([one.t for one, _ in pairs])
+        cuts = self.contact.rope.n_links // self.model.rope.n_links
+        q, qd = np.repeat(q, cuts, axis=1), np.repeat(qd, cuts, axis=1)
+        wound = self._wind(self.contact, [moves for _, moves in pairs], t, q, qd, budget, sweeping=True)
+        found = list[Candidate]()
+        for one in swings:
+            rows = [k for k, (other, _) in enumerate(pairs) if other is one]
+            k = rows[int(np.argmax(wound.score[rows]))]
+            good = bool(wound.turns[k] >= self.problem.criteria.turns)
+            found.append(Candidate(pairs[k][1], float(wound.score[k]), one.t, good))
+        return self._confirmed(found, budget)
+
+    def _wind(
+        self, problem: Problem, moves: Sequence[Moves], t: Array, q: Array, qd: Array, budget: Budget, sweeping: bool
+    ) -> WindingScores:
+        motions = [one.motion(problem.limits).shifted(-at) for one, at in zip(moves, t.tolist(), strict=True)]
+        batch = RolloutBatch([problem.rope] * len(moves), [self.peg] * len(moves), motions, q, qd)
+        self.runs += len(moves)
+        return simulate_contact(problem, batch, t, budget, sweeping=sweeping)
+
+    def _confirmed(self, found: list[Candidate], budget: Budget) -> list[Candidate]:
+        """Return candidates after those that wind were simulated with shorter links, and in scenarios."""
+        good = [one for one in found if one.good]
+        if not good:
+            return found
+        kept = [one for one in found if not one.good]
+        seen = self._fly(self.finer, [one.moves for one in good], budget)
+        struck = np.flatnonzero(np.isfinite(seen.t))
+        score, turns = seen.score.copy(), np.zeros(len(good))
+        if struck.size:
+            moves = [good[k].moves for k in struck]
+            again = self._wind(self.finer, moves, seen.t[struck], seen.q[struck], seen.qd[struck], budget, False)
+            score[struck], turns[struck] = again.score, again.turns
+        for one, value, stay in zip(good, score.tolist(), turns.tolist(), strict=True):
+            winds = stay >= self.problem.criteria.turns
+            value = min(one.score, value)
+            if winds and self.scenarios:
+                value = 3.0 * float(np.mean(self._values(one.moves, self.scenarios[:8], budget)))
+            kept.append(Candidate(one.moves, value, one.t, winds))
+        return kept
+
+    def _values(self, moves: Moves, scenarios: Sequence[Scenario], budget: Budget) -> Array:
+        """Return the values of moves in scenarios; see :func:`robust_values`."""
+        motions = [each.motion(moves, self.problem) for each in scenarios]
+        ropes = [_viscous(each.rope, self._factor) for each in scenarios]
+        batch = RolloutBatch.from_start(self.problem, ropes, [each.peg for each in scenarios], motions)
+        self.runs += 2 * len(batch)
+        return robust_values(winding_scores(self.problem, batch, budget), self.problem)
+
+    def finishes(self, strike: Strike) -> list[Moves]:
+        """Return the moves of a swing with several last moves: the first of FINISHES, and others at random."""
+        others = 1 + self.random.permutation(len(FINISHES) - 1)[: self.options.finishes - 1]
+        towards = 1.0 if self.peg.x >= self.problem.arm.pivot[0] else -1.0
+        limits, found = self.problem.limits, list[Moves]()
+        for more, end, rest in (FINISHES[k] for k in (0, *others.tolist())):
+            moves = strike.moves
+            wait = max(0.0, strike.t - moves.stops(limits)) + 2.0 * MODEL.step
+            for _ in range(more):
+                moves, wait = pumped(self.problem, moves, wait), 0.0
+            found.append(moves.then(towards * end * math.pi, wait + rest * self.problem.period, 0.9))
+        return found
+
+    def alike(self, one: Candidate, other: Candidate) -> bool:
+        """Whether two candidates swing alike until the strike."""
+        return _alike(one, other)
+
+    def verify(self, one: Candidate, budget: Budget) -> Verified:
+        """Verify moves in an ensemble: as planned, with shorter links, and in scenarios."""
+        found = verify_members(self.problem, self.model, self.peg, one, self.options.pieces, budget)
+        if found.message or not self.scenarios:
+            return found
+        values = self._values(one.moves, self.scenarios, budget)
+        share = float((values >= 0.8).mean())
+        return replace(found, margin=share if found.margin >= 1.0 else 0.7 * share)
+
+
+def pumped(problem: Problem, moves: Moves, wait: float = 0.0) -> Moves:
+    """Return moves with one more stroke that keeps step with the swing, the other way than the last, after a `wait`, s.
+
+    Strokes go as far as the motor's range allows, 0.95 half turns at most.
+    """
+    limits, angles = problem.limits, moves.angles(problem.limits)
+    sense = float(np.sign(angles[-2] - angles[-1])) if angles.size > 1 else float(-moves.side)
+    stroke = min(0.95 * math.pi, limits.angles[1] - limits.angles[0])
+    duration = float(limits.fastest_moves([stroke])[0][0])
+    rest = max(0.02, PUMPING - duration / problem.period) * problem.period
+    return moves.then(float(np.clip(angles[-1] + sense * stroke, *limits.angles)), max(wait, rest))
+
+
+def viscous(problem: Problem) -> tuple[Problem, Array]:
+    """Return a problem whose rope has viscous friction in place of dry friction, and their ratio (n,), s/rad.
+
+    Each joint dissipates as much energy as its dry friction in a pumping swing. Dry friction makes runs of long chains
+    10 to 100 times as expensive.
+    """
+    rope, none = problem.rope, np.zeros(0)
+    factor: Array = np.ones(rope.n_links)
+    if not rope.dry_friction.any():
+        return problem, factor
+    moves = pumped(problem, Moves(problem.side or 1, none, none))
+    while moves.stops(problem.limits) < problem.time:
+        moves = pumped(problem, moves)
+    motion = moves.motion(problem.limits)
+    for _ in range(3):  # what is dissipated depends on the rates
+        model = [_viscous(rope, factor)]
+        t, _, qd = RolloutBatch.from_start(problem, model, [], [motion]).fly(problem.arm, problem.time, Budget())
+        rate = np.diff(qd[0], axis=1, prepend=motion.rate(t)[:, None])
+        factor = np.abs(rate).mean(axis=0) / np.maximum((rate**2).mean(axis=0), 1e-9)
+    return replace(problem, rope=_viscous(rope, factor)), factor
+
+
+def _viscous(rope: Rope, factor: Array) -> Rope:
+    friction = rope.friction + factor * rope.dry_friction
+    return rope.replace(friction=friction, dry_friction=np.zeros(rope.n_links))
+
+
+def _alike(one: Candidate, other: Candidate, apart: float = 0.1) -> bool:
+    """Whether strokes and rests before the strike differ by little: half turns, and s."""
+    if one.moves.side != other.moves.side:
+        return False
+    k = min(one.moves.ends.size, other.moves.ends.size)
+    before = max(1, int(np.searchsorted(np.cumsum(one.moves.rests[:k] + 0.1), one.t)) - 1)
+    ends = np.abs(one.moves.ends[:before] - other.moves.ends[:before]).max(initial=0.0) / math.pi
+    rests = np.abs(one.moves.rests[:before] - other.moves.rests[:before]).max(initial=0.0)
+    return bool(max(ends, rests) < apart and abs(one.t - other.t) < 0.5)
+
+
+def _distinct(some: Sequence[Candidate], count: int = 1_000) -> list[Candidate]:
+    """Return the first candidates, `count` at most, that are not alike."""
+    found: list[Candidate] = []
+    for one in sorted(some, key=lambda each: -each.score):
+        if len(found) < count and not any(_alike(one, other) for other in found):
+            found.append(one)
+    return found

@@ -1,1 +1,0 @@
-"""Casts: feasibility check, planner, plan, fallback targets and remedies."""

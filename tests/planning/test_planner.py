@@ -1,0 +1,111 @@
+"""The planner's loop, on a task of numbers and a clock that the task itself moves on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from hyperflex.budget import Budget
+from hyperflex.planning.moves import Moves
+from hyperflex.planning.planner import Planner
+from hyperflex.planning.tasks.task import Candidate, Task, Verified
+
+COST = {"sample": 1.0, "rollout": 2.0, "verify": 4.0}  # s
+
+
+class Numbers(Task):
+    """Samples are 0, 1, 2, ...; a rollout is good from `good` on, and succeeds if `succeeds` says so."""
+
+    batch = 2
+
+    def __init__(self, good: int, succeeds: Callable[[int], bool], enough: float = 1.0, last: int = 10_000) -> None:
+        self.good, self.succeeds, self.enough, self.last = good, succeeds, enough, last
+        self.now, self.calls, self.next = 0.0, list[tuple[str, int]](), 0
+
+    def _work(self, name: str, number: int, budget: Budget) -> None:
+        self.now += COST[name]
+        self.calls.append((name, number))
+        budget.check()
+
+    def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
+        self._work("sample", self.next, budget)
+        self.next += 1
+        moves = Moves(1, np.array([float(self.next - 1)]), np.zeros(1))
+        return [] if self.next > self.last else [Candidate(moves, float(self.next), 0.0)]
+
+    def rollout(self, some: Sequence[Candidate], budget: Budget) -> list[Candidate]:
+        self._work("rollout", len(some), budget)
+        return [Candidate(one.moves, one.score, 0.0, number(one) >= self.good) for one in some]
+
+    def alike(self, one: Candidate, other: Candidate) -> bool:
+        return number(one) // 10 == number(other) // 10
+
+    def verify(self, one: Candidate, budget: Budget) -> Verified:
+        self._work("verify", number(one), budget)
+        success = self.succeeds(number(one))
+        return Verified(one, None, None, "" if success else "fails", number(one) / 100.0 if success else -1.0)
+
+
+def number(one: Candidate) -> int:
+    return int(one.moves.ends[0])
+
+
+def planner(task: Numbers, seconds: float = 1_000.0, improve: float = 0.25, heard=None) -> Planner:
+    found = Planner(task, Budget(seconds, threads=1, clock=lambda: task.now), improve, heard)
+    found.run()
+    return found
+
+
+def spent(task: Numbers, name: str) -> float:
+    return COST[name] * sum(each == name for each, _ in task.calls)
+
+
+def test_each_level_gets_an_equal_share_of_the_time() -> None:
+    task = Numbers(0, lambda _: False)
+    assert not planner(task, 300.0).succeeds
+    assert [spent(task, name) for name in COST] == pytest.approx([100.0] * 3, abs=4.0)
+
+
+def test_a_search_ends_with_a_margin_or_some_time_after_its_first_plan() -> None:
+    task = Numbers(5, lambda k: k >= 20, enough=0.2)
+    assert planner(task).best.margin >= 0.2  # the first that succeeds has it
+    task = Numbers(0, lambda k: k >= 2, enough=10.0)
+    found = planner(task, improve=0.5)
+    first = next(k for k, (name, one) in enumerate(task.calls) if name == "verify" and one >= 2)
+    at = sum(COST[name] for name, _ in task.calls[: first + 1])
+    assert 1.5 * at <= task.now <= 1.5 * at + max(COST.values())
+    assert found.best.margin == max(one / 100.0 for name, one in task.calls if name == "verify")
+
+
+def test_a_better_plan_is_reported_and_may_end_the_search() -> None:
+    heard: list[float] = []
+    task = Numbers(0, lambda k: k >= 3, enough=10.0)
+    found = Planner(
+        task,
+        Budget(500.0, threads=1, clock=lambda: task.now),
+        9.0,
+        lambda: heard.append(found.best.margin) or len(heard) == 3,
+    )
+    found.run()
+    assert len(heard) == 3
+    assert sorted(heard) == heard
+    assert task.now < 500.0
+
+
+def test_candidates_like_those_that_failed_are_verified_last() -> None:
+    task = Numbers(0, lambda _: False, last=30)
+    planner(task)
+    tens = [one // 10 for name, one in task.calls if name == "verify"]
+    assert len(tens) == 30
+    assert max(np.bincount(tens[-9:], minlength=3)) <= 6
+
+
+def test_no_time_and_nothing_to_try_end_a_search() -> None:
+    task = Numbers(0, lambda _: False, last=3)
+    found = planner(task)
+    assert len(found.rolled) == 3
+    assert not found.succeeds
+    assert task.now < 100.0
+    assert planner(Numbers(0, lambda _: True), 0.5).best is None  # the first sample took longer
