@@ -191,7 +191,7 @@ class _Signatures:
         seen = jacobian @ self.states
         shape = self.score.shape[1] // self._axes, self._places, self._axes, len(seen)
         by_moment = sr.solved(upper, seen, transposed=True).T.reshape(shape)
-        effect = by_moment.swapaxes(0, 1).reshape(self._places, -1, len(seen))
+        effect = by_moment.swapaxes(0, 1).reshape(*self.score.shape, len(seen))
         self.score = self.score + effect @ whitened
         self.information = self.information + effect @ effect.transpose(0, 2, 1)
         self.states = self.states - gain @ seen
