@@ -223,7 +223,7 @@ def test_a_raw_stream_is_refused(hyperflex: Run, folder: Path, tmp_path: Path, c
     [
         (("--estimate", "scale"), "--estimate names a parameter without a number: got 'scale'"),
         (("--estimate", "scale=0.01,delay="), "without a number: got 'delay='"),
-        (("--estimate", "scale=much"), "--estimate holds something that is no number"),
+        (("--estimate", "scale=much"), "--estimate is not made of numbers"),
         (("--arc-lengths", "2.0,1.0"), "arc lengths of markers do not increase: 1 m comes after 2 m"),
     ],
 )
