@@ -7,6 +7,8 @@ costs for a given rope.
 
 from collections.abc import Callable
 
+import numpy as np
+
 from hyperflex.budget import Budget, OutOfTime
 from hyperflex.planning.tasks.task import Candidate, Task, Verified
 
@@ -85,7 +87,11 @@ class Planner:
         self.sampled = sorted([*self.sampled, *found], key=lambda one: -one.score)
 
     def _rollout(self) -> None:
-        some, self.sampled = self.sampled[: self.task.batch], self.sampled[self.task.batch :]
+        best = (self.task.batch + 1) // 2  # half of them the best, others from all of the queue
+        others = np.linspace(best, len(self.sampled) - 1, self.task.batch - best).round().astype(int).tolist()
+        chosen = {*range(best), *others} & {*range(len(self.sampled))}
+        some = [self.sampled[k] for k in sorted(chosen)]
+        self.sampled = [one for k, one in enumerate(self.sampled) if k not in chosen]
         self.rolled = sorted([*self.rolled, *self.task.rollout(some, self.budget)], key=lambda one: -one.score)
 
     def _verify(self) -> None:

@@ -87,6 +87,7 @@ class WindTask(Task):
         self.scenarios: list[Scenario] = []
         if uncertainty is not None:
             self.scenarios = uncertainty.sample(options.scenarios, problem, peg, seed=[9001, options.seed])
+        self._seen: set[tuple[float, ...]] = set()
         self._start, self._samples = [one for one in start if one.side in self.sides], 0
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
@@ -103,9 +104,17 @@ class WindTask(Task):
         while not new:  # one or more strokes until something is struck
             budget.check()
             before = self.beam.runs
-            new = list(self.beam.extend(budget))
+            for one in self.beam.extend(budget):
+                key = (
+                    one.moves.side,
+                    *np.round(one.moves.ends / 0.3).tolist(),
+                    *np.round(one.moves.rests / 0.1).tolist(),
+                )
+                if key not in self._seen:
+                    self._seen.add(key)
+                    new.append(one)
             self.runs += self.beam.runs - before
-        return _distinct(new)
+        return new
 
     def _near(self, found: Sequence[Candidate], budget: Budget) -> list[Strike]:
         """Vary the best rollouts of different swings, by little and by much; return the better half of the strikes."""
