@@ -46,7 +46,7 @@ def test_bad_pegs_are_refused(change: dict[str, object], words: str) -> None:
         ({"pegs": ["a peg"]}, "pegs holds something else"),
         ({"tip_force": (1.0, 0.0), "pegs": []}, "tip_force needs"),
         ({"contact_step": 0.0}, "contact_step has the wrong sign"),
-        ({"until": hf.tip_speed_peak()}, "not there yet with pegs"),
+        ({"until": hf.tip_speed_peak()}, "not available with pegs"),
     ],
 )
 def test_what_contact_cannot_do_is_refused(what: dict[str, object], words: str) -> None:

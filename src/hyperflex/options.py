@@ -4,8 +4,8 @@
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import Field, field, fields
+from functools import cache
 from typing import Any
 
 from hyperflex import checks
@@ -33,9 +33,10 @@ def option(
     return field(default=default, metadata=metadata)
 
 
-def options_of(kind: type) -> Iterator[Field[Any]]:
-    """Yield the fields of a dataclass that are options."""
-    return (each for each in fields(kind) if "help" in each.metadata)
+@cache
+def options_of(kind: type) -> tuple[Field[Any], ...]:
+    """Return the fields of a dataclass that are options."""
+    return tuple(each for each in fields(kind) if "help" in each.metadata)
 
 
 def check(instance: Any, name: str) -> None:

@@ -43,6 +43,8 @@ BLOCKS = 2
 LARGEST_BLOCK = 16 * len(MEMBERS)
 STATES = 1e6  # numbers that a block may hold in work
 CHUNK, CONTACT_CHUNK = 64, 4  # members of a chunk on an executor
+# Part of the time left that a member with contact may take while others wait: one that never ends must not lose them.
+PART_OF_A_MEMBER = 0.5
 # name: (dimensions after member and time, units, long name)
 KEPT: dict[str, tuple[tuple[str, ...], str, str]] = {
     "tip": (("axis",), "m", "position of the tip"),
@@ -157,8 +159,9 @@ def simulate_batch(
         What to keep; memory is (M, T) times this, in addition to the blocks in work. Turns are those about each round
         peg.
     time_budget : float or Budget, optional
-        Time by the clock for all members, s; those that are not finished then have the status "out of time". By default
-        there is no limit but that of :func:`simulate` for each member with pegs or with joint limits.
+        Time by the clock for all members, s; those that are not finished then have the status "out of time". A member
+        with pegs or with joint limits may take half of the time left while others wait. By default there is no limit
+        but that of :func:`simulate` for each such member.
     threads : int, optional
         By default one a processor, or one in each worker of an executor. Results do not depend on it.
     executor : concurrent.futures.Executor, optional
@@ -284,7 +287,9 @@ def _in_contact(
         check_start(setup, who=f"the rope of member {m}")
 
     def one(m: int, _: int) -> None:
-        run = simulate(setups[m], t_eval=results.t, throw=False, time_budget=limit)
+        waiting = m + threads < len(setups)  # for one of these threads
+        own = limit.share(PART_OF_A_MEMBER) if waiting and isinstance(limit, Budget) else limit
+        run = simulate(setups[m], t_eval=results.t, throw=False, time_budget=own)
         results.put(m, {name: _kept(run, name)[None] for name in results.values}, [run.status], [run.state.t])
 
     return run_blocks(one, 1, len(setups), threads, budget_of(limit), report)
