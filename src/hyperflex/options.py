@@ -45,7 +45,7 @@ def check(instance: Any, name: str) -> None:
     `name` comes before the option's name in messages. Raises InvalidInput for a value that is not a number, not finite,
     of the wrong sign, or an angle of more than a turn.
     """
-    for each in options_of(type(instance)):
+    for each in options_of(type(instance)):  # type: ignore[arg-type]
         value, rule = getattr(instance, each.name), each.metadata
         if isinstance(each.default, bool):
             object.__setattr__(instance, each.name, checks.flag(f"{name} {each.name}".lstrip(), value))

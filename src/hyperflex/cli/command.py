@@ -65,7 +65,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
             given: Given = {}
             for option, fields in own.items():
                 value = values.pop(option)
-                if value is not None and value is not False:
+                if value is not None:
                     chosen = None if value == "none" else value
                     given |= zip(fields, value, strict=True) if len(fields) > 1 else {fields[0]: chosen}
             values[name] = given
@@ -87,14 +87,13 @@ def _options(argument: str, kind: type, names: Sequence[str]) -> Iterator[tuple[
             hint = str
         option = argument if place else each.name
         words = [f"--{option.replace('_', '-')}"] if flag else []
-        annotation = bool if flag else (tuple[float, float] if place else hint) | None
-        default, help_ = False if flag else None, _help(each, place)
+        annotation = (tuple[float, float] if place else hint) | None
         yield (
             inspect.Parameter(
                 option,
                 inspect.Parameter.KEYWORD_ONLY,
-                default=default,
-                annotation=Annotated[annotation, typer.Option(*words, help=help_)],
+                default=None,
+                annotation=Annotated[annotation, typer.Option(*words, help=_help(each, place))],
             ),
             ("x", "y") if place else (each.name,),
         )

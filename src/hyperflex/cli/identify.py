@@ -12,6 +12,7 @@ from hyperflex.cli.command import ArcLengths, Given, check_destination, check_no
 from hyperflex.cli.output import Block, Rows
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.options import FitOptions
+from hyperflex.recording.declare import FASTEST, Declarations
 
 if TYPE_CHECKING:
     from hyperflex.identification import Identification
@@ -40,15 +41,8 @@ def identify(
     ] = None,
     kind: Annotated[str | None, typer.Option(help="angles or markers.")] = None,
     time: Annotated[str, typer.Option(help="Name of the time column; of messages t or log.")] = "t",
-    time_unit: Annotated[str | None, typer.Option(help="s, ms, us, min or frame.")] = None,
-    unit: Annotated[str | None, typer.Option(help="rad, mrad, deg, turn; m, cm, mm, px.")] = None,
-    frame_rate: Annotated[float | None, typer.Option(help="Frames a second, for --time-unit frame.")] = None,
-    y_axis: Annotated[str | None, typer.Option(help="Where the markers' y points: up or down.")] = None,
-    scale: Annotated[float | None, typer.Option(help="Length of a pixel, m.")] = None,
-    zero: Annotated[str | None, typer.Option(help="Where angles are 0: hanging or up.")] = None,
-    sense: Annotated[str | None, typer.Option(help="Side to which angles grow: +x or -x.")] = None,
-    angles: Annotated[str | None, typer.Option(help="absolute, or relative to the link before.")] = None,
-    wrapped: Annotated[bool | None, typer.Option(help="Whether angles jump by whole turns.")] = None,
+    *,
+    declarations: Annotated[Given, Declarations],
     noise: Annotated[float | None, typer.Option(help="Standard deviation of a sample, in its unit.")] = None,
     columns: Annotated[list[str] | None, typer.Option(help="Data columns, or joints, in order, with commas.")] = None,
     topic: Annotated[str | None, typer.Option(help="Topic of an MCAP file or a bag that holds several.")] = None,
@@ -57,8 +51,7 @@ def identify(
     ] = None,
     max_rate: Annotated[
         float, typer.Option(help="Rate of an angle, rad/s, above which it is refused as a wrong unit.")
-    ] = 300.0,
-    *,
+    ] = FASTEST,
     fit: Annotated[Given, FitOptions],
     time_budget: Annotated[
         float | None,
@@ -90,20 +83,12 @@ def identify(
         recording,
         kind=kind,
         time=time,
-        time_unit=time_unit,
-        unit=unit,
-        frame_rate=frame_rate,
-        y_axis=y_axis,
-        scale=scale,
-        zero=zero,
-        sense=sense,
-        angles=angles,
-        wrapped=wrapped,
         noise=noise,
         columns=words(columns) or None,
         topic=topic,
         plane=plane,
         max_rate=max_rate,
+        **declarations,
     )
     guess = Rope.from_toml(rope)
     result, stopped = output.run(

@@ -127,7 +127,7 @@ def _problem_of_plan(
 
 def target_of(name: str, kind: Callable[..., _T], table: Mapping[str, Any], given: Given) -> _T:
     """Return a target of a dataclass `kind`: the table [name] of a set-up file, with options over it."""
-    known = {each.name: each.default for each in options_of(kind)}  # type: ignore[arg-type]
+    known = {each.name: each.default for each in options_of(kind)}
     checks.keys(f"the table [{name}]", table, known)
     values = {**table, **given}
     for each, default in known.items():

@@ -8,7 +8,7 @@ from typing import cast
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, read_table
-from hyperflex.recording.declare import METRES, OPTIONS, RADIANS, SECONDS, Raw
+from hyperflex.recording.declare import METRES, OPTIONS, RADIANS, SECONDS, Declarations, Raw
 from hyperflex.recording.recording import Kind
 
 _ANGLE = re.compile(r"(?:th|theta|q)_?(\d+)\Z")
@@ -20,7 +20,7 @@ _RATE_UNIT = re.compile(r"(\w+)/s\Z")
 _NUMBERS = {"frame_rate": "frames/s", "scale": "m per pixel"}
 _TRUTH = {"true": True, "yes": True, "false": False, "no": False}
 _WORDS = {"unit": (*RADIANS, *METRES, "px"), **OPTIONS}
-_NOTES = (*_WORDS, *_NUMBERS, "wrapped", "noise")
+_NOTES = (*Declarations.__dataclass_fields__, "noise")
 _ARGUMENTS = {"kind", "max_rate"}  # only the caller can say these
 FRAME = "frame"  # a column that counts frames: the time column where there is no other
 _COUNTERS = {FRAME, "frames", "index"}  # of rows; beside the time they tell nothing

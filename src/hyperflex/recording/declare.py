@@ -6,12 +6,14 @@ Nothing is guessed: what neither the file nor the caller declares is refused, an
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypedDict
 
 import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, located
+from hyperflex.options import option, options_of
 from hyperflex.recording.recording import CONVENTION, Kind, Recording, per_sample, unwrap
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
@@ -29,7 +31,35 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "angles": ("absolute", "relative"),
 }
 DEFAULTS = {"zero": "hanging", "sense": "+x", "angles": "absolute"}
-DECLARED = (*OPTIONS, "unit", "frame_rate", "scale", "wrapped")
+
+
+class DeclarationFields(TypedDict, total=False):
+    """Fields of :class:`Declarations` as arguments of a function."""
+
+    time_unit: str | None
+    unit: str | None
+    frame_rate: float | None
+    y_axis: str | None
+    scale: float | None
+    zero: str | None
+    sense: str | None
+    angles: str | None
+    wrapped: bool | None
+
+
+@dataclass(frozen=True)
+class Declarations:
+    """What the numbers of a file mean; None where the file declares it. See :func:`hyperflex.read_recording`."""
+
+    time_unit: str | None = option(None, f"unit of the times: {', '.join(OPTIONS['time_unit'])}")
+    unit: str | None = option(None, f"unit of the data: {', '.join((*RADIANS, *METRES))}, px")
+    frame_rate: float | None = option(None, "frames in a second, for times that count frames")
+    y_axis: str | None = option(None, "direction of the markers' y axis: up or down")
+    scale: float | None = option(None, "length of a pixel, m")
+    zero: str | None = option(None, "where angles are 0: hanging or up")
+    sense: str | None = option(None, "side to which angles grow: +x or -x")
+    angles: str | None = option(None, "absolute, or relative to the link before")
+    wrapped: bool | None = option(None, "whether angles jump by whole turns")
 
 
 @dataclass(frozen=True)
@@ -52,17 +82,16 @@ class Raw:
     lines: Sequence[int] = ()  # of the file, one a sample, where it has lines
 
 
-def to_recording(raw: Raw, given: Mapping[str, object], max_rate: float) -> Recording:
-    """Return `raw` as a Recording by what the file and the caller (`given`; None for nothing) declare."""
+def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) -> Recording:
+    """Return `raw` as a Recording by what the file and the caller (`given`, and `noise` or None) declare."""
     declared = _declarations(raw, given)
     _require_all(raw, declared)
     _check_size(raw)
     t = _seconds(raw, declared)
-    noise = _noise(raw, given.get("noise"))
     convert = _angles if raw.kind == "angles" else _markers
-    data, noise, rates, convention = convert(raw, declared, noise)
+    data, std, rates, convention = convert(raw, declared, _noise(raw, noise))
     with located(raw.source):
-        recording = Recording(t, data, raw.kind, noise, rates, raw.convention or convention, raw.name, raw.source)
+        recording = Recording(t, data, raw.kind, std, rates, raw.convention or convention, raw.name, raw.source)
     if recording.kind == "angles":
         _check_speed(recording, checks.number("max_rate", max_rate, sign="positive", unit="rad/s"))
     return recording
@@ -98,11 +127,11 @@ def _noise(raw: Raw, given: object) -> Array | None:
     return noise
 
 
-def _declarations(raw: Raw, given: Mapping[str, object]) -> dict[str, object]:
+def _declarations(raw: Raw, given: Declarations) -> dict[str, object]:
     """Return what is declared: caller and file must agree; else the format's convention or the default."""
     result: dict[str, object] = {**DEFAULTS, **raw.usual}
-    for key in DECLARED:
-        argument, file = given.get(key), raw.declared.get(key)
+    for key in (each.name for each in options_of(Declarations)):
+        argument, file = getattr(given, key), raw.declared.get(key)
         if argument is not None and file is not None and argument != file:
             raise InvalidInput(
                 f"{raw.source} declares {key} = {file!r}, the argument something else",

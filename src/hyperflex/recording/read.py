@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Unpack
 
+from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, as_path, read_netcdf, regular_file
 from hyperflex.recording import csv as _csv
 from hyperflex.recording import matfile as _matfile
 from hyperflex.recording import mcap as _mcap
 from hyperflex.recording import rosbag as _rosbag
-from hyperflex.recording.declare import FASTEST, Raw, to_recording
+from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations, Raw, to_recording
 from hyperflex.recording.messages import Selection
 from hyperflex.recording.recording import VARIABLE, Kind, Recording
 
@@ -21,21 +23,13 @@ def read_recording(
     *,
     kind: str | None = None,
     time: str = "t",
-    time_unit: str | None = None,
-    unit: str | None = None,
-    frame_rate: float | None = None,
-    y_axis: str | None = None,
-    scale: float | None = None,
-    zero: str | None = None,
-    sense: str | None = None,
-    angles: str | None = None,
-    wrapped: bool | None = None,
     columns: Sequence[str] | None = None,
     topic: str | None = None,
     plane: str | None = None,
     noise: object = None,
     max_rate: float = FASTEST,
     name: str | None = None,
+    **declarations: Unpack[DeclarationFields],
 ) -> Recording:
     r"""Read measured angles or markers from a CSV, NetCDF, MCAP or MultiArm-pendulum ``.mat`` file, or a ROS 2 bag.
 
@@ -52,21 +46,6 @@ def read_recording(
         Needed only where a file holds both, or with `columns` of a CSV file.
     time : str
         Name of the time column (CSV); of messages "t", their own stamps, or "log", when they were recorded.
-    time_unit : {"s", "ms", "us", "min", "frame"}
-        Unit of the times; ``"frame"`` counts frames and needs `frame_rate`.
-    unit : str
-        ``rad``, ``mrad``, ``deg`` or ``turn`` for angles (rates are per second); ``m``, ``cm``, ``mm`` or ``px`` for
-        markers; ``px`` needs `scale`.
-    frame_rate, scale : float
-        Frames/s, of times that count frames; length of a pixel, m.
-    y_axis : {"up", "down"}
-        Direction of the markers' y axis (mostly down for pixels).
-    zero, sense : {"hanging", "up"}, {"+x", "-x"}
-        Where angles are 0, by default "hanging" ("up" for ``.mat``), and the side to which they grow, by default "+x".
-    angles : {"absolute", "relative"}
-        Whether each link's angle is against the vertical (default) or the link before.
-    wrapped : bool
-        True for angles that jump by whole turns; they are unwrapped, the smaller turn from sample to sample.
     columns : sequence of str, optional
         Names of the data columns in order (CSV), for other names than ``th1, ..`` or ``x0, y0, ..``; needs `kind`. Of
         joint states the names of the joints, from the motor to the tip; by default all, in the file's order.
@@ -80,6 +59,18 @@ def read_recording(
         Angles that change faster are refused as wrong units.
     name : str, optional
         Short name for reports; by default the file's.
+    **declarations
+        ``time_unit``: "s", "ms", "us", "min", or "frame", which counts frames and needs ``frame_rate``, frames/s.
+
+        ``unit``: "rad", "mrad", "deg" or "turn" of angles (rates are per second); "m", "cm", "mm" or "px" of markers;
+        "px" needs ``scale``, the length of a pixel, m.
+
+        ``y_axis``: "up" or "down", the direction of the markers' y axis (mostly down for pixels).
+
+        ``zero``: "hanging" (default) or "up" (default of ``.mat``), where angles are 0. ``sense``: "+x" (default) or
+        "-x", the side to which they grow. ``angles``: "absolute" (default), against the vertical, or "relative",
+        against the link before. ``wrapped``: True for angles that jump by whole turns; they are unwrapped by the
+        smaller turn from sample to sample.
 
     Returns
     -------
@@ -104,6 +95,7 @@ def read_recording(
     >>> recording.t.tolist(), recording.data[:, 0].round(4).tolist()
     ([0.0, 0.01, 0.02], [0.5236, 0.5219, 0.5166])
     """
+    checks.keys("a recording", declarations, Declarations.__dataclass_fields__)
     file = as_path(path, "recording")
     suffix = file.suffix.lower()
     bag = suffix == ".db3" or _rosbag.is_bag(file)
@@ -124,10 +116,8 @@ def read_recording(
         raise InvalidInput(
             f"{path} has no known suffix", got=suffix, allowed=f"{', '.join(SUFFIXES)}, the folder of a bag"
         )
-    given: dict[str, object] = {"time_unit": time_unit, "unit": unit, "frame_rate": frame_rate}
-    given |= {"y_axis": y_axis, "scale": scale}
-    given |= {"zero": zero, "sense": sense, "angles": angles, "wrapped": wrapped, "noise": noise}
-    return to_recording(replace(raw, name=name or raw.name or file.stem), given, max_rate)
+    raw = replace(raw, name=name or raw.name or file.stem)
+    return to_recording(raw, Declarations(**declarations), noise, max_rate)
 
 
 def _netcdf(path: PathLike) -> Raw:
