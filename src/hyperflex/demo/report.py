@@ -84,9 +84,9 @@ class DemoReport:
 
 @interruptible()
 def write_demo(directory: str | Path, progress: Progress = silent) -> DemoReport:
-    """Run the demo and write its folder, as :func:`hyperflex.report.folder.whole_folder` does.
+    """Run the demo and write its folder, see :func:`hyperflex.report.folder.whole_folder`.
 
-    Where the folder cannot be written in the end, it goes to a fallback folder, see :func:`hyperflex.files.rescued`.
+    If the folder cannot be written at the end, a fallback folder is used, see :func:`hyperflex.files.rescued`.
     """
     check_folder(directory)
     with tempfile.TemporaryDirectory(prefix="hyperflex-") as work:
@@ -107,7 +107,7 @@ def _write_folder(directory: Path, demo: Demo, video: bytes, progress: Progress)
 
 
 def _write(folder: Path, report: DemoReport, cast: CastReport, progress: Progress) -> dict[str, str]:
-    """Write everything to `folder`; return the names of the files by what they are."""
+    """Write all files to `folder`; return their names by kind."""
     demo, found = report.demo, report.demo.identification
     progress("drawing")
     view, last = fitted_channels(demo.recording, found), demo.recording.n_links - 1
@@ -135,7 +135,7 @@ def _write(folder: Path, report: DemoReport, cast: CastReport, progress: Progres
 def _sections(
     report: DemoReport, cast: CastReport, pictures: Mapping[str, bytes], planned: Mapping[str, Path]
 ) -> list[Section]:
-    """Return the page: the cast first, then how the rope was identified, then the cast in detail."""
+    """Return the sections of the page: the cast, the identification, details of the cast."""
     demo, shown = report.demo, cast.pictures(planned)
     seen, parameters, prediction = (
         (Picture(pictures[kind], caption, chart=kind != "seen"),) for kind, caption in _CAPTIONS.items()
@@ -191,7 +191,7 @@ def _frames(video: Path) -> bytes:
 
 
 def _parameters_figure(demo: Demo) -> "Figure":
-    """Draw each parameter over that of the fit without noise: guess, plain cut, identified value and interval."""
+    """Draw each parameter relative to the fit without noise: guess, divided rope, identified value, interval."""
     marks = {
         "value": ("o", BLUE, "identified, 95 % interval"),
         "mapped": ("|", GREEN, "fit without noise"),
@@ -217,7 +217,7 @@ def _parameters_figure(demo: Demo) -> "Figure":
 
 
 def _proof(demo: Demo) -> tuple[tuple[bool, str], ...]:
-    """Return what the rope that made the recording does in the same throw."""
+    """Return a section on the same throw with the rope that made the recording."""
     proof, rope = demo.proof, f"The rope that made the recording ({twin.FINE} links), thrown by the same motion"
     if proof is None:
         return ()

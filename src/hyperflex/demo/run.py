@@ -19,7 +19,7 @@ TARGET = Peg(x=0.62, y=-1.14, radius=0.05, mu=0.3)  # well within reach
 
 @dataclass(frozen=True)
 class Parameter:
-    """One identified number, in SI units, with what is known about it."""
+    """One identified number and its reference values, in SI units."""
 
     name: str
     unit: str
@@ -56,7 +56,7 @@ class Demo:
 
     @property
     def held_out_rms(self) -> float:
-        """Rms prediction error over all links on the part of the recording that was not fitted, rad; NaN without it."""
+        """Rms prediction error of all links on the held-out part of the recording, rad; NaN without one."""
         held = self.identification.held_out
         return float("nan") if held is None else float(np.sqrt(np.mean(held.rms**2)))
 
@@ -64,7 +64,7 @@ class Demo:
 def run_demo(progress: Progress = silent, preview: Path | None = None) -> Demo:
     """Track the bundled video's rope, identify it, and plan how to wind it round a target.
 
-    `preview` is a file for a video that shows what was tracked.
+    `preview` is a video file that shows the tracked markers.
     """
     track = twin.track(preview=preview, progress=lambda count: progress(f"tracking the rope, frame {count}"))
     recording = twin.recording(track)

@@ -1,4 +1,4 @@
-"""The demo's video: a finer rope than the one that is fitted to it, simulated, and filmed by a synthetic camera."""
+"""The demo's video: a simulated rope with finer links than the fitted one, filmed by a synthetic camera."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -35,10 +35,10 @@ MAPPED = Path(__file__).parent / "data" / "demo_mapped.toml"
 
 
 def friction(n_links: int) -> Array:
-    """Return the joint friction (n,) of the rope cut into `n_links`, N m s/rad.
+    """Return the joint friction (n,) of the rope divided into `n_links`, N m s/rad.
 
     A joint represents the bending of one link length; a coarse joint replaces several fine ones in series and
-    so has less friction. The first joint is the eye that the rope hangs from: the same in every cut.
+    so has less friction. The first joint is the eye from which the rope hangs, the same for any number of links.
     """
     bending = 1e-4  # N m^2 s, joint friction times link length: between the paper's cable and its other rope
     result = np.full(n_links, bending * n_links / LENGTH)
@@ -47,18 +47,18 @@ def friction(n_links: int) -> Array:
 
 
 def _rope(n_links: int) -> Rope:
-    """Return the rope cut into `n_links`, with the mass and the radius of the paper's cable."""
+    """Return the rope divided into `n_links`, with the mass and the radius of the paper's cable."""
     name = f"demo rope, {n_links} links"
     return Rope.uniform(LENGTH, 0.125, n_links, 0.0025, name=name).replace(friction=friction(n_links))
 
 
 def fine_rope() -> Rope:
-    """Return the rope that makes the data: 40 links."""
+    """Return the rope that generates the data: 40 links."""
     return _rope(FINE)
 
 
 def coarse_rope() -> Rope:
-    """Return the same rope simply cut into 10 links, with the cylinder's inertia."""
+    """Return the same rope divided into 10 links, with the inertia of a cylinder."""
     return _rope(COARSE)
 
 
@@ -68,7 +68,7 @@ def guess() -> Rope:
 
 
 def camera() -> Camera:
-    """Return the camera that filmed: level, at a right angle to the swing plane, the first joint at its origin."""
+    """Return the synthetic camera: level, at a right angle to the swing plane, with the first joint at the origin."""
     return Camera.facing((960, 560), pixels_per_metre=220.0, origin=(480.0, 60.0), exposure=0.004)
 
 
@@ -100,7 +100,7 @@ def film(path: Path, seconds: float = SECONDS) -> Truth:
 def track(
     video: Path = BUNDLED, preview: Path | None = None, progress: Callable[[int], None] | None = None
 ) -> VideoTrack:
-    """Track the markers of the video by the rope of the first guess."""
+    """Track the markers of the video with the rope of the first guess."""
     with VideoReader(video) as reader:
         first = next(iter(reader)).image
     estimator = RopeFilter(guess(), ARC_LENGTHS, camera=camera())
@@ -109,7 +109,7 @@ def track(
 
 
 def recording(found: VideoTrack) -> Recording:
-    """Return what was tracked as markers at all joints of the coarse chain: the first one is the camera's origin."""
+    """Return the tracked markers at all joints of the coarse chain; the first joint is the camera's origin."""
     seen = found.recording
     noise = np.asarray(seen.noise)
     return Recording(
@@ -129,15 +129,15 @@ def exact() -> Recording:
 
 
 def fit(recording: Recording, progress: bool | Callable[[dict[str, float]], None] = False) -> Identification:
-    """Identify friction and inertia of the 10-link chain from the first 7 s of a recording, as the demo does it."""
+    """Identify friction and inertia of the 10-link chain from the first 7 s of a recording, as in the demo."""
     return identify(recording, guess(), FREE, options=FitOptions(train=7.0, window=3.5), progress=progress)
 
 
 def write_bundled(video: Path = BUNDLED, mapped_path: Path = MAPPED) -> None:
-    """Make the files that come with the package: the video, and what the fit finds without noise.
+    """Write the files of the package: the video, and the result of the fit without noise.
 
-    The latter is found in the same swing without a camera: the best that 10 links can do for a rope of 40. It differs
-    from the rope simply cut into 10 links, because coarse links need more inertia and friction to move alike.
+    The latter uses the same swing without a camera: the best approximation of a rope of 40 links by 10. It differs from
+    the rope divided into 10 links, because coarse links need more inertia and friction for the same motion.
     """
     film(video)
     mapped = {name: float(values[0]) for name, values in fit(exact()).values.items()}
@@ -146,5 +146,5 @@ def write_bundled(video: Path = BUNDLED, mapped_path: Path = MAPPED) -> None:
 
 
 def mapped_truth() -> dict[str, float]:
-    """Read what the fit finds without noise: one value of friction and inertia for all links, SI."""
+    """Read the result of the fit without noise: one friction and one inertia for all links, SI."""
     return {name: float(value) for name, value in files.read_toml(MAPPED)["mapped"].items()}

@@ -39,12 +39,12 @@ class Sensing:
         self._frames: tuple[Array, Array] | None = None  # of markers, now and an interval before
 
     def take_frame(self, world: World, places: Array) -> None:
-        """Take a frame of all members, at `places` (M, n + 1, 2), m, an interval after the previous one."""
+        """Store a frame of all members, with `places` (M, n + 1, 2), m, one interval after the previous one."""
         if self._frames is not None:
             self._frames = self._frame(world, places), self._frames[0]
 
     def begin(self, world: World, places: Array, which: npt.NDArray[np.intp]) -> None:
-        """Begin with some members, at `places` (M, n + 1, 2), m, as if they had been at rest before."""
+        """Restart some members with `places` (M, n + 1, 2), m, as if they had been at rest before."""
         if self.kind == "markers":
             now = self._frame(world, places)
             if self._frames is None:

@@ -1,4 +1,4 @@
-"""Vector environments for Stable-Baselines3, which has its own interface, VecEnv."""
+"""Adapter of vector environments to VecEnv, the interface of Stable-Baselines3."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,12 +17,12 @@ def stable_baselines_env(envs: VectorEnv[Any, Any, Any]) -> Any:
     Parameters
     ----------
     envs : gymnasium.vector.VectorEnv
-        With ``autoreset_mode="SameStep"``, as VecEnv begins anew.
+        With ``autoreset_mode="SameStep"``, which VecEnv requires.
 
     Raises
     ------
     InvalidInput
-        If it begins anew in another way.
+        If the environment has another ``autoreset_mode``.
     MissingPackage
         Without Stable-Baselines3.
     """
@@ -37,7 +37,7 @@ def stable_baselines_env(envs: VectorEnv[Any, Any, Any]) -> Any:
 
 
 class _Adapter:
-    """What a VecEnv does, by a vector environment of Gymnasium; its class is made where VecEnv is known."""
+    """The methods of a VecEnv, implemented with a vector environment of Gymnasium; the class is made on import."""
 
     _seeds: list[int | None]
     _actions: npt.NDArray[np.generic]
@@ -48,18 +48,18 @@ class _Adapter:
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)  # type: ignore[call-arg]
 
     def reset(self) -> Array:
-        """Begin all episodes, from the seeds that ``seed`` has set, if any."""
+        """Reset all episodes, with the seeds set by ``seed``, if any."""
         seen, info = self.envs.reset(seed=self._seeds)  # type: ignore[arg-type] # one a member, as VectorEnvs take them
         self._seeds = [None] * self.envs.num_envs
         self.reset_infos = _each(info, self.envs.num_envs)
         return np.asarray(seen)
 
     def step_async(self, actions: npt.NDArray[np.generic]) -> None:
-        """Take the actions (M, ...) of the next interval."""
+        """Store the actions (M, ...) of the next interval."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Array, Array, npt.NDArray[np.bool_], list[dict[str, Any]]]:
-        """Take the interval; return observations, rewards, whether episodes ended, and information, one a member."""
+        """Simulate the interval; return observations, rewards, ends of episodes, and information, one per member."""
         seen, rewards, terminated, truncated, info = self.envs.step(self._actions)
         ended, final = terminated | truncated, info.get("final_info", {})
         infos = _each(info, self.envs.num_envs)
@@ -75,7 +75,7 @@ class _Adapter:
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: int | Sequence[int] | None = None) -> list[Any]:
-        """Return the attribute `attr_name`, which members share, once for each of `indices`."""
+        """Return the attribute `attr_name`, which all members share, once for each of `indices`."""
         return [getattr(self.envs, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Sequence[int] | None = None) -> None:
@@ -95,6 +95,6 @@ class _Adapter:
 
 
 def _each(info: dict[str, Any], count: int) -> list[dict[str, Any]]:
-    """Return information in Gymnasium's form as a dict for each member."""
+    """Convert Gymnasium's information to one dict per member."""
     plain = {name: value for name, value in info.items() if name[0] != "_" and not name.startswith("final_")}
     return [{name: value[m] for name, value in plain.items()} for m in range(count)]

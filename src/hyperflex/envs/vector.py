@@ -1,4 +1,4 @@
-"""Environments of many ropes side by side, and one of them alone: actions, observations, episodes and their ends."""
+"""Environments of many ropes, and of a single one: actions, observations, episodes and their ends."""
 
 import math
 from abc import ABC, abstractmethod
@@ -48,7 +48,7 @@ class EnvOptions:
     tol : float
         As in :func:`hyperflex.simulate`, m.
     mismatch : mapping of str to float
-        Factors of the true rope's ``length``, ``mass`` and ``friction``, which the model does not know.
+        Factors of ``length``, ``mass`` and ``friction`` of the true rope relative to the model.
     randomization : mapping of str to float
         Relative standard deviations of the same, and of ``mu`` of a peg, sampled in each episode.
     """
@@ -79,10 +79,10 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
     num_envs : int
         Number of members M.
     autoreset_mode : {"NextStep", "SameStep", "Disabled"} or gymnasium.vector.AutoresetMode
-        When a member whose episode has ended begins a new one: at the next step, whose action it ignores; at once,
-        with the last observation in ``info["final_obs"]``; or by ``reset(options={"reset_mask": mask})`` alone.
+        When a member whose episode has ended starts a new one: at the next step, whose action it ignores; in the same
+        step, with the last observation in ``info["final_obs"]``; or only by ``reset(options={"reset_mask": mask})``.
     max_episode_steps : int, optional
-        Steps after which an episode is cut; by default it is not.
+        Steps after which an episode is truncated; by default never.
     arguments
         Those of :class:`EnvOptions`.
 
@@ -132,14 +132,14 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
-        """Begin episodes; member i samples from `seed` + i, and continues from there without a seed.
+        """Start episodes. Member i samples from `seed` + i; without a seed it continues its random sequence.
 
         Parameters
         ----------
         seed : int or sequence of int, optional
             For all members, or one each.
         options : dict, optional
-            ``{"reset_mask": (M,) bool}``: the members that begin anew; by default all.
+            ``{"reset_mask": (M,) bool}``: the members to reset; by default all.
         """
         mask = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=np.bool_))
         if np.shape(mask) != (self.num_envs,) or np.asarray(mask).dtype != np.bool_ or not np.any(mask):
@@ -158,7 +158,7 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         return self._sensing.observe(self.world, self._extra()), self._info(np.isin(self._all, which))
 
     def step(self, actions: npt.NDArray[np.generic]) -> tuple[Array, Array, Flags, Flags, dict[str, Any]]:
-        """Take an interval with actions (M, ...); return observations, rewards, terminated, truncated and info."""
+        """Simulate an interval with actions (M, ...); return observations, rewards, terminated, truncated and info."""
         if not self.generators:
             raise InvalidInput("the environment has not begun", fix="Call reset() first")
         anew = np.zeros_like(self._ended)
@@ -188,7 +188,7 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         return range(self.num_envs)
 
     def _begin_at_once(self, seen: Array, info: dict[str, Any]) -> tuple[Array, dict[str, Any]]:
-        """Begin anew with what has ended; returns what is seen then, and the information with the last of before."""
+        """Restart ended members; return the new observations, and the information with the last ones before."""
         ended, last = self._ended.copy(), np.full(self.num_envs, None, dtype=object)
         final = {name: value & ended if name.startswith("_") else value for name, value in info.items()}
         for m in np.flatnonzero(ended):
@@ -209,7 +209,7 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         self._start(which, places)
 
     def _draw(self, m: int) -> tuple[Array, Rope, Peg]:
-        """Draw the start of a member's episode: the rope's angles (n,), rad, and the true rope and peg."""
+        """Sample the start of a member's episode: the rope's angles (n,), rad, and the true rope and peg."""
         rng = self.generators[m]
         q0 = self.drawing.angles(rng)
         self.pegs[m] = self._target(rng)
@@ -220,12 +220,12 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         return NOWHERE
 
     def _extra(self) -> Array | None:
-        """Return what the environment adds to the observations (M, extra)."""
+        """Return the additional observations of the environment (M, extra)."""
         return None
 
     @abstractmethod
     def _start(self, which: npt.NDArray[np.intp], places: Array) -> None:
-        """Initialize the quantities that rewards of a new episode are counted from."""
+        """Initialise the reference quantities of the rewards of a new episode."""
 
     @abstractmethod
     def _score(self, places: Array) -> tuple[Array, Flags]:
@@ -244,7 +244,7 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
 
 
 class RopeEnv(gymnasium.Env[Array, Any], ABC):
-    """A rope on an arm: member 0 of a :class:`RopeVectorEnv` of one, with the same bits as among many.
+    """A rope on an arm: the only member of a :class:`RopeVectorEnv`, with results bit for bit as among many members.
 
     The arguments are those of :class:`EnvOptions`. Raises InvalidInput if one cannot be used.
     """
@@ -258,14 +258,14 @@ class RopeEnv(gymnasium.Env[Array, Any], ABC):
         self.observation_space = self.members.single_observation_space
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode; see :meth:`gymnasium.Env.reset`. There are no `options`."""
+        """Start an episode; see :meth:`gymnasium.Env.reset`. There are no `options`."""
         super().reset(seed=seed)
         self.members.generators = [self.np_random]
         seen, info = self.members.reset()
         return seen[0], _first(info)
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Take an interval with an `action`; see :meth:`gymnasium.Env.step`."""
+        """Simulate an interval with an `action`; see :meth:`gymnasium.Env.step`."""
         seen, rewards, terminated, _, info = self.members.step(np.asarray(action)[None])
         return seen[0], float(rewards[0]), bool(terminated[0]), False, _first(info)
 

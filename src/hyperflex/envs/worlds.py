@@ -1,4 +1,4 @@
-"""The ropes of an environment's members: side by side in free flight, or each with its peg."""
+"""The ropes of an environment's members: one batch in free flight, or each with its own peg."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -16,18 +16,18 @@ from hyperflex.trajectory import State
 
 
 class World(ABC):
-    """Ropes on arms, taken from interval to interval by accelerations of the arms.
+    """Ropes on arms, simulated interval by interval with given accelerations of the arms.
 
     Attributes
     ----------
     q, qd : (M, n) float64
         Absolute link angles, rad, and rates, rad/s.
     arm_angle, arm_rate : (M,) float64
-        Of the arms, rad and rad/s.
+        Angle and rate of the arms, rad and rad/s.
     failed : (M,) bool
         Whether a member could not be simulated; its state is then NaN until it is restarted.
     lengths : (M, n) float64
-        Of the links, m.
+        Lengths of the links, m.
     """
 
     q: Array
@@ -51,17 +51,17 @@ class World(ABC):
 
     @abstractmethod
     def step(self, accelerations: Array, dt: float) -> None:
-        """Take an interval of `dt`, s, with accelerations (M,) of the arms, rad/s^2."""
+        """Simulate an interval of `dt`, s, with accelerations (M,) of the arms, rad/s^2."""
 
     def places(self) -> Array:
-        """Return the places (M, n + 1, 2) of the arms' tips and all joints behind them, m."""
+        """Return the positions (M, n + 1, 2) of the arms' tips and all further joints, m."""
         first = self.arm.tip(self.arm_angle)
         along = np.stack([self.lengths * np.sin(self.q), -self.lengths * np.cos(self.q)], axis=2)
         return np.concatenate([first[:, None], first[:, None] + np.cumsum(along, axis=1)], axis=1)
 
 
 class FreeWorld(World):
-    """Ropes in free flight, by a :class:`hyperflex.BatchStepper`; pegs are not there."""
+    """Ropes in free flight without pegs, simulated by a :class:`hyperflex.BatchStepper`."""
 
     def __init__(self, rope: Rope, arm: Arm, count: int, tol: float) -> None:
         super().__init__(rope, arm, count, tol)
@@ -83,7 +83,7 @@ class FreeWorld(World):
         self._show(state)
 
     def step(self, accelerations: Array, dt: float) -> None:
-        """Take an interval."""
+        """Simulate an interval."""
         now = replace(self._state, t=0.0)  # so that a step gives the same bits at any time
         self._show(self._stepper.step(now, accelerations, dt))
 
@@ -93,7 +93,7 @@ class FreeWorld(World):
 
 
 class PegWorld(World):
-    """Ropes with a peg each, by a :class:`hyperflex.Stepper` each; links are not cut finer at the peg."""
+    """Ropes with one peg each, simulated by one :class:`hyperflex.Stepper` each; links are not refined near the peg."""
 
     def __init__(self, rope: Rope, arm: Arm, count: int, tol: float) -> None:
         super().__init__(rope, arm, count, tol)
@@ -112,7 +112,7 @@ class PegWorld(World):
             self._show(int(m), stepper, stepper.start(q, arm_angle=angle))
 
     def step(self, accelerations: Array, dt: float) -> None:
-        """Take an interval."""
+        """Simulate an interval."""
         for m, member in enumerate(self._members):
             if member is None:
                 continue

@@ -1,7 +1,7 @@
 """Runs and recordings as MCAP files with Foxglove's JSON messages, numbers to the last bit.
 
-Angles are absolute link angles in joint states on ``/joints``; places are poses on ``/rope``, x right, z up. Each
-message has its exact time ``t``, s, too.
+Joint states on ``/joints`` contain absolute link angles; poses on ``/rope`` contain positions, x right, z up. Each
+message contains its exact time ``t``, s.
 """
 
 import json
@@ -102,7 +102,7 @@ def _poses(t: Array, places: Array, noise: Array | None = None) -> Channel:
 
 
 def _filled(t: Array, form: str, values: Array, noise: Array | None) -> Channel:
-    """Yield messages; a float's shortest decimals (repr) are read back as the same float."""
+    """Yield messages. The shortest decimals of a float (repr) are read back as the same float."""
     if noise is not None:
         form += ',"std":[' + ",".join(["%s"] * noise.shape[1]) + "]"
         values = np.column_stack([values, noise])

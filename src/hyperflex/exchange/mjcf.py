@@ -37,8 +37,8 @@ def write_mjcf(setup: Setup, path: PathLike, *, timestep: float = 1e-4) -> None:
     setup : Setup
         Bodies and hinges are named arm and link0, joint0, link1, joint1 and so on, the site at the tip is tip, the
         state at t = 0 the key start. An arm that follows a motion is a heavy rotor with an actuator arm_acceleration,
-        whose control is the arm's acceleration, rad/s^2; one that a torque drives has an actuator arm_torque, N m.
-        Their course over time is for the caller to give: ``data.ctrl[0] = setup.motion.acceleration(data.time)``.
+        whose control is the arm's acceleration, rad/s^2; a torque-driven arm has an actuator arm_torque, N m.
+        The caller sets the control over time: ``data.ctrl[0] = setup.motion.acceleration(data.time)``.
     path : path-like
         File to write, whole or not at all.
     timestep : float
@@ -52,7 +52,7 @@ def write_mjcf(setup: Setup, path: PathLike, *, timestep: float = 1e-4) -> None:
     Warns
     -----
     UserWarning
-        Where MuJoCo's model of dry friction, joint limits or contact differs.
+        If MuJoCo's model of dry friction, joint limits or contact differs.
 
     Examples
     --------
@@ -90,7 +90,7 @@ def read_mjcf(path: PathLike) -> Setup:
     Returns
     -------
     Setup
-        Equal to the one written, bit for bit, where nothing was edited.
+        Equal to the written one, bit for bit, if nothing was edited.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def read_mjcf(path: PathLike) -> Setup:
 
 
 def _refuse(setup: Setup) -> None:
-    """Refuse by name what MuJoCo cannot represent."""
+    """Raise InvalidInput for properties that MuJoCo cannot represent."""
     rope, pivot = setup.rope, None if setup.motion is None else setup.motion.coef[:, [X, Y]]
     wrong = (
         ("one-sided joint friction", rope.friction_model != "relative", "friction_model='relative'"),
@@ -169,7 +169,7 @@ def _exact(numbers: npt.ArrayLike) -> str:
 
 
 def _pivot(setup: Setup) -> tuple[float, float, float]:
-    """Return where the arm turns, or the rope hangs, m."""
+    """Return the position of the arm's shaft, or of the first joint, m."""
     place = np.zeros(2) if setup.arm is None else np.array(setup.arm.pivot)
     if setup.motion is not None:
         place = place + setup.motion.coef[0, [X, Y], 0]
@@ -177,7 +177,7 @@ def _pivot(setup: Setup) -> tuple[float, float, float]:
 
 
 def _start(setup: Setup) -> dict[str, Any]:
-    """Return relative angles and rates of the state at t = 0, and the actuator's command then, None without one."""
+    """Return relative angles and rates at t = 0, and the actuator's command; None without an actuator."""
     (q, qd), control = setup.start(), None
     if setup.torque_driven:
         control = None if setup.torque is None else setup.torque.torque([0.0])
@@ -190,7 +190,7 @@ def _start(setup: Setup) -> dict[str, Any]:
 
 
 def _rope(root: ET.Element, held: Rope) -> Rope:
-    """Return the rope as the bodies have it; `held` is the rope that was written."""
+    """Return the rope described by the bodies; `held` is the rope that was written."""
     links = [_part(root, f"worldbody//body[@name='link{k}']") for k in range(held.n_links)]
     hinges, inertials = ([_part(link, tag) for link in links] for tag in ("joint", "inertial"))
     ends = [*links[1:], _part(links[-1], "site")]
@@ -238,7 +238,7 @@ def _named(element: ET.Element) -> str:
 
 
 def _compare(got: ET.Element, expected: ET.Element) -> None:
-    """Refuse the first element that is not as it would be written."""
+    """Raise InvalidInput for the first element that differs from the written one."""
     changed = {name for name in {*got.keys(), *expected.keys()} if got.get(name) != expected.get(name)}
     for name in sorted(changed - {"data"}):
         if _same(got.get(name), expected.get(name)):
@@ -254,7 +254,7 @@ def _compare(got: ET.Element, expected: ET.Element) -> None:
 
 
 def _same(got: str | None, expected: str | None) -> bool:
-    """Whether two texts hold the same numbers."""
+    """Whether two texts contain the same numbers."""
     try:
         return [float(word) for word in (got or "").split()] == [float(word) for word in (expected or "").split()]
     except ValueError:

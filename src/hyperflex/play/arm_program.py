@@ -1,4 +1,4 @@
-"""The arm's moves as they are decided one by one, each from rest to rest; earlier moves stay as they were."""
+"""Moves of the arm, appended one by one, each from rest to rest. Earlier moves do not change."""
 
 import math
 
@@ -13,9 +13,9 @@ class ArmProgram:
     Attributes
     ----------
     angles : list of float
-        Of the arm at the start and after each move, rad.
+        Arm angle at the start and after each move, rad.
     end : float
-        When the moves are done, s.
+        End of the last move, s.
     """
 
     def __init__(self, angle: float, begin: float = 0.0) -> None:
@@ -24,7 +24,7 @@ class ArmProgram:
 
     @property
     def angle(self) -> float:
-        """Angle of the arm once all moves are done, rad."""
+        """Arm angle after all moves, rad."""
         return self.angles[-1]
 
     @property
@@ -46,9 +46,9 @@ class ArmProgram:
 
     @property
     def half_turns(self) -> int:
-        """Number of half turns for a rule: even if the arm is at -pi/2, odd at pi/2."""
+        """Number of half turns, as a rule counts them: even if the arm is at -pi/2, odd at pi/2."""
         return 2 * self.count + (self.angle > 0.0)
 
     def next_end(self) -> float:
-        """Return where the next half turn through the bottom ends, rad; from elsewhere the arm goes to -pi/2 first."""
+        """Return the end of the next half turn through the bottom, rad; from other angles the arm moves to -pi/2."""
         return 0.5 * math.pi if abs(self.angle + 0.5 * math.pi) < 1e-9 else -0.5 * math.pi

@@ -1,4 +1,4 @@
-"""A recording and the rope that was identified from it: measured, simulated, and how uncertain that is."""
+"""Comparison of a recording with a simulation of the rope identified from it, with its uncertainty."""
 
 from pathlib import Path
 
@@ -19,10 +19,10 @@ DRAWN = 20  # ropes of the posterior
 
 
 def comparison_page(recording: Path, rope: Path) -> str:
-    """Return a player of the rope as it is simulated, with the measured markers, and ropes drawn from the posterior.
+    """Return a player of the simulated rope, the measured markers, and ropes sampled from the posterior.
 
-    The state at the beginning is estimated from the first LEAD seconds (:func:`hyperflex.estimate.smooth`); all after
-    that is prediction. Each of the other ropes has its own state and, if the file holds their covariance, parameters.
+    The initial state is estimated from the first LEAD seconds (:func:`hyperflex.estimate.smooth`); the rest is
+    prediction. Each sampled rope has its own state and, if the file contains their covariance, parameters.
 
     Parameters
     ----------

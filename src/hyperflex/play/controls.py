@@ -1,4 +1,4 @@
-"""What can be set in the page, with units and ranges, and the rope, arm, target and motor that the settings make."""
+"""Settings of the page with units and ranges, and the rope, arm, target and motor that follow from them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -11,7 +11,7 @@ from hyperflex.planning import MotorLimits
 
 
 class Control(NamedTuple):
-    """How a number can be set: group, label, unit, range and step of its slider; a step of 0 is a tick box.
+    """Control of a number: group, label, unit, range and step of its slider; a step of 0 makes a tick box.
 
     With `choices` the number is the index of one of them.
     """
@@ -36,7 +36,7 @@ def _set(default: float, *control: Any) -> Any:
 
 @dataclass(frozen=True)
 class Settings:
-    """All that can be set, in the units of the controls."""
+    """All settings, in the units of their controls."""
 
     length: float = _set(2.0, "Rope", "length", "m", 0.2, 5.0, 0.05)
     mass: float = _set(0.125, "Rope", "mass", "kg", 0.01, 1.0, 0.005)
@@ -82,7 +82,7 @@ class Settings:
 
     @property
     def target(self) -> Peg:
-        """The target as a peg, whether or not the rope touches it."""
+        """The target as a peg, also if contact is disabled."""
         return Peg(self.target_x, self.target_y, self.target_radius, self.target_friction)
 
     @property

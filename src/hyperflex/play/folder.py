@@ -18,7 +18,7 @@ class Folder:
     Parameters
     ----------
     path : path-like
-        It must be there; FileProblem otherwise.
+        Existing folder; FileProblem otherwise.
     """
 
     def __init__(self, path: files.PathLike) -> None:
@@ -34,7 +34,7 @@ class Folder:
         return sorted(shown)[:200]  # as many as a person reads
 
     def page(self, name: str, rope: str = "") -> str:
-        """Return the player of a saved run; of a recording, with the `rope` that was identified from it."""
+        """Return the player of a saved run, or of a recording with the `rope` that was identified from it."""
         from hyperflex.play.comparison import comparison_page
         from hyperflex.report import player_html
 
@@ -50,7 +50,7 @@ class Folder:
         return Setup.from_toml(self._existing(name, ".toml"))
 
     def limits(self, name: str) -> MotorLimits | None:
-        """Return the motor's limits of a file, None without any."""
+        """Return the motor limits of a file; None without any."""
         return read_limits(self._existing(name, ".toml"))
 
     def save(self, name: str, recorded: Recorded, plan: CastPlan | WhipPlan | None) -> str:

@@ -30,7 +30,7 @@ _COMMAND = "import sys; from hyperflex.play.planning_process import work; work(i
 
 
 class PlanningTask(NamedTuple):
-    """What is planned: a cast round the target, or a whip to its centre, past obstacles; `time_budget` in s."""
+    """A planning task: a cast on the target or a whip to its centre, with obstacles; `time_budget` in s."""
 
     kind: Literal["cast", "whip"]
     rope: Rope
@@ -66,7 +66,7 @@ class PlanningTask(NamedTuple):
 
 
 class PlanningProcess:
-    """A process that plans; it begins at once.
+    """A process that plans. It starts immediately.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class PlanningProcess:
     begun : float
         When the search began, s of the monotonic clock; 0.0 while the process starts.
     best : CastPlan or None
-        The best plan so far, while a better one is sought.
+        The best plan so far, during the search.
     """
 
     def __init__(self, task: PlanningTask) -> None:
@@ -94,7 +94,7 @@ class PlanningProcess:
                 stream.write(pickle.dumps(task))
 
     def result(self) -> CastPlan | WhipPlan | str | None:
-        """Return the plan, or the error's message, once there is one of both; else None."""
+        """Return the plan or the error message; None while there is neither."""
         try:
             while self._answers.poll():
                 kind, answer = self._answers.recv()

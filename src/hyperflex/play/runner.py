@@ -1,4 +1,4 @@
-"""The thread that advances a session by the clock and carries out all commands to it."""
+"""The thread that advances a session in real time and executes all commands."""
 
 import queue
 import threading
@@ -32,9 +32,9 @@ class Runner:
     frame : bytes
         The newest frame, as of :meth:`Session.frame`.
     watched : bool
-        Whether a page is open; else nothing moves.
+        Whether a page is open; otherwise the simulation pauses.
     plan : CastPlan, WhipPlan or None
-        The last one that was made.
+        The last plan.
     """
 
     def __init__(self, session: Session, notify: Callable[[], None]) -> None:
@@ -50,7 +50,7 @@ class Runner:
         self._thread.start()
 
     def call(self, action: Callable[[], Any]) -> "Future[Any]":
-        """Have the thread call a function between two frames; the future has what it returns or raises."""
+        """Let the thread call a function between two frames; the future has its result or exception."""
         future: Future[Any] = Future()
         self._commands.put((action, future))
         return future
@@ -64,7 +64,7 @@ class Runner:
             self._planning.cancel()
 
     def scene(self) -> dict[str, Any]:
-        """Return what the page must know in addition to the frames; called from the thread."""
+        """Return the state of the page in addition to the frames; called from the thread."""
         plan, busy = self.plan, self._planning
         shown = None if plan is None else {"kind": plan.kind, "success": plan.success, "message": plan.message}
         spent = time.monotonic() - busy.begun if busy is not None and busy.begun else 0.0
@@ -76,7 +76,7 @@ class Runner:
         return self.session.scene() | own
 
     def act(self, name: str) -> None:
-        """Carry out a button's action; InvalidInput if there is no such button, or nothing to do."""
+        """Execute the action of a button; InvalidInput if the button does not exist, or there is nothing to do."""
         actions: dict[str, Callable[[], None]] = {
             "hang": self.session.hang,
             "swing": self.session.swing,
@@ -99,18 +99,18 @@ class Runner:
         self.changed(name not in ("plan", "whip", "cancel", "pause"))
 
     def change(self, values: Mapping[str, object]) -> None:
-        """Set what the page can set, as of :meth:`Session.change`."""
+        """Change settings, see :meth:`Session.change`."""
         self.session.change(values)
         self.changed()
 
     def open(self, setup: Setup, limits: MotorLimits | None = None) -> None:
-        """Begin with a set-up from a file, and the motor's limits in it."""
+        """Start with the set-up of a file, and its motor limits."""
         self.session.play(setup, "file", limits=limits)
         self.paused = False
         self.changed()
 
     def changed(self, picture: bool = True) -> None:
-        """Have the pages get the scene, and with a changed `picture` a new frame, though nothing moves."""
+        """Send the scene to the pages, and with a changed `picture` also a new frame while the simulation pauses."""
         self.version += 1
         if picture:
             self.frame, self.number = self.session.frame(), self.number + 1
@@ -148,7 +148,7 @@ class Runner:
         self.changed(picture=False)
 
     def _answer(self, until: float) -> None:
-        """Carry out commands, and wait for more until a time."""
+        """Execute commands, and wait for more until a given time."""
         while True:
             try:
                 action, future = self._commands.get(timeout=max(until - time.monotonic(), 0.0))

@@ -40,7 +40,7 @@ class PlayServer:
         What the page may read from and write to.
     session : Session, optional
     port : int
-        0: any that is free; see `address`.
+        0 selects a free port; see `address`.
     host : str
         Address to listen at.
     allow : sequence of str
@@ -49,12 +49,12 @@ class PlayServer:
     Attributes
     ----------
     address : str
-        What to open in the browser.
+        Address to open in the browser.
 
     Raises
     ------
     InvalidInput
-        If it cannot listen there, or what `allow` names is more than hosts.
+        If the server cannot listen there, or `allow` contains more than host names.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class PlayServer:
         self.runner.close()
 
     def wait(self, seconds: float | None = None) -> None:
-        """Wait until the server ends, or for so long, s."""
+        """Wait until the server ends, or for a time, s."""
         self._thread.join(seconds)
 
     def _serve(self) -> None:
@@ -247,7 +247,7 @@ class PlayServer:
 
 
 def page() -> str:
-    """Return the page: one HTML document that needs nothing but the websocket."""
+    """Return the page: one HTML document that requires only the websocket."""
     groups: dict[str, list[tuple[str, dict[str, object]]]] = {}
     for name, each in CONTROLS.items():
         groups.setdefault(each.group, []).append((name, each._asdict()))

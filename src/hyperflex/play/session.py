@@ -26,14 +26,14 @@ NUMBERS = ("t", "arm_angle", "pseudo_energy", "x", "scaled_velocity", "tension",
 
 
 class Recorded(NamedTuple):
-    """What has been shown since the last change, to be simulated again in one run."""
+    """The motion since the last change, for a new simulation as one run."""
 
     setup: Setup
     begin: State | None
     duration: float
 
     def run(self) -> Trajectory:
-        """Return it as a run, with a sample every 10 ms."""
+        """Return the motion as a run with a sample every 10 ms."""
         if not self.duration > 0.0:
             raise InvalidInput("nothing has moved yet", fix="Let it run for a moment")
         return simulate(self.setup, duration=self.duration, state=self.begin)
@@ -46,15 +46,15 @@ class Session:
     ----------
     settings : Settings
     setup : Setup
-        What is simulated, with the motion as far as it is decided.
+        The simulated set-up, with the motion up to the last decided move.
     t : float
         Simulated time, s.
     obstacles : tuple of Peg, Wall, Ground
-        Obstacles of the set-up that was opened last: all but the target.
+        Obstacles of the last opened set-up, without the target.
     activity : str
         ``"hang"``, ``"swing"``, ``"cast"`` (a planned motion) or ``"file"``.
     version : int
-        Grows with each change of what :meth:`scene` returns.
+        Increases with each change of the result of :meth:`scene`.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
@@ -74,21 +74,21 @@ class Session:
 
     @property
     def rope(self) -> Rope:
-        """The rope that hangs, swings and is planned with."""
+        """The current rope."""
         return self.settings.rope if self._given is None else self._given.rope
 
     @property
     def arm(self) -> Arm:
-        """The arm that it hangs from."""
+        """The current arm."""
         return self.settings.arm if self._given is None else self._given.arm or Arm()
 
     def hang(self) -> None:
-        """Begin again: the rope hangs at rest from the arm at its angle."""
+        """Restart: the rope hangs at rest from the arm at its angle."""
         program = ArmProgram(math.radians(self.settings.arm_angle))
         self._begin(Setup(self.rope, program.motion, self.arm, pegs=self._pegs()), "hang", program)
 
     def swing(self) -> None:
-        """Let the arm make half turns, or stop after the one that it makes."""
+        """Start half turns of the arm, or stop after the current one."""
         if self._program is None:
             self.hang()
         self.activity = "hang" if self.activity == "swing" else "swing"
@@ -97,11 +97,11 @@ class Session:
 
     @property
     def limits(self) -> MotorLimits:
-        """Limits of the motor: speed and acceleration as set, torque and angles of the file that was opened last."""
+        """Motor limits: speed and acceleration from the settings, torque and angles from the last opened file."""
         return replace(self.settings.limits, torque=self._motor.torque, angles=self._motor.angles)
 
     def play(self, setup: Setup, activity: str, skip: float = 0.0, limits: MotorLimits | None = None) -> None:
-        """Begin a whole set-up; the first `skip` seconds are simulated at once. Its first round peg is the target.
+        """Start a set-up; its first `skip` seconds are simulated immediately. Its first round peg is the target.
 
         With the motor's `limits`, if the file has them.
         """
@@ -121,7 +121,7 @@ class Session:
             self._simulate(skip)
 
     def change(self, values: Mapping[str, object]) -> None:
-        """Change settings. InvalidInput leaves all as it was."""
+        """Change settings. After InvalidInput nothing has changed."""
         before, changed = dict(vars(self)), set(values)
         self.settings, self._next = self.settings.changed(values), None
         try:
@@ -146,7 +146,7 @@ class Session:
         Raises
         ------
         SimulationError
-            If it cannot be simulated, or takes more than FRAME_TIME, as where a peg was put into a rope wound round it.
+            If the frame cannot be simulated, or takes longer than FRAME_TIME: a peg was moved within a wound rope.
         """
         if self._program is not None:
             self._decide(self._program, self.t + dt)
@@ -156,7 +156,7 @@ class Session:
         return self.frame()
 
     def frame(self) -> bytes:
-        """Return the current frame, as of :meth:`advance`."""
+        """Return the current frame, see :meth:`advance`."""
         run = self._run
         points, arm = run.joints[0], self.setup.arm
         if arm is not None:
@@ -164,7 +164,7 @@ class Session:
         return np.concatenate([self._numbers(run), points.ravel()]).astype("<f4").tobytes()
 
     def scene(self) -> dict[str, Any]:
-        """Return what the page must know in addition to the frames."""
+        """Return the state of the page in addition to the frames."""
         reach = 1.08 * (float(self.setup.rope.length.sum()) + (self.setup.arm.length if self.setup.arm else 0.0))
         x, y = (0.0, 0.0) if self.setup.arm is None else self.setup.arm.pivot
         return {
@@ -180,7 +180,7 @@ class Session:
         }
 
     def recorded(self) -> Recorded:
-        """Return what has been shown since the last change, MOST_RECORDED s at most."""
+        """Return the motion since the last change, at most MOST_RECORDED s."""
         return Recorded(self.setup, self._origin, self.t - self._begun)
 
     def _begin(self, setup: Setup, activity: str, program: ArmProgram | None) -> None:
@@ -206,7 +206,7 @@ class Session:
         self.t = self._state.t
 
     def _decide(self, program: ArmProgram, until: float) -> None:
-        """Decide the next move of the arm, if it begins before a time."""
+        """Decide the next move of the arm if it starts before a given time."""
         start = max(self.t, self._start(program))
         moves = self.activity == "swing" or (self._goal is not None and self._goal != program.angle)
         if start >= until or not moves:
@@ -223,7 +223,7 @@ class Session:
         self.setup = self.setup.replace(motion=program.motion)
 
     def _start(self, program: ArmProgram) -> float:
-        """Return when the next move begins, s, by the settings; inf while the arm moves and a rule cannot decide."""
+        """Return the start of the next move, s; inf while the arm moves and a rule cannot decide yet."""
         if self.activity != "swing" or not program.count:
             return program.end
         if self.settings.rule == FIXED:
@@ -242,11 +242,11 @@ class Session:
         return (*((self.settings.target,) if self.settings.target_solid else ()), *self.obstacles)
 
     def _target(self, setup: Setup) -> Peg | None:
-        """Return the first round peg of a set-up that is none of the obstacles."""
+        """Return the first round peg of a set-up that is not an obstacle."""
         return next((each for each in setup.round_pegs if each not in self.obstacles), None)
 
     def _move_target(self) -> None:
-        """Move the peg, unless it would be in the rope; it is put there, it does not push."""
+        """Move the peg unless it would overlap the rope. The peg changes its place without pushing the rope."""
         setup = self.setup.replace(pegs=self._pegs())
         state = None if self._state is None else replace(self._state, checkpoint={})
         simulate(setup, duration=1e-6, t_eval=[self.t], state=state)
