@@ -89,7 +89,7 @@ class FullDisk(io.StringIO):
         raise OSError(errno.ENOSPC, "No space left on device")
 
 
-@pytest.mark.parametrize(("before", "words"), [("earlier", "still stands"), (None, "Nothing was written")])
+@pytest.mark.parametrize(("before", "words"), [("earlier", "is unchanged"), (None, "Nothing was written")])
 def test_full_disk_says_what_became_of_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str | None, words: str
 ) -> None:
@@ -130,7 +130,7 @@ def test_a_real_limit_on_file_size_leaves_the_earlier_file(tmp_path: Path) -> No
     """)
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert "no space left" in run.stdout
-    assert "earlier file still stands" in run.stdout
+    assert "earlier file is unchanged" in run.stdout
     assert path.read_text() == "earlier"
     assert listing(tmp_path) == {"out.txt"}
 

@@ -236,7 +236,7 @@ def test_a_full_disk_leaves_the_old_file(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
-    with pytest.raises(FileProblem, match=r"no space left.*still stands"):
+    with pytest.raises(FileProblem, match=r"no space left.*is unchanged"):
         made_up(seed=2).to_netcdf(path)
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.nc"]

@@ -52,7 +52,7 @@ def located(where: str, words: Callable[[str], str] = str) -> Iterator[None]:
 
 
 class FileProblem(HyperflexError, OSError):
-    """A file cannot be read or written (missing, truncated, no space left). What stood there before still stands."""
+    """A file cannot be read or written (missing, truncated, no space left). An earlier file is unchanged."""
 
 
 class MissingPackage(HyperflexError, ImportError):

@@ -1,4 +1,4 @@
-"""Writing that fails at any of its calls: FileProblem, nothing half written, what stood there before still stands."""
+"""Writing that fails at any of its calls: FileProblem, nothing half written, an earlier file is unchanged."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def test_native_writers_end_with_a_message_where_the_disk_is_full(tmp_path: Path
     assert child.returncode == 0, child.stderr
     assert child.stderr == ""
     first, second = child.stdout.splitlines()
-    assert "run.nc could not be written: no space left. The earlier file still stands" in first
+    assert "run.nc could not be written: no space left. The earlier file is unchanged" in first
     assert "film.mp4 could not be written: no space left. Nothing was written" in second
     assert content(tmp_path) == {"run.nc": EARLIER}
 

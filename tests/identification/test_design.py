@@ -126,12 +126,12 @@ def test_a_common_factor_is_said_to_need_scales_or_a_torque() -> None:
     assert found.best is None
     assert np.isinf(found.plans[0].score)
     assert "No candidate can tell inertia[0], inertia[1]: no known force or torque acts" in found.advice
-    assert "Weigh the links and leave mass out of free: then swing tells inertia to" in found.advice
+    assert "Weigh the links and leave mass out of free: then swing determines inertia to" in found.advice
     assert "Or measure the motor's torque" in found.advice
     assert "want=['J/p1', 'p/p1', 'c/p1']" in found.advice
     # and what it promises is so
     weighed = design_experiment(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=["inertia", "friction"])
-    assert f"tells inertia to {100 * weighed.plans[0].score:.3g} %" in found.advice
+    assert f"determines inertia to {100 * weighed.plans[0].score:.3g} %" in found.advice
     masses = design_experiment(
         DOUBLE, "mass", [Experiment("", q0=0.8, duration=3.0)], free=["mass", "inertia", "friction"]
     )

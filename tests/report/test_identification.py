@@ -87,7 +87,7 @@ def test_a_page_is_one_file_with_all_its_parts(tmp_path, swing):
     assert re.findall(r'(?:src|href)="(?!data:|#)', text) == []
     assert text.count("data:image/png;base64,") == 4  # fit, prediction, residuals, history
     titles = re.findall(r"<h2>(.*?)</h2>", text)
-    assert titles[:3] == ["Verdict", "Parameters", "Ratios"]
+    assert titles[:3] == ["Assessment", "Parameters", "Ratios"]
     assert titles[3:] == [
         "Fit over data",
         "Prediction of what the fit has not seen",

@@ -37,7 +37,7 @@ def atomic_path(path: PathLike) -> Iterator[Path]:
     ------
     FileProblem
         When the folder is missing, `path` is no regular file, the disk is full, or writing fails otherwise. The
-        message says whether an earlier file still stands.
+        message says whether an earlier file is unchanged.
     """
     target = _target(path)
     part = target.with_name(f".{target.stem[:40]}.{secrets.token_hex(4)}.part{target.suffix}")
@@ -158,7 +158,7 @@ def _replace(part: Path, target: Path) -> None:
 
 def _write_problem(target: Path, part: Path, error: OSError) -> FileProblem:
     """Turn a system error into one that says what happened to the user's file."""
-    stands = "The earlier file still stands unchanged" if target.exists() else "Nothing was written"
+    stands = "The earlier file is unchanged" if target.exists() else "Nothing was written"
     if getattr(error, "errno", None) in _NO_SPACE or _NO_SPACE_TEXT.search(str(error)):
         return FileProblem(f"{target} could not be written: no space left. {stands}. Free some space and try again.")
     if isinstance(error, PermissionError):
@@ -166,7 +166,7 @@ def _write_problem(target: Path, part: Path, error: OSError) -> FileProblem:
     ours = getattr(error, "filename", None) in (None, str(part))
     if isinstance(error, FileNotFoundError) and (ours or part == target):
         return FileProblem(
-            f"{target} could not be written: its folder takes no new files. {stands}. Give another path."
+            f"{target} could not be written: its folder accepts no new files. {stands}. Give another path."
         )
     if getattr(error, "errno", None) == errno.EROFS:
         return FileProblem(f"{target} could not be written: the disk is read-only. {stands}. Give a path on another.")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class CastReport(PlanReport[CastPlan]):
     """The report of a planned cast, and of a tug at the wound rope, if one was simulated.
 
-    The report of a plan without a throw is a page with the reason and a map of the target.
+    For a plan without a throw it is a page with the reason and a map of the target.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ class CastReport(PlanReport[CastPlan]):
         return tuple(filter(None, lines))
 
     def _outcome(self, cast: CastOutcome | None) -> str:
-        """Return what the rope does at the target."""
+        """Return a text on the rope at the target."""
         if cast is None or not cast.completed:
             return "What the rope then does is not known: the throw was not verified to its end."
         if not math.isfinite(cast.strike_time):
@@ -282,7 +282,7 @@ def _failure(plan: CastPlan) -> str:
 
 
 def _advice(plan: CastPlan) -> tuple[str, ...]:
-    """Return, for a plan that fails, where a target would work, and what would help for this target."""
+    """Return, for a failed plan, where a target is feasible and what would help for this target."""
     lines = []
     if plan.fallback is not None:
         lines.append(_nearest(plan))
@@ -308,7 +308,7 @@ def _expected(plan: CastPlan) -> str:
 
 
 def _nearest(plan: CastPlan) -> str:
-    """Return where the nearest target is that works, or should."""
+    """Return the place of the nearest feasible target, planned or expected."""
     near = plan.fallback
     if near is None:
         return ""
@@ -321,7 +321,7 @@ def _nearest(plan: CastPlan) -> str:
 
 
 def _lacks(plan: CastPlan) -> str:
-    """Return what a throw that winds but fails needs, where more search does not help; else ""."""
+    """Return the requirement that a winding but failed throw violates and more search cannot meet; else ""."""
     cast, given = plan.outcome, plan.problem.limits.torque
     if cast is None or not cast.wound:
         return ""

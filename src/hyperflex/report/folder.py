@@ -22,7 +22,7 @@ def silent(message: str) -> None:
 
 @contextmanager
 def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Path]:
-    """Give a temporary folder to write to; move its files to `directory` when the block ends well.
+    """Provide a temporary folder; move its files to `directory` if the block succeeds.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
 
 
 class _NotPutBackError(FileProblem):
-    """A folder could neither be filled nor be made as it was."""
+    """A folder could neither be filled nor restored."""
 
 
 def check_folder(directory: str | Path) -> None:
-    """Refuse, before any work, a folder that cannot be made or filled now: FileProblem as of :func:`whole_folder`."""
+    """Check before any work that a folder can be made and filled; FileProblem otherwise, see :func:`whole_folder`."""
     with deferred():
         _stage(Path(os.path.realpath(directory))).rmdir()
     files.check_space(directory, 8.0 * 2**20)  # bytes: a report with a film
@@ -113,7 +113,7 @@ def _alone(target: Path) -> Iterator[None]:
 
 
 def _move(stage: Path, target: Path, own: Sequence[str]) -> None:
-    """Put the files of `stage` in place of `own` ones; on any failure put everything back as it was."""
+    """Replace the `own` files by those of `stage`; restore everything on failure."""
     names = sorted(path.name for path in stage.iterdir())
     for name in (*names, *own):
         if (target / name).is_dir():

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def target_map(plan: CastPlan, nearest: str) -> "Figure":
-    """Draw the target, the arm with its rope at rest, and the circle beyond which the rope does not come.
+    """Draw the target, the arm with its rope at rest, and the circle of the rope's reach.
 
-    `nearest` says what the nearest target is, if the plan holds one.
+    `nearest` describes the nearest target, if the plan contains one.
     """
     setup, fallback = plan.problem, plan.fallback
     arm, limits, gravity = setup.arm, setup.limits, np.array(setup.rope.gravity)
@@ -50,7 +50,7 @@ def target_map(plan: CastPlan, nearest: str) -> "Figure":
 
 
 def reach_figure(reach: ReachMap) -> "Figure":
-    """Draw a reach map to scale: angle covered of the targets that are wound, the others by the reason."""
+    """Draw a reach map to scale: contact angle of the targets that are wound, reason for the others."""
     arm = reach.problem.arm
     far = arm.length + reach.problem.rope.total_length
     edges = [_edges(reach.x), _edges(reach.y)]
@@ -95,7 +95,7 @@ def _cells(axis: Any, edges: list[Array], where: Any, colour: str, rim: str, lab
 
 
 def _edges(places: Array) -> Array:
-    """Return the edges (K + 1,) of cells about places (K,), m."""
+    """Return the edges (K + 1,) of cells around positions (K,), m."""
     if places.size == 1:
         return np.asarray(places[0] + np.array([-0.05, 0.05]))
     between = 0.5 * (places[1:] + places[:-1])

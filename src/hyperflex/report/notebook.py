@@ -1,4 +1,4 @@
-"""What a notebook shows of a result: a few sentences, a table, and a run as a player."""
+"""Representation of results in notebooks: short text, a table, and a run as a player."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -18,7 +18,7 @@ from hyperflex.trajectory import Trajectory
 
 
 def rope_html(rope: Rope) -> str:
-    """Return a rope as a table of what its links have."""
+    """Return a rope as a table of its links' properties."""
     rows = []
     for name in (each.name for each in LINK_PROPERTIES if present(rope)[each.name]):
         values, unit = getattr(rope, name), readable_unit(name, getattr(rope, name))
@@ -29,18 +29,18 @@ def rope_html(rope: Rope) -> str:
 
 
 def run_html(run: Trajectory) -> str:
-    """Return a run as a player; of one that has a single sample, what it is."""
+    """Return a run as a player; a run of one sample as text."""
     return _shown(repr(run), (run.message,) if run.message else (), document=_player(run))
 
 
 def identification_html(found: Identification) -> str:
-    """Return an identification's grade, its parameters and its verdict."""
+    """Return an identification's grade, parameters and findings."""
     sentences = tuple(found.report(full=True).splitlines())
     return _shown(repr(found), sentences, parameters_table(found, None))
 
 
 def plan_html(plan: Plan) -> str:
-    """Return a plan's verdict, its key figures and its verified run."""
+    """Return a plan's result, key figures and verified run."""
     kinds: dict[str, type[PlanReport[Any]]] = {"cast": CastReport, "whip": WhipReport, "insert": InsertReport}
     report = kinds[plan.kind](plan)
     document = "" if plan.run is None else _player(plan.run, **report.film())

@@ -44,10 +44,10 @@ class Section:
     """A headed part of a page, shown in the order verdict, text, tiles, marks, pictures, table, notes."""
 
     title: str
-    verdict: tuple[bool, str] | None = None  # conclusion: whether it is good news, and its sentence
+    verdict: tuple[bool, str] | None = None  # conclusion: whether it is positive, and its text
     text: tuple[str, ...] = ()  # paragraphs
     tiles: tuple[tuple[str, str], ...] = ()  # key figures: value and what it is
-    marks: tuple[tuple[bool, str], ...] = ()  # findings: whether each is good news, and its sentence
+    marks: tuple[tuple[bool, str], ...] = ()  # findings: whether each is positive, and its text
     pictures: tuple[Picture | Film, ...] = ()  # below each other
     table: TextTable | None = None  # in full; wide ones scroll
     notes: tuple[str, ...] = ()  # small print

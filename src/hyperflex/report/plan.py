@@ -39,7 +39,7 @@ class PlanReport(ABC, Generic[PlanT]):
     verdict: str  # whether it succeeds, in a sentence
     target: str
     tiles: tuple[tuple[str, str], ...]  # key figures: value and what it is
-    story: tuple[str, ...]  # what happens, in order, in paragraphs
+    story: tuple[str, ...]  # events in order, in paragraphs
     warning: str = ""
     advice: tuple[str, ...] = ()  # what would help a plan that fails
     layout: ClassVar[dict[str, dict[str, str]]]  # by heading: names of the film and the figures, and their captions
@@ -151,7 +151,7 @@ class PlanReport(ABC, Generic[PlanT]):
     def draw(self, folder: Path, progress: Progress = silent) -> dict[str, Path]:
         """Draw figures of the run to files in `folder`; return them by name.
 
-        An interrupted plan has none: who interrupts a search does not want to wait.
+        An interrupted plan has none, to end without delay.
         """
         if self.plan.run is None or self.plan.interrupted:
             return {}
@@ -225,7 +225,7 @@ class PlanReport(ABC, Generic[PlanT]):
         return "arm: last move" if last else f"arm: {self.move} {begun} of {self._starts.size - self.last_move}"
 
     def strobe_at(self, t: float, before: float, after: float, shown: str) -> "Figure":
-        """Draw the rope at many instants `before` and `after` a time `t`, s; `shown` explains what else is there."""
+        """Draw the rope at many instants `before` and `after` a time `t`, s; `shown` explains the other objects."""
         start, end = max(t - before, float(self.run.t[0])), min(t + after, float(self.run.t[-1]))
         title = f"{start:.2f} to {end:.2f} s, dark to bright (simulated); {shown}"
         return strobe_figure(self.run, start=start, end=end, count=52, title=title, overlay=self.overlay())
@@ -260,7 +260,7 @@ class PlanReport(ABC, Generic[PlanT]):
         )
 
     def _motor_table(self) -> TextTable:
-        """Return what the motion needs of the motor, with the motor's limits."""
+        """Return the requirements of the motion on the motor, with its limits."""
         motion, limits, seen = (
             self.plan.required(self.plan.motion, "motion"),
             self.plan.problem.limits,

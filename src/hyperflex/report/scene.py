@@ -1,4 +1,4 @@
-"""What pictures, films and players of a run share: the overlay, shapes between samples, the span of time, the view."""
+"""Common parts of pictures, films and players of a run: overlay, interpolated shapes, time span, view."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -37,7 +37,7 @@ class Dots(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """What a picture, a film or a player shows in addition to the run itself; each shows what it can.
+    """Additional content of a picture, film or player of a run; each shows what it supports.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ def shapes(run: Trajectory, times: Array) -> Shapes:
 
 
 def span(run: Trajectory, start: float | None, end: float | None) -> tuple[float, float]:
-    """Return the first and last time to show, s: those given, else the run's; InvalidInput if they are not in it."""
+    """Return the first and last time to show, s: the given ones or the run's; InvalidInput if outside of the run."""
     first = float(run.t[0]) if start is None else checks.number("start", start, unit="s")
     last = float(run.t[-1]) if end is None else checks.number("end", end, unit="s")
     if not run.t[0] <= first < last <= run.t[-1]:

@@ -29,7 +29,7 @@ TipPlanT = TypeVar("TipPlanT", WhipPlan, InsertPlan)
 
 
 class TipReport(PlanReport[TipPlanT]):
-    """What the reports of whips and insertions share."""
+    """Common parts of the reports of whips and insertions."""
 
     def _start(self) -> list[str]:
         """Return target, start and strokes, each in a paragraph."""
@@ -46,7 +46,7 @@ class TipReport(PlanReport[TipPlanT]):
         return lines
 
     def _end(self, place: str) -> list[str]:
-        """Return how uncertain a `place` is, and the warning, each in a paragraph."""
+        """Return the uncertainty of a `place`, and the warning, each in a paragraph."""
         lines: list[str] = []
         if math.isfinite(self.plan.position_std):
             known = TipOptions()
@@ -81,7 +81,7 @@ class TipReport(PlanReport[TipPlanT]):
 class WhipReport(TipReport[WhipPlan]):
     """The report of a planned whip, and of its impact on a small peg at the target, if one was simulated.
 
-    The report of a plan without strokes is a page with the reason.
+    For a plan without strokes it is a page with the reason.
     """
 
     name, strobe = "whip", "peak"
@@ -183,7 +183,7 @@ class WhipReport(TipReport[WhipPlan]):
         }
 
     def _passing(self) -> "Figure":
-        """Draw how the tip passes the target: its path, in the colour of its speed, and the required direction."""
+        """Draw the tip near the target: its path, coloured by its speed, and the required direction."""
         target, seen = self.plan.target, self.outcome
         half = max(0.12, 1.3 * seen.miss)  # m about the target
         time = 2.0 * half / max(seen.speed, 1e-3)
@@ -203,7 +203,7 @@ class WhipReport(TipReport[WhipPlan]):
 
 
 class InsertReport(TipReport[InsertPlan]):
-    """The report of a planned insertion. The report of a plan without strokes is a page with the reason."""
+    """The report of a planned insertion. For a plan without strokes it is a page with the reason."""
 
     name, strobe = "insert", "entry"
     layout: ClassVar = {
@@ -303,7 +303,7 @@ class InsertReport(TipReport[InsertPlan]):
         }
 
     def _gap(self) -> "Figure":
-        """Draw how the rope goes through the gap: path of the tip, in the colour of its speed, and rope at instants."""
+        """Draw the rope in the gap: path of the tip, coloured by its speed, and the rope at several instants."""
         slot, run, seen = self.plan.target, self.run, self.outcome
         half = max(1.6 * slot.depth, 1.5 * slot.width)  # m about the gap
         time = max(seen.t - seen.t_enter, 0.02)

@@ -1,4 +1,4 @@
-"""Numbers as people read them: a unit that suits their size, and as many digits as their uncertainty leaves."""
+"""Numbers for reports: a unit that suits their size, and as many digits as their uncertainty allows."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ _LADDERS = {  # by SI unit
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit for reading: `size` in SI units, and `name`."""
+    """A display unit: `size` in SI units, and `name`."""
 
     size: float
     name: str
@@ -56,7 +56,7 @@ def readable_unit(what: str, values: npt.ArrayLike) -> Unit:
 
 
 def rounded(value: float, std: float) -> str:
-    """Return a value with as many digits as two of its standard deviation's leave; four digits where it has none."""
+    """Return a value rounded to two digits of its standard deviation; four digits without one."""
     if not np.isfinite(value):
         return "not known"
     if not np.isfinite(std) or std <= 0.0:

@@ -239,7 +239,7 @@ class VideoWriter:
     InvalidInput
         For another suffix, a frame of another size, or a time no later than the one before.
     FileProblem
-        If the file cannot be written. What stood there before still stands, also where the block ends in an error.
+        If the file cannot be written. An earlier file is then unchanged, also if the block raises an error.
     """
 
     def __init__(self, path: PathLike, image_size: tuple[int, int], quality: int = 18) -> None:

@@ -36,7 +36,7 @@ class Candidate:
     free: tuple[str, ...]
 
     def nested_in(self, other: "Candidate") -> bool:
-        """Tell whether all that is free here is free in `other` as well, which frees more."""
+        """Whether `other` frees all that is free here, and more."""
         return set(self.free) < set(other.free) and self.guess.n_links == other.guess.n_links
 
     def starting_guess(self, other: "Candidate", rope: Rope) -> Rope:
@@ -62,7 +62,7 @@ def compare_models(
     options: FitOptions | None = None,
     progress: bool = False,
 ) -> ModelComparison:
-    """Fit several models to one recording and say which of them the evidence prefers.
+    """Fit several models to one recording and select the one that the evidence prefers.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def compare_models(
     links = checks.sequence("links", links, "numbers of links")
     if links and recording.kind != "markers":
         raise InvalidInput(
-            "numbers of links can be compared only by places",
+            "numbers of links can be compared only with markers",
             got=recording.kind,
             allowed="a recording of markers",
             fix="Leave links out: the angles of a recording belong to one number of links",
@@ -164,7 +164,7 @@ def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], s
 
 
 def _fitted_model(candidate: Candidate, found: Identification, bic: float | None) -> FittedModel:
-    reason = "" if bic is not None else "it fits other samples than the rest, so its BIC is another thing"
+    reason = "" if bic is not None else "it was fitted to other samples than the rest, so its BIC is not comparable"
     information = found.basis.information
     return FittedModel(
         candidate.name,
@@ -187,7 +187,7 @@ def candidates(
     if models is None:
         result = _resistances(guess, free)
     elif not isinstance(models, Mapping) or not models:
-        raise InvalidInput("models names no candidates", got=models, allowed="a mapping of names to what is free")
+        raise InvalidInput("models contains no candidates", got=models, allowed="a mapping of names to what is free")
     else:
         result = [_own(str(name), guess, value) for name, value in models.items()]
     simplest = result[0]

@@ -35,7 +35,7 @@ SUPPORT = EvidenceOptions()
 
 @dataclass(frozen=True)
 class Evidence:
-    """What speaks for a model: fewer `unknowns` are simpler; None where it cannot be compared."""
+    """Evidence for a model. A model with fewer `unknowns` is simpler; None if it cannot be compared."""
 
     name: str
     unknowns: float
@@ -86,15 +86,15 @@ def why_alike(one: HeldOut | None, best: HeldOut | None) -> str:
     if mine.size < SUPPORT.few or mine.size != other.size:
         near = np.sqrt(mine.mean()) <= SUPPORT.alike * np.sqrt(other.mean())
         few = (
-            f"a difference within {100.0 * (SUPPORT.alike - 1.0):.0f} % counts for nothing where so little is held out"
+            f"with so little held-out data a difference below {100.0 * (SUPPORT.alike - 1.0):.0f} % is not significant"
         )
         return few if near else ""
     if mine.mean() <= SUPPORT.matters**2 * other.mean():
-        return f"a difference within {100.0 * (SUPPORT.matters - 1.0):.0f} % is too small to matter"
+        return f"a difference below {100.0 * (SUPPORT.matters - 1.0):.0f} % is irrelevant"
     gap = mine - other
     if gap.mean() > SUPPORT.clear * gap.std(ddof=1) / np.sqrt(gap.size):
         return ""
-    chance = f"over the {mine.size} predicted stretches the difference varies too much to be told from chance"
+    chance = f"over the {mine.size} predicted stretches the difference is not significant"
     return f"{chance} (less than {SUPPORT.clear:g} standard errors)"
 
 
@@ -114,13 +114,13 @@ def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, s
     if not known:
         return None, "No candidate could be fitted."
     if len(known) == 1:
-        return known[0].name, f"Only {known[0].name} could be fitted: there was nothing to compare it with."
+        return known[0].name, f"Only {known[0].name} could be fitted: there is no comparison."
     least = min(known, key=lambda each: each.bic or 0.0)
     likely = [each for each in known if _bic(each) - _bic(least) < SUPPORT.strong]
     predicted = [each for each in known if np.isfinite(error(each.held_out))]
     first = min(likely, key=lambda each: each.unknowns)
     if not predicted:
-        alone = "Nothing was held out or could be predicted, so only fits were compared."
+        alone = "There is no held-out prediction, so only fits were compared."
         return first.name, f"{_by_bic(first, known)} {alone}{_hue(first)}"
     nearest = min(predicted, key=lambda each: error(each.held_out))
     alike = {each.name: why_alike(each.held_out, nearest.held_out) for each in predicted}
@@ -131,14 +131,14 @@ def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, s
         also = "best of all."
         if chosen is not nearest:
             also = f"not clearly worse than {nearest.name} ({_error(nearest, unit)}): {alike[chosen.name]}."
-        return chosen.name, f"{_by_bic(chosen, known)} It predicts {_error(chosen, unit)} off, {also}{_hue(chosen)}"
+        return chosen.name, f"{_by_bic(chosen, known)} Prediction error {_error(chosen, unit)}, {also}{_hue(chosen)}"
     simple = min(good, key=lambda each: each.unknowns)
     chosen = simple if first.whiteness < SUPPORT.coloured else first
-    why = "are no white noise, which BIC relies on" if chosen is simple else "are white noise, as BIC wants them"
+    why = "are not white noise, which BIC requires" if chosen is simple else "are white noise, as BIC requires"
     return chosen.name, (
-        f"The two disagree: BIC prefers {first.name}, held-out prediction prefers {simple.name} "
+        f"BIC and prediction disagree: BIC prefers {first.name}, held-out prediction prefers {simple.name} "
         f"({_error(simple, unit)} against {_error(first, unit)}). The residuals of {first.name} {why}, "
-        f"so {chosen.name} is taken; record more to be sure.{_hue(chosen)}"
+        f"so {chosen.name} is preferred; a longer recording would decide.{_hue(chosen)}"
     )
 
 
@@ -153,20 +153,20 @@ def _by_bic(chosen: Evidence, known: Sequence[Evidence]) -> str:
     if ahead >= SUPPORT.strong:
         return f"{chosen.name}: BIC is lower by {ahead:.0f} than that of the next, {next_one.name}."
     what = "lower" if ahead >= 0.0 else "higher"
-    weak = f"{chosen.name}: BIC is {what} than that of {next_one.name} by {abs(ahead):.1f} only: no strong evidence"
+    weak = f"{chosen.name}: BIC is {what} than that of {next_one.name} by only {abs(ahead):.1f}: no strong evidence"
     return f"{weak}." if ahead >= 0.0 else f"{weak}, and it is the simpler of the two."
 
 
 def probability(value: float) -> str:
-    """Return a p-value in words."""
+    """Return a p-value as text."""
     return f"p = {value:.2g}" if value >= SUPPORT.tiny else f"p < {SUPPORT.tiny:.0e}"
 
 
 def _hue(chosen: Evidence) -> str:
-    """Return a warning where even the chosen model leaves more than noise."""
+    """Return a warning if the residuals of the preferred model are more than noise."""
     if chosen.whiteness >= SUPPORT.coloured:
         return ""
-    return f" But its residuals are no white noise ({probability(chosen.whiteness)}): all candidates miss something."
+    return f" But its residuals are not white noise ({probability(chosen.whiteness)}): all candidates omit an effect."
 
 
 def _error(each: Evidence, unit: str) -> str:

@@ -91,7 +91,7 @@ class ModelComparison:
 
     @property
     def message(self) -> str:
-        """Why it is no success; empty on success."""
+        """Why the comparison failed; empty on success."""
         return "" if self.success else f"{self.status}: {self.recommendation}"
 
     @property
@@ -101,17 +101,17 @@ class ModelComparison:
 
     @property
     def dataset(self) -> "xr.Dataset":
-        """The table as an ``xarray.Dataset`` over the dimension model; NaN where there is nothing to tell."""
+        """The table as an ``xarray.Dataset`` over the dimension model; NaN for missing values."""
         extras.require(("xarray",), "xarray", "Datasets")
         import xarray as xr
 
         columns: dict[str, Any] = {}
         for name, unit, about in (
             ("links", "1", "number of links"),
-            ("parameters", "1", "free parameters that can be known"),
-            ("bic", "1", "Schwarz's criterion, less is better"),
+            ("parameters", "1", "identifiable free parameters"),
+            ("bic", "1", "Bayesian information criterion, smaller is better"),
             ("fit_rms", self.unit, "error of the fit"),
-            ("held_out_rms", self.unit, "error of predicting the part held out"),
+            ("held_out_rms", self.unit, "error of predicting the held-out part"),
             ("whiteness", "1", "probability of residuals as autocorrelated as these under white noise"),
         ):
             values = [getattr(model, name) for model in self.models]
@@ -121,7 +121,7 @@ class ModelComparison:
         return xr.Dataset(columns, {"model": names}, {"preferred": self.preferred or ""})
 
     def summary(self) -> dict[str, Any]:
-        """Return the table, the preference and the words as plain numbers, lists and strings; None for no number."""
+        """Return the table, the preference and the texts as plain numbers, lists and strings; None for no number."""
         names = ("name", "links", "parameters", "bic", "fit_rms", "held_out_rms", "whiteness", "reason")
         table = [{name: getattr(m, name) for name in (*names, "free")} for m in self.models]
         result: dict[str, Any] = {"success": self.success, "status": self.status, "message": self.message}

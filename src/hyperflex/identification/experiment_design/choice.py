@@ -18,14 +18,14 @@ from hyperflex.model import Arm, Rope
 from hyperflex.progress import progress_bar
 from hyperflex.status import Status
 
-WEIGHED = ("mass", "com", "tip_mass")  # what a pair of scales can tell
+WEIGHED = ("mass", "com", "tip_mass")  # measurable with scales
 TORQUE_NOISE = 0.01  # part of the torque that holds arm and rope out level, all mass at the tip
 SHOWN = 3  # numbers asked for in a line of the table, the rest in the summary
 
 
 @dataclass(frozen=True)
 class DesignQuestion:
-    """What was asked of :func:`design_experiment`."""
+    """Arguments of :func:`design_experiment`."""
 
     rope: Rope
     want: tuple[str, ...]
@@ -36,16 +36,16 @@ class DesignQuestion:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """An experiment and what it would tell.
+    """An experiment and the standard deviations that it would give.
 
     Attributes
     ----------
     experiment : Experiment
     std, relative : dict of str to float
-        Predicted standard deviation of each number asked for, SI units, and over its value (over a typical change where
-        that is 0, or an offset); inf where the experiment cannot tell it.
+        Predicted standard deviation of each wanted number, SI units, and relative to its value (to a typical change for
+        a value of 0, or an offset); inf if the experiment does not determine it.
     reason : str
-        Why it could not be simulated, or empty.
+        Why the experiment could not be simulated; empty if it could.
     """
 
     experiment: Experiment
@@ -55,22 +55,22 @@ class Plan:
 
     @property
     def score(self) -> float:
-        """The largest relative standard deviation; inf where something asked for cannot be told."""
+        """The largest relative standard deviation; inf if a wanted number is not determined."""
         return max(self.relative.values(), default=float("inf"))
 
 
 @dataclass(frozen=True, eq=False)
 class ExperimentDesign:
-    """Experiments ranked by what they would tell; ``print`` shows the table.
+    """Experiments ranked by expected standard deviations; ``print`` shows the table.
 
     Attributes
     ----------
     plans : tuple of Plan
         The best first, those that could not be simulated last.
     want : tuple of str
-        What was asked for.
+        Names of the wanted numbers.
     advice : str
-        In words: which to make; or what to measure where none can tell.
+        Text: the recommended experiment, or what to measure if no experiment determines the wanted numbers.
     interrupted : bool
         Whether Ctrl-C came before all candidates were simulated.
     """
@@ -94,17 +94,17 @@ class ExperimentDesign:
 
     @property
     def message(self) -> str:
-        """Why it is no success; empty on success."""
+        """Why the design failed; empty on success."""
         return "" if self.success else f"{self.status}: {self.advice}"
 
     @property
     def best(self) -> Plan | None:
-        """The plan that tells most about what is asked for; None where none can tell it."""
+        """The plan with the smallest standard deviations; None if none determines the wanted numbers."""
         first = self.plans[0] if self.plans else None
         return first if first is not None and np.isfinite(first.score) else None
 
     def summary(self) -> dict[str, Any]:
-        """Return ranking and words as plain numbers, lists and strings; None where something cannot be told."""
+        """Return ranking and texts as plain numbers, lists and strings; None for a number that is not determined."""
         head = {"success": self.success, "status": self.status, "message": self.message}
         table = []
         for plan in self.plans:
@@ -249,7 +249,7 @@ def _advice(asked: DesignQuestion, ranked: Sequence[Plan], seen: Sequence[Expect
     if not np.isfinite(best.score):
         return _alternatives(asked, [plan.experiment for plan in ranked if not plan.reason], seen[0])
     worst = max(best.relative, key=lambda name: best.relative[name])
-    said = f"Make: {best.experiment.name}. It tells {worst} to {_percent(best.score)}"
+    said = f"Make: {best.experiment.name}. It determines {worst} to {_percent(best.score)}"
     said += (
         f" ({_figure(best.std[worst])})" if len(best.std) == 1 else f" and the rest of {', '.join(asked.want)} better"
     )
@@ -260,30 +260,30 @@ def _advice(asked: DesignQuestion, ranked: Sequence[Plan], seen: Sequence[Expect
         said += f"; {last.experiment.name} would leave {last.score / best.score:.2g} times as much"
     said += "."
     if blind:
-        said += f" Cannot tell: {', '.join(blind)}."
+        said += f" Not sufficient: {', '.join(blind)}."
     return said
 
 
 def _alternatives(asked: DesignQuestion, experiments: Sequence[Experiment], seen: ExpectedInformation) -> str:
-    """Return in words why none of the simulated `experiments` tells what is asked for, and what would."""
+    """Return why none of the simulated `experiments` determines the wanted numbers, and what would."""
     lost = [name for name, (std, _) in seen.spreads(asked.want).items() if not np.isfinite(std)]
     names = ", ".join(lost) or ", ".join(asked.want)
     if common_factor(seen.parameters, seen.information.x, seen.information.unknown) is None:
-        why = "it does not act in these motions, or acts just as others that are free"
-        weighed = _weigh(asked, experiments) or "Free fewer parameters, or try motions in which they act differently."
-        return f"No candidate can tell {names}: {why}. {weighed}"
-    why = "no known force or torque acts; all masses, inertias and frictions are known to a common factor only"
+        why = "it has no effect in these motions, or the same effect as other free parameters"
+        weighed = _weigh(asked, experiments) or "Free fewer parameters, or try motions in which their effects differ."
+        return f"No candidate determines {names}: {why}. {weighed}"
+    why = "no known force or torque acts, so masses, inertias and frictions share an unknown factor"
     known = [name for name in ("J/p1", "p/p1", "c/p1") if _tells(seen, name)]
-    ratio = f"Known without it are the ratios over the first moment, want={known!r}." if known else ""
+    ratio = f"Ratios over the first moment are determined nevertheless: want={known!r}." if known else ""
     helps = (_weigh(asked, experiments), _torque(asked, experiments), ratio)
-    return " ".join([f"No candidate can tell {names}: {why}.", *(text for text in helps if text)])
+    return " ".join([f"No candidate determines {names}: {why}.", *(text for text in helps if text)])
 
 
 def _weigh(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
     kept = tuple(word for word in asked.free if word.partition(":")[0].partition("[")[0] not in WEIGHED)
     own = [word for word in asked.want if word.partition("[")[0] in WEIGHED]
     if own:
-        return f"Weigh it: a pair of scales, and a knife edge for com, tell {', '.join(own)} directly."
+        return f"Measure {', '.join(own)} directly, with scales, and com on a knife edge."
     if not kept or kept == asked.free:
         return ""
     found = _best(replace(asked, free=kept), experiments)
@@ -293,12 +293,12 @@ def _weigh(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
 
 def _torque(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
     if asked.arm is None:
-        return "Or swing it by a motor whose torque is measured (arm=..., torque_noise)."
+        return "Or drive the rope by a motor whose torque is measured (arm=..., torque_noise)."
     moved = [each for each in experiments if each.motion is not None and each.torque_noise is None]
     reach = asked.arm.length + asked.rope.total_length
     noise = float(f"{TORQUE_NOISE * asked.rope.total_mass * float(np.hypot(*asked.rope.gravity)) * reach:.1g}")
     found = _best(asked, [replace(each, torque_noise=noise) for each in moved])
-    return "" if not found else f"Or measure the motor's torque, say to {noise:g} N m: {found}."
+    return "" if not found else f"Or measure the motor's torque, for example to {noise:g} N m: {found}."
 
 
 def _tells(seen: ExpectedInformation, name: str) -> bool:
@@ -307,7 +307,7 @@ def _tells(seen: ExpectedInformation, name: str) -> bool:
 
 
 def _best(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
-    """Return which experiment then tells what is asked for, and how well; empty if none does."""
+    """Return which experiment then determines the wanted numbers, and how well; empty if none does."""
     scores: dict[str, float] = {}
     for experiment in experiments:
         try:
@@ -318,11 +318,11 @@ def _best(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
     name = min(scores, key=lambda each: scores[each], default="")
     if not name or not np.isfinite(scores[name]):
         return ""
-    return f"then {name} tells {', '.join(asked.want)} to {100.0 * scores[name]:.3g} %"
+    return f"then {name} determines {', '.join(asked.want)} to {100.0 * scores[name]:.3g} %"
 
 
 def _figure(value: float) -> str:
-    return f"{value:.3g}" if np.isfinite(value) else "cannot be told"
+    return f"{value:.3g}" if np.isfinite(value) else "not determined"
 
 
 def _percent(value: float) -> str:

@@ -1,4 +1,4 @@
-"""Pictures of any identification: fit over data, what it leaves, prediction with its band, and how it got there."""
+"""Figures of an identification: fit and data, residuals, prediction with its band, history of the cost."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def broken(axis: Any, t: Array, values: Array, number: Array | None = None, **st
 
 
 def samples(axis: Any, t: Array, values: Array) -> None:
-    """Draw measured samples: rings where they are few, specks where they are many."""
+    """Draw measured samples: rings if they are few, dots if they are many."""
     if t.size < _SPARSE:
         axis.plot(t, values, "o", ms=4.0, mfc="none", mec=INK, mew=0.7, label="measured")
     else:
@@ -45,7 +45,7 @@ def samples(axis: Any, t: Array, values: Array) -> None:
 
 
 def fit_figure(view: FittedChannels) -> Figure:
-    """Draw the chosen channels over all time, and beside them the window in which each fits worst."""
+    """Draw the chosen channels over the whole time, and the window with the worst fit of each."""
     zoomed = np.unique(view.window).size > _FEW_WINDOWS
     with new_figure(_WIDTH, 0.9 + 1.75 * len(view.chosen)) as figure:
         axes = figure.subplots(
@@ -80,7 +80,7 @@ def _draw_predicted(axis: Any, held: HeldOut, channel: int, **style: Any) -> Non
 
 
 def _stretch(held: HeldOut) -> Array:
-    """Return the number (m,) of the prediction that each sample belongs to."""
+    """Return the number (m,) of the prediction of each sample."""
     return np.asarray(np.searchsorted(held.starts, held.t, side="left"), dtype=np.float64)
 
 
@@ -104,7 +104,7 @@ def _label(view: FittedChannels, channel: int) -> str:
 
 
 def prediction_figure(view: FittedChannels, held: HeldOut) -> Figure:
-    """Draw what the held-out part shows beside its prediction, and the error in the band that the fit expects."""
+    """Draw the held-out part and its prediction, and the error with its expected band."""
     with new_figure(_WIDTH, 0.9 + 1.75 * len(view.chosen)) as figure:
         axes = figure.subplots(len(view.chosen), 2, squeeze=False, sharex=True)
         for row, channel in zip(axes, view.chosen, strict=True):
@@ -134,13 +134,13 @@ def _draw_error(axis: Any, view: FittedChannels, held: HeldOut, channel: int) ->
     for start in held.failed:
         axis.axvspan(start, start + held.ahead, color=RED, alpha=0.3, lw=0)
     told = f"{rms / unit.size:.3g} {unit.name} rms" if np.isfinite(rms) else "failed where dark"
-    axis.set(ylabel=f"error, {unit.name}", title=f"measured less predicted: {told}")
+    axis.set(ylabel=f"error, {unit.name}", title=f"measured minus predicted: {told}")
     tallest = max(1.1 * np.nanmax(np.abs(error), initial=0.0), np.nanquantile(np.append(band, 0.0), 0.97))
     axis.set_ylim(-tallest / unit.size, tallest / unit.size) if tallest > 0.0 else None
 
 
 def residual_figure(view: FittedChannels) -> Figure:
-    """Draw what the fit leaves of the chosen channels: over time, histogram, and autocorrelation."""
+    """Draw the residuals of the chosen channels: over time, histogram, and autocorrelation."""
     found = view.found
     lag, correlation, band = correlogram(view.fit_t, found.residuals, _LAGS)
     with new_figure(_WIDTH, 0.6 + 1.75 * len(view.chosen)) as figure:
@@ -180,7 +180,7 @@ def _draw_correlogram(axis: Any, lag: Array, correlation: Array, band: Array) ->
 
 
 def multiples_figure(view: FittedChannels) -> Figure:
-    """Draw every channel small: measured, fitted, predicted."""
+    """Draw small multiples of all channels: measured, fitted, predicted."""
     count = len(view.names)
     rows = -(-count // _COLUMNS)
     with new_figure(_WIDTH, 0.5 + 1.15 * rows) as figure:
@@ -199,7 +199,7 @@ def multiples_figure(view: FittedChannels) -> Figure:
 
 
 def shapes_figure(view: FittedChannels) -> Figure:
-    """Draw markers and fit as the camera sees them, at instants spread over the fitted time, side by side."""
+    """Draw markers and fit in the plane at several instants of the fitted time."""
     fitted = view.fitted.reshape(view.fit_t.size, -1, 2)
     measured = fitted + view.found.residuals.reshape(fitted.shape)
     whole = np.flatnonzero(~np.isnan(fitted).any(axis=(1, 2)))
@@ -221,7 +221,7 @@ def shapes_figure(view: FittedChannels) -> Figure:
 
 
 def history_figure(found: Identification) -> Figure:
-    """Draw how the cost fell, round by round, stage by stage, each over the least of its stage."""
+    """Draw the cost over the iterations of each stage, relative to the smallest of the stage."""
     with new_figure(_WIDTH, 2.4) as figure:
         axis: Any = figure.subplots()
         first = 0
@@ -240,7 +240,7 @@ def history_figure(found: Identification) -> Figure:
 
 
 def along_figure(found: Identification, guess: Rope | None = None) -> Figure | None:
-    """Draw each property that many links have of their own, with 95 % intervals; None where there is no such one."""
+    """Draw each property with separate values for many links, with 95 % intervals; None if there is none."""
     own: dict[str, list[Number]] = {}
     for each in numbers(found):
         if each.place is not None and each.name != "arc":

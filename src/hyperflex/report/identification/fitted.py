@@ -1,4 +1,4 @@
-"""What was measured beside what was fitted, channel by channel, for figures and tables."""
+"""Measured and fitted channels, for figures and tables."""
 
 from dataclasses import dataclass
 
@@ -15,8 +15,8 @@ FEW = 4  # channels that are all shown large
 class FittedChannels:
     """A recording and its fit in the same channels.
 
-    All that was measured of the angles or places that were fitted, and the fit at the samples that it was made on;
-    those `chosen` say the most: first, middle and last link, or middle and last marker, and the one that fits worst.
+    All measured angles or positions, and the fit at the fitted samples. The `chosen` channels are the most informative:
+    first, middle and last link, or middle and last marker, and the one with the worst fit.
     """
 
     found: Identification
@@ -29,12 +29,12 @@ class FittedChannels:
 
     @property
     def end(self) -> float:
-        """Until when samples were fitted, s."""
+        """End of the fitted samples, s."""
         return float(self.found.settings["fitted_to"])
 
     @property
     def window(self) -> Array:
-        """Number (m,) of the window that each fitted sample lies in."""
+        """Number (m,) of the window of each fitted sample."""
         step = float(np.median(np.diff(self.t)))
         length = min(float(self.found.settings["window"]), 2.0 * (self.t[-1] - self.t[0]))
         return np.asarray(np.floor((self.fit_t - self.fit_t[0]) / length + 1e-6 * step / length))
@@ -50,7 +50,7 @@ class FittedChannels:
 
 
 def fitted_channels(recording: Recording, found: Identification) -> FittedChannels:
-    """Return a recording and what was fitted to it, in the same channels."""
+    """Return a recording and its fit in the same channels."""
     channels = recording.angles() if found.unit == "rad" else recording
     rows = np.searchsorted(channels.t, found.residual_t)
     fitted = np.asarray(channels.data[rows] - found.residuals)

@@ -39,15 +39,15 @@ def write_identification(
 ) -> dict[str, Path]:
     """Write the identified rope (TOML), all figures (JSON) and the page to a folder, see :func:`whole_folder`.
 
-    `recording` is what :func:`hyperflex.identify` was given, `found` what it gave back; a first guess is shown beside.
-    The answer has the files ``rope``, ``figures`` and ``page``.
+    `recording` is the argument of :func:`hyperflex.identify`, `found` its result; a first guess is shown as well.
+    Returns the files ``rope``, ``figures`` and ``page``.
     """
     written = write_found(directory, found)
     return written | identification_page(Path(directory) / PAGE, recording, found, guess)
 
 
 def write_found(directory: str | Path, found: Identification) -> dict[str, Path]:
-    """Write the rope and the figures alone, which takes no drawing, and remove an earlier page; return both files."""
+    """Write only the rope and the numbers, without drawing, and remove an earlier page; return both files."""
     names = {"rope": "rope.toml", "figures": "identification.json"}
     with whole_folder(directory, [PAGE]) as stage:
         found.to_toml(stage / names["rope"])
@@ -60,7 +60,7 @@ def identification_page(
 ) -> dict[str, Path]:
     """Write the page alone: one HTML file with its figures inside. Arguments as of :func:`write_identification`.
 
-    The answer has the file ``page``.
+    Returns the file ``page``.
     """
     view = fitted_channels(recording, found)
     many = len(view.names) > len(view.chosen)
@@ -93,33 +93,38 @@ def _assessment(found: Identification) -> Section:
         error = float(np.sqrt(np.mean(held.rms**2)))
         unit = readable_unit(found.unit, error)
         words = f"{error / unit.size:.3g} {unit.name}" if np.isfinite(error) else "failed"
-        tiles.append((words, f"error when {held.ahead:g} s are predicted that the fit has not seen (rms)"))
+        tiles.append((words, f"error of predicting {held.ahead:g} s that were not fitted (rms)"))
         if np.isfinite(held.inside):
             half = BAND * float(np.sqrt(np.nanmean(held.std**2))) / unit.size
             band = f"within ± {half:.3g} {unit.name}"
-            tiles.append((f"{100.0 * held.inside:.0f} %", f"of these predictions lie where 95 % is expected, {band}"))
+            tiles.append(
+                (
+                    f"{100.0 * held.inside:.0f} %",
+                    f"of these predictions lie in the band that should contain 95 %, {band}",
+                )
+            )
     marks = tuple((each.severity is Severity.NOTE, text(each)) for each in found.findings)
     return Section("Assessment", verdict=(found.success, GRADES[found.grade]), tiles=tuple(tiles), marks=marks)
 
 
 def _found(found: Identification, guess: Rope | None) -> list[Section]:
-    """Return parameters, and ratios where some of them were free."""
+    """Return the parameters, and the ratios if some of them were free."""
     table = parameters_table(found, guess)
-    intervals = "as the fit gives it" if getattr(found, "intervals", None) else "value plus and minus 1.96 std"
+    intervals = "from the fit" if getattr(found, "intervals", None) else "value plus and minus 1.96 std"
     factor = found.settings["autocorrelation"]
-    counted = "Residuals are taken as independent from sample to sample"
+    counted = "Residuals are treated as independent from sample to sample"
     if factor > 1.05:
-        counted = f"That residuals hang together, over {factor:.3g} samples, is counted in"
+        counted = f"They include the correlation of the residuals over {factor:.3g} samples"
     deviations = (
         "std: standard deviation; it, the interval and the guess are in the unit of the value. "
-        f"95 % interval: {intervals}. {counted}. They allow for errors of the model as far as the assessment says."
+        f"95 % interval: {intervals}. {counted}. They include errors of the model as far as the assessment states."
     )
     counting = "Links and markers count from 0: link 0 hangs from the first joint."
     unknown = not all(np.isfinite(each.std) for each in numbers(found))
-    many = ["Where a value cannot be known, the one given is one of many that move alike."] if unknown else []
+    many = ["If a value is not determined, the one shown is one of many with the same motion."] if unknown else []
     notes = [deviations, *many, counting]
     if tied := ties(found):
-        notes.append(f"These err together (correlation): {', '.join(tied)}.")
+        notes.append(f"Correlated errors: {', '.join(tied)}.")
     along = along_figure(found, guess)
     pictures = () if along is None else (_picture(along, "Values along the rope with 95 % intervals."),)
     sections = [
@@ -128,8 +133,8 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
     ratios = ratios_table(found)
     if ratios is not None:
         text = (
-            "What a free swing can tell at most, whatever the rope weighs: everything over p1, the first moment of "
-            "link 0 about its joint. Moments and inertias count all mass beyond a link as if it sat at its far end."
+            "A free swing determines at most ratios to p1, the first moment of link 0 about its joint. Moments and "
+            "inertias include all mass beyond a link, concentrated at its far end."
         )
         sections.append(Section("Ratios", text=(text,), table=ratios, folded=_folded(ratios, "ratios")))
     return sections
@@ -142,7 +147,7 @@ def _fit(view: FittedChannels, many: bool) -> Section:
     pictures = [
         _picture(
             fit_figure(view),
-            f"{some}The fit goes window by window, each from a state of its own{held}.",
+            f"{some}Each window is fitted with its own initial state{held}.",
         )
     ]
     if view.found.unit == "m":
@@ -153,44 +158,44 @@ def _fit(view: FittedChannels, many: bool) -> Section:
 
 def _prediction(view: FittedChannels) -> Section:
     found, held = view.found, view.found.held_out
-    title = "Prediction of what the fit has not seen"
+    title = "Prediction of data that was not fitted"
     if held is None:
-        why = "the recording was fitted to its end, or what was left of it is too short"
+        why = "the recording was fitted to its end, or the remainder is too short"
         if found.ended is not None:
             why = f"the fit ended early ({found.ended})"
         return Section(title, text=(f"Nothing was predicted: {why}.",))
     times = "once" if held.starts.size == 1 else f"{held.starts.size} times, one after the other"
     text = (
-        f"From {view.end:.4g} s on nothing was fitted. There the state is found on {held.lead:g} s, and the next "
-        f"{held.ahead:g} s are predicted without data; this is done {times}."
+        f"The data after {view.end:.4g} s were not fitted. The state is estimated from {held.lead:g} s, and the next "
+        f"{held.ahead:g} s are predicted without data, {times}."
     )
     caption = (
-        "Left: measured and predicted. Right: the error, in the band that should hold 95 % of it. The band is a "
-        "linearisation: the parameters' covariance, the state's uncertainty and the noise, by the exact derivatives of "
-        "the motion. Where it is narrower than the errors, the model is wrong by the difference."
+        "Left: measured and predicted. Right: the error, and the band that should contain 95 % of it. The band is "
+        "linearised: covariance of the parameters, uncertainty of the state and noise, with the exact derivatives of "
+        "the motion. If the errors are larger than the band, the model is wrong by the difference."
     )
     return Section(title, text=(text,), pictures=(_picture(prediction_figure(view, held), caption),))
 
 
 def _residuals(view: FittedChannels) -> Section:
     caption = (
-        "What the fit leaves: over time; how often each size occurs, beside a normal distribution; and how far a "
-        "residual tells its successors. Residuals that are noise alone stay within the shaded band."
+        "Residuals over time; their histogram, with a normal distribution; and their autocorrelation, with the band "
+        "that contains that of white noise."
     )
     return Section("Residuals", pictures=(_picture(residual_figure(view), caption),))
 
 
 def _history(found: Identification) -> Section:
     if not found.history:
-        return Section("How the fit went", text=("It was interrupted before its first round was done.",))
-    caption = "What the fit leaves after each round, over the least of its stage; short windows forgive a poor guess."
+        return Section("How the fit went", text=("The fit was interrupted during its first iteration.",))
+    caption = "Cost after each iteration, relative to the smallest of its stage; short windows tolerate a poor guess."
     return Section("How the fit went", pictures=(_picture(history_figure(found), caption),))
 
 
 def _rope(found: Identification) -> Section:
     table = rope_table(found.rope, found)
     total = f"{found.rope.total_length:.4g} m, {found.rope.total_mass:.4g} kg in all."
-    notes = ("* fitted; all else as the guess has it",)
+    notes = ("* fitted; all other values are those of the guess",)
     return Section("The rope", text=(total,), table=table, notes=notes, folded=_folded(table, "links"))
 
 

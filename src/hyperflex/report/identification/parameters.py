@@ -13,9 +13,9 @@ from hyperflex.report.units import readable_unit, rounded, short
 
 @dataclass(frozen=True)
 class Number:
-    """One free number: its label as in the verdict, the property's name, which link or marker, and its law.
+    """One free number: its label as in the assessment, the property's name, which link or marker, and its law.
 
-    value, std, low and high (95 %) are in SI units; std is inf, and low and high NaN, where it cannot be known.
+    value, std, low and high (95 %) are in SI units; if it is not determined, std is inf, and low and high are NaN.
     """
 
     label: str
@@ -44,7 +44,7 @@ class Number:
 
 
 def numbers(found: Identification) -> tuple[Number, ...]:
-    """Return all free numbers; intervals are the identification's own, or value plus and minus 1.96 std."""
+    """Return all free numbers with the intervals of the identification, or value plus and minus 1.96 std."""
     return tuple(_number(found, label) for label in found.parameters)
 
 
@@ -64,7 +64,7 @@ def _number(found: Identification, label: str) -> Number:
 
 
 def _interval(found: Identification, label: str, value: float, std: float) -> tuple[float, float]:
-    """Return the identification's own 95 % interval, where it has one, else value plus and minus 1.96 std."""
+    """Return the 95 % interval of the identification, or value plus and minus 1.96 std without one."""
     given = (getattr(found, "intervals", None) or {}).get(label)
     if given is None:
         return value - BAND * std, value + BAND * std
@@ -72,7 +72,7 @@ def _interval(found: Identification, label: str, value: float, std: float) -> tu
 
 
 def parameters_table(found: Identification, guess: Rope | None) -> TextTable:
-    """Return all free numbers with standard deviations and intervals, and the first guess where it is given."""
+    """Return all free numbers with standard deviations and intervals, and the first guess if it is given."""
     every = numbers(found)
     rows = []
     for each in every:
@@ -94,7 +94,7 @@ def parameters_table(found: Identification, guess: Rope | None) -> TextTable:
 
 
 def _start(each: Number, found: Identification, guess: Rope) -> float | None:
-    """Return what a number started from, or None where that was read off the recording."""
+    """Return the starting value of a number, or None if it came from the recording."""
     if each.law in ("factor", "taper"):
         return 1.0
     owner = PROPERTIES[each.name].owner
@@ -112,7 +112,7 @@ def _start(each: Number, found: Identification, guess: Rope) -> float | None:
 
 
 def ties(found: Identification, least: float = 0.95, most: int = 5) -> tuple[str, ...]:
-    """Return in words which numbers are correlated: pairs whose correlation is at least `least`, the closest first."""
+    """Return correlated pairs of numbers as text: correlation at least `least`, the closest first."""
     std = np.sqrt(np.diag(found.covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = np.nan_to_num(found.covariance / np.outer(std, std))
@@ -123,7 +123,7 @@ def ties(found: Identification, least: float = 0.95, most: int = 5) -> tuple[str
 
 
 def ratios_table(found: Identification) -> TextTable | None:
-    """Return the ratios that a motion without known forces determines, or None where none of them was free."""
+    """Return the ratios that a motion without known forces determines, or None if none of them was free."""
     rows = []
     for name, values in found.ratios.items():
         unit, spreads = readable_unit(name, values), found.ratio_std[name]
@@ -138,7 +138,7 @@ def ratios_table(found: Identification) -> TextTable | None:
 
 
 def _spread(found: Identification, label: str, value: float, std: float) -> tuple[str, str]:
-    """Return deviation and interval of a ratio."""
+    """Return standard deviation and interval of a ratio."""
     if not np.isfinite(std):
         return "", "cannot be known"
     low, high = _interval(found, label, value, std)
@@ -148,7 +148,7 @@ def _spread(found: Identification, label: str, value: float, std: float) -> tupl
 
 
 def _span(low: float, high: float, std: float) -> str:
-    """Return an interval in words; it is one-sided where an end is not finite."""
+    """Return an interval as text; it is one-sided if an end is not finite."""
     ends = [rounded(end, std) if np.isfinite(end) else "" for end in (low, high)]
     if ends[0] and ends[1]:
         return f"{ends[0]} to {ends[1]}"
@@ -156,12 +156,12 @@ def _span(low: float, high: float, std: float) -> str:
 
 
 def present(rope: Rope) -> dict[str, bool]:
-    """Return for each property of the links whether the rope has any of it."""
+    """Return for each property of the links whether the rope has non-default values."""
     return {each.name: bool((getattr(rope, each.name) != each.default).any()) for each in LINK_PROPERTIES}
 
 
 def rope_table(rope: Rope, found: Identification) -> TextTable:
-    """Return the identified rope link by link; what was free is marked with a star."""
+    """Return the identified rope link by link; free values are marked with a star."""
     free = {each.name for each in numbers(found)}
     shown = [name for name, there in present(rope).items() if there]
     units = [readable_unit(name, getattr(rope, name)) for name in shown]

@@ -1,4 +1,4 @@
-"""How an identification was set up: recording, fit, what was held, versions."""
+"""Settings of an identification: recording, fit, fixed values, versions."""
 
 import platform
 from importlib.metadata import version
@@ -15,13 +15,13 @@ from hyperflex.report.units import readable_unit
 _PACKAGES = ("hyperflex", "numpy", "numba")
 _LOSS = {
     "squares": "squares",
-    "huber": "Huber: large residuals count less than their squares",
-    "cauchy": "Cauchy: gross outliers hardly count",
+    "huber": "Huber: large residuals have less weight than their squares",
+    "cauchy": "Cauchy: gross outliers have little weight",
 }
 
 
 def recording_table(recording: Recording, found: Identification) -> TextTable:
-    """Return what was measured."""
+    """Return the table of the recording."""
     joints = recording.kind == "markers" and "arc_lengths" not in found.settings
     steps = np.diff(recording.t)
     usual = float(np.median(steps))
@@ -33,7 +33,7 @@ def recording_table(recording: Recording, found: Identification) -> TextTable:
     share = 100.0 * recording.gaps / recording.data.size
     rows = [
         ("recording", recording.name or "without a name"),
-        ("source", recording.source or "not said"),
+        ("source", recording.source or "not declared"),
         ("contents", f"{_kind(recording)}: {recording.convention}"),
         *([("markers at", "the joints, the first at the pivot")] if joints else []),
         ("samples", f"{recording.t.size}, every {1e3 * usual:.4g} ms ({1.0 / usual:.4g} a second){even}"),
@@ -52,32 +52,32 @@ def _kind(recording: Recording) -> str:
 
 def _noise(recording: Recording) -> str:
     if recording.noise is None:
-        return "not given: all samples count alike"
+        return "not given: all samples have equal weight"
     low, high = float(recording.noise.min()), float(recording.noise.max())
     unit = readable_unit("rad" if recording.kind == "angles" else "m", high)
     span = f"{low / unit.size:.3g}" if low == high else f"{low / unit.size:.3g} to {high / unit.size:.3g}"
-    return f"{span} {unit.name} as given"
+    return f"{span} {unit.name}, as declared"
 
 
 def fit_table(found: Identification) -> TextTable:
-    """Return what was fitted, and how."""
+    """Return the table of the fit's settings."""
     done = found.settings
     free = {each.name for each in numbers(found)}
     rope = found.rope
     fixed = {name.replace("_", " "): there for name, there in present(rope).items() if name not in free}
     held, none = ([name for name, there in fixed.items() if there is whether] for whether in (True, False))
-    left = f"; {done['left_out']} left out, where too little is seen" if done["left_out"] else ""
+    left = f"; {done['left_out']} omitted for lack of data" if done["left_out"] else ""
     picked = f", every {done['decimation']}th sample" if done["decimation"] > 1 else ""
     rows = [
-        ("free", ", ".join(_told(word) for word in done["free"])),
-        ("held as given", ", ".join(held) or "nothing"),
-        ("without", ", ".join(none) or "nothing"),
+        ("free", ", ".join(_described(word) for word in done["free"])),
+        ("fixed", ", ".join(held) or "nothing"),
+        ("zero", ", ".join(none) or "nothing"),
         ("tip mass", f"{rope.tip_mass:.4g} kg" + (" (fitted)" if "tip_mass" in free else "")),
         ("gravity", f"({rope.gravity[0]:.4g}, {rope.gravity[1]:.4g}) m/s²"),
         ("first joint", str(done["base"])),
         *_markers(found),
         ("fitted time", f"{done['fitted_from']:.6g} to {done['fitted_to']:.6g} s"),
-        ("windows", f"{done['windows']} of {done['window']:.4g} s, each from a state of its own{left}{picked}"),
+        ("windows", f"{done['windows']} of {done['window']:.4g} s, each with its own initial state{left}{picked}"),
         ("loss", _LOSS[done["loss"]]),
         ("ended", f"{found.status}, after {len(found.history)} rounds and {done['seconds']:.2g} s"),
         ("versions", ", ".join([*(f"{name} {version(name)}" for name in _PACKAGES), _python()])),
@@ -98,8 +98,8 @@ def _python() -> str:
     return f"Python {platform.python_version()} on {platform.system()}, {platform.machine()}"
 
 
-def _told(word: str) -> str:
-    """Return an entry of ``free`` in words."""
+def _described(word: str) -> str:
+    """Return an entry of ``free`` as text."""
     name, _, law = word.partition(":")
     name, _, place = name.partition("[")
     whose = {"shared": " (one value for all links)", "factor": " (one factor for all links)"}
@@ -109,10 +109,10 @@ def _told(word: str) -> str:
 
 
 def lead(recording: Recording, found: Identification, rope: Rope) -> str:
-    """Return in a sentence what was identified from what."""
-    words = ", ".join(_told(word) for word in found.settings["free"])
+    """Return a sentence on the recording and the free parameters."""
+    words = ", ".join(_described(word) for word in found.settings["free"])
     links = "one link" if rope.n_links == 1 else f"{rope.n_links} links"
     return (
-        f"What {recording.duration:.4g} s of {_kind(recording)} ({recording.t.size} samples) tell about a rope of "
-        f"{links}: {words}. All else was held as the first guess has it."
+        f"Identified from {recording.duration:.4g} s of {_kind(recording)} ({recording.t.size} samples), for a rope of "
+        f"{links}: {words}. All other values are those of the first guess."
     )
