@@ -209,7 +209,7 @@ def test_ctrl_c_keeps_the_candidates_that_are_done(monkeypatch: pytest.MonkeyPat
     assert found.status == "interrupted"
     assert [model.name for model in found.models] == ["viscous"]
     assert found.preferred == "viscous"
-    assert "nothing to compare it with" in found.recommendation
+    assert "there is no comparison" in found.recommendation
     monkeypatch.setattr(_choice, "identify", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         compare_models(swing(DOUBLE), GUESS, MODELS)
@@ -321,7 +321,7 @@ def test_numbers_of_links_are_compared_by_the_places_of_markers() -> None:
     bic = [model.bic for model in found.models]
     assert None not in bic
     assert bic[0] < bic[2] < bic[1]  # type: ignore[operator]
-    with pytest.raises(InvalidInput, match="only by places"):
+    with pytest.raises(InvalidInput, match="only with markers"):
         compare_models(swing(DOUBLE), GUESS, MODELS, links=[3])
 
 
@@ -345,7 +345,10 @@ def test_prediction_decides_where_bic_trusts_coloured_residuals() -> None:
     rich = Evidence("rich", 6, -40.0, held([0.015, 0.016, 0.014, 0.015]), 1e-5)
     name, words = recommend([simple, rich], "rad")
     assert name == "simple"
-    assert "The two disagree: BIC prefers rich, held-out prediction prefers simple (10 mrad against 15 mrad)" in words
+    assert (
+        "BIC and prediction disagree: BIC prefers rich, held-out prediction prefers simple (10 mrad against 15 mrad)"
+        in words
+    )
     name, words = recommend([simple, replace(rich, whiteness=0.4)], "rad")
     assert name == "rich"
     assert "are white noise, as BIC wants them" in words
@@ -366,7 +369,7 @@ def test_a_choice_that_still_misses_something_says_so() -> None:
     one, two = (Evidence(name, 4, bic, None, 1e-9) for name, bic in (("one", 0.0), ("two", 30.0)))
     name, words = recommend([one, two], "rad")
     assert name == "one"
-    assert "Nothing was held out or could be predicted" in words
+    assert "There is no held-out prediction" in words
     assert "all candidates miss something" in words
 
 

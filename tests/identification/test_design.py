@@ -87,7 +87,7 @@ def test_candidates_are_ranked_and_the_best_is_named() -> None:
     assert found.best is found.plans[0]
     assert "Make: short" in found.advice
     assert "small would leave" in found.advice
-    assert "Cannot tell: still" in found.advice
+    assert "Not sufficient: still" in found.advice
     assert "wrong shape" in next(plan.reason for plan in found.plans if plan.experiment is impossible)
     assert found.success
 
@@ -125,7 +125,7 @@ def test_a_common_factor_is_said_to_need_scales_or_a_torque() -> None:
     found = design_experiment(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=["inertia", "mass", "friction"])
     assert found.best is None
     assert np.isinf(found.plans[0].score)
-    assert "No candidate can tell inertia[0], inertia[1]: no known force or torque acts" in found.advice
+    assert "No candidate determines inertia[0], inertia[1]: no known force or torque acts" in found.advice
     assert "Weigh the links and leave mass out of free: then swing determines inertia to" in found.advice
     assert "Or measure the motor's torque" in found.advice
     assert "want=['J/p1', 'p/p1', 'c/p1']" in found.advice
@@ -144,7 +144,7 @@ def test_a_common_factor_is_said_to_need_scales_or_a_torque() -> None:
 def test_what_does_not_act_is_told_from_a_common_factor() -> None:
     found = design_experiment(SINGLE, "length", [SHORT], free=["inertia", "length"])
     assert found.best is None
-    assert "No candidate can tell length[0]: it does not act in these motions" in found.advice
+    assert "No candidate determines length[0]: it has no effect in these motions" in found.advice
 
 
 def test_a_measured_torque_is_foreseen() -> None:

@@ -27,6 +27,7 @@ from hyperflex.report.identification.page import identification_page, write_iden
 from hyperflex.report.identification.parameters import numbers, parameters_table, ratios_table, rope_table, ties
 from hyperflex.report.identification.setting import fit_table, lead, recording_table
 from hyperflex.report.units import readable_unit, rounded, short
+from hyperflex.status import Status
 
 NOISE = 2e-3
 ROPE = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
@@ -90,7 +91,7 @@ def test_a_page_is_one_file_with_all_its_parts(tmp_path, swing):
     assert titles[:3] == ["Assessment", "Parameters", "Ratios"]
     assert titles[3:] == [
         "Fit over data",
-        "Prediction of what the fit has not seen",
+        "Prediction of data that was not fitted",
         "Residuals",
         "How the fit went",
         "Recording",
@@ -123,10 +124,9 @@ def test_many_channels_are_shown_by_a_few_and_all_of_them_elsewhere(tmp_path, ma
 @pytest.mark.usefixtures("unseen")
 def test_an_interrupted_fit_says_so(tmp_path, swing):
     recording, found = swing
-    cut = changed(found, message="interrupted", history=(), held_out=None)
+    cut = changed(found, ended=Status.INTERRUPTED, history=(), held_out=None)
     text = page(tmp_path, (recording, cut))
-    assert '<span class="badge">interrupted</span>' in text
-    assert "before its first round" in text
+    assert "during its first iteration" in text
     assert 'class="fine"' not in text  # nothing is good news yet
     assert "Nothing was predicted: the fit ended early (interrupted)" in text
 
@@ -145,7 +145,7 @@ def test_predictions_that_failed_are_drawn_as_failed(tmp_path, swing):
     text = page(tmp_path, (recording, changed(found, held_out=failed)))
     assert "<b>failed</b>" in text
     titles = [axis.get_title("left") for axis in prediction_figure(fitted_channels(recording, found), failed).axes]
-    assert titles[1] == "measured less predicted: failed where dark"
+    assert titles[1] == "measured minus predicted: failed where dark"
 
 
 @pytest.mark.usefixtures("unseen")
@@ -265,10 +265,10 @@ def test_the_set_up_is_told(swing, markers):
     told = dict(recording_table(recording, found).rows)
     assert told["samples"] == "60, every 30 ms (33.33 a second)"
     assert told["gaps"].startswith("6 missing")
-    assert told["noise of a sample"] == "1 mm as given"
+    assert told["noise of a sample"] == "1 mm, as declared"
     fitted = dict(fit_table(found).rows)
-    assert fitted["held as given"] == "length, mass, com, inertia"
-    assert fitted["without"] == "dry friction, stiffness, rest angle, drag, max bend"
+    assert fitted["fixed"] == "length, mass, com, inertia"
+    assert fitted["zero"] == "dry friction, stiffness, rest angle, drag, max bend"
     assert fitted["origin"] == "fitted as well"
     assert fitted["markers at"] == "0.2, 0.4, 0.6 m along the rope"
     assert told["contents"] == "3 markers: positions in m, x right, y up"

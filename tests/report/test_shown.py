@@ -51,7 +51,7 @@ def test_a_line_says_what_matters(found):
     assert re.search(
         r"succeeds: [\d.]+ turns, \d+ degrees covered, strikes at [\d.]+ s, [\d.]+ N m\)$", repr(planned())
     )
-    assert "converged, friction of Rope(2 links" in repr(found)
+    assert "success, friction of Rope(2 links" in repr(found)
     assert repr(made("sensitivities", found)).endswith("11 samples, by friction, q0[0], q0[1])")
 
 
@@ -60,7 +60,7 @@ def test_a_notebook_shows_a_rope_and_an_identification(found):
     assert "170 to 230\N{NO-BREAK SPACE}mm" in page
     assert "<table>" in page
     told = found._repr_html_()
-    assert "converged" in told
+    assert "success" in told
     assert found.report().splitlines()[0] in told
     assert "friction[0]" in told
 
