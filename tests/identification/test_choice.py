@@ -351,7 +351,7 @@ def test_prediction_decides_where_bic_trusts_coloured_residuals() -> None:
     )
     name, words = recommend([simple, replace(rich, whiteness=0.4)], "rad")
     assert name == "rich"
-    assert "are white noise, as BIC wants them" in words
+    assert "are white noise, as BIC requires" in words
 
 
 def test_the_simplest_comes_out_where_evidence_is_weak() -> None:
@@ -370,7 +370,7 @@ def test_a_choice_that_still_misses_something_says_so() -> None:
     name, words = recommend([one, two], "rad")
     assert name == "one"
     assert "There is no held-out prediction" in words
-    assert "all candidates miss something" in words
+    assert "all candidates omit an effect" in words
 
 
 def test_a_prediction_is_worse_beyond_its_scatter_only() -> None:

@@ -127,7 +127,7 @@ def test_an_interrupted_fit_says_so(tmp_path, swing):
     cut = changed(found, ended=Status.INTERRUPTED, history=(), held_out=None)
     text = page(tmp_path, (recording, cut))
     assert "during its first iteration" in text
-    assert 'class="fine"' not in text  # nothing is good news yet
+    assert 'class="verdict warn"' in text
     assert "Nothing was predicted: the fit ended early (interrupted)" in text
 
 
