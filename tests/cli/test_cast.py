@@ -35,6 +35,8 @@ def ready(monkeypatch):
     def plan(name, **changes):
         def give(rope, arm, target, limits, **options):
             asked.update(rope=rope, arm=arm, target=target, limits=limits, **options)
+            for part in ("criteria", "conditions", "options"):
+                asked.update(vars(options[part]))
             known = {"winds": planned, "late": late, "stopped": stopped}.get(name, lambda: planned(winds=False))
             return dataclasses.replace(known(), **changes)
 
@@ -82,10 +84,10 @@ def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     assert (asked["target"], asked["arm"]) == (hf.Peg(-0.83, -1.07, 0.04, 0.4), hf.Arm(length=0.2))
     assert asked["limits"] == hf.MotorLimits(speed=5.0, torque=2.0)
     assert (asked["time_budget"], asked["seed"], asked["uncertainty"]) == (7.0, 3, None)
-    assert (asked["time_limit"], asked.get("skip_feasibility")) == (None, None)
+    assert (asked["time_limit"], asked["skip_feasibility"]) == (None, False)
     assert told["success"]
     assert (told["source"], told["message"]) == ("simulated", "")
-    assert told["throw"]["count"] == 6
+    assert len(told["moves"]["ends"]) == 7
     assert told["outcome"]["turns"] == planned().outcome.turns
     assert told["holding_force"]["force"] > told["holding_force"]["capstan_force"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
@@ -112,20 +114,20 @@ def test_a_set_up_file_gives_rope_arm_limits_and_target(hyperflex, ready, tmp_pa
 
 def test_what_an_earlier_plan_asked_for_is_asked_again_and_told(hyperflex, ready, tmp_path):
     asked = ready("winds")
-    known = dataclasses.replace(planned().problem, clearance=0.02, contact=6.0)
+    known = dataclasses.replace(planned().problem, clearance=0.02, criteria=hf.WindCriteria(contact=6.0))
     dataclasses.replace(planned(), problem=known).to_toml(tmp_path / "cast.toml")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", "-o", tmp_path / "out")
     assert (code, asked["clearance"], asked["contact"]) == (0, 0.02, 6.0)
-    assert "was planned with --clearance 0.02 --contact 6, which is required again" in " ".join(err.split())
+    assert "was planned with --contact 6 --clearance 0.02, which is required again" in " ".join(err.split())
     options = ("--clearance", "0", "--contact", "0")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", *options, "-o", tmp_path / "out")
     assert (code, asked["clearance"], asked["contact"]) == (0, 0.0, 0.0)
     assert "required again" not in err
     assert (asked["turns"], asked["settle"]) == (1.25, 1.0)
-    known = dataclasses.replace(planned().problem, turns=2.0, settle=0.0)
+    known = dataclasses.replace(planned().problem, criteria=hf.WindCriteria(turns=2.0, settle=0.0))
     dataclasses.replace(planned(), problem=known).to_toml(tmp_path / "cast.toml")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", "-o", tmp_path / "out")
-    assert (code, asked["turns"], asked["settle"], asked["contact"]) == (0, 2.0, 0.0, None)
+    assert (code, asked["turns"], asked["settle"], asked["contact"]) == (0, 2.0, 0.0, 0.0)
     assert "was planned with --turns 2 --settle 0, which is required again" in " ".join(err.split())
     options = ("--turns", "1.25", "--settle", "1")
     code, _, err = hyperflex("cast", tmp_path / "cast.toml", *options, "-o", tmp_path / "out")
@@ -264,7 +266,7 @@ def test_a_plan_for_the_nearest_target_is_written(hyperflex, rope_file, ready, t
 
 
 def test_ctrl_c_leaves_the_best_so_far(hyperflex, hyperflex_json, rope_file, ready, tmp_path):
-    ready("misses", interrupted=True, throw=None, outcome=None, message="interrupted before any throw was verified")
+    ready("misses", interrupted=True, moves=None, outcome=None, message="interrupted before any throw was verified")
     code, _, err = hyperflex(*arguments(rope_file, tmp_path / "out"))
     assert code == 130
     assert "interrupted before any throw" in err

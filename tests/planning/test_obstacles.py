@@ -176,7 +176,7 @@ def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search() ->
     between = hf.Wall(-0.7, -0.4, -0.2, -0.9)
     for obstacles in ([between], [hf.Peg(2.0, 0.0, 0.1), between]):
         behind = hf.plan_cast(CABLE, arm, PEG, conditions=hf.Conditions(obstacles=obstacles))
-        assert behind.message == "out of reach: the wall at (-0.7, -0.4) m stands between the arm and the target"
+        assert behind.message == "out of reach: the wall at (-0.7, -0.4) m is between the arm and the target"
         there = behind.fallback.target
         sight = [np.linspace(tip, (there.x, there.y), 4001) for tip in arm.tip(np.linspace(-np.pi, np.pi, 25))]
         assert max(distance(between, way).min() for way in sight) > 0.0 or behind.fallback.distance > 0.2

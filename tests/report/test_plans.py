@@ -117,7 +117,7 @@ def test_a_plan_without_moves_is_a_page_with_the_reason(tmp_path, kind, made):
     ("made", "reason"),
     [
         (late, "the verification took longer than the time allowed for it."),
-        (stopped, "interrupted before any throw was verified."),
+        (stopped, "interrupted before any moves were verified."),
         (unreachable, "out of reach: the rope ends 0.36 m short of the target."),
         (lambda: planned(winds=False), "the rope does not touch the peg."),
     ],
@@ -178,7 +178,7 @@ def test_heuristic_criteria_are_called_rules_of_thumb():
 
 
 def test_criteria_that_are_not_the_usual_ones_are_named():
-    required = replace(planned().problem, turns=2.0, settle=1.5)
+    required = replace(planned().problem, criteria=hf.WindCriteria(turns=2.0, settle=1.5))
     for problem, turns, watch in (
         (planned().problem, "1.25", ""),
         (required, "2", ", from 1.5 s after the arm's stop on,"),
@@ -189,9 +189,9 @@ def test_criteria_that_are_not_the_usual_ones_are_named():
         assert any(f"In the last 2 s{watch} the rope slips" in line for line in report.story)
         axis = course_of(report).axes[1]
         assert any(f"{turns} turns are required" in text.get_text() for text in axis.texts)
-        assert any(line.get_ydata()[0] == problem.turns == line.get_ydata()[-1] for line in axis.get_lines())
+        assert any(line.get_ydata()[0] == problem.criteria.turns == line.get_ydata()[-1] for line in axis.get_lines())
         (green,) = [span.get_x() for span in axis.patches]
-        assert green == pytest.approx(plan.motion.breaks[-1] + problem.settle)
+        assert green == pytest.approx(plan.motion.breaks[-1] + problem.criteria.settle)
 
 
 def test_warnings(monkeypatch):
