@@ -10,7 +10,6 @@ import functools
 import signal
 import sys
 import threading
-import time
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -39,7 +38,7 @@ class _State:
     compilers = False  # whether numba's compilers are watched
 
 
-# ``handled``: the count of signals at the last one that this thread has handled; ``limits``: its time limits
+# ``handled``: the count of signals at the last one that this thread has handled
 _thread = threading.local()
 
 
@@ -69,39 +68,6 @@ def raise_if_cancelled() -> None:
     """Raise KeyboardInterrupt, in any thread, if a signal was received that this thread has not handled yet."""
     if _State.pending and not _State.deferred and getattr(_thread, "handled", 0) != _State.count:
         raise KeyboardInterrupt
-    for limit in getattr(_thread, "limits", ()):
-        limit.look()
-
-
-look = raise_if_cancelled
-
-
-class time_limit:
-    """Context that a look ends once, like an interrupt, when its thread has worked for so many s; `over` tells.
-
-    Compiling does not count.
-    """
-
-    def __init__(self, seconds: float) -> None:
-        self.over, self._left = False, seconds
-
-    def __enter__(self) -> "time_limit":
-        self._end = time.thread_time() + self._left
-        _thread.limits = (*getattr(_thread, "limits", ()), self)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        _thread.limits = tuple(each for each in _thread.limits if each is not self)
-
-    def look(self) -> None:
-        """Raise KeyboardInterrupt if the time is over and nobody was told yet."""
-        if not self.over and time.thread_time() > self._end:
-            self.over = True
-            raise KeyboardInterrupt
-
-    def extend(self, seconds: float) -> None:
-        """Allow so many s more."""
-        self._end += seconds
 
 
 class handle_signals:
@@ -163,20 +129,15 @@ class _Compiling:
 
     def __init__(self) -> None:
         self._stack: list[Any] = []
-        self._begun = 0.0
 
     def notify(self, event: Any) -> None:
         """Defer signals from the start of an event, which may hold others, to its end."""
         if threading.current_thread() is not threading.main_thread():
             return
         if event.is_start:
-            self._begun = self._begun if self._stack else time.thread_time()
             self._stack.append(deferred())
             self._stack[-1].__enter__()
             return
-        if len(self._stack) == 1:
-            for limit in getattr(_thread, "limits", ()):
-                limit.extend(time.thread_time() - self._begun)
         self._stack.pop().__exit__(None, None, None)
 
 
@@ -232,10 +193,6 @@ def stoppable() -> Iterator[Stop]:
         else:
             raise
         stop.error = error
-
-
-CaughtInterrupt = Stop
-catch_interrupt = stoppable
 
 
 def interruptible(kind: type | None = None) -> Callable[[Callable[_P, _R]], Callable[_P, _R]]:

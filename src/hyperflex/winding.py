@@ -13,7 +13,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import Peg, Rope
 from hyperflex.motion import moving_pivot
-from hyperflex.simulation import Deadline, simulate
+from hyperflex.simulation import simulate
 from hyperflex.trajectory import State, Trajectory, swept
 
 TOUCH = 1e-4  # m, gap below which a link lies on a peg
@@ -229,7 +229,7 @@ def tug_test(
     speed: float = 0.02,
     distance: float | None = None,
     allowed: float = 5e-3,
-    time_budget: float | Budget | Deadline | None = None,
+    time_budget: float | Budget | None = None,
 ) -> TugTest:
     """Pull the rope's motor-side end slowly away from a peg, from where a run ended, and see what holds.
 

@@ -131,7 +131,7 @@ def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.Mo
     with pytest.raises(SimulationError, match=r"minutes in all\. Check units and gravity.*time_budget=inf"):
         hf.simulate(ROPE, duration=1e4, t_eval=times, q0=[1.0] * 4)
     part = hf.simulate(ROPE, duration=1e4, t_eval=times, q0=[1.0] * 4, throw=False)
-    assert part.status == time_budget.OUT_OF_TIME
+    assert part.status == "out of time"
     assert 0.0 < part.t[-1] < 1e4
     assert hf.simulate(ROPE, duration=2.0, q0=[1.0] * 4, time_budget=math.inf).success
     with pytest.raises(SimulationError, match=r"loosen tol, or make it shorter\.$"):
@@ -156,7 +156,7 @@ def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, t
             hf.simulate(ROPE, torque=torque, time_budget=0.3, **how)
     else:
         part = hf.simulate(ROPE, torque=torque, time_budget=0.3, throw=False, **how)
-        assert (part.status, part.setup.torque.torque(0.0)) == (time_budget.OUT_OF_TIME, 1e-3)
+        assert (part.status, part.setup.torque.torque(0.0)) == ("out of time", 1e-3)
         assert 0.05 < part.t[-1] < 1.0
     assert re.search("simulating: [01] of 100 s; begun", capsys.readouterr().err)
 

@@ -12,7 +12,7 @@ from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.play.arm_program import MOST_MOVES
 from hyperflex.play.controls import CONTROLS, CROSSING, FIXED, PUMPING, Settings
 from hyperflex.play.session import MOST_RECORDED, NUMBERS, Session
-from hyperflex.simulation import OUT_OF_TIME
+from hyperflex.status import Status
 
 DT = 1.0 / 60.0
 FREE = {"links": 12, "target_solid": 0}
@@ -164,7 +164,7 @@ def test_a_frame_that_takes_too_long_is_given_up(monkeypatch):
     session.swing()
 
     def slow(*_: object, time_budget: float, **__: object) -> None:
-        raise SimulationError(f"over {time_budget}", status=OUT_OF_TIME, time=0.0)
+        raise SimulationError(f"over {time_budget}", status=Status.OUT_OF_TIME, time=0.0)
 
     with monkeypatch.context() as patched:
         patched.setattr("hyperflex.play.session.simulate", slow)

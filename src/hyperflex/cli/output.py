@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, cast
 import typer
 
 from hyperflex import files, interruption, progress
-from hyperflex.interruption import catch_interrupt
+from hyperflex.interruption import stoppable
 
 _T = TypeVar("_T")
 # exit codes; interrupted: 128 and the number of the signal
@@ -170,7 +170,7 @@ def run(work: Callable[[], _T]) -> tuple[_T, bool]:
 
     Raises KeyboardInterrupt if it left no partial result.
     """
-    with catch_interrupt() as stop:
+    with stoppable() as stop:
         result = work()
     if not stop.received:
         return result, False
@@ -187,7 +187,7 @@ def partial_path(out: Path) -> Path:
 @contextmanager
 def keeping(written: Mapping[str, Path], missing: str, result: Mapping[str, Any]) -> Iterator[None]:
     """End the command if the block is interrupted: print which files are `written` and what is `missing`."""
-    with catch_interrupt() as stop:
+    with stoppable() as stop:
         yield
     if stop.received:
         there = ", ".join(str(path) for path in written.values()) or "nothing"

@@ -28,7 +28,7 @@ from hyperflex.cli.vision import (
     parameters,
 )
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.interruption import catch_interrupt
+from hyperflex.interruption import stoppable
 
 if TYPE_CHECKING:
     from hyperflex.estimate import Change, FrameThread, LiveEstimate, RopeTracker, Watch
@@ -100,7 +100,7 @@ def watch(
         shown = _Pictures(tracker, preview, pictures)
         tally = _Tally()
         with WatchLog(out, line.n_links, len(arcs), source) as log, shown:
-            with catch_interrupt() as stop:
+            with stoppable() as stop:
                 _run(follow, until, [log.note, tally.note, shown.draw])
                 log.ending = frames.ended or f"stopped after {duration:g} s"
             log.interrupted = stop.received

@@ -11,7 +11,7 @@ from hyperflex.control.state_source import hanging_state
 from hyperflex.control.swing_model import SwingModel, arrival_time
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
-from hyperflex.interruption import catch_interrupt, interruptible
+from hyperflex.interruption import interruptible, stoppable
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def optimize_pumping(
         constants.size,
     )
     low, high = found.arrival_time - 0.6 * model.period, found.arrival_time
-    with catch_interrupt() as stop:
+    with stoppable() as stop:
         while rounds and high - low > 0.04:  # s, to which the deadline is bisected
             deadline = 0.5 * (low + high)
             found, reached = _before(deadline, model, want, rest, found, rounds, seed)

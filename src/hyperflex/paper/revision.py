@@ -13,7 +13,7 @@ from hyperflex.dynamics import bias, mass_matrix
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
 from hyperflex.identification.excitation import check_motion, check_times
 from hyperflex.identification.fit.multiple_shooting import one_thread
-from hyperflex.interruption import catch_interrupt, interruptible
+from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Rope, Setup
 from hyperflex.paper.regression import fit_regression
 from hyperflex.paper.simplex import (
@@ -189,7 +189,7 @@ def iterative_revision(
     done: list[Round] = []
     status, std = Status.FAILED, {"inertia": float("inf"), "friction": float("inf")}
     values = np.array([rope_guess.inertia.mean(), rope_guess.friction.mean()])
-    with catch_interrupt() as stop:
+    with stoppable() as stop:
         try:
             for _ in range(checks.count("rounds", rounds) + 1):
                 found = revision.state(values, done[-1] if done else None, began)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput, SimulationError
-from hyperflex.interruption import catch_interrupt, interruptible
+from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import angles
@@ -110,7 +110,7 @@ def estimate_initial_state(
             "The rope cannot be simulated from the start. Give another start or other parameters."
         )
     status = Status.INTERRUPTED
-    with catch_interrupt() as stop:
+    with stoppable() as stop:
         converged = [descent.descend(checks.count("max_evaluations", max_evaluations)) for _ in range(2)][-1]
         status = Status.SUCCESS if converged else Status.FAILED
     best = descent.best

@@ -11,7 +11,7 @@ from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.errors import Interrupted, InvalidInput
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
-from hyperflex.interruption import CaughtInterrupt, catch_interrupt, interruptible
+from hyperflex.interruption import Stop, interruptible, stoppable
 from hyperflex.model import Arm, Peg, Rope, Setup, cuts
 from hyperflex.motion import hold_arm
 from hyperflex.planning.cast_plan import CastPlan, FallbackTarget
@@ -118,7 +118,7 @@ class CastRequest:
             plan, planner = self._search(task, known, budget)
         if plan.success or plan.interrupted:
             return _delivered(plan)
-        with catch_interrupt() as stop:
+        with stoppable() as stop:
             plan = replace(plan, remedies=find_remedies(problem, target))
             plan = replace(plan, fallback=None if plan.unfinished else _expected(plan))
             if self.options.fallback:
@@ -136,7 +136,7 @@ class CastRequest:
             return None if self.on_plan is None else self.on_plan(_plan(task, known, planner, budget))
 
         planner = Planner(task, search, improve, improved)
-        with catch_interrupt() as stop, budget.progress(self.options.progress, "planning"):
+        with stoppable() as stop, budget.progress(self.options.progress, "planning"):
             planner.run()
             plan = _plan(task, known, planner, budget)
             if self.uncertainty is not None and plan.moves is not None:
@@ -172,7 +172,7 @@ class CastRequest:
             found = replace(found, failed_plans=len(tried))
             if number == len(MARGINS) - 1:
                 return replace(plan, fallback=found)
-            with catch_interrupt() as stop:
+            with stoppable() as stop:
                 near = alone.plan(found.target)
             near = stop.partial if stop.received and isinstance(stop.partial, CastPlan) else near
             if near.success:
@@ -307,7 +307,7 @@ def _plan_list(request: CastRequest, targets: Sequence[Peg]) -> list[CastPlan]:
     return stop.deliver([plans[number] for number in sorted(plans)])
 
 
-def plan_each(request: CastRequest, targets: Sequence[Peg]) -> tuple[dict[int, CastPlan], CaughtInterrupt]:
+def plan_each(request: CastRequest, targets: Sequence[Peg]) -> tuple[dict[int, CastPlan], Stop]:
     """Plan casts for many targets; return plans by the targets' numbers, and the interrupt."""
     executor, size = checked_chunks(request.options.executor, request.options.chunk_size, 1)
     alone = list[int]()
@@ -317,7 +317,7 @@ def plan_each(request: CastRequest, targets: Sequence[Peg]) -> tuple[dict[int, C
     work = _Work(replace(request, options=replace(request.options, executor=None, progress=False)))
     plans, todo = dict[int, CastPlan](), list[tuple[int, Peg, list[CastPlan]]]()
     progress = request.options.progress
-    with catch_interrupt() as stop, progress_bar(0, len(targets), progress, "planning", "targets") as report:
+    with stoppable() as stop, progress_bar(0, len(targets), progress, "planning", "targets") as report:
 
         def done(low: int, found: list[CastPlan]) -> None:
             plans.update(zip((number for number, *_ in todo[low:]), found, strict=False))

@@ -14,7 +14,6 @@ from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
 from hyperflex.planning.clearance import Clearance, named
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.rollouts import deadline
 from hyperflex.planning.routing import runs_behind
 from hyperflex.planning.verification import (
     clearances,
@@ -25,7 +24,8 @@ from hyperflex.planning.verification import (
     spare_clearance,
     verified_setup,
 )
-from hyperflex.simulation import OUT_OF_TIME, simulate
+from hyperflex.simulation import simulate
+from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TugTest, Winding
 
@@ -154,9 +154,9 @@ def verify_cast(
     t: Array = np.arange(0.0, duration + 1e-9, SAMPLE_TIME)
     t[-1] = min(t[-1], duration)
     try:
-        run = simulate(setup, t_eval=t, time_budget=deadline(budget))
+        run = simulate(setup, t_eval=t, time_budget=budget)
     except SimulationError as error:
-        nan, late = float("nan"), error.status == OUT_OF_TIME
+        nan, late = float("nan"), error.status == Status.OUT_OF_TIME
         message = TOO_LONG if late else f"the simulation failed ({error.status})"
         return CastOutcome(False, False, 0.0, *6 * (nan,), False, *4 * (nan,), message, 0)
     return evaluate_cast(problem, peg, run, stop)
@@ -289,7 +289,7 @@ def _tugged(run: Trajectory, peg: Peg, budget: Budget) -> HoldingForce | None:
     if not np.isfinite(wound.tail[-1]):
         return None
     try:
-        tug = winding.tug_test(run, peg, time_budget=deadline(budget))
+        tug = winding.tug_test(run, peg, time_budget=budget)
     except InvalidInput:
         return None
     return HoldingForce(tug, float(wound.tail[-1]), abs(float(wound.arc[-1])), peg.mu)
@@ -306,7 +306,7 @@ def require_holding_force(outcome: CastOutcome, peg: Peg, force: float, budget: 
         measured = _tugged(outcome.run, peg, budget)
     except SimulationError as error:
         measured = None
-        if error.status == OUT_OF_TIME:
+        if error.status == Status.OUT_OF_TIME:
             return replace(outcome, held=False, message=TOO_LONG, n_links=0)
     if measured is None:
         return replace(outcome, held=False, message="its holding force could not be simulated")

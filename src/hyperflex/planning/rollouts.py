@@ -29,7 +29,7 @@ from hyperflex.planning.clearance import (
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.routing import way_gaps
 from hyperflex.planning.verification import FOLD, at_limits, limit_bend
-from hyperflex.simulation import Batch, Deadline, check_outside, simulate_batch
+from hyperflex.simulation import Batch, check_outside, simulate_batch
 from hyperflex.trajectory import interpolated
 from hyperflex.winding import TOUCH, slid
 
@@ -147,14 +147,9 @@ class RolloutBatch:
         """Simulate free flight for a span, s; return samples t (T,), q and qd (M, T, n). `at_end`: the end alone."""
         t: Array = MODEL.step * np.arange(1.0, math.ceil(span / MODEL.step - 1e-9) + 1.0)
         t = np.array([span]) if at_end else t
-        given: dict[str, Any] = {"time_budget": deadline(budget), "threads": budget.threads}
+        given: dict[str, Any] = {"time_budget": budget, "threads": budget.threads}
         run = self.run(arm, t, tol=MODEL.tol, keep=("q", "qd"), **given)
         return t, run.q, run.qd
-
-
-def deadline(budget: Budget) -> Deadline:
-    """Return a budget as the simulations take it."""
-    return Deadline(math.inf, lambda: budget.remaining)
 
 
 def arm_tip(arm: Arm, motion: Motion, t: Array) -> tuple[Array, Array]:
@@ -430,7 +425,7 @@ class _Contact:
             refine=False,
             pegs=[self.pegs],
             keep=("turns", "q", "qd"),
-            time_budget=Deadline(MODEL.longest, lambda: self.budget.remaining),
+            time_budget=self.budget.limit(MODEL.longest),
             threads=1,
         )
         onward = replace(now, motions=[now.motions[0].shifted(-t[-1])], q=run.q[:, -1], qd=run.qd[:, -1])

@@ -15,7 +15,8 @@ from hyperflex.model import Arm, Obstacle, Peg, Rope, Setup
 from hyperflex.planning import MotorLimits
 from hyperflex.play.arm_program import MOST_MOVES, ArmProgram
 from hyperflex.play.controls import CROSSING, FIXED, Settings
-from hyperflex.simulation import OUT_OF_TIME, simulate
+from hyperflex.simulation import simulate
+from hyperflex.status import Status
 from hyperflex.trajectory import State, Trajectory
 from hyperflex.winding import rope_tension, turns
 
@@ -196,12 +197,12 @@ class Session:
             end = [self.t + dt]
             self._run = simulate(self.setup, duration=dt, t_eval=end, state=self._state, time_budget=time_budget)
         except SimulationError as error:
-            if error.status != OUT_OF_TIME or time_budget is None:
+            if error.status != Status.OUT_OF_TIME or time_budget is None:
                 raise
             why = (
                 f"The next frame takes more than {time_budget:g} s of work. Hang the rope anew, or give it fewer links."
             )
-            raise SimulationError(why, status=OUT_OF_TIME, time=error.time) from error
+            raise SimulationError(why, status=Status.OUT_OF_TIME, time=error.time) from error
         self._state = self._run.state
         self.t = self._state.t
 

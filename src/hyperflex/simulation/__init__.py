@@ -36,6 +36,5 @@ if TYPE_CHECKING:
     )
     from hyperflex.simulation.stability import runge_kutta_limit
     from hyperflex.simulation.stepper import Linearization, Stepper
-    from hyperflex.simulation.time_budget import INTERRUPTED, OUT_OF_TIME, Deadline
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

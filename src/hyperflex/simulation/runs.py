@@ -32,7 +32,7 @@ from hyperflex.simulation.rollouts import (
     prepare_rollout,
     rollout_limits,
 )
-from hyperflex.simulation.time_budget import Deadline, Watch, out_of_time
+from hyperflex.simulation.time_budget import Watch, out_of_time
 from hyperflex.status import Status
 from hyperflex.trajectory import State, Trajectory
 
@@ -49,7 +49,7 @@ def simulate(
     until: Event | None = None,
     refine: bool = True,
     throw: bool = True,
-    time_budget: float | Budget | Deadline | None = None,
+    time_budget: float | Budget | None = None,
     progress: bool = False,
     **setup: Unpack[SetupFields],
 ) -> Trajectory:

@@ -2,46 +2,18 @@
 
 import time
 from collections.abc import Callable
-from typing import NamedTuple
 
 from hyperflex.budget import Budget
 from hyperflex.errors import SimulationError
 from hyperflex.interruption import OutOfTime
 from hyperflex.status import Status
 
-INTERRUPTED, OUT_OF_TIME = Status.INTERRUPTED, Status.OUT_OF_TIME
 # s of processor time: allowed to a run without a time budget, and spent before the whole is predicted
 LONGEST, PREDICTED = 1800.0, 10.0
 
 
 class Endless(OutOfTime):
     """Raised in a run without a time budget that would take more than LONGEST seconds."""
-
-
-class Deadline(NamedTuple):
-    """Time of one of several runs that share a time, in seconds: its own, and a function that returns what is left."""
-
-    processor: float
-    left: Callable[[], float]
-
-
-class _Left(Budget):
-    """The time that a function says is left."""
-
-    def __init__(self, left: Callable[[], float]) -> None:
-        super().__init__()
-        self._left = left
-
-    @property
-    def remaining(self) -> float:
-        return self._left()
-
-
-def budget_of(given: float | Budget | Deadline | None, threads: int | None = None) -> Budget:
-    """Return the budget of an argument `time_budget`."""
-    if isinstance(given, Deadline):
-        return _Left(given.left).limit(given.processor)
-    return Budget.of(given, threads=threads)
 
 
 class Watch:
@@ -59,11 +31,11 @@ class Watch:
 
     def __init__(
         self,
-        given: float | Budget | Deadline | None,
+        given: float | Budget | None,
         span: tuple[float, float],
         report: Callable[[float], None] | None = None,
     ) -> None:
-        self.budget, (self._begin, self._end) = budget_of(given), span
+        self.budget, (self._begin, self._end) = Budget.of(given), span
         self.report = report or (lambda t: None)
         self._work = Budget(clock=time.thread_time) if given is None else None  # a busy machine ends no run
 
@@ -83,4 +55,6 @@ def out_of_time(t: float, cause: BaseException | None, otherwise: str = "") -> S
     if isinstance(cause, Endless):
         why = f"it would take more than {LONGEST / 60.0:g} minutes in all. Check units and gravity, loosen tol, or "
         why += f"make it shorter{otherwise}"
-    return SimulationError(f"stopped at t = {t:.6g} s ({OUT_OF_TIME}): {why}.", status=OUT_OF_TIME, time=t)
+    return SimulationError(
+        f"stopped at t = {t:.6g} s ({Status.OUT_OF_TIME}): {why}.", status=Status.OUT_OF_TIME, time=t
+    )

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from hyperflex import checks, files
 from hyperflex.errors import FileProblem, Interrupted, InvalidInput
 from hyperflex.files import PathLike, as_path, atomic_path, regular_file
-from hyperflex.interruption import catch_interrupt
+from hyperflex.interruption import stoppable
 
 Image = npt.NDArray[np.uint8]
 T = TypeVar("T")
@@ -448,7 +448,7 @@ def follow_video(
     """
     with ExitStack() as stack:
         writer = None if preview is None else stack.enter_context(VideoWriter(preview, reader.image_size))
-        with catch_interrupt() as stop:
+        with stoppable() as stop:
             for count, frame in enumerate(reader, start=1):
                 shown = look(frame, writer is not None)
                 if writer is not None and shown is not None:

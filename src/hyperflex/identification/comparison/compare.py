@@ -17,7 +17,7 @@ from hyperflex.identification.model.parameters import GRAVITY
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.result import Identification
-from hyperflex.interruption import catch_interrupt, interruptible
+from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import DAMPING, FREE_PROPERTIES, MOST_LINKS, RESISTANCES, Rope, parse_label, recut
 from hyperflex.progress import progress_bar
 from hyperflex.recording import Recording
@@ -113,7 +113,7 @@ def compare_models(
         setup = replace(setup, arc_lengths=np.append(0.0, np.cumsum(rope_guess.length)))
     todo = candidates(rope_guess, free, models, links)
     done: list[Identification | str] = []
-    with catch_interrupt() as stop, progress_bar(0.0, float(len(todo)), progress, "comparing", "models") as report:
+    with stoppable() as stop, progress_bar(0.0, float(len(todo)), progress, "comparing", "models") as report:
         fit: Callable[..., Identification] = partial(identify, recording, setup=setup, options=options)
         for number, each in enumerate(todo):
             try:

@@ -13,7 +13,7 @@ from hyperflex.identification.experiment_design.experiments import Experiment, d
 from hyperflex.identification.experiment_design.fisher_information import ExpectedInformation, expected_information
 from hyperflex.identification.model.names import parse
 from hyperflex.identification.model.scale import common_factor
-from hyperflex.interruption import catch_interrupt, interruptible
+from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Arm, Rope
 from hyperflex.progress import progress_bar
 from hyperflex.status import Status
@@ -199,7 +199,7 @@ def design_experiment(
     plans: list[Plan] = []
     seen: list[ExpectedInformation] = []
     last = len(todo) + (0.0 if candidates is not None else 6.0)
-    with catch_interrupt() as stop, progress_bar(0.0, last, progress, "designing", "experiments") as report:
+    with stoppable() as stop, progress_bar(0.0, last, progress, "designing", "experiments") as report:
         for experiment in _in_turn(todo, plans, vary=candidates is None):
             plans.append(_plan(asked, experiment, seen))
             if report is not None:

@@ -16,7 +16,7 @@ from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level
 from hyperflex.identification.uncertainty.ratios import ratios
-from hyperflex.interruption import catch_interrupt, interruptible
+from hyperflex.interruption import interruptible, stoppable
 from hyperflex.progress import progress_bar
 
 
@@ -139,7 +139,7 @@ def bootstrap(
     executor, size = checked_chunks(executor, chunk_size, 1)
     fits: dict[int, list[Array | None]] = {}
     with (
-        catch_interrupt() as stop,
+        stoppable() as stop,
         progress_bar(0.0, float(count), progress, "fitting", "simulated recordings") as report,
     ):
 

@@ -36,7 +36,8 @@ from hyperflex.planning.verification import (
     refusal,
     verified_setup,
 )
-from hyperflex.simulation import OUT_OF_TIME, simulate
+from hyperflex.simulation import simulate
+from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
 from hyperflex.winding import TOUCH
 
@@ -539,7 +540,7 @@ def simulate_in_time(setup: Setup, t: Array, budget: Budget | None) -> Trajector
     try:
         return simulate(setup, t_eval=t, time_budget=budget)
     except SimulationError as failed:
-        if failed.status == OUT_OF_TIME:
+        if failed.status == Status.OUT_OF_TIME:
             raise OutOfTime from None
         return None
 

@@ -30,7 +30,6 @@ from hyperflex.simulation.contact.start import check_start
 from hyperflex.simulation.outcome import status_of
 from hyperflex.simulation.rollouts import balanced, least_scale, stored
 from hyperflex.simulation.runs import simulate
-from hyperflex.simulation.time_budget import Deadline, budget_of
 from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory, swept
 
@@ -138,7 +137,7 @@ def simulate_batch(
     *,
     t_eval: npt.ArrayLike | None = None,
     keep: Sequence[str] = ("tip",),
-    time_budget: float | Budget | Deadline | None = None,
+    time_budget: float | Budget | None = None,
     threads: int | None = None,
     executor: Executor | None = None,
     chunk_size: int | None = None,
@@ -215,12 +214,12 @@ def simulate_batch(
         raise InvalidInput("step is not available with pegs or joint limits", got=step, fix="Give contact_step or tol")
     executor, size = checked_chunks(executor, chunk_size, CONTACT_CHUNK if touches else CHUNK)
     results = _Results(setups, t, keep)
-    limit = time_budget if time_budget is None or isinstance(time_budget, Deadline) else Budget.of(time_budget)
+    limit = None if time_budget is None else Budget.of(time_budget)
     run = _in_contact if touches else partial(_in_flight, step=step or 0.0)
     with progress_bar(0, len(setups), checks.flag("progress", progress), unit="members") as report:
         if executor is None:
-            return results.batch(run(setups, results, limit, threads or budget_of(limit).threads, report))
-        end = None if limit is None else time.time() + budget_of(limit).remaining
+            return results.batch(run(setups, results, limit, threads or Budget.of(limit).threads, report))
+        end = None if limit is None else time.time() + limit.remaining
 
         def done(low: int, part: Batch) -> None:
             results.put(low, part.values, part.status, part.reached)
@@ -264,8 +263,7 @@ class _Results:
         return stop.deliver(Batch(self.t, self.values, tuple(each or early for each in self.status), self.reached))
 
 
-Limit = Budget | Deadline | None
-Run = Callable[[Sequence[Setup], _Results, Limit, int, Callable[[float], None] | None], Stop]
+Run = Callable[[Sequence[Setup], _Results, Budget | None, int, Callable[[float], None] | None], Stop]
 
 
 def _chunk(run: Run, t: Array, keep: tuple[str, ...], end: float | None, threads: int, setups: list[Setup]) -> Batch:
@@ -278,7 +276,7 @@ def _chunk(run: Run, t: Array, keep: tuple[str, ...], end: float | None, threads
 def _in_contact(
     setups: Sequence[Setup],
     results: _Results,
-    limit: Limit,
+    limit: Budget | None,
     threads: int,
     report: Callable[[float], None] | None = None,
 ) -> Stop:
@@ -288,17 +286,17 @@ def _in_contact(
 
     def one(m: int, _: int) -> None:
         waiting = m + threads < len(setups)  # for one of these threads
-        own = limit.share(PART_OF_A_MEMBER) if waiting and isinstance(limit, Budget) else limit
+        own = limit.share(PART_OF_A_MEMBER) if limit and waiting else limit
         run = simulate(setups[m], t_eval=results.t, throw=False, time_budget=own)
         results.put(m, {name: _kept(run, name)[None] for name in results.values}, [run.status], [run.state.t])
 
-    return run_blocks(one, 1, len(setups), threads, budget_of(limit), report)
+    return run_blocks(one, 1, len(setups), threads, Budget.of(limit), report)
 
 
 def _in_flight(
     setups: Sequence[Setup],
     results: _Results,
-    limit: Limit,
+    limit: Budget | None,
     threads: int,
     report: Callable[[float], None] | None = None,
     *,
@@ -345,7 +343,7 @@ def _in_flight(
     even = -(-len(setups) // (threads * BLOCKS * len(MEMBERS))) * len(MEMBERS)
     held = int(STATES / (t.size * width)) // len(MEMBERS) * len(MEMBERS)
     size = max(len(MEMBERS), min(even, LARGEST_BLOCK, held))
-    return run_blocks(block, size, len(setups), threads, budget_of(limit), report, halt)
+    return run_blocks(block, size, len(setups), threads, Budget.of(limit), report, halt)
 
 
 def run_blocks(
