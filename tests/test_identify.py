@@ -21,10 +21,8 @@ from hyperflex.identification.declarations.evidence import other_lengths
 from hyperflex.identification.fit.multiple_shooting import Fit, Linear, fit, fit_state
 from hyperflex.identification.fit.windows import Window, cut_windows, decimation_step, usual_length
 from hyperflex.identification.measurements import Measurements
-from hyperflex.identification.model.names import parse
-from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.model.parameters import Parameters, parse, scaling
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.model.scale import scaling
 from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.rounds import message
 from hyperflex.identification.symptoms import _identifiable, _of_prediction

@@ -8,8 +8,7 @@ from hyperflex.checks import Array
 from hyperflex.identification.fit.loss import Loss, LossName
 from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.names import parse
-from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.model.parameters import Parameters, parse
 from hyperflex.identification.model.plant import Plant, PredictedChannels
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.model import Rope

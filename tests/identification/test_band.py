@@ -10,8 +10,7 @@ from hyperflex.checks import Array
 from hyperflex.identification import pipeline as _identify
 from hyperflex.identification.fit.multiple_shooting import fit_state
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.names import parse
-from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.model.parameters import Parameters, parse
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import PredictionUncertainty, prediction_std

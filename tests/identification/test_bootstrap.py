@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hyperflex.budget import Budget
 from hyperflex.core.tangent.forward_sensitivity import forward_sensitivities
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, Identification, bootstrap, identify
@@ -18,6 +19,7 @@ from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
+from hyperflex.status import Status
 from tests.faults.interrupting import left_by
 from tests.identification.linear import autoregressive, fitted, waves
 
@@ -48,7 +50,7 @@ def noise_of(basis: Basis, draws: int) -> np.ndarray:
 def test_fits_scatter_as_the_covariance_says(found: Identification) -> None:
     result = bootstrap(found, 60)
     assert result.names == found.parameters
-    assert (result.samples.shape, result.failed, result.interrupted) == ((60, 2), 0, False)
+    assert (result.samples.shape, result.failed, result.status) == ((60, 2), 0, Status.SUCCESS)
     std = np.array([np.sqrt(found.std[n][0] ** 2 - found.model_std[n][0] ** 2) for n in ("inertia", "friction")])
     np.testing.assert_allclose(
         result.samples.std(axis=0), std, rtol=0.35
@@ -91,8 +93,16 @@ def test_ctrl_c_keeps_what_is_done(found: Identification, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(_bootstrap, "fit", some)
     result = left_by(lambda: bootstrap(found, 10))
-    assert result.interrupted
+    assert result.status is Status.INTERRUPTED
     assert result.samples.shape == (2, 2)
+
+
+def test_out_of_time_it_keeps_what_is_done(found: Identification) -> None:
+    seconds = iter(range(100))
+    result = bootstrap(found, 10, time_budget=Budget(4.5, clock=lambda: float(next(seconds))))
+    assert result.status is Status.OUT_OF_TIME
+    assert 0 < len(result.samples) < 10
+    assert "out of time" in result.message
 
 
 def test_coloured_residuals_are_drawn_coloured() -> None:
@@ -129,7 +139,7 @@ def test_refusals(found: Identification) -> None:
         bootstrap(found, 0)
     with pytest.raises(InvalidInput, match="no longer has its fit"):
         bootstrap(replace(found))
-    result = Bootstrap(("mass",), np.array([[1.0], [2.0]]), 0, interrupted=False)
+    result = Bootstrap(("mass",), np.array([[1.0], [2.0]]), 0)
     with pytest.raises(InvalidInput, match=r"no such parameter.*mass"):
         result.interval("inertia")
     with pytest.raises(InvalidInput, match="level"):

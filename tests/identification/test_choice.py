@@ -11,16 +11,15 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import compare_models
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.comparison import compare as _choice
-from hyperflex.identification.comparison.compare import candidates, recut
-from hyperflex.identification.comparison.evidence import Evidence, criteria, error, recommend, why_alike
+from hyperflex.identification import comparison as _choice
+from hyperflex.identification.comparison import Evidence, candidates, criteria, error, recommend, recut, why_alike
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.uncertainty.noise import Piece
-from hyperflex.identification.uncertainty.whiteness import whiteness
+from hyperflex.identification.uncertainty.noise import Piece, whiteness
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
@@ -213,6 +212,19 @@ def test_ctrl_c_keeps_the_candidates_that_are_done(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(_choice, "identify", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         compare_models(swing(DOUBLE), GUESS, MODELS)
+
+
+def test_out_of_time_it_compares_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    budget = Budget()
+
+    def only_one(*arguments: object, **options: object) -> object:
+        budget.cancel()
+        return identify(*arguments, **options | {"time_budget": None})  # type: ignore[arg-type]
+
+    monkeypatch.setattr(_choice, "identify", only_one)
+    found = compare_models(swing(DOUBLE), GUESS, MODELS, time_budget=budget)
+    assert found.status == "out of time"
+    assert [model.name for model in found.models] == ["viscous"]
 
 
 def test_all_candidates_are_cut_alike(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from hyperflex import Arm, Experiment, Recording, Rope, arm_swings, design_experiment, identify, simulate
+from hyperflex.budget import Budget
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, RecordingSetup
-from hyperflex.identification.experiment_design import choice as _design
-from hyperflex.identification.experiment_design.experiments import default_experiments, variations
-from hyperflex.identification.experiment_design.fisher_information import expected_information
+from hyperflex.identification import experiment_design as _design
+from hyperflex.identification.experiment_design import default_experiments, expected_information, variations
 from tests.faults.interrupting import left_by
 
 SINGLE = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
@@ -175,6 +175,14 @@ def test_ctrl_c_keeps_what_was_looked_at(monkeypatch: pytest.MonkeyPatch) -> Non
     assert [plan.experiment.name for plan in found.plans] == ["short"]
     with pytest.raises(KeyboardInterrupt):
         design_experiment(SINGLE, "friction", [second])
+
+
+def test_out_of_time_it_ranks_what_was_simulated() -> None:
+    seconds = iter(range(100))
+    budget = Budget(4.5, clock=lambda: float(next(seconds)))
+    found = design_experiment(SINGLE, "friction", [SHORT] * 20, time_budget=budget)
+    assert found.status == "out of time"
+    assert 0 < len(found.plans) < 20
 
 
 def test_wrong_questions_are_refused() -> None:

@@ -145,7 +145,6 @@ def test_a_taper_is_found_as_two_numbers() -> None:
 BAD = {
     "arc_lengths for angles": ({"arc_lengths": [0.1]}, "the recording holds angles"),
     "origin for angles": ({"origin": (0.0, 0.0)}, "origin is given, but angles are fitted"),
-    "an unknown loss": ({"loss": "tukey"}, "loss"),
     "a delay of nothing": ({"free": ["delay"]}, "nothing moves the first joint"),
     "arc_lengths free without places": ({"free": ["arc"]}, "no places are measured"),
     "twice": ({"free": ["friction:factor", "friction[1]"]}, "the same thing twice"),
@@ -156,9 +155,15 @@ BAD = {
 def test_bad_input_is_refused(change: dict[str, object], match: str) -> None:
     t = np.linspace(0.0, 2.0, 101)
     recording = Recording(t, 0.3 * np.stack([np.cos(5.0 * t), np.cos(6.0 * t)], axis=1))
-    arguments = {"free": ["friction"], **change}
+    free = change.get("free", ["friction"])
+    setup = RecordingSetup(**{name: value for name, value in change.items() if name != "free"})  # type: ignore[arg-type]
     with pytest.raises(InvalidInput, match=match):
-        identify(recording, DOUBLE, **arguments)  # type: ignore[arg-type]
+        identify(recording, DOUBLE, free, setup=setup)  # type: ignore[arg-type]
+
+
+def test_an_unknown_loss_is_refused() -> None:
+    with pytest.raises(InvalidInput, match="loss"):
+        FitOptions(loss="tukey")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("arc_lengths", [[0.2, 0.1], [-0.1, 0.2], [0.1, 0.9], [0.1]])

@@ -14,16 +14,18 @@ from scipy.stats import f, norm
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification import FitOptions, Identification, identify, profile
+from hyperflex.identification import Finding, FitOptions, Identification, Kind, identify, profile
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, fit
 from hyperflex.identification.model.plant import PredictedChannels
-from hyperflex.identification.uncertainty import coordinate as _coordinate
-from hyperflex.identification.uncertainty import interval_method as _intervals
 from hyperflex.identification.uncertainty import profile as _profile
-from hyperflex.identification.uncertainty.coordinate import ParameterCoordinate, RatioCoordinate
-from hyperflex.identification.uncertainty.interval_method import all_intervals, skewed
-from hyperflex.identification.uncertainty.profile import profiled
+from hyperflex.identification.uncertainty.profile import (
+    ParameterCoordinate,
+    RatioCoordinate,
+    all_intervals,
+    profiled,
+    skewed,
+)
 from hyperflex.identification.uncertainty.threshold import _draws, _rise, quantile, threshold
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -127,7 +129,7 @@ def test_a_linear_problem_has_the_interval_of_its_covariance() -> None:
 
 @pytest.mark.parametrize("rounds", [100, 0])  # 0: too dear, and all is left to the covariance
 def test_profiles_are_of_noise_alone_and_intervals_of_all(rounds: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_profile, "MOST_ROUNDS", rounds)
+    monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, most_rounds=rounds))
     plain = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     information, std = plain.information, np.sqrt(np.diag(plain.information.covariance))
     errors = {
@@ -212,9 +214,9 @@ def test_a_better_optimum_on_the_way_is_told() -> None:
     first = dipped.parameters.all[0]
     assert one.better.inertia[0] == pytest.approx(first.value(dipped.at), abs=first.value(std))
     assert (one.rise >= 0.0).all()
-    told = all_intervals(stuck, "profile")["inertia[0]"].remark
-    assert "not the best one" in told
-    assert "profile(found, 'inertia[0]').better" in told
+    remarks: list[Finding] = []
+    all_intervals(stuck, "profile", remarks=remarks)
+    assert (remarks[0].kind, remarks[0].values["name"]) == (Kind.BETTER_OPTIMUM, "inertia[0]")
     honest = profiled(plain, ParameterCoordinate(plain, 0), 0.95)
     assert honest.gain < 0.01  # what the fit left, in residual variances
     assert honest.better is None
@@ -222,12 +224,13 @@ def test_a_better_optimum_on_the_way_is_told() -> None:
 
 def test_a_profile_that_is_too_dear_leaves_the_covariance_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
-    monkeypatch.setattr(_profile, "MOST_ROUNDS", 0)
+    monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, most_rounds=0))
     one, plain = profiled(basis, ParameterCoordinate(basis, 0), 0.95), all_intervals(basis, "covariance")["inertia[0]"]
     assert (one.low, one.high, one.kind) == (plain.low, plain.high, "covariance")
-    found = all_intervals(basis, "profile")["inertia[0]"]
+    remarks: list[Finding] = []
+    found = all_intervals(basis, "profile", remarks=remarks)["inertia[0]"]
     assert (found.kind, found.low) == ("covariance", plain.low)
-    assert "too dear" in found.remark
+    assert remarks[0].kind is Kind.PROFILE_GIVEN_UP
 
 
 def test_progress_hears_of_profiles() -> None:
@@ -366,7 +369,7 @@ def test_fits_that_do_not_converge_are_no_points_of_a_ratios_profile(
 
 
 def test_an_end_that_was_not_found_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_profile, "TRIES", 1)
+    monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, tries=1))
     monkeypatch.setattr(_profile, "quantile", lambda *_: 1e4)  # the first step goes far beyond
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     one = profiled(basis, ParameterCoordinate(basis, 1), 0.95)
@@ -380,7 +383,7 @@ def test_profiles_of_ratios_do_not_depend_on_how_hard_they_are_drawn(
     found = swung(recording, PAPER, ["mass:factor", *FREE], intervals=None)
     ends = []
     for weight in (1000.0, 30.0):
-        monkeypatch.setattr(_coordinate, "WEIGHT", weight)
+        monkeypatch.setattr(_profile, "WEIGHT", weight)
         one = profile(found, f"{name}[2]")
         assert one.ends[1] == "crossed"
         ends.append(one.high)
@@ -441,7 +444,7 @@ def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(_intervals, "profiled", interrupted)
+    monkeypatch.setattr(_profile, "profiled", interrupted)
     result = left_by(lambda: swung(recording, PAPER, FREE))
     assert {result.intervals[name].kind for name in FREE} == {"covariance"}
     assert result.status == "interrupted"

@@ -20,9 +20,9 @@ from hyperflex.identification.uncertainty.noise import (
     expected_products,
     noise_memory,
     partial_correlations,
+    whiteness,
 )
 from hyperflex.identification.uncertainty.threshold import quantile
-from hyperflex.identification.uncertainty.whiteness import whiteness
 from hyperflex.model import Rope
 from hyperflex.recording import Recording, read_recording
 from hyperflex.simulation import simulate

@@ -5,14 +5,11 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.identification.comparison.compare import compare_models
-    from hyperflex.identification.comparison.result import FittedModel, ModelComparison
+    from hyperflex.identification.comparison import FittedModel, ModelComparison, compare_models
     from hyperflex.identification.declarations.score_tests import ScoreTest
-    from hyperflex.identification.experiment_design.choice import ExperimentDesign, Plan, design_experiment
-    from hyperflex.identification.experiment_design.experiments import Experiment
+    from hyperflex.identification.experiment_design import Experiment, ExperimentDesign, Plan, design_experiment
     from hyperflex.identification.findings import Finding, Grade, Kind, Severity
-    from hyperflex.identification.model.names import perturbed
-    from hyperflex.identification.model.parameters import lumped
+    from hyperflex.identification.model.parameters import lumped, perturbed
     from hyperflex.identification.options import FitOptions, RecordingSetup
     from hyperflex.identification.pipeline import identify
     from hyperflex.identification.prediction import BAND, HeldOut
@@ -20,8 +17,8 @@ if TYPE_CHECKING:
     from hyperflex.identification.texts import text
     from hyperflex.identification.uncertainty.bootstrap import Bootstrap, bootstrap
     from hyperflex.identification.uncertainty.covariance import Basis, Interval
+    from hyperflex.identification.uncertainty.noise import correlogram
     from hyperflex.identification.uncertainty.profile import Profile, profile
     from hyperflex.identification.uncertainty.ratios import ratios
-    from hyperflex.identification.uncertainty.whiteness import correlogram
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -10,8 +10,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.windows import CUT, Window, cut_windows
-from hyperflex.identification.model.names import parse
-from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.model.parameters import Parameters, parse
 from hyperflex.identification.model.plant import Plant, pivot_places
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.model import Rope

@@ -39,8 +39,8 @@ from hyperflex.identification.result import Identification
 from hyperflex.identification.rounds import rounds_shown
 from hyperflex.identification.symptoms import LIMITS, residuals_of, symptoms
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information, of_ratios
-from hyperflex.identification.uncertainty.interval_method import all_intervals
 from hyperflex.identification.uncertainty.model_error import with_model_error
+from hyperflex.identification.uncertainty.profile import all_intervals
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.interruption import deferred, interruptible, stoppable
 from hyperflex.model import Rope

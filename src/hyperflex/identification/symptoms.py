@@ -16,15 +16,14 @@ from hyperflex.identification.declarations.window_tests import Scatter
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit.loss import NORMAL, Loss
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification.model.parameters import common_factor, in_common_factor, lumped
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.model.scale import common_factor, in_common_factor
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.texts import percent
 from hyperflex.identification.uncertainty.covariance import TOUCHED, Basis, Information
 from hyperflex.identification.uncertainty.model_error import law_error
+from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratio_spread, ratios
-from hyperflex.identification.uncertainty.whiteness import CHANCE
 from hyperflex.model import RESISTANCES, Rope
 from hyperflex.sensors import Angles
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.declarations.slips import neighbours_swapped
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.model import Rope
@@ -35,6 +34,11 @@ class EvidenceLimits:
 
 
 EVIDENT = EvidenceLimits()
+
+
+def neighbours_swapped(n: int, k: int) -> list[int]:
+    """Return 0 to n - 1 with k and k + 1 swapped."""
+    return [*range(k), k + 1, k, *range(k + 2, n)]
 
 
 def unlike_lengths(rope: Rope) -> list[Finding]:

@@ -8,13 +8,13 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.declarations.held import FEW_LINKS
-from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, fit_with, within
+from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, fit_with, some_windows, within
 from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameter
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.whiteness import CHANCE
+from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import Rope
 from hyperflex.sensors import Angles
 
@@ -45,15 +45,14 @@ def link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTest
     few, own = n <= FEW_LINKS, any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")
     if n == 1 or plant.motor is not None or (basis.information.whiteness >= CHANCE if few else own):
         return ()
-    every = -(-len(basis.windows) // TESTING.windows)
-    windows, states = basis.windows[::every], list(found.states[::every])
+    windows, states, residuals = some_windows(basis)
     try:
         finer = plant.cut(x, PIECES)
         seen = [_seen(plant.parameters.rope(x), finer, *each) for each in zip(windows, states, strict=True)]
         again = fit(plant, seen, x, states, loss=found.loss, rounds=TESTING.rounds)
     except InvalidInput:  # links that are not uniform, or that cannot be simulated
         return ()
-    pairs = list(zip(found.residuals[::every], again.residuals, strict=True))
+    pairs = list(zip(residuals, again.residuals, strict=True))
     before = sum(found.loss.cost(residual) for residual, _ in pairs)
     gained = before - sum(found.loss.cost(residual - pattern) for residual, pattern in pairs)
     likely = _probability(basis, pairs)

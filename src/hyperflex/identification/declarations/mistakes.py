@@ -1,14 +1,18 @@
-"""Short fits of a recording as it may have been meant: which mistake in its declaration explains a poor fit."""
+"""Usual mistakes in what was declared of a recording: what may have been meant, tried by short fits.
+
+To add one, yield its finding and the recording as it would be then from `_angles_meant` or `_markers_meant`.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
+from hyperflex.identification.declarations.evidence import neighbours_swapped
 from hyperflex.identification.declarations.score_tests import CLOCK, ScoreTest
-from hyperflex.identification.declarations.slips import MISTAKES, TRIED, angles_as
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import STEPS, fit
@@ -20,6 +24,89 @@ from hyperflex.identification.multi_start import search_delay, with_delay
 from hyperflex.identification.options import RecordingSetup
 from hyperflex.model import FREE_PROPERTIES, Rope
 from hyperflex.recording import Recording
+
+
+@dataclass(frozen=True)
+class SlipLimits:
+    """Which mistakes are tried."""
+
+    # links or markers up to which each is tried by itself: the cost of as many short fits
+    swaps: int = 4
+    # rad: degrees read as radians reach farther, but for a tiny swing
+    large: float = 2.0
+    # rad: six turns read as degrees, the farthest that a free double pendulum was seen to wind up
+    turns: float = 0.7
+    # quantile of distances that is a straight rope's; part by which scales may be off
+    straight: float = 0.95
+    least_scale: float = 0.02
+
+
+TRIED = SlipLimits()
+
+Variant = tuple[Finding, Recording]  # a mistake, and the recording as it would be then
+
+
+def angles_as(recording: Recording, data: Array, factor: float = 1.0) -> Recording:
+    """Return a recording with other angles (T, n), its noise multiplied by a factor."""
+    noise = None if recording.noise is None else recording.noise * factor
+    return replace(recording, data=data, noise=noise, rates=None)
+
+
+def _angles_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Variant]:
+    """Yield the usual mistakes in angles."""
+    q = recording.data
+    n, largest = q.shape[1], np.nanmax(np.abs(q))
+    meant: list[tuple[Kind, dict[str, Any], Array]] = []
+    if n > 1:
+        meant = [
+            (Kind.RELATIVE, {}, np.cumsum(q, axis=1)),
+            (Kind.ABSOLUTE, {}, np.diff(q, axis=1, prepend=0.0)),
+            (Kind.REVERSED, {"what": "the links"}, q[:, ::-1]),
+        ]
+    for k in range(n - 1) if 2 < n <= TRIED.swaps else ():
+        meant.append((Kind.SWAPPED, {"what": "links", "first": k, "second": k + 1}, q[:, neighbours_swapped(n, k)]))
+    for k in range(n) if 1 < n < TRIED.swaps else ():
+        meant.append((Kind.SENSE, {"link": k}, q * np.where(np.arange(n) == k, -1.0, 1.0)))
+    for where, angle in (("pointing up", np.pi), ("level, along +x", 0.5 * np.pi), ("level, along -x", -0.5 * np.pi)):
+        meant.append((Kind.ZERO_DIRECTION, {"where": where}, q + angle))
+    for kind, values, data in meant:
+        yield Finding(kind, values=values), angles_as(recording, data)
+    if largest > TRIED.large:
+        yield Finding(Kind.DEGREES), angles_as(recording, np.radians(q), np.pi / 180.0)
+    if largest < TRIED.turns:
+        yield Finding(Kind.RADIANS), angles_as(recording, np.degrees(q), 180.0 / np.pi)
+
+
+def _markers_meant(recording: Recording, setup: RecordingSetup) -> Iterator[Variant]:
+    """Yield the usual mistakes in markers: axes, order, and scale, if distances differ from those along the rope."""
+    places = np.asarray(recording.data.reshape(recording.t.size, -1, 2))
+    n = places.shape[1]
+    middle = np.nanmedian(places[:, 0], axis=0) if setup.origin is None else np.asarray(setup.origin, dtype=np.float64)
+    away = places - middle
+    meant: list[tuple[Kind, dict[str, Any], Array]] = [
+        (Kind.Y_AXIS, {}, middle + away * np.array([1.0, -1.0])),
+        (Kind.AXES_SWAPPED, {}, middle + away[:, :, ::-1]),
+    ]
+    if n > 1:
+        meant.append((Kind.REVERSED, {"what": "the markers"}, places[:, ::-1]))
+    for k in range(n - 1) if 2 < n <= TRIED.swaps + 1 else ():
+        values = {"what": "markers", "first": k, "second": k + 1}
+        meant.append((Kind.SWAPPED, values, places[:, neighbours_swapped(n, k)]))
+    for kind, own, data in meant:
+        yield Finding(kind, values=own), replace(recording, data=data.reshape(recording.data.shape))
+    if setup.arc_lengths is None or n < 2:
+        return
+    apart = np.nanquantile(np.hypot(*np.diff(places, axis=1).T).T, TRIED.straight, axis=0)
+    factor = float(np.median(apart / np.diff(np.asarray(setup.arc_lengths, dtype=np.float64))))
+    if abs(factor - 1.0) > TRIED.least_scale:
+        noise = None if recording.noise is None else recording.noise / factor
+        yield (
+            Finding(Kind.MARKER_SCALE, values={"factor": factor}),
+            replace(recording, data=recording.data / factor, noise=noise),
+        )
+
+
+MEANT = {"angles": _angles_meant, "markers": _markers_meant}
 
 
 @dataclass(frozen=True)
@@ -151,16 +238,13 @@ def _meant(recording: Recording, left: ShortFit) -> Iterator[Tried]:
     Not where a free direction of gravity then turns by more than 45 degrees: it makes all zeros of the angles explain
     as much, each with another direction.
     """
-    for mistake in MISTAKES:
-        if mistake.of != recording.kind:
-            continue
-        for values, meant in mistake.variants(recording, left.setup):
-            if "gravity_angle" in left.free:
-                part, (angle,) = left(meant, ("gravity_angle",))
-                part = part if np.cos(angle) > np.sqrt(0.5) else np.inf
-            else:
-                part = left(meant)[0]
-            yield part, [Finding(mistake.kind, values=values)]
+    for finding, meant in MEANT[recording.kind](recording, left.setup):
+        if "gravity_angle" in left.free:
+            part, (angle,) = left(meant, ("gravity_angle",))
+            part = part if np.cos(angle) > np.sqrt(0.5) else np.inf
+        else:
+            part = left(meant)[0]
+        yield part, [finding]
 
 
 def _zeros(recording: Recording, left: ShortFit, declared: float) -> Iterator[Tried]:

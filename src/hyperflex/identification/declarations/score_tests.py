@@ -13,11 +13,11 @@ from hyperflex.identification.declarations.held import HeldQuantity
 from hyperflex.identification.declarations.registry import LAWS, quantity, words_for_tests
 from hyperflex.identification.fit.multiple_shooting import Fit, fit, linearise
 from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.model.parameters import Mask
 from hyperflex.identification.model.plant import Plant, extended, scale_words
-from hyperflex.identification.model.scale import Mask
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
+from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
-from hyperflex.identification.uncertainty.whiteness import CHANCE
 
 
 @dataclass(frozen=True)
@@ -321,15 +321,15 @@ def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
 def fit_with(basis: Basis, name: str) -> Basis | None:
     """Return a fit of some windows with `name` free as well, and its covariance; None where none converges."""
     plant, x, _ = extended(basis.plant, basis.fit.x, [name])
-    windows, states = _some(basis)
+    windows, states, _ = some_windows(basis)
     found = _fit(plant, windows, x, states, basis)
     return None if found is None else Basis(plant, windows, found, estimate_covariance(plant, windows, found))
 
 
-def _some(basis: Basis) -> tuple[list[Window], list[Array]]:
-    """Return windows spread over the recording, and their states."""
+def some_windows(basis: Basis) -> tuple[list[Window], list[Array], list[Array]]:
+    """Return windows spread over the recording, their states, and their residuals."""
     every = -(-len(basis.windows) // TESTING.windows)
-    return basis.windows[::every], list(basis.fit.states[::every])
+    return basis.windows[::every], basis.fit.states[::every], basis.fit.residuals[::every]
 
 
 def _fit(plant: Plant, windows: list[Window], x: Array, states: list[Array], basis: Basis) -> Fit | None:
@@ -342,7 +342,7 @@ def _fit(plant: Plant, windows: list[Window], x: Array, states: list[Array], bas
 def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     """Return a test with what a fit of some windows says."""
     plant, x, _ = extended(basis.plant, basis.fit.x, [test.name])
-    windows, states = _some(basis)
+    windows, states, _ = some_windows(basis)
     before, after = _fit(basis.plant, windows, basis.fit.x, states, basis), _fit(plant, windows, x, states, basis)
     if before is None or after is None:
         return replace(test, gain=0.0, excess_gain=0.0)

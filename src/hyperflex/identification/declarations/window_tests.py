@@ -12,8 +12,8 @@ from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.fit.multiple_shooting import linearise
 from hyperflex.identification.model.plant import extended
 from hyperflex.identification.uncertainty.covariance import UNKNOWN, Basis
+from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratio_spread, ratios
-from hyperflex.identification.uncertainty.whiteness import CHANCE
 
 
 @dataclass(frozen=True)

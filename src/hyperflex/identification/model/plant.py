@@ -14,8 +14,7 @@ from hyperflex.core.integrate.rollout import Limits
 from hyperflex.core.tangent.extrapolation import Directions, place_changes
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.names import parse
-from hyperflex.identification.model.parameters import ARM, Parameter, Parameters
+from hyperflex.identification.model.parameters import ARM, Parameter, Parameters, parse
 from hyperflex.model import Arm, Rope, Setup, divided, parse_label
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.sensors import Angles, Markers, MotorTorque, PostureSensor

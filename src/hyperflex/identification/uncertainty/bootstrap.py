@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
@@ -17,7 +18,7 @@ from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level
 from hyperflex.identification.uncertainty.ratios import ratios
 from hyperflex.interruption import interruptible, stoppable
-from hyperflex.progress import progress_bar
+from hyperflex.status import Status
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,23 +33,24 @@ class Bootstrap:
         Fitted values, SI units.
     ratio_names, ratio_samples : tuple of str, (B, R) array
         The same of the ratios, such as ``J/p1[0]``.
-    failed, interrupted : int, bool
-        How many more fits failed, and whether Ctrl-C came before all were done.
+    failed : int
+        How many more fits failed.
+    ended : Status or None
+        INTERRUPTED or OUT_OF_TIME where not all fits were made.
     """
 
     names: tuple[str, ...]
     samples: Array
     failed: int
-    interrupted: bool
+    ended: Status | None = None
     ratio_names: tuple[str, ...] = ()
     ratio_samples: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __repr__(self) -> str:
-        end = ", interrupted" if self.interrupted else ""
-        return f"<Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}: {', '.join(self.names)}>"
+        return f"<{self._head}: {', '.join(self.names)}>"
 
     def __str__(self) -> str:
-        lines = [f"Bootstrap: {len(self.samples)} fits, {self.failed} more failed{', interrupted' * self.interrupted}"]
+        lines = [self._head]
         if len(self.samples) > 1:
             for name in (*self.names, *self.ratio_names):
                 values = self._of(name)
@@ -56,9 +58,24 @@ class Bootstrap:
         return "\n".join(lines)
 
     @property
+    def _head(self) -> str:
+        end = "" if self.ended is None else f", {self.ended}"
+        return f"Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}"
+
+    @property
+    def status(self) -> Status:
+        """SUCCESS if all fits were tried, and at least one converged."""
+        return self.ended or (Status.SUCCESS if len(self.samples) else Status.FAILED)
+
+    @property
     def success(self) -> bool:
         """Whether all fits were tried, and at least one converged."""
-        return not self.interrupted and len(self.samples) > 0
+        return self.status is Status.SUCCESS
+
+    @property
+    def message(self) -> str:
+        """Why it is no success; empty on success."""
+        return "" if self.success else f"{self.status}: {self._head}"
 
     def interval(self, name: str, level: float = LEVEL) -> Interval:
         """Return the percentile interval of parameter or ratio `name` at a `level`; beside bounds see `profile`.
@@ -90,6 +107,7 @@ def bootstrap(
     seed: int = 0,
     executor: Executor | None = None,
     chunk_size: int | None = None,
+    time_budget: float | Budget | None = None,
     progress: bool = False,
 ) -> Bootstrap:
     """Simulate recordings like the one that was fitted, and fit each (parametric bootstrap).
@@ -107,6 +125,9 @@ def bootstrap(
         on it.
     chunk_size : int, optional
         Fits of a chunk; by default one.
+    time_budget : float or Budget, optional
+        Seconds by the clock, without compiling, checked after each chunk; no limit by default. Out of time, the result
+        holds the fits until then, with ``status`` OUT_OF_TIME.
     progress : bool
         Show a bar on standard error.
 
@@ -138,15 +159,14 @@ def bootstrap(
         raise IdentificationError("The fit cannot be simulated any more: nothing can be drawn from it.")
     executor, size = checked_chunks(executor, chunk_size, 1)
     fits: dict[int, list[Array | None]] = {}
-    with (
-        stoppable() as stop,
-        progress_bar(0.0, float(count), progress, "fitting", "simulated recordings") as report,
-    ):
+    budget = Budget.of(time_budget)
+    with stoppable() as stop, budget.progress(progress, "fitting", count, "simulated recordings"):
 
         def keep(low: int, some: list[Array | None]) -> None:
             fits[low] = some
-            if report is not None:
-                report(float(low + len(some)))
+            budget.report(float(low + len(some)))
+            if len(fits) * size < count:
+                budget.check()
 
         lost = run_chunks(_Draws(basis, clean, seed), range(count), executor, size, keep)
         refuse_lost(lost, "simulated recordings")
@@ -155,7 +175,7 @@ def bootstrap(
     failed, names = len(every) - len(done), tuple(_ratios(plant.parameters, fitted.x))
     table = np.array([values for values, _ in done]).reshape(len(done), len(plant.parameters))
     numbers = np.array([ratios for _, ratios in done]).reshape(len(done), len(names))
-    return stop.deliver(Bootstrap(plant.parameters.labels, table, failed, stop.received, names, numbers))
+    return stop.deliver(Bootstrap(plant.parameters.labels, table, failed, stop.status, names, numbers))
 
 
 def _ratios(parameters: Parameters, x: Array) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """Covariance of the parameters (sandwich estimate for robust losses and coloured noise), and intervals from it."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -13,11 +13,10 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Fit, least_squares, linearise
 from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.model.parameters import Mask, in_common_factor
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.model.scale import Mask, in_common_factor
-from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory
+from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory, whiteness
 from hyperflex.identification.uncertainty.threshold import quantile
-from hyperflex.identification.uncertainty.whiteness import whiteness
 from hyperflex.interruption import stoppable
 
 UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
@@ -283,30 +282,34 @@ def checked_level(level: float) -> float:
     return float(level)
 
 
+def around(x: float, half: float, least: float, level: float, value: Callable[[float], float] = float) -> Interval:
+    """Return the interval of a value, a function of x, from half its width in x, within the bound `least` of x."""
+    ends: tuple[End, End] = ("bound" if x - half < least else "crossed", "crossed")
+    return Interval(value(max(x - half, least)), value(x + half), "covariance", ends, level)
+
+
+def _unknown(level: float, *, signed: bool) -> Interval:
+    return Interval(-np.inf if signed else 0.0, np.inf, "unknown", ("open" if signed else "bound", "open"), level)
+
+
 def from_covariance(basis: Basis, which: int, level: float = LEVEL) -> Interval:
     """Return the interval of parameter number `which` from its standard deviation, within its bound."""
     information, parameter = basis.information, basis.plant.parameters.all[which]
     std = float(information.deviations(np.ones(information.x.size))[which])
     if not np.isfinite(std):
-        low = -np.inf if parameter.form == "linear" else 0.0
-        return Interval(low, np.inf, "unknown", ("open" if low else "bound", "open"), level)
-    least, x = float(basis.plant.parameters.lower[which]), float(information.x[which])
+        return _unknown(level, signed=parameter.form == "linear")
     half = std * float(np.sqrt(quantile(level, information.freedom)))
-    ends: tuple[End, End] = ("bound" if x - half < least else "crossed", "crossed")
-    return Interval(parameter.value(max(x - half, least)), parameter.value(x + half), "covariance", ends, level)
+    return around(float(information.x[which]), half, parameter.least, level, parameter.value)
 
 
 def of_ratios(ratios: dict[str, Array], std: dict[str, Array], freedom: float) -> dict[str, Interval]:
     """Return intervals of the ratios by name and link (``J/p1[0]``), from their standard deviations, within bounds."""
     times, result = float(np.sqrt(quantile(LEVEL, freedom))), {}
     for name, values in ratios.items():
+        signed = name in SIGNED
         for k, (value, spread) in enumerate(zip(values, std[name], strict=True)):
             if not np.isfinite(spread):
-                low = -np.inf if name in SIGNED else 0.0
-                result[f"{name}[{k}]"] = Interval(low, np.inf, "unknown", ("bound" if low == 0.0 else "open", "open"))
+                result[f"{name}[{k}]"] = _unknown(LEVEL, signed=signed)
             elif spread > 0.0:
-                low, high = value - times * spread, value + times * spread
-                bounded = low < 0.0 and name not in SIGNED
-                ends: tuple[End, End] = ("bound" if bounded else "crossed", "crossed")
-                result[f"{name}[{k}]"] = Interval(0.0 if bounded else low, high, "covariance", ends)
+                result[f"{name}[{k}]"] = around(value, times * spread, -np.inf if signed else 0.0, LEVEL)
     return result

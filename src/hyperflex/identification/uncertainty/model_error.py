@@ -14,7 +14,7 @@ from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.model.parameters import Parameters, lumped
 from hyperflex.identification.model.plant import scale_words
 from hyperflex.identification.uncertainty.covariance import Basis
-from hyperflex.identification.uncertainty.whiteness import CHANCE
+from hyperflex.identification.uncertainty.noise import CHANCE
 
 ASKED = 0.67  # part of a gain, 1 - 1 / chi^2: chi^2 = 3, one in 25 right fits of a law, which cannot be negative
 CLOCK_POWER = {"N m s/rad": -0.5, "N m": -1.0, "N m/rad": -1.0}  # of gravity's factor, in resistances: by their unit

@@ -1,6 +1,6 @@
-"""Profile likelihood: one parameter or ratio held at a value, all others fitted again."""
+"""Profile likelihood of a parameter or ratio, all else fitted again; and which intervals are found by it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -9,14 +9,168 @@ from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
+from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import Fit, Report, fit
+from hyperflex.identification.fit.multiple_shooting import Fit, Report, Target, fit, with_entries
+from hyperflex.identification.options import How
 from hyperflex.identification.result import Identification
-from hyperflex.identification.uncertainty.coordinate import Coordinate, ParameterCoordinate, RatioCoordinate
-from hyperflex.identification.uncertainty.covariance import Basis, End, checked_level
-from hyperflex.identification.uncertainty.threshold import quantile, threshold
-from hyperflex.interruption import interruptible
+from hyperflex.identification.uncertainty.covariance import (
+    LEVEL,
+    SIGNED,
+    Basis,
+    End,
+    Interval,
+    around,
+    checked_level,
+    from_covariance,
+)
+from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratios
+from hyperflex.identification.uncertainty.threshold import near_bounds, quantile, threshold
+from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Rope
+
+# Of a target, in 1 / std: the data hold a ratio back from it by a millionth of its way; where another parameter is at
+# its bound they may do so a thousand times more than the standard deviation says
+WEIGHT = 1000.0
+TRIED = 2  # steps, each half of the one before, with which a start is to bring a ratio a quarter of its way
+
+
+class _Coordinate:
+    """A function of x (P,) that a profile follows.
+
+    Attributes
+    ----------
+    label : str
+        The name, as in ``Identification.intervals``.
+    origin, std : float
+        Value at the fit, and its standard deviation by noise; 0 or not finite where the data do not determine it.
+    column : (P,) array
+        How the estimate of x moves with the coordinate.
+    widening : float
+        By what factor autocorrelated residuals widen its variance.
+    bound : float
+        The least value of the coordinate, -inf where none is known beforehand.
+    """
+
+    def __init__(self, basis: Basis, label: str, slope: Array, bound: float, *, known: bool) -> None:
+        information = basis.information
+        self.basis, self.label, self.bound = basis, label, bound
+        self.parameters, self.lower = basis.plant.parameters, basis.plant.parameters.lower
+        self.origin = self.at(basis.fit.x)
+        variance = float(slope @ information.covariance @ slope)
+        self.std = (float(np.sqrt(variance)) if variance > 0.0 else 0.0) if known else float("inf")
+        known = known and self.std > 0.0
+        self.column = information.covariance @ slope / variance if known else np.zeros(slope.size)
+        self.widening = variance / float(slope @ information.plain @ slope) if known else 1.0
+
+    def at(self, x: Array) -> float:
+        """Return the coordinate of x."""
+        raise NotImplementedError
+
+
+class ParameterCoordinate(_Coordinate):
+    """One of the parameters, by its x."""
+
+    def __init__(self, basis: Basis, which: int) -> None:
+        self.which, parameters = which, basis.plant.parameters
+        one = np.eye(len(parameters))[which]
+        known = bool(np.isfinite(basis.information.deviations(np.ones(one.size))[which]))
+        super().__init__(basis, parameters.labels[which], one, float(parameters.lower[which]), known=known)
+
+    def at(self, x: Array) -> float:
+        """Return its x."""
+        return float(x[self.which])
+
+    def value(self, at: float) -> float:
+        """Return the value in SI units."""
+        return self.parameters.all[self.which].value(at)
+
+    def aimed(self, x: Array, at: float) -> Array:
+        """Return where a fit held at `at` begins: x with this one set, the others moved along, within their bounds."""
+        begun: Array = np.maximum(x + self.column * (at - self.at(x)), self.lower)
+        begun[self.which] = at
+        return begun
+
+    def held(self, at: float, unit: float, firmness: float) -> dict[str, Any]:
+        """Return the options of ``fit`` that hold it where the fit begins."""
+        return {"held": (self.which,)}
+
+    def limits(self, x: Array) -> tuple[int, Array, Array]:
+        """Return for ``threshold`` its number, the covariance (P, P), and the distances (P,) of x above the bounds."""
+        return self.which, self.basis.information.covariance, x - self.lower
+
+    def by_std(self, level: float) -> Interval:
+        """Return its interval of noise from the standard deviation."""
+        return from_covariance(self.basis.of_noise, self.which, level)
+
+
+class RatioCoordinate(_Coordinate):
+    """A ratio such as ``J/p1[0]``, by its value."""
+
+    def __init__(self, basis: Basis, name: str, link: int) -> None:
+        self.name, self.link, self.parameters = name, link, basis.plant.parameters
+        slope = self.gradient(basis.fit.x)
+        known = bool(np.isfinite(basis.information.spread(slope[None])[0]))
+        super().__init__(basis, f"{name}[{link}]", slope, -np.inf if name in SIGNED else 0.0, known=known)
+        self.least = self._least(slope, basis.fit.x)
+
+    def _least(self, slope: Array, x: Array) -> float:
+        """Return the least ratio that bounds allow, in so far as it is known: of a resistance, or of one parameter."""
+        if self.name not in ("J/p1", *SIGNED):
+            return 0.0
+        movers = np.flatnonzero(slope)
+        if movers.size != 1 or slope[movers[0]] < 0.0 or not np.isfinite(self.lower[movers[0]]):
+            return -np.inf
+        lowest = x.copy()
+        lowest[movers[0]] = self.lower[movers[0]]
+        return self.at(lowest) if self.parameters.possible(lowest) is not None else -np.inf
+
+    def at(self, x: Array) -> float:
+        """Return the ratio."""
+        return float(ratios(self.parameters.rope(x), self.parameters.names)[self.name][self.link])
+
+    def gradient(self, x: Array) -> Array:
+        """Return its derivatives by x (P,)."""
+        slope: Array = ratio_gradients(self.parameters, x)[self.name][self.link]
+        return slope
+
+    def value(self, at: float) -> float:
+        """Return the ratio, which is in SI units, within the bound."""
+        return max(at, self.bound)
+
+    def aimed(self, x: Array, at: float) -> Array:
+        """Return where a fit at `at` begins: x moved along, as far as the ratio goes along; a target draws it on."""
+        here, part = self.at(x), 1.0
+        for _ in range(TRIED):
+            begun = np.maximum(x + part * self.column * (at - here), self.lower)
+            if self.parameters.possible(begun) is not None and abs(self.at(begun) - at) < 0.75 * abs(at - here):
+                return np.asarray(begun)
+            part *= 0.5
+        return x
+
+    def held(self, at: float, unit: float, firmness: float) -> dict[str, Any]:
+        """Return the target that draws it to `at`, so many times more firmly than usual.
+
+        `unit` is the rise of the squares one std away. The target lies beyond by what the data hold the ratio back.
+        """
+        weight = firmness * WEIGHT
+        beyond = at + (at - self.origin) / weight**2
+        return {"target": Target(self.at, self.gradient, beyond, weight * float(np.sqrt(unit)) / self.std)}
+
+    def limits(self, x: Array) -> tuple[int, Array, Array]:
+        """Return the number, the variance (1, 1) and the distance (1,) of the ratio alone above its bound.
+
+        Other parameters' bounds do not count: where all share an unknown factor they are not in a ratio's way.
+        """
+        return 0, np.array([[self.std**2]]), np.array([self.at(x) - self.least])
+
+    def by_std(self, level: float) -> Interval:
+        """Return its interval of noise from the standard deviation, within its bound."""
+        half = self.std * float(np.sqrt(quantile(level, self.basis.information.freedom)))
+        return around(self.origin, half, self.bound, level)
+
+
+Coordinate = ParameterCoordinate | RatioCoordinate
 
 
 @dataclass(frozen=True)
@@ -193,14 +347,21 @@ class _TooLong(Exception):
 class _ProfileSearch:
     """Walks away from the optimum along one coordinate, to either side."""
 
-    def __init__(self, basis: Basis, along: Coordinate, level: float, budget: Budget, report: Report | None) -> None:
+    def __init__(
+        self,
+        basis: Basis,
+        along: Coordinate,
+        level: float,
+        budget: Budget,
+        report: Report | None,
+    ) -> None:
         self.basis, self.along, self.level, self.budget, self.report = basis, along, level, budget, report
         self.rounds = WALK.most_rounds  # that one side may still take
         information, found = basis.information, basis.fit
         self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
         self.unit = information.variance * along.widening
         self.enough = WALK.finish * information.variance / max(found.cost, 1e-300)
-        best = self._fit(found.x, found.states, 10)
+        best = self._fit(found.x, found.states, 10, report)
         self.least = best.cost
         self.points = [self._point(best.x, best.states, best.cost)]
 
@@ -210,12 +371,10 @@ class _ProfileSearch:
         limit = threshold(self.level, self.basis.information.freedom, which, covariance, above)
         return _Point(self.along.at(x), x, states, rise, limit)
 
-    def _fit(self, x: Array, states: list[Array], rounds: int, **held: Any) -> Fit:
+    def _fit(self, x: Array, states: list[Array], rounds: int, report: Report | None = None, **held: Any) -> Fit:
         """Return a fit from there, all free but for what is `held`."""
-        plant, windows = self.basis.plant, self.basis.windows
-        how: dict[str, Any] = {"loss": self.loss, "enough": self.enough, "budget": self.budget, "report": self.report}
-        found = fit(plant, windows, x, states, rounds=rounds, **how, **held)
-        self.rounds -= max(len(found.history), 1)
+        how: dict[str, Any] = {"loss": self.loss, "enough": self.enough, "budget": self.budget, "report": report}
+        found = fit(self.basis.plant, self.basis.windows, x, states, rounds=rounds, **how, **held)
         self.budget.check()  # else a fit that the budget has ended would pass for one that has settled
         return found
 
@@ -257,16 +416,23 @@ class _ProfileSearch:
 
     def _reached(self, x: Array, states: list[Array], held: dict[str, Any]) -> Fit | None:
         """Return the fit from there, or None where it cannot be simulated or is far from any of interest."""
-        rounds = min(20, self.rounds)
+        taken = 0
+
+        def watch(entry: dict[str, Any]) -> None:
+            nonlocal taken
+            taken += 1
+            if self.report is not None:
+                self.report(entry)
+            rise = (entry["cost"] - self.least) / self.unit
+            if "target" not in held and taken >= WALK.promising and rise > WALK.hopeless:
+                raise InvalidInput("no fit of interest is near")
+
         try:
-            found = self._fit(x, states, min(WALK.promising, rounds), **held)
-            if found.converged or len(found.history) < WALK.promising:
-                return found
-            if "target" not in held and (found.cost - self.least) / self.unit > WALK.hopeless:
-                return None
-            return self._fit(found.x, found.states, max(1, rounds - WALK.promising), **held)
+            return self._fit(x, states, min(20, self.rounds), watch, **held)
         except InvalidInput:
             return None
+        finally:
+            self.rounds -= max(taken, 1)
 
     def side(self, sign: float) -> tuple[float, End]:
         """Return the coordinate of the end of the interval below (-1) or above (1) the optimum, and its kind."""
@@ -315,3 +481,113 @@ class _ProfileSearch:
                 self.rounds = WALK.most_rounds
                 if value != values[0]:
                     self.at(float(value))
+
+
+TIED = 0.1  # correlation with a parameter beside its bound from which the bound is felt
+BENT = 0.1  # part by which the root of the rise may depart from a straight line before the covariance is left
+MOST = 4  # profiles that "auto" takes on, each as dear as two or three fits
+
+
+def all_intervals(
+    basis: Basis,
+    how: How,
+    level: float = LEVEL,
+    *,
+    remarks: list[Finding] | None = None,
+    budget: Budget | None = None,
+    report: Report | None = None,
+) -> dict[str, Interval]:
+    """Return intervals of all free parameters, by label.
+
+    ``auto`` profiles up to four parameters whose covariance is skewed: within four standard deviations of a bound,
+    correlated with such a one, or with squares that do not rise as a parabola; of more, those nearest to their bounds.
+    What a profile shows besides is added to `remarks`. `report` gets each round of each profile, with its ``parameter``
+    and ``phase="profile"``. Ctrl-C raises Interrupted; in its ``partial``, and out of time, what was not profiled yet
+    has intervals from the covariance.
+    """
+    result = {label: from_covariance(basis, which, level) for which, label in enumerate(basis.plant.parameters.labels)}
+    labels = list(result)
+    if how == "covariance":
+        return result
+    with stoppable() as stop:
+        chosen = _skewed_parameters(basis) if how == "auto" else list(range(len(labels)))
+        chosen = [k for k in chosen if result[labels[k]].kind != "unknown"]
+        length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
+        for number, k in enumerate(chosen):
+            at = {"phase": "profile", "parameter": labels[k], "window": length, "stage": number, "stages": len(chosen)}
+            along = ParameterCoordinate(basis, k)
+            found = profiled(
+                basis, along, level, budget=budget, report=None if report is None else with_entries(report, at)
+            )
+            if found.kind == "profile":
+                interval = Interval(found.low, found.high, found.kind, found.ends, level)
+                result[labels[k]] = _with_model_error(basis, k, interval)
+            if remarks is not None:
+                remarks += _remarks(found)
+    return stop.deliver(result)
+
+
+def _with_model_error(basis: Basis, which: int, interval: Interval) -> Interval:
+    """Return the interval of a profile, made wider by the model's errors; it stays within the parameter's bound."""
+    parameter, information = basis.plant.parameters.all[which], basis.information
+    x = float(information.x[which])
+    one = np.eye(information.x.size)[which : which + 1] * parameter.derivative(x)
+    value = parameter.value(x)
+    model = float(information.model_spread(one)[0]) * float(np.sqrt(quantile(interval.level, information.freedom)))
+    low = value - float(np.hypot(value - interval.low, model))
+    least = -np.inf if parameter.form == "linear" else 0.0
+    end: End = "bound" if low <= least else interval.ends[0]
+    high = value + float(np.hypot(interval.high - value, model))
+    return replace(interval, low=max(low, least), high=high, ends=(end, interval.ends[1]))
+
+
+def _remarks(found: Profile) -> list[Finding]:
+    """Return that a profile has found a better optimum, or took too long."""
+    if found.gain > WALK.better:
+        return [Finding(Kind.BETTER_OPTIMUM, Severity.LIMIT, {"name": found.name, "gain": found.gain})]
+    return [Finding(Kind.PROFILE_GIVEN_UP, Severity.LIMIT, {"name": found.name})] * (found.kind == "covariance")
+
+
+def skewed(basis: Basis, which: int) -> bool:
+    """Tell whether the covariance does not suffice for a parameter.
+
+    Beside a bound, its own or that of one it correlates with; or where, two standard deviations away along the line of
+    the covariance, the squares rise otherwise than by four. Two rollouts of all windows.
+    """
+    information = basis.information
+    covariance, std = information.covariance, np.sqrt(np.diag(information.covariance))
+    near = np.flatnonzero(near_bounds(covariance, information.x - basis.plant.parameters.lower))
+    if std[which] == 0.0:
+        return False
+    if any(abs(covariance[which, k]) > TIED * std[which] * std[k] for k in near):
+        return True
+    for step in (-2.0, 2.0):
+        move = step * information.plain[:, which] / np.sqrt(information.plain[which, which])
+        rise = _rise(basis, move)
+        if rise is None or abs(np.sqrt(max(rise, 0.0)) / abs(step) - 1.0) > BENT:
+            return True
+    return False
+
+
+def _skewed_parameters(basis: Basis) -> list[int]:
+    information = basis.information
+    std = np.sqrt(np.diag(information.covariance))
+    above = (information.x - basis.plant.parameters.lower) / np.where(std > 0.0, std, 1.0)
+    known = np.isfinite(information.deviations(np.ones(std.size)))
+    chosen: list[int] = []
+    for k in np.argsort(above, kind="stable"):
+        if len(chosen) < MOST and known[k] and skewed(basis, int(k)):
+            chosen.append(int(k))
+    return chosen
+
+
+def _rise(basis: Basis, move: Array) -> float | None:
+    """Return the rise of the cost over the residual variance, x and states moved along a straight line."""
+    found, total = basis.fit, 0.0
+    for window, state, follow in zip(basis.windows, found.states, basis.information.follow, strict=True):
+        moved = state + follow @ move
+        residual = basis.plant.residual(found.x + move, window, moved)
+        if residual is None:
+            return None
+        total += found.window_cost(window, moved, residual)
+    return (total - found.cost) / basis.information.variance

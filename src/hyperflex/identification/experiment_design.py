@@ -1,22 +1,232 @@
-"""Choice of the next experiment: candidates ranked by expected standard deviation, and advice."""
+"""Candidate experiments: motion of the arm, frame rate, duration and markers."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hyperflex import checks, files
+from hyperflex.budget import Budget
+from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.identification.experiment_design.experiments import Experiment, default_experiments, variations
-from hyperflex.identification.experiment_design.fisher_information import ExpectedInformation, expected_information
-from hyperflex.identification.model.names import parse
-from hyperflex.identification.model.scale import common_factor
+from hyperflex.identification.fit.loss import Loss
+from hyperflex.identification.fit.multiple_shooting import linearise
+from hyperflex.identification.fit.windows import Window, decimation_step, usual_length
+from hyperflex.identification.measurements import build_plant, measure, with_torque
+from hyperflex.identification.model.parameters import Parameter, Parameters, common_factor, in_common_factor, parse
+from hyperflex.identification.model.plant import PRECISION, Plant, pivot_places
+from hyperflex.identification.options import RecordingSetup
+from hyperflex.identification.uncertainty.covariance import Information, known_directions
+from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Arm, Rope
-from hyperflex.progress import progress_bar
+from hyperflex.motion import Motion, arm_swings
+from hyperflex.recording import Recording
+from hyperflex.sensors import Markers
+from hyperflex.simulation import simulate
 from hyperflex.status import Status
+
+
+@dataclass(frozen=True)
+class DefaultExperiments:
+    """The experiments that are tried by default."""
+
+    most_frames: int = 1000000
+    # rad at the first joint, and as much to the other side at the tip
+    bent: float = 0.8
+    # frames a second, s, and most markers of the default experiments
+    rate: float = 30.0
+    duration: float = 10.0
+    markers: int = 11
+
+
+DEFAULTS = DefaultExperiments()
+
+ANGLES = (0.3, 0.8, 1.5)  # rad, from which a straight rope is let go
+RESTS = (0.34, 0.53, 0.80)  # s, of the paper's swings: its failure, its success, and a slow one
+RATES, DURATIONS, FEW = (7.5, 120.0), (5.0, 20.0), (3, 6)
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A recording that could be made.
+
+    Parameters
+    ----------
+    name : str
+        For tables.
+    motion : Motion, optional
+        Of the arm, or of the first joint; by default it is fixed.
+    q0, qd0 : (n,) array_like or float, optional
+        Link angles, rad, and rates, rad/s, at the start (a number: of all links); by default it hangs at rest.
+    rate, duration : float
+        Frames a second; recorded time, s.
+    markers : int, optional
+        Number of markers, evenly from the first joint to the tip; None: the angle of every link is measured.
+    noise : float, optional
+        Standard deviation of a marker's coordinate, m, or of an angle, rad; None: that of :func:`design_experiment`.
+    torque_noise : float, optional
+        Standard deviation of the measured motor torque, N m; None: it is not measured.
+    """
+
+    name: str
+    motion: Motion | None = None
+    q0: npt.ArrayLike | None = None
+    qd0: npt.ArrayLike | None = None
+    rate: float = DEFAULTS.rate
+    duration: float = DEFAULTS.duration
+    markers: int | None = None
+    noise: float | None = None
+    torque_noise: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, unit in (("rate", "1/s"), ("duration", "s"), ("noise", "m or rad"), ("torque_noise", "N m")):
+            if getattr(self, name) is not None or name in ("rate", "duration"):
+                checks.number(f"experiment {name}", getattr(self, name), sign="positive", unit=unit)
+        if self.motion is not None and not isinstance(self.motion, Motion):
+            raise InvalidInput("motion of an experiment is none", got=self.motion, allowed="a Motion, or None")
+        if self.markers is not None:
+            checks.count("experiment markers", self.markers, least=2)
+        checks.text("experiment name", self.name)
+        if not 2.0 <= self.rate * self.duration + 1e-9 < DEFAULTS.most_frames:
+            raise InvalidInput(
+                "experiment rate and duration give too few frames, or too many",
+                got=[self.rate, self.duration],
+                allowed=f"3 to {DEFAULTS.most_frames:g} frames",
+            )
+
+    @property
+    def t(self) -> Array:
+        """Times of the frames (T,), s."""
+        return np.arange(int(np.floor(self.duration * self.rate + 1e-9)) + 1) / self.rate
+
+    def start(self, rope: Rope) -> tuple[Array | None, Array | None]:
+        """Return angles and rates (n,) of a `rope` at the start; None where they are not given."""
+        n = rope.n_links
+        q0 = None if self.q0 is None else checks.array("experiment q0", self.q0, (n,), unit="rad", scalar=True)
+        qd0 = None if self.qd0 is None else checks.array("experiment qd0", self.qd0, (n,), unit="rad/s", scalar=True)
+        return q0, qd0
+
+
+def default_experiments(rope: Rope, arm: Arm | None) -> list[Experiment]:
+    """Return the motions tried first: free swings, and with an arm the paper's."""
+    n, hangs = rope.n_links, rope.hanging_angle
+    markers = min(n + 1, DEFAULTS.markers)
+    found = [Experiment(f"let go at {angle:g} rad", q0=hangs + angle, markers=markers) for angle in ANGLES]
+    if n > 1:
+        bent = hangs + np.linspace(DEFAULTS.bent, -DEFAULTS.bent, n)
+        found.append(Experiment(f"let go bent, {DEFAULTS.bent:g} to {-DEFAULTS.bent:g} rad", q0=bent, markers=markers))
+    if arm is not None:
+        found += [Experiment(f"swings, rest {rest:g} s", arm_swings(t_rest=rest), markers=markers) for rest in RESTS]
+    return found
+
+
+def variations(best: Experiment) -> list[Experiment]:
+    """Return an experiment at other frame rates, durations, and with fewer markers."""
+    named = [replace(best, name=f"{best.name}, {rate:g} frames/s", rate=rate) for rate in RATES]
+    named += [replace(best, name=f"{best.name}, {time:g} s", duration=time) for time in DURATIONS]
+    most = best.markers or 0
+    named += [replace(best, name=f"{best.name}, {few} markers", markers=few) for few in FEW if few < most]
+    return named
+
+
+FAINT = 1e-3  # a ratio below this part of the largest of its kind is judged by that
+
+
+@dataclass(frozen=True)
+class ExpectedInformation:
+    """What an experiment would tell about the free parameters of a rope."""
+
+    parameters: Parameters
+    information: Information
+
+    def spreads(self, want: Sequence[str]) -> dict[str, tuple[float, float]]:
+        """Return standard deviation, and the same over the size of the value, of each single number in `want`.
+
+        InvalidInput for a word that is neither free nor a ratio.
+        """
+        x = self.information.x
+        rope = self.parameters.rope(x)
+        std = self.information.deviations(self.parameters.derivatives(x))
+        own = {
+            p.label: (p.name, float(s), size(p, float(each)))
+            for p, s, each in zip(self.parameters.all, std, x, strict=True)
+        }
+        known = ratios(rope, self.parameters.names)
+        result: dict[str, tuple[float, float]] = {}
+        for word in want:
+            if word in known:
+                spread, value = ratio_spread(self.parameters, self.information)[word], np.abs(known[word])
+                against = np.maximum(value, FAINT * value.max() or 1.0)
+                for k in range(value.size):
+                    if word != "p/p1" or k > 0:  # the first is 1 by definition
+                        result[f"{word}[{k}]"] = (float(spread[k]), float(spread[k] / against[k]))
+                continue
+            found = {label: (s, s / of) for label, (name, s, of) in own.items() if word in (label, name)}
+            if not found:
+                raise InvalidInput(
+                    "want names what is not free",
+                    got=word,
+                    allowed=", ".join(dict.fromkeys([*(p.name for p in self.parameters.all), *own, *known])),
+                )
+            result |= found
+        return result
+
+
+def size(parameter: Parameter, x: float) -> float:
+    """Return what a standard deviation is compared with: the value, or a typical change of what is 0 or an offset."""
+    value = abs(parameter.value(x))
+    return value if value > 0.0 and parameter.form != "linear" else parameter.width * parameter.scale
+
+
+def expected_information(
+    rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | None, noise: float
+) -> ExpectedInformation:
+    """Return the Fisher information of the parameters in a simulated recording, windows and states as in ``identify``.
+
+    InvalidInput or SimulationError if the experiment does not fit the rope or cannot be simulated.
+    """
+    t, motion = experiment.t, experiment.motion
+    base = arm if motion is not None else None
+    tol = PRECISION * rope.total_length
+    q0, qd0 = experiment.start(rope)
+    run = simulate(rope, motion, arm=base, duration=float(t[-1]), t_eval=t, tol=tol, q0=q0, qd0=qd0)
+    spread = experiment.noise or noise
+    if experiment.markers is None:
+        arc_lengths, recording = None, Recording(t, run.q, noise=np.full(1, spread).repeat(rope.n_links))
+    else:
+        arc_lengths = np.linspace(0.0, rope.total_length, experiment.markers)
+        places = Markers(arc_lengths).predict(rope, run.q, pivot_places(motion, base, t))
+        recording = Recording(t, places, "markers", np.full(places.shape[1], spread))
+    torque = experiment.torque_noise
+    if torque is not None and base is None:
+        raise InvalidInput("the torque of no motor can be measured", fix="Give a motion, and arm=... to design")
+    setup = RecordingSetup(motion, base, torque=None if torque is None else run.motor_torque)
+    plant = build_plant(recording, rope, free, arc_lengths, setup)
+    measured = measure(recording, rope, arc_lengths)
+    if torque is not None:
+        measured = with_torque(measured, run.motor_torque, torque)
+    length = min(usual_length(measured.shape, rope), 1.001 * recording.duration)
+    windows, _ = measured.windows(length, decimation_step(recording, length))
+    states = np.hstack([run.q, run.qd])[np.searchsorted(t, [window.t[0] for window in windows])]
+    return ExpectedInformation(plant.parameters, _information(plant, windows, states))
+
+
+def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Information:
+    """Return the information of windows that the model fits, the noise as given."""
+    x, widths = plant.parameters.start, plant.parameters.widths
+    rows = [np.zeros((x.size, x.size))]
+    for window, state in zip(windows, states, strict=True):
+        linear = linearise(plant, window, x, state, np.zeros(window.y.size), Loss())
+        rows.append(linear.reduced()[0] * widths)
+    singular, known, unknown = known_directions(rows)
+    covariance = (known / singular[: known.shape[1]] ** 2) @ known.T * np.outer(widths, widths)
+    tied = in_common_factor(plant.parameters, x, unknown)
+    return Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)
+
 
 WEIGHED = ("mass", "com", "tip_mass")  # measurable with scales
 TORQUE_NOISE = 0.01  # part of the torque that holds arm and rope out level, all mass at the tip
@@ -71,21 +281,19 @@ class ExperimentDesign:
         Names of the wanted numbers.
     advice : str
         Text: the recommended experiment, or what to measure if no experiment determines the wanted numbers.
-    interrupted : bool
-        Whether Ctrl-C came before all candidates were simulated.
+    ended : Status or None
+        INTERRUPTED or OUT_OF_TIME where not all candidates were simulated.
     """
 
     plans: tuple[Plan, ...]
     want: tuple[str, ...]
     advice: str
-    interrupted: bool = False
+    ended: Status | None = None
 
     @property
     def status(self) -> Status:
         """SUCCESS if all candidates were simulated and one determines what is wanted."""
-        if self.interrupted:
-            return Status.INTERRUPTED
-        return Status.FAILED if self.best is None else Status.SUCCESS
+        return self.ended or (Status.FAILED if self.best is None else Status.SUCCESS)
 
     @property
     def success(self) -> bool:
@@ -143,6 +351,7 @@ def design_experiment(
     arm: Arm | None = None,
     noise: float = 2e-3,
     free: Sequence[str] = ("inertia", "friction"),
+    time_budget: float | Budget | None = None,
     progress: bool = False,
 ) -> ExperimentDesign:
     """Rank experiments by the standard deviations that a fit would state of some parameters (Fisher information).
@@ -163,6 +372,9 @@ def design_experiment(
         Standard deviation of a measured value: of a marker's coordinate, m, or of an angle, rad.
     free : sequence of str
         What will be fitted, as in :func:`hyperflex.identify`.
+    time_budget : float or Budget, optional
+        Seconds by the clock, without compiling; no limit by default. Out of time, the candidates simulated until then
+        are ranked, with ``status`` OUT_OF_TIME.
     progress : bool
         Show a bar on standard error.
 
@@ -199,15 +411,16 @@ def design_experiment(
     plans: list[Plan] = []
     seen: list[ExpectedInformation] = []
     last = len(todo) + (0.0 if candidates is not None else 6.0)
-    with stoppable() as stop, progress_bar(0.0, last, progress, "designing", "experiments") as report:
+    budget = Budget.of(time_budget)
+    with stoppable() as stop, budget.progress(progress, "designing", last, "experiments"):
         for experiment in _in_turn(todo, plans, vary=candidates is None):
+            budget.check()
             plans.append(_plan(asked, experiment, seen))
-            if report is not None:
-                report(float(len(plans)))
+            budget.report(float(len(plans)))
     if stop.received and not plans:
         raise Interrupted
     ranked = tuple(sorted(plans, key=lambda plan: (plan.score, bool(plan.reason))))
-    return stop.deliver(ExperimentDesign(ranked, words, _advice(asked, ranked, seen), stop.received))
+    return stop.deliver(ExperimentDesign(ranked, words, _advice(asked, ranked, seen), stop.status))
 
 
 def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) -> list[Experiment]:

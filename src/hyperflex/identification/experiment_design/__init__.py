@@ -1,1 +1,0 @@
-"""Design of experiments by Fisher information."""
