@@ -49,6 +49,7 @@ def test_a_wrong_clock_is_told_beside_drag_that_was_left_out() -> None:
     assert "'drag'" in [each.values.get("name") for each in found]
 
 
+@pytest.mark.nightly
 def test_drag_is_found_though_little_of_it_shows_where_there_is_none() -> None:
     """To first order it explains less than a third, and nearly all once it is free."""
     chain = hf.Rope.uniform(length=1.0, mass=0.05, n_links=4, friction=3e-4, drag=0.05, dry_friction=3e-4)

@@ -84,6 +84,7 @@ def test_lengths_and_times_that_err_as_was_declared_make_no_result_useless() -> 
     assert (exact.grade, exact.findings[0].kind) == ("do not use", Kind.CLOCK)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("number", [0, 2])
 def test_stamps_that_come_late_are_named_where_links_turn_fast(number: int) -> None:
     """Deviations are so wide that ratios move by less; a turned camera or another arm explained a short fit as well."""
@@ -103,6 +104,7 @@ def test_stamps_that_come_late_are_named_where_links_turn_fast(number: int) -> N
     assert found.settings["starts_agree"] == found.settings["starts"] == 2
 
 
+@pytest.mark.nightly
 def test_a_mass_at_the_tip_that_was_not_declared_is_no_clock() -> None:
     rope = hf.Rope.uniform(1.0, 0.05, 8, friction=4e-4)
     t, q = swing(rope.replace(tip_mass=0.005), np.linspace(0.9, 0.6, 8))

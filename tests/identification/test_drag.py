@@ -70,6 +70,7 @@ def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tup
     assert within(found, "d/p1[0]", truth)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("rope", [CORD.replace(friction=0.0), BARE], ids=["drag", "joint friction"])
 def test_drag_is_told_from_joint_friction(rope: hf.Rope) -> None:
     """Twins with only one of them: their own model is preferred, though both have one parameter."""

@@ -90,6 +90,7 @@ def test_where_a_marker_sits_can_be_found() -> None:
     assert found.values["arc"][3] == 0.8
 
 
+@pytest.mark.nightly
 def test_gaps_and_gross_outliers_move_nothing_by_three_deviations() -> None:
     t = np.arange(801) / 100.0
     run = simulate(DOUBLE, duration=8.0, t_eval=t, q0=[0.8, 1.2], qd0=[0.0, 0.0], tol=1e-9)

@@ -161,6 +161,7 @@ def fit_of_four_links(n_links: int, drag: float, free: list[str] | None) -> Iden
     )
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("free", [None, ["inertia:shared", "friction:shared"]], ids=["default", "shared"])
 def test_four_links_of_a_rope_of_40_are_told_before_the_units_are_doubted(free: list[str] | None) -> None:
     found = fit_of_four_links(40, 0.0, free)
@@ -169,6 +170,7 @@ def test_four_links_of_a_rope_of_40_are_told_before_the_units_are_doubted(free: 
     assert found.has(Kind.POOR_FIT)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("drag", [0.0, 0.05])
 def test_a_chain_of_just_four_links_is_not_told(drag: float) -> None:
     found = fit_of_four_links(4, drag, ["inertia", "friction"])
@@ -182,6 +184,7 @@ def test_a_chain_of_just_four_links_is_not_told(drag: float) -> None:
         assert names.count("'drag'") == 1
 
 
+@pytest.mark.nightly
 def test_links_and_drag_are_told_together() -> None:
     found = fit_of_four_links(40, 0.05, ["inertia:shared", "friction:shared"])
     first = found.findings[0]

@@ -339,6 +339,7 @@ def test_ends_of_a_ratio_are_those_of_least_squares_with_the_ratio_held() -> Non
     assert one.low < found.ratios["J/p1"][1] < one.high
 
 
+@pytest.mark.nightly
 def test_a_ratio_is_followed_where_another_parameter_is_at_its_bound() -> None:
     """With a stiffness at 0 the squares rise far more steeply than the ratio's standard deviation has it."""
     rope = Rope(length=[0.2] * 3, mass=[0.1, 0.08, 0.05], friction=[1e-4] * 3, stiffness=[0.0, 2e-3, 1e-3])

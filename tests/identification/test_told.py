@@ -193,6 +193,7 @@ def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more() ->
     assert kinds(bent, links) == [Kind.REST_BEND]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("noise", "told"), [(2e-3, False), (1.2e-3, False), (6e-4, True), (None, False)])
 def test_a_fit_that_leaves_far_more_than_the_declared_noise(noise: float | None, told: bool) -> None:
     run = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8])

@@ -253,6 +253,7 @@ def test_what_is_left_of_the_torque_stands_beside_the_angles() -> None:
     assert not found.has(Kind.POOR_FIT, Kind.POOR_TORQUE)
 
 
+@pytest.mark.nightly
 def test_a_torque_of_the_wrong_sign_is_told() -> None:
     """Masses then go where the torque is least, and angles alone still fit."""
     recording, values = measured()
@@ -262,6 +263,7 @@ def test_a_torque_of_the_wrong_sign_is_told() -> None:
     assert not found.success
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("inertia", "kinds"), [(2e-4, [Kind.ARM_INERTIA]), (1e-3, [Kind.ARM_INERTIA, Kind.HELD, Kind.POOR_TORQUE])]
 )

@@ -259,6 +259,7 @@ def test_coloured_noise_counts_at_the_frequencies_at_which_a_parameter_acts() ->
 # ---- identify as it stands
 
 
+@pytest.mark.nightly
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     """A quick look at what ``benchmarks/coverage.py`` does at length."""
     rope = Rope(length=[0.3], mass=[0.1], com=[0.14], inertia=[7.5e-4], friction=[2e-4])

@@ -105,6 +105,7 @@ def test_inner_is_one_value_of_all_links_but_the_first() -> None:
         parse(ROPE, ["friction[1]", "friction:inner"])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("stiffness", [2e-3, 1e-2])
 def test_an_elastic_rope_on_a_hinge(stiffness: float) -> None:
     """Told was "use more links", or that masses change: `stiffness:shared` puts a spring into the hinge, too."""
