@@ -32,10 +32,10 @@ SIMULATED = list(simulated())
 NAMED = {  # the kind of the first finding
     "double: relative angles read as absolute": Kind.RELATIVE,
     "double: absolute angles read as relative": Kind.ABSOLUTE,
-    "double: degrees read as radians": Kind.DEGREES,
+    "double: degrees read as radians": None,  # refused before the fit
     "double: radians read as degrees": Kind.RADIANS,
     "double: 0 is up": Kind.ZERO_DIRECTION,
-    "double: 0 is level": Kind.ZERO,
+    "double: 0 is level": Kind.ZERO_DIRECTION,
     "double: zero off by 5 degrees": Kind.ZERO,
     "double: links in reverse order": Kind.REVERSED,
     "double: first link to the other side": Kind.SENSE,
