@@ -48,7 +48,7 @@ def test_targets_are_like_the_first_peg_and_the_rest_are_obstacles(hyperflex_jso
 
 
 def test_an_interrupt_leaves_the_map_so_far_and_says_so(hyperflex_json, setup, tmp_path, monkeypatch):
-    whole = hf.build_reach_map(CABLE, hf.Arm(length=0.105), x=[2.2, 2.4], y=[0.0])
+    whole = hf.build_reach_map(CABLE, hf.Arm(length=0.105), grid=planning.TargetGrid(x=[2.2, 2.4], y=[0.0]))
     part = replace(whole, status=np.array([[1, NOT_PLANNED]]))
 
     def stopped(*_, **__):
