@@ -54,7 +54,7 @@ def test_guard_is_content_with_a_test_that_asserts_through_a_helper() -> None:
 
 def collected(session: pytest.Session) -> list[str]:
     """Return the names of all tests: those of this run if it is of the whole suite, else those that a new one finds."""
-    if session.config.args == session.config.getini("testpaths"):
+    if session.config.args == session.config.getini("testpaths") and not session.config.option.markexpr:
         return [item.nodeid for item in session.items]
     arguments = ["--collect-only", "-q", "-o", "addopts=--import-mode=importlib", str(HERE)]
     command = [sys.executable, "-m", "pytest", *arguments]

@@ -52,7 +52,8 @@ hf.simulate(dry, swing, arm=arm, duration=0.1, pegs=[free])
 hf.simulate(rope, duration=0.1, state=runs[0].state)
 hf.tug_test(wound, peg)
 hf.measure_winding(wound, peg)
-assert hf.plan_cast(rope, arm, hf.Peg(0.3, -0.8, 0.02), time_budget=2.0, options=hf.SearchOptions(seed=1, skip_feasibility=True)).runs > 0
+options = hf.SearchOptions(seed=1, skip_feasibility=True)
+assert hf.plan_cast(rope, arm, hf.Peg(0.3, -0.8, 0.02), time_budget=2.0, options=options).runs > 0
 rope_clearance(runs[0])
 hf.forward_kinematics(pickle.loads(pickle.dumps(rope)), np.zeros(6))
 hf.simulate_batch([rope, dry], swing, arm=arm, duration=0.1)

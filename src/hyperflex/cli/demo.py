@@ -10,7 +10,7 @@ from hyperflex.cli.output import Rows
 from hyperflex.cli.warm import compiling_ahead
 
 if TYPE_CHECKING:
-    from hyperflex.demo.run import Parameter
+    from hyperflex.demo import Parameter
 
 AHEAD = ("dry", "batch", "contact", "wound", "plan")  # kernels of the fit and the plan, compiled during the tracking
 _SHOWN = ("parameter", "identified", "95 % interval", "without noise", "inside")

@@ -11,8 +11,8 @@ from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, Given, check_destination, check_no_input, numbers, words
 from hyperflex.cli.output import Block, Rows
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.options import FitOptions
-from hyperflex.recording.declare import FASTEST, Declarations
+from hyperflex.identification import FitOptions
+from hyperflex.recording import FASTEST, Declarations
 
 if TYPE_CHECKING:
     from hyperflex.identification import Identification

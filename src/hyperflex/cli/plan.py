@@ -17,9 +17,7 @@ from hyperflex.cli.command import Given, OutFolder, TimeBudget, Workers, positiv
 from hyperflex.cli.output import Rows
 from hyperflex.cli.problem import ArmLength, RopeFile, SetupFile, peg_of, read_problem, target_of
 from hyperflex.errors import InvalidInput
-from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, WindCriteria
-from hyperflex.planning.tasks.insert import Slot
-from hyperflex.planning.tasks.whip import TipTarget
+from hyperflex.planning import Conditions, MotorLimits, SearchOptions, Slot, TipTarget, WindCriteria
 
 if TYPE_CHECKING:
     from hyperflex.planning import CastPlan

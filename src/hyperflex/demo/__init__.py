@@ -6,5 +6,6 @@ from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
     from hyperflex.demo.report import DemoReport, write_demo
+    from hyperflex.demo.run import Parameter
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

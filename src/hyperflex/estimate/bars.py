@@ -8,8 +8,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.estimate.observations import MarkerModel
 from hyperflex.estimate.tracker import LEAST_STD, Measured, View
-from hyperflex.vision import BarDetector, Image, link_angles
-from hyperflex.vision.bars import FLOOR
+from hyperflex.vision import FLOOR, BarDetector, Image, link_angles
 
 
 def bar_arc_lengths(spans: npt.ArrayLike) -> Array:

@@ -66,8 +66,11 @@ class Identification:
         Window length (s), number of windows and of those left out, decimation step, time fitted (s), autocorrelation
         time of the residuals (samples), seconds taken; ``free``, loss, base, and where given `arc_lengths`, `origin`
         and the delay that the fit started from (s).
-    converged, status : bool, Status
-        Whether the fit converged; SUCCESS if it did, all work was done, and the grade is not "do not use".
+    converged : bool
+        Whether the fit converged.
+    ended : Status or None
+        OUT_OF_TIME or INTERRUPTED if the work was cut short. Otherwise `status` is SUCCESS if the fit converged and its
+        grade is not "do not use".
     unit : str
         ``rad`` or ``m``.
     history : tuple of dict

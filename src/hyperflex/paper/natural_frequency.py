@@ -5,7 +5,7 @@ import numpy as np
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification import lumped
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 

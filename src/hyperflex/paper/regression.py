@@ -15,7 +15,7 @@ from hyperflex.checks import Array
 from hyperflex.core import joint_law
 from hyperflex.core.chain.air import link_drag
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification import lumped
 from hyperflex.model import RESISTANCES, Rope, parse_label
 
 LUMPED = ("p", "J", *(each.name for each in RESISTANCES))  # blocks of n columns, in this order

@@ -1,14 +1,18 @@
 """Measured data: link angles or marker positions with their times, gaps and noise, and readers for common files."""
 
+from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations
 from hyperflex.recording.mcap import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_IN_FRAME
 from hyperflex.recording.read import read_recording
 from hyperflex.recording.recording import Recording, unwrap
 
 __all__ = [
+    "FASTEST",
     "JOINT_STATES",
     "MCAP_FORMAT",
     "MCAP_METADATA",
     "POSES_IN_FRAME",
+    "DeclarationFields",
+    "Declarations",
     "Recording",
     "read_recording",
     "unwrap",

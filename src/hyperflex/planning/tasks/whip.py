@@ -109,7 +109,7 @@ class TipTarget:
         return np.asarray((turn + np.pi) % (2.0 * np.pi) - np.pi)
 
     def lacks(self, velocity: Array, part: float, spare: float) -> tuple[Array, Array]:
-        """Return by how much velocities (..., 2), m/s, lack direction, rad, and speed, as a fraction.
+        """Return by how much a `velocity` (..., 2), m/s, lacks direction, rad, and speed, as a fraction.
 
         At `part` of the angle tolerance and `spare` times the least speed nothing is lacking.
         """

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperflex.identification import BAND, Identification, Severity, text
-from hyperflex.identification.texts import GRADES
+from hyperflex.identification import BAND, GRADES, Identification, Severity, text
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.report.folder import whole_folder
