@@ -88,7 +88,7 @@ def test_ctrl_c_keeps_the_best_state_so_far(monkeypatch):
 
     monkeypatch.setattr(_simplex, "squared_error", error)
     found = left_by(lambda: hf.estimate_initial_state(recording, ROPE))
-    assert found.message == "interrupted"
+    assert found.status == "interrupted"
     assert found.error == min(seen) < seen[-1]
     assert found.evaluations == len(seen)
 
@@ -194,7 +194,7 @@ def test_ctrl_c_keeps_the_best_round_so_far(monkeypatch):
         count.clear()
 
     found = left_by(lambda: hf.iterative_revision(swing(), GUESS, progress=told))
-    assert found.message == "interrupted"
+    assert found.status == "interrupted"
     assert len(rounds) == 2
     assert found.error == min(each.error for each in rounds)
     assert found.converged_after is None

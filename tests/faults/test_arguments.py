@@ -256,14 +256,8 @@ CALLS: dict[str, tuple[Callable[..., Any], Callable[[], dict[str, Any]]]] = {
         hf.plan_cast,
         lambda: (
             {"rope": CABLE, "arm": ARM, "target": hf.Peg(5.0, 0.0, 0.05), "limits": hf.MotorLimits()}
-            | {
-                "time_limit": 2.0,
-                "holding_force": 0.0,
-                "uncertainty": None,
-                "time_budget": 0.1,
-                "skip_feasibility": False,
-            }
-            | {"fallback": False, "seed": 0, "threads": 1, "progress": False}
+            | {"criteria": hf.WindCriteria(), "conditions": hf.Conditions(time_limit=2.0), "uncertainty": None}
+            | {"time_budget": 0.1, "options": hf.SearchOptions(threads=1)}
         ),
     ),
     "plan_whip": (

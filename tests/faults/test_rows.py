@@ -96,7 +96,7 @@ COMMANDS = {
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_an_output_without_a_name_is_refused(capsys, command: str) -> None:
-    assert "-o is given nothing: got ''" in refused(capsys, *COMMANDS[command], "-o", "")
+    assert "-o has no value: got ''" in refused(capsys, *COMMANDS[command], "-o", "")
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_that_an_arm_is_missing_is_said_in_the_words_of_the_file(capsys) -> None
 def test_a_cast_says_that_it_takes_the_arm_of_the_paper(capsys, more: tuple[str, ...], said: bool) -> None:
     out_of_reach = ("cast", "--rope", "rope.toml", "--target", "9", "-1", "--radius", "0.04", "-o", "out")
     assert run([*out_of_reach, *more]) == 4
-    assert ("no arm is given, so the paper's is taken, 0.105 m long" in capsys.readouterr().err) == said
+    assert ("no arm is given, so the paper's is used, 0.105 m long" in capsys.readouterr().err) == said
 
 
 SWING = hf.Recording(np.linspace(0.0, 1.0, 11), np.zeros((11, 2)))
