@@ -16,7 +16,7 @@ from hyperflex.core.jit import compiling
 from hyperflex.interruption import OutOfTime, raise_if_cancelled
 from hyperflex.progress import progress_bar
 
-__all__ = ["Budget", "OutOfTime"]
+__all__ = ["Budget", "OutOfTime", "one_thread"]
 
 
 class Budget:
@@ -132,3 +132,13 @@ class Budget:
                 yield self
             finally:
                 self._report = before
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep numpy's and scipy's linear algebra on one thread."""
+    import scipy.linalg  # noqa: F401 its own library must be there to be limited
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperflex import checks, extras, files
-from hyperflex.budget import Budget
+from hyperflex.budget import Budget, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
 from hyperflex.files import PathLike
-from hyperflex.identification.fit.multiple_shooting import one_thread
 from hyperflex.identification.model.parameters import GRAVITY, scales
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.pipeline import TIME_BUDGET, identify

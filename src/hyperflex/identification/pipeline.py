@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex import checks
-from hyperflex.budget import Budget, OutOfTime
+from hyperflex.budget import Budget, OutOfTime, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted
 from hyperflex.identification.declarations.clock import SCALES
@@ -21,7 +21,7 @@ from hyperflex.identification.declarations.window_tests import drift_test, scatt
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import Report, one_thread
+from hyperflex.identification.fit.multiple_shooting import Report
 from hyperflex.identification.fit.windows import part_left, usual_length, with_enough_frames
 from hyperflex.identification.free_parameters import Trial, choose_parameters
 from hyperflex.identification.measurements import (

@@ -8,10 +8,11 @@ from typing import Literal
 import numpy as np
 
 from hyperflex import checks
+from hyperflex.budget import one_thread
 from hyperflex.checks import Array
 from hyperflex.dynamics import bias, mass_matrix
 from hyperflex.errors import IdentificationError, Interrupted, InvalidInput
-from hyperflex.identification import check_motion, check_times, one_thread
+from hyperflex.identification import check_motion, check_times
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Rope, Setup
 from hyperflex.paper.regression import fit_regression

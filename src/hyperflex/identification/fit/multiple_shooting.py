@@ -5,8 +5,7 @@ solves a small system for the parameters: cost linear in the number of windows. 
 rollouts themselves.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -356,13 +355,3 @@ def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
     far = ~unbounded & (above > STEPS.near)
     falling = float((-move[far] / (STEPS.fall * above[far])).max()) if far.any() else 0.0
     return move / max(1.0, longest, falling)
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Keep numpy's and scipy's linear algebra on one thread."""
-    import scipy.linalg  # noqa: F401 its own library must be there to be limited
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(limits=1, user_api="blas"):
-        yield

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hyperflex import checks
-from hyperflex.budget import Budget
+from hyperflex.budget import Budget, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import fit, one_thread
+from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.result import Identification
