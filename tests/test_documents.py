@@ -44,6 +44,7 @@ def python_blocks(page: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if python_blocks(p)], ids=named)
+@pytest.mark.nightly
 def test_python_of_a_page_runs_as_it_stands(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     scope: dict[str, object] = {}
@@ -75,6 +76,7 @@ def test_equations_that_the_code_names_are_in_the_models_page() -> None:
     assert named_there <= known
 
 
+@pytest.mark.nightly
 def test_site_builds_and_needs_no_network(tmp_path: Path) -> None:
     run = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],

@@ -154,6 +154,7 @@ def test_what_is_no_executor_is_refused() -> None:
             hf.simulate_batch(ROPE, arm=hf.Arm(), duration=0.1, **wrong)  # type: ignore[arg-type]
 
 
+@pytest.mark.nightly
 def test_dask_runs_on_when_a_worker_is_killed(tmp_path: Path) -> None:
     """A cluster of processes on this machine."""
     distributed = pytest.importorskip("distributed", reason="Dask comes with hyperflex[test]")

@@ -629,6 +629,7 @@ def test_a_rope_that_cannot_be_simulated_is_an_error(monkeypatch: pytest.MonkeyP
 # ---- progress and interruption
 
 
+@pytest.mark.nightly
 def test_progress_is_told_and_printed(
     free_swing: Recording, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,6 +28,7 @@ def triple(data_dir: Path) -> Identification:
     return identify(recording, TRIPLE, FREE, options=FitOptions(train=33.858))
 
 
+@pytest.mark.nightly
 def test_triple_pendulum_ratios(triple: Identification) -> None:
     # 1 %: the authors' own fit and the independent one differ by up to 0.5 %, friction being modelled differently.
     np.testing.assert_allclose(triple.ratios["J/p1"], J, rtol=0.01)
@@ -51,6 +52,7 @@ def test_triple_pendulum_prediction(triple: Identification, record_property: Not
     assert np.sqrt((held.rms**2).mean()) < 6e-3  # the aim of the task; 1.4, 1.8 and 2.6 mrad when this was written
 
 
+@pytest.mark.nightly
 def test_dry_friction_predicts_better_than_viscous_alone(triple: Identification, data_dir: Path) -> None:
     recording = read_recording(data_dir / "multiarm_triple" / "TriplePendulumDataForParameterEstimation.mat")
     viscous = identify(recording, TRIPLE, ["inertia", "com", "friction"], options=FitOptions(train=33.858))
@@ -61,6 +63,7 @@ def test_dry_friction_predicts_better_than_viscous_alone(triple: Identification,
     assert (triple.residual_rms < viscous.residual_rms).all()
 
 
+@pytest.mark.nightly
 def test_the_air_brakes_the_triple_pendulum(data_dir: Path) -> None:
     """Drag explains what friction of the joints does not: fit and prediction err by half as much as without it.
 
@@ -83,6 +86,7 @@ def test_the_air_brakes_the_triple_pendulum(data_dir: Path) -> None:
     assert (air.identification.ratios["d/p1"][1:] > 3.0 * air.identification.ratio_std["d/p1"][1:]).all()
 
 
+@pytest.mark.nightly
 def test_triple_pendulum_from_markers(data_dir: Path) -> None:
     path = data_dir / "multiarm_triple" / "markers_200Hz_from_angles.csv"
     recording = read_recording(path, time_unit="s", unit="m", y_axis="up")
@@ -115,6 +119,7 @@ def figures(found: Identification) -> tuple[list[float], list[float]]:
     return values, spreads
 
 
+@pytest.mark.nightly
 def test_double_pendulum_from_video_markers(data_dir: Path) -> None:
     first, other, second = double(data_dir, 16), double(data_dir, 16, (0.05, 0.03)), double(data_dir, 6)
     for result in (first, other, second):

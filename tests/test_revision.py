@@ -109,6 +109,7 @@ def test_the_revision_settles_at_the_truth_and_tells_its_rounds():
     assert found.evaluations == sum(each.evaluations for each in found.rounds)
 
 
+@pytest.mark.nightly
 def test_the_uncertainty_of_the_revision_is_that_of_repeated_noise():
     draws = []
     for seed in range(16):
@@ -140,6 +141,7 @@ def test_mixed_profiles_use_the_recording_and_stay_away_from_the_truth(profile):
     assert found.error > 1.2 * best.error
 
 
+@pytest.mark.nightly
 def test_a_printed_friction_is_revised_as_printed():
     printed = ROPE.replace(friction_model="printed")
     found = hf.iterative_revision(swing(printed), GUESS.replace(friction_model="printed"))

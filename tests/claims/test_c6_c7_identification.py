@@ -49,6 +49,7 @@ def test_c6_ir_finds_the_truth_within_its_uncertainty(swing):
     assert revised(WIDE).std["friction"] < 0.01 * FRICTION
 
 
+@pytest.mark.nightly
 def test_c6_ir_finds_the_truth_for_other_noise_too():
     # Of 6 numbers (J and eta, three recordings) 0.3 lie beyond 2 standard deviations, and 0.02 beyond 3.
     distances = [finds_the_truth(WIDE, seed).measured for seed in range(3)]
@@ -105,6 +106,7 @@ def test_step_four_as_it_is_printed_never_moves():
     assert found.error > 100.0 * revised(WIDE).error
 
 
+@pytest.mark.nightly
 def test_free_initial_rates_tell_less_but_the_same():
     # Half the simplex's usual rollouts, and J and eta from two revisions beyond the truth's neighbourhood: ten unknowns
     # take half a minute otherwise.

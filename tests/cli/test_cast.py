@@ -112,6 +112,7 @@ def test_a_set_up_file_gives_rope_arm_limits_and_target(hyperflex, ready, tmp_pa
     assert asked["limits"] == hf.MotorLimits(speed=5.0, torque=3.0)
 
 
+@pytest.mark.nightly
 def test_what_an_earlier_plan_asked_for_is_asked_again_and_told(hyperflex, ready, tmp_path):
     asked = ready("winds")
     known = dataclasses.replace(planned().problem, clearance=0.02, criteria=hf.WindCriteria(contact=6.0))
@@ -135,6 +136,7 @@ def test_what_an_earlier_plan_asked_for_is_asked_again_and_told(hyperflex, ready
     assert "required again" not in err
 
 
+@pytest.mark.nightly
 def test_what_a_set_up_file_holds_beside_its_first_peg_are_obstacles(hyperflex, ready, tmp_path):
     floor, other = hf.Ground(0.0, -3.0), hf.Peg(1.5, 1.0, 0.1)
     hf.Setup(CABLE, arm=hf.Arm(length=0.105), pegs=(PEG, other, floor)).to_toml(tmp_path / "setup.toml")
@@ -174,6 +176,7 @@ def test_a_start_that_swings_is_told_not_to_be_used(hyperflex, ready, tmp_path):
     assert "The rope swings, in the state that the plan's file holds" in " ".join(CastReport(plan, None).story)
 
 
+@pytest.mark.nightly
 def test_the_file_of_a_plan_is_a_set_up_to_plan_again(hyperflex, rope_file, ready, tmp_path):
     asked = ready("winds")
     assert hyperflex(*arguments(rope_file, tmp_path / "out"))[0] == 0

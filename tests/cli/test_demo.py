@@ -69,6 +69,7 @@ def test_a_bug_is_one_json_object_and_a_traceback_on_standard_error(hyperflex, m
     assert hyperflex("demo", "-o", tmp_path)[:2] == (1, "")
 
 
+@pytest.mark.nightly
 def test_a_fit_that_was_interrupted_is_no_demo(hyperflex, monkeypatch, tmp_path):
     def half(*_, **__):
         raise Interrupted(SimpleNamespace(message="interrupted"))

@@ -87,6 +87,7 @@ def warmed() -> None:
 
 
 @needs_compiler
+@pytest.mark.nightly
 def test_typical_calls_compile_nothing(warmed: None) -> None:
     done = subprocess.run([sys.executable, "-c", CALLS], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
@@ -94,6 +95,7 @@ def test_typical_calls_compile_nothing(warmed: None) -> None:
 
 
 @needs_compiler
+@pytest.mark.nightly
 def test_second_time_there_is_nothing_to_do(warmed: None, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
     assert run(["warm", "--json"]) == 0

@@ -75,6 +75,7 @@ def run(package: Path, root: Path, code: str = ASK) -> tuple[list[float], set[st
     return numbers, compiled
 
 
+@pytest.mark.nightly
 def test_an_edit_recompiles_also_what_calls_the_edited_kernel(package: Path, tmp_path: Path) -> None:
     root, leaf = tmp_path / "cache", package / "part" / "leaf.py"
     assert run(package, root) == ALL
@@ -85,6 +86,7 @@ def test_an_edit_recompiles_also_what_calls_the_edited_kernel(package: Path, tmp
     assert run(package, root) == NONE
 
 
+@pytest.mark.nightly
 def test_what_is_said_on_compiling_goes_by_what_is_there(package: Path, tmp_path: Path) -> None:
     def told() -> list[str]:
         err = start(package, tmp_path / "cache").communicate()[1]
@@ -109,6 +111,7 @@ Path.replace = full
 
 
 @pytest.mark.parametrize("spoil", [lambda b: b[:-100], lambda b: b[:10], lambda _: b"", lambda b: b[:-1] + b"\0\0"])
+@pytest.mark.nightly
 def test_damaged_files_are_compiled_again(package: Path, tmp_path: Path, spoil: Callable[[bytes], bytes]) -> None:
     root = tmp_path / "cache"
     assert run(package, root) == ALL
@@ -134,6 +137,7 @@ def test_a_bit_that_flipped_anywhere_is_noticed(package: Path, tmp_path: Path) -
     assert len(said) == 1
 
 
+@pytest.mark.nightly
 def test_files_that_are_missing_are_made_again_and_it_is_said(package: Path, tmp_path: Path) -> None:
     root = tmp_path / "cache"
     assert run(package, root) == ALL
@@ -159,6 +163,7 @@ os.mkdir, os.open = mkdir, low_open
 """
 
 
+@pytest.mark.nightly
 def test_a_filled_cache_on_a_read_only_disk_is_used(package: Path, tmp_path: Path, monkeypatch) -> None:
     root, temporary = tmp_path / "cache", tmp_path / "temporary"
     temporary.mkdir()
@@ -205,6 +210,7 @@ def test_where_nothing_can_be_kept_it_is_said_once(package: Path, tmp_path: Path
     assert list(tmp_path.rglob("*.part")) == []
 
 
+@pytest.mark.nightly
 def test_several_processes_may_fill_one_cache(package: Path, tmp_path: Path) -> None:
     root = tmp_path / "cache"
     for process in [start(package, root) for _ in range(4)]:

@@ -206,6 +206,7 @@ def test_stuck_joints_move_as_one() -> None:
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 @pytest.mark.skipif(platform.machine() not in {"x86_64", "AMD64"}, reason="names of instructions are those of x86")
 @pytest.mark.parametrize("name", ["prepare", "step_state", "step_all"])
+@pytest.mark.nightly
 def test_the_compiler_makes_packed_instructions(name: str) -> None:
     kernel = getattr(tg, name)
     fresh = numba.jit(**kernel.targetoptions)(kernel.py_func)  # code from the cache cannot be looked at

@@ -162,6 +162,7 @@ def swaying(t: float, places: Array) -> Array:
 
 @pytest.mark.parametrize("view", [tilted, swaying])
 @pytest.mark.parametrize("moved", [False, True], ids=["free swing", "cast"])
+@pytest.mark.nightly
 def test_motion_out_of_the_plane_is_told(view: object, moved: bool) -> None:
     """Within 5 s; runs in their plane say nothing (above)."""
     truth = disturbed(moved=moved, duration=5.5, at=1.0)

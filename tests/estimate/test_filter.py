@@ -187,6 +187,7 @@ def test_places_where_no_rope_is_are_left_out() -> None:
         RopeFilter(rope(5), [1.0], parameters=[EstimatedParameter("roll", 0.1)] * 2)
 
 
+@pytest.mark.nightly
 def test_nonsense_is_survived() -> None:
     """Places that no rope can have: an estimate all the same, and a right one soon after they have stopped."""
     run, rng = free_swing(0), np.random.default_rng(3)

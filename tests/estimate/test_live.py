@@ -421,6 +421,7 @@ def test_a_change_reaches_the_reader(video: tuple[Path, MarkerColour], tmp_path:
     assert set(values) == {"scale", "offset_x"}
 
 
+@pytest.mark.nightly
 def test_a_killed_estimator_is_told_and_replaced(source: CameraStateSource) -> None:
     source.wait_until_found(30.0)
     first = source.pid
@@ -435,6 +436,7 @@ def test_a_killed_estimator_is_told_and_replaced(source: CameraStateSource) -> N
     assert source.state(source.now, hf.hold_arm(0.0)).t >= 0.0
 
 
+@pytest.mark.nightly
 def test_a_stopped_estimator_is_told(source: CameraStateSource) -> None:
     source.wait_until_found(30.0)
     assert source.pid is not None

@@ -126,6 +126,7 @@ def test_bad_input() -> None:
 
 @pytest.mark.parametrize("run", pendulum.RUNS)
 @pytest.mark.parametrize(("rate", "duration"), [(50.0, 3.0), (25.0, 5.0), (12.5, 10.0)])
+@pytest.mark.nightly
 def test_withheld_markers_of_the_real_pendulum(
     run: int, rate: float, duration: float, data_dir: Path, record_property: Note
 ) -> None:

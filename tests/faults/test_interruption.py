@@ -338,6 +338,7 @@ def test_what_a_killed_process_left_is_removed_by_the_next_write(tmp_path) -> No
     assert sorted(path.name for path in tmp_path.iterdir()) == [*names[1:], "a.txt"]
 
 
+@pytest.mark.nightly
 def test_calls_and_commands_that_signals_end_at_random_times() -> None:
     """Each ends as undisturbed, with the same result, or as interrupted, and what is kept says so."""
     calls, commands = ["simulate batch", "identify", "bootstrap"], ["simulate", "identify"]

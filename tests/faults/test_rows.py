@@ -68,6 +68,7 @@ def test_ctrl_c_that_a_library_swallows_in_reproduce_is_no_result(monkeypatch, c
 
 
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.nightly
 def test_a_signal_while_a_run_is_written_leaves_no_part(folder: Path, sent: signal.Signals) -> None:
     code = "import os, signal; from hyperflex.cli import main\nforced = os.fsync\n"
     code += "signal.signal(signal.SIGINT, signal.default_int_handler)\n"

@@ -39,6 +39,7 @@ def real_single(data_dir: Path, factor: float = 1.0, drift: float = 0.0) -> tupl
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 @pytest.mark.parametrize("free", [["inertia", "friction"], None], ids=["named", "default"])
+@pytest.mark.nightly
 def test_a_real_pendulum_read_too_small_or_too_large(data_dir: Path, factor: float, free: list[str] | None) -> None:
     t, q, guess = real_single(data_dir, factor)
     found = hf.identify(hf.Recording(t, q), guess, free, options=hf.FitOptions(intervals=None))
@@ -59,6 +60,7 @@ def test_a_pendulum_read_too_small_or_too_large(factor: float) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.97, 1.03, 1.1])
+@pytest.mark.nightly
 def test_a_double_pendulum_shows_a_small_factor(factor: float) -> None:
     t, q = swing(DOUBLE, [0.9, 0.6])
     guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)

@@ -25,6 +25,7 @@ def causes(found: hf.Identification) -> tuple[hf.identification.Finding, ...]:
     return found.findings
 
 
+@pytest.mark.nightly
 def test_friction_held_three_times_too_large_is_named_first() -> None:
     """It moves no ratio of moments and inertias, and friction over moment is told by none but itself."""
     guess = GUESS.replace(friction=3.0 * DOUBLE.friction)

@@ -150,6 +150,7 @@ def test_the_simpler_model_is_preferred_where_it_is_true() -> None:
 
 
 @pytest.mark.parametrize("dry", [1.5e-3, 0.0])
+@pytest.mark.nightly
 def test_dry_friction_is_preferred_where_there_is_some_and_not_where_there_is_none(dry: float) -> None:
     """A rod whose bearing also grips: the dry torque, N m, takes as much of its swing as the viscous one does."""
     rod = Rope(length=[0.3], mass=[0.1], com=[0.14], inertia=[8e-4], friction=[3e-4], dry_friction=[dry])
@@ -242,6 +243,7 @@ def test_all_candidates_are_cut_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     assert windows == [None, first.settings["window"]]
 
 
+@pytest.mark.nightly
 def test_a_richer_model_that_fits_worse_is_fitted_again_from_the_simpler(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its first fit is cut short, far off; what the simpler one found then starts it where it is no worse."""
     recording = swing(STIFF)

@@ -49,6 +49,7 @@ def test_centres_of_mass_that_are_wrong_show_behind_a_stiffness() -> None:
     assert away(found) < 3.0
 
 
+@pytest.mark.nightly
 def test_what_explains_the_same_is_freed_in_the_order_of_likelihood(data_dir: Path) -> None:
     """A stiffness explains 99 % here, centres of mass 98.6 %: freed first, it left com no gain to be freed by."""
     recording = hf.read_recording(

@@ -207,6 +207,7 @@ def test_links_that_may_be_too_long_count_by_their_probability() -> None:
 
 
 @pytest.mark.parametrize("left_out", [{"drag": 0.02}, {"dry_friction": 4e-4}], ids=["drag", "dry friction"])
+@pytest.mark.nightly
 def test_a_law_that_was_left_out_is_not_taken_for_links_that_are_too_long(left_out: dict[str, float]) -> None:
     rope = Rope.uniform(length=1.0, mass=0.1, n_links=8, friction=4e-4)
     t = np.arange(120) / 30.0

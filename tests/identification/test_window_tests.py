@@ -36,6 +36,7 @@ def drift(found: hf.Identification) -> float:
 
 
 @pytest.mark.parametrize(("duration", "free"), [(6.0, FREE), (20.0, None)], ids=["named", "default"])
+@pytest.mark.nightly
 def test_a_clock_that_drifts_is_told(duration: float, free: tuple[str, ...] | None) -> None:
     t, q = swing(DOUBLE, [0.9, 0.6], duration)
     found = identified(t + 0.01 * t**2 / t[-1], q, free=free)

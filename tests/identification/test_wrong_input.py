@@ -134,6 +134,7 @@ def test_no_wrong_answer_is_called_usable(case: Case) -> None:
 
 
 @pytest.mark.parametrize("name", REAL)
+@pytest.mark.nightly
 def test_real_recordings_declared_wrongly(data_dir: Path, name: str) -> None:
     check(next(case for case in real(data_dir) if case.name == name))
 

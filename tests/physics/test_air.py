@@ -105,6 +105,7 @@ def test_a_batch_is_its_runs() -> None:
     np.testing.assert_array_equal(alone.q[0], batch.q[0])
 
 
+@pytest.mark.nightly
 def test_derivatives_are_those_of_the_dense_equations() -> None:
     rope, n = airy(), 3
     stretches = list(bang_bang_swings(0.4, 0.3, 0.4))

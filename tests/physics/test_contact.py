@@ -180,6 +180,7 @@ def test_a_rope_that_starts_too_deep_is_pushed_out_in_usual_steps(deep: float) -
 
 
 @pytest.mark.parametrize(("number", "duration"), [(205, 1.6), (521, 0.62), (655, 1.7)])
+@pytest.mark.nightly
 def test_samples_within_hard_steps_keep_the_energy(number: int, duration: float) -> None:
     """Where one shorter step does not, a sample is reached by several.
 

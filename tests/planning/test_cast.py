@@ -181,6 +181,7 @@ def test_criteria_are_required_of_a_run() -> None:
         assert not verify_cast(replace(plan.problem, criteria=criteria), plan.target, motion).success
 
 
+@pytest.mark.nightly
 def test_a_robust_plan_states_how_often_it_succeeds() -> None:
     known = hf.Uncertainty(length=0.002, mass=0.0, friction=0.02, mu=0.0, lag=0.0, timing=1e-3, place=1e-3)
     plan = plan_cast(CORD, ARM, PEG, uncertainty=known, time_budget=processor(25.0))

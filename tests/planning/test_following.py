@@ -195,6 +195,7 @@ def test_a_plan_that_is_read_back_is_followed_as_the_plan_is(tmp_path) -> None:
         follow_plan(planned_whip(), ScenarioStateSource(world, CAST_SETUP.arm))
 
 
+@pytest.mark.nightly
 def test_in_real_time_a_late_decision_is_not_carried_out() -> None:
     """Without time for decisions a rope that waits gets the changed throw, one that moves on the planned one."""
     (world,) = Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)

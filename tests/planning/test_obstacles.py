@@ -162,6 +162,7 @@ def test_a_target_that_the_rope_begins_in_is_not_feasible_and_others_are_planned
     assert (on.status, far.status) == (1, 1)
 
 
+@pytest.mark.nightly
 def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search() -> None:
     """And places that they leave none are no fallback targets, and a remedy is one that makes room."""
     arm, room = hf.Arm(length=0.105), 2e3 * CABLE.radius

@@ -59,6 +59,7 @@ def test_fig6_has_a_curve_for_each_swing_and_the_papers_two_values(few_counts):
     assert axis.get_ylim()[0] == 0.0
 
 
+@pytest.mark.nightly
 def test_tables_hold_the_rounds_and_the_methods():
     rounds, compared = results.table1(), results.table2()
     own = (rounds.columns["angle"] == SMALL.angle) & (rounds.columns["data_links"] == SMALL.links)
