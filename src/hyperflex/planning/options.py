@@ -231,7 +231,8 @@ class SearchOptions:
     chunk_size : int, optional
         Targets, or scenarios, that a worker takes at once.
     improve : float
-        A plan that succeeds without a margin is improved for this fraction of the time that it took to find.
+        A plan that succeeds without a margin is improved for this fraction of the time that it took to find, one with a
+        part of the margin for as much less.
     width, siblings : int
         Swings from each side that are continued by a stroke, and how many of them may differ in the last stroke alone.
     rests : int

@@ -1,8 +1,9 @@
 """The planner's loop: sample, roll out, verify, until moves succeed with a margin or the time is over.
 
-Each level gets an equal share of the time: the next step is made at the level that has worked least so far among those
-with work to do, the dearest first. So many candidates are sampled, fewer rolled out, and few verified, whatever each
-costs for a given rope.
+A promising candidate unlike those that have failed is verified at once: nothing else may end the search sooner.
+Otherwise each level gets an equal share of the time: the next step is made at the level that has worked least so far
+among those with work to do, the dearest first. So many candidates are sampled, fewer rolled out, and few verified,
+whatever each costs for a given rope.
 """
 
 from collections.abc import Callable
@@ -23,7 +24,8 @@ class Planner:
     task : Task
     budget : Budget
     improve : float
-        A plan that succeeds without a margin is improved for this fraction of the time that it took to find.
+        A plan that succeeds without a margin is improved for this fraction of the time that it took to find, one with a
+        part of the margin for as much less.
     on_improvement : callable, optional
         Called without arguments when a plan succeeds, and at each better one; ends the search by returning True.
 
@@ -55,7 +57,9 @@ class Planner:
     def run(self) -> None:
         """Search until moves succeed with a margin, no time is left, or there is nothing more to try."""
         while not self._done() and (levels := self._with_work()):
-            level, before = min(levels, key=lambda one: (self._spent[one], -one)), self.budget.elapsed
+            new = VERIFY in levels and not self._failed_alike(self._promising())
+            level = VERIFY if new else min(levels, key=lambda one: (self._spent[one], -one))
+            before = self.budget.elapsed
             try:
                 (self._sample, self._rollout, self._verify)[level]()
             except OutOfTime:
@@ -76,10 +80,11 @@ class Planner:
     def _promising(self) -> Candidate | None:
         """Return the best candidate that is worth a verification, of those least like others that have failed."""
         good = [one for one in self.rolled if one.good and not any(one is other for other in self._tried)]
-        failed = self._tried if not self.succeeds else []
-        return min(
-            good, key=lambda one: (sum(self.task.alike(one, other) for other in failed), -one.score), default=None
-        )
+        return min(good, key=lambda one: (self._failed_alike(one), -one.score), default=None)
+
+    def _failed_alike(self, one: Candidate) -> int:
+        """Return how many candidates like this one have failed; 0 once one has succeeded."""
+        return 0 if self.succeeds else sum(self.task.alike(one, other) for other in self._tried)
 
     def _sample(self) -> None:
         found = self.task.sample(self.rolled, self.budget)
@@ -103,5 +108,7 @@ class Planner:
         if self.best is None or (not found.message, found.margin) > (not self.best.message, self.best.margin):
             self.best = found
             if self.succeeds:
-                self._until = min(self._until, (1.0 + self.improve) * self.budget.elapsed)
+                missing = max(0.0, 1.0 - found.margin / self.task.enough) if self.task.enough else 0.0
+                more = self.improve * missing if missing else 0.0
+                self._until = min(self._until, (1.0 + more) * self.budget.elapsed)
                 self._ended = self.on_improvement is not None and bool(self.on_improvement())

@@ -316,10 +316,14 @@ def tail_energy(
 
 @dataclass(frozen=True, eq=False)
 class WindingScores:
-    """Scores (M,) of runs in contact, greater is better, and the turns (M,) that stay; 0 if a run failed."""
+    """Scores (M,) of runs in contact, greater is better, and turns (M,) that stay, 0 if a run failed.
+
+    And the greatest slip (M,), m, after the rope has settled; infinite if too few turns stay.
+    """
 
     score: Array
     turns: Array
+    slip: Array
 
 
 def simulate_contact(
@@ -332,12 +336,12 @@ def simulate_contact(
     `sweeping` runs end early that make few turns.
     """
 
-    def one(k: int) -> tuple[float, float]:
+    def one(k: int) -> tuple[float, float, float]:
         return _Contact(problem, batch.select([k]), float(begin[k]), sweeping, budget).score()
 
     with ThreadPoolExecutor(budget.threads) as pool:
         found = list(pool.map(one, range(len(batch))))
-    return WindingScores(*np.array(found).reshape(-1, 2).T)
+    return WindingScores(*np.array(found).reshape(-1, 3).T)
 
 
 class _Contact:
@@ -348,8 +352,8 @@ class _Contact:
         self.rope, self.motion, self.peg = batch.ropes[0], batch.motions[0], batch.pegs[0]
         self.pegs = (self.peg, *problem.criteria.behind)
 
-    def score(self) -> tuple[float, float]:
-        """Score and turns of the run, in up to three parts: it ends after one that leaves no hope."""
+    def score(self) -> tuple[float, float, float]:
+        """Score, turns and slip of the run, in up to three parts: it ends after one that leaves no hope."""
         criteria, rope = self.problem.criteria, self.rope
         stop = max(float(self.motion.breaks[-1]), 0.5)
         end, check = stop + 1.5 + criteria.settle, stop + MODEL.check
@@ -364,14 +368,14 @@ class _Contact:
                 continue
             setup = Setup(rope, now.motions[0], self.problem.arm, pegs=self.pegs)
             if not starts_outside(setup, 0.0, now.q[0]):  # too deep in the peg
-                return min(self._turns(t, turns, since)[0], hope), 0.0
+                return min(self._turns(t, turns, since)[0], hope), 0.0, math.inf
             now, *more = self._run(now, since, until)
             t, turns, q, qd = (np.concatenate(each) for each in zip((t, turns, q, qd), more, strict=True))
             seen = turns if until < check - 1e-9 else turns[-1:]
             if not float(np.abs(seen).max()) >= least:
-                return min(self._turns(t, turns, float(t[-1]))[0], hope), 0.0
+                return min(self._turns(t, turns, float(t[-1]))[0], hope), 0.0, math.inf
         score, stay = self._turns(t, turns, end)
-        settled = t >= check
+        settled, way = t >= check, math.inf
         if stay >= criteria.turns:
             way = float(np.abs(slid(rope, self.peg, q[settled], self._joints(t, q)[settled])).max())
             score -= way / (way + MODEL.slip) if math.isfinite(way) else 1.0
@@ -380,7 +384,7 @@ class _Contact:
             score, stay = score - max(min(stay, 3.0) - criteria.turns, 0.0) - faults, min(stay, hope)
         if at_limits(limit_bend(rope), q, -FOLD).any():
             score -= MODEL.fault
-        return score, stay
+        return score, stay, way
 
     def _turns(self, t: Array, turns: Array, span: float) -> tuple[float, float]:
         """Score by the turns (T,) at times t (T,) up to a span, s, alone, and the least turns in its last part."""
@@ -440,14 +444,15 @@ def winding_scores(problem: Problem, batch: RolloutBatch, budget: Budget) -> Win
     """
     stop = max(float(motion.breaks[-1]) for motion in batch.motions)
     found = fly_to_strikes(problem, batch.pegs[0], batch, budget, max(problem.time, batch.since + stop + 0.5))
-    score, turns, hit = found.score.copy(), np.zeros(len(batch)), np.flatnonzero(np.isfinite(found.t))
+    score, turns, slip = found.score.copy(), np.zeros(len(batch)), np.full(len(batch), math.inf)
+    hit = np.flatnonzero(np.isfinite(found.t))
     if hit.size:
         some = batch.select(hit.tolist())
         motions = [motion.shifted(-t) for motion, t in zip(some.motions, found.t[hit], strict=True)]
         struck = replace(some, motions=motions, q=found.q[hit], qd=found.qd[hit])
         wound = simulate_contact(problem, struck, found.t[hit] + batch.since, budget)
-        score[hit], turns[hit] = wound.score, wound.turns
-    return WindingScores(score, turns)
+        score[hit], turns[hit], slip[hit] = wound.score, wound.turns, wound.slip
+    return WindingScores(score, turns, slip)
 
 
 def robust_values(found: WindingScores, problem: Problem) -> Array:

@@ -183,15 +183,14 @@ class WindTask(Task):
         if not good:
             return found
         kept = [one for one in found if not one.good]
-        seen = self._fly(self.finer, [one.moves for one in good], budget)
-        struck = np.flatnonzero(np.isfinite(seen.t))
-        score, turns = seen.score.copy(), np.zeros(len(good))
-        if struck.size:
-            moves = [good[k].moves for k in struck]
-            again = self._wind(self.finer, moves, seen.t[struck], seen.q[struck], seen.qd[struck], budget, False)
-            score[struck], turns[struck] = again.score, again.turns
-        for one, value, stay in zip(good, score.tolist(), turns.tolist(), strict=True):
-            winds = stay >= self.problem.criteria.turns
+        motions, criteria = [one.moves.motion(self.problem.limits) for one in good], self.problem.criteria
+        batch = RolloutBatch.from_start(self.finer, [self.finer.rope] * len(good), [self.peg] * len(good), motions)
+        self.runs += 2 * len(good)
+        seen = winding_scores(self.finer, batch, budget)
+        for one, value, turns, slip in zip(
+            good, *(each.tolist() for each in (seen.score, seen.turns, seen.slip)), strict=True
+        ):
+            winds = turns >= criteria.turns and slip < criteria.max_slip
             value = min(one.score, value)
             if winds and self.scenarios:
                 value = 3.0 * float(np.mean(self._values(one.moves, self.scenarios[:8], budget)))
