@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,6 +78,27 @@ def test_a_search_ends_with_a_margin_or_some_time_after_its_first_plan() -> None
     at = sum(COST[name] for name, _ in task.calls[: first + 1])
     assert 1.5 * at <= task.now <= 1.5 * at + max(COST.values())
     assert found.best.margin == max(one / 100.0 for name, one in task.calls if name == "verify")
+
+
+def test_a_plan_with_half_of_the_margin_is_improved_for_half_as_long() -> None:
+    class HalfSpare(Numbers):
+        def verify(self, one: Candidate, budget: Budget) -> Verified:
+            return replace(super().verify(one, budget), margin=0.5)
+
+    task = HalfSpare(0, lambda _: True)
+    assert planner(task, improve=1.0).best.margin == 0.5
+    first = next(k for k, (name, _) in enumerate(task.calls) if name == "verify")
+    at = sum(COST[name] for name, _ in task.calls[: first + 1])
+    assert 1.5 * at <= task.now <= 1.5 * at + max(COST.values())
+
+
+def test_a_candidate_unlike_those_that_failed_is_verified_at_once() -> None:
+    task = Numbers(0, lambda _: False, last=40)
+    planner(task)
+    calls = task.calls
+    for ten in range(4):
+        k = next(k for k, (name, one) in enumerate(calls) if name == "verify" and one // 10 == ten)
+        assert calls[k - 1][0] == "rollout"
 
 
 def test_a_better_plan_is_reported_and_may_end_the_search() -> None:
