@@ -57,7 +57,8 @@ class Planner:
     def run(self) -> None:
         """Search until moves succeed with a margin, no time is left, or there is nothing more to try."""
         while not self._done() and (levels := self._with_work()):
-            new = VERIFY in levels and not self._failed_alike(self._promising())
+            promising = self._promising()
+            new = promising is not None and not self._failed_alike(promising)
             level = VERIFY if new else min(levels, key=lambda one: (self._spent[one], -one))
             before = self.budget.elapsed
             try:
