@@ -216,6 +216,10 @@ def too_many_parameters(callables: dict[str, object]) -> dict[str, int]:
     return {name: count for name, count in found.items() if count > 10}
 
 
+def test_public_functions_take_at_most_ten_parameters() -> None:
+    assert too_many_parameters(public_callables()) == {}
+
+
 def test_many_parameters_are_seen() -> None:
     def plan(a: int, b: int, c: int, d: int, e: int, f: int, g: int, h: int, i: int, j: int, k: int) -> None:
         """Plan."""
