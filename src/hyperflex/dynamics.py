@@ -136,11 +136,11 @@ def linearize(
     arm_angle, arm_rate : float
         Of the arm, rad and rad/s.
     command : {"acceleration", "torque", "angle"}
-        What u is: the arm's acceleration, rad/s^2, or the motor's torque, N m; with `dt` also its angle, rad (see
-        :class:`hyperflex.Stepper`).
+        Meaning of u: the arm's acceleration, rad/s^2, or the motor's torque, N m; with `dt` also the arm's angle, rad
+        (see :class:`hyperflex.Stepper`).
     u : float
     dt : float, optional
-        An interval, s: then x after it is A x + B u to first order, and else dx/dt.
+        Interval, s: A x + B u is then x after the interval, to first order; without `dt` it is dx/dt.
 
     Returns
     -------
@@ -154,8 +154,8 @@ def linearize(
 
     Notes
     -----
-    Exact derivatives, as (M.19)-(M.25), not differences; O(n^2). Joints that dry friction holds in this state count as
-    locked. For one state after another make a :class:`hyperflex.Stepper`, whose ``linearize`` takes less time.
+    Exact derivatives, as (M.19)-(M.25), not differences; O(n^2). Joints that stick in this state are locked. For a
+    sequence of states use the faster :meth:`hyperflex.Stepper.linearize`.
     """
     _check_rope(rope)
     q, qd = (checks.array(name, value, (rope.n_links,)) for name, value in (("q", q), ("qd", qd)))

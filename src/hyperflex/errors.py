@@ -18,13 +18,13 @@ class InvalidInput(HyperflexError, ValueError):
     Parameters
     ----------
     what : str
-        The thing that is wrong, as a sentence without a full stop ("rope mass is negative").
+        The problem, as a sentence without a full stop ("rope mass is negative").
     got : object, optional
         The offending value, shown with ``repr`` (long ones are cut).
     allowed : str, optional
-        What would have been accepted.
+        The accepted values.
     fix : str, optional
-        What the user can do about it.
+        Advice for the user.
     """
 
     def __init__(self, what: str, *, got: object = None, allowed: str = "", fix: str = "") -> None:
@@ -65,7 +65,7 @@ class SimulationError(HyperflexError, RuntimeError):
     Parameters
     ----------
     message : str
-        What happened, and what to do.
+        The problem, and advice.
     status : Status
         How the run ended.
     time : float
@@ -90,12 +90,12 @@ class EstimatorLost(HyperflexError, RuntimeError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C ended a long piece of work; it ends the program as Ctrl-C does, unless it is caught.
+    """Ctrl-C ended a long computation. It ends the program like KeyboardInterrupt, unless it is caught.
 
     Parameters
     ----------
     partial : Any
-        What had been done by then, or a function of no arguments that makes it when it is first asked for.
+        The partial result, or a function without arguments that makes it on first access.
     """
 
     def __init__(self, partial: Any = None) -> None:

@@ -9,16 +9,16 @@ from hyperflex.motion import Motion
 
 @dataclass(frozen=True, eq=False)
 class RopeState:
-    """State of the rope as a controller knows it.
+    """Estimated state of the rope.
 
     Attributes
     ----------
     t : float
-        Instant that it holds for, s.
+        Time of the state, s.
     q, qd : (n,) float64
         Absolute link angles, rad, and rates, rad/s.
     covariance : (2 n, 2 n) float64, or None
-        Of (q, qd), as far as it is known, in rad and rad/s.
+        Covariance of (q, qd), in rad and rad/s; None if unknown.
     """
 
     t: float
@@ -31,14 +31,14 @@ class StateSource(Protocol):
     """Source of a rope's state while it moves: a simulation, or a camera with an estimator."""
 
     def state(self, t: float, motion: Motion) -> RopeState:
-        """Return the state at an instant, from whatever has been seen until then.
+        """Return the state at a time, estimated from all observations until then.
 
         Parameters
         ----------
         t : float
-            The instant, s; never earlier than in the call before.
+            Time, s; not before that of the previous call.
         motion : Motion
-            What the arm has done since t = 0 and, as far as it is decided, will do; it covers `t`.
+            Motion of the arm since t = 0, including the planned future; it covers `t`.
         """
 
 
@@ -46,15 +46,15 @@ class Motor(Protocol):
     """Motor that turns an arm: a simulated servo, or a real one."""
 
     def set_motion(self, motion: Motion, at: float) -> None:
-        """Ask for a motion from a time on.
+        """Command a motion from a given time.
 
         Parameters
         ----------
         motion : Motion
-            Arm angle over the time since the start of the cast, s; what it says of earlier times does not matter.
+            Arm angle over the time since the start of the cast, s; its values before `at` are ignored.
         at : float
-            When it is asked for, s; never earlier than any time that was asked for or read before.
+            Time of the command, s; not before any time of an earlier command or reading.
         """
 
     def angle(self, t: float) -> float:
-        """Return what the encoder shows at a time `t` (s, never earlier than one read before), rad."""
+        """Return the encoder's angle at a time `t` (s, not before an earlier reading), rad."""

@@ -25,23 +25,23 @@ LOOSE, QUICK = 0.9, 3.0  # part of what hangs loose that is taken up faster, and
 
 @dataclass(frozen=True)
 class Winding:
-    """A rope and a peg in the course of a run.
+    """Winding of a rope on a peg during a run.
 
     Attributes
     ----------
     turns : (T,) float64
         Signed angle about the peg from the rope's first joint to its end, over 2 pi; positive counterclockwise.
     arc : (T,) float64
-        Signed angle about the peg from the first to the last link that lies on it, rad; 0 where fewer than two do.
+        Signed angle about the peg from the first to the last link in contact, rad; 0 with fewer than two links in
+        contact.
     contact : (T,) float64
         Angle of the peg that the rope covers, rad, >= 0: from link to link between those, where none is off it by more
         than LIFTED of its length.
     before, after : (T,) float64
-        Tension of the rope towards the motor and towards the tip of the links on the peg, N: the force through their
-        outer joints along the next link, or along the last one itself, < 0 where it pushes, as a weight does that
-        stands on its rope. NaN where none is on the peg.
+        Tension of the rope next to the links in contact, towards the motor and towards the tip, N: the force through
+        their outer joints along the next link, or along the last link itself; < 0 for compression. NaN without contact.
     tail : (T,) float64
-        Weight of what hangs beyond the links on the peg, the tip's mass included, N; NaN where none is.
+        Weight of the rope beyond the links in contact, including the tip mass, N; NaN without contact.
     """
 
     turns: Array
@@ -54,12 +54,12 @@ class Winding:
 
 @dataclass(frozen=True)
 class TugTest:
-    """What a wound rope held against a pull at its motor-side end.
+    """Result of a pull at the motor-side end of a wound rope.
 
     Attributes
     ----------
     hold : float
-        Greatest force along the pull, a mean over STEADY, until the rope had slipped, N.
+        Largest force along the pull, averaged over STEADY, before the rope had slipped, N.
     slipped : bool
         Whether the rope slipped within the pull; if not, `hold` is a lower bound.
     run : Trajectory
@@ -74,7 +74,7 @@ class TugTest:
     slip: Array
 
     def holds(self, force: float) -> bool:
-        """Return whether the rope held a tug of `force`, N, and slipped by less than was allowed meanwhile."""
+        """Whether the rope withstood a pull of `force`, N, with less than the allowed slip."""
         return self.hold >= checks.number("force", force, sign="positive", unit="N")
 
 
@@ -142,7 +142,8 @@ def rope_tension(run: Trajectory) -> Array:
     Parameters
     ----------
     run : Trajectory
-        With a prescribed arm or a fixed end. Beside pegs, accelerations and forces are means over the step.
+        Run with a prescribed arm or a fixed end. In contact with pegs, accelerations and forces are means over the
+        step.
     """
     force = _joint_forces(checks.instance("run", run, Trajectory), np.arange(run.t.size))
     return np.asarray(np.hypot(force[..., 0], force[..., 1]))
@@ -179,20 +180,19 @@ def rope_slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array
         Simulated with this peg.
     peg : Peg
     since : float, optional
-        From when on, s; by default the start of the run.
+        Start of the measurement, s; by default the start of the run.
 
     Returns
     -------
     (T,) float64
-        NaN before `since`, and everywhere if the rope does not lie on the peg then; infinite where no link that lay
-        on the peg then still does.
+        NaN before `since`, and everywhere if the rope is not in contact at that time; infinite if no link that was in
+        contact then still is.
 
     Notes
     -----
-    Of the links that lie on the peg then and now, the one that has moved least counts: a rope that does not stretch is
-    held as long as one of them is, though a loose tail may still fall and slide on the peg. A link that rolls does not
-    slip: as its contact goes along the link by ds, it goes round the peg by ds / R. Nor does one that goes along with
-    a peg that turns.
+    The slip is that of the link that moved least, of the links in contact at both times: an inextensible rope is held
+    as long as one of them is, even if a loose tail slides. A rolling link does not slip: its contact moves along the
+    link by ds and round the peg by ds / R. Nor does a link that moves with a turning peg.
     """
     checks.instance("run", run, Trajectory)
     checks.instance("peg", peg, Peg)
@@ -231,7 +231,7 @@ def tug_test(
     allowed: float = 5e-3,
     time_budget: float | Budget | None = None,
 ) -> TugTest:
-    """Pull the rope's motor-side end slowly away from a peg, from where a run ended, and see what holds.
+    """Pull the motor-side end of the rope slowly away from a peg, from the end of a run, and measure the holding force.
 
     Parameters
     ----------
@@ -241,10 +241,10 @@ def tug_test(
     speed : float
         Of the pull, m/s.
     distance : float, optional
-        Of the pull, m; by default what the rope hangs through between the motor and the peg, most of it three times as
-        fast, and PULL more.
+        Distance of the pull, m; by default the slack between motor and peg, most of it at three times the speed, plus
+        PULL.
     allowed : float
-        Slip on the peg, m, up to which the rope holds.
+        Allowed slip on the peg, m.
     time_budget : float or Budget, optional
         As of :func:`hyperflex.simulate`, s.
 

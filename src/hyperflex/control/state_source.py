@@ -50,14 +50,14 @@ class TrueState:
 
 
 class SimulatedCamera:
-    """Stand-in for a camera with an estimator: frames come at a rate and late, with noise; a model bridges the delay.
+    """Simulated camera with an estimator: frames at a rate, delay and noise; a model predicts over the delay.
 
     Parameters
     ----------
     truth : StateSource
-        What the camera looks at; with as many links as `rope`.
+        The observed rope, with as many links as `rope`.
     rope, arm : Rope, Arm
-        The model that predicts from the last frame to now. It may be wrong, and then the prediction is.
+        The model that predicts from the last frame to the present; it may differ from the truth.
     rate : float
         Frames per second.
     delay : float
@@ -97,7 +97,7 @@ class SimulatedCamera:
         self.with_covariance = with_covariance
 
     def state(self, t: float, motion: Motion) -> RopeState:
-        """Return what the newest frame that is through says of `t`, s; before the first one, the rope hangs at rest.
+        """Return the state at `t`, s, predicted from the newest frame; before the first one, the rope hangs at rest.
 
         Raises InvalidInput if the truth has another number of links than the model, SimulationError if the model cannot
         be simulated from what was seen.

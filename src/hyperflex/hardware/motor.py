@@ -13,22 +13,22 @@ SAMPLE_TIME = 2e-3  # s, between samples of what it has done
 
 
 class SimulatedMotor:
-    """A simulated servo: it follows late, within a torque, what reaches it after a delay; its encoder has steps.
+    """A simulated servo with latency, lag and a torque limit; its encoder is quantised.
 
     Parameters
     ----------
     angle : float
-        Where it stands at t = 0, at rest, rad.
+        Initial angle, at rest, rad.
     lag : float
-        By how much it runs late at constant speed, s; it is a critically damped oscillator of second order.
+        Lag at constant speed, s; the servo is a critically damped second-order system.
     latency : float
         From :meth:`set_motion` to the first effect, s.
     counts : int
-        Steps of the encoder in a turn.
+        Encoder steps per turn.
     torque : float
-        Greatest torque, N m; inf if it has enough.
+        Largest torque, N m; inf for no limit.
     inertia : float
-        Of arm and rotor about the shaft, kg m^2: what the torque is for. The rope's pull is not in it.
+        Inertia of arm and rotor about the shaft, kg m^2, for the torque limit. The pull of the rope is neglected.
 
     Raises
     ------
@@ -37,8 +37,8 @@ class SimulatedMotor:
 
     Notes
     -----
-    Simulated, and not compared with any real servo. With w = 2 / lag, angle y and asked angle u (the last one that has
-    come through): inertia y'' = torque, cut at its limit, of inertia (w^2 (u - y) - 2 w y').
+    Not validated against a real servo. With w = 2 / lag, angle y and command u after the latency, inertia y'' is the
+    torque inertia (w^2 (u - y) - 2 w y'), limited to `torque`.
 
     Examples
     --------
@@ -80,7 +80,7 @@ class SimulatedMotor:
         self._asked.append((when + self.latency, motion))
 
     def angle(self, t: float) -> float:
-        """Return what the encoder shows at a time `t` (s), rad: the angle down to whole steps."""
+        """Return the encoder's angle at a time `t` (s), rad, rounded down to whole steps."""
         step = 2.0 * math.pi / self.counts
         return step * math.floor(self.true_angle(t) / step)
 
@@ -91,7 +91,7 @@ class SimulatedMotor:
         return self._y + self._v * (self._now - self._t)
 
     def motion(self) -> Motion:
-        """Return what the simulated arm has really done until now, as a motion that a rope can be simulated with."""
+        """Return the actual motion of the simulated arm until now, for the simulation of a rope."""
         times, angles = np.array(self._seen).T
         if times.size < 2:
             raise InvalidInput("motor has not moved in time yet", got=self._now, allowed="a later time read first")

@@ -24,9 +24,9 @@ LONGEST = 10.0  # m, of an arm without a warning
 class Arm:
     """A rigid arm on the motor's shaft; the rope hangs from its tip.
 
-    Where a torque drives it, it is a link of the chain. With a prescribed motion the rope feels `length` and `pivot`
-    alone; inertia, mass and friction then only add to the motor torque that is reported, not to work and energies,
-    which are the rope's.
+    A torque-driven arm is a link of the chain. With a prescribed motion only `length` and `pivot` affect the rope;
+    inertia, mass and friction then contribute only to the reported motor torque, not to work and energies, which are
+    those of the rope.
 
     Parameters
     ----------
@@ -41,12 +41,12 @@ class Arm:
     torque_limit : float
         Greatest torque of the motor, N m.
     pivot : (float, float)
-        Place of the shaft, m.
+        Position of the shaft, m.
     shaft_radius : float
-        Radius about the pivot that a planned rope keeps clear of, m: of the shaft, or of the motor's body where it
-        stands in the rope's way; 0 for the shaft's axis alone.
+        Radius about the pivot that a planned rope keeps clear of, m: of the shaft, or of the motor's body if the rope
+        could hit it; 0 for the axis of the shaft only.
     radius : float
-        Of the arm itself, half its width, m; a planned rope keeps clear of it.
+        Half the width of the arm, m; a planned rope keeps clear of it.
 
     Raises
     ------

@@ -20,38 +20,37 @@ MOST_PIECES = 10_000  # that a rope is cut into: with more of them a run takes h
 
 
 def refine_rope(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio: float = FINE) -> Rope:
-    """Cut the links that may touch a peg, so that a wound rope is round enough to hold what a real one holds.
+    """Divide the links that may touch a peg, so that the wound polygon holds as much as a smooth rope.
 
     Parameters
     ----------
     rope : Rope
-        Links that are cut must have their centre of mass in their middle.
+        Links to be divided must have their centre of mass in the middle.
     pegs : sequence of Peg, Wall or Ground
     arm : Arm, optional
-        That the rope hangs from; without one the rope hangs from the origin.
+        Arm from which the rope hangs; without one the rope hangs from the origin.
     ratio : float
         Longest link in radii of the rope's axis on the peg (peg radius plus rope radius), > 0.
 
     Returns
     -------
     Rope
-        Of the same length and mass; links out of every peg's reach are as they were.
+        Rope of the same length and mass; links that cannot reach a peg are unchanged.
 
     Raises
     ------
     InvalidInput
-        If a link that is to be cut is not uniform, or the peg so thin that there would be more than MOST_PIECES.
+        If a link to be divided is not uniform, or the peg so thin that more than MOST_PIECES would result.
 
     Notes
     -----
-    A piece has its part of the mass, and an inertia that makes the whole link's the same when it is straight (for the
-    default inertia: the cylinder's). Viscous friction and stiffness stand for a bending of the rope all along, so a
-    joint's is in inverse proportion to the length that it stands for, half of both its links; between old joints that
-    differ it goes straight from the one to the next. The first joint is a hinge: the rope turns in it as a whole, by
-    the same angle however finely it is cut, so it keeps its friction and stiffness, and the pieces of the first link
-    bend as the rope does at the second joint. Dry friction, a torque that any bend must overcome, is every joint's
-    alike; a rest angle stays with its joint. Air drag is per length. Joint limits keep the radius to which they let the
-    rope bend (:meth:`Rope.with_bend_radius`).
+    A piece has its part of the mass, and an inertia that preserves that of the straight link (for the default inertia:
+    that of the cylinder). Viscous friction and stiffness represent distributed bending. Those of a joint are therefore
+    inversely proportional to the length that it represents, half of both its links, and linear between old joints of
+    different values. The first joint is a hinge, whose angle does not depend on the number of links: it keeps its
+    friction and stiffness, and the pieces of the first link bend like the second joint. Each joint keeps the full dry
+    friction, a torque that any bending must overcome; a rest angle stays with its joint. Air drag is per length. Joint
+    limits keep the bend radius (:meth:`Rope.with_bend_radius`).
 
     Examples
     --------
@@ -70,7 +69,7 @@ def divided(rope: Rope, pieces: npt.ArrayLike) -> Rope:
     Parameters
     ----------
     rope : Rope
-        Links that are cut must have their centre of mass in their middle.
+        Links to be divided must have their centre of mass in the middle.
     pieces : int or (n,) array_like of int
         Pieces that a link is cut into, >= 1.
 

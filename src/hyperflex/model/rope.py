@@ -29,8 +29,8 @@ FRICTION_MODELS = ("relative", "printed")
 class Rope:
     """A rope as a chain of n rigid links; also a tapered whip, or a real pendulum.
 
-    Joint i joins link i - 1 to link i; joint 0 joins the rope to the arm (or to the wall). All arrays are (n,); a
-    single number stands for all links.
+    Joint i connects link i - 1 to link i; joint 0 connects the rope to the arm (or to the wall). All arrays are (n,); a
+    single number applies to all links.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Rope:
     friction : (n,) array_like
         Viscous friction of the joints (eta), N m s/rad.
     dry_friction : (n,) array_like
-        Coulomb friction of the joints, N m: a joint that turns feels it in full, one at rest takes up to it.
+        Coulomb friction of the joints, N m: its full value in a turning joint, at most this value in a sticking one.
     stiffness, rest_angle : (n,) array_like
         Joint stiffness, N m/rad, and the relative angle at which it is at rest, rad.
     drag : (n,) array_like

@@ -53,7 +53,7 @@ class SetupFields(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Setup:
-    """What :func:`hyperflex.simulate` runs.
+    """The complete input of :func:`hyperflex.simulate`.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Setup:
     step : float, optional
         Step of ``"rk4"``, s.
     pegs : sequence of Peg, Wall or Ground, optional
-        What the rope may touch and wind round; for ropes with friction_model="relative".
+        Obstacles that the rope can touch and wind round; for ropes with friction_model="relative".
     contact_step : float
         Longest step with a peg or with a joint at its limit, s. Contacts that close slower than 1 cm/s, or than
         50 m/s^2 times this, do not bounce.
@@ -261,9 +261,9 @@ class Setup:
 
     @classmethod
     def loads(cls, text: str, name: str = "the set-up", folder: Path | None = None) -> "Setup":
-        """Build a set-up from TOML text; `name` stands for it in messages, files named in it lie in `folder`.
+        """Build a set-up from TOML text. `name` is its name in messages; paths of files in it are relative to `folder`.
 
-        The tables of a planner, ``[target]``, ``[slot]``, ``[limits]`` and ``[plan]``, are left out.
+        The tables of a planner, ``[target]``, ``[slot]``, ``[limits]`` and ``[plan]``, are ignored.
         """
         content = {key: value for key, value in files.loads_toml(text, name).items() if key not in PLANNING}
         check_tables(name, content)
@@ -283,7 +283,7 @@ class Setup:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "Setup":
-        """Read a set-up from the TOML file `path`; motion files named in it (kind = "file") are looked for beside it.
+        """Read a set-up from the TOML file `path`; motion files (kind = "file") are relative to its folder.
 
         Raises
         ------

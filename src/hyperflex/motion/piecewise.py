@@ -20,7 +20,7 @@ MEET = 1e-9  # rad, m or s: greatest difference of two values that are meant to 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What drives the rope: arm angle (rad), pivot position (m) and motor torque (N m) as functions of time.
+    """Commanded motion: arm angle (rad), pivot position (m) and motor torque (N m) as functions of time.
 
     Build one with :func:`hold_arm`, :func:`move_arm`, :func:`arm_swings`, :func:`sampled_motion`,
     :func:`moving_pivot` or :func:`torque_profile`; join two with :meth:`then`. Before its first break a motion stands
@@ -33,11 +33,11 @@ class Motion:
     coef : (k, 4, 6) array
         Coefficients of the pieces for angle, x, y and torque, ascending powers of the time since the piece began.
     switch : (k + 1,) array of bool
-        Whether the acceleration (or torque), or what it changes by, jumps at a break; the integration restarts there.
+        Whether the acceleration (or torque), or its rate of change, jumps at a break; the integration restarts there.
     loop : int
         The pieces from this one on repeat for ever after the last break; -1 if none do.
     spec : mapping
-        How the motion was made, as it stands in a TOML file; empty for a motion joined from others.
+        How the motion was made, as in a TOML file; empty for a motion joined from others.
 
     Raises
     ------

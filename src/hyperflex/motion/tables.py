@@ -27,9 +27,9 @@ def read_motion(path: str | Path) -> Motion:
     Returns
     -------
     Motion
-        A spline through the samples (:func:`sampled_motion`). Where a plan wrote the file, its own moves, from the note
-        MOVES in its head, if they agree with the samples within MEET: a spline asks up to 1.4 times the acceleration
-        beside each of its jumps.
+        A spline through the samples (:func:`sampled_motion`). For a file written by a plan, the exact moves from the
+        note MOVES in its header, if they agree with the samples within MEET: a spline needs up to 1.4 times the
+        acceleration next to each of its jumps.
 
     Raises
     ------

@@ -33,9 +33,9 @@ def read_recording(
 ) -> Recording:
     r"""Read measured angles or markers from a CSV, NetCDF, MCAP or MultiArm-pendulum ``.mat`` file, or a ROS 2 bag.
 
-    Units, axes, scale and frame rate are what the file or the arguments declare. What neither declares is refused
-    with the name of the argument; what both declare must agree. A CSV file declares by notes before its header
-    (``# unit: deg``, with the argument names below) or by units in the header (``t [ms], th1 [deg]``).
+    The file or the arguments must declare units, axes, scale and frame rate. A missing declaration is an error that
+    names the argument; declarations in both must agree. A CSV file declares by notes before its header (``# unit:
+    deg``, with the argument names below) or by units in the header (``t [ms], th1 [deg]``).
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def read_recording(
         The format follows from the suffix: ``.csv`` (also ``.txt``), ``.nc``, ``.mat``, ``.mcap`` or ``.db3``; a bag
         is a folder. MCAP needs the extra ``mcap``, bags the extra ``ros``.
     kind : {"angles", "markers"}, optional
-        Needed only where a file holds both, or with `columns` of a CSV file.
+        Required only if a file contains both, or with `columns` of a CSV file.
     time : str
         Name of the time column (CSV); of messages "t", their own stamps, or "log", when they were recorded.
     columns : sequence of str, optional

@@ -42,7 +42,7 @@ class Recording:
         Angular rates that came with the angles. Readers check units by them; they are not fitted, since rates in files
         are mostly computed from the angles.
     convention, name, source : str
-        For reports: what was declared and converted on reading, a short name, and where the data come from.
+        For reports: the declared and converted units and axes, a short name, and the source of the data.
 
     Raises
     ------
@@ -125,7 +125,7 @@ class Recording:
         return self._pick(inside)
 
     def split(self, time: float) -> "tuple[Recording, Recording]":
-        """Return the parts before and from `time` (s); InvalidInput when one would hold fewer than two samples."""
+        """Return the parts before and from `time` (s); InvalidInput if one would have fewer than two samples."""
         time = checks.number("time", time, unit="s")
         return self.window(self.t[0], time), self.window(time, np.inf)
 
@@ -171,9 +171,9 @@ class Recording:
         return np.asarray(np.nanmedian(np.hypot(along[..., 0], along[..., 1]), axis=0))
 
     def to_netcdf(self, path: PathLike, attributes: Mapping[str, Any] | None = None) -> None:
-        """Write to NetCDF-4, for ``read_recording(path)``; FileProblem on failure: an earlier file then stands.
+        """Write to NetCDF-4, for ``read_recording(path)``; FileProblem on failure: an earlier file is then unchanged.
 
-        `attributes` (numbers, texts or arrays) are kept in the file beside its own; what reads it leaves them alone.
+        `attributes` (numbers, texts or arrays) are added to those of the file; readers ignore them.
         """
         marked = self.kind == "markers"
         dims = ("time", "marker", "axis") if marked else ("time", "link")

@@ -16,20 +16,20 @@ _HINT = "either sense: 0; only with the direction: 1; only against it: -1"
 
 @dataclass(frozen=True)
 class Event:
-    """What ends a run; made by :func:`tip_crosses`, :func:`tip_speed_peak` and their like.
+    """Event that ends a run; made by :func:`tip_crosses`, :func:`tip_speed_peak` and similar functions.
 
     Parameters
     ----------
     name : str
-        What the trajectory calls it.
+        Name of the event in the trajectory.
     kind : int
         As in the kernels.
     numbers : (4,) tuple of float
         Point and direction, phase and time constant, or angle and link.
     sense : int
-        1 or -1: the way in which it must be passed; 0: either.
+        1 or -1: direction of the crossing; 0: either.
     after : float
-        Time before which it does not count, s.
+        Time before which the event is ignored, s.
     """
 
     name: str

@@ -24,19 +24,19 @@ FINE = 1e-9  # of the rope's length: the tolerance of all runs
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predictability:
-    """How small errors grow along a run; made by :func:`predictability`.
+    """Growth of small errors along a run; made by :func:`predictability`.
 
-    An error is as large as it displaces the worst joint, or, if that is more, as it changes the worst joint's velocity
-    times the rope's swing time sqrt(length / g), at most 1 s: so an error that only swings to and fro keeps its size.
+    The size of an error is the largest displacement of a joint or, if larger, the largest change of a joint's velocity
+    times the swing time sqrt(length / g), at most 1 s. An error that only oscillates therefore keeps its size.
 
     Attributes
     ----------
     t : (T,) float64
         Times, s.
     size : (m, T) float64
-        Size of each nudge beside what it was at the start; 1 at t[0].
+        Size of each perturbation relative to its initial size; 1 at t[0].
     displacement : (m, T) float64
-        By how much the worst joint is displaced, in the same unit: at most `size`.
+        Largest displacement of a joint, in the same unit: at most `size`.
     tol : float
         Tolerance of the set-up, m.
     """
@@ -64,9 +64,9 @@ class Predictability:
     def exponent(self, begin: float | None = None, end: float | None = None) -> float:
         """Return the largest finite-time Lyapunov exponent between two times, 1/s; by default of the whole run.
 
-        Positive: errors grow by e in each 1/exponent seconds. Over a short time it holds the nudges' turning into the
-        direction that grows fastest, too: leave the beginning out where that matters. Of `begin` and `end`, s, the
-        nearest of `t` are taken; InvalidInput if there is no time between them.
+        If it is positive, errors grow by e in each 1/exponent seconds. Over a short time it includes the transient in
+        which the perturbations turn into the direction of fastest growth: exclude the beginning if that matters.
+        `begin` and `end`, s, are rounded to the nearest of `t`; InvalidInput if there is no time between them.
         """
         first, last = (
             int(np.argmin(np.abs(self.t - (default if at is None else checks.number(name, at, unit="s")))))
@@ -105,14 +105,14 @@ def predictability(
     sample_time: float = 0.05,
     **setup: Unpack[SetupFields],
 ) -> Predictability:
-    """Measure how fast small errors grow along a run: for how long comparing it point by point means anything.
+    """Measure the growth of small errors along a run, and thereby the time for which it is predictable.
 
     Parameters
     ----------
     rope, motion, **setup
-        As in :func:`hyperflex.simulate`. The `tol` is the error, m, that :meth:`Predictability.horizon` starts from.
+        As in :func:`hyperflex.simulate`. `tol` is the initial error, m, of :meth:`Predictability.horizon`.
     nudges : int
-        How many runs go beside the one asked for, each nudged at random in all angles and rates.
+        Number of perturbed runs, each with random changes of all angles and rates.
     seed : int
         For the nudges.
     sample_time : float
@@ -127,10 +127,10 @@ def predictability(
 
     Notes
     -----
-    The runs use a tolerance of 1e-9 of the rope's length, the nudges are 1e-5 of it, and every `sample_time` the nudged
-    ones begin anew beside the run, in the direction in which they had drifted, as far off as at the start (Benettin et
-    al. 1980, doi:10.1007/BF02128236). So the nudges neither saturate nor drown in the runs' own errors. Costs some
-    4 (1 + nudges) runs at the default tolerance. It is an estimate: a few nudges may miss what grows for a short while.
+    The tolerance of the runs is 1e-9 of the rope's length, the perturbations are 1e-5 of it. Every `sample_time` each
+    perturbation is rescaled to its initial size in its current direction (Benettin et al. 1980,
+    doi:10.1007/BF02128236), so it neither saturates nor falls below the errors of the runs. The cost is about 4 (1 +
+    nudges) runs at the default tolerance. This is an estimate: a few perturbations may miss a short growth.
 
     Examples
     --------

@@ -54,17 +54,17 @@ class Linearization:
 
 
 class Stepper:
-    """Takes a rope on an arm from state to state, each time for an interval and with a command that holds in it.
+    """Simulates a rope on an arm interval by interval, with a constant command in each.
 
-    It checks its set-up once, here. It keeps nothing of the steps it has taken: a step from the same state with the
-    same command gives the same state, bit for bit, whatever was stepped in between. Threads need a stepper each.
+    The set-up is checked once, here. A stepper has no state: a step from the same state with the same command gives the
+    same result, bit for bit, in any order of calls. Each thread needs its own stepper.
 
     Parameters
     ----------
     rope : Rope or Setup
         The rope; or a whole set-up, whose motion or torque the commands replace.
     command : {"acceleration", "angle", "torque"}
-        What a command is, for the time s since the interval began and an arm that begins it at angle a and rate v:
+        Meaning of a command u, for the time s since the start of the interval, at which the arm has angle a and rate v:
 
         ``"acceleration"``: u, rad/s^2. The arm turns with it: a + v s + u s^2 / 2.
         ``"angle"``: u, rad. The arm follows the cubic that ends the interval, dt long, at the angle u with its mean
@@ -81,11 +81,10 @@ class Stepper:
 
     Notes
     -----
-    The method and its error control are those of :func:`hyperflex.simulate`: at the end of each interval the run
-    passes a switch of its motion, as it would within a single long run. What the integrator remembers (lengths of
-    steps, forces of contacts) is in the state. Which joints stick is found anew from the state, exactly as
-    behind any switch. The energy balance, which `simulate` checks at its outputs, is not checked; what it needs is in
-    the state.
+    The method and its error control are those of :func:`hyperflex.simulate`; the end of each interval is a switch of
+    the motion. The state contains the integrator's memory (step sizes, contact forces). The sticking joints are
+    determined again from the state, as after any switch. The energy balance, which `simulate` checks at its outputs, is
+    not checked; the state contains its terms.
 
     Examples
     --------

@@ -70,7 +70,7 @@ OWN_ATTRIBUTES = ("format", "source", "hyperflex_version", "status", "message", 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Everything that a run needs to go on as if it had not been stopped.
+    """All data from which a run continues as if it had not been stopped.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ class State:
     peg_angle, peg_rate : (P,) float64 or None
         Angles, rad, and rates, rad/s, of the round pegs in the order of the set-up; 0 of fixed ones. None: all 0.
     arm_angle, arm_rate : float or None
-        Of the arm, rad and rad/s. A run whose motion is prescribed has them from its motion; None: as the set-up says.
+        Angle and rate of the arm, rad and rad/s. With a prescribed motion they follow from it; None: as in the set-up.
     """
 
     t: float
@@ -136,13 +136,13 @@ class Trajectory:
     motor_torque : (T,) float64
         Torque of the motor, N m.
     setup : Setup
-        What was simulated.
+        The simulated set-up.
     state : State
         Where the run ended; hand it to :func:`hyperflex.simulate` to go on.
     status : Status
         How the run ended.
     message : str
-        Why it is no success, and what to try; empty on success.
+        Why the run failed, and what to try; empty on success.
     attrs : dict
         Facts about the run (method, tolerance, ...): strings and numbers.
     event : (str, float) or None

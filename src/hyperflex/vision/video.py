@@ -52,7 +52,7 @@ class Frame:
 
 
 class VideoReader:
-    """The frames of a video file, read one after the other.
+    """Sequential reader of the frames of a video file.
 
     Parameters
     ----------
@@ -68,11 +68,11 @@ class VideoReader:
     readout_direction : str
         In which rows of a sensor that was read from top to bottom follow each other now, for :class:`Camera`.
     frame_interval : float or None
-        Mean time from frame to frame, s, where the file says so.
+        Mean time between frames, s, if the file declares it.
     frame_count : int
         Frames given out so far.
     notes : list of str
-        What was wrong with what has been read so far (a file cut off, frames that cannot be decoded or have no time).
+        Problems of the part read so far (truncated file, frames that cannot be decoded or have no time).
 
     Raises
     ------
@@ -82,9 +82,9 @@ class VideoReader:
 
     Notes
     -----
-    Times are the container's (presentation time stamp times time base), never index over frame rate: phones vary their
-    rate and list frames that are not there. A frame that comes no later than the one before it is left out, and said so
-    in `notes`. The file is read once, in one direction; only one frame is held.
+    Times are those of the container (presentation time stamp times time base), never index over frame rate, because
+    phones vary their rate and list missing frames. A frame that is not later than the previous one is omitted and
+    reported in `notes`. The file is read once, forwards, with one frame in memory.
 
     Examples
     --------
@@ -228,11 +228,11 @@ class VideoWriter:
     Parameters
     ----------
     path : path-like
-        Where it shall stand; ends in .mp4.
+        Path of the file; ends in .mp4.
     image_size : (int, int)
         Width and height of the frames, px. An odd one is made even by repeating the last row or column.
     quality : int
-        x264's constant rate factor, 0 (lossless) to 51; 18 is hard to tell from the original.
+        x264's constant rate factor, 0 (lossless) to 51; 18 is visually almost lossless.
 
     Raises
     ------
@@ -317,7 +317,7 @@ class LiveCamera:
     source : int or str
         The camera's number (0 is the first), or the address of a stream (rtsp://...), or a file in place of one.
     image_size : (int, int), optional
-        Width and height to ask the camera for, px; what it gives stands in `image_size`.
+        Requested width and height, px; the attribute `image_size` has the actual ones.
     timeout : float
         How long to wait for a stream to open or to go on, s. Cameras wait as long as their driver does.
 
@@ -329,7 +329,7 @@ class LiveCamera:
         Whose the time stamps are: the driver's or stream's own clock, or this machine's monotonic clock when the frame
         arrived (0.1 to 0.9 s late, by another amount at each start).
     notes : list of str
-        What happened: the stream ended or stalled, frames changed their size, times went back.
+        Events: the stream ended or stalled, frames changed their size, times went back.
 
     Raises
     ------
@@ -338,7 +338,7 @@ class LiveCamera:
 
     Notes
     -----
-    Tried with files and streams in place of a camera; not validated against a camera's driver.
+    Tested with files and streams instead of a camera; not validated against a camera's driver.
     """
 
     def __init__(self, source: int | str, image_size: tuple[int, int] | None = None, timeout: float = 10.0) -> None:

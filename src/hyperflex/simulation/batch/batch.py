@@ -66,7 +66,7 @@ class Batch:
     t : (T,) float64
         Output times, s.
     values : dict of str to array
-        What was kept, each (M, T, ...); NaN from where a member failed.
+        Kept quantities, each (M, T, ...); NaN after a member failed.
     status : tuple of Status
         How each member ended, (M,).
     reached : (M,) float64
@@ -105,7 +105,7 @@ class Batch:
         return [m for m, name in enumerate(self.status) if name is not Status.SUCCESS]
 
     def why(self, member: int) -> str:
-        """Return what went wrong with a member, and advice; empty if nothing did."""
+        """Return the reason of a member's failure, and advice; empty without failure."""
         if not -len(self.status) <= member < len(self.status):
             raise InvalidInput("no such member", got=member, allowed=f"0 to {len(self.status) - 1}")
         name = self.status[member]
@@ -153,7 +153,7 @@ def simulate_batch(
     motions : Motion or sequence of Motion, optional
         One for all members, or one each.
     t_eval : (T,) array_like, optional
-        Times of the output, s, from 0 on; by default the end alone. A step ends at each, so ask for what you need.
+        Times of the output, s, from 0 on; by default only the end. A step ends at each of them.
     keep : sequence of {"tip", "q", "qd", "motor_work", "dissipated_energy", "turns", "peg_angle", "peg_rate"}
         What to keep; memory is (M, T) times this, in addition to the blocks in work. Turns are those about each round
         peg.

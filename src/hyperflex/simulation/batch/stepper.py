@@ -31,7 +31,7 @@ ROWS = ("q", "qd", "arm_angle", "arm_rate", "work", "dissipated", "codes", "memo
 
 @dataclass(frozen=True, eq=False)
 class BatchState:
-    """Where the members of a batch are; row m belongs to member m.
+    """State of the members of a batch; row m belongs to member m.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class BatchState:
     codes : (M,) int64
         Status codes; :attr:`status` has their names.
     memory : (M, 3) float64
-        What the integrator remembers of its steps.
+        Memory of the integrator.
     """
 
     t: float
@@ -95,7 +95,7 @@ class BatchStepper:
 
     Notes
     -----
-    Threads of your own need a stepper each: it works in arrays of its own.
+    Each of your threads needs its own stepper, because a stepper works in its own arrays.
 
     Examples
     --------

@@ -52,7 +52,7 @@ class Sensitivities:
     tip : (T, 2) float64
         Position of the tip, m.
     names : tuple of str
-        What the derivatives are taken with respect to, (P,).
+        Names of the parameters of the derivatives, (P,).
     dq, dqd : (T, n, P) float64
         Derivatives of angles and rates at fixed times, in rad and rad/s per SI unit of the parameter.
     dtip : (T, 2, P) float64
@@ -115,15 +115,15 @@ def sensitivities(
 ) -> Sensitivities:
     """Simulate a rope, and differentiate angles, rates and the tip's position.
 
-    The derivatives are those of the computed run itself, step by step, so they are exact to rounding; they differ
-    from those of the true motion by about as much as the run itself does.
+    The computed run itself is differentiated, step by step, so the derivatives are exact to rounding. They differ from
+    those of the true motion by about as much as the run itself.
 
     Parameters
     ----------
     rope, motion, t_eval, time_budget, **setup
         As in :func:`hyperflex.simulate`.
     wrt : str, mapping, or sequence of them
-        What to differentiate by; at least one.
+        Parameters of the derivatives; at least one.
 
         ``"q0"``, ``"qd0"``: the start of every link; ``"q0[3]"`` of one.
         ``"friction"``, and likewise dry_friction, length, mass, com, inertia, stiffness, rest_angle, drag: one number

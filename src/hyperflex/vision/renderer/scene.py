@@ -37,7 +37,7 @@ class Bar(NamedTuple):
 
 
 class Occluder(NamedTuple):
-    """A bar that stands before the rope.
+    """A bar in front of the rope.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Occluder(NamedTuple):
     colour : (float, float, float)
         Blue, green, red, 0 to 255.
     velocity : (float, float)
-        m/s; at t = 0 it stands at start and end.
+        Velocity, m/s; `start` and `end` are its ends at t = 0.
     """
 
     start: tuple[float, float]
