@@ -37,7 +37,7 @@ def planned(winds: bool = True) -> CastPlan:
     cast = verify_cast(who, PEG, moves.motion(who.limits))
     finer = cast if winds else None  # the run with finer links is not what is tested here
     seconds = time.monotonic() - begin
-    return CastPlan(who, PEG, check_feasibility(who, PEG), moves, cast, finer, cast.message, 0.5, 1, seconds)
+    return CastPlan(who, PEG, check_feasibility(who, PEG), moves, cast, finer, cast.message, 1, seconds, margin=0.5)
 
 
 @functools.cache
@@ -45,13 +45,13 @@ def late() -> CastPlan:
     """Return a plan for a target in reach whose verification took longer than allowed."""
     who = problem()
     cast = verify_cast(who, PEG, WINDS.motion(who.limits), time_budget=1e-9)
-    return CastPlan(who, PEG, check_feasibility(who, PEG), WINDS, cast, None, cast.message, 0.0, 4321, 61.2)
+    return CastPlan(who, PEG, check_feasibility(who, PEG), WINDS, cast, None, cast.message, 4321, 61.2)
 
 
 def stopped(moves: Moves | None = WINDS) -> CastPlan:
     """Return a plan for a target in reach that Ctrl-C ended before anything was verified."""
     who, words = problem(), "interrupted before any moves were verified"
-    return CastPlan(who, PEG, check_feasibility(who, PEG), moves, None, None, words, 0.0, 4321, 12.3, True)
+    return CastPlan(who, PEG, check_feasibility(who, PEG), moves, None, None, words, 4321, 12.3, True)
 
 
 def simulated_strikes(problem: Problem, peg: hf.Peg, moves: list[Moves]) -> Strikes:

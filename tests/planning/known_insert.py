@@ -27,8 +27,8 @@ def planned_insert(enters: bool = True) -> InsertPlan:
     slot = SLOT if enters else Slot(-0.355, -0.845, -2.4, width=0.025, depth=0.04)
     found = InsertTask(problem, slot).verify(Candidate(MOVES, 1.0, NEAR), Budget(math.inf))
     known, probability = TipFeasibility(0.98, 0.02, ""), None if found.message else SuccessProbability(45, 50)
-    outcomes = found.outcome, found.finer_outcome
-    return InsertPlan(problem, slot, known, MOVES, *outcomes, 0.004, probability, found.message, 1, 0.5)
+    made = problem, slot, known, MOVES, found.outcome, found.finer_outcome, found.message, 1, 0.5
+    return InsertPlan(*made, success_probability=probability, position_std=0.004)
 
 
 def far_insert() -> InsertPlan:

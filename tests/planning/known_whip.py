@@ -20,19 +20,13 @@ from hyperflex.planning import (
     build_whip_map,
     plan_whip,
 )
-from hyperflex.planning.tasks.tip import Aim, AimedCandidate
-from hyperflex.planning.tasks.whip import WhipTask, find_peaks, verify_whip
+from hyperflex.planning.tasks.tip import Aim
+from hyperflex.planning.tasks.whip import WhipTask, verify_whip
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=8, radius=0.0025, friction=5e-4, name="short rope")
 ARM = hf.Arm(length=0.1)
 MOVES = Moves(-1, np.array([1.4, 0.2, -0.9]), np.array([0.05, 0.3, 0.25]))
 NEAR = 1.9  # s, when its tip is fast
-
-
-def empty_map(problem: Problem) -> WhipMap:
-    """Return a map without swings."""
-    none = np.zeros((0, 3, 2))
-    return WhipMap(problem, (), find_peaks(np.arange(3.0), none, none))
 
 
 @functools.cache
@@ -44,11 +38,21 @@ def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
     place = peak.place + ([0.0004, 0.0003] if meets else [0.018, 0.024])
     direction = None if any_direction else float(np.arctan2(*peak.velocity[::-1])) + 0.1
     target = TipTarget(*place, direction=direction, least_speed=0.9 * peak.speed, angle_tolerance=0.3)  # type: ignore[arg-type]
-    aim = Aim(MOVES, peak.t, np.zeros(2), place, 0.0, std=0.004)
-    candidate = AimedCandidate(MOVES, 1.0, peak.t, good=True, aim=aim)
-    found = WhipTask(empty_map(problem), target).verify(candidate, Budget(math.inf))
+    aim = Aim(MOVES, 1.0, peak.t, residuals=np.zeros(2), place=place, std=0.004)
+    found = WhipTask(problem, target).verify(aim, Budget(math.inf))
     known = TipFeasibility(float(np.hypot(*place)), 0.01, "")
-    return WhipPlan(problem, target, known, MOVES, found.outcome, found.finer_outcome, 0.004, found.message, 1, 0.5)
+    return WhipPlan(
+        problem,
+        target,
+        known,
+        MOVES,
+        found.outcome,
+        found.finer_outcome,
+        found.message,
+        runs=1,
+        seconds=0.5,
+        position_std=0.004,
+    )
 
 
 def far_whip() -> WhipPlan:

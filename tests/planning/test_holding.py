@@ -53,7 +53,7 @@ def test_a_cast_that_bears_less_than_is_asked_has_failed():
     assert require_holding_force(cast, PEG, 0.0, budget) is cast
     failed = require_holding_force(cast, PEG, 1.1 * force, budget)
     assert (failed.wound, failed.held, failed.success) == (True, False, False)
-    assert failed.message == f"its holding force is {force:.3g} N, and {1.1 * force:.3g} N are asked"
+    assert failed.message == f"its holding force is {force:.3g} N, {1.1 * force:.3g} N required"
 
 
 @pytest.mark.parametrize(

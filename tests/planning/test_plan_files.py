@@ -1,4 +1,4 @@
-"""A plan as files: the motor's table, the set-up that is simulated again, what is read back."""
+"""Plans as files: the motor's table, the set-up that is simulated again, what is read back."""
 
 from __future__ import annotations
 
@@ -11,9 +11,14 @@ import pytest
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.errors import InvalidInput
-from hyperflex.planning import CastOutcome, CastPlan, FallbackTarget, Moves, SuccessProbability, verify_cast
+from hyperflex.planning import CastOutcome, CastPlan, FallbackTarget, Moves, SuccessProbability, WhipPlan, verify_cast
 from hyperflex.planning.plan import to_table
+from hyperflex.planning.tasks.tip import sample_times
+from hyperflex.planning.tasks.whip import verify_whip
+from hyperflex.status import Status
 from tests.planning.known import PEG, WINDS, late, planned, stopped, unreachable
+from tests.planning.known_insert import planned_insert
+from tests.planning.known_whip import far_whip, planned_whip
 
 
 def test_the_motors_table_holds_the_planned_angles(tmp_path):
@@ -80,24 +85,42 @@ def expected_only() -> CastPlan:
     return replace(stopped(), fallback=FallbackTarget(PEG, 0.07))
 
 
+def unverified_whip() -> WhipPlan:
+    return replace(planned_whip(meets=False), outcome=None, finer_outcome=None, interrupted=True)
+
+
 @pytest.mark.parametrize(
-    "made", [planned, lambda: planned(winds=False), late, stopped, uncertain, with_fallback, expected_only]
+    "made",
+    [
+        planned,
+        lambda: planned(winds=False),
+        late,
+        stopped,
+        uncertain,
+        with_fallback,
+        expected_only,
+        planned_whip,
+        lambda: planned_whip(meets=False),
+        lambda: planned_whip(any_direction=True),
+        unverified_whip,
+        planned_insert,
+    ],
 )
 def test_a_plan_reads_back_as_it_was_written(tmp_path, made):
     """In all its fields but the runs, and once more in the same file."""
     plan = made()
     plan.to_toml(tmp_path / "plan.toml")
     back = hf.read_plan(tmp_path / "plan.toml")
-    assert isinstance(back, CastPlan)
-    assert (back.problem, back.target, back.feasibility) == (plan.problem, PEG, plan.feasibility)
+    assert type(back) is type(plan)
+    assert (back.problem, back.target, back.feasibility) == (plan.problem, plan.target, plan.feasibility)
     assert (back.success, back.status, back.message) == (plan.success, plan.status, plan.message)
     assert back.motion == plan.motion
-    assert (back.refuted, back.unfinished, back.notes()) == (plan.refuted, plan.unfinished, plan.notes())
+    assert (back.refuted, back.notes()) == (plan.refuted, plan.notes())
     assert files.dumps_toml(to_table(back)) == files.dumps_toml(to_table(plan))
     back.to_toml(tmp_path / "again.toml")
     assert (tmp_path / "again.toml").read_text() == (tmp_path / "plan.toml").read_text()
     head = (tmp_path / "plan.toml").read_text().split("\n\n")[0].splitlines()
-    assert head[0].startswith("# A planned cast. SI units: m, kg, s")
+    assert head[0].startswith(f"# A planned {plan.kind}. SI units: m, kg, s")
     assert all(line.startswith("# ") for line in head)
     assert back.run is None
     with pytest.raises(InvalidInput, match="read from a file has no runs"):
@@ -125,17 +148,17 @@ def test_a_throw_that_is_read_back_does_the_same_again(tmp_path):
 @pytest.mark.parametrize(
     ("made", "status"),
     [
-        (planned, 0),
-        (unreachable, 1),
-        (lambda: replace(stopped(None), interrupted=False), 2),
-        (lambda: planned(winds=False), 3),
-        (late, 4),
-        (stopped, 5),
+        (planned, Status.SUCCESS),
+        (unreachable, Status.INFEASIBLE),
+        (lambda: replace(stopped(None), interrupted=False), Status.OUT_OF_TIME),
+        (lambda: planned(winds=False), Status.FAILED),
+        (late, Status.OUT_OF_TIME),
+        (stopped, Status.INTERRUPTED),
     ],
 )
 def test_the_status_says_why_the_planner_ended(made, status):
     plan = made()
-    assert (plan.status, plan.success, bool(plan.message)) == (status, status == 0, status != 0)
+    assert (plan.status, plan.success, bool(plan.message)) == (status, status == "success", status != "success")
 
 
 def test_the_set_up_of_a_plan_is_the_verified_run(tmp_path):
@@ -158,7 +181,7 @@ def test_the_set_up_of_a_plan_without_a_run_lasts_as_long_as_one(tmp_path, made)
 
 def test_a_summary_has_the_figures_of_the_plan():
     told = uncertain().summary()
-    assert (told["source"], told["success"], told["status"], told["message"]) == ("simulated", True, 0, "")
+    assert (told["source"], told["success"], told["status"], told["message"]) == ("simulated", True, "success", "")
     assert told["outcome"]["turns"] == planned().outcome.turns
     assert told["success_probability"]["interval"] == SuccessProbability(37, 40).interval
     assert len(told["starts"]) == planned().moves.ends.size
@@ -167,8 +190,31 @@ def test_a_summary_has_the_figures_of_the_plan():
     assert with_fallback().summary()["fallback"]["plan"]["success"]
 
 
+def test_a_whip_that_is_read_back_strikes_again(tmp_path):
+    plan = planned_whip()
+    plan.to_toml(tmp_path / "whip.toml")
+    back = hf.read_plan(tmp_path / "whip.toml")
+    again = verify_whip(back.problem, back.target, back.motion, plan.outcome.t)
+    assert again.miss == plan.outcome.miss == back.outcome.miss
+    assert back.outcome.angle_error == pytest.approx(0.1)
+    assert back.finer_outcome.n_links == 2 * back.outcome.n_links
+    assert back.impact() == plan.impact()
+    run = hf.simulate(hf.Setup.from_toml(tmp_path / "whip.toml"))
+    assert run.t[-1] == pytest.approx(sample_times(plan.outcome.t)[-1])
+    at = np.array([np.interp(plan.outcome.t, run.t, run.tip[:, k]) for k in (0, 1)])
+    # Straight between samples of 10 ms at 1.3 m/s, curved over some 0.3 m: 1e-4 m; the default tolerance is less.
+    np.testing.assert_allclose(at, plan.outcome.place, atol=5e-4)
+
+
 @pytest.mark.parametrize(
-    ("made", "mark"), [(late, "not verified"), (stopped, "not verified"), (lambda: planned(winds=False), "fails")]
+    ("made", "mark"),
+    [
+        (late, "not verified"),
+        (stopped, "not verified"),
+        (unverified_whip, "not verified"),
+        (lambda: planned(winds=False), "fails"),
+        (lambda: planned_whip(meets=False), "fails"),
+    ],
 )
 def test_the_motors_table_says_whether_its_throw_was_verified(tmp_path, made, mark):
     plan = made()
@@ -186,8 +232,9 @@ def test_the_motors_table_of_a_throw_that_stands_bears_no_mark(tmp_path):
     assert notes["arm"] == "0.105 m, begins at -1.5708 rad"
 
 
-def test_a_plan_without_a_throw_has_nothing_to_write(tmp_path):
-    plan = unreachable()
+@pytest.mark.parametrize("made", [unreachable, far_whip])
+def test_a_plan_without_moves_has_nothing_to_write(tmp_path, made):
+    plan = made()
     for write in (plan.to_csv, plan.to_toml, plan.to_netcdf):
         with pytest.raises(InvalidInput, match="out of reach"):
             write(tmp_path / "x.nc")
@@ -200,9 +247,16 @@ def test_a_set_up_is_no_plan(tmp_path):
         hf.read_plan(tmp_path / "setup.toml")
 
 
-@pytest.mark.parametrize(("old", "new"), [("[plan.problem.limits]", "[plan.problem.limit]"), ("turns = ", "rounds = ")])
-def test_a_plan_that_lacks_a_part_is_refused(tmp_path, old, new):
-    planned().to_toml(tmp_path / "plan.toml")
+@pytest.mark.parametrize(
+    ("made", "old", "new"),
+    [
+        (planned, "[plan.problem.limits]", "[plan.problem.limit]"),
+        (planned, "turns = ", "rounds = "),
+        (planned_whip, "direction = ", "way = "),
+    ],
+)
+def test_a_plan_that_lacks_a_part_is_refused(tmp_path, made, old, new):
+    made().to_toml(tmp_path / "plan.toml")
     text = (tmp_path / "plan.toml").read_text()
     assert old in text
     (tmp_path / "plan.toml").write_text(text.replace(old, new))

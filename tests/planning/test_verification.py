@@ -107,7 +107,7 @@ def test_a_throw_whose_rope_comes_too_near_its_arm_fails(tmp_path: Path) -> None
     assert "the rope goes through the motor's shaft at" in whole.message
     asked = verify_cast(replace(problem(), clearance=0.05), PEG, WINDS.motion(near.limits))
     assert asked.message.startswith(f"the rope comes within {1e3 * seen.clearance:.1f} mm of the arm at")
-    assert asked.message.endswith("and 50 mm are asked")
+    assert asked.message.endswith(", 50 mm required")
     before = replace(near, clearance=-np.inf)
     assert verify_cast(before, PEG, WINDS.motion(near.limits)).success  # it swings in front of the motor
     plan = replace(planned(), problem=before, finer_outcome=late().outcome)
@@ -147,7 +147,7 @@ def test_what_the_rope_covers_is_asked_and_told() -> None:
     assert verify_cast(replace(problem(), criteria=hf.WindCriteria(contact=10.5)), PEG, motion).success
     more = verify_cast(replace(problem(), criteria=hf.WindCriteria(contact=12.0)), PEG, motion)
     assert (more.wound, more.held, more.success) == (True, True, False)
-    assert more.message.endswith("degrees of the peg, and 688 are asked")
+    assert more.message.endswith("degrees of the peg, 688 required")
 
 
 def test_contact_that_is_asked_needs_rope() -> None:

@@ -4,12 +4,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from hyperflex.model import Peg, Setup
-from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.feasibility import Feasibility
-from hyperflex.planning.moves import Moves
 from hyperflex.planning.outcome import CastOutcome, HoldingForce, measure_holding_force
-from hyperflex.planning.plan import INFEASIBLE, NOT_FOUND, Plan
-from hyperflex.planning.problem import Problem
+from hyperflex.planning.plan import Plan
 from hyperflex.planning.verification import verified_setup
 
 
@@ -19,49 +16,27 @@ class CastPlan(Plan):
 
     Attributes
     ----------
-    problem, message, runs, seconds, interrupted
-        As of :class:`Plan`.
-    target : Peg
-    feasibility : Feasibility
-        Result of the check before the search.
-    moves : Moves or None
-        The best moves found; None if none strike the target.
-    outcome : CastOutcome or None
-        Their outcome in a simulated run; None if there was none.
     finer_outcome : CastOutcome or None
-        Their outcome with links of a third of the length.
+        With links of a third of the length.
     margin : float
         How much of each criterion is to spare in both runs, over what is usual: the least; see
         :func:`hyperflex.planning.ensemble.margin`. Of a robust plan it is 1 if it succeeds in all scenarios.
-    success_probability : SuccessProbability or None
-        In scenarios that the search has not seen; only with an uncertainty. Of 0 samples where no time was left.
     fallback : FallbackTarget or None
         For a plan that fails: the nearest target with a plan that succeeds, or that is expected to be feasible.
     remedies : tuple of str
         For an infeasible target: changes of rope, arm, motor, time or peg that would each make it feasible.
+    others
+        As of :class:`hyperflex.planning.plan.Plan`.
     """
 
     kind: ClassVar[str] = "cast"
-    problem: Problem
     target: Peg
     feasibility: Feasibility
-    moves: Moves | None = None
     outcome: CastOutcome | None = None
     finer_outcome: CastOutcome | None = None
-    message: str = ""
     margin: float = 0.0
-    runs: int = 0
-    seconds: float = 0.0
-    interrupted: bool = False
-    success_probability: SuccessProbability | None = None
     fallback: "FallbackTarget | None" = None
     remedies: tuple[str, ...] = ()
-
-    @property
-    def status(self) -> int:
-        """Why the planner ended, as of :class:`Plan`; a feasible target is not found, also where no time was left."""
-        told = super().status
-        return NOT_FOUND if told == INFEASIBLE and self.feasibility.feasible else told
 
     @property
     def refuted(self) -> bool:
@@ -102,15 +77,10 @@ class CastPlan(Plan):
         }
 
     def summary(self) -> dict[str, Any]:
-        """Return the plan in figures, for JSON: its fields, and the start of each move and the arm's stop, s."""
+        """Return the plan in figures, for JSON; see :meth:`Plan.summary`."""
         table = super().summary()
-        if self.moves is not None:
-            limits = self.problem.limits
-            table |= {"starts": self.moves.starts(limits), "stop": self.moves.stops(limits)}
         if self.fallback is not None and self.fallback.plan is not None:
             table["fallback"]["plan"] = self.fallback.plan.summary()
-        if self.success_probability is not None:
-            table["success_probability"]["interval"] = self.success_probability.interval
         return table
 
 

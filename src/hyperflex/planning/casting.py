@@ -355,7 +355,8 @@ def _plan(task: WindTask, known: Feasibility, planner: Planner, budget: Budget) 
     elif not task.runs:
         message = "the time budget was over before the search began"
     margin = 0.0 if best is None or best.message else best.margin
-    return CastPlan(task.problem, task.peg, known, moves, outcome, finer, message, margin, task.runs, budget.elapsed)
+    found = task.problem, task.peg, known, moves, outcome, finer, message, task.runs, budget.elapsed
+    return CastPlan(*found, margin=margin)
 
 
 def _delivered(plan: CastPlan) -> CastPlan:

@@ -5,8 +5,10 @@ criterion is to spare in the members is the margin.
 """
 
 import math
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
 
 from hyperflex import checks
 from hyperflex.budget import Budget
@@ -188,25 +190,9 @@ def estimate_success_probability(
     SuccessProbability
     """
     options = options or SearchOptions()
-    budget = Budget.of(time_budget, threads=options.threads)
     known = uncertainty or Uncertainty()
     scenarios = known.sample(samples, problem, peg, seed=[STREAM, options.seed])
-    work = _Estimate(problem, moves)
-    if options.executor is not None:
-        from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
-
-        executor, size = checked_chunks(options.executor, options.chunk_size, COUNTED)
-        found: dict[int, int] = {}
-        refuse_lost(run_chunks(work, scenarios, executor, size, found.__setitem__), "samples")
-        return SuccessProbability(sum(found.values()), len(scenarios))
-    successes = counted = 0
-    while counted < samples and not budget.expired:
-        some = scenarios[counted : counted + COUNTED]
-        now = work(some, budget)
-        if budget.expired:  # some were cut short
-            break
-        successes, counted = successes + now, counted + len(some)
-    return SuccessProbability(successes, counted)
+    return count_successes(_Estimate(problem, moves), scenarios, time_budget, options)
 
 
 @dataclass(frozen=True)
@@ -216,9 +202,34 @@ class _Estimate:
     problem: Problem
     moves: Moves
 
-    def __call__(self, scenarios: list[Scenario], budget: Budget | None = None) -> int:
+    def __call__(self, scenarios: Sequence[Scenario], budget: Budget | None = None) -> int:
         motions = [each.motion(self.moves, self.problem) for each in scenarios]
         ropes, pegs = [each.rope for each in scenarios], [each.peg for each in scenarios]
         batch = RolloutBatch.from_start(self.problem, ropes, pegs, motions)
         found = winding_scores(self.problem, batch, budget or Budget(threads=1))
         return int((found.turns >= self.problem.criteria.turns).sum())
+
+
+def count_successes(
+    work: Callable[..., int], scenarios: Sequence[Any], time_budget: float | Budget | None, options: SearchOptions
+) -> SuccessProbability:
+    """Count the successes in scenarios until the time is over; on an executor without a limit.
+
+    `work` takes some scenarios, and a budget unless it runs on an executor.
+    """
+    if options.executor is not None:
+        from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
+
+        executor, size = checked_chunks(options.executor, options.chunk_size, COUNTED)
+        found: dict[int, int] = {}
+        refuse_lost(run_chunks(work, scenarios, executor, size, found.__setitem__), "samples")
+        return SuccessProbability(sum(found.values()), len(scenarios))
+    budget = Budget.of(time_budget, threads=options.threads)
+    successes = counted = 0
+    while counted < len(scenarios) and not budget.expired:
+        some = scenarios[counted : counted + COUNTED]
+        now = work(some, budget)
+        if budget.expired:  # some were cut short
+            break
+        successes, counted = successes + now, counted + len(some)
+    return SuccessProbability(successes, counted)

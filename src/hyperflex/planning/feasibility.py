@@ -64,6 +64,7 @@ class SwingModel:
 
 
 SWING = SwingModel()
+RING, DIRECTIONS = 1.2, 72  # of the search for the nearest feasible target
 
 
 @dataclass(frozen=True)
@@ -366,45 +367,42 @@ def _least_factor(feasible: Callable[[float], bool], most: float) -> float:
     return float(high)
 
 
-def nearest_feasible(problem: Problem, peg: Peg, *, margin: float = 0.0, fineness: int = 40) -> Peg | None:
+def nearest_feasible(problem: Problem, peg: Peg, *, margin: float = 0.0) -> Peg | None:
     """Find the nearest place at which a peg passes the feasibility check; None if there is none.
 
     `margin` is the least :meth:`Feasibility.margin`.
 
     Notes
     -----
-    A polar grid about the shaft, on the target's side, with `fineness` radii of the rope's length; then grids about the
-    nearest place found, each four times as fine. The result is within a thousandth of the rope's length of the nearest
-    place, unless that lies between points of the first grid.
+    Rings about the target, each wider by RING, are tried in DIRECTIONS until some place on one is feasible; then
+    bisection on the rays of these places. Places are rounded to a thousandth of the rope's length or less.
     """
-    arm, length, unit = problem.arm, problem.rope.total_length, 10.0
-    unit **= math.floor(math.log10(1e-3 * length))
-    wanted: Array = np.array([peg.x, peg.y])
+    unit = 10.0 ** math.floor(math.log10(1e-3 * problem.rope.total_length))
+    farthest = math.dist((peg.x, peg.y), problem.arm.pivot) + problem.rope.total_length + problem.arm.length
 
-    def nearest(places: Array) -> Array | None:
-        places = unit * np.round(places / unit)
-        for k in np.argsort(np.hypot(*(places - wanted).T), kind="stable"):
-            there = moved(peg, places[k])
-            if _Target(problem, there).geometry()[1]:
-                continue
-            known = check_feasibility(problem, there)
-            if known.feasible and known.margin(problem.criteria.holding_force) >= margin:
-                return np.asarray(places[k])
-        return None
+    def at(distance: float, angle: float) -> Peg:
+        x, y = peg.x + distance * math.sin(angle), peg.y + distance * math.cos(angle)
+        return moved(peg, np.array([unit * round(x / unit), unit * round(y / unit)]))
 
-    down = np.array(problem.rope.gravity) / math.hypot(*problem.rope.gravity)
-    right = np.array([-down[1], down[0]])
-    side = math.copysign(1.0, float((wanted - arm.pivot) @ right))
-    far = arm.length + length * (np.arange(fineness) + 0.5) / fineness
-    angle: Array = np.linspace(0.0, np.pi, 3 * fineness // 2)
-    rays = np.cos(angle)[:, None] * down + side * np.sin(angle)[:, None] * right
-    found = nearest((far[:, None, None] * rays + np.array(arm.pivot)).reshape(-1, 2))
-    cell = length / fineness
-    while found is not None and cell > 1e-4 * length:
-        steps: Array = np.linspace(-cell, cell, 9)
-        around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-        found, cell = nearest(np.concatenate([found + around, found[None]])), 0.25 * cell
-    return None if found is None else moved(peg, found)
+    def feasible(distance: float, angle: float) -> bool:
+        there = at(distance, angle)
+        if _Target(problem, there).geometry()[1]:  # most places, at little cost
+            return False
+        known = check_feasibility(problem, there)
+        return known.feasible and known.margin(problem.criteria.holding_force) >= margin
+
+    inner, found = 0.0, list[tuple[float, float]]()
+    while not found and inner < farthest:
+        outer = max(unit, RING * inner)
+        for angle in np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False).tolist():
+            low, high = inner, outer
+            if feasible(high, angle):
+                while high - low > 0.5 * unit:
+                    middle = 0.5 * (low + high)
+                    low, high = (low, middle) if feasible(middle, angle) else (middle, high)
+                found.append((high, angle))
+        inner = outer
+    return at(*min(found)) if found else None
 
 
 def moved(peg: Peg, place: Array) -> Peg:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.motion import BANG_BANG, Motion, arm_moves, motion_derivatives
+from hyperflex.motion import Motion, arm_moves
 from hyperflex.planning.options import MotorLimits
 
 MIN_MOVE = 0.05  # rad: shorter moves are made so long, so that each has a direction
@@ -84,31 +84,3 @@ class Moves:
         """Return moves whose `parameters` differ by `change` (2 k,)."""
         ends, rests = np.split(self.parameters + change, 2)
         return replace(self, ends=ends, rests=rests)
-
-    def variations(self, limits: MotorLimits) -> list[dict[str, Array]]:
-        """Return the derivatives of the motion's breaks and coefficients by each of `parameters`: a list of 2 k.
-
-        All moves must use all of the motor's speed. Those by an end outside the motor's range, or by a rest of
-        MIN_REST, are 0.
-        """
-        motion, angles = self.motion(limits), self.angles(limits)
-        ways, (_, durations, ramps) = np.diff(angles), self.timing(limits)
-        full = ramps <= BANG_BANG
-        by_way = np.where(full, 1.0 / limits.speed, 0.5 * durations / np.abs(ways)) * np.sign(ways)
-        shorter = np.where(full, -ramps / durations * by_way, 0.0)
-
-        def by(name: str, k: int) -> Array:
-            """Derivatives of breaks and coefficients in one array, by number k of a list of the motion."""
-            return np.concatenate([part.ravel() for part in motion_derivatives(motion, f"{name}[{k}]")])
-
-        # by each move's size alone: its duration, and the fraction of that which speeds up
-        timing = [by_way[k] * by("durations", k) for k in range(ways.size)]
-        timing = [part + shorter[k] * by("ramps", k) if full[k] else part for k, part in enumerate(timing)]
-        free = np.append(np.abs(self.ends - angles[1:]) < 1e-12, self.rests > MIN_REST)
-        found = [by("angles", k + 1) + timing[k] for k in range(ways.size)]
-        found = [part - after for part, after in zip(found, [*timing[1:], 0.0], strict=True)]
-        found += [by("rests", k) for k in range(ways.size)]
-        return [
-            {"breaks": part[: motion.breaks.size], "coef": part[motion.breaks.size :].reshape(motion.coef.shape)}
-            for part in (float(each) * part for each, part in zip(free, found, strict=True))
-        ]

@@ -1,6 +1,8 @@
-"""The outcome of a throw in a simulated run: wound or not, held or not, why not, and the force that it holds."""
+"""Outcomes of simulated runs: of a cast whether it winds and holds, why not, and the force that it withstands."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,14 +33,79 @@ from hyperflex.winding import TugTest, Winding
 
 SAMPLE_TIME = 0.01  # s
 BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
-FREE = Clearance(np.inf, 0.0, "")  # of the arm, where obstacles alone are looked at
+FREE = Clearance(np.inf, 0.0, "")  # of the arm, if only obstacles count
 TOO_LONG = "the verification took longer than the time allowed for it"
 MEAN_TIME = 0.1  # s over which forces are averaged: those of single steps jump
 
 
-@dataclass(frozen=True, eq=False)
-class CastOutcome:
-    """Outcome of a throw in a simulated run.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RunOutcome:
+    """Figures of a whole simulated run; NaN if the simulation failed.
+
+    Attributes
+    ----------
+    max_bend : float
+        Greatest angle between neighbouring links, rad: of the rope's contact with itself only joint limits are
+        simulated (:func:`hyperflex.planning.verification.limit_bend`). Above pi it folds through itself, and fails.
+    folded : bool
+        Whether a joint reached its limit: the rope was folded flat, and what it does then is left to chance.
+    clearance : float
+        Least distance between the rope and its own arm, the motor's shaft or an obstacle, m; below 0 the rope goes
+        through, and fails. See :func:`hyperflex.planning.clearance.rope_clearance`.
+    spare_clearance : float
+        The least of these distances less those required, m: not below 0 if the run succeeds. An arm that the rope may
+        go through does not count: inf without anything else.
+    torque, torque_peak : float
+        Greatest motor torque as a mean over 5 ms, which the motor's limit is for, and its greatest peak, as a mean over
+        0.5 ms: when the rope strikes a peg, for example. N m.
+    message : str
+        Why the run fails; empty if it succeeds.
+    n_links : int
+        Links of the simulated rope; 0 if the simulation failed.
+    run : Trajectory or None
+        The run; None if the simulation failed, or if the outcome was read from a file.
+    """
+
+    max_bend: float = np.nan
+    folded: bool = False
+    clearance: float = np.nan
+    spare_clearance: float = np.nan
+    torque: float = np.nan
+    torque_peak: float = np.nan
+    message: str = ""
+    n_links: int = 0
+    run: Trajectory | None = None
+
+    @property
+    def completed(self) -> bool:
+        """Whether the simulation reached its end."""
+        return self.n_links > 0
+
+
+def run_figures(problem: Problem, run: Trajectory, near: Sequence[Clearance]) -> dict[str, Any]:
+    """Return the figures of a run for a :class:`RunOutcome`; `near` are its :func:`clearances`."""
+    torque, torque_peak = motor_torques(run)
+    return {
+        "max_bend": greatest_bend(run),
+        "folded": folded_flat(run),
+        "clearance": min(each.value for each in near),
+        "spare_clearance": spare_clearance(problem, near),
+        "torque": torque,
+        "torque_peak": torque_peak,
+        "n_links": run.q.shape[1],
+        "run": run,
+    }
+
+
+def excess_torque(problem: Problem, torque: float) -> str:
+    """Return that a run needs more `torque`, N m, than the motor gives; empty if it does not."""
+    given = problem.limits.torque
+    return "" if torque <= given else f"it needs {torque:.3g} N m of a motor that gives {given:.3g}"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CastOutcome(RunOutcome):
+    """Outcome of a cast in a simulated run.
 
     Attributes
     ----------
@@ -60,53 +127,26 @@ class CastOutcome:
         First touch of the peg, s: before `strike_time` if the rope grazes the peg and comes off.
     contact_angle : float
         Least angle of the peg that the rope covers in the watch, rad, >= 0: `turns` less what is straight or hangs.
-    max_bend : float
-        Greatest angle between neighbouring links, rad: of the rope's contact with itself only joint limits are
-        simulated (:func:`hyperflex.planning.verification.limit_bend`). Above pi it folds through itself, and fails.
-    folded : bool
-        Whether a joint reached its limit: the rope was folded flat, and what it does then is left to chance.
-    clearance : float
-        Least distance between the rope and its own arm, the motor's shaft or an obstacle, m; below 0 the rope goes
-        through, and fails. See :func:`hyperflex.planning.clearance.rope_clearance`.
-    spare_clearance : float
-        What of each of these distances is more than the set-up asks, the least, m: not below 0 of a cast that succeeds.
-        An arm that the rope may go through does not count: inf where there is nothing else.
-    torque, torque_peak : float
-        Greatest motor torque as a mean over 5 ms, which the motor's limit is for, and its greatest peak, as a mean over
-        0.5 ms: when the rope strikes the peg, say. N m.
-    message : str
-        Why the throw fails; empty if it succeeds.
-    n_links : int
-        Links of the simulated rope; 0 if the simulation failed.
     tip_hangs : bool
         Whether the rope's end is lower than the peg's centre all through the watch. One that lies on top of the peg may
         fall to either side.
     runs_behind : tuple of bool
         Whether the rope runs behind each of the set-up's pegs `behind`: all through the watch it touches the peg
-        between the arm and its first touch of the target. Empty where the simulation failed.
-    run : Trajectory or None
-        The run; None if the simulation failed, or if the outcome was read from a file.
+        between the arm and its first touch of the target. Empty if the simulation failed.
+    others
+        As of :class:`RunOutcome`.
     """
 
-    wound: bool
-    held: bool
-    turns: float
-    slip: float
-    load_ratio: float
-    strike_time: float
-    touch_time: float
-    contact_angle: float
-    max_bend: float
-    folded: bool
-    clearance: float
-    spare_clearance: float
-    torque: float
-    torque_peak: float
-    message: str
-    n_links: int
+    wound: bool = False
+    held: bool = False
+    turns: float = 0.0
+    slip: float = np.nan
+    load_ratio: float = np.nan
+    strike_time: float = np.nan
+    touch_time: float = np.nan
+    contact_angle: float = np.nan
     tip_hangs: bool = True
     runs_behind: tuple[bool, ...] = ()
-    run: Trajectory | None = None
 
     @property
     def success(self) -> bool:
@@ -114,14 +154,9 @@ class CastOutcome:
         return self.wound and self.held and not self.message
 
     def in_short(self) -> str:
-        """Return what matters most to whoever carries the throw out, in figures with units."""
+        """Return the most important figures for whoever carries the cast out, with units."""
         covered = f"{np.degrees(self.contact_angle):.0f} degrees covered"
         return f"{abs(self.turns):.2f} turns, {covered}, strikes at {self.strike_time:.2f} s, {self.torque:.3g} N m"
-
-    @property
-    def completed(self) -> bool:
-        """Whether the simulation came to its end."""
-        return self.n_links > 0
 
 
 @interruptible()
@@ -156,50 +191,43 @@ def verify_cast(
     try:
         run = simulate(setup, t_eval=t, time_budget=budget)
     except SimulationError as error:
-        nan, late = float("nan"), error.status == Status.OUT_OF_TIME
-        message = TOO_LONG if late else f"the simulation failed ({error.status})"
-        return CastOutcome(False, False, 0.0, *6 * (nan,), False, *4 * (nan,), message, 0)
+        late = error.status == Status.OUT_OF_TIME
+        return CastOutcome(message=TOO_LONG if late else f"the simulation failed ({error.status})")
     return evaluate_cast(problem, peg, run, stop)
 
 
 def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> CastOutcome:
     """Evaluate a run whose arm stopped at `stop`, s."""
-    wound = winding.measure_winding(run, peg)
-    watched = run.t >= stop + problem.criteria.settle
+    wound, criteria = winding.measure_winding(run, peg), problem.criteria
+    watched = run.t >= stop + criteria.settle
     turns = wound.turns[watched]
-    sense = np.sign(turns[-1])
-    slips = winding.rope_slip(run, peg, since=stop + problem.criteria.settle)[watched]
+    turns_kept = float((np.sign(turns[-1]) * turns).min())
+    slips = winding.rope_slip(run, peg, since=stop + criteria.settle)[watched]
     on = bool(np.isfinite(slips).all())
     slip = float(np.abs(slips).max())
-    enough = bool((sense * turns >= problem.criteria.turns).all())
-    held = on and slip < problem.criteria.max_slip
-    touched = np.isfinite(wound.before)
-    torque, torque_peak = motor_torques(run)
-    max_bend, near = greatest_bend(run), clearances(problem, run)
-    covered = float(wound.contact[watched].min())
+    enough, held = turns_kept >= criteria.turns, on and slip < criteria.max_slip
+    touched, near = np.isfinite(wound.before), clearances(problem, run)
+    figures, covered = run_figures(problem, run, near), float(wound.contact[watched].min())
     above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
-    led = runs_behind(run.setup.rope, peg, problem.criteria.behind, run.q[watched], run.joints[watched])
-    message = ""
+    led = runs_behind(run.setup.rope, peg, criteria.behind, run.q[watched], run.joints[watched])
     if not touched.any():
         message = "the rope does not touch the peg"
     elif not enough:
-        least, most = max(0.0, float((sense * turns).min())), float(np.abs(wound.turns).max())
-        message = f"of {most:.2f} turns {least:.2f} stay while it is watched, and {problem.criteria.turns:g} are asked"
+        most, least = float(np.abs(wound.turns).max()), max(0.0, turns_kept)
+        message = f"of {most:.2f} turns {least:.2f} remain while it is watched, {criteria.turns:g} required"
+    elif not on:
+        message = "the rope leaves the peg"
     elif not held:
-        message = (
-            "the rope leaves the peg"
-            if not on
-            else f"it slips by {1e3 * slip:.1f} mm, {1e3 * problem.criteria.max_slip:g} allowed"
-        )
-    elif refused := refusal(problem, max_bend, near):
+        message = f"it slips by {1e3 * slip:.1f} mm, {1e3 * criteria.max_slip:g} allowed"
+    elif refused := refusal(problem, figures["max_bend"], near):
         message = refused
     elif not all(led):
-        message = f"the rope does not run behind {named(problem.criteria.behind[led.index(False)])}"
-    elif covered < problem.criteria.contact:
-        asked = f"{np.degrees(problem.criteria.contact):.0f} are asked"
-        message = f"it covers {np.degrees(covered):.0f} degrees of the peg, and {asked}"
-    elif torque > problem.limits.torque:
-        message = f"it asks {torque:.3g} N m of a motor that gives {problem.limits.torque:.3g}"
+        message = f"the rope does not run behind {named(criteria.behind[led.index(False)])}"
+    elif covered < criteria.contact:
+        degrees = np.degrees([covered, criteria.contact])
+        message = f"it covers {degrees[0]:.0f} degrees of the peg, {degrees[1]:.0f} required"
+    else:
+        message = excess_torque(problem, figures["torque"])
     if not (enough and held) and (refused := refusal(problem, 0.0, (FREE, *near[1:]))):
         message += f"; {refused}"
     return CastOutcome(
@@ -207,21 +235,14 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
         held=held,
         turns=float(turns[-1]),
         slip=slip,
-        load_ratio=_load_ratio(wound, watched, peg) if on else float("nan"),
+        load_ratio=_load_ratio(wound, watched, peg) if on else np.nan,
         strike_time=_longest_stay(run.t, touched),
-        touch_time=float(run.t[touched.argmax()]) if touched.any() else float("nan"),
+        touch_time=float(run.t[touched.argmax()]) if touched.any() else np.nan,
         contact_angle=covered,
-        max_bend=max_bend,
-        folded=folded_flat(run),
-        clearance=min(each.value for each in near),
-        spare_clearance=spare_clearance(problem, near),
-        torque=torque,
-        torque_peak=torque_peak,
         message=message,
-        n_links=run.q.shape[1],
         tip_hangs=bool((above[watched] < 0.0).all()),
         runs_behind=led,
-        run=run,
+        **figures,
     )
 
 
@@ -275,22 +296,18 @@ def measure_holding_force(
 ) -> HoldingForce | None:
     """Tug at the rope from the end of a run with a peg; None if it is not on the peg or the tug cannot be simulated.
 
-    `time_budget`, s, is as of :func:`hyperflex.simulate`.
+    `time_budget`, s, is as of :func:`hyperflex.simulate`; SimulationError if it ends before.
     """
-    try:
-        return _tugged(run, peg, Budget.of(time_budget))
-    except SimulationError:
-        return None
-
-
-def _tugged(run: Trajectory, peg: Peg, budget: Budget) -> HoldingForce | None:
-    """Tug at the rope as :func:`measure_holding_force` does; SimulationError if the run fails."""
     wound = winding.measure_winding(run, peg)
     if not np.isfinite(wound.tail[-1]):
         return None
     try:
-        tug = winding.tug_test(run, peg, time_budget=budget)
+        tug = winding.tug_test(run, peg, time_budget=time_budget)
     except InvalidInput:
+        return None
+    except SimulationError as error:
+        if error.status == Status.OUT_OF_TIME:
+            raise
         return None
     return HoldingForce(tug, float(wound.tail[-1]), abs(float(wound.arc[-1])), peg.mu)
 
@@ -298,24 +315,18 @@ def _tugged(run: Trajectory, peg: Peg, budget: Budget) -> HoldingForce | None:
 def require_holding_force(outcome: CastOutcome, peg: Peg, force: float, budget: Budget) -> CastOutcome:
     """Return the outcome, as a failure if a simulated tug shows that the rope withstands less than `force`, N.
 
-    A force of 0 asks for nothing.
+    A force of 0 requires no tug.
     """
     if force <= 0.0 or not outcome.success or outcome.run is None:
         return outcome
     try:
-        measured = _tugged(outcome.run, peg, budget)
-    except SimulationError as error:
-        measured = None
-        if error.status == Status.OUT_OF_TIME:
-            return replace(outcome, held=False, message=TOO_LONG, n_links=0)
+        measured = measure_holding_force(outcome.run, peg, time_budget=budget)
+    except SimulationError:
+        return replace(outcome, held=False, message=TOO_LONG, n_links=0)
     if measured is None:
         return replace(outcome, held=False, message="its holding force could not be simulated")
     if measured.tug.holds(force):
         return outcome
-    slipped = measured.tug.slipped
-    told = (
-        f"its holding force is {measured.force:.3g} N"
-        if slipped
-        else f"it was pulled with {measured.force:.3g} N at most"
-    )
-    return replace(outcome, held=False, message=f"{told}, and {force:.3g} N are asked")
+    pull = f"{measured.force:.3g} N"
+    found = f"its holding force is {pull}" if measured.tug.slipped else f"it was pulled with {pull} at most"
+    return replace(outcome, held=False, message=f"{found}, {force:.3g} N required")

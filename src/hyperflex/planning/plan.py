@@ -1,11 +1,11 @@
-"""What casts and whips have in common as plans: success, the motor's file, and a TOML file that reads back equal."""
+"""Plans: their fields, success, the motor's file, and a TOML file that reads back equal."""
 
 import json
 import math
 import types
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
 
@@ -15,8 +15,10 @@ from hyperflex import checks, files
 from hyperflex.errors import InvalidInput
 from hyperflex.model import PLAN, Rope, Setup, obstacle_tables, obstacles_of
 from hyperflex.motion import MOVES, Motion
+from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.problem import Problem
+from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
 
 T = TypeVar("T")
@@ -32,9 +34,9 @@ HEAD = """# A planned {kind}. SI units: m, kg, s, N, N m, J; angles in rad: an a
 
 """
 OF_OBSTACLES = {"obstacles", "behind"}  # fields that hold obstacles, in a file by their kind
-SUCCEEDED, INFEASIBLE, NOT_FOUND, FAILED, NOT_VERIFIED, INTERRUPTED = range(6)  # status of a plan
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Plan(ABC):
     """A planned motion, or why there is none.
 
@@ -42,6 +44,16 @@ class Plan(ABC):
     ----------
     problem : Problem
         Rope, arm, motor limits and time.
+    target
+        What is wound, whipped or entered.
+    feasibility
+        Result of the check before the search.
+    moves : Moves or None
+        The best moves found.
+    outcome : CastOutcome, TipStrike or InsertOutcome, or None
+        Their outcome in a simulated run; None if there was none.
+    finer_outcome
+        Their outcome with shorter links.
     message : str
         Why the plan fails; empty if it succeeds.
     runs : int
@@ -50,18 +62,23 @@ class Plan(ABC):
         Time that the search took, s.
     interrupted : bool
         Whether Ctrl-C ended the search; the plan is the best until then.
+    success_probability : SuccessProbability or None
+        In sampled scenarios that the search has not used; None if it was not required, or the plan fails. Of 0 samples
+        where no time was left.
     """
 
     kind: ClassVar[str]  # in files
     problem: Problem
     target: Any
-    moves: Moves | None
-    outcome: Any
-    finer_outcome: Any
-    message: str
-    runs: int
-    seconds: float
-    interrupted: bool
+    feasibility: Any
+    moves: Moves | None = None
+    outcome: Any = None
+    finer_outcome: Any = None
+    message: str = ""
+    runs: int = 0
+    seconds: float = 0.0
+    interrupted: bool = False
+    success_probability: SuccessProbability | None = None
 
     @property
     def motion(self) -> Motion | None:
@@ -94,23 +111,22 @@ class Plan(ABC):
 
     @property
     def success(self) -> bool:
-        """Whether the plan does what was asked in all its verified runs; of a whip's finer run not all is asked."""
+        """Whether the plan meets all criteria in its verified runs; of a whip's finer run not all are required."""
         return not self.message
 
     @property
-    def status(self) -> int:
+    def status(self) -> Status:
         """Why the planner ended.
 
-        0: the plan succeeds. 1: the target is not feasible; nothing was searched. 2: no motion was found. 3: a
-        verified run fails. 4: the motion was not verified to the end. 5: Ctrl-C.
+        FAILED: a verified run fails. OUT_OF_TIME: nothing was found, or it was not verified to the end.
         """
         if self.success:
-            return SUCCEEDED
+            return Status.SUCCESS
         if self.interrupted:
-            return INTERRUPTED
-        if self.motion is None:
-            return NOT_FOUND if self.runs else INFEASIBLE
-        return FAILED if self.refuted else NOT_VERIFIED
+            return Status.INTERRUPTED
+        if self.moves is None and not self.runs and not self.feasibility.feasible:
+            return Status.INFEASIBLE
+        return Status.FAILED if self.refuted else Status.OUT_OF_TIME
 
     def required(self, value: T | None, name: str) -> T:
         """Return a part of the plan, its `value`; raises InvalidInput, with its `name`, if that is None."""
@@ -133,10 +149,18 @@ class Plan(ABC):
         return plan_html(self)  # type: ignore[arg-type] # all plans are casts or whips
 
     def summary(self) -> dict[str, Any]:
-        """Return success, status, clearance and all fields but the set-up as nested tables, for JSON."""
-        told = {"success": self.success, "status": self.status, "clearance": self.clearance}
-        table = {"source": "simulated", **told, **to_table(self)}
+        """Return the plan in figures, for JSON: all fields but the set-up, status, clearance, and times of the moves.
+
+        `starts` are those of the moves, `stop` is the arm's, s; `angles` are the arm's, rad.
+        """
+        found = {"success": self.success, "status": self.status, "clearance": self.clearance}
+        table = {"source": "simulated", **found, **to_table(self)}
         del table["problem"]
+        if self.moves is not None:
+            moves, limits = self.moves, self.problem.limits
+            table |= {"starts": moves.starts(limits), "stop": moves.stops(limits), "angles": moves.angles(limits)}
+        if self.success_probability is not None:
+            table["success_probability"]["interval"] = self.success_probability.interval
         return table
 
     def to_csv(self, path: files.PathLike, *, rate: float = RATE) -> None:

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from hyperflex.identification import Identification
 
 
+TABLE = ("parameters", "values", "std", "covariance", "length_covariance")  # of an identification
+
+
 @dataclass(frozen=True, eq=False)
 class RopePosterior:
     """An identified rope with the covariance of its parameters.
@@ -52,9 +55,7 @@ class RopePosterior:
     @classmethod
     def from_identification(cls, fit: "Identification") -> "RopePosterior":
         """Return the posterior of a fit."""
-        factors = {name: float(fit.values[name]) for name in fit.parameters if name.endswith(":factor")}
-        labels, covariance = _with_lengths(tuple(fit.parameters), fit.covariance, fit.length_covariance)
-        return cls(fit.rope, labels, covariance, factors, _undetermined(labels, covariance, fit.std))
+        return cls._of(fit.rope, {name: getattr(fit, name) for name in TABLE})
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "RopePosterior | None":
@@ -65,18 +66,26 @@ class RopePosterior:
         table: Any = files.read_toml(path).get("identification")
         if not isinstance(table, dict) or not {"parameters", "covariance"} <= table.keys():
             return None
+        rope = Rope.from_toml(path)
         try:
-            names = tuple(str(name) for name in table["parameters"])
-            lengths = table.get("length_covariance", np.zeros(len(names) + 1))
-            factors = {name: float(table["values"][name]) for name in names if name.endswith(":factor")}
-            names, covariance = _with_lengths(names, table["covariance"], lengths)
-            undetermined = _undetermined(names, covariance, table.get("std", {}))
+            default = {"length_covariance": np.zeros(len(table["parameters"]) + 1), "std": {}}
+            return cls._of(rope, default | table)
         except (AttributeError, IndexError, KeyError, OverflowError, RecursionError, TypeError, ValueError) as error:
             missing = f"the key {str(error)[:60]}" if isinstance(error, KeyError) else "a value of the right kind"
             raise InvalidInput(
-                f"the identification in {path} is not whole: it lacks {missing}", fix="Write it again with identify"
+                f"the identification in {path} is not complete: it lacks {missing}", fix="Write it again with identify"
             ) from None
-        return cls(Rope.from_toml(path), names, covariance, factors, undetermined)
+
+    @classmethod
+    def _of(cls, rope: Rope, table: Mapping[str, Any]) -> "RopePosterior":
+        """Return the posterior of a rope and a table of its identification."""
+        names = tuple(str(name) for name in table["parameters"])
+        factors = {name: float(table["values"][name]) for name in names if name.endswith(":factor")}
+        names, covariance = _with_lengths(names, table["covariance"], table["length_covariance"])
+        rows = np.abs(covariance).max(axis=1)
+        known = [row > 0.0 and _finite(label, table["std"]) for label, row in zip(names, rows, strict=True)]
+        undetermined = tuple(label for label, each in zip(names, known, strict=True) if not each)
+        return cls(rope, names, covariance, factors, undetermined)
 
     @property
     def fitted_properties(self) -> tuple[str, ...]:
@@ -110,12 +119,6 @@ def _properties(labels: Sequence[str]) -> tuple[str, ...]:
     """Return the properties of a rope among labels of parameters."""
     found = dict.fromkeys(each.name for label in labels if (each := parse_label(label)))
     return tuple(name for name in found if PROPERTIES[name].owner in ("link", "rope"))
-
-
-def _undetermined(labels: Sequence[str], covariance: Array, stds: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the labels whose standard deviation is not finite, or whose row of the covariance (P, P) is 0."""
-    rows = np.abs(np.atleast_2d(covariance)).max(axis=1)
-    return tuple(label for label, row in zip(labels, rows, strict=True) if not (row > 0.0 and _finite(label, stds)))
 
 
 def _finite(label: str, stds: Mapping[str, Any]) -> bool:

@@ -1,6 +1,5 @@
 """What is planned for: a rope on an arm, the motor's limits, what must not be touched, the start, and the criteria."""
 
-import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -10,9 +9,10 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
-from hyperflex.model import Arm, Obstacle, Peg, Rope, checked_obstacles, divided
+from hyperflex.interfaces import RopeState
+from hyperflex.model import Arm, Obstacle, Peg, Rope, divided
 from hyperflex.planning.clearance import named, obstacle_gaps
-from hyperflex.planning.options import MotorLimits, WindCriteria
+from hyperflex.planning.options import Conditions, MotorLimits, WindCriteria
 
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
 MIN_LINKS, MIN_TIME = 4, 0.1  # links, s
@@ -80,14 +80,17 @@ class Problem:
             allowed = f"up to {MAX_PERIODS:g} periods of its swing, {MAX_PERIODS * self.period:.4g} s"
             raise InvalidInput("time is longer than anybody swings a rope before a cast", got=time, allowed=allowed)
         object.__setattr__(self, "time", time or PERIODS * self.period)
-        if self.clearance != -math.inf:
-            clearance = checks.number("clearance", self.clearance, sign="nonnegative", unit="m")
-            object.__setattr__(self, "clearance", clearance)
-        object.__setattr__(self, "obstacles", checked_obstacles(self.obstacles, "obstacles"))
+        start = RopeState(0.0, np.array(self.q0), np.array(self.qd0)) if self.q0 else None
+        given = Conditions(clearance=self.clearance, obstacles=self.obstacles, side=self.side, state0=start)
+        object.__setattr__(self, "clearance", given.clearance)
+        object.__setattr__(self, "obstacles", given.obstacles)
         torque = min(self.limits.torque, self.arm.torque_limit)
         object.__setattr__(self, "limits", replace(self.limits, torque=torque))
+        shape = (self.rope.n_links if self.q0 else 0,)
+        for name, unit in (("q0", "rad"), ("qd0", "rad/s")):
+            value = checks.array(name, getattr(self, name), shape, unit=unit)
+            object.__setattr__(self, name, tuple(value.tolist()))
         self._check_obstacles()
-        self._check_start()
 
     def _check_obstacles(self) -> None:
         """Refuse what the turning arm would hit, and pegs that are to be touched and not to be touched."""
@@ -102,15 +105,6 @@ class Problem:
             if room <= 0.0:
                 what = f"the turning arm hits {named(each)}"
                 raise InvalidInput(what, got=f"{-room:.3g} m too near the shaft", fix="Move it, or give a shorter arm")
-
-    def _check_start(self) -> None:
-        if self.side not in (-1, 0, 1) or (self.q0 and not self.side):
-            allowed, fix = "-1 (left), 1 (right), or 0 for a rope that hangs", "Say on which side the arm stands"
-            raise InvalidInput("side of the arm at the start", got=self.side, allowed=allowed, fix=fix)
-        shape = (self.rope.n_links if self.q0 else 0,)
-        for name, unit in (("q0", "rad"), ("qd0", "rad/s")):
-            value = checks.array(name, getattr(self, name), shape, unit=unit) if self.q0 or self.qd0 else ()
-            object.__setattr__(self, name, tuple(map(float, value)))
 
     @cached_property
     def period(self) -> float:

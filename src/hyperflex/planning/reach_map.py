@@ -18,14 +18,16 @@ from hyperflex.model import Arm, Peg, Rope
 from hyperflex.options import option
 from hyperflex.planning.casting import CastRequest, plan_each
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, WindCriteria, refuse_behind
-from hyperflex.planning.plan import INFEASIBLE, SUCCEEDED, from_table, to_table
+from hyperflex.planning.plan import from_table, to_table
 from hyperflex.planning.problem import Problem
+from hyperflex.status import Status
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMAT = "hyperflex reach map 2"
-NOT_PLANNED = -1  # status of a target that was not planned before an interrupt
+STATUSES = (Status.SUCCESS, Status.INFEASIBLE, Status.OUT_OF_TIME, Status.FAILED)  # by their numbers in a map
+NOT_PLANNED = -1  # of a target that was not planned before an interrupt
 ATTRIBUTES = ("radius", "mu", "time_budget", "seed")  # of the file, beside format and problem
 VARIABLES = {  # name: dimensions, unit, long name
     "x": (("x",), "m", "targets' x"),
@@ -33,7 +35,7 @@ VARIABLES = {  # name: dimensions, unit, long name
     "status": (
         ("y", "x"),
         "1",
-        "0: a cast succeeds; 1: infeasible; 2: none found; 3: fails; 4: unverified; -1: open",
+        "0: a cast succeeds; 1: infeasible; 2: none found in the time; 3: fails; -1: not planned",
     ),
     "turns": (("y", "x"), "1", "turns of the rope from the arm's tip to its end, of casts that succeed"),
     "contact_angle": (("y", "x"), "rad", "angle of the target that the rope covers, of casts that succeed"),
@@ -57,8 +59,8 @@ class ReachMap:
     seed : int
         Of the searches.
     status : (Y, X) int64
-        As of :attr:`CastPlan.status`: 0 if a cast succeeds, 1 if the target is infeasible and no search was made.
-        NOT_PLANNED if an interrupt came before, or ended the search.
+        Number in STATUSES of :attr:`CastPlan.status`: 0 if a cast succeeds, 1 if the target is infeasible and no search
+        was made. NOT_PLANNED if an interrupt came before, or ended the search.
     turns, contact_angle : (Y, X) float64
         Of the casts that succeed: turns, and the angle of the target that the rope covers, rad; else NaN.
     seconds : (Y, X) float64
@@ -85,12 +87,12 @@ class ReachMap:
     @property
     def wound(self) -> npt.NDArray[np.bool_]:
         """Targets (Y, X) for which a cast succeeds."""
-        return np.asarray(self.status == SUCCEEDED)
+        return np.asarray(self.status == STATUSES.index(Status.SUCCESS))
 
     @property
     def infeasible(self) -> npt.NDArray[np.bool_]:
         """Targets (Y, X) that are infeasible: no search was made for."""
-        return np.asarray(self.status == INFEASIBLE)
+        return np.asarray(self.status == STATUSES.index(Status.INFEASIBLE))
 
     def __repr__(self) -> str:
         searched = int((~self.infeasible & (self.status != NOT_PLANNED)).sum())
@@ -224,7 +226,7 @@ def build_reach_map(
     values["status"] = np.full(len(targets), NOT_PLANNED)
     for number, plan in plans.items():
         if plan.success or not plan.interrupted:
-            values["status"][number], values["seconds"][number] = plan.status, plan.seconds
+            values["status"][number], values["seconds"][number] = STATUSES.index(plan.status), plan.seconds
         if plan.success and plan.outcome is not None:
             values["turns"][number] = abs(plan.outcome.turns)
             values["contact_angle"][number] = plan.outcome.contact_angle
@@ -254,24 +256,19 @@ def read_reach_map(path: str | Path) -> ReachMap:
         raise InvalidInput(
             f"{path} is not a reach map", got=about.get("format"), allowed=f"a file of format {FORMAT!r}"
         )
-    missing = [name for name in VARIABLES if name not in held]
-    missing += [f"attribute {name!r}" for name in (*ATTRIBUTES, "problem") if name not in about]
-    if missing:
-        raise InvalidInput(f"{path} lacks parts of a reach map", got=missing, fix="Make it again")
-    numbers: dict[str, Any] = {name: held[name].numbers(name) for name in VARIABLES}
+    try:
+        numbers: dict[str, Any] = {name: held[name].numbers(name) for name in VARIABLES}
+        given: dict[str, Any] = {name: float(about[name]) for name in ATTRIBUTES} | {"seed": int(about["seed"])}
+        problem = from_table(Problem, tomllib.loads(str(about["problem"])))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InvalidInput(f"{path} is not a complete reach map", got=str(error), fix="Make it again") from None
     shape = (numbers["y"].size, numbers["x"].size)
     for name, (dimensions, _, _) in VARIABLES.items():
         if len(dimensions) == 1:
             numbers[name] = _increasing(name, numbers[name])
         else:
             checks.array(name, numbers[name], shape, gaps=name != "status")
-    numbers["status"] = numbers["status"].astype(np.int64)
-    try:
-        problem = from_table(Problem, tomllib.loads(str(about["problem"])))
-    except (tomllib.TOMLDecodeError, TypeError, KeyError, ValueError) as error:
-        raise InvalidInput(f"the problem in {path} is not complete", got=str(error), fix="Make it again") from None
-    given: dict[str, Any] = {name: float(about[name]) for name in ATTRIBUTES} | {"seed": int(about["seed"])}
-    return ReachMap(problem, **given, **numbers)
+    return ReachMap(problem, **given, **numbers | {"status": numbers["status"].astype(np.int64)})
 
 
 def _increasing(name: str, value: npt.ArrayLike) -> Array:

@@ -102,28 +102,27 @@ def clearances(problem: Problem, run: Trajectory, until: float = np.inf) -> tupl
     return (rope_clearance(run), *((obstacle_clearance(run, some, until),) if some else ()))
 
 
-def asked_clearances(problem: Problem) -> tuple[float, float]:
-    """Return the distances, m, asked from the own arm (-inf: the rope may go through it) and from obstacles."""
+def required_clearances(problem: Problem) -> tuple[float, float]:
+    """Return the distances, m, required from the own arm (-inf: the rope may go through it) and from obstacles."""
     return problem.clearance, max(problem.clearance, 0.0)
 
 
 def spare_clearance(problem: Problem, near: Sequence[Clearance]) -> float:
-    """Return the least of the distances `near`, as :func:`clearances` tells them, less what is asked, m."""
-    return min(each.value - asked for each, asked in zip(near, asked_clearances(problem), strict=False))
+    """Return the least of the distances `near`, from :func:`clearances`, less those required, m."""
+    return min(each.value - least for each, least in zip(near, required_clearances(problem), strict=False))
 
 
 def refusal(problem: Problem, max_bend: float, near: Sequence[Clearance]) -> str:
-    """Return why a run is refused whatever its goal; "" if it is not.
+    """Return why a run fails whatever its goal; empty if it does not.
 
-    The rope goes through itself, or too near its own arm or an obstacle, as :func:`clearances` tells.
+    The rope goes through itself, or too near its own arm or an obstacle, by the distances `near` of :func:`clearances`.
     """
     if max_bend > np.pi + FOLD:
         return f"the rope folds through itself, by {np.degrees(max_bend):.0f} degrees at a joint"
-    verbs = ("goes through", "touches")
-    for each, asked, words in zip(near, asked_clearances(problem), verbs, strict=False):
+    for each, least, verb in zip(near, required_clearances(problem), ("goes through", "touches"), strict=False):
         where = f"{each.what} at {each.t:.2f} s"
-        if each.value <= min(asked, 0.0):
-            return f"the rope {words} {where}"
-        if each.value <= asked:
-            return f"the rope comes within {1e3 * each.value:.1f} mm of {where}, and {1e3 * asked:g} mm are asked"
+        if each.value <= min(least, 0.0):
+            return f"the rope {verb} {where}"
+        if each.value <= least:
+            return f"the rope comes within {1e3 * each.value:.1f} mm of {where}, {1e3 * least:g} mm required"
     return ""

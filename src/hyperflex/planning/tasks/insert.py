@@ -1,7 +1,6 @@
 """Insertions: the tip goes through a slot between two walls, to a depth, and the rope touches neither."""
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, replace
 from typing import ClassVar, NamedTuple
@@ -13,7 +12,7 @@ from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.interruption import interruptible, stoppable
+from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Arm, Peg, Rope, Wall, recut
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
@@ -25,33 +24,30 @@ from hyperflex.planning.clearance import (
     sampled_clearance,
     samples_clear_of_arm,
 )
-from hyperflex.planning.ensemble import SuccessProbability
+from hyperflex.planning.ensemble import STREAM, SuccessProbability, count_successes
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
-from hyperflex.planning.planner import Planner
+from hyperflex.planning.outcome import excess_torque, run_figures
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, starts_outside
-from hyperflex.planning.tasks.task import Candidate, Verified
+from hyperflex.planning.tasks.task import Candidate
 from hyperflex.planning.tasks.tip import (
     OPTIONS,
     Aim,
-    AimedCandidate,
     Flights,
     TipFeasibility,
     TipOutcome,
     TipPlan,
     TipTask,
-    excess_torque,
     given_or_default,
-    plan_fields,
+    plan_tip,
     random_swings,
-    run_figures,
     sample_times,
     simulate_in_time,
     tip_problem,
 )
 from hyperflex.planning.uncertainty import Uncertainty
-from hyperflex.planning.verification import at_limits, limit_bend, verified_setup
+from hyperflex.planning.verification import at_limits, clearances, limit_bend, refusal, verified_setup
 from hyperflex.trajectory import Trajectory
 
 
@@ -276,42 +272,27 @@ class InsertPlan(TipPlan):
 
     Attributes
     ----------
-    problem, message, runs, seconds, interrupted
-        As of :class:`Plan`.
-    target : Slot
-    feasibility : TipFeasibility
-        Result of the check before the search.
-    moves : Moves or None
-        The best found.
     outcome : InsertOutcome or None
-        Their outcome in a run with the walls.
+        In a run with the walls.
     finer_outcome : InsertOutcome or None
-        The same with more, shorter links and a tighter tolerance.
+        With more, shorter links and a tighter tolerance.
     position_std : float
-        Standard deviation, m, of where the rope crosses the gap, for a rope known as :class:`TipOptions` assumes; NaN
-        without moves.
-    success_probability : SuccessProbability or None
-        In sampled scenarios; None if the plan fails. Of 0 samples where no time was left.
+        Of where the rope crosses the gap.
+    others
+        As of :class:`hyperflex.planning.plan.Plan` and :class:`hyperflex.planning.tasks.tip.TipPlan`.
     """
 
     kind: ClassVar[str] = "insert"
-    problem: Problem
     target: Slot
     feasibility: TipFeasibility
-    moves: Moves | None = None
     outcome: InsertOutcome | None = None
     finer_outcome: InsertOutcome | None = None
-    position_std: float = math.nan
-    success_probability: SuccessProbability | None = None
-    message: str = ""
-    runs: int = 0
-    seconds: float = 0.0
-    interrupted: bool = False
 
-    @property
-    def walls(self) -> tuple[Wall, ...]:  # type: ignore[override]
-        """The walls of the slot."""
-        return self.target.walls
+
+MARGIN = 0.35  # part of the gap on each side of the rope that remains free, unless it may touch the walls
+PLACE_STD = 2e-3  # m, standard deviation of the slot's place, with which the tip's is compared
+CLOSER = 2e-4  # m, by which verified runs state distances as smaller than they are
+NARROW = 5e-4  # m from the walls, below which both verified runs must agree: closer, a third run may touch
 
 
 @dataclass(frozen=True)
@@ -335,32 +316,35 @@ class InsertTask(TipTask):
     ----------
     problem : Problem
     slot : Slot
+    uncertainty : Uncertainty, optional
+    samples : int
+        Scenarios of the success probability.
     seed : int
-    margin : float
-        Part of the gap beside the rope that shall be left, where it must not touch the walls.
-    place : float
-        Standard deviation of the slot's place, m, beside which that of the tip counts.
-    narrow : float
-        Distance from the walls, m, below which both verified runs must agree: below it a third run may touch.
     """
 
-    close, ready = 2e-3, 0.02
+    close = 2e-3
 
     def __init__(
-        self,
-        problem: Problem,
-        slot: Slot,
-        seed: int = 0,
-        *,
-        margin: float = 0.35,
-        place: float = 2e-3,
-        narrow: float = 5e-4,
+        self, problem: Problem, slot: Slot, uncertainty: Uncertainty | None = None, samples: int = 100, seed: int = 0
     ) -> None:
-        super().__init__(problem, slot.point + np.array([[0.0], [slot.depth]]) * slot.axes[0], seed)
-        self.slot, self.place, self.narrow = slot, place, narrow
-        self.finer = replace(problem, rope=finer_rope(problem.rope))
+        places = slot.point + np.array([[0.0], [slot.depth]]) * slot.axes[0]
+        super().__init__(problem, slot, places, finer_rope(problem.rope), seed)
+        self.slot, self.given, self.samples = slot, uncertainty, samples
         self.room = 0.5 * slot.width - problem.rope.radius
-        self.allowed = self.room * (1.0 if slot.touching else 1.0 - margin)
+        self.allowed = self.room * (1.0 if slot.touching else 1.0 - MARGIN)
+
+    def prepare(self, budget: Budget) -> TipFeasibility:
+        """Check whether the tip goes through near to the slot in a random swing."""
+        if message := self.geometry():
+            return TipFeasibility(self.distance, math.inf, message)
+        swinging = budget.share(0.5)
+        self.swings = self.scored(random_swings(self.problem, OPTIONS.swings, self.slot.walls), swinging)
+        cost = -self.swings[0].score if self.swings else math.inf
+        if cost > OPTIONS.max_cost:
+            late = "the time budget ended before a swing was simulated that goes through near to it"
+            far = "out of reach: in no swing does the tip go through near to it, in that direction"
+            message = late if swinging.expired else far
+        return TipFeasibility(self.distance, cost, message)
 
     def score(self, flights: Flights) -> list[tuple[float, float]]:
         """Return cost, m, and time, s, of the cheapest entry of each flight: see :class:`InsertCosts`."""
@@ -377,26 +361,6 @@ class InsertTask(TipTask):
                 best = min(best, (cost + costs.blocked * float(blocked[m, each.end]), each.t))
             found.append(best)
         return found
-
-    def start(self, number: int) -> Candidate | None:
-        """Return the cheapest swing of each side and number of moves, then the second of each, and so on."""
-        limits, alike, order = self.problem.limits, Counter[tuple[int, int]](), list[tuple[int, int]]()
-        cut = [each.moves.cut(each.t + OPTIONS.window, limits) for each in self.swings]
-        for k, moves in enumerate(cut):
-            order.append((alike[kind := (moves.side, moves.ends.size)], k))
-            alike[kind] += 1
-        if number >= len(order):
-            return None
-        return self.swings[sorted(order)[number][1]]
-
-    def freed(self, found: Candidate, rounds: int) -> Candidate:
-        """Return a swing with moves enough to vary all that an entry requires, and with two more in each round."""
-        limits = self.problem.limits
-        cut = found.moves.cut(found.t + OPTIONS.window, limits)
-        more = with_more(cut, 4 + 2 * rounds, found.t - 0.2 * self.problem.period, limits)
-        t = np.arange(0.0, found.t + 0.3, OPTIONS.sample_time)
-        (cost, at), self.runs = self.score(Flights(self.problem, [more], t))[0], self.runs + 1
-        return Candidate(more, -cost, at) if math.isfinite(cost) else replace(found, moves=cut)
 
     def aims(self, flights: Flights, near: Sequence[float]) -> list[Aim | None]:
         """Return the ways through the slot that end next to times `near`, s."""
@@ -423,61 +387,34 @@ class InsertTask(TipTask):
                 + max(0.0, 1.02 * each.speed / slot.max_speed - 1.0)
             )
             place = each.offsets / np.sqrt(each.offsets.size)
-            found.append(Aim(moves, each.t, residuals, place, short))
+            found.append(Aim(moves, -short, each.t, short == 0.0, residuals=residuals, place=place))
         return found
-
-    def verify(self, one: Candidate, budget: Budget) -> Verified:
-        """Simulate an insertion with the walls: with the links as planned, and with more at a tighter tolerance."""
-        motion = one.moves.motion(self.problem.limits)
-        outcome = verify_insert(self.problem, self.slot, motion, one.t, budget=budget)
-        message, finer = _failure(outcome), None
-        if not message:
-            finer = verify_insert(self.finer, self.slot, motion, one.t, tighter=5.0, budget=budget)
-            message = _failure(finer) or self._unpredictable(outcome, finer)
-            message = f"with more, shorter links {message}" if message else ""
-        margin = 0.5 / self.uncertainty(one.aim) - 1.0 if isinstance(one, AimedCandidate) else 0.0
-        return Verified(one, outcome, finer, message, -1.0 if message else margin)
 
     def uncertainty(self, aim: Aim) -> float:
         """Return the standard deviation of the rope's way through the gap over the room that it leaves on one side."""
         room = self.room - float(np.abs(aim.place).max()) * math.sqrt(aim.place.size)
-        return math.hypot(aim.std, self.place) / max(room, 1e-9)
+        return math.hypot(aim.std, PLACE_STD) / max(room, 1e-9)
 
-    def _unpredictable(self, first: InsertOutcome | None, finer: InsertOutcome | None) -> str:
-        """Return that two runs do not show whether a real rope touches the walls; empty if they do."""
-        if first is None or finer is None or self.slot.touching:
-            return ""
-        given, now = first.wall_clearance, finer.wall_clearance
-        if min(given, now) >= min(self.narrow, abs(given - now)):
+    def simulate(self, one: Candidate, finer: bool, budget: Budget) -> InsertOutcome | None:
+        """Return how the tip goes through the slot in a run with the walls; see :func:`verify_insert`."""
+        problem, motion = self.finer if finer else self.problem, one.moves.motion(self.problem.limits)
+        return verify_insert(problem, self.slot, motion, one.t, tighter=5.0 if finer else 1.0, budget=budget)
+
+    def failure(self, one: Candidate, outcome: InsertOutcome | None, first: InsertOutcome | None) -> str:
+        """Return why an insertion fails: also if two runs disagree on whether a real rope touches the walls."""
+        if outcome is None:
+            return "the tip does not go through the slot"
+        if outcome.message or first is None or self.slot.touching:
+            return outcome.message
+        given, now = first.wall_clearance, outcome.wall_clearance
+        if min(given, now) >= min(NARROW, abs(given - now)):
             return ""
         return f"it passes {1e3 * now:.1f} mm, not {1e3 * given:.1f} mm, from the walls: it may touch them"
 
-
-def _failure(outcome: InsertOutcome | None) -> str:
-    """Return why an insertion fails, empty if it succeeds."""
-    return "the tip does not go through the slot" if outcome is None else outcome.message
-
-
-def with_more(moves: Moves, count: int, t: float, limits: MotorLimits, short: float = 0.07) -> Moves:
-    """Return `count` moves or fewer: `short` ones, rad, are added in the middle of the longest rests until time t, s.
-
-    They hardly change a swing, and can vary. Each goes the other way than the move before it, unless that after it got
-    too short. None is added in a rest that is not twice as long as it.
-    """
-    (duration,) = limits.fastest_moves([short])[0].tolist()
-    while moves.ends.size < count:
-        angles, rests = moves.angles(limits), np.append(moves.timing(limits)[0], t - moves.stops(limits))
-        k = int(rests.argmax())
-        if rests[k] < 2.0 * duration:
-            break
-        before = max(k, 1)
-        way = -short * np.sign(angles[before] - angles[before - 1])
-        if np.abs(angles[k + 1 : k + 2] - angles[k] - way).min(initial=np.inf) < short:
-            way = -way
-        rests = np.insert(rests, k, 0.5 * (rests[k] - duration))
-        rests[k + 1] = rests[k]
-        moves = Moves(moves.side, np.insert(moves.ends, k, angles[k] + way), rests[:-1])
-    return moves
+    def estimate(self, one: Candidate, budget: Budget) -> SuccessProbability:
+        """Return the success probability; see :func:`estimate_insert_probability`."""
+        given, options = (self.problem, self.slot, one.moves, one.t, self.given), SearchOptions(self.seed)
+        return estimate_insert_probability(*given, samples=self.samples, time_budget=budget, options=options)
 
 
 def finer_rope(rope: Rope, times: float = 2.5) -> Rope:
@@ -521,16 +458,17 @@ def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, depth: Array,
     deepest = float(depth[begin : last + 1].max())
     walls = obstacle_clearance(run, slot.walls, t)
     gap = min(walls.value, 0.0) if (touched <= end).any() else walls.value
-    figures = run_figures(problem, run)
-    message = figures["refused"]
+    near_by = clearances(problem, run)
+    figures = run_figures(problem, run, near_by)
+    refused = message = refusal(problem, figures["max_bend"], near_by)
     velocity = np.array([np.interp(t, run.t, each) for each in run.tip_velocity.T])
     speed = float(np.hypot(*velocity))
     if not message and gap <= 0.0 and not slot.touching:
         message = f"the rope touches a wall at {min(walls.t, run.t[touched[0]] if touched.size else math.inf):.2f} s"
     elif not message and deepest < slot.depth:
-        message = f"the tip comes {1e3 * deepest:.1f} mm deep, and {1e3 * slot.depth:g} mm are required"
+        message = f"the tip comes {1e3 * deepest:.1f} mm deep, {1e3 * slot.depth:g} mm required"
     elif not message and speed > slot.max_speed:
-        message = f"the tip has {speed:.2f} m/s there, and {slot.max_speed:g} at most are allowed"
+        message = f"the tip has {speed:.2f} m/s there, {slot.max_speed:g} allowed"
     return InsertOutcome(
         t_enter=t_enter,
         t=t,
@@ -539,6 +477,7 @@ def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, depth: Array,
         depth=deepest,
         time_inside=float(run.t[last]) - t_enter,
         wall_clearance=gap,
+        refused=refused,
         message=message or excess_torque(problem, figures["torque"]),
         **figures,
     )
@@ -581,8 +520,8 @@ def estimate_insert_probability(
     uncertainty: Uncertainty | None = None,
     *,
     samples: int = 100,
-    seed: int = 0,
     time_budget: float | Budget | None = None,
+    options: SearchOptions | None = None,
 ) -> SuccessProbability:
     """Estimate how often moves bring the tip through a slot to its depth without a touch, in sampled scenarios.
 
@@ -592,10 +531,8 @@ def estimate_insert_probability(
         When the tip is inside as planned, s.
     uncertainty : Uncertainty, optional
         By default the slot is 2 mm off and each move 2 ms (standard deviations), and the rope as planned.
-    samples, seed
+    samples, time_budget, options
         As of :func:`hyperflex.planning.estimate_success_probability`.
-    time_budget : float or Budget, optional
-        s; fewer samples may be counted, and none where the first batch takes longer.
 
     Returns
     -------
@@ -607,49 +544,46 @@ def estimate_insert_probability(
     allows, the rope touches no wall until then, keeps clear of arm, shaft and obstacles, as verified runs require, and
     is not folded flat before: its contact with itself is not simulated. The motor's torque is not checked.
     """
-    budget, stream, batch = Budget.of(time_budget), [7001, checks.count("seed", seed, least=0)], 25
-    drawn = insert_scenarios(problem, slot, moves, uncertainty or usual_uncertainty(), samples, stream)
-    t, successes, done = sample_times(near), 0, 0
-    while done < samples and not budget.expired:
-        some = drawn[done : done + batch]
-        ropes, _, motions = zip(*some, strict=True)
-        rollouts = RolloutBatch.from_start(replace(problem, rope=ropes[0]), ropes, [], motions)
-        q = rollouts.run(problem.arm, t, tol=DEFAULT_TOL, keep=("q",), threads=budget.threads).q
-        succeeds = [
-            _enters(problem, *each, near, t, flight, problem.arm.tip(each[2].angle(t)))
-            for each, flight in zip(some, q, strict=True)
-        ]
-        if budget.expired:
-            break
-        successes, done = successes + sum(succeeds), done + len(some)
-    return SuccessProbability(successes, done)
+    options = options or SearchOptions()
+    known = uncertainty or usual_uncertainty()
+    scenarios = insert_scenarios(problem, slot, moves, known, samples, [STREAM, options.seed])
+    return count_successes(_Estimate(problem, near), scenarios, time_budget, options)
 
 
-def _enters(problem: Problem, rope: Rope, slot: Slot, _: Motion, near: float, t: Array, q: Array, base: Array) -> bool:
-    """Whether a free flight meets the conditions of a verified run next to time `near`, s, as far as it shows.
+@dataclass(frozen=True)
+class _Estimate:
+    """Counts the scenarios in which the tip enters at about time `near`, s; it can be sent to an executor."""
 
-    Angles q (T, n), rad, of the links, and places `base` (T, 2), m, of the first joint at times t (T,), s.
-    """
-    joints, off = rope.joints(q, base), 2e-4  # m, that verified runs take off their distances
-    depth, offset = slot.frame(joints)
-    way = nearest_passage(depth[:, -1], slot.depth, t, near)
-    if way is None or depth[way.end, -1] < slot.depth:
-        return False
-    end, until = way.end, slice(way.end + 1)
-    speed = _tip_speed(t, depth, offset, end)
-    least, aside = rope.radius + off, 0.5 * slot.width + slot.wall
-    beyond, across = (np.stack([each[until, :-1], each[until, 1:]]) for each in (depth, offset))
-    near_walls = (beyond.max(axis=0) >= -least) & (beyond.min(axis=0) <= slot.tube + least)
-    near_walls &= (across.max(axis=0) >= -aside - least) & (across.min(axis=0) <= aside + least)
-    row, link = np.nonzero(near_walls)
-    if speed > slot.max_speed or (obstacle_gaps(slot.walls, joints[row, link], joints[row, link + 1]) <= least).any():
-        return False
-    flight, bound = (q[None], base[None]), max(problem.clearance, 0.0) + off
-    clear = min(
-        samples_clear_of_arm(rope, problem.arm, *flight, problem.clearance + off)[0],
-        clear_samples([rope], problem.obstacles, *flight, bound)[0],
-    )
-    return bool(clear == len(q)) and not at_limits(limit_bend(rope), q[until], -1e-3).any()
+    problem: Problem
+    near: float
+
+    def __call__(self, scenarios: Sequence[tuple[Rope, Slot, Motion]], budget: Budget | None = None) -> int:
+        t, arm, (ropes, slots, motions) = sample_times(self.near), self.problem.arm, zip(*scenarios, strict=True)
+        batch = RolloutBatch.from_start(replace(self.problem, rope=ropes[0]), ropes, [], motions)
+        q = batch.run(arm, t, tol=DEFAULT_TOL, keep=("q",), threads=1 if budget is None else budget.threads).q
+        bases = [arm.tip(each.angle(t)) for each in motions]
+        return sum(self._enters(*each, t) for each in zip(ropes, slots, q, bases, strict=True))
+
+    def _enters(self, rope: Rope, slot: Slot, q: Array, base: Array, t: Array) -> bool:
+        """Whether a free flight meets the conditions of a verified run, as far as it shows.
+
+        Angles q (T, n), rad, of the links, and places `base` (T, 2), m, of the first joint at times t (T,), s.
+        """
+        joints = rope.joints(q, base)
+        depth, offset = slot.frame(joints)
+        way = nearest_passage(depth[:, -1], slot.depth, t, self.near)
+        if way is None or depth[way.end, -1] < slot.depth or _tip_speed(t, depth, offset, way.end) > slot.max_speed:
+            return False
+        until, arm, clearance = slice(way.end + 1), self.problem.arm, self.problem.clearance
+        # Links that may be near the walls
+        near = np.hypot(depth, offset)[until, :-1] < slot.wall + slot.width + slot.tube + 2.0 * rope.length.max()
+        row, link = np.nonzero(near)
+        gaps = obstacle_gaps(slot.walls, joints[row, link], joints[row, link + 1])
+        if (gaps <= rope.radius + CLOSER).any() or at_limits(limit_bend(rope), q[until], -1e-3).any():
+            return False
+        flight, bound = (q[None], base[None]), max(clearance, 0.0) + CLOSER
+        clear = clear_samples([rope], self.problem.obstacles, *flight, bound)[0]
+        return bool(min(clear, samples_clear_of_arm(rope, arm, *flight, clearance + CLOSER)[0]) == len(q))
 
 
 @checks.arguments(limits=MotorLimits, slot=Slot, conditions=Conditions, options=SearchOptions)
@@ -705,31 +639,4 @@ def plan_insert(
     if uncertainty is not None:
         checks.instance("uncertainty", uncertainty, Uncertainty)
     problem = tip_problem(rope, arm, limits, conditions, periods=2.0)
-    distance = math.hypot(*(slot.point + slot.depth * slot.axes[0] - problem.arm.pivot))
-    short = distance - rope.total_length - arm.length
-    known = TipFeasibility(distance, math.inf, "interrupted before the swings were simulated")
-    task, planner, probability = InsertTask(problem, slot, options.seed), None, None
-    with stoppable() as stop, budget.progress(options.progress, "planning"):
-        if short > 0.0:
-            known = replace(known, message=f"out of reach: the rope ends {short:.2f} m short of that depth")
-        else:
-            swinging = budget.share(0.5)
-            task.swing(random_swings(problem, OPTIONS.swings, slot.walls), swinging)
-            cost = -task.swings[0].score if task.swings else math.inf
-            late = "the time budget ended before a swing was simulated that goes through near to it"
-            far = "out of reach: in no swing does the tip go through near to it, in that direction"
-            known = replace(
-                known, cost=cost, message=(late if swinging.expired else far) if cost > OPTIONS.max_cost else ""
-            )
-        if task.swings and (known.feasible or options.skip_feasibility):
-            planner = Planner(task, budget.share(0.8), 0.5)
-            planner.run()
-            task.verify_best(planner, budget)
-            if planner.best is not None and planner.succeeds:
-                best = planner.best.candidate
-                given = (problem, slot, best.moves, best.t, uncertainty)
-                probability = estimate_insert_probability(
-                    *given, samples=samples, seed=options.seed, time_budget=budget
-                )
-    found = plan_fields(planner, known.message, "no swing brings the tip through it", stop, budget)
-    return stop.deliver(InsertPlan(problem, slot, known, success_probability=probability, **found))
+    return plan_tip(InsertTask(problem, slot, uncertainty, samples, options.seed), InsertPlan, options, budget)

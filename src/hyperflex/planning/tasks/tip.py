@@ -4,10 +4,11 @@ Random swings are simulated coarsely. The most promising ones are aimed: Levenbe
 rests, with differences of free flights, until the tip does what the task requires and the rope touches no obstacle.
 """
 
+import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,25 +18,19 @@ from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput, SimulationError
-from hyperflex.interruption import Stop
+from hyperflex.interruption import stoppable
 from hyperflex.model import DAMPING, Arm, Obstacle, Rope, Setup, Wall
-from hyperflex.planning.clearance import gap_of, obstacle_gaps
-from hyperflex.planning.evolution import CmaEs
+from hyperflex.planning.clearance import gap_of, named, obstacle_gaps
+from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.moves import Moves
-from hyperflex.planning.options import Conditions, MotorLimits
+from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
+from hyperflex.planning.outcome import RunOutcome
 from hyperflex.planning.plan import Plan
 from hyperflex.planning.planner import Planner
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.rollouts import RolloutBatch, check_start, free_sides
+from hyperflex.planning.rollouts import RolloutBatch, arm_tip, check_start, free_sides
 from hyperflex.planning.tasks.task import Candidate, Task, Verified
-from hyperflex.planning.verification import (
-    clearances,
-    folded_flat,
-    greatest_bend,
-    motor_torques,
-    refusal,
-    verified_setup,
-)
+from hyperflex.planning.verification import verified_setup
 from hyperflex.simulation import simulate
 from hyperflex.status import Status
 from hyperflex.trajectory import Trajectory
@@ -79,8 +74,6 @@ class TipOptions:
     spare : float
         Distance, m, that the rope shall keep from obstacles beyond the required clearance, where target and start
         allow it.
-    members, generations, narrow : (int, int, float)
-        Of a search by CMA-ES about a swing, whose first step is `narrow` standard deviations of random swings.
     """
 
     swings: int = 512
@@ -104,13 +97,11 @@ class TipOptions:
     length_std: float = 0.002
     timing_std: float = 2e-3
     spare: float = 0.01
-    members: int = 16
-    generations: int = 16
-    narrow: float = 0.3
 
 
 OPTIONS = TipOptions()
 T = TypeVar("T")
+TipPlanT = TypeVar("TipPlanT", bound="TipPlan")
 
 
 class Flights:
@@ -131,22 +122,18 @@ class Flights:
         ropes: Sequence[Rope] = (),
         budget: Budget | None = None,
     ) -> None:
-        self.moves, self.t, self.first, self.ropes = moves, t, first, ropes or [problem.rope] * len(moves)
-        motions = [each.motion(problem.limits) for each in moves]
-        batch = RolloutBatch.from_start(problem, self.ropes, [], motions)
+        self.moves, self.t, self.first = moves, t, first
+        ropes, motions = ropes or [problem.rope] * len(moves), [each.motion(problem.limits) for each in moves]
+        batch = RolloutBatch.from_start(problem, ropes, [], motions)
         threads = None if budget is None else budget.threads
         run = batch.run(problem.arm, t, tol=tol, keep=("q", "qd"), threads=threads)
-        self.q, qd = run.q, run.qd
-        angle, rate = (np.stack(each) for each in zip(*((m.angle(t), m.rate(t)) for m in motions), strict=True))
-        length, sin, cos = np.stack([rope.length for rope in self.ropes])[:, None], np.sin(self.q), np.cos(self.q)
-        self.joints = np.empty((*self.q.shape[:2], problem.rope.n_links + 1, 2))
-        self.joints[:, :, 0] = problem.arm.tip(angle)
-        for axis, part in enumerate((length * sin, -length * cos)):
-            np.cumsum(part, axis=2, out=self.joints[:, :, 1:, axis])
-            self.joints[:, :, 1:, axis] += self.joints[:, :, :1, axis]
-        arm = problem.arm.length * rate
-        along = [(length * qd * part).sum(axis=2) for part in (cos, sin)]
-        self.velocity = np.stack([along[0] + arm * np.cos(angle), along[1] + arm * np.sin(angle)], axis=-1)
+        self.q, joints, velocities = run.q, [], []
+        for rope, motion, q, qd in zip(ropes, motions, run.q, run.qd, strict=True):
+            base, velocity = arm_tip(problem.arm, motion, t)
+            spin = rope.length * qd
+            joints.append(rope.joints(q, base))
+            velocities.append(velocity + np.stack([(spin * np.cos(q)).sum(axis=1), (spin * np.sin(q)).sum(axis=1)], -1))
+        self.joints, self.velocity = np.stack(joints), np.stack(velocities)
 
     def spare_gaps(self, problem: Problem) -> Array:
         """Return gaps (M, T, w), m, of the ropes from w obstacles beyond the required clearance; see `signed_gaps`."""
@@ -161,7 +148,14 @@ class Flights:
         return np.maximum.accumulate(depth, axis=1)
 
 
-def random_swings(problem: Problem, count: int, walls: Sequence[Obstacle] = (), seed: int = 1) -> list[Moves]:
+def coarse_times(problem: Problem) -> Array:
+    """Return the times of the samples of swings that are only scored (T,), s."""
+    return np.arange(0.0, problem.time + 0.5 * OPTIONS.sample_time, OPTIONS.sample_time)
+
+
+def random_swings(
+    problem: Problem, count: int, walls: Sequence[Obstacle] = (), seed: int | Sequence[int] = 1
+) -> list[Moves]:
     """Return moves that pump a swing up more or less well, the same ones for a seed.
 
     They begin on sides on which the rope hangs clear of obstacles and `walls`; on either side if there is none.
@@ -204,31 +198,23 @@ def signed_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Arra
     return gaps
 
 
-@dataclass(frozen=True, eq=False)
-class Aim:
-    """Moves, and what the tip does after them in a free flight.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Aim(Candidate):
+    """Moves with what the tip does after them in a free flight.
 
     Attributes
     ----------
-    moves : Moves
-    t : float
-        The instant that counts, s.
     residuals : (m,) float64
         What an aim reduces to 0, m.
     place : (p,) float64
         Coordinates whose standard deviation counts, m.
-    shortfall : float
-        By how much the moves fail, m; 0 if they do not.
     std : float
         Standard deviation of the place, m: :attr:`TipOptions.friction_std` and the following, by the delta method.
     """
 
-    moves: Moves
-    t: float
     residuals: Array
     place: Array
-    shortfall: float
-    std: float = np.nan
+    std: float = math.nan
 
     @property
     def distance(self) -> float:
@@ -236,33 +222,116 @@ class Aim:
         return float(np.linalg.norm(self.residuals))
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class AimedCandidate(Candidate):
-    """A candidate whose moves were aimed."""
+@dataclass(frozen=True)
+class TipFeasibility:
+    """Result of the feasibility check of a task of the tip.
 
-    aim: Aim
+    `distance` is that of the tip's place from the arm's pivot, m. `cost`, m, is that of the cheapest random swing, at
+    most :attr:`TipOptions.max_cost`. `message` is the reason why the task is not feasible.
+    """
+
+    distance: float
+    cost: float
+    message: str
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the task is feasible."""
+        return not self.message
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TipOutcome(RunOutcome):
+    """What the tip does in a simulated run.
+
+    Attributes
+    ----------
+    t : float
+        The instant that counts, s.
+    place, velocity : (2,) float64
+        Of the tip then, m, m/s.
+    refused : str
+        Why the run fails whatever its goal: the rope goes through itself, arm or shaft, or touches an obstacle, or
+        comes nearer than allowed; empty if it does not.
+    others
+        As of :class:`RunOutcome`; for a whip, obstacles count for `clearance` until `t`.
+    """
+
+    t: float
+    place: Array
+    velocity: Array
+    refused: str
+
+    @property
+    def speed(self) -> float:
+        """Speed of the tip at `t`, m/s."""
+        return float(np.hypot(*self.velocity))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TipPlan(Plan):
+    """A planned motion of the tip.
+
+    Attributes
+    ----------
+    position_std : float
+        Standard deviation of the tip's place, m, for a rope known as :class:`TipOptions` assumes; NaN without moves.
+    """
+
+    position_std: float = math.nan
+
+    @property
+    def refuted(self) -> bool:
+        """Whether a simulated run shows that the plan fails."""
+        return self.outcome is not None and not self.success
+
+    def setup(self) -> Setup:
+        """Return the set-up of a run until after the instant that counts, with the walls.
+
+        Until the arm stops if nothing was verified.
+        """
+        motion = self.required(self.motion, "motion")
+        end = float(motion.breaks[-1]) if self.outcome is None else float(sample_times(self.outcome.t)[-1])
+        return verified_setup(self.problem, motion, end, self.target.walls)
 
 
 class TipTask(Task):
     """A task of the tip.
 
+    Parameters
+    ----------
+    problem : Problem
+    target
+        With `walls`, which the problem's obstacles do not include.
+    places : (P, 2) float64
+        Where the tip must come, m, the farthest last.
+    finer : Rope
+        The rope with shorter links, for a second verification.
+    seed : int
+
     Attributes
     ----------
-    close, ready : float
-        Distance, m, at which an aim ends; cost, m, below which a swing is aimed at once.
+    close : float
+        Distance, m, at which an aim ends.
     swings : list of Candidate
-        Random swings with their scores, the negative costs, m.
+        Random swings with their scores, the negative costs, m; the best first.
     """
 
-    close: float
-    ready: float
+    close: ClassVar[float]
 
-    def __init__(self, problem: Problem, places: Array, seed: int = 0) -> None:
-        self.problem, self.seed, self.swings = problem, seed, list[Candidate]()
-        needed = problem.rope.radius + max(problem.clearance, 0.0)
-        left = [min(gap_of(each, *place) for place in places) - needed for each in problem.obstacles]
-        self._spare = np.clip(0.5 * np.array(left), 0.0, OPTIONS.spare)  # half of what the target leaves, at most
-        self._searches, self._given, self._begun = 0, False, list[tuple[Candidate, int]]()
+    def __init__(self, problem: Problem, target: Any, places: Array, finer: Rope, seed: int = 0) -> None:
+        self.problem, self.target, self.seed = problem, target, seed
+        self.finer, self.swings = replace(problem, rope=finer), list[Candidate]()
+        self.distance = math.dist(places[-1], problem.arm.pivot)
+        self._needed = problem.rope.radius + max(problem.clearance, 0.0)
+        self._gaps = np.array([min(gap_of(each, *place) for place in places) for each in problem.obstacles])
+        # Half of what the target leaves, at most
+        self._spare = np.clip(0.5 * (self._gaps - self._needed), 0.0, OPTIONS.spare)
+        self._batches = 0
+
+    @abstractmethod
+    def prepare(self, budget: Budget) -> TipFeasibility:
+        """Simulate random swings, none if geometry rules the target out, and check the feasibility by them."""
 
     @abstractmethod
     def score(self, flights: Flights) -> list[tuple[float, float]]:
@@ -270,95 +339,76 @@ class TipTask(Task):
 
     @abstractmethod
     def aims(self, flights: Flights, near: Sequence[float]) -> list[Aim | None]:
-        """Return what the tip does next to times `near`, s, in fine flights."""
+        """Return what the tip does next to times `near`, s, in fine flights; their score is the negative error, m."""
 
-    def swing(self, moves: Sequence[Moves], budget: Budget) -> None:
-        """Score random swings in batches until the budget expires, one batch at least; keep them, the best first."""
-        options, found = OPTIONS, list[Candidate]()
-        t = np.arange(0.0, self.problem.time + 0.5 * options.sample_time, options.sample_time)
-        for low in range(0, len(moves), options.batch):
+    @abstractmethod
+    def simulate(self, one: Candidate, finer: bool, budget: Budget) -> Any:
+        """Return the outcome of a candidate in a simulated run, with the finer rope or not; None if there is none."""
+
+    @abstractmethod
+    def failure(self, one: Candidate, outcome: Any, first: Any) -> str:
+        """Return why an outcome fails, empty if it succeeds; `first` is that of the first run if this is the second."""
+
+    def uncertainty(self, aim: Aim) -> float:
+        """Return how uncertain moves are that do not fail; of several the least uncertain ones are verified first."""
+        return aim.std
+
+    def estimate(self, one: Candidate, budget: Budget) -> SuccessProbability | None:
+        """Return the success probability of a candidate that succeeds; None if it was not required."""
+        return None
+
+    def geometry(self) -> str:
+        """Return why geometry rules the target out; empty if it does not."""
+        short = self.distance - self.problem.rope.total_length - self.problem.arm.length
+        if short > 0.0:
+            return f"out of reach: the rope ends {short:.2f} m short of the target"
+        for each, gap in zip(self.problem.obstacles, self._gaps, strict=True):
+            if gap <= 0.0:
+                return f"the target lies in {named(each)}"
+            if gap <= self._needed:
+                near = f"the target is {1e3 * gap:.1f} mm from {named(each)}"
+                return f"{near}: with its radius and clearance the rope needs {1e3 * self._needed:g} mm"
+        return ""
+
+    def scored(self, moves: Sequence[Moves], budget: Budget) -> list[Candidate]:
+        """Score swings in batches until the budget expires, one batch at least; return possible ones, best first."""
+        found, t = list[Candidate](), coarse_times(self.problem)
+        for low in range(0, len(moves), OPTIONS.batch):
             if low and budget.expired:
                 break
-            some = moves[low : low + options.batch]
+            some = moves[low : low + OPTIONS.batch]
             costs = self.score(Flights(self.problem, some, t, budget=budget))
             found += [Candidate(each, -cost, at) for each, (cost, at) in zip(some, costs, strict=True)]
-        self.swings = sorted((each for each in found if np.isfinite(each.score)), key=lambda one: -one.score)
+        return sorted((each for each in found if math.isfinite(each.score)), key=lambda one: -one.score)
+
+    def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
+        """Return the random swings, then more of them."""
+        self._batches += 1
+        if self._batches == 1:
+            return self.swings
+        seed = [1, self.seed, self._batches]
+        self.runs += OPTIONS.batch
+        return self.scored(random_swings(self.problem, OPTIONS.batch, self.target.walls, seed), budget)
 
     def alike(self, one: Candidate, other: Candidate) -> bool:
         """Whether two motions have as many moves from the same side, and reach their goal at about the same time."""
         same = one.moves.side == other.moves.side and one.moves.ends.size == other.moves.ends.size
         return same and abs(one.t - other.t) < OPTIONS.window
 
-    def uncertainty(self, aim: Aim) -> float:
-        """Return how uncertain moves are that do not fail; of several the least uncertain ones are verified first."""
-        return aim.std
-
-    def start(self, number: int) -> Candidate | None:
-        """Return the swing about which search number `number` is made; None without one."""
-        return self.swings[number] if number < len(self.swings) else None
-
-    def freed(self, found: Candidate, rounds: int) -> Candidate:
-        """Return the swing with which a search begins that continues one of so many `rounds`."""
-        return found
-
-    def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Return the random swings; then results of searches by CMA-ES about one after the other.
-
-        After each of them the best one that gained a tenth of its cost is continued.
-        """
-        if not self._given:
-            self._given = True
-            return self.swings
-        begin = self.start(self._searches)
-        self._searches += 1
-        self._begun.sort(key=lambda each: -each[0].score)
-        best, self._begun = self._begun[:1], self._begun[1:]
-        results = list[Candidate]()
-        for each, rounds in [*([] if begin is None else [(begin, 0)]), *best]:
-            free = self.freed(each, rounds)
-            result = self._evolved(free, budget)
-            results.append(result)
-            if -self.ready > result.score > 0.9 * free.score:
-                self._begun.append((result, rounds + 1))
-        return results
-
-    def _evolved(self, begin: Candidate, budget: Budget) -> Candidate:
-        """Return the best swing of a search by CMA-ES about a swing."""
-        options, best, k = OPTIONS, begin, begin.moves.ends.size
-        scale = np.repeat([np.pi, self.problem.period], k)
-        spread = np.repeat([options.end_spread, options.rest_spread], k)
-        random = np.random.default_rng([1, self.seed, self.runs])
-        optimizer = CmaEs(begin.moves.parameters / scale, options.narrow, spread, options.members, random)
-        t = np.arange(0.0, min(self.problem.time, begin.t + 0.3), options.sample_time)
-        for _ in range(options.generations):
-            if best.score > -self.ready:
-                break
-            budget.check()
-            points = optimizer.ask()
-            moves = [
-                replace(begin.moves, ends=x[:k] * np.pi, rests=np.abs(x[k:]) * self.problem.period) for x in points
-            ]
-            scored = self.score(Flights(self.problem, moves, t, budget=budget))
-            self.runs += len(moves)
-            optimizer.tell(points, [min(cost, 10.0) for cost, _ in scored])
-            cost, at, number = min((*pair, number) for number, pair in enumerate(scored))
-            if -cost > best.score:
-                best = Candidate(moves[number], -cost, at)
-        return best
-
     def rollout(self, some: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Aim swings."""
+        """Aim swings; the least uncertain ones score best."""
         found = [aim for each in some if (aim := self.aimed(each, budget)) is not None]
-        return [
-            AimedCandidate(
-                aim.moves,
-                1.0 / (1.0 + self.uncertainty(aim)) if aim.shortfall == 0.0 else -aim.shortfall,
-                aim.t,
-                good=aim.shortfall == 0.0,
-                aim=aim,
-            )
-            for aim in found
-        ]
+        return [replace(aim, score=1.0 / (1.0 + self.uncertainty(aim))) if aim.good else aim for aim in found]
+
+    def verify(self, one: Candidate, budget: Budget) -> Verified:
+        """Simulate moves with the links as planned, and then with shorter ones; ends at the first reason to fail."""
+        first = self.simulate(one, False, budget)
+        message, finer = self.failure(one, first, None), None
+        if not message:
+            finer = self.simulate(one, True, budget)
+            message = self.failure(one, finer, first)
+            message = f"with shorter links {message}" if message else ""
+        return Verified(one, first, finer, message)
 
     def aimed(self, found: Candidate, budget: Budget) -> Aim | None:
         """Change moves so that the tip does the task; None if it does nothing of the kind after these."""
@@ -390,11 +440,6 @@ class TipTask(Task):
             damping = max(dampings[k], least)
             best, jacobian, later = self._derivatives(better, budget)
         return best
-
-    def verify_best(self, planner: Planner, budget: Budget) -> None:
-        """Verify the best aim if no candidate of a planner was worth it: its runs show why it fails."""
-        if planner.best is None and planner.rolled and not budget.expired:
-            planner.best = self.verify(planner.rolled[0], budget)
 
     def _scale(self, moves: Moves) -> Array:
         """Return standard deviations (2 k,) of a random swing's parameters, rad and s."""
@@ -443,93 +488,6 @@ class TipTask(Task):
         return np.asarray(np.minimum(least - required, 0.0)).ravel()
 
 
-@dataclass(frozen=True)
-class TipFeasibility:
-    """Result of the feasibility check of a task of the tip.
-
-    `distance` is that of the tip's place from the arm's pivot, m. `cost`, m, is that of the cheapest random swing, at
-    most :attr:`TipOptions.max_cost`. `message` is the reason why the task is not feasible.
-    """
-
-    distance: float
-    cost: float
-    message: str
-
-    @property
-    def feasible(self) -> bool:
-        """Whether the task is feasible."""
-        return not self.message
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class TipOutcome:
-    """What the tip does in a simulated run.
-
-    Attributes
-    ----------
-    t : float
-        The instant that counts, s.
-    place, velocity : (2,) float64
-        Of the tip then, m, m/s.
-    max_bend, folded, clearance, torque, torque_peak
-        As of :class:`CastOutcome`, until the run ends; for a whip, obstacles count for `clearance` until `t`.
-    refused : str
-        Why the run is refused whatever its goal: the rope goes through itself, arm or shaft, or touches an obstacle, or
-        comes nearer than allowed; empty if it does not.
-    message : str
-        What fails; empty if nothing does.
-    n_links : int
-        Links of the simulated rope.
-    run : Trajectory or None
-        The run; None if the outcome was read from a file.
-    """
-
-    t: float
-    place: Array
-    velocity: Array
-    max_bend: float
-    folded: bool
-    clearance: float
-    torque: float
-    torque_peak: float
-    refused: str
-    message: str
-    n_links: int
-    run: Trajectory | None = None
-
-    @property
-    def speed(self) -> float:
-        """Speed of the tip at `t`, m/s."""
-        return float(np.hypot(*self.velocity))
-
-
-class TipPlan(Plan):
-    """A planned motion of the tip; `moves` are the best found, or None."""
-
-    walls: tuple[Wall, ...] = ()
-
-    @property
-    def refuted(self) -> bool:
-        """Whether a simulated run shows that the plan fails."""
-        return self.outcome is not None and not self.success
-
-    def setup(self) -> Setup:
-        """Return the set-up of a run until after the instant that counts, with the walls.
-
-        Until the arm stops if nothing was verified.
-        """
-        motion = self.required(self.motion, "motion")
-        end = float(motion.breaks[-1]) if self.outcome is None else float(sample_times(self.outcome.t)[-1])
-        return verified_setup(self.problem, motion, end, self.walls)
-
-    def summary(self) -> dict[str, Any]:
-        """Return the plan in figures, for JSON: its fields, and each move's start, s, and the arm's angles, rad."""
-        if self.moves is None:
-            return super().summary()
-        limits = self.problem.limits
-        return super().summary() | {"starts": self.moves.starts(limits), "angles": self.moves.angles(limits)}
-
-
 def sample_times(near: float, after: float = 0.15, step: float = 2e-3) -> Array:
     """Return the times of a verified run's samples (T,), s, until `after` the expected time `near`, s."""
     return np.asarray(step * np.arange(np.ceil((near + after) / step) + 1.0))
@@ -545,21 +503,6 @@ def simulate_in_time(setup: Setup, t: Array, budget: Budget | None) -> Trajector
         return None
 
 
-def run_figures(problem: Problem, run: Trajectory, until: float = np.inf) -> dict[str, Any]:
-    """Return the figures of a whole run for a :class:`TipOutcome`; obstacles count `until` a time, s."""
-    max_bend, near, (torque, torque_peak) = greatest_bend(run), clearances(problem, run, until), motor_torques(run)
-    return {
-        "max_bend": max_bend,
-        "folded": folded_flat(run),
-        "clearance": min(each.value for each in near),
-        "torque": torque,
-        "torque_peak": torque_peak,
-        "refused": refusal(problem, max_bend, near),
-        "n_links": run.q.shape[1],
-        "run": run,
-    }
-
-
 def touched_samples(run: Trajectory, obstacles: Sequence[Obstacle]) -> npt.NDArray[np.bool_]:
     """Whether the rope touched the obstacles of a run, which are all that it may touch: (T,), since the sample before.
 
@@ -572,12 +515,6 @@ def touched_samples(run: Trajectory, obstacles: Sequence[Obstacle]) -> npt.NDArr
     reach = TOUCH + np.diff(run.t, prepend=run.t[0]) * np.hypot(ends[..., 0], ends[..., 1]).max(axis=1)
     lost = np.diff(np.asarray(run.contact_loss), prepend=0.0) > 0.0
     return np.asarray((lost & (near < reach)) | (np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0))
-
-
-def excess_torque(problem: Problem, torque: float) -> str:
-    """Return that a run needs more `torque`, N m, than the motor gives; empty if it does not."""
-    given = problem.limits.torque
-    return "" if torque <= given else f"it needs {torque:.3g} N m of a motor that gives {given:.3g}"
 
 
 def given_or_default(name: str, given: T | None, kind: type[T]) -> T:
@@ -602,26 +539,32 @@ def tip_problem(rope: Rope, arm: Arm, limits: MotorLimits | None, conditions: Co
     return problem
 
 
-def plan_fields(planner: Planner | None, message: str, nothing: str, stop: Stop, budget: Budget) -> dict[str, Any]:
-    """Return the fields of a plan: of the best moves, verified or not.
-
-    Its message is `message` without a search, and `nothing` where a search found none.
-    """
-    fields: dict[str, Any] = {"message": message, "interrupted": stop.received, "seconds": budget.elapsed}
-    if planner is None:
-        return fields
-    best = planner.best or next((Verified(one, None, None, "") for one in planner.rolled), None)
-    if best is None:
-        nothing = "interrupted before any motion was found" if stop.received else nothing
-        return fields | {"message": nothing, "runs": planner.task.runs}
-    ended = "interrupted" if stop.received else "the time budget ended"
-    message = best.message if planner.best is not None else f"{ended} before it was verified"
-    aim = best.candidate.aim if isinstance(best.candidate, AimedCandidate) else None
-    return fields | {
-        "message": message,
-        "runs": planner.task.runs,
-        "moves": best.candidate.moves,
-        "position_std": np.nan if aim is None else aim.std,
-        "outcome": best.outcome,
-        "finer_outcome": best.finer_outcome,
-    }
+def plan_tip(task: TipTask, kind: type[TipPlanT], options: SearchOptions, budget: Budget) -> TipPlanT:
+    """Plan a task of the tip: check the target, search, verify, and estimate the success probability."""
+    known = TipFeasibility(task.distance, math.inf, "interrupted before the random swings were simulated")
+    planner, probability = None, None
+    with stoppable() as stop, budget.progress(options.progress, "planning"):
+        known = task.prepare(budget)
+        if task.swings and (known.feasible or options.skip_feasibility):
+            planner = Planner(task, budget.share(0.8), 0.0)
+            planner.run()
+            if planner.best is None and planner.rolled and not budget.expired:  # its runs show why it fails
+                planner.best = task.verify(planner.rolled[0], budget)
+            if planner.best is not None and planner.succeeds:
+                probability = task.estimate(planner.best.candidate, budget)
+    fields: dict[str, Any] = {"message": known.message}
+    if planner is not None:
+        ended = "interrupted" if stop.received else "the time budget ended"
+        fields = {"message": f"{ended} before any motion was found"}
+        rolled = [Verified(one, None, None, f"{ended} before it was verified") for one in planner.rolled[:1]]
+        for best in [planner.best] if planner.best is not None else rolled:
+            fields = {
+                "message": best.message,
+                "moves": best.candidate.moves,
+                "position_std": getattr(best.candidate, "std", math.nan),
+                "outcome": best.outcome,
+                "finer_outcome": best.finer_outcome,
+                "success_probability": probability,
+            }
+    fields |= {"runs": task.runs, "seconds": budget.elapsed, "interrupted": stop.received}
+    return stop.deliver(kind(task.problem, task.target, known, **fields))

@@ -1,8 +1,9 @@
 """Whips: the tip passes a point at a peak of its speed, fast and in the required direction."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,39 +12,37 @@ from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.interruption import interruptible, stoppable
-from hyperflex.model import Arm, Rope, divided
+from hyperflex.interruption import interruptible
+from hyperflex.model import Arm, Rope, Wall, divided
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
 from hyperflex.options import option
-from hyperflex.planning.clearance import gap_of, holds, named, obstacle_gaps
+from hyperflex.planning.clearance import named, obstacle_gaps
 from hyperflex.planning.impact import Impact, simulate_impact
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, refuse_behind
-from hyperflex.planning.planner import Planner
+from hyperflex.planning.outcome import excess_torque, run_figures
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import starts_outside
-from hyperflex.planning.tasks.task import Candidate, Verified
+from hyperflex.planning.tasks.task import Candidate
 from hyperflex.planning.tasks.tip import (
     OPTIONS,
     Aim,
-    AimedCandidate,
     Flights,
     TipFeasibility,
     TipOutcome,
     TipPlan,
     TipTask,
-    excess_torque,
+    coarse_times,
     given_or_default,
-    plan_fields,
+    plan_tip,
     random_swings,
-    run_figures,
     sample_times,
     simulate_in_time,
     tip_problem,
     touched_samples,
 )
-from hyperflex.planning.verification import verified_setup
+from hyperflex.planning.verification import clearances, refusal, verified_setup
 from hyperflex.trajectory import Trajectory
 
 
@@ -82,6 +81,7 @@ class TipTarget:
         math.radians(20.0), "greatest angle between velocity and direction, at most pi", "rad", sign="positive"
     )
     tolerance: float = option(1e-3, "greatest distance of the tip from the target", "m", sign="positive")
+    walls: ClassVar[tuple[Wall, ...]] = ()
 
     def __post_init__(self) -> None:
         if self.direction is None:
@@ -222,28 +222,7 @@ def check_whip_feasibility(whip_map: WhipMap, target: TipTarget) -> TipFeasibili
 
     Without obstacles the cost of a peak is its distance from the target, and more if it lacks speed or direction.
     """
-    problem, peaks = whip_map.problem, whip_map.peaks
-    distance = math.hypot(target.x - problem.arm.pivot[0], target.y - problem.arm.pivot[1])
-    cost, message = math.inf, ""
-    if (short := distance - problem.rope.total_length - problem.arm.length) > 0.0:
-        message = f"out of reach: the rope ends {short:.2f} m short of the target"
-    for each in problem.obstacles:
-        gap, least = gap_of(each, target.x, target.y), problem.rope.radius + max(problem.clearance, 0.0)
-        if holds(each, target.x, target.y):
-            message = message or f"the target lies in {named(each)}"
-        elif gap <= least:
-            near = f"the target is {1e3 * gap:.1f} mm from {named(each)}"
-            message = message or f"{near}: with its radius and clearance the rope needs {1e3 * least:g} mm"
-    if not message:
-        free = peaks._replace(blocked=np.zeros_like(peaks.blocked))
-        cost = float(PeakCosts().of(target, free).min(initial=math.inf))
-        fast = peaks.speed[np.hypot(*(peaks.place - target.point).T) < 0.25]  # about the target: what is reported
-        if cost > OPTIONS.max_cost and fast.size:
-            how = f"{fast.max():.1f} m/s at most, or not in that direction"
-            message = f"out of reach: the tip is not that fast so near to it, {how}"
-        elif cost > OPTIONS.max_cost:
-            message = "out of reach: the tip's speed has no peak so near to it"
-    return TipFeasibility(distance, cost, message)
+    return WhipTask(whip_map.problem, target, whip_map).prepare(Budget())
 
 
 @interruptible()
@@ -257,7 +236,7 @@ def build_whip_map(
     problem : Problem
     swings : int
     time_budget : float or Budget, optional
-        s; when it is over the map consists of the first swings alone, one batch at least.
+        s; if it ends before, the map consists of the first swings alone, one batch at least.
 
     Raises
     ------
@@ -268,24 +247,18 @@ def build_whip_map(
     if problem.time < (least := 4.0 * OPTIONS.sample_time):
         allowed = f"at least {least:g} s; three periods of the rope's swing are usual"
         raise InvalidInput("time_limit is too short for any whip", got=problem.time, allowed=allowed)
-    budget, found = Budget.of(time_budget), list[Peaks]()
-    moves = random_swings(problem, swings)
+    budget, found, moves = Budget.of(time_budget), list[Peaks](), random_swings(problem, swings)
     for low in range(0, swings, OPTIONS.batch):
         if low and budget.expired:
             moves = moves[:low]
             break
-        some = _peaks(problem, swing_flights(problem, moves[low : low + OPTIONS.batch], budget))
+        flights = Flights(problem, moves[low : low + OPTIONS.batch], coarse_times(problem), budget=budget)
+        some = flight_peaks(problem, flights)
         found.append(some._replace(row=some.row + low))
     return WhipMap(problem, tuple(moves), Peaks(*map(np.concatenate, zip(*found, strict=True))))
 
 
-def swing_flights(problem: Problem, moves: list[Moves], budget: Budget | None = None) -> Flights:
-    """Simulate swings coarsely."""
-    t = np.arange(0.0, problem.time + 0.5 * OPTIONS.sample_time, OPTIONS.sample_time)
-    return Flights(problem, moves, t, budget=budget)
-
-
-def _peaks(problem: Problem, flights: Flights) -> Peaks:
+def flight_peaks(problem: Problem, flights: Flights) -> Peaks:
     """Find the peaks of coarse flights."""
     return find_peaks(flights.t, flights.joints[:, :, -1], flights.velocity, flights.blocked(problem))
 
@@ -325,34 +298,17 @@ class WhipPlan(TipPlan):
 
     Attributes
     ----------
-    problem, message, runs, seconds, interrupted
-        As of :class:`Plan`.
-    target : TipTarget
-    feasibility : TipFeasibility
-        Result of the check before the search.
-    moves : Moves or None
-        The best found.
-    outcome : TipStrike or None
-        Their outcome in a simulated run.
     finer_outcome : TipStrike or None
-        The same with links of half the length.
-    position_std : float
-        Standard deviation of the place of the peak, m, for a rope known as :class:`TipOptions` assumes; NaN without
-        moves.
+        With links of half the length.
+    others
+        As of :class:`hyperflex.planning.plan.Plan` and :class:`hyperflex.planning.tasks.tip.TipPlan`.
     """
 
     kind: ClassVar[str] = "whip"
-    problem: Problem
     target: TipTarget
     feasibility: TipFeasibility
-    moves: Moves | None = None
     outcome: TipStrike | None = None
     finer_outcome: TipStrike | None = None
-    position_std: float = math.nan
-    message: str = ""
-    runs: int = 0
-    seconds: float = 0.0
-    interrupted: bool = False
 
     def impact(self, *, radius: float = 0.01, mu: float = 0.3) -> Impact:
         """Simulate the impact on a small fixed peg whose surface is at the target; see :class:`Impact`.
@@ -366,27 +322,39 @@ class WhipPlan(TipPlan):
 
 
 class WhipTask(TipTask):
-    """Whip a target, from the swings of a map."""
+    """Whip a target, from the swings of a map, by default of a new one."""
 
-    close, ready = 2e-4, 0.06
+    close = 2e-4
 
-    def __init__(self, whip_map: WhipMap, target: TipTarget, seed: int = 0) -> None:
-        super().__init__(whip_map.problem, target.point[None], seed)
-        self.target = target
-        self.finer = replace(self.problem, rope=divided(self.problem.rope, 2))
-        x, y = self.problem.arm.pivot
-        self.lever = math.hypot(target.x - x, target.y - y)  # m, as which an error of 1 rad or the whole speed counts
-        found = cheapest_peaks(PeakCosts().of(target, whip_map.peaks), whip_map.peaks, len(whip_map.moves))
-        pairs = [(each, *pair) for each, pair in zip(whip_map.moves, found, strict=True)]
-        swings = [Candidate(each, -cost, t) for each, cost, t in pairs if math.isfinite(cost)]
-        self.swings = sorted(swings, key=lambda one: -one.score)
+    def __init__(self, problem: Problem, target: TipTarget, whip_map: WhipMap | None = None, seed: int = 0) -> None:
+        super().__init__(problem, target, target.point[None], divided(problem.rope, 2), seed)
+        self.map = whip_map
+
+    def prepare(self, budget: Budget) -> TipFeasibility:
+        """Check whether a peak of the map is close enough; see :func:`check_whip_feasibility`."""
+        known = self.map or build_whip_map(self.problem, time_budget=budget.share(0.4))
+        target, peaks, message = self.target, known.peaks, self.geometry()
+        if message:
+            return TipFeasibility(self.distance, math.inf, message)
+        pairs = cheapest_peaks(PeakCosts().of(target, peaks), peaks, len(known.moves))
+        swings = [Candidate(each, -cost, t) for each, (cost, t) in zip(known.moves, pairs, strict=True)]
+        self.swings = sorted((one for one in swings if math.isfinite(one.score)), key=lambda one: -one.score)
+        free = peaks._replace(blocked=np.zeros_like(peaks.blocked))
+        cost = float(PeakCosts().of(target, free).min(initial=math.inf))
+        if cost > OPTIONS.max_cost:
+            message = "out of reach: the tip's speed has no peak so near to it"
+            near = peaks.speed[np.hypot(*(peaks.place - target.point).T) < 0.25]  # m; what is reported
+            if near.size:
+                how = f"{near.max():.1f} m/s at most, or not in that direction"
+                message = f"out of reach: the tip is not that fast so near to it, {how}"
+        return TipFeasibility(self.distance, cost, message)
 
     def score(self, flights: Flights) -> list[tuple[float, float]]:
         """Return cost, m, and time, s, of the cheapest peak of each flight."""
-        peaks = _peaks(self.problem, flights)
+        peaks = flight_peaks(self.problem, flights)
         return cheapest_peaks(PeakCosts().of(self.target, peaks), peaks, len(flights.moves))
 
-    def aims(self, flights: Flights, near: Any) -> list[Aim | None]:
+    def aims(self, flights: Flights, near: Sequence[float]) -> list[Aim | None]:
         """Return the peaks next to times `near`, s."""
         fine, target = slice(flights.first, None), self.target
         peaks = find_peaks(flights.t[fine], flights.joints[:, fine, -1], flights.velocity[:, fine])
@@ -400,36 +368,30 @@ class WhipTask(TipTask):
             place, velocity, end = peaks.place[k], peaks.velocity[k], int(np.searchsorted(flights.t, peaks.t[k])) - 1
             beyond, slow = target.lacks(velocity, 0.85, 1.01)
             lacking = self.lacking_gaps(flights, gaps[m], self._spare, m, end)
-            residuals = np.array([*(place - target.point), self.lever * beyond, self.lever * slow, *lacking])
+            # An error of 1 rad, or the whole speed, counts as the distance from the shaft
+            residuals = np.array([*(place - target.point), self.distance * beyond, self.distance * slow, *lacking])
             short = max(0.0, float(np.hypot(*residuals[:2])) - target.tolerance)
             short += sum(abs(float(each)) for each in target.lacks(velocity, 1.0, 1.0))
             short += max(0.0, -float(gaps[m, : end + 1].min(initial=np.inf)))
-            found.append(Aim(moves, float(peaks.t[k]), residuals, place, short))
+            found.append(Aim(moves, -short, float(peaks.t[k]), short == 0.0, residuals=residuals, place=place))
         return found
 
-    def verify(self, one: Candidate, budget: Budget) -> Verified:
-        """Simulate a whip with the links as planned, and half as long: there speed and direction do not count."""
+    def simulate(self, one: Candidate, finer: bool, budget: Budget) -> TipStrike | None:
+        """Return the peak of the tip's speed; see :func:`verify_whip`."""
         motion = one.moves.motion(self.problem.limits)
-        std = one.aim.std if isinstance(one, AimedCandidate) else 0.0
-        allowed, finer = self.target.tolerance, None
-        outcome = verify_whip(self.problem, self.target, motion, one.t, budget=budget)
-        message = self._failure(outcome, allowed)
-        if not message:
-            finer = verify_whip(self.finer, self.target, motion, one.t, budget=budget)
-            message = self._failure(finer and replace(finer, message=finer.refused), max(3.0 * allowed, std))
-            message = f"with links of half the length {message}" if message else ""
-        margin = -1.0 if message or finer is None else 1.0 - finer.miss / (3.0 * allowed)
-        return Verified(one, outcome, finer, message, margin)
+        return verify_whip(self.finer if finer else self.problem, self.target, motion, one.t, budget=budget)
 
-    def _failure(self, outcome: TipStrike | None, allowed: float) -> str:
-        """Return why a whip fails, empty if it succeeds; its miss may be `allowed`, m."""
+    def failure(self, one: Candidate, outcome: TipStrike | None, first: TipStrike | None) -> str:
+        """Return why a whip fails; with shorter links speed and direction do not count, and more may be missed."""
+        allowed = self.target.tolerance
         if outcome is None:
             return "the tip's speed has no peak there"
-        if outcome.message:
-            return outcome.message
-        if outcome.miss > allowed:
+        message = outcome.message
+        if first is not None:
+            message, allowed = outcome.refused, max(3.0 * allowed, one.std if isinstance(one, Aim) else 0.0)
+        if not message and outcome.miss > allowed:
             return f"the tip misses the target by {1e3 * outcome.miss:.1f} mm, {1e3 * allowed:.1f} allowed"
-        return excess_torque(self.problem, outcome.torque)
+        return message or excess_torque(self.problem, outcome.torque)
 
 
 def verify_whip(
@@ -464,12 +426,14 @@ def verify_whip(
     nearest = int(np.where(about, np.abs(found.t - near), np.inf).argmin())
     k = int(np.where(before, found.speed, 0.0).argmax()) if before[nearest] else nearest
     error, speed, at = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k]), float(found.t[k])
-    figures = run_figures(problem, run, at)
+    near_by = clearances(problem, run, at)
+    figures = run_figures(problem, run, near_by)
+    refused = message = refusal(problem, figures["max_bend"], near_by)
     if touched <= at:  # however short, and whatever distance the samples show
-        figures |= {"refused": f"the rope touches {touch}", "clearance": min(figures["clearance"], 0.0)}
-    message = figures["refused"]
-    if not message and speed < target.least_speed:
-        message = f"the tip's speed is {speed:.2f} m/s, and {target.least_speed:g} is required"
+        refused = message = f"the rope touches {touch}"
+        figures |= {"clearance": min(figures["clearance"], 0.0)}
+    elif not message and speed < target.least_speed:
+        message = f"the tip's speed is {speed:.2f} m/s, {target.least_speed:g} required"
     elif not message and error > target.angle_tolerance:
         allowed = np.degrees(target.angle_tolerance)
         message = f"the tip's direction is {np.degrees(error):.0f} degrees off, {allowed:.0f} allowed"
@@ -481,6 +445,7 @@ def verify_whip(
         angle_error=error,
         earlier_speed=float(found.speed[found.t < at].max(initial=0.0)),
         touches_later=touch if at < touched else "",
+        refused=refused,
         message=message,
         **figures,
     )
@@ -540,26 +505,6 @@ def plan_whip(
     conditions = given_or_default("conditions", conditions, Conditions)
     budget.threads = options.threads or budget.threads
     checks.instance("target", target, TipTarget)
-    problem = _problem(rope, arm, limits, conditions, whip_map)
-    distance = math.hypot(target.x - arm.pivot[0], target.y - arm.pivot[1])
-    known = TipFeasibility(distance, math.inf, "interrupted before the map of swings was made")
-    planner: Planner | None = None
-    with stoppable() as stop, budget.progress(options.progress, "planning"):
-        whip_map = whip_map or build_whip_map(problem, time_budget=budget.share(0.4))
-        known = check_whip_feasibility(whip_map, target)
-        if math.isfinite(known.cost) and (known.feasible or options.skip_feasibility):
-            task = WhipTask(replace(whip_map, problem=problem), target, options.seed)
-            planner = Planner(task, budget.share(0.8), 0.5)
-            planner.run()
-            task.verify_best(planner, budget)
-    found = plan_fields(planner, known.message, "no peak of the tip's speed comes near it", stop, budget)
-    return stop.deliver(WhipPlan(problem, target, known, **found))
-
-
-def _problem(
-    rope: Rope, arm: Arm, limits: MotorLimits | None, conditions: Conditions, whip_map: WhipMap | None
-) -> Problem:
-    """Return the problem; a map must be made for the same one, whatever the clearance."""
     problem = tip_problem(rope, arm, limits, conditions, periods=3.0)
     if whip_map is not None:
         made = checks.instance("whip_map", whip_map, WhipMap).problem
@@ -570,4 +515,4 @@ def _problem(
                 "map was made for another rope, arm, motor or time, or other obstacles",
                 fix="Make one: build_whip_map(Problem(rope, arm, limits, time_limit, obstacles=...))",
             )
-    return problem
+    return plan_tip(WhipTask(problem, target, whip_map, options.seed), WhipPlan, options, budget)
