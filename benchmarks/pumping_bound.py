@@ -27,7 +27,7 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.paper import T_MOVE, cable, casting_arm
-from hyperflex.planning.evolution import CmaEs
+from benchmarks.evolution import CmaEs
 from hyperflex.simulation import simulate_batch
 
 RESULTS = Path(__file__).parent / "results" / "pumping-bound.jsonl"

@@ -58,9 +58,7 @@ def test_a_throw_that_was_late_by_one_rest_is_led_back() -> None:
     now = rest_before(late, move)
     seen = TrueState(CAST_SETUP.rope, CAST_SETUP.arm, tol=1e-4).state(now, late.motion(LIMITS))
     (world,) = NONE.sample(1, CAST_SETUP, PEG)
-    ways = _Loop(PLAN, late, OPTIONS, [world], None).corrections(goal, world, seen, move)
-    assert ways
-    best = ways[0]
+    best = _Loop(PLAN, late, OPTIONS, [world], None).corrected(goal, world, seen, move)
     assert best.rests[:move].tolist() == late.rests[:move].tolist()  # what was done stays done
     assert best.ends[:move].tolist() == late.ends[:move].tolist()
     assert best.rests[move] >= 0.1

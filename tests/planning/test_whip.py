@@ -82,9 +82,10 @@ def test_aims_know_residuals_and_the_uncertainty_of_the_place() -> None:
     at = WhipTask(PROBLEM, TipTarget(*aim.place, least_speed=1.0))
     (there,) = at._fly([MOVES], [NEAR], budget)
     assert there is not None
-    assert there.distance == pytest.approx(0.0, abs=1e-9)
+    assert there.residuals == pytest.approx(0.0, abs=1e-9)
     assert there.good
-    with_std, jacobian, later = at._derivatives(there, budget)
+    aimed = at.aimed(there, budget)
+    assert aimed is not None
     h, total = 1e-4, 0.0
     for k in range(MOVES.parameters.size):
         step = h * (np.arange(MOVES.parameters.size) == k)
@@ -92,11 +93,8 @@ def test_aims_know_residuals_and_the_uncertainty_of_the_place() -> None:
         assert plus is not None
         assert minus is not None
         by = (plus.place - minus.place) / (2.0 * h)
-        # a peak's time comes from a parabola through samples 2 ms apart
-        np.testing.assert_allclose(jacobian[:2, k], by, rtol=0.0, atol=0.05 * np.abs(jacobian[:2]).max())
-        assert later[k] == pytest.approx((plus.t - minus.t) / (2.0 * h), abs=0.05 * np.abs(later).max())
         total += float((by**2).sum()) * OPTIONS.timing_std**2 * (k >= MOVES.ends.size)
-    assert with_std.std > 0.9 * math.sqrt(total)
+    assert 0.9 * math.sqrt(total) < aimed.std < 3.0 * math.sqrt(total)  # friction and length add to it
 
 
 @pytest.fixture(scope="module")

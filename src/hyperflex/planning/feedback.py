@@ -3,7 +3,8 @@
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import refuse_behind
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, arm_tip, fly_to_strikes, robust_values, winding_scores
+from hyperflex.planning.shooting import shoot
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 from hyperflex.status import Status
 
@@ -53,18 +55,14 @@ class FollowOptions:
         Time before the expected strike, s, within which the rope is no longer observed.
     position_scale, speed_scale : float
         Errors of a joint's position, m, and velocity, m/s, that count one in the distance from the planned strike.
-    rest_scale, stroke_scale, delay_scale : float
-        Changes of a rest, s, of a stroke, rad, and of the time of the strike, s, that count one.
+    rest_scale, stroke_scale : float
+        Scales of the changes of a rest, s, and of a stroke, rad.
     rounds : int
-        Gauss-Newton steps of a correction.
-    fractions : tuple of float
-        Fractions of each step that are tried.
+        Steps of a correction.
     difference : float
         Step of the finite differences, in scales.
     window : float
         Time about the planned strike within which flights are compared, s.
-    corrections : int
-        Corrected throws, the nearest to the planned strike, of which the best in the likeliest scenario is considered.
     """
 
     decision_time: float = 0.1
@@ -79,12 +77,9 @@ class FollowOptions:
     speed_scale: float = 0.5
     rest_scale: float = 0.15
     stroke_scale: float = 0.6
-    delay_scale: float = 0.3
     rounds: int = 2
-    fractions: tuple[float, ...] = (1.0, 0.5, 0.2)
     difference: float = 0.06
     window: float = 0.3
-    corrections: int = 3
 
     def __post_init__(self) -> None:
         for name in ("decision_time", "min_probability", "max_arm_error", "blind_time"):
@@ -212,8 +207,8 @@ def follow_plan(
     Notes
     -----
     Sampled scenarios are ranked by how well they predict the observed states. In the best ones the rest of the throw is
-    tried as it is, and corrected so that the rope strikes in the planned state: Gauss-Newton on the remaining strokes
-    and rests with finite differences, each a free flight. Contact before the last observation is not noticed.
+    tried as it is, and corrected so that the rope strikes in the planned state: :mod:`hyperflex.planning.shooting` with
+    the remaining strokes and rests. Contact before the last observation is not noticed.
 
     A decision takes 0.3 to 0.9 s of processor time with 50 links. The default ``decision_time`` therefore suits only a
     rope that waits: in real time give a second, which the rests of a throw must leave.
@@ -272,6 +267,14 @@ def features(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array
     speeds = base_velocity[:, None] + np.cumsum(rope.length[:, None] * across * qd[..., None], axis=1)
     scaled = np.concatenate([places / options.position_scale, speeds / options.speed_scale], axis=2)
     return np.asarray(scaled.reshape(len(q), -1) / np.sqrt(rope.n_links))
+
+
+class _Flight(NamedTuple):
+    """Moves, and how far their flight passes the goal, over scales, (4 n,), at time `t`, s."""
+
+    moves: Moves
+    t: float
+    residuals: Array
 
 
 class _Loop:
@@ -352,10 +355,8 @@ class _Loop:
         scenarios, throws, begun = self.likely(), [self.moves], int((self.starts() < goal.t + self.delay).sum())
         probability, value = self.probabilities(throws, state, scenarios)
         if first < self.last and probability[0] < 1.0:
-            others = self.corrections(goal, scenarios[0].without_delays(), state, first)
-            if others:
-                throws.append(others[int(np.argmax(self.probabilities(others, state, scenarios[:1])[1]))])
-                probability, value = self.probabilities(throws, state, scenarios)
+            throws.append(self.corrected(goal, scenarios[0].without_delays(), state, first))
+            probability, value = self.probabilities(throws, state, scenarios)
         chosen = int(value[-1] > value[0] + self.options.min_gain)
         before, after = float(probability[0]), float(probability[chosen])
         if after < self.options.min_probability and self.move >= begun - 1 and first <= self.last:
@@ -385,68 +386,43 @@ class _Loop:
         succeeds = (found.turns >= self.problem.criteria.turns).reshape(shape)
         return succeeds.mean(axis=1), robust_values(found, self.problem).reshape(shape).mean(axis=1)
 
-    def corrections(self, goal: Goal, scenario: Scenario, state: RopeState, first: int) -> list[Moves]:
-        """Change strokes and rests from move `first` on so that the rope comes near the goal in a scenario.
+    def corrected(self, goal: Goal, scenario: Scenario, state: RopeState, first: int) -> Moves:
+        """Return the throw with strokes and rests from move `first` on so that it comes nearer the goal in a scenario.
 
-        Returns throws that come nearer than the present one, the nearest first. Changes have a quadratic cost; a delay
-        of the whole does as well.
+        The last move stays, and a rest that is due now leaves time for the decision.
         """
-        options, rest = self.options, slice(first, self.last)
-        x = np.concatenate([self.moves.rests[rest], self.moves.ends[rest]])
-        k = x.size // 2
-        scales = np.repeat([options.rest_scale, options.stroke_scale], k)
-        least = np.repeat([0.0, -np.inf], k)
-        least[0] = min(options.decision_time, x[0])
+        options, (ends, rests) = self.options, np.split(np.arange(2 * self.moves.ends.size), 2)
+        free = np.concatenate([ends[first : self.last], rests[first : self.last]])
+        scale = np.repeat([-options.stroke_scale, options.rest_scale], self.last - first)  # a longer stroke may not fit
+        least = min(options.decision_time, float(self.moves.rests[first]))
 
-        def throw(point: Array) -> Moves:
-            rests, ends = self.moves.rests.copy(), self.moves.ends.copy()
-            rests[rest], ends[rest] = point[:k], point[k:]
-            return replace(self.moves, rests=rests, ends=ends)
+        def fly(flight: _Flight, changes: Sequence[Array], later: Sequence[float]) -> list[_Flight | None]:
+            change = np.zeros((len(changes), 2 * ends.size))
+            change[:, free] = changes
+            soonest = least - flight.moves.rests[first]
+            change[:, rests[first]] = np.maximum(change[:, rests[first]], soonest)
+            return [*self._flights(goal, scenario, state, [flight.moves.varied(each) for each in change])]
 
-        misses, rows, drift = self._distances(goal, scenario, state, [throw(x)])
-        tried = [(float(misses[0]), self.moves)]
-        step = options.difference * np.where(np.arange(2 * k) < k, scales, -scales)  # a longer stroke may not fit
-        weights = np.append(scales, options.delay_scale)
-        for _ in range(options.rounds):
-            _, moved, _ = self._distances(goal, scenario, state, [throw(x + row) for row in np.diag(step)])
-            jacobian = np.column_stack([((moved - rows[0]) / step[:, None]).T, drift[0]])
-            matrix = np.vstack([jacobian, np.diag(1.0 / weights)])
-            wanted = np.concatenate([goal.features - rows[0], np.zeros(weights.size)])
-            change = np.linalg.lstsq(matrix, wanted, rcond=None)[0][:-1]
-            points = [np.maximum(x + part * change, least) for part in options.fractions]
-            misses, rows_new, drifts = self._distances(goal, scenario, state, [throw(point) for point in points])
-            tried += [(float(miss), throw(point)) for miss, point in zip(misses, points, strict=True)]
-            best = int(np.argmin(misses))
-            if misses[best] >= tried[0][0]:
-                break
-            x, rows, drift = points[best], rows_new[best : best + 1], drifts[best : best + 1]
-        better = sorted((one for one in tried if one[0] < tried[0][0]), key=lambda one: one[0])
-        return [changed for _, changed in better[: options.corrections]]
+        begin = self._flights(goal, scenario, state, [self.moves])[0]
+        given: dict[str, Any] = {"close": 0.0, "rounds": options.rounds, "difference": options.difference}
+        return shoot(begin, scale, fly, **given, budget=self.budget)[0].moves
 
-    def _distances(
-        self, goal: Goal, scenario: Scenario, state: RopeState, throws: Sequence[Moves]
-    ) -> tuple[Array, Array, Array]:
-        """Simulate throws (M) from a state.
-
-        Returns least squared distances of their flights from the goal (M,), and features at its time (M, 4 n) with
-        their rates of change.
-        """
+    def _flights(self, goal: Goal, scenario: Scenario, state: RopeState, throws: Sequence[Moves]) -> list[_Flight]:
+        """Simulate throws (M) from a state, and compare them with the goal where they pass it nearest."""
         arm, options = self.problem.arm, self.options
         motions = [scenario.motion(throw, self.problem) for throw in throws]
         batch = RolloutBatch.from_state([scenario.rope] * len(throws), [], motions, state)
         t, q, qd = batch.fly(arm, goal.t - state.t + options.window, self.budget)
-        near = np.flatnonzero(np.abs(t + state.t - goal.t) <= options.window)
-        at = int(np.abs(t[near] + state.t - goal.t).argmin())
-        flights = [
-            features(scenario.rope, arm, motion, t[near], q[m, near], qd[m, near], options)
-            for m, motion in enumerate(batch.motions)
-        ]
-        rows = np.nan_to_num(np.stack(flights), nan=1e3)
-        after = min(at + 1, near.size - 1)
-        rate = (rows[:, after] - rows[:, after - 1]) / (t[1] - t[0])
-        way, behind = np.diff(rows, axis=1), goal.features - rows[:, :-1]
-        part = np.clip((behind * way).sum(axis=2) / np.maximum((way**2).sum(axis=2), 1e-300), 0.0, 1.0)
-        return ((behind - part[..., None] * way) ** 2).sum(axis=2).min(axis=1), rows[:, at], rate
+        near, found = np.flatnonzero(np.abs(t + state.t - goal.t) <= options.window), list[_Flight]()
+        for m, (throw, motion) in enumerate(zip(throws, batch.motions, strict=True)):
+            rows = features(scenario.rope, arm, motion, t[near], q[m, near], qd[m, near], options)
+            rows = np.nan_to_num(rows, nan=1e3)
+            way, behind = np.diff(rows, axis=0), goal.features - rows[:-1]
+            part = np.clip((behind * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-300), 0.0, 1.0)
+            away = behind - part[:, None] * way
+            k = int((away**2).sum(axis=1).argmin())
+            found.append(_Flight(throw, float(t[near][k] + part[k] * (t[1] - t[0])), away[k]))
+        return found
 
 
 class ScenarioStateSource:

@@ -140,23 +140,28 @@ class Slot:
 
 
 class Passage(NamedTuple):
-    """A way of the tip beyond the walls: its first row, and that at which it is deep enough, or else deepest."""
+    """A way of the tip beyond the walls: its first row, that at which it is deep enough, or else deepest, and its end.
+
+    At row `last` the tip is no longer beyond the walls, or the run has ended.
+    """
 
     begin: int
     end: int
+    last: int
 
 
 def passages(depth: Array, required: float) -> list[Passage]:
-    """Return the ways of a tip beyond the walls by its depth (T,), m; `required` is deep enough, m."""
-    beyond = np.concatenate([[False], depth[1:] > 0.0, [False]])
-    begins, ends = 1 + np.flatnonzero(beyond[1:] & ~beyond[:-1]), 1 + np.flatnonzero(beyond[:-1] & ~beyond[1:])
+    """Return the ways of a tip beyond the walls by its depth (T,), m, unless it begins there.
+
+    `required`, m, is deep enough.
+    """
+    edges = np.diff((depth > 0.0).astype(int), prepend=0, append=0)
     found = []
-    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-        if depth[begin - 1] <= 0.0:
-            way = depth[begin:end]
-            found.append(
-                Passage(begin, begin + int(np.argmax(way >= required) if way.max() >= required else way.argmax()))
-            )
+    for begin, last in zip(np.flatnonzero(edges > 0).tolist(), np.flatnonzero(edges < 0).tolist(), strict=True):
+        way = depth[begin:last]
+        enough = way >= required
+        end = begin + int(enough.argmax() if enough.any() else way.argmax())
+        found += [Passage(begin, end, last)] if begin > 0 else []
     return found
 
 
@@ -182,15 +187,14 @@ class Entry(NamedTuple):
     gaps: Array
 
 
-def find_entries(slot: Slot, radius: float, t: Array, joints: Array, deeper: float = 1.1) -> list[Entry]:
+def find_entries(slot: Slot, radius: float, t: Array, joints: Array) -> list[Entry]:
     """Find how the tip goes through a slot in a run by its joints (T, n + 1, 2), m, at times t (T,), s.
 
-    `radius` is the rope's, m. The depth is the greatest up to `deeper` times the required one.
+    `radius` is the rope's, m.
     """
     depth, offset = slot.frame(joints)
     tip, beyond = depth[:, -1], depth > 0.0
-    ways, deep_ways = passages(tip, slot.depth), passages(tip, deeper * slot.depth)
-    if not ways:
+    if not (ways := passages(tip, slot.depth)):
         return []
     row, link = np.nonzero(beyond[:, 1:] != beyond[:, :-1])  # where links cross the line of the walls
     (d0, d1), (u0, u1) = ((each[row, link], each[row, link + 1]) for each in (depth, offset))
@@ -200,41 +204,27 @@ def find_entries(slot: Slot, radius: float, t: Array, joints: Array, deeper: flo
     follows = np.append(row[1:] != row[:-1], True)[: row.size] & beyond[row, -1]  # next to a tip that is beyond
     mouth = np.full(t.size, np.nan)
     mouth[row[follows]] = at[follows]
-    found = []
-    for (begin, end), (_, deepest) in zip(ways, deep_ways, strict=True):
-        part = tip[begin - 1] / (tip[begin - 1] - tip[begin])
-        enters = offset[begin - 1, -1] + part * (offset[begin, -1] - offset[begin - 1, -1])
-        rows = slice(begin, end + 1)
-        levels, times = np.append(0.0, tip[rows]), np.append(t[begin - 1] + part * (t[begin] - t[begin - 1]), t[rows])
+    found, levels = [], slot.depth * np.array([0.0, 0.5, 1.0])
+    for begin, end, last in ways:
+        rows, part = slice(begin, end + 1), tip[begin - 1] / (tip[begin - 1] - tip[begin])
+        enters, time = (each[begin - 1] + part * (each[begin] - each[begin - 1]) for each in (offset[:, -1], t))
         through, own = np.append(enters, mouth[rows]), np.append(enters, offset[rows, -1])
         if not np.isfinite(through).all():  # the rope hangs on the far side, and the tip comes back to it
             continue
-        wanted = [0.0, 0.5 * slot.depth, slot.depth]
-        offsets = [_at_level(levels, through, level) for level in wanted]
-        offsets += [_at_level(levels, own, level) for level in wanted[1:]] if slot.tube > 0.0 else []
+        reached = np.maximum.accumulate(np.append(0.0, tip[rows]))
+        offsets = np.interp(levels, reached, through)
+        if slot.tube > 0.0:
+            offsets = np.append(offsets, np.interp(levels[1:], reached, own))
         others, gaps = ~(follows & (row >= begin)), np.full(t.size, np.inf)
         np.minimum.at(gaps, row[others], gap[others])
-        speed = _tip_speed(t, depth, offset, end)
-        time = _at_level(levels, times, slot.depth)
-        found.append(Entry(end, time, np.array(offsets), float(tip[deepest]), speed, gaps))
+        when = float(np.interp(slot.depth, reached, np.append(time, t[rows])))
+        found.append(Entry(end, when, offsets, float(tip[begin:last].max()), _tip_speed(t, joints, end), gaps))
     return found
 
 
-def _tip_speed(t: Array, depth: Array, offset: Array, row: int) -> float:
-    """Return the speed of the tip, m/s, before a row, by depth and offset (T, n + 1), m, of the joints."""
-    way = math.hypot(*(each[row, -1] - each[row - 1, -1] for each in (depth, offset)))
-    return way / float(t[row] - t[row - 1])
-
-
-def _at_level(levels: Array, values: Array, level: float) -> float:
-    """Return a value where levels (T,) first reach a level, between samples; the last value if they do not."""
-    k = int(np.argmax(levels >= level))
-    if levels[k] < level:
-        return float(values[-1])
-    if k == 0:
-        return float(values[0])
-    part = (level - levels[k - 1]) / (levels[k] - levels[k - 1])
-    return float(values[k - 1] + part * (values[k] - values[k - 1]))
+def _tip_speed(t: Array, joints: Array, row: int) -> float:
+    """Return the speed of the tip, m/s, before a row, by the joints (T, n + 1, 2), m."""
+    return math.dist(joints[row, -1], joints[row - 1, -1]) / float(t[row] - t[row - 1])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -352,7 +342,7 @@ class InsertTask(TipTask):
         blocked = flights.blocked(self.problem)
         for m, joints in enumerate(flights.joints):
             best = (math.inf, math.nan)
-            for each in find_entries(self.slot, radius, flights.t, joints, 1.0) if np.isfinite(joints).all() else []:
+            for each in find_entries(self.slot, radius, flights.t, joints) if np.isfinite(joints).all() else []:
                 low, high = float(each.offsets.min()), float(each.offsets.max())
                 struck = max(0.0, -float(each.gaps[: each.end + 1].min()))
                 hard = high - low + max(0.0, self.slot.depth - each.depth) + struck
@@ -362,7 +352,7 @@ class InsertTask(TipTask):
             found.append(best)
         return found
 
-    def aims(self, flights: Flights, near: Sequence[float]) -> list[Aim | None]:
+    def aims(self, flights: Flights, near: Sequence[float] | Array) -> list[Aim | None]:
         """Return the ways through the slot that end next to times `near`, s."""
         slot, problem, found = self.slot, self.problem, list[Aim | None]()
         obstacles = flights.spare_gaps(problem)
@@ -374,7 +364,7 @@ class InsertTask(TipTask):
             each = min(entries, key=lambda one: abs(one.t - near[m]))
             gaps = np.column_stack([np.minimum(each.gaps, 1.0), obstacles[m]])
             spare = np.append(OPTIONS.spare, self._spare)
-            lacking = self.lacking_gaps(flights, gaps, spare, m, each.end)
+            lacking = self.lacking_gaps(gaps, spare, each.end)
             deeper = min(0.0, each.depth - 1.1 * slot.depth)
             residuals = np.array([*each.offsets, deeper, *lacking])
             arm = sampled_clearance(problem.rope, problem.arm, flights.q[m, ::4], joints[::4, 0]).min()
@@ -449,12 +439,11 @@ def verify_insert(
 
 def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, depth: Array, way: Passage) -> InsertOutcome:
     """Evaluate a run whose tip, at `depth` (T,), m, goes through the slot in a passage."""
-    begin, end = way
+    begin, end, last = way
     rows = slice(begin - 1, end + 1)
-    t_enter, t = (_at_level(depth[rows], run.t[rows], level) for level in (0.0, slot.depth))
+    t_enter, t = np.interp([0.0, slot.depth], np.maximum.accumulate(depth[rows]), run.t[rows]).tolist()
     touched = _wall_touches(problem, slot, run)
-    left = begin + np.flatnonzero(np.append(depth[begin:], -1.0) <= 0.0)[0]
-    last = min([int(left), *([] if slot.touching else touched[touched >= begin].tolist()), run.t.size - 1])
+    last = min([last, *([] if slot.touching else touched[touched >= begin].tolist()), run.t.size - 1])
     deepest = float(depth[begin : last + 1].max())
     walls = obstacle_clearance(run, slot.walls, t)
     gap = min(walls.value, 0.0) if (touched <= end).any() else walls.value
@@ -572,7 +561,7 @@ class _Estimate:
         joints = rope.joints(q, base)
         depth, offset = slot.frame(joints)
         way = nearest_passage(depth[:, -1], slot.depth, t, self.near)
-        if way is None or depth[way.end, -1] < slot.depth or _tip_speed(t, depth, offset, way.end) > slot.max_speed:
+        if way is None or depth[way.end, -1] < slot.depth or _tip_speed(t, joints, way.end) > slot.max_speed:
             return False
         until, arm, clearance = slice(way.end + 1), self.problem.arm, self.problem.clearance
         # Links that may be near the walls

@@ -29,6 +29,7 @@ from hyperflex.planning.plan import Plan
 from hyperflex.planning.planner import Planner
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, arm_tip, check_start, free_sides
+from hyperflex.planning.shooting import shoot
 from hyperflex.planning.tasks.task import Candidate, Task, Verified
 from hyperflex.planning.verification import verified_setup
 from hyperflex.simulation import simulate
@@ -62,18 +63,16 @@ class TipOptions:
         Time before the instant that counts, s, which is sampled at `fine_time`.
     rounds : int
         Steps of an aim.
-    damping : (float, float, float)
-        First, least and greatest damping of a step, relative to the greatest singular value of the Jacobian.
-    longest : float
-        Longest change of an angle or rest in a step, in standard deviations of random swings.
     difference : float
-        Change for the derivatives, in the same unit.
+        Change for the derivatives, in standard deviations of random swings.
     friction_std, length_std, timing_std : float
         Standard deviations of the rope's friction and length, relative, and of each rest, s, from which that of the
         tip's place follows.
     spare : float
         Distance, m, that the rope shall keep from obstacles beyond the required clearance, where target and start
         allow it.
+    parents : int
+        Swings with the best scores, which are varied.
     """
 
     swings: int = 512
@@ -90,13 +89,12 @@ class TipOptions:
     window: float = 0.12
     closely: float = 0.4
     rounds: int = 16
-    damping: tuple[float, float, float] = (2e-3, 1e-4, 3.0)
-    longest: float = 0.6
     difference: float = 1e-3
     friction_std: float = 0.05
     length_std: float = 0.002
     timing_std: float = 2e-3
     spare: float = 0.01
+    parents: int = 32
 
 
 OPTIONS = TipOptions()
@@ -154,7 +152,7 @@ def coarse_times(problem: Problem) -> Array:
 
 
 def random_swings(
-    problem: Problem, count: int, walls: Sequence[Obstacle] = (), seed: int | Sequence[int] = 1
+    problem: Problem, count: int, walls: Sequence[Obstacle] = (), seed: int | np.random.Generator = 1
 ) -> list[Moves]:
     """Return moves that pump a swing up more or less well, the same ones for a seed.
 
@@ -215,11 +213,6 @@ class Aim(Candidate):
     residuals: Array
     place: Array
     std: float = math.nan
-
-    @property
-    def distance(self) -> float:
-        """Norm of the residuals, m."""
-        return float(np.linalg.norm(self.residuals))
 
 
 @dataclass(frozen=True)
@@ -338,7 +331,7 @@ class TipTask(Task):
         """Return the cost, m, of coarse flights, and the time, s, at which the tip nearly does the task; inf: never."""
 
     @abstractmethod
-    def aims(self, flights: Flights, near: Sequence[float]) -> list[Aim | None]:
+    def aims(self, flights: Flights, near: Sequence[float] | Array) -> list[Aim | None]:
         """Return what the tip does next to times `near`, s, in fine flights; their score is the negative error, m."""
 
     @abstractmethod
@@ -382,13 +375,29 @@ class TipTask(Task):
         return sorted((each for each in found if math.isfinite(each.score)), key=lambda one: -one.score)
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Return the random swings, then more of them."""
+        """Return the random swings; then by turns variations of the best, by little and by much, and new ones."""
         self._batches += 1
         if self._batches == 1:
             return self.swings
-        seed = [1, self.seed, self._batches]
+        random = np.random.default_rng([1, self.seed, self._batches])
+        if self._batches % 2:
+            moves = random_swings(self.problem, OPTIONS.batch, self.target.walls, random)
+        else:
+            parents = [
+                self.swings[k] for k in random.integers(min(OPTIONS.parents, len(self.swings)), size=OPTIONS.batch)
+            ]
+            moves = [self._varied(each, random) for each in parents]
+        new = self.scored(moves, budget)
         self.runs += OPTIONS.batch
-        return self.scored(random_swings(self.problem, OPTIONS.batch, self.target.walls, seed), budget)
+        self.swings = sorted([*self.swings, *new], key=lambda one: -one.score)
+        return new
+
+    def _varied(self, one: Candidate, random: np.random.Generator) -> Moves:
+        """Return the moves of a swing until it reaches its goal, varied by up to the spread within a random swing."""
+        moves = one.moves.cut(one.t + OPTIONS.window, self.problem.limits)
+        size = 10.0 ** -random.uniform(0.0, 1.5)
+        varied = moves.varied(size * self._scale(moves) * random.standard_normal(moves.parameters.size))
+        return replace(varied, rests=np.abs(varied.rests))
 
     def alike(self, one: Candidate, other: Candidate) -> bool:
         """Whether two motions have as many moves from the same side, and reach their goal at about the same time."""
@@ -413,33 +422,17 @@ class TipTask(Task):
     def aimed(self, found: Candidate, budget: Budget) -> Aim | None:
         """Change moves so that the tip does the task; None if it does nothing of the kind after these."""
         options, begin = OPTIONS, found.moves.cut(found.t + OPTIONS.window, self.problem.limits)
-        (best,) = self._fly([begin], [found.t], budget)
-        if best is None:
+
+        def fly(aim: Aim, changes: Sequence[Array], later: Sequence[float]) -> list[Aim | None]:
+            near = aim.t + np.clip(later, -options.window, options.window)
+            return self._fly([aim.moves.varied(each) for each in changes], near, budget)
+
+        (first,) = self._fly([begin], [found.t], budget)
+        if first is None:
             return None
-        damping, least, most = options.damping
-        best, jacobian, later = self._derivatives(best, budget)
-        scale = self._scale(best.moves)
-        for _ in range(options.rounds):
-            if best.distance < self.close or damping > most:
-                break
-            budget.check()
-            left, size, right = np.linalg.svd(jacobian * scale, full_matrices=False)
-            tried, near = list[Moves](), list[float]()
-            dampings = [damping / 4.0, damping, 5.0 * damping]
-            for each in dampings:
-                kept = size / np.maximum(size**2 + (each * size[0]) ** 2, 1e-300)
-                step = -right.T @ (kept * (left.T @ best.residuals))
-                step = scale * step / max(1.0, float(np.abs(step).max()) / options.longest)
-                tried.append(best.moves.varied(step))
-                near.append(best.t + float(np.clip(later @ step, -options.window, options.window)))
-            aims = self._fly(tried, near, budget)
-            k = int(np.argmin([np.inf if aim is None else aim.distance for aim in aims]))
-            if (better := aims[k]) is None or better.distance >= best.distance:
-                damping *= 25.0
-                continue
-            damping = max(dampings[k], least)
-            best, jacobian, later = self._derivatives(better, budget)
-        return best
+        given: dict[str, Any] = {"close": self.close, "rounds": options.rounds, "difference": options.difference}
+        best, varied = shoot(first, self._scale(begin), fly, **given, budget=budget)
+        return replace(best, std=self._std(best, varied, budget))
 
     def _scale(self, moves: Moves) -> Array:
         """Return standard deviations (2 k,) of a random swing's parameters, rad and s."""
@@ -447,7 +440,7 @@ class TipTask(Task):
         return np.repeat(both, moves.ends.size)
 
     def _fly(
-        self, moves: Sequence[Moves], near: Sequence[float], budget: Budget, ropes: Sequence[Rope] = ()
+        self, moves: Sequence[Moves], near: Sequence[float] | Array, budget: Budget, ropes: Sequence[Rope] = ()
     ) -> list[Aim | None]:
         """Simulate fine flights, and return what the tip does next to times `near`, s."""
         fine, close = OPTIONS.fine_time, max(OPTIONS.fine_time, min(near) - OPTIONS.closely)
@@ -457,35 +450,26 @@ class TipTask(Task):
         flights = Flights(self.problem, moves, t, tol=OPTIONS.fine_tol, first=coarse.size, ropes=ropes, budget=budget)
         return self.aims(flights, near)
 
-    def _derivatives(self, aim: Aim, budget: Budget) -> tuple[Aim, Array, Array]:
-        """Return an aim with its `std`, and the derivatives of residuals (m, P) and of `t` (P,) by its parameters."""
-        rope, options, k = self.problem.rope, OPTIONS, aim.moves.ends.size
-        steps = options.difference * self._scale(aim.moves)
-        longer = 1.0 + options.difference
-        ropes = [rope] * steps.size + [
+    def _std(self, aim: Aim, varied: Sequence[Aim], budget: Budget) -> float:
+        """Return the standard deviation of an aim's place, m, by those with `varied` parameters."""
+        rope, options, k, longer = self.problem.rope, OPTIONS, aim.moves.ends.size, 1.0 + OPTIONS.difference
+        ropes = [
             rope.replace(length=longer * rope.length, com=longer * rope.com, inertia=longer**2 * rope.inertia),
             rope.replace(**{name: longer * getattr(rope, name) for name in DAMPING}),
         ]
-        moves = [aim.moves.varied(row) for row in np.diag(steps)] + 2 * [aim.moves]
-        found = [each or aim for each in self._fly(moves, [aim.t] * len(moves), budget, ropes)]
-        steps = np.append(steps, np.full(2, options.difference))
-        place = np.array([each.place - aim.place for each in found]) / steps[:, None]
+        others = [each or aim for each in self._fly(2 * [aim.moves], 2 * [aim.t], budget, ropes)]
+        steps = options.difference * np.append(self._scale(aim.moves), [1.0, 1.0])
+        place = np.array([each.place - aim.place for each in (*varied, *others)]) / steps[:, None]
         std = np.concatenate([np.zeros(k), np.full(k, options.timing_std), [options.length_std, options.friction_std]])
-        aim = replace(aim, std=float(np.sqrt(((place * std[:, None]) ** 2).sum())))
-        changes = np.array([np.append(each.residuals - aim.residuals, each.t - aim.t) for each in found[:-2]])
-        changes = changes.T / steps[:-2]
-        return aim, changes[:-1], changes[-1]
+        return float(np.sqrt(((place * std[:, None]) ** 2).sum()))
 
-    def lacking_gaps(self, flights: Flights, gaps: Array, spare: Array, number: int, row: int) -> Array:
-        """Return by how much gaps (T, w), m, lack a `spare` distance (w,), m, until a row: for each move and each gap.
+    def lacking_gaps(self, gaps: Array, spare: Array, row: int) -> Array:
+        """Return by how much gaps (T, w), m, lack a `spare` distance (w,), m, until a row, (w,).
 
         Less is required where the rope begins nearer.
         """
-        starts = flights.moves[number].starts(self.problem.limits)
-        begin = np.minimum(np.searchsorted(flights.t, np.append(0.0, starts)), row)
-        least = np.minimum.reduceat(gaps[: row + 1], begin, axis=0)
         required = np.minimum(spare, np.maximum(gaps[0], 0.0))
-        return np.asarray(np.minimum(least - required, 0.0)).ravel()
+        return np.asarray(np.minimum(gaps[: row + 1].min(axis=0) - required, 0.0))
 
 
 def sample_times(near: float, after: float = 0.15, step: float = 2e-3) -> Array:

@@ -354,7 +354,7 @@ class WhipTask(TipTask):
         peaks = flight_peaks(self.problem, flights)
         return cheapest_peaks(PeakCosts().of(self.target, peaks), peaks, len(flights.moves))
 
-    def aims(self, flights: Flights, near: Sequence[float]) -> list[Aim | None]:
+    def aims(self, flights: Flights, near: Sequence[float] | Array) -> list[Aim | None]:
         """Return the peaks next to times `near`, s."""
         fine, target = slice(flights.first, None), self.target
         peaks = find_peaks(flights.t[fine], flights.joints[:, fine, -1], flights.velocity[:, fine])
@@ -367,7 +367,7 @@ class WhipTask(TipTask):
             k = rows[np.abs(peaks.t[rows] - t).argmin()]
             place, velocity, end = peaks.place[k], peaks.velocity[k], int(np.searchsorted(flights.t, peaks.t[k])) - 1
             beyond, slow = target.lacks(velocity, 0.85, 1.01)
-            lacking = self.lacking_gaps(flights, gaps[m], self._spare, m, end)
+            lacking = self.lacking_gaps(gaps[m], self._spare, end)
             # An error of 1 rad, or the whole speed, counts as the distance from the shaft
             residuals = np.array([*(place - target.point), self.distance * beyond, self.distance * slow, *lacking])
             short = max(0.0, float(np.hypot(*residuals[:2])) - target.tolerance)
