@@ -21,13 +21,13 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from benchmarks import log, machine
+from benchmarks.evolution import CmaEs
 from benchmarks.pumping_cases import WANTED, caster
 
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.paper import T_MOVE, cable, casting_arm
-from benchmarks.evolution import CmaEs
 from hyperflex.simulation import simulate_batch
 
 RESULTS = Path(__file__).parent / "results" / "pumping-bound.jsonl"

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hyperflex as hf
-from hyperflex.planning.posterior import RopePosterior
+from hyperflex.planning.uncertainty import RopePosterior
 from hyperflex.vision import Camera, read_camera
 from tests.exchange import bags
 from tests.faults.bounds import examples, refused_or_done

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
         ScenarioStateSource,
         follow_plan,
     )
-    from hyperflex.planning.impact import Impact, simulate_impact
     from hyperflex.planning.moves import Moves
     from hyperflex.planning.options import (
         Conditions,
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
     )
     from hyperflex.planning.plan import RATE
     from hyperflex.planning.plan_files import read_limits, read_plan
-    from hyperflex.planning.posterior import RopePosterior
     from hyperflex.planning.problem import Problem
     from hyperflex.planning.reach_map import NOT_PLANNED, ReachMap, TargetGrid, build_reach_map, read_reach_map
     from hyperflex.planning.tasks.insert import (
@@ -48,6 +46,7 @@ if TYPE_CHECKING:
     )
     from hyperflex.planning.tasks.tip import TipFeasibility, TipOptions
     from hyperflex.planning.tasks.whip import (
+        Impact,
         Peaks,
         TipStrike,
         TipTarget,
@@ -56,7 +55,8 @@ if TYPE_CHECKING:
         build_whip_map,
         check_whip_feasibility,
         plan_whip,
+        simulate_impact,
     )
-    from hyperflex.planning.uncertainty import Scenario, Uncertainty, scaled_rope
+    from hyperflex.planning.uncertainty import RopePosterior, Scenario, Uncertainty, scaled_rope
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

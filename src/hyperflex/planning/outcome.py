@@ -1,6 +1,5 @@
 """Outcomes of simulated runs: of a cast whether it winds and holds, why not, and the force that it withstands."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +13,7 @@ from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
-from hyperflex.planning.clearance import Clearance, named
+from hyperflex.planning.clearance import named
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.routing import runs_behind
 from hyperflex.planning.verification import (
@@ -33,7 +32,6 @@ from hyperflex.winding import TugTest, Winding
 
 SAMPLE_TIME = 0.01  # s
 BOUNCE_TIME = 0.3  # s off the peg that do not end a stay on it
-FREE = Clearance(np.inf, 0.0, "")  # of the arm, if only obstacles count
 TOO_LONG = "the verification took longer than the time allowed for it"
 MEAN_TIME = 0.1  # s over which forces are averaged: those of single steps jump
 
@@ -58,6 +56,9 @@ class RunOutcome:
     torque, torque_peak : float
         Greatest motor torque as a mean over 5 ms, which the motor's limit is for, and its greatest peak, as a mean over
         0.5 ms: when the rope strikes a peg, for example. N m.
+    refused : str
+        Why the run fails whatever its goal: the rope goes through itself, arm or shaft, or touches an obstacle, or
+        comes nearer than allowed; empty if it does not.
     message : str
         Why the run fails; empty if it succeeds.
     n_links : int
@@ -72,6 +73,7 @@ class RunOutcome:
     spare_clearance: float = np.nan
     torque: float = np.nan
     torque_peak: float = np.nan
+    refused: str = ""
     message: str = ""
     n_links: int = 0
     run: Trajectory | None = None
@@ -82,16 +84,17 @@ class RunOutcome:
         return self.n_links > 0
 
 
-def run_figures(problem: Problem, run: Trajectory, near: Sequence[Clearance]) -> dict[str, Any]:
-    """Return the figures of a run for a :class:`RunOutcome`; `near` are its :func:`clearances`."""
-    torque, torque_peak = motor_torques(run)
+def run_figures(problem: Problem, run: Trajectory, until: float = np.inf) -> dict[str, Any]:
+    """Return the fields of a :class:`RunOutcome` but its message; obstacles count `until` a time, s."""
+    near, max_bend, (torque, torque_peak) = clearances(problem, run, until), greatest_bend(run), motor_torques(run)
     return {
-        "max_bend": greatest_bend(run),
+        "max_bend": max_bend,
         "folded": folded_flat(run),
         "clearance": min(each.value for each in near),
         "spare_clearance": spare_clearance(problem, near),
         "torque": torque,
         "torque_peak": torque_peak,
+        "refused": refusal(problem, max_bend, near),
         "n_links": run.q.shape[1],
         "run": run,
     }
@@ -206,8 +209,8 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
     on = bool(np.isfinite(slips).all())
     slip = float(np.abs(slips).max())
     enough, held = turns_kept >= criteria.turns, on and slip < criteria.max_slip
-    touched, near = np.isfinite(wound.before), clearances(problem, run)
-    figures, covered = run_figures(problem, run, near), float(wound.contact[watched].min())
+    touched, covered = np.isfinite(wound.before), float(wound.contact[watched].min())
+    figures = run_figures(problem, run)
     above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
     led = runs_behind(run.setup.rope, peg, criteria.behind, run.q[watched], run.joints[watched])
     if not touched.any():
@@ -219,8 +222,8 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
         message = "the rope leaves the peg"
     elif not held:
         message = f"it slips by {1e3 * slip:.1f} mm, {1e3 * criteria.max_slip:g} allowed"
-    elif refused := refusal(problem, figures["max_bend"], near):
-        message = refused
+    elif figures["refused"]:
+        message = figures["refused"]
     elif not all(led):
         message = f"the rope does not run behind {named(criteria.behind[led.index(False)])}"
     elif covered < criteria.contact:
@@ -228,8 +231,8 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
         message = f"it covers {degrees[0]:.0f} degrees of the peg, {degrees[1]:.0f} required"
     else:
         message = excess_torque(problem, figures["torque"])
-    if not (enough and held) and (refused := refusal(problem, 0.0, (FREE, *near[1:]))):
-        message += f"; {refused}"
+    if not (enough and held) and figures["refused"]:
+        message += f"; {figures['refused']}"
     return CastOutcome(
         wound=enough,
         held=held,

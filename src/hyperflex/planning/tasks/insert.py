@@ -47,7 +47,7 @@ from hyperflex.planning.tasks.tip import (
     tip_problem,
 )
 from hyperflex.planning.uncertainty import Uncertainty
-from hyperflex.planning.verification import at_limits, clearances, limit_bend, refusal, verified_setup
+from hyperflex.planning.verification import at_limits, limit_bend, verified_setup
 from hyperflex.trajectory import Trajectory
 
 
@@ -194,7 +194,7 @@ def find_entries(slot: Slot, radius: float, t: Array, joints: Array) -> list[Ent
     """
     depth, offset = slot.frame(joints)
     tip, beyond = depth[:, -1], depth > 0.0
-    if not (ways := passages(tip, slot.depth)):
+    if not (ways := passages(tip, slot.depth)) or not np.isfinite(joints).all():  # a flight that failed
         return []
     row, link = np.nonzero(beyond[:, 1:] != beyond[:, :-1])  # where links cross the line of the walls
     (d0, d1), (u0, u1) = ((each[row, link], each[row, link + 1]) for each in (depth, offset))
@@ -342,7 +342,7 @@ class InsertTask(TipTask):
         blocked = flights.blocked(self.problem)
         for m, joints in enumerate(flights.joints):
             best = (math.inf, math.nan)
-            for each in find_entries(self.slot, radius, flights.t, joints) if np.isfinite(joints).all() else []:
+            for each in find_entries(self.slot, radius, flights.t, joints):
                 low, high = float(each.offsets.min()), float(each.offsets.max())
                 struck = max(0.0, -float(each.gaps[: each.end + 1].min()))
                 hard = high - low + max(0.0, self.slot.depth - each.depth) + struck
@@ -357,7 +357,7 @@ class InsertTask(TipTask):
         slot, problem, found = self.slot, self.problem, list[Aim | None]()
         obstacles = flights.spare_gaps(problem)
         for m, (moves, joints) in enumerate(zip(flights.moves, flights.joints, strict=True)):
-            entries = find_entries(slot, problem.rope.radius, flights.t, joints) if np.isfinite(joints).all() else []
+            entries = find_entries(slot, problem.rope.radius, flights.t, joints)
             if not entries:
                 found.append(None)
                 continue
@@ -447,9 +447,8 @@ def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, depth: Array,
     deepest = float(depth[begin : last + 1].max())
     walls = obstacle_clearance(run, slot.walls, t)
     gap = min(walls.value, 0.0) if (touched <= end).any() else walls.value
-    near_by = clearances(problem, run)
-    figures = run_figures(problem, run, near_by)
-    refused = message = refusal(problem, figures["max_bend"], near_by)
+    figures = run_figures(problem, run)
+    message = figures["refused"]
     velocity = np.array([np.interp(t, run.t, each) for each in run.tip_velocity.T])
     speed = float(np.hypot(*velocity))
     if not message and gap <= 0.0 and not slot.touching:
@@ -466,7 +465,6 @@ def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, depth: Array,
         depth=deepest,
         time_inside=float(run.t[last]) - t_enter,
         wall_clearance=gap,
-        refused=refused,
         message=message or excess_torque(problem, figures["torque"]),
         **figures,
     )

@@ -243,9 +243,6 @@ class TipOutcome(RunOutcome):
         The instant that counts, s.
     place, velocity : (2,) float64
         Of the tip then, m, m/s.
-    refused : str
-        Why the run fails whatever its goal: the rope goes through itself, arm or shaft, or touches an obstacle, or
-        comes nearer than allowed; empty if it does not.
     others
         As of :class:`RunOutcome`; for a whip, obstacles count for `clearance` until `t`.
     """
@@ -253,7 +250,6 @@ class TipOutcome(RunOutcome):
     t: float
     place: Array
     velocity: Array
-    refused: str
 
     @property
     def speed(self) -> float:
