@@ -118,11 +118,6 @@ def gap_of(obstacle: Obstacle, x: float, y: float) -> float:
     return float(obstacle_gaps((obstacle,), place, place)[0, 0])
 
 
-def holds(obstacle: Obstacle, x: float, y: float) -> bool:
-    """Whether a place, m, lies in an obstacle."""
-    return gap_of(obstacle, x, y) <= 0.0
-
-
 def named(obstacle: Obstacle) -> str:
     """Return an obstacle in words, by its kind and place."""
     return f"the {type(obstacle).__name__.lower()} at ({obstacle.x:.4g}, {obstacle.y:.4g}) m"
@@ -174,12 +169,20 @@ def _least(t: Array, gap: Array) -> tuple[float, float, int]:
     return float(gap.min()), float(t[k]), int(what)
 
 
+def joint_velocities(rope: Rope, q: Array, qd: Array, velocity: Array) -> Array:
+    """Velocities (..., n + 1, 2), m/s, of a rope's joints and tip.
+
+    Angles q, rad, and rates qd (..., n), rad/s; `velocity` (..., 2), m/s, is that of the first joint.
+    """
+    across = np.stack([np.cos(q), np.sin(q)], axis=-1)
+    steps = np.concatenate([velocity[..., None, :], (rope.length * qd)[..., None] * across], axis=-2)
+    return np.asarray(np.cumsum(steps, axis=-2))
+
+
 def _speeds(run: Trajectory, rate: Array, pivot: Array) -> Array:
     """Greatest speed of each link (T, n), m/s, as seen by what turns about a `pivot` at a `rate` (T,), rad/s."""
-    spin, out = run.setup.rope.length * run.qd, run.joints - pivot
-    x = np.cumsum(np.column_stack([run.base_velocity[:, :1], spin * np.cos(run.q)]), axis=1)
-    y = np.cumsum(np.column_stack([run.base_velocity[:, 1:], spin * np.sin(run.q)]), axis=1)
-    rate = rate[:, None]
+    x, y = np.moveaxis(joint_velocities(run.setup.rope, run.q, run.qd, run.base_velocity), -1, 0)
+    out, rate = run.joints - pivot, rate[:, None]
     speed = np.hypot(x + rate * out[..., 1], y - rate * out[..., 0])
     return np.asarray(np.maximum(speed[:, 1:], speed[:, :-1]))
 
@@ -194,9 +197,8 @@ def _errors(run: Trajectory, row: int) -> Array:
         return np.zeros(run.q.shape[1])
     dt, q = run.t[row + 1] - run.t[row], run.q[row + 1]
     jump = run.qd[row + 1] - run.qd[row] - 0.5 * dt * (run.qdd[row + 1] + run.qdd[row])
-    spin = run.setup.rope.length * jump
-    joints = np.hypot(np.cumsum(spin * np.cos(q)), np.cumsum(spin * np.sin(q)))
-    return np.asarray(dt * np.maximum(joints, np.append(0.0, joints[:-1])) / 8.0)
+    joints = np.hypot(*joint_velocities(run.setup.rope, q, jump, np.zeros(2)).T)
+    return np.asarray(dt * np.maximum(joints[1:], joints[:-1]) / 8.0)
 
 
 def _gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: npt.NDArray[np.int64]) -> Array:

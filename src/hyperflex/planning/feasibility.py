@@ -13,7 +13,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg, Rope
-from hyperflex.planning.clearance import holds, named, obstacle_gaps
+from hyperflex.planning.clearance import gap_of, named, obstacle_gaps
 from hyperflex.planning.moves import PUMPING
 from hyperflex.planning.problem import Problem
 
@@ -127,7 +127,7 @@ def check_feasibility(problem: Problem, peg: Peg) -> Feasibility:
     if torque > problem.limits.torque:
         needs = f"the rope that hangs from the arm needs {torque:.3g} N m at the start"
         impossible, message = True, f"the motor is too weak: {needs}"
-    elif inside := [each for each in obstacles if holds(each, peg.x, peg.y)]:
+    elif inside := [each for each in obstacles if gap_of(each, peg.x, peg.y) <= 0.0]:
         impossible, message = True, f"the target lies in {named(inside[0])}"
     elif not message and (blocked := _blocked(problem, peg)):
         message = f"out of reach: {blocked}"

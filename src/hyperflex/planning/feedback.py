@@ -19,6 +19,7 @@ from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
 from hyperflex.planning.cast_plan import CastPlan
+from hyperflex.planning.clearance import joint_velocities
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import refuse_behind
 from hyperflex.planning.problem import Problem
@@ -262,9 +263,7 @@ def features(rope: Rope, arm: Arm, motion: Motion, t: Array, q: Array, qd: Array
     `q`, rad, and `qd`, rad/s, are (T, n); the motion is the arm's.
     """
     base, base_velocity = arm_tip(arm, motion, t)
-    along, across = np.stack([np.sin(q), -np.cos(q)], axis=-1), np.stack([np.cos(q), np.sin(q)], axis=-1)
-    places = base[:, None] + np.cumsum(rope.length[:, None] * along, axis=1)
-    speeds = base_velocity[:, None] + np.cumsum(rope.length[:, None] * across * qd[..., None], axis=1)
+    places, speeds = rope.joints(q, base)[:, 1:], joint_velocities(rope, q, qd, base_velocity)[:, 1:]
     scaled = np.concatenate([places / options.position_scale, speeds / options.speed_scale], axis=2)
     return np.asarray(scaled.reshape(len(q), -1) / np.sqrt(rope.n_links))
 

@@ -64,8 +64,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         for name, kind in (("rope", Rope), ("arm", Arm), ("limits", MotorLimits), ("criteria", WindCriteria)):
-            if not isinstance(getattr(self, name), kind):
-                raise InvalidInput(f"{name} is not of its class", got=getattr(self, name), allowed=kind.__name__)
+            checks.instance(name, getattr(self, name), kind)
         if self.rope.n_links < MIN_LINKS:
             raise InvalidInput(
                 "rope has too few links to be cast",

@@ -20,7 +20,7 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import stoppable
 from hyperflex.model import DAMPING, Arm, Obstacle, Rope, Setup, Wall
-from hyperflex.planning.clearance import gap_of, named, obstacle_gaps
+from hyperflex.planning.clearance import gap_of, joint_velocities, named, obstacle_gaps
 from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
@@ -128,9 +128,8 @@ class Flights:
         self.q, joints, velocities = run.q, [], []
         for rope, motion, q, qd in zip(ropes, motions, run.q, run.qd, strict=True):
             base, velocity = arm_tip(problem.arm, motion, t)
-            spin = rope.length * qd
             joints.append(rope.joints(q, base))
-            velocities.append(velocity + np.stack([(spin * np.cos(q)).sum(axis=1), (spin * np.sin(q)).sum(axis=1)], -1))
+            velocities.append(joint_velocities(rope, q, qd, velocity)[:, -1])
         self.joints, self.velocity = np.stack(joints), np.stack(velocities)
 
     def spare_gaps(self, problem: Problem) -> Array:
@@ -490,9 +489,8 @@ def touched_samples(run: Trajectory, obstacles: Sequence[Obstacle]) -> npt.NDArr
     may be that of a joint that comes to its limit.
     """
     near = obstacle_gaps(obstacles, run.joints[:, :-1], run.joints[:, 1:]).min(axis=(1, 2)) - run.setup.rope.radius
-    across = np.stack([np.cos(run.q), np.sin(run.q)], axis=-1)
-    ends = run.base_velocity[:, None] + np.cumsum((run.setup.rope.length * run.qd)[..., None] * across, axis=1)
-    reach = TOUCH + np.diff(run.t, prepend=run.t[0]) * np.hypot(ends[..., 0], ends[..., 1]).max(axis=1)
+    moves = joint_velocities(run.setup.rope, run.q, run.qd, run.base_velocity)[:, 1:]
+    reach = TOUCH + np.diff(run.t, prepend=run.t[0]) * np.hypot(moves[..., 0], moves[..., 1]).max(axis=1)
     lost = np.diff(np.asarray(run.contact_loss), prepend=0.0) > 0.0
     return np.asarray((lost & (near < reach)) | (np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0))
 

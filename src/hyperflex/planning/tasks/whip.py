@@ -17,7 +17,7 @@ from hyperflex.model import DEFAULT_CONTACT_STEP, Arm, Peg, Rope, Setup, Wall, d
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
 from hyperflex.options import option
-from hyperflex.planning.clearance import named, obstacle_gaps
+from hyperflex.planning.clearance import joint_velocities, named, obstacle_gaps
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, refuse_behind
 from hyperflex.planning.outcome import excess_torque, run_figures
@@ -292,6 +292,10 @@ class TipStrike(TipOutcome):
         return f"{self.speed:.1f} m/s at {self.t:.2f} s, {1e3 * self.miss:.2g} mm off, {self.torque:.3g} N m"
 
 
+WINDOW = 0.15  # s about its expected time, within which an impact must come
+SUDDEN = 0.01  # of the energy of an impact, above which what is lost in a sample is a collision
+
+
 @dataclass(frozen=True)
 class Impact:
     """Impact of a whip's tip on a small fixed peg whose surface is at the target.
@@ -315,11 +319,11 @@ class Impact:
         Of the peg, m, and of the impact, s.
     """
 
-    t: float
-    impulse: float
-    impulse_along: float
-    energy: float
-    link: int
+    t: float = math.nan
+    impulse: float = 0.0
+    impulse_along: float = 0.0
+    energy: float = 0.0
+    link: int = -1
     message: str = ""
     radius: float = 0.01
     duration: float = 0.05
@@ -354,7 +358,7 @@ def simulate_impact(
     motion : Motion
         Of the arm.
     near : float
-        Expected time of the impact, s: the peg must be touched within 0.15 s.
+        Expected time of the impact, s: the peg must be touched within WINDOW.
     radius, mu : float
         Of the peg, m, and its friction coefficient.
     duration : float
@@ -364,37 +368,35 @@ def simulate_impact(
     -----
     The impact is the first touch of all, by the tip: within the last link, or the peg's width from the rope's end.
     Forces are averaged over samples; a collision within a sample adds its impulse (see :func:`collision_impulse`) if
-    the sample loses more than a hundredth of the energy. Raises SimulationError if the run fails.
+    the sample loses more than SUDDEN of the energy. Raises SimulationError if the run fails.
     """
-    radius, window, sudden = checks.number("radius", radius, sign="positive", unit="m"), 0.15, 0.01
+    radius, step = checks.number("radius", radius, sign="positive", unit="m"), 0.5 * DEFAULT_CONTACT_STEP
     way = np.array([np.cos(direction), np.sin(direction)])
     x, y = point + (radius + problem.rope.radius) * way
-    step, coarse = 0.5 * DEFAULT_CONTACT_STEP, 1e-3
-    begin = max(step, near - window)
-    t = begin + step * np.arange(np.ceil((near - begin + window + duration) / step))
-    t = np.append(np.arange(0.0, begin - 0.5 * coarse, coarse), t)
+    t = step * np.arange(np.ceil((near + WINDOW + duration) / step))
     peg = Peg(float(x), float(y), radius, mu)
     setup = Setup(limit_bend(problem.rope), motion, problem.arm, duration=float(t[-1]), pegs=(peg,))
     if not starts_outside(setup):
-        return Impact(0.0, 0.0, 0.0, 0.0, -1, "the rope lies on the peg from the start")
+        return Impact(t=0.0, message="the rope lies on the peg from the start")
     run = simulate(setup, t_eval=t)
     touched = touched_samples(run, (peg,))
     if not touched.any():
-        return Impact(float("nan"), 0.0, 0.0, 0.0, -1, "the rope does not touch the peg")
+        return Impact(message="the rope does not touch the peg")
     first = int(touched.argmax())
     link, along = _touching(run, peg, first)
     beyond = float(run.setup.rope.length[link:].sum()) - along
-    if t[first] < begin or beyond > max(run.setup.rope.length[-1], 2.0 * radius) + 1e-9:
+    if t[first] < near - WINDOW or beyond > max(run.setup.rope.length[-1], 2.0 * radius) + 1e-9:
         where = f"link {link + 1} touches the peg first, at {t[first]:.2f} s and {1e2 * beyond:.0f} cm from the tip"
-        return Impact(float(t[first]), 0.0, 0.0, 0.0, link, f"{where}; the tip was expected at {near:.2f} s")
+        where += f"; the tip was expected at {near:.2f} s"
+        return Impact(t=float(t[first]), link=link, message=where)
     rows = slice(first, min(first + round(duration / step), t.size - 1) + 1)
     lost = np.where(touched, np.diff(np.asarray(run.contact_loss), prepend=0.0), 0.0)  # others: joints at their limits
     energy = float(lost[rows].sum())
     total = -step * np.asarray(run.contact_force)[rows].sum(axis=(0, 1))  # on the peg
-    for k in first + np.flatnonzero(lost[rows] > sudden * energy):
+    for k in first + np.flatnonzero(lost[rows] > SUDDEN * energy):
         total = total - collision_impulse(run, peg, int(k))
     impulse = float(np.hypot(*total)), float(total @ way)
-    return Impact(float(run.t[first]), *impulse, energy, link, radius=radius, duration=duration)
+    return Impact(float(t[first]), *impulse, energy, link, radius=radius, duration=duration)
 
 
 def collision_impulse(run: Trajectory, peg: Peg, k: int) -> Array:
@@ -414,15 +416,13 @@ def collision_impulse(run: Trajectory, peg: Peg, k: int) -> Array:
 
 def momenta(run: Trajectory, k: int) -> Array:
     """Generalised momenta (n,) of the links' angles at sample k, N m s."""
-    rope = run.setup.rope
-    across = np.stack([np.cos(run.q[k]), np.sin(run.q[k])], axis=-1)
-    spin = run.qd[k][:, None] * across
-    ends = run.base_velocity[k] + np.cumsum(rope.length[:, None] * spin, axis=0)
-    centres = ends + (rope.com - rope.length)[:, None] * spin
-    carried = rope.mass[:, None] * centres
+    rope, q, qd = run.setup.rope, run.q[k], run.qd[k]
+    across = np.stack([np.cos(q), np.sin(q)], axis=-1)
+    ends = joint_velocities(rope, q, qd, run.base_velocity[k])[1:]
+    carried = rope.mass[:, None] * (ends + ((rope.com - rope.length) * qd)[:, None] * across)
     beyond = carried.sum(axis=0) + rope.tip_mass * ends[-1] - np.cumsum(carried, axis=0)
     own = rope.com[:, None] * carried + rope.length[:, None] * beyond
-    return np.asarray((own * across).sum(axis=1) + rope.inertia * run.qd[k])
+    return np.asarray((own * across).sum(axis=1) + rope.inertia * qd)
 
 
 def _touching(run: Trajectory, peg: Peg, k: int) -> tuple[int, float]:
