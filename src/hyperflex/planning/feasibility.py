@@ -64,6 +64,7 @@ class SwingModel:
 
 
 SWING = SwingModel()
+FACTOR = 1.05  # between changes that are tried as remedies
 RING, DIRECTIONS = 1.2, 72  # of the search for the nearest feasible target
 
 
@@ -318,13 +319,21 @@ def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float
         return rope.replace(length=f * rope.length, mass=f * rope.mass, com=f * rope.com, inertia=f**3 * rope.inertia)
 
     def least(changed: Callable[[float], tuple[Problem, Peg]], most: float = most) -> float:
+        """Return the least feasible factor from 1 up: the first in steps of FACTOR, then bisection to 1 %."""
+
         def feasible(factor: float) -> bool:
             try:
                 return check_feasibility(*changed(factor)).feasible
             except InvalidInput:  # no such set-up: a longer arm hits an obstacle, for example
                 return False
 
-        return _least_factor(feasible, most)
+        tried = np.geomspace(1.0, most, math.ceil(math.log(most, FACTOR)) + 1).tolist()
+        high = next((factor for factor in tried if feasible(factor)), math.inf)
+        low = max(1.0, high / FACTOR)
+        while high > 1.01 * low:
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if feasible(middle) else (middle, high)
+        return float(high)
 
     speed, acceleration = least(lambda f: faster(f, 1.0), motor), least(lambda f: faster(1.0, f), motor)
     either = min(speed, acceleration) < math.inf  # one limit alone is enough
@@ -352,19 +361,6 @@ def _rounded(value: float, *, up: bool = True) -> str:
     unit = 10.0 ** (math.floor(math.log10(value)) - 2)
     digits = math.ceil(value / unit - 1e-9) if up else math.floor(value / unit + 1e-9)
     return f"{digits * unit:.3g}"
-
-
-def _least_factor(feasible: Callable[[float], bool], most: float) -> float:
-    """Return the least feasible factor from 1 up: the first in steps of 5 %, then bisection to 1 %; inf: none."""
-    tried = np.geomspace(1.0, most, math.ceil(math.log(most) / math.log(1.05)) + 1).tolist()
-    first = next((k for k, factor in enumerate(tried) if feasible(factor)), None)
-    if first is None:
-        return math.inf
-    low, high = tried[max(first - 1, 0)], tried[first]
-    while high > 1.01 * low:
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if feasible(middle) else (middle, high)
-    return float(high)
 
 
 def nearest_feasible(problem: Problem, peg: Peg, *, margin: float = 0.0) -> Peg | None:
