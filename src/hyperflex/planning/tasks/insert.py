@@ -6,7 +6,6 @@ from dataclasses import MISSING, dataclass, replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.budget import Budget
@@ -35,6 +34,7 @@ from hyperflex.planning.tasks.tip import (
     OPTIONS,
     Aim,
     Flights,
+    TipEvent,
     TipFeasibility,
     TipOutcome,
     TipPlan,
@@ -45,6 +45,7 @@ from hyperflex.planning.tasks.tip import (
     sample_times,
     simulate_in_time,
     tip_problem,
+    touches,
 )
 from hyperflex.planning.uncertainty import Uncertainty
 from hyperflex.planning.verification import at_limits, limit_bend, verified_setup
@@ -352,33 +353,22 @@ class InsertTask(TipTask):
             found.append(best)
         return found
 
-    def aims(self, flights: Flights, near: Sequence[float] | Array) -> list[Aim | None]:
-        """Return the ways through the slot that end next to times `near`, s."""
-        slot, problem, found = self.slot, self.problem, list[Aim | None]()
-        obstacles = flights.spare_gaps(problem)
-        for m, (moves, joints) in enumerate(zip(flights.moves, flights.joints, strict=True)):
-            entries = find_entries(slot, problem.rope.radius, flights.t, joints)
-            if not entries:
-                found.append(None)
-                continue
-            each = min(entries, key=lambda one: abs(one.t - near[m]))
-            gaps = np.column_stack([np.minimum(each.gaps, 1.0), obstacles[m]])
-            spare = np.append(OPTIONS.spare, self._spare)
-            lacking = self.lacking_gaps(gaps, spare, each.end)
-            deeper = min(0.0, each.depth - 1.1 * slot.depth)
-            residuals = np.array([*each.offsets, deeper, *lacking])
-            arm = sampled_clearance(problem.rope, problem.arm, flights.q[m, ::4], joints[::4, 0]).min()
-            wide = float(np.abs(each.offsets).max())
-            short = (
-                max(0.0, wide - self.allowed)
-                + max(0.0, slot.depth - each.depth)
-                + max(0.0, -float(gaps[: each.end + 1].min()))
-                + max(0.0, problem.clearance - float(arm))
-                + max(0.0, 1.02 * each.speed / slot.max_speed - 1.0)
-            )
-            place = each.offsets / np.sqrt(each.offsets.size)
-            found.append(Aim(moves, -short, each.t, short == 0.0, residuals=residuals, place=place))
-        return found
+    def event(self, flights: Flights, m: int, near: float) -> TipEvent | None:
+        """Return the way through the slot in flight m that ends next to time `near`, s."""
+        slot, problem, joints = self.slot, self.problem, flights.joints[m]
+        entries = find_entries(slot, problem.rope.radius, flights.t, joints)
+        if not entries:
+            return None
+        each = min(entries, key=lambda one: abs(one.t - near))
+        arm = sampled_clearance(problem.rope, problem.arm, flights.q[m, ::4], joints[::4, 0]).min()
+        lacks = [
+            np.abs(each.offsets).max() - self.allowed,
+            slot.depth - each.depth,
+            problem.clearance - arm,
+            1.02 * each.speed / slot.max_speed - 1.0,
+        ]
+        residuals, place = [*each.offsets, min(0.0, each.depth - 1.1 * slot.depth)], each.offsets
+        return TipEvent(each.t, each.end, residuals, lacks, place / np.sqrt(place.size), [np.minimum(each.gaps, 1.0)])
 
     def uncertainty(self, aim: Aim) -> float:
         """Return the standard deviation of the rope's way through the gap over the room that it leaves on one side."""
@@ -440,9 +430,10 @@ def verify_insert(
 def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, depth: Array, way: Passage) -> InsertOutcome:
     """Evaluate a run whose tip, at `depth` (T,), m, goes through the slot in a passage."""
     begin, end, last = way
-    rows = slice(begin - 1, end + 1)
-    t_enter, t = np.interp([0.0, slot.depth], np.maximum.accumulate(depth[rows]), run.t[rows]).tolist()
-    touched = _wall_touches(problem, slot, run)
+    through = slice(begin - 1, end + 1)
+    t_enter, t = np.interp([0.0, slot.depth], np.maximum.accumulate(depth[through]), run.t[through]).tolist()
+    rows, which = touches(run, (*slot.walls, *problem.obstacles))
+    touched = rows[which < len(slot.walls)]
     last = min([last, *([] if slot.touching else touched[touched >= begin].tolist()), run.t.size - 1])
     deepest = float(depth[begin : last + 1].max())
     walls = obstacle_clearance(run, slot.walls, t)
@@ -468,15 +459,6 @@ def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, depth: Array,
         message=message or excess_torque(problem, figures["torque"]),
         **figures,
     )
-
-
-def _wall_touches(problem: Problem, slot: Slot, run: Trajectory) -> npt.NDArray[np.int64]:
-    """Return the samples at which a link is pushed that is as near to a wall of the slot as to any obstacle."""
-    row, link = np.nonzero(np.abs(np.asarray(run.contact_force)).sum(axis=2))
-    gaps = obstacle_gaps((*slot.walls, *problem.obstacles), run.joints[row, link], run.joints[row, link + 1])
-    walls = len(slot.walls)
-    near = gaps[:walls].min(axis=0) <= gaps[walls:].min(axis=0, initial=np.inf)
-    return np.unique(row[near])
 
 
 def usual_uncertainty() -> Uncertainty:

@@ -8,7 +8,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -214,6 +214,21 @@ class Aim(Candidate):
     std: float = math.nan
 
 
+class TipEvent(NamedTuple):
+    """What the tip does in a fine flight at the instant that counts: time `t`, s, and row `end` until which gaps count.
+
+    `residuals`, m, are reduced to 0 by an aim; `lacks` are > 0 where the moves fail, by how much, m. `place` (p,) are
+    coordinates whose standard deviation counts, m; `gaps` (T,) each, m, are distances from what is no obstacle.
+    """
+
+    t: float
+    end: int
+    residuals: Sequence[float]
+    lacks: Sequence[float]
+    place: Array
+    gaps: Sequence[Array] = ()
+
+
 @dataclass(frozen=True)
 class TipFeasibility:
     """Result of the feasibility check of a task of the tip.
@@ -326,8 +341,8 @@ class TipTask(Task):
         """Return the cost, m, of coarse flights, and the time, s, at which the tip nearly does the task; inf: never."""
 
     @abstractmethod
-    def aims(self, flights: Flights, near: Sequence[float] | Array) -> list[Aim | None]:
-        """Return what the tip does next to times `near`, s, in fine flights; their score is the negative error, m."""
+    def event(self, flights: Flights, m: int, near: float) -> TipEvent | None:
+        """Return what the tip does next to time `near`, s, in fine flight m."""
 
     @abstractmethod
     def simulate(self, one: Candidate, finer: bool, budget: Budget) -> Any:
@@ -458,13 +473,23 @@ class TipTask(Task):
         std = np.concatenate([np.zeros(k), np.full(k, options.timing_std), [options.length_std, options.friction_std]])
         return float(np.sqrt(((place * std[:, None]) ** 2).sum()))
 
-    def lacking_gaps(self, gaps: Array, spare: Array, row: int) -> Array:
-        """Return by how much gaps (T, w), m, lack a `spare` distance (w,), m, until a row, (w,).
+    def aims(self, flights: Flights, near: Sequence[float] | Array) -> list[Aim | None]:
+        """Return what the tip does next to times `near`, s, in fine flights; their score is the negative error, m.
 
-        Less is required where the rope begins nearer.
+        The rope must keep a distance from obstacles until then, and less where it begins nearer.
         """
-        required = np.minimum(spare, np.maximum(gaps[0], 0.0))
-        return np.asarray(np.minimum(gaps[: row + 1].min(axis=0) - required, 0.0))
+        obstacles, found = flights.spare_gaps(self.problem), list[Aim | None]()
+        for m, (moves, t) in enumerate(zip(flights.moves, near, strict=True)):
+            if (each := self.event(flights, m, t)) is None:
+                found.append(None)
+                continue
+            gaps = np.column_stack([*each.gaps, obstacles[m]])[: each.end + 1]
+            spare = np.append(np.full(len(each.gaps), OPTIONS.spare), self._spare)
+            least, required = gaps.min(axis=0), np.minimum(spare, np.maximum(gaps[0], 0.0))
+            residuals = np.array([*each.residuals, *np.minimum(least - required, 0.0)])
+            error = sum(max(0.0, float(lack)) for lack in (*each.lacks, -least.min(initial=0.0)))
+            found.append(Aim(moves, -error, each.t, error == 0.0, residuals=residuals, place=each.place))
+        return found
 
 
 def sample_times(near: float, after: float = 0.15, step: float = 2e-3) -> Array:
@@ -482,17 +507,19 @@ def simulate_in_time(setup: Setup, t: Array, budget: Budget | None) -> Trajector
         return None
 
 
-def touched_samples(run: Trajectory, obstacles: Sequence[Obstacle]) -> npt.NDArray[np.bool_]:
-    """Whether the rope touched the obstacles of a run, which are all that it may touch: (T,), since the sample before.
+def touches(run: Trajectory, obstacles: Sequence[Obstacle]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the samples since whose predecessor the rope touched an obstacle, (k,), and which one is nearest, (k,).
 
-    A force shows a touch, or a loss of energy while an obstacle is as near as a link moves in that time. A loss alone
-    may be that of a joint that comes to its limit.
+    The obstacles are all that the rope may touch in the run. A force shows a touch, or a loss of energy while an
+    obstacle is as near as a link moves in that time. A loss alone may be that of a joint that comes to its limit.
     """
-    near = obstacle_gaps(obstacles, run.joints[:, :-1], run.joints[:, 1:]).min(axis=(1, 2)) - run.setup.rope.radius
+    gaps = obstacle_gaps(obstacles, run.joints[:, :-1], run.joints[:, 1:]).min(axis=2) - run.setup.rope.radius
     moves = joint_velocities(run.setup.rope, run.q, run.qd, run.base_velocity)[:, 1:]
     reach = TOUCH + np.diff(run.t, prepend=run.t[0]) * np.hypot(moves[..., 0], moves[..., 1]).max(axis=1)
     lost = np.diff(np.asarray(run.contact_loss), prepend=0.0) > 0.0
-    return np.asarray((lost & (near < reach)) | (np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0))
+    pushed = np.abs(np.asarray(run.contact_force)).sum(axis=(1, 2)) > 0.0
+    rows = np.flatnonzero((lost & (gaps.min(axis=1) < reach)) | pushed)
+    return rows, gaps[rows].argmin(axis=1)
 
 
 def given_or_default(name: str, given: T | None, kind: type[T]) -> T:

@@ -1,7 +1,6 @@
 """Whips: the tip passes a point at a peak of its speed, fast and in the required direction; impacts on a peg there."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, replace
 from typing import ClassVar, NamedTuple
 
@@ -17,7 +16,7 @@ from hyperflex.model import DEFAULT_CONTACT_STEP, Arm, Peg, Rope, Setup, Wall, d
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
 from hyperflex.options import option
-from hyperflex.planning.clearance import joint_velocities, named, obstacle_gaps
+from hyperflex.planning.clearance import joint_velocities, named
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, refuse_behind
 from hyperflex.planning.outcome import excess_torque, run_figures
@@ -28,6 +27,7 @@ from hyperflex.planning.tasks.tip import (
     OPTIONS,
     Aim,
     Flights,
+    TipEvent,
     TipFeasibility,
     TipOutcome,
     TipPlan,
@@ -39,7 +39,7 @@ from hyperflex.planning.tasks.tip import (
     sample_times,
     simulate_in_time,
     tip_problem,
-    touched_samples,
+    touches,
 )
 from hyperflex.planning.verification import limit_bend, verified_setup
 from hyperflex.simulation import simulate
@@ -379,22 +379,22 @@ def simulate_impact(
     if not starts_outside(setup):
         return Impact(t=0.0, message="the rope lies on the peg from the start")
     run = simulate(setup, t_eval=t)
-    touched = touched_samples(run, (peg,))
-    if not touched.any():
+    touched, _ = touches(run, (peg,))
+    if not touched.size:
         return Impact(message="the rope does not touch the peg")
-    first = int(touched.argmax())
+    first = int(touched[0])
     link, along = _touching(run, peg, first)
     beyond = float(run.setup.rope.length[link:].sum()) - along
     if t[first] < near - WINDOW or beyond > max(run.setup.rope.length[-1], 2.0 * radius) + 1e-9:
         where = f"link {link + 1} touches the peg first, at {t[first]:.2f} s and {1e2 * beyond:.0f} cm from the tip"
         where += f"; the tip was expected at {near:.2f} s"
         return Impact(t=float(t[first]), link=link, message=where)
-    rows = slice(first, min(first + round(duration / step), t.size - 1) + 1)
-    lost = np.where(touched, np.diff(np.asarray(run.contact_loss), prepend=0.0), 0.0)  # others: joints at their limits
-    energy = float(lost[rows].sum())
+    rows = touched[touched <= first + round(duration / step)]
+    lost = np.diff(np.asarray(run.contact_loss), prepend=0.0)[rows]  # elsewhere: joints at their limits
+    energy = float(lost.sum())
     total = -step * np.asarray(run.contact_force)[rows].sum(axis=(0, 1))  # on the peg
-    for k in first + np.flatnonzero(lost[rows] > SUDDEN * energy):
-        total = total - collision_impulse(run, peg, int(k))
+    for k in rows[lost > SUDDEN * energy].tolist():
+        total = total - collision_impulse(run, peg, k)
     impulse = float(np.hypot(*total)), float(total @ way)
     return Impact(float(t[first]), *impulse, energy, link, radius=radius, duration=duration)
 
@@ -496,27 +496,20 @@ class WhipTask(TipTask):
         peaks = flight_peaks(self.problem, flights)
         return cheapest_peaks(PeakCosts().of(self.target, peaks), peaks, len(flights.moves))
 
-    def aims(self, flights: Flights, near: Sequence[float] | Array) -> list[Aim | None]:
-        """Return the peaks next to times `near`, s."""
-        fine, target = slice(flights.first, None), self.target
-        peaks = find_peaks(flights.t[fine], flights.joints[:, fine, -1], flights.velocity[:, fine])
-        gaps, found = flights.spare_gaps(self.problem), list[Aim | None]()
-        for m, (moves, t) in enumerate(zip(flights.moves, near, strict=True)):
-            rows = np.flatnonzero((peaks.row == m) & (np.abs(peaks.t - t) < OPTIONS.window))
-            if not rows.size:
-                found.append(None)
-                continue
-            k = rows[np.abs(peaks.t[rows] - t).argmin()]
-            place, velocity, end = peaks.place[k], peaks.velocity[k], int(np.searchsorted(flights.t, peaks.t[k])) - 1
-            beyond, slow = target.lacks(velocity, 0.85, 1.01)
-            lacking = self.lacking_gaps(gaps[m], self._spare, end)
-            # An error of 1 rad, or the whole speed, counts as the distance from the shaft
-            residuals = np.array([*(place - target.point), self.distance * beyond, self.distance * slow, *lacking])
-            short = max(0.0, float(np.hypot(*residuals[:2])) - target.tolerance)
-            short += sum(abs(float(each)) for each in target.lacks(velocity, 1.0, 1.0))
-            short += max(0.0, -float(gaps[m, : end + 1].min(initial=np.inf)))
-            found.append(Aim(moves, -short, float(peaks.t[k]), short == 0.0, residuals=residuals, place=place))
-        return found
+    def event(self, flights: Flights, m: int, near: float) -> TipEvent | None:
+        """Return the peak in flight m next to time `near`, s."""
+        fine, one, target = slice(flights.first, None), slice(m, m + 1), self.target
+        peaks = find_peaks(flights.t[fine], flights.joints[one, fine, -1], flights.velocity[one, fine])
+        away = np.abs(peaks.t - near)
+        if away.min(initial=np.inf) >= OPTIONS.window:
+            return None
+        k = int(away.argmin())
+        t, place, velocity = float(peaks.t[k]), peaks.place[k], peaks.velocity[k]
+        # An error of 1 rad, or the whole speed, counts as the distance from the shaft
+        beyond, slow = self.distance * np.array(target.lacks(velocity, 0.85, 1.01))
+        residuals = [*(place - target.point), beyond, slow]
+        lacks = [np.hypot(*residuals[:2]) - target.tolerance, *np.abs(target.lacks(velocity, 1.0, 1.0))]
+        return TipEvent(t, int(np.searchsorted(flights.t, t)) - 1, residuals, lacks, place)
 
     def simulate(self, one: Candidate, finer: bool, budget: Budget) -> TipStrike | None:
         """Return the peak of the tip's speed; see :func:`verify_whip`."""
@@ -560,10 +553,10 @@ def verify_whip(
         run = simulate_in_time(setup, np.union1d(t, found.t[about]), budget)
         if run is None:
             return None
-        there = touched_samples(run, problem.obstacles)
-        if there.any():
-            touched = float(run.t[there.argmax()])
-            touch = _touches(problem, run, touched)
+        rows, which = touches(run, problem.obstacles)
+        if rows.size:
+            touched = float(run.t[rows[0]])
+            touch = f"{named(problem.obstacles[which[0]])} at {touched:.2f} s"
     before = about & (found.t < touched)
     nearest = int(np.where(about, np.abs(found.t - near), np.inf).argmin())
     k = int(np.where(before, found.speed, 0.0).argmax()) if before[nearest] else nearest
@@ -588,13 +581,6 @@ def verify_whip(
         message=message,
         **figures,
     )
-
-
-def _touches(problem: Problem, run: Trajectory, t: float) -> str:
-    """Return which obstacle the rope touches at time t, s, and when."""
-    joints = run.joints[int(np.searchsorted(run.t, t))]
-    gaps = obstacle_gaps(problem.obstacles, joints[:-1], joints[1:]).min(axis=-1)
-    return f"{named(problem.obstacles[int(gaps.argmin())])} at {t:.2f} s"
 
 
 @checks.arguments(limits=MotorLimits, target=TipTarget, conditions=Conditions, options=SearchOptions)
