@@ -15,9 +15,7 @@ from hyperflex.planning import (
     Problem,
     TipFeasibility,
     TipTarget,
-    WhipMap,
     WhipPlan,
-    build_whip_map,
     plan_whip,
 )
 from hyperflex.planning.tasks.tip import Aim
@@ -57,9 +55,4 @@ def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
 
 def far_whip() -> WhipPlan:
     """Return the plan for a target that is out of reach."""
-    return plan_whip(ROPE, ARM, TipTarget(2.5, 0.0, 0.0), whip_map=_map())
-
-
-@functools.cache
-def _map() -> WhipMap:
-    return build_whip_map(Problem(ROPE, ARM, MotorLimits(), 2.0), swings=8)
+    return plan_whip(ROPE, ARM, TipTarget(2.5, 0.0, 0.0))

@@ -474,10 +474,10 @@ class WhipTask(TipTask):
 
     def prepare(self, budget: Budget) -> TipFeasibility:
         """Check whether a peak of the map is close enough; see :func:`check_whip_feasibility`."""
-        known = self.map or build_whip_map(self.problem, time_budget=budget.share(0.4))
-        target, peaks, message = self.target, known.peaks, self.geometry()
-        if message:
+        if message := self.geometry():
             return TipFeasibility(self.distance, math.inf, message)
+        known = self.map or build_whip_map(self.problem, time_budget=budget.share(0.4))
+        target, peaks = self.target, known.peaks
         pairs = cheapest_peaks(PeakCosts().of(target, peaks), peaks, len(known.moves))
         swings = [Candidate(each, -cost, t) for each, (cost, t) in zip(known.moves, pairs, strict=True)]
         self.swings = sorted((one for one in swings if math.isfinite(one.score)), key=lambda one: -one.score)
