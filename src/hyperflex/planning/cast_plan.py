@@ -25,7 +25,7 @@ class CastPlan(Plan):
         For a plan that fails: the nearest target with a plan that succeeds, or that is expected to be feasible.
     remedies : tuple of str
         For an infeasible target: changes of rope, arm, motor, time or peg that would each make it feasible.
-    others
+    problem, target, feasibility, moves, outcome, message, runs, seconds, interrupted, success_probability
         As of :class:`hyperflex.planning.plan.Plan`.
     """
 

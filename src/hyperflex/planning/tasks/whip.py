@@ -442,8 +442,10 @@ class WhipPlan(TipPlan):
     ----------
     finer_outcome : TipStrike or None
         With links of half the length.
-    others
-        As of :class:`hyperflex.planning.plan.Plan` and :class:`hyperflex.planning.tasks.tip.TipPlan`.
+    problem, target, feasibility, moves, outcome, message, runs, seconds, interrupted, success_probability
+        As of :class:`hyperflex.planning.plan.Plan`.
+    position_std
+        As of :class:`hyperflex.planning.tasks.tip.TipPlan`.
     """
 
     kind: ClassVar[str] = "whip"
