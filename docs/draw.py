@@ -14,7 +14,7 @@ from PIL import Image
 import hyperflex as hf
 from hyperflex.cli.app import run
 from hyperflex.demo import twin
-from hyperflex.paper.report import casting, estimation, identification
+from hyperflex.paper import casting, estimation, identification
 from hyperflex.report.identification.figures import prediction_figure
 from hyperflex.report.identification.fitted import fitted_channels
 from hyperflex.report.pictures import strobe_figure
@@ -122,11 +122,10 @@ def main() -> None:
     speed = np.linalg.norm(cracked.tip_velocity, axis=1)
     print(f"whip: {speed.max():.0f} m/s at t = {cracked.t[speed.argmax()]:.2f} s")
     save_png(growth(), IMAGES / "growth.png", dpi=2 * DPI)
-    for figure in (identification.fig3, identification.fig5, identification.fig6, estimation.fig8):
-        save_png(figure(), IMAGES / f"{figure.__name__}.png", dpi=DPI)
+    items = identification.PART.items | estimation.PART.items | casting.PART.items
+    for name in ("fig3", "fig5", "fig6", "fig8", "fig10", "fig11", "fig12"):
+        save_png(items[name].draw(), IMAGES / f"{name}.png", dpi=DPI)
     save_png(identified(), IMAGES / "identified.png", dpi=DPI)
-    for draw in (casting.fig10, casting.fig11, casting.fig12):
-        save_png(draw(), IMAGES / f"{draw.__name__}.png", dpi=DPI)
     with tempfile.TemporaryDirectory() as folder:
         tutorial(Path(folder))
 

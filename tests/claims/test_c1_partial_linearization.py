@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hyperflex.paper import READINGS
-from hyperflex.paper.linearization import linearized, replay
+from hyperflex.paper.casting import linearized, replay
 
 pytestmark = pytest.mark.claims
 

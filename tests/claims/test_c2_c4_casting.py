@@ -7,16 +7,15 @@ import pytest
 
 from hyperflex.paper import READINGS
 from hyperflex.paper.casting import (
+    PART,
     cast,
     concentration,
-    reach_table,
     rise_phases,
     run,
     steady_step_phase,
     straight_phase,
     success_over_failure,
 )
-from hyperflex.paper.report.casting import casting_claims
 
 pytestmark = pytest.mark.claims
 
@@ -40,7 +39,7 @@ PROTOTYPE = {
 @pytest.mark.parametrize("outcome", ["success", "failure"])
 def test_reach_agrees_with_an_independent_prototype(reading, outcome):
     # Two decimals were printed, so half a centimetre; 1 mm more for the integrators, which agree far better than that.
-    np.testing.assert_allclose(reach_table(cast(reading, outcome)), PROTOTYPE[reading.key, outcome], atol=0.006)
+    np.testing.assert_allclose(cast(reading, outcome).reaches, PROTOTYPE[reading.key, outcome], atol=0.006)
 
 
 @each_reading
@@ -88,7 +87,7 @@ def test_c4_is_not_met_through_the_bottom_and_the_report_says_so(reading):
 
 
 def test_every_claim_is_measured_in_every_reading():
-    listed = casting_claims()
+    listed = PART.claims()
     assert len(listed) == 4 * len(READINGS)
     assert {claim.name for claim in listed} == {"C1", "C2", "C3", "C4"}
     assert sum(claim.holds for claim in listed) == 14  # all but C4 through the bottom

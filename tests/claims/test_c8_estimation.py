@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hyperflex.paper.estimation import DRAWN, captures_all, fig8, followed, in_time, seen
+from hyperflex.paper.estimation import DRAWN, PART, captures_all, followed, in_time, seen
 from hyperflex.paper.estimator import SAMPLES
 
 pytestmark = pytest.mark.claims
@@ -58,7 +58,7 @@ def test_trackers_without_dynamics_lose_a_third_or_more() -> None:
 
 
 def test_the_state_is_continuous_between_frames() -> None:
-    """The paper's estimator knows the tip at any time: what it foretells leads to where it looks."""
+    """The paper's estimator knows the tip at any time: what it predicts leads to where it looks."""
     run = followed("paper", DRAWN.seed)
     assert not np.isnan(run.tip).any()
     np.testing.assert_allclose(run.tip[:-1, -1], run.expected[1:, -1], atol=1e-6)
@@ -74,7 +74,7 @@ def test_markers_are_1_5_mm_off() -> None:
 
 
 def test_the_table_behind_the_figure() -> None:
-    columns = fig8().columns
+    columns = PART.items["fig8"].table().columns
     assert len({len(column) for column in columns.values()}) == 1
     assert np.nanmax(np.abs(columns["x_paper"] - columns["x_true"])[-20:]) < 0.02
     assert (columns["visible"] <= 10.0).all()

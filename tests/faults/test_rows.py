@@ -21,8 +21,8 @@ from hyperflex import progress
 from hyperflex.cli.app import run
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import _USUAL
-from hyperflex.paper.report import casting
-from hyperflex.paper.report.part import Item
+from hyperflex.paper import casting
+from hyperflex.paper.part import Item
 from hyperflex.report.units import length
 from hyperflex.simulation import time_budget
 from tests.faults.bounds import LEAKED, bounded, readable

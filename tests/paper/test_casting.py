@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hyperflex.paper import READINGS, T_MOVE, cable
-from hyperflex.paper import casting as results
-from hyperflex.paper.casting import cast
+from hyperflex.paper.casting import OUTCOMES, PART, cast
 
 
 def test_the_cable_is_the_papers():
@@ -39,8 +38,7 @@ def test_the_arm_moves_in_the_intervals_and_rests_between_them():
 
 @pytest.mark.parametrize("name", ["fig9", "fig10", "fig11", "fig12"])
 def test_tables_have_equal_columns_units_and_a_source(name):
-    table = getattr(results, name)()
-    assert table.name == name
+    table = PART.items[name].table()
     sizes = {column.size for column in table.columns.values()}
     assert sizes == {1401}  # 14 s at 100 rows a second, both ends
     assert all(np.isfinite(column).all() for column in table.columns.values())
@@ -50,7 +48,7 @@ def test_tables_have_equal_columns_units_and_a_source(name):
 
 
 def test_tables_hold_every_reading_and_outcome():
-    columns = results.fig10().columns
+    columns = PART.items["fig10"].table().columns
     for reading in READINGS:
         for outcome in ("success", "failure"):
             for axis, name in enumerate("xy"):
@@ -59,6 +57,52 @@ def test_tables_hold_every_reading_and_outcome():
 
 
 def test_portraits_and_tables_agree_on_when_the_arm_moves():
-    moving = results.fig12().columns["moving_success"]
+    moving = PART.items["fig12"].table().columns["moving_success"]
     # 0.73 s of each 1.26 s; 14 s hold 11 whole cycles and a bit that moves.
     assert moving.mean() == pytest.approx((11 * 0.73 + 0.14) / 14.0, abs=0.01)  # 12 cycles of samples, each 1/1400
+
+
+@pytest.fixture(scope="module")
+def every():
+    return [cast(reading, outcome) for reading in READINGS for outcome in OUTCOMES]
+
+
+def drawn(name):
+    return PART.items[name].draw()
+
+
+def test_figures_show_every_reading_with_solid_success_and_dashed_failure():
+    for figure in (drawn("fig10"), drawn("fig11")):
+        panels = [axis for axis in figure.axes if axis.get_title("left")]
+        assert [axis.get_title("left") for axis in panels] == [reading.title for reading in READINGS]
+    lines = drawn("fig10").axes[0].get_lines()
+    assert {line.get_label().split()[0].strip(","): line.get_linestyle() for line in lines} == {
+        "success": "-",
+        "failure": "--",
+    }
+
+
+def test_phase_portraits_are_thick_in_motion_with_circles_and_crosses():
+    axis = drawn("fig12").axes[0]
+    resting, moving = axis.collections
+    assert moving.get_linewidths()[0] > 2.0 * resting.get_linewidths()[0]
+    starts, ends = (line for line in axis.get_lines() if line.get_marker() in ("o", "x"))
+    assert (starts.get_marker(), ends.get_marker()) == ("o", "x")
+    assert len(starts.get_xdata()) == 12  # motions that start within 14 s
+    assert len(ends.get_xdata()) == 11
+
+
+def test_arms_of_fig9_reach_half_a_turn():
+    for axis in drawn("fig9").axes:
+        for line in axis.get_lines():
+            assert np.ptp(line.get_ydata()) == pytest.approx(180.0, abs=1e-9)
+
+
+def test_figures_that_cut_spikes_off_say_where_and_how_high_they_are(every):
+    greatest_r = max(each.spiral.r.max() for each in every)
+    greatest_v = max(np.abs(each.spiral.scaled_velocity).max() for each in every)
+    for figure, greatest in ((drawn("fig11"), greatest_r), (drawn("fig12"), greatest_v)):
+        top = figure.axes[0].get_ylim()[1]
+        assert greatest > top  # else there is nothing to say
+        assert f"cut off at {top:g} m" in figure.get_supxlabel()
+        assert f"{greatest:.1f} m" in figure.get_supxlabel()

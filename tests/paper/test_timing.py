@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.paper import READINGS
-from hyperflex.paper.timing import LEADS, fig13, timed
+from hyperflex.paper.timing import LEADS, PART, timed
 
 
 def test_the_table_holds_every_reading_and_lead():
-    table = fig13()
+    table = PART.items["fig13"].table()
     assert {column.size for column in table.columns.values()} == {2001}  # 20 s at 100 rows a second, both ends
     assert len(table.columns) == 1 + 4 * len(READINGS) * len(LEADS)
     subject = timed(READINGS[1], 0.2)

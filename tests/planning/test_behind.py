@@ -19,7 +19,6 @@ from hyperflex.planning.rollouts import RolloutBatch, simulate_contact
 from hyperflex.planning.routing import runs_behind, way_gaps
 from hyperflex.planning.verification import verified_setup
 from hyperflex.report import CastReport
-from hyperflex.report.plan import _obstacles
 from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_strikes
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=30, radius=0.003, friction=2e-4)
@@ -134,7 +133,8 @@ def test_pegs_to_run_behind_go_with_a_plan_through_its_files(tmp_path: Path) -> 
     assert hf.Setup.from_toml(tmp_path / "cast.toml").pegs == (PEG, *pegs, hf.Ground(0.0, -2.5))
     task, _ = read_problem(tmp_path / "cast.toml", None, None, {}, {})
     assert (task.criteria.behind, task.obstacles) == (pegs, (PEG, hf.Ground(0.0, -2.5)))
-    story, said = " ".join(CastReport(known).story), _obstacles(known.problem)
+    report = CastReport(known)
+    story, said = " ".join(report.story), report.texts.text("setup")
     assert "it runs behind a peg at (-0.25, -0.35) m, radius 30 mm, and not behind a peg at (-0.4, -0.5) m" in story
     assert "on its way from the arm to the target: a peg at (-0.25, -0.35) m, radius" in said
 

@@ -8,9 +8,7 @@ import pytest
 
 from hyperflex import files
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.paper import READINGS, Claim
-from hyperflex.paper.report.part import verdicts
-from hyperflex.paper.report.reproduce import reproduce
+from hyperflex.paper import READINGS, Claim, reproduce, verdicts
 from hyperflex.report.page import Picture, Section, TextTable, markdown, write_page
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -27,7 +25,7 @@ def test_markdown_is_aligned_and_escapes_bars():
 
 @pytest.mark.parametrize(
     ("values", "words"),
-    [((2.0, 2.0), "holds in all 2 readings"), ((0.0, 0.0), "holds in none of the 2"), ((2.0, 0.0), "holds in 1 of 2")],
+    [((2.0, 2.0), "holds in all 2 cases"), ((0.0, 0.0), "holds in 0 of 2"), ((2.0, 0.0), "holds in 1 of 2")],
 )
 def test_verdicts_follow_the_measured_values(values, words):
     (sentence,) = verdicts([claim(k, value) for k, value in enumerate(values)])
@@ -72,7 +70,7 @@ def test_reproduce_writes_pictures_tables_claims_and_a_page(tmp_path):
     told = []
     result = reproduce(["fig10", "fig9"], tmp_path / "new" / "folder", progress=told.append)
     names = [path.name for path in result.files]
-    assert names == ["fig9.png", "fig9.csv", "fig10.png", "fig10.csv", "claims.md", "report.html"]
+    assert names == ["fig9.csv", "fig9.png", "fig10.csv", "fig10.png", "claims.md", "report.html"]
     assert all(path.stat().st_size > 500 for path in result.files)
     columns, values, *_ = files.read_table(tmp_path / "new" / "folder" / "fig10.csv")
     assert columns[:3] == ["t", "x_under_relative_success", "y_under_relative_success"]

@@ -11,8 +11,6 @@ from PIL import Image
 
 import hyperflex as hf
 from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.paper.casting import READINGS, casts
-from hyperflex.paper.report import casting
 from hyperflex.report.pictures import GROUND, OBSTACLE, PEG, animate, strobe_figure
 from hyperflex.report.scene import Overlay, shapes
 from hyperflex.report.style import png, save_png
@@ -235,43 +233,3 @@ def test_an_interrupted_film_leaves_nothing(short_cast, tmp_path):
 def test_a_picture_into_a_missing_folder_is_refused(short_cast, tmp_path):
     with pytest.raises(FileProblem, match="does not exist"):
         save_png(strobe_figure(short_cast, count=3), tmp_path / "nowhere" / "a.png")
-
-
-def test_figures_show_every_reading_with_solid_success_and_dashed_failure():
-    for figure in (casting.fig10(), casting.fig11()):
-        panels = [axis for axis in figure.axes if axis.get_title("left")]
-        assert [axis.get_title("left") for axis in panels] == [reading.title for reading in READINGS]
-    lines = casting.fig10().axes[0].get_lines()
-    assert {line.get_label().split()[0].strip(","): line.get_linestyle() for line in lines} == {
-        "success": "-",
-        "failure": "--",
-    }
-
-
-def test_phase_portraits_are_thick_in_motion_with_circles_and_crosses():
-    axis = casting.fig12().axes[0]
-    resting, moving = axis.collections
-    assert moving.get_linewidths()[0] > 2.0 * resting.get_linewidths()[0]
-    starts, ends = (line for line in axis.get_lines() if line.get_marker() in ("o", "x"))
-    assert (starts.get_marker(), ends.get_marker()) == ("o", "x")
-    assert len(starts.get_xdata()) == 12  # motions that start within 14 s
-    assert len(ends.get_xdata()) == 11
-
-
-def test_arms_of_fig9_reach_half_a_turn():
-    for axis in casting.fig9().axes:
-        for line in axis.get_lines():
-            assert np.ptp(line.get_ydata()) == pytest.approx(180.0, abs=1e-9)
-
-
-def test_figures_that_cut_spikes_off_say_where_and_how_high_they_are():
-    greatest_r = max(cast.spiral.r.max() for cast in casts().values())
-    greatest_v = max(np.abs(cast.spiral.scaled_velocity).max() for cast in casts().values())
-    for figure, axis, greatest in (
-        (casting.fig11(), 0, greatest_r),
-        (casting.fig12(), 0, greatest_v),
-    ):
-        top = figure.axes[axis].get_ylim()[1]
-        assert greatest > top  # else there is nothing to say
-        assert f"cut off at {top:g} m" in figure.get_supxlabel()
-        assert f"{greatest:.1f} m" in figure.get_supxlabel()

@@ -29,7 +29,6 @@ from hyperflex.report import (
     legend,
     new_figure,
     png,
-    search_summary,
     sections_markdown,
     silent,
     whole_folder,
@@ -124,19 +123,20 @@ def _write(folder: Path, report: DemoReport, cast: CastReport, progress: Progres
     twin.guess().to_toml(folder / _FILES["guess"])
     found.to_toml(folder / _FILES["rope"])
     found.to_json(folder / _FILES["identification"])
-    planned = cast.write_plan(folder) | cast.draw(folder, progress)
-    progress("writing the page")
-    sections = _sections(report, cast, pictures, planned)
+    planned, drawn = cast.write_plan(folder), cast.drawn()
+    for kind, content in drawn.items():
+        files.write_bytes(folder / f"{kind}.png", content)
+    sections = _sections(report, cast, pictures, drawn)
     files.write_text(folder / _FILES["summary"], sections_markdown("Demo (simulated)", sections))
     write_page(folder / _FILES["page"], "A rope, identified and cast", _LEAD, "simulated", sections)
-    return _FILES | {kind: path.name for kind, path in planned.items()}
+    return _FILES | {kind: path.name for kind, path in planned.items()} | {kind: f"{kind}.png" for kind in drawn}
 
 
 def _sections(
-    report: DemoReport, cast: CastReport, pictures: Mapping[str, bytes], planned: Mapping[str, Path]
+    report: DemoReport, cast: CastReport, pictures: Mapping[str, bytes], drawn: Mapping[str, bytes]
 ) -> list[Section]:
     """Return the sections of the page: the cast, the identification, details of the cast."""
-    demo, shown = report.demo, cast.pictures(planned)
+    demo, shown = report.demo, cast.pictures(drawn)
     seen, parameters, prediction = (
         (Picture(pictures[kind], caption, chart=kind != "seen"),) for kind, caption in _CAPTIONS.items()
     )
@@ -155,8 +155,8 @@ def _sections(
             text=(*cast.story, _MODEL),
             tiles=cast.tiles,
             pictures=tuple(shown.values()),
-            table=cast.checks,
-            notes=(search_summary(demo.plan),),
+            table=cast.texts.table("checks"),
+            notes=(cast.search_summary,),
         ),
     ]
 

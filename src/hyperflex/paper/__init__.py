@@ -5,17 +5,16 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.paper.casting import DURATION, READINGS, T_MOVE, T_REST, Reading, cable, casting_arm
+    from hyperflex.paper.casting import READINGS, T_MOVE, T_REST, Reading, cable, casting_arm
     from hyperflex.paper.natural_frequency import (
         cylinder_inertia,
         natural_frequency_inertia,
         natural_period,
         swing_period,
     )
+    from hyperflex.paper.part import Claim, Table, claims_table, verdicts
     from hyperflex.paper.regression import LeastSquares, Regression, fit_regression
-    from hyperflex.paper.report.part import claims_table, verdicts
-    from hyperflex.paper.report.reproduce import reproduce
-    from hyperflex.paper.results import Claim, Table
+    from hyperflex.paper.reproduce import reproduce
     from hyperflex.paper.revision import (
         IterativeRevision,
         RevisionProfile,

@@ -1,7 +1,7 @@
 """The paper's online estimator (section III D, Fig. 7), and trackers without dynamics to compare it with."""
 
 import time
-from dataclasses import dataclass
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -18,30 +18,11 @@ SAMPLES = 4  # of a prediction until the next frame
 TOL = 1e-5  # m, of the simulation: far below what a camera sees
 
 
-@dataclass(frozen=True, eq=False)
-class Capture:
-    """Which markers were found in a frame.
+def capture(image: Image, detector: MarkerDetector, camera: Camera, predicted: Array) -> Array:
+    """Return the markers found (K, 2), m, near their predicted places (K, 2), m: each the nearest blob; NaN: none.
 
-    Attributes
-    ----------
-    places : (K, 2) float64
-        In the swing plane, m; NaN: not found.
-    seconds : float
-        It took, the paper's T_v.
+    A blob within the windows of two markers counts for the nearer one.
     """
-
-    places: Array
-    seconds: float
-
-    @property
-    def found(self) -> npt.NDArray[np.bool_]:
-        """Which were found (K,)."""
-        return ~np.isnan(self.places[:, 0])
-
-
-def capture(image: Image, detector: MarkerDetector, camera: Camera, predicted: Array) -> Capture:
-    """Look for markers in windows around where they are predicted (K, 2), m: the nearest blob, and none for two."""
-    start = time.perf_counter()
     pixels, slopes = camera.linearize(predicted)
     reach = WINDOW * np.linalg.norm(slopes, ord=2, axis=(1, 2))
     gates = [Gate(centre, (each / 3.0) ** 2 * np.eye(2)) for centre, each in zip(pixels, reach, strict=True)]
@@ -52,37 +33,46 @@ def capture(image: Image, detector: MarkerDetector, camera: Camera, predicted: A
         k, j = np.unravel_index(apart.argmin(), apart.shape)
         places[k] = seen[j]
         apart[k], apart[:, j] = np.inf, np.inf
-    return Capture(places, time.perf_counter() - start)
+    return places
 
 
-class NearestBlob:
-    """Takes the blob that is nearest to where a marker was last; knows no motion at all."""
+class Ahead(NamedTuple):
+    """A prediction from the last frame to a time."""
 
-    def __init__(self, t: float, places: Array) -> None:
-        self.t, self.places, self.velocity = t, places, np.zeros_like(places)
-
-    def predict(self, t: float) -> Array:
-        """Return where the markers are expected (K, 2), m, at a time, s."""
-        return self.places
-
-    def correct(self, t: float, seen: Array) -> None:
-        """Take what was found (K, 2), m, at a time, s; NaN: not found, and the prediction is taken."""
-        self.places = np.where(np.isnan(seen), self.predict(t), seen)
-        self.t = t
+    places: Array  # (K, 2) m, of the markers in the end
+    tip: Array  # (SAMPLES + 1, 2) m, from the frame on
+    velocity: Array  # (2,) m/s, of the tip at the frame
+    rates: Array | float  # (n,) rad/s, of the links at the frame; NaN: not known
 
 
-class ConstantVelocity(NearestBlob):
-    """Lets each marker go on as it went from the last frame but one to the last."""
+class Tracker(Protocol):
+    """Predicts markers, and corrects its state by what was found."""
 
-    def predict(self, t: float) -> Array:
-        """Return where the markers are expected (K, 2), m, at a time, s."""
-        return self.places + (t - self.t) * self.velocity
+    def predict(self, t: float) -> Ahead:
+        """Predict to a time, s."""
 
     def correct(self, t: float, seen: Array) -> None:
-        """Take what was found (K, 2), m, at a time, s; NaN: not found, and the prediction is taken."""
-        before, dt = self.places, t - self.t
-        super().correct(t, seen)
-        self.velocity = (self.places - before) / dt
+        """Take markers (K, 2), m, found at the time, s, of the prediction; NaN: not found, the prediction is taken."""
+
+
+class BlobTracker:
+    """Expects each marker, the last one on the tip, where it was, or, if `moving`, where it goes; knows no rope."""
+
+    def __init__(self, t: float, places: Array, *, moving: bool) -> None:
+        self.t, self.places, self.moving, self.velocity = t, places, moving, np.zeros_like(places)
+
+    def predict(self, t: float) -> Ahead:
+        """See :class:`Tracker`."""
+        times, velocity = np.linspace(0.0, t - self.t, SAMPLES + 1), self.velocity[-1]
+        tip = self.places[-1] + np.outer(times, velocity)
+        return Ahead(self.places + (t - self.t) * self.velocity, tip, velocity, np.nan)
+
+    def correct(self, t: float, seen: Array) -> None:
+        """See :class:`Tracker`."""
+        places = np.where(np.isnan(seen), self.predict(t).places, seen)
+        if self.moving:
+            self.velocity = (places - self.places) / (t - self.t)
+        self.t, self.places = t, places
 
 
 class OnlineEstimator:
@@ -105,10 +95,8 @@ class OnlineEstimator:
         Of the last frame, s.
     q, qd : (n,) float64
         Link angles, rad, and rates, rad/s, then.
-    ahead : Trajectory or None
-        The last prediction: continuous angles, rates and accelerations, its times counted from the frame before.
     seconds : float
-        It took to compute; over the time simulated, the paper's alpha.
+        Time that the last prediction took; over the time simulated, the paper's alpha.
 
     Notes
     -----
@@ -118,40 +106,33 @@ class OnlineEstimator:
     """
 
     def __init__(self, rope: Rope, arc_lengths: npt.ArrayLike, t: float, places: Array) -> None:
-        self.rope, self.arc_lengths = rope, np.asarray(arc_lengths, dtype=np.float64)
+        self.rope, arcs = rope, np.asarray(arc_lengths, dtype=np.float64)
         ends = np.cumsum(rope.length)
-        self._link = np.minimum(np.searchsorted(ends, self.arc_lengths - 1e-9), rope.n_links - 1)
-        self._rest = self.arc_lengths - (ends - rope.length)[self._link]
-        self._part = np.searchsorted(self.arc_lengths, ends - 0.5 * rope.length)  # which marker follows each link
+        self._link = np.minimum(np.searchsorted(ends, arcs - 1e-9), rope.n_links - 1)
+        self._rest = arcs - (ends - rope.length)[self._link]
+        self._part = np.searchsorted(arcs, ends - 0.5 * rope.length)  # which marker follows each link
         self.t, self.qd = t, np.zeros(rope.n_links)
         self.q = self._turned(np.full(rope.n_links, rope.hanging_angle), places)
-        self.ahead: Trajectory | None = None
         self.seconds = 0.0
+        self._ahead: Trajectory | None = None
 
-    def predict(self, t: float) -> Array:
-        """Simulate ahead to a time, s, and return where the markers are expected then (K, 2), m."""
-        start = time.perf_counter()
-        times = np.linspace(0.0, t - self.t, SAMPLES + 1)
-        self.ahead = simulate(self.rope, duration=times[-1], q0=self.q, qd0=self.qd, t_eval=times, tol=TOL)
-        self.seconds = time.perf_counter() - start
-        return self.places(np.asarray(self.ahead.q[-1]))
+    def predict(self, t: float) -> Ahead:
+        """See :class:`Tracker`."""
+        start, times = time.perf_counter(), np.linspace(0.0, t - self.t, SAMPLES + 1)
+        run = simulate(self.rope, duration=times[-1], q0=self.q, qd0=self.qd, t_eval=times, tol=TOL)
+        self._ahead, self.seconds = run, time.perf_counter() - start
+        return Ahead(self._places(run.q[-1]), run.tip, run.tip_velocity[0], self.qd)
 
     def correct(self, t: float, seen: Array) -> None:
-        """Take what was found (K, 2), m, at the time, s, of the prediction; NaN: not found, the prediction is taken.
-
-        Raises
-        ------
-        InvalidInput
-            If nothing was predicted.
-        """
-        if self.ahead is None:
+        """See :class:`Tracker`; InvalidInput if nothing was predicted."""
+        if self._ahead is None:
             raise InvalidInput("nothing was predicted yet", fix="Call predict first")
-        q, qd = np.asarray(self.ahead.q[-1]), np.asarray(self.ahead.qd[-1])
-        self.q = self._turned(q, np.where(np.isnan(seen), self.places(q), seen))
+        q, qd = self._ahead.q[-1], self._ahead.qd[-1]
+        self.q = self._turned(q, np.where(np.isnan(seen), self._places(q), seen))
         self.qd = qd + (self.q - q) / (t - self.t)
         self.t = t
 
-    def places(self, q: Array) -> Array:
+    def _places(self, q: Array) -> Array:
         """Return the places (K, 2), m, of the markers for link angles (n,), rad."""
         joints = self.rope.joints(q, np.zeros(2))
         along = np.stack([np.sin(q), -np.cos(q)], axis=1)
@@ -161,8 +142,7 @@ class OnlineEstimator:
         """Return angles whose chords between markers point to these places, one after the other."""
         q, before = q.copy(), np.zeros(2)
         for k, place in enumerate(places):
-            have, want = self.places(q)[k] - before, place - before
-            turn = np.arctan2(have[0] * want[1] - have[1] * want[0], have @ want)
-            q[self._part == k] += turn
-            before = self.places(q)[k]
+            have, want = self._places(q)[k] - before, place - before
+            q[self._part == k] += np.arctan2(have[0] * want[1] - have[1] * want[0], have @ want)
+            before = self._places(q)[k]
         return q

@@ -4,24 +4,29 @@ The paper does not describe its identification rope. Length, mass and number of 
 and eta are what it found. Its errors are read so: E of (7) is the sum of squares over samples and links, and a noise of
 0.01 rad makes it 0.04 rad^2 for 81 samples of 5 links, as in Fig. 6; Tables I and II, whose unit is lost, then hold
 sqrt(E / 81) in 0.01 rad, for 2.23 there is 0.0403 rad^2. With this reading a swing of 0.15 rad gives all errors of both
-tables within 15 %, so that is what the paper's swing is taken for; a wide one of 1 rad is there beside it, for J can be
-told from zero only there.
+tables within 15 %, so that is what the paper's swing is taken for. In a wide one of 1 rad, simulated too, J can be
+told from zero.
 """
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.model import Rope
 from hyperflex.paper.natural_frequency import cylinder_inertia, natural_frequency_inertia, natural_period, swing_period
-from hyperflex.paper.results import Claim, Table
-from hyperflex.paper.revision import IterativeRevision, RevisionProfile, iterative_revision
-from hyperflex.paper.simplex import InitialState, estimate_initial_state, squared_error
+from hyperflex.paper.part import Claim, Item, Part, Table
+from hyperflex.paper.revision import PROFILES, IterativeRevision, RevisionProfile, iterative_revision
+from hyperflex.paper.simplex import estimate_initial_state, squared_error
 from hyperflex.recording import Recording
+from hyperflex.report import BLUE, GREEN, GREY, INK, RED, Section, TextTable, new_figure
 from hyperflex.simulation import angles, simulate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LENGTH, LINK_MASS, LINKS = 1.0, 1.53e-3, 5  # m, kg; inferred
 INERTIA, FRICTION = 0.143e-6, 0.631e-3  # kg m^2 of a link, N m s/rad of a joint: what the paper found
@@ -30,6 +35,7 @@ NOISE = 0.01  # rad, root mean square over all samples of a recording
 SEED = 2007
 COUNTS = (*range(12, 33, 5), *range(41, 62, 10), POINTS)  # samples used, Fig. 6
 METHODS = ("NF", "CM", "IR", "IR(theta_0)")
+PAPER_FIG6 = {FEW: 0.046, POINTS: 0.040}  # rad^2, as printed
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,7 @@ SMALL, WIDE = Swing(0.15), Swing(1.0)
 SWINGS = (SMALL, WIDE)
 FINER = tuple(Swing(swing.angle, 40) for swing in SWINGS)
 DRAWN = (*SWINGS, *FINER)
-CURVES = (*SWINGS, FINER[0])  # of Fig. 6
+CURVES = {SMALL: BLUE, WIDE: RED, FINER[0]: GREEN}  # of Fig. 6, with their colours
 
 
 def true_rope(links: int = LINKS) -> Rope:
@@ -102,15 +108,13 @@ def revised(
     swing: Swing, points: int = POINTS, profile: RevisionProfile = "response", seed: int = SEED
 ) -> IterativeRevision:
     """Return the iterative revision on the first `points` samples of a swing; each is made once in a process."""
-    recording = record(swing, seed)
-    part = recording.window(-np.inf, (points - 0.5) / RATE)
+    part = record(swing, seed).window(-np.inf, (points - 0.5) / RATE)
     return iterative_revision(part, guess(), profile=profile, rounds=8 if profile == "response" else 5)
 
 
-def whole_error(swing: Swing, found: IterativeRevision, seed: int = SEED) -> float:
+def whole_error(swing: Swing, found: IterativeRevision) -> float:
     """Return E over all 81 samples, rad^2, of a revision that may have used fewer."""
-    state = np.append(found.best.q, found.best.qd)
-    return squared_error(record(swing, seed), found.rope, state)
+    return squared_error(record(swing), found.rope, np.append(found.best.q, found.best.qd))
 
 
 def per_sample(error: float) -> float:
@@ -118,129 +122,72 @@ def per_sample(error: float) -> float:
     return 100.0 * float(np.sqrt(error / POINTS))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Method:
-    """A row of Table II, one of METHODS: its rope has the inertia of that method and the friction of the revision.
+    """A row of Table II, one of METHODS: the inertia of that method, the friction of the revision, and E, rad^2.
 
-    E is its error, rad^2, from a start `state` (2 n,), rad and rad/s: for "IR" the measured angles, for the others
-    those that suit them best.
+    E is taken from the measured angles for "IR", from the initial angles that suit them best for the others.
     """
 
     name: str
-    rope: Rope
+    inertia: float
+    friction: float
     error: float
-    state: Array
 
 
 @cache
 def methods(swing: Swing) -> tuple[Method, ...]:
     """Return the rows of Table II: inertia by natural frequency, as a cylinder, and by the revision."""
-    recording, found = record(swing), revised(swing)
-    inertias = {
-        "NF": natural_frequency_inertia(found.rope, swing_period(recording)),
-        "CM": float(cylinder_inertia(guess())[0]),
-    }
-    rows = []
-    for name, inertia in inertias.items():
-        rope = found.rope.replace(inertia=np.full(LINKS, inertia))
-        best: InitialState = estimate_initial_state(recording, rope)
-        rows.append(Method(name, rope, best.error, np.append(best.q, best.qd)))
-    measured = np.append(recording.data[0], np.zeros(LINKS))
-    rows.append(Method("IR", found.rope, found.best.measured_start, measured))
-    rows.append(Method("IR(theta_0)", found.rope, found.error, np.append(found.best.q, found.best.qd)))
-    return tuple(rows)
+    recording, best, rope = record(swing), revised(swing).best, revised(swing).rope
+    rows = [(best.inertia, best.measured_start), (best.inertia, best.error)]
+    others = (natural_frequency_inertia(rope, swing_period(recording)), float(cylinder_inertia(guess())[0]))
+    errors = [estimate_initial_state(recording, rope.replace(inertia=inertia)).error for inertia in others]
+    rows = [*zip(others, errors, strict=True), *rows]
+    return tuple(
+        Method(name, inertia, best.friction, error) for name, (inertia, error) in zip(METHODS, rows, strict=True)
+    )
 
 
-def motion(rope: Rope, state: Array, t: Array) -> Array:
-    """Return angles (T, n), rad, at times t, s, of a run from `state` (2 n,)."""
-    return angles(rope, t, state[:LINKS], state[LINKS:])[0]
+def _motion(rope: Rope, start: Array, t: Array) -> Array:
+    """Return angles (T, n), rad, at times t, s, of a run from rest at angles `start` (n,)."""
+    return angles(rope, t, start, np.zeros(LINKS))[0]
+
+
+def _table(title: str, columns: dict[str, Array], **notes: str) -> Table:
+    parameters = (
+        f"L = {LENGTH} m, {LINK_MASS} kg a link, J = {INERTIA} kg m^2, eta = {FRICTION} N m s/rad (length and mass "
+        f"inferred), first guess J = {guess().inertia[0]:.3g}, eta = {guess().friction[0]:.3g}; {POINTS} samples "
+        f"at {RATE} Hz, noise {NOISE} rad rms"
+    )
+    units = "SI, angles and E in rad and rad^2; error_per_sample is sqrt(E / 81) in 0.01 rad"
+    return Table(columns, {"title": title, "source": "simulated", "units": units, "parameters": parameters, **notes})
+
+
+def _columns(names: str, rows: Sequence[Sequence[float]]) -> dict[str, Array]:
+    return dict(zip(names.split(), np.array(rows, dtype=np.float64).T, strict=True))
 
 
 def table1() -> Table:
     """J, eta and E in each round of the revision (Table I), one row a round, for every swing."""
     rows = [
-        (*astuple(swing), k, each.inertia, each.friction, each.error, per_sample(each.error), each.evaluations)
+        (swing.angle, swing.links, k, each.inertia, each.friction, each.error, per_sample(each.error), each.evaluations)
         for swing in DRAWN
         for k, each in enumerate(revised(swing).rounds)
     ]
-    names = ("angle", "data_links", "revision", "inertia", "friction", "error", "error_per_sample", "rollouts")
-    return _table("table1", "change of J, eta and E", _columns(names, rows))
+    names = "angle data_links revision inertia friction error error_per_sample rollouts"
+    return _table("change of J, eta and E", _columns(names, rows))
 
 
 def table2() -> Table:
     """J, eta and E of NF, CM and IR (Table II); ``method`` counts them in that order."""
     rows = [
-        (*astuple(swing), k, each.rope.inertia[0], each.rope.friction[0], each.error, per_sample(each.error))
+        (swing.angle, swing.links, k, each.inertia, each.friction, each.error, per_sample(each.error))
         for swing in DRAWN
         for k, each in enumerate(methods(swing))
     ]
-    names = ("angle", "data_links", "method", "inertia", "friction", "error", "error_per_sample")
-    table = _table("table2", "comparison of NF, CM and IR", _columns(names, rows))
-    table.notes["methods"] = "; ".join(f"{k}: {name}" for k, name in enumerate(METHODS))
-    table.notes["periods"] = periods_text()
-    return table
-
-
-def fig3() -> Table:
-    """Measured and optimised initial angles (Fig. 3), one row a link."""
-    columns = {"link": np.arange(1.0, LINKS + 1.0)}
-    for swing in SWINGS:
-        columns[f"measured_{swing.key}"] = np.array(record(swing).data[0])
-        columns[f"optimised_{swing.key}"] = revised(swing).best.q
-        columns[f"true_{swing.key}"] = np.full(LINKS, swing.angle)
-    return _table("fig3", "measured and optimised initial angles", columns)
-
-
-def fig5() -> Table:
-    """Measured and calculated angles against time (Fig. 5), of every link of the small swing."""
-    recording, found = record(SMALL), revised(SMALL)
-    calculated = motion(found.rope, np.append(found.best.q, found.best.qd), recording.t)
-    columns = {"t": np.array(recording.t)}
-    for k in range(LINKS):
-        columns[f"measured_{k + 1}"] = np.array(recording.data[:, k])
-        columns[f"calculated_{k + 1}"] = calculated[:, k]
-    return _table("fig5", "measured and calculated angles", columns)
-
-
-def residuals(swing: Swing, rope: Rope, start: Array) -> Array:
-    """Return the last link's measured less calculated angles (81,), rad, of a run from rest at angles `start` (n,)."""
-    recording = record(swing)
-    return np.asarray(recording.data[:, -1] - motion(rope, np.append(start, np.zeros(LINKS)), recording.t)[:, -1])
-
-
-def start_residuals(swing: Swing) -> dict[str, Array]:
-    """Return the residuals of the revised rope from the measured and from the optimised initial angles (Fig. 3)."""
-    found = revised(swing)
-    return {
-        "measured": residuals(swing, found.rope, record(swing).data[0]),
-        "optimised": residuals(swing, found.rope, found.best.q),
-    }
-
-
-def fig5_curves() -> list[tuple[Array, Array, Array]]:
-    """Return the curves with the first guess, from the initial angles that suit it best, and after the revision.
-
-    Each a time (m,), s, the angle of the last link then (m,), rad, and its residuals at the samples (81,), rad.
-    """
-    found, first = revised(SMALL), revised(SMALL).rounds[0]
-    end = record(SMALL).t[-1]
-    t = np.linspace(0.0, end, round(40.0 * end) + 1)
-    guessed = found.rope.replace(inertia=np.full(LINKS, first.inertia), friction=np.full(LINKS, first.friction))
-    return [
-        (t, motion(rope, np.append(start, np.zeros(LINKS)), t)[:, -1], residuals(SMALL, rope, start))
-        for rope, start in ((guessed, first.q), (found.rope, found.best.q))
-    ]
-
-
-def fig6() -> Table:
-    """E over all samples against the number of samples that the revision used (Fig. 6)."""
-    columns = {"samples": np.array(COUNTS, dtype=np.float64)}
-    for swing in CURVES:
-        made = [revised(swing, count) for count in COUNTS]
-        columns[f"error_{swing.key}"] = np.array([whole_error(swing, each) for each in made])
-        columns[f"inertia_{swing.key}"] = np.array([each.best.inertia for each in made])
-        columns[f"friction_{swing.key}"] = np.array([each.best.friction for each in made])
-    return _table("fig6", "identification error against samples used", columns)
+    names = "angle data_links method inertia friction error error_per_sample"
+    order = "; ".join(f"{k}: {name}" for k, name in enumerate(METHODS))
+    return _table("comparison of NF, CM and IR", _columns(names, rows), methods=order, periods=periods_text())
 
 
 def periods_text() -> str:
@@ -250,22 +197,153 @@ def periods_text() -> str:
     return f"measured, {seen}; small swings computed, {models}; the paper's 1.61 s"
 
 
-def _columns(names: tuple[str, ...], rows: Sequence[tuple[float, ...]]) -> dict[str, Array]:
-    return dict(zip(names, np.array(rows, dtype=np.float64).T, strict=True))
+def _table1_sections() -> list[Section]:
+    rows = [
+        ("the paper", "0", "5.09", "1.26", "", "4.64"),
+        ("the paper", "1", "0.143", "0.631", "", "2.23"),
+        ("the paper", "2", "0.143", "0.631", "", "2.23"),
+    ]
+    endings = []
+    for swing in DRAWN:
+        for k, each in enumerate(revised(swing).rounds):
+            numbers = (f"{1e6 * each.inertia:.3f}", f"{1e3 * each.friction:.3f}", f"{each.error:.4f}")
+            rows.append((swing.title, str(k), *numbers, f"{per_sample(each.error):.2f}"))
+        j, eta = revised(swing).std.values()
+        rows.append((swing.title, "std", f"{1e6 * j:.3f}", f"{1e3 * eta:.3f}", "", ""))
+    for swing in SWINGS:
+        for profile in PROFILES:
+            found = revised(swing, profile=profile)
+            last, moved = found.rounds[-1], found.converged_after
+            end = "never moved" if moved == 0 else f"converged after {moved} revisions"
+            end = f"{found.status} after {len(found.rounds) - 1} revisions" if moved is None else end
+            numbers = (f"{1e6 * last.inertia:.3g}", f"{1e3 * last.friction:.3g}", f"{last.error:.3g}")
+            endings.append((swing.title, profile, *numbers, end))
+    header = ("data", "revision", "J, 1e-6 kg m^2", "eta, 1e-3 N m s/rad", "E, rad^2", "sqrt(E/81), 0.01 rad")
+    compared = ("data", "compared", "last J, 1e-6 kg m^2", "last eta, 1e-3 N m s/rad", "last E, rad^2", "end")
+    return [
+        Section("Table I: change of J, eta and E", text=(_UNIT,), table=TextTable(header, tuple(rows))),
+        Section("What step 4 may mean", text=_STEP4, table=TextTable(compared, tuple(endings))),
+    ]
 
 
-def _table(name: str, title: str, columns: dict[str, Array]) -> Table:
-    notes = {
-        "title": title,
-        "source": "simulated",
-        "units": "SI, angles and E in rad and rad^2; error_per_sample is sqrt(E / 81) in 0.01 rad",
-        "parameters": (
-            f"L = {LENGTH} m, {LINK_MASS} kg a link, J = {INERTIA} kg m^2, eta = {FRICTION} N m s/rad (length and mass "
-            f"inferred), first guess J = {guess().inertia[0]:.3g}, eta = {guess().friction[0]:.3g}; {POINTS} samples "
-            f"at {RATE} Hz, noise {NOISE} rad rms"
-        ),
-    }
-    return Table(name, title, columns, notes)
+def _table2_sections() -> list[Section]:
+    printed = {"NF": ("102", "16.3"), "CM": ("5.09", "2.62"), "IR": ("0.143", "2.23"), "IR(theta_0)": ("0.143", "")}
+    rows = [("the paper", name, inertia, "", error) for name, (inertia, error) in printed.items()]
+    rows += [
+        (swing.title, each.name, f"{1e6 * each.inertia:.3g}", f"{each.error:.4f}", f"{per_sample(each.error):.2f}")
+        for swing in DRAWN
+        for each in methods(swing)
+    ]
+    table = TextTable(("data", "method", "J, 1e-6 kg m^2", "E, rad^2", "sqrt(E/81), 0.01 rad"), tuple(rows))
+    return [Section("Table II: NF, CM and IR", text=(f"T_nat: {periods_text()}.",), table=table)]
+
+
+def fig3() -> Table:
+    """Measured and optimised initial angles (Fig. 3), one row a link."""
+    columns = {"link": np.arange(1.0, LINKS + 1.0)}
+    for swing in SWINGS:
+        columns[f"measured_{swing.key}"] = np.array(record(swing).data[0])
+        columns[f"optimised_{swing.key}"] = revised(swing).best.q
+        columns[f"true_{swing.key}"] = np.full(LINKS, swing.angle)
+    return _table("measured and optimised initial angles", columns)
+
+
+def draw_fig3() -> "Figure":
+    """Draw initial angles, measured and optimised, and the tip's error that follows from each."""
+    link = np.arange(1, LINKS + 1)
+    with new_figure(9.4, 5.8, "Measured and optimised initial angles, simulated (Fig. 3)") as figure:
+        for (left, right), swing in zip(figure.subplots(len(SWINGS), 2, width_ratios=(1, 2.2)), SWINGS, strict=True):
+            recording, rope, best = record(swing), revised(swing).rope, revised(swing).best
+            left.axhline(0.0, color=GREY, lw=1.0, label="true")
+            for label, q, error, marker, colour in (
+                ("measured", recording.data[0], best.measured_start, "o", RED),
+                ("optimised", best.q, best.error, "s", BLUE),
+            ):
+                left.plot(link, 1e3 * (q - swing.angle), marker, color=colour, ms=5.5, label=label)
+                style: dict[str, Any] = {"color": colour, "ms": 2.8, "label": f"E = {error:.4f} rad²"}
+                _draw_residuals(right, recording, _motion(rope, q, recording.t), marker=marker, **style)
+            left.set(xticks=link, xlabel="link", ylabel="off the truth, mrad")
+            left.set_title(f"initial angles, let go at {swing.angle:g} rad")
+            left.margins(x=0.12, y=0.15)
+            left.legend(fontsize=8.0, loc="best")
+            _draw_noise(right)
+            right.set_title("tip link: measured less calculated from either start")
+            low, high = right.get_ylim()
+            right.set(xlim=(0.0, recording.t[-1]), ylim=(low, high + 0.3 * (high - low)))
+            right.legend(fontsize=8.0, loc="upper right", ncols=3)
+    return figure
+
+
+def _draw_residuals(axis: Any, recording: Recording, calculated: Array, **style: Any) -> None:
+    """Draw the last link's measured less calculated angles."""
+    axis.plot(recording.t, 1e3 * (recording.data[:, -1] - calculated[:, -1]), lw=0.7, **style)
+
+
+def _draw_noise(axis: Any) -> None:
+    """Shade the noise of a panel of residuals."""
+    axis.axhspan(-1e3 * NOISE, 1e3 * NOISE, color=GREY, alpha=0.15, lw=0, label="noise (rms)")
+    axis.set(xlabel="time, s", ylabel="residual, mrad")
+
+
+def fig5() -> Table:
+    """Measured and calculated angles against time (Fig. 5), of every link of the small swing."""
+    recording, found = record(SMALL), revised(SMALL)
+    calculated = _motion(found.rope, found.best.q, recording.t)
+    columns = {"t": np.array(recording.t)}
+    for k in range(LINKS):
+        columns[f"measured_{k + 1}"] = np.array(recording.data[:, k])
+        columns[f"calculated_{k + 1}"] = calculated[:, k]
+    return _table("measured and calculated angles", columns)
+
+
+def draw_fig5() -> "Figure":
+    """Draw the tip's angle against time: measured, calculated by the revision, and with the first guess."""
+    recording, found, first = record(SMALL), revised(SMALL), revised(SMALL).rounds[0]
+    t = np.linspace(0.0, recording.t[-1], round(40.0 * recording.t[-1]) + 1)
+    guessed = found.rope.replace(inertia=first.inertia, friction=first.friction)
+    title = f"Angle of the rope's tip, simulated, let go at {SMALL.angle:g} rad (Fig. 5)"
+    with new_figure(9.4, 4.9, title) as figure:
+        top, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1))
+        _draw_noise(below)
+        for rope, start, colour, dash, label in (
+            (guessed, first.q, RED, (0, (4.0, 1.6)), "first guess (CM), its best start"),
+            (found.rope, found.best.q, BLUE, "-", "revised (IR)"),
+        ):
+            top.plot(t, _motion(rope, start, t)[:, -1], color=colour, ls=dash, label=label)
+            _draw_residuals(below, recording, _motion(rope, start, recording.t), marker="o", ms=2.6, color=colour)
+        top.plot(recording.t, recording.data[:, -1], "o", ms=4.2, mfc="none", mec=INK, mew=0.9, label="measured")
+        top.set(ylabel="angle of link 5, rad", xlim=(0.0, recording.t[-1]))
+        top.legend(fontsize=8.5, loc="upper right", ncols=3)
+        below.legend(fontsize=8.0, loc="lower left")
+    return figure
+
+
+@cache
+def fig6() -> Table:
+    """E over all samples against the number of samples that the revision used (Fig. 6)."""
+    columns = {"samples": np.array(COUNTS, dtype=np.float64)}
+    for swing in CURVES:
+        made = [revised(swing, count) for count in COUNTS]
+        columns[f"error_{swing.key}"] = np.array([whole_error(swing, each) for each in made])
+        columns[f"inertia_{swing.key}"] = np.array([each.best.inertia for each in made])
+        columns[f"friction_{swing.key}"] = np.array([each.best.friction for each in made])
+    return _table("identification error against samples used", columns)
+
+
+def draw_fig6() -> "Figure":
+    """Draw E over all samples against how many of them were used."""
+    columns = fig6().columns
+    with new_figure(7.6, 4.4, "Identification error and samples used, simulated (Fig. 6)") as figure:
+        axis = figure.subplots()
+        for swing, colour in CURVES.items():
+            error = columns[f"error_{swing.key}"]
+            axis.plot(columns["samples"], error, "o-", ms=4.5, color=colour, label=swing.title)
+        axis.plot(*zip(*PAPER_FIG6.items(), strict=True), "D", ms=6.5, mfc="none", mec=INK, mew=1.3, label="the paper")
+        axis.axvline(FEW, color=GREY, lw=0.8, ls=(0, (4.0, 2.0)))
+        axis.set(xlabel="samples used, from the first on", ylabel="E over all 81 samples, rad²", ylim=(0.0, None))
+        axis.annotate("3 s", (FEW, 0.0), (4, 4), textcoords="offset points", color=GREY, fontsize=8.5)
+        axis.legend(fontsize=8.5, loc="upper right")
+    return figure
 
 
 def settles(swing: Swing) -> Claim:
@@ -282,16 +360,15 @@ def settles(swing: Swing) -> Claim:
 def finds_the_truth(swing: Swing, seed: int = SEED) -> Claim:
     """C6: J and eta lie within their uncertainty of the truth. Measured: the larger distance in standard deviations."""
     found = revised(swing, seed=seed)
-    j_std, eta_std = found.std["inertia"], found.std["friction"]
-    inertia = abs(found.best.inertia - INERTIA) / j_std
-    friction = abs(found.best.friction - FRICTION) / eta_std
+    best, j_std, eta_std = found.best, found.std["inertia"], found.std["friction"]
     note = (
-        f"J = {1e6 * found.best.inertia:.3f} +- {1e6 * j_std:.3f} e-6 kg m^2 (true {1e6 * INERTIA:.3f}), "
-        f"eta = {1e3 * found.best.friction:.3f} +- {1e3 * eta_std:.3f} e-3 N m s/rad "
+        f"J = {1e6 * best.inertia:.3f} +- {1e6 * j_std:.3f} e-6 kg m^2 (true {1e6 * INERTIA:.3f}), "
+        f"eta = {1e3 * best.friction:.3f} +- {1e3 * eta_std:.3f} e-3 N m s/rad "
         f"(true {1e3 * FRICTION:.3f}); J's relative standard deviation is {j_std / INERTIA:.2f}"
     )
+    distance = max(abs(best.inertia - INERTIA) / j_std, abs(best.friction - FRICTION) / eta_std)
     statement = "J and eta are the true ones: distance in standard deviations"
-    return Claim("C6", statement, swing, max(inertia, friction), 2.0, note, "<=")
+    return Claim("C6", statement, swing, distance, 2.0, note, "<=")
 
 
 def in_order(swing: Swing) -> Claim:
@@ -309,6 +386,70 @@ def few_samples_do(swing: Swing) -> Claim:
     return Claim("C7", "22 of 81 samples: ratio of errors over all samples", swing, few / full, 1.15, note, "<=")
 
 
-def identification_claims() -> list[Claim]:
-    """Measure C6 and C7 on the small and the wide swing."""
-    return [measure(swing) for measure in (settles, finds_the_truth, in_order, few_samples_do) for swing in SWINGS]
+_UNIT = (
+    "E is the sum (7) over samples and links. The unit of the paper's errors is lost; read as sqrt(E / 81) in 0.01 "
+    "rad, its 2.23 is 0.0403 rad^2, the 0.04 rad^2 of Fig. 6. A swing of 0.15 rad then gives its other errors too, "
+    "within 15 %, so that is what we take its experiment for. J cannot be told from zero there; in the wide swing it "
+    "just can."
+)
+_STEP4 = (
+    (
+        "Read as it is printed, step 4 takes angles, rates and accelerations of the calculated motion. That motion "
+        "fulfils (4) with the J and eta that it was calculated with, so (6) returns these, and nothing ever moves."
+    ),
+    (
+        "Measured angles and rates with calculated accelerations diverge: an error of an angle times gravity is a "
+        "hundred times J's torque. With measured rates alone the rounds creep, and where the swing is small the noise "
+        "of the rates takes eta down to nothing."
+    ),
+    (
+        "What is used here carries the torques of (5) through the linearised motion to the angles that they change, "
+        "and fits those to what the calculated motion leaves of the measured one."
+    ),
+)
+
+
+def _sections() -> list[Section]:
+    truth, first = true_rope(), guess()
+    text = (
+        f"Rope: {LENGTH:g} m and {LINK_MASS:g} kg a link (inferred), {LINKS} links, J = {truth.inertia[0]:g} kg m^2, "
+        f"eta = {truth.friction[0]:g} N m s/rad; first guess J = {first.inertia[0]:.3g} (cylinder), "
+        f"eta = {first.friction[0]:g}. It is held straight and let go at rest; {POINTS} samples at {RATE:g} frames a "
+        f"second, noise {NOISE:g} rad rms. The finer rope has {DRAWN[-1].links} links, is a thin cylinder and "
+        "bends with the same friction: the fitted J and eta are then what 5 links need to move like it."
+    )
+    return [Section("Set-up of the identification", text=(text,))]
+
+
+PART = Part(
+    title="Identifying a rope by iterative revision",
+    lead=(
+        "Identification by iterative revision: section III of Suzuki and Ebihara, Casting Control for Hyper-Flexible "
+        "Manipulation (ICRA 2007), on a simulated twin of its experiment. Length and mass of the rope are inferred."
+    ),
+    message="identifying; each revision takes a second or two",
+    items={
+        "table1": Item(table1, sections=_table1_sections),
+        "table2": Item(table2, sections=_table2_sections),
+        "fig3": Item(
+            fig3,
+            draw_fig3,
+            "Initial angles as measured and as the downhill simplex finds them, and the residuals of the tip link from "
+            "either start, with the revised J and eta.",
+        ),
+        "fig5": Item(
+            fig5,
+            draw_fig5,
+            "Angle of the last link: measured, with the first guess (and the initial angles that suit it best), and "
+            "after the revision. Below, measured less calculated.",
+        ),
+        "fig6": Item(
+            fig6,
+            draw_fig6,
+            "E over all 81 samples after a revision that used only the first ones. The paper's two printed values are "
+            "marked.",
+        ),
+    },
+    measures=dict.fromkeys((settles, finds_the_truth, in_order, few_samples_do), SWINGS),
+    sections=_sections,
+)

@@ -1,9 +1,12 @@
 """Baselines of the paper: inertia by natural frequency (8) and of a cylinder."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
+from hyperflex.dynamics import mass_matrix
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import lumped
 from hyperflex.model import Rope
@@ -44,8 +47,7 @@ def natural_frequency_inertia(rope: Rope, period: float) -> float:
     """
     mass = rope.total_mass
     gravity = float(np.hypot(*rope.gravity))
-    starts = np.cumsum(rope.length) - rope.length
-    moment = float((rope.mass * (starts + rope.com)).sum()) + rope.tip_mass * rope.total_length
+    moment = float(lumped(rope)[0].sum())
     if gravity * moment <= 0.0:
         raise InvalidInput("a rope without weight has no natural period", got=gravity, allowed="gravity and mass")
     seconds = checks.number("period", period, sign="positive", unit="s")
@@ -64,13 +66,10 @@ def natural_period(rope: Rope) -> float:
     rope : Rope
         Without stiffness it needs gravity.
     """
-    p, own = lumped(rope)
-    order = np.arange(rope.n_links)
-    mass = rope.length[np.minimum.outer(order, order)] * p[np.maximum.outer(order, order)]
-    mass[order, order] = own
+    p, _ = lumped(rope)
     both = np.eye(rope.n_links) - np.eye(rope.n_links, k=1)
     stiffness = np.diag(p * np.hypot(*rope.gravity)) + both @ np.diag(rope.stiffness) @ both.T
-    squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
+    squares = np.linalg.eigvals(np.linalg.solve(mass_matrix(rope, np.zeros(rope.n_links)), stiffness)).real
     if squares.min() <= 0.0:
         raise InvalidInput("the rope does not swing", got=float(squares.min()), allowed="gravity or stiffness")
     return float(2.0 * np.pi / np.sqrt(squares.min()))
@@ -97,19 +96,14 @@ def swing_period(recording: Recording, link: int = -1) -> float:
     the mean of the zeros of straight lines between the samples from side to side.
     """
     measured = recording.angles()
-    column = measured.data[:, link]
-    known = ~np.isnan(column)
-    t, angle = measured.t[known], column[known]
+    known = ~np.isnan(measured.data[:, link])
+    t, angle = measured.t[known], measured.data[known, link]
     large = np.flatnonzero(np.abs(angle) > SIDE * np.abs(angle).max())
-    passed = np.flatnonzero(np.sign(angle[large[:-1]]) != np.sign(angle[large[1:]]))
-    spans = [slice(large[k], large[k + 1] + 1) for k in passed]
-    crossings = np.array([_crossing(t[span], angle[span]) for span in spans])
-    if crossings.size < 3:
-        raise InvalidInput("too few swings for a period", got=f"{crossings.size} zero crossings", allowed="at least 3")
+    crossings = []
+    for first, last in pairwise(large):
+        if angle[first] * angle[last] < 0.0:
+            k = first + np.flatnonzero((angle[first:last] > 0.0) != (angle[first + 1 : last + 1] > 0.0))
+            crossings.append((t[k] - angle[k] * (t[k + 1] - t[k]) / (angle[k + 1] - angle[k])).mean())
+    if len(crossings) < 3:
+        raise InvalidInput("too few swings for a period", got=f"{len(crossings)} zero crossings", allowed="at least 3")
     return float(2.0 * np.diff(crossings).mean())
-
-
-def _crossing(t: Array, angle: Array) -> float:
-    """Return the mean of the times at which straight lines between samples cross zero, s."""
-    k = np.flatnonzero((angle[:-1] > 0.0) != (angle[1:] > 0.0))
-    return float((t[k] - angle[k] * (t[k + 1] - t[k]) / (angle[k + 1] - angle[k])).mean())

@@ -4,7 +4,7 @@ The first moments p, the inertias J about the joints and all resistances enter t
 linearly, and so do masses and inertias where lengths and centres of mass are known.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core import joint_law
 from hyperflex.core.chain.air import link_drag
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import lumped
@@ -157,81 +156,90 @@ def fit_regression(
     """
     n = checks.instance("rope", rope, Rope).n_links
     angles = checks.array("q", q, (-1, n), unit="rad", gaps=True)
-    shape = angles.shape
-    rates = checks.array("qd", qd, shape, unit="rad/s", gaps=True)
-    accelerations = checks.array("qdd", qdd, shape, unit="rad/s^2", gaps=True)
-    moved = np.zeros((shape[0], 2)) if pivot_acceleration is None else pivot_acceleration
-    moved = checks.array("pivot_acceleration", moved, (shape[0], 2), unit="m/s^2")
-    velocity = np.zeros((shape[0], 2)) if pivot_velocity is None else pivot_velocity
-    velocity = checks.array("pivot_velocity", velocity, (shape[0], 2), unit="m/s")
-    arm_angle = checks.array("arm_angle", arm_angle, shape[:1], unit="rad", scalar=True)
-    arm_rate = checks.array("arm_rate", arm_rate, shape[:1], unit="rad/s", scalar=True)
-    unknowns = _unknowns(rope, names)
-    every = np.concatenate(
-        [
-            *_moments(rope, angles, rates, accelerations, rope.gravity - moved),
-            *_joints(rope, angles, rates, arm_angle, arm_rate),
-            _drag(rope, angles, rates, velocity),
-        ],
-        axis=2,
+    samples = angles.shape[:1]
+    still = np.zeros((*samples, 2))
+    torques = _inverse_dynamics(
+        rope,
+        angles,
+        checks.array("qd", qd, angles.shape, unit="rad/s", gaps=True),
+        checks.array("qdd", qdd, angles.shape, unit="rad/s^2", gaps=True),
+        pivot_velocity=checks.array(
+            "pivot_velocity", still if pivot_velocity is None else pivot_velocity, still.shape, unit="m/s"
+        ),
+        pivot_acceleration=checks.array(
+            "pivot_acceleration", still if pivot_acceleration is None else pivot_acceleration, still.shape, unit="m/s^2"
+        ),
+        arm_angle=checks.array("arm_angle", arm_angle, samples, unit="rad", scalar=True),
+        arm_rate=checks.array("arm_rate", arm_rate, samples, unit="rad/s", scalar=True),
     )
-    held = np.concatenate([*lumped(rope), *(getattr(rope, each.name) for each in RESISTANCES)])
-    sizes = np.abs(held)
-    spread = np.zeros((held.size, len(unknowns)))
-    for column, (_, name, links) in zip(spread.T, unknowns, strict=True):
-        for part, own in (_lumped_part(rope, name, link) for link in links):
-            column += part
-            held -= own * part
+    unknowns = _unknowns(rope, names)
+    p, J = lumped(rope)
+    held = np.stack([p, J, *(getattr(rope, each.name) for each in RESISTANCES)])
+    own = {"p": p, "J": J, "tip_mass": np.full(n + 1, rope.tip_mass)}
+    sizes, columns = np.abs(held), []
+    for _, name, links in unknowns:
+        units = [_unit(rope, name, link) for link in links]
+        columns.append(torques(np.sum(units, axis=0)))
+        for unit, link in zip(units, links, strict=True):
+            held -= (own[name] if name in own else getattr(rope, name))[link] * unit
     held[np.abs(held) <= 1e-12 * sizes] = 0.0  # rounding, where all of it is unknown
-    return Regression(tuple(label for label, _, _ in unknowns), every @ spread, -(every @ held))
+    return Regression(tuple(label for label, _, _ in unknowns), np.stack(columns, axis=2), -torques(held))
 
 
-def _moments(rope: Rope, q: Array, qd: Array, qdd: Array, gravity: Array) -> tuple[Array, Array]:
-    """Return the torques (T, n, n) of a unit of each p and of each J.
+def _inverse_dynamics(
+    rope: Rope,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    *,
+    pivot_velocity: Array,
+    pivot_acceleration: Array,
+    arm_angle: Array,
+    arm_rate: Array,
+) -> Callable[[Array], Array]:
+    """Return a function of the values (6, n) of LUMPED that returns the torques (T, n) of the equation of motion.
 
-    M_ij = l_i p_j cos(q_i - q_j), i < j, so p_j acts on link j and on all before it (docs/models.md (M.4)).
+    Link j acts on its own joint with J_j and with p_j times the acceleration of that joint, and pushes all joints
+    before it with p_j times the second derivative of its direction (docs/models.md (M.4)).
     """
-    samples, n = q.shape
-    apart = q[:, :, None] - q[:, None, :]
-    # l_i times the acceleration of link j's direction, seen along link i's normal
-    pull = np.cos(apart) * qdd[:, None, :] + np.sin(apart) * (qd**2)[:, None, :]
-    first = np.where(np.arange(n)[:, None] < np.arange(n), rope.length[:, None] * pull, 0.0)
-    carried = np.einsum("tjk,k->tj", np.tril(pull, -1), rope.length)
-    weight = gravity[:, :1] * np.cos(q) + gravity[:, 1:] * np.sin(q)
-    diagonal = np.arange(n)
-    first[:, diagonal, diagonal] = carried - weight
-    second = np.zeros((samples, n, n))
-    second[:, diagonal, diagonal] = qdd
-    return first, second
+    normal = np.stack([np.cos(q), np.sin(q)], axis=2)
+    turn = qdd[..., None] * normal + (qd**2)[..., None] * np.stack([-np.sin(q), np.cos(q)], axis=2)
+    length = rope.length[:, None]
+    joint = (pivot_acceleration - rope.gravity)[:, None] + np.cumsum(length * turn, axis=1) - length * turn
+    swing = (rope.length * qd)[..., None] * normal
+    across = ((pivot_velocity[:, None] + np.cumsum(swing, axis=1) - swing) * normal).sum(axis=2)
+    rate = np.diff(qd, axis=1, prepend=arm_rate[:, None])
+    bend = np.diff(q, axis=1, prepend=arm_angle[:, None]) - rope.rest_angle
+    reaction = 1.0 if rope.friction_model == "relative" else 0.0
+
+    def torques(values: Array) -> Array:
+        p, J, viscous, dry, stiffness, drag = values
+        friction, spring = viscous * rate + dry * np.sign(rate), stiffness * bend
+        force, moment = link_drag(drag, rope.length, across, rope.length * qd)
+        push = p[:, None] * turn + force[..., None] * normal
+        beyond = np.cumsum(push[:, ::-1], axis=1)[:, ::-1] - push
+        back = np.pad((reaction * friction + spring)[:, 1:], ((0, 0), (0, 1)))
+        carried = (normal * (p[:, None] * joint + length * beyond)).sum(axis=2)
+        return np.asarray(J * qdd + carried + moment + friction + spring - back)
+
+    return torques
 
 
-def _joints(rope: Rope, q: Array, qd: Array, angle: Array, rate: Array) -> tuple[Array, Array, Array]:
-    """Return the torques (T, n, n) of a unit of viscous and dry friction and stiffness, in this order."""
-    turning = np.diff(qd, axis=1, prepend=rate[:, None])
-    bent = np.diff(q, axis=1, prepend=angle[:, None]) - rope.rest_angle
-    share = 1.0 if rope.friction_model == "relative" else 0.0
-    onto, back = np.eye(rope.n_links), np.eye(rope.n_links, k=1)
-
-    def unit(*seed: float) -> Array:
-        law = joint_law.variation((0.0,) * 4, seed, share, bent, turning, 0.0, np.sign(turning), 0.0, 0.0)
-        return np.asarray(back * law[1][:, None, :] - onto * law[0][:, None, :])
-
-    return unit(1.0, 0.0, 0.0, 0.0), unit(0.0, 1.0, 0.0, 0.0), unit(0.0, 0.0, 1.0, 0.0)
-
-
-def _drag(rope: Rope, q: Array, qd: Array, pivot: Array) -> Array:
-    """Return the torques (T, n, n) of a unit of air drag on each link; the first joint moves at `pivot` (T, 2), m/s."""
-    length, normal = rope.length, np.stack([np.cos(q), np.sin(q)], axis=2)
-    turn = (length * qd)[:, :, None] * normal
-    across = ((pivot[:, None] + np.cumsum(turn, axis=1) - turn) * normal).sum(axis=2)
-    force, moment = link_drag(1.0, length, across, length * qd)
-    carried = length[:, None] * np.cos(q[:, :, None] - q[:, None, :]) * force[:, None, :]
-    return np.asarray(np.triu(carried, 1) + np.eye(rope.n_links) * moment[:, None, :])
+def _unit(rope: Rope, name: str, link: int) -> Array:
+    """Return what a unit of a link's property adds to the values (6, n) of LUMPED; a tip mass is that of link n."""
+    result = np.zeros((len(LUMPED), rope.n_links))
+    if name in ("mass", "tip_mass"):
+        place = np.arange(rope.n_links)
+        result[0] = np.where(place < link, rope.length, np.where(place == link, rope.com, 0.0))
+        result[1] = result[0] ** 2
+    else:
+        result[LUMPED.index("J" if name == "inertia" else name), link] = 1.0
+    return result
 
 
 def _unknowns(rope: Rope, names: Sequence[str]) -> list[tuple[str, str, list[int]]]:
-    """Return label, property and links of each unknown."""
-    result = []
+    """Return label, property and links of each unknown; what is unknown twice is refused."""
+    n, result = rope.n_links, list[tuple[str, str, list[int]]]()
     for given in [names] if isinstance(names, str) else checks.sequence("names", names, "names of unknowns"):
         label = parse_label(given)
         if label is None or label.name not in NAMES or label.law not in ("", "shared"):
@@ -240,45 +248,21 @@ def _unknowns(rope: Rope, names: Sequence[str]) -> list[tuple[str, str, list[int
                 got=given,
                 allowed=", ".join(NAMES) + "; friction[2] for one link, friction:shared for all",
             )
-        name = label.name
-        links = list(range(rope.n_links)) if label.place is None else [label.place]
-        if links[-1] >= rope.n_links or (name == "tip_mass" and given != name):
-            raise InvalidInput("a name does not fit the rope", got=given, allowed=f"links 0 to {rope.n_links - 1}")
-        if name == "tip_mass" or given != name:
-            result.append((given, name, [0] if name == "tip_mass" else links))
-        else:
+        name, links = label.name, list(range(n)) if label.place is None else [label.place]
+        if links[-1] >= n or (name == "tip_mass" and given != name):
+            raise InvalidInput("a name does not fit the rope", got=given, allowed=f"links 0 to {n - 1}")
+        if name == "tip_mass":
+            result.append((given, name, [n]))
+        elif given == name:
             result += [(f"{name}[{k}]", name, [k]) for k in links]
-    _refuse_overlaps(result)
-    return result
-
-
-def _refuse_overlaps(unknowns: list[tuple[str, str, list[int]]]) -> None:
-    """Refuse an empty list, and what is there twice: ``friction[1]`` in ``friction:shared``, ``mass`` in ``p``."""
-    single = [(name, k) for _, name, links in unknowns for k in links]
+        else:
+            result.append((given, name, links))
+    single = [(name, k) for _, name, links in result for k in links]
     present = {name for name, _ in single}
-    within = [inner for outer in present & set(WITHIN) for inner in WITHIN[outer] & present]
-    if not single or within or len(set(single)) < len(single):
+    if not single or len(set(single)) < len(single) or any(WITHIN[outer] & present for outer in present & set(WITHIN)):
         raise InvalidInput(
             "the unknowns of a regression overlap, or there are none",
-            got=[label for label, _, _ in unknowns],
+            got=[label for label, _, _ in result],
             allowed="each parameter once; p or mass, J or inertia",
         )
-
-
-def _lumped_part(rope: Rope, name: str, link: int) -> tuple[Array, float]:
-    """Return what a unit of a link's property adds to LUMPED, (n,) of each, and its own value."""
-    n = rope.n_links
-    result = np.zeros((len(LUMPED), n))
-    if name in LUMPED:
-        result[LUMPED.index(name), link] = 1.0
-        own = dict(zip(("p", "J"), lumped(rope), strict=True))
-        return result.ravel(), float((own[name] if name in own else getattr(rope, name))[link])
-    if name == "tip_mass":
-        result[0], result[1] = rope.length, rope.length**2
-        return result.ravel(), rope.tip_mass
-    if name == "inertia":
-        result[1, link] = 1.0
-    else:
-        result[0, :link], result[0, link] = rope.length[:link], rope.com[link]
-        result[1, :link], result[1, link] = rope.length[:link] ** 2, rope.com[link] ** 2
-    return result.ravel(), float(getattr(rope, name)[link])
+    return result

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from hyperflex.model import Rope, Setup
 from hyperflex.paper.regression import fit_regression
 from hyperflex.paper.simplex import (
     MAX_EVALUATIONS,
-    RATES,
     Rates,
     estimate_initial_state,
     first_state,
@@ -31,10 +30,9 @@ from hyperflex.status import Status
 
 RevisionProfile = Literal["response", "calculated", "measured", "measured rates"]
 
-PROFILES = ("response", "calculated", "measured", "measured rates")
+PROFILES: tuple[RevisionProfile, ...] = get_args(RevisionProfile)
 SETTLED = 0.1  # standard deviations: revisions that move J and eta by less no longer count
 FALSE_DIGITS = 1e-6  # and so do relative changes below this, where nothing but rounding is left
-UNKNOWNS = ("inertia:shared", "friction:shared")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +77,6 @@ class IterativeRevision:
         SUCCESS if nothing moved any more, FAILED or INTERRUPTED.
     samples : int
         Measured angles that were fitted, gaps left out.
-    profile, rates : str
-        As given.
     """
 
     rope: Rope
@@ -89,8 +85,6 @@ class IterativeRevision:
     rounds: tuple[Round, ...]
     status: Status
     samples: int
-    profile: str
-    rates: str
 
     @property
     def success(self) -> bool:
@@ -182,26 +176,38 @@ def iterative_revision(
     check_times(measured, rope_guess)
     check_motion(measured)
     checks.choice("profile", profile, PROFILES)
-    checks.choice("rates", rates, RATES)
     if progress is not None and not callable(progress):
         raise InvalidInput("progress cannot be called", got=progress, allowed="a function of a round, or None")
-    revision = _Revision(measured, rope_guess, rates, profile, checks.count("max_evaluations", max_evaluations))
+    rope = rope_guess.replace(inertia=rope_guess.inertia.mean(), friction=rope_guess.friction.mean())
+    first = first_state(measured, rates)
+    start = (first[: measured.n_links], first[measured.n_links :])
+    names = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
+    jacobian = AngleJacobian(Setup(rope_guess), names) if profile == "response" else None
     done: list[Round] = []
-    status, std = Status.FAILED, {"inertia": float("inf"), "friction": float("inf")}
-    values = np.array([rope_guess.inertia.mean(), rope_guess.friction.mean()])
+    status, std = Status.FAILED, dict.fromkeys(("inertia", "friction"), float("inf"))
     with stoppable() as stop:
         try:
             for _ in range(checks.count("rounds", rounds) + 1):
-                found = revision.state(values, done[-1] if done else None, began)
-                done.append(found)
+                state = estimate_initial_state(
+                    measured, rope, rates=rates, start=start, max_evaluations=max_evaluations
+                )
+                plain = squared_error(measured, rope, first)
+                start = (state.q, state.qd)
+                values = (float(rope.inertia[0]), float(rope.friction[0]))
+                spent = time.perf_counter() - began
+                done.append(Round(*values, state.q, state.qd, state.error, plain, state.evaluations, spent))
                 if progress is not None:
-                    progress(found)
-                if len(done) > 1 and _unchanged(done[-2], found, std):
+                    progress(done[-1])
+                if len(done) > 1 and _unchanged(done[-2], done[-1], std):
                     status = Status.SUCCESS
                     break
-                values, spread = revision.parameters(found)
-                std = {"inertia": float(spread[0]), "friction": float(spread[1])}
-        except IdentificationError:
+                if jacobian is None:
+                    revised, spread = _by_torques(measured, rope, done[-1], profile)
+                else:
+                    revised, spread = _by_response(measured, rope, done[-1], jacobian)
+                std = dict(zip(std, spread.tolist(), strict=True))
+                rope = rope.replace(inertia=revised[0], friction=revised[1])
+        except (IdentificationError, InvalidInput):  # the parameters have diverged
             if not done:
                 raise
     if stop.received:
@@ -209,76 +215,44 @@ def iterative_revision(
             raise Interrupted
         status = Status.INTERRUPTED
     best = done[-1] if status is Status.SUCCESS else min(done, key=lambda each: each.error)
+    rope = rope_guess.replace(inertia=best.inertia, friction=best.friction)
     samples = int(np.isfinite(measured.data).sum())
-    rope = revision.rope(np.array([best.inertia, best.friction]))
-    return stop.deliver(IterativeRevision(rope, best, std, tuple(done), status, samples, profile, rates))
+    return stop.deliver(IterativeRevision(rope, best, std, tuple(done), status, samples))
 
 
 def _unchanged(before: Round, now: Round, std: dict[str, float]) -> bool:
     """Whether a revision has moved neither parameter."""
-    pairs = {"inertia": (before.inertia, now.inertia), "friction": (before.friction, now.friction)}
+    pairs = {name: (getattr(before, name), getattr(now, name)) for name in std}
     return all(abs(b - a) <= max(SETTLED * std[name], FALSE_DIGITS * b) for name, (a, b) in pairs.items())
 
 
-class _Revision:
-    """The two halves of a round."""
+def _by_torques(measured: Recording, rope: Rope, at: Round, profile: RevisionProfile) -> tuple[Array, Array]:
+    """Solve (6) with a mixture of measured and calculated motion: J and eta, and their standard deviations (2,)."""
+    q, qd = angles(rope, measured.t, at.q, at.qd)
+    qdd = np.array([np.linalg.solve(mass_matrix(rope, a), -bias(rope, a, b)) for a, b in zip(q, qd, strict=True)])
+    if profile != "calculated":
+        qd = np.full(q.shape, np.nan)  # three successive samples make a rate: none at the ends
+        qd[1:-1] = np.gradient(measured.data, measured.t, axis=0)[1:-1]
+        q = measured.data if profile == "measured" else q
+    found = fit_regression(rope, q, qd, qdd).solve()
+    return np.maximum(found.values, 0.0), found.std
 
-    def __init__(self, measured: Recording, guess: Rope, rates: Rates, profile: RevisionProfile, limit: int) -> None:
-        self.measured, self.guess, self.rates, self.profile, self.limit = measured, guess, rates, profile, limit
-        self.jacobian = None
-        if profile == "response":
-            names = ["inertia", "friction", "q0", *(["qd0"] if rates == "free" else [])]
-            self.jacobian = AngleJacobian(Setup(guess), names)
 
-    def rope(self, values: Array) -> Rope:
-        """Return the guess with one J and one eta (2,) for all links."""
-        return self.guess.replace(inertia=values[0], friction=values[1])
+def _by_response(measured: Recording, rope: Rope, at: Round, jacobian: AngleJacobian) -> tuple[Array, Array]:
+    """Fit J and eta, both at least 0, and the initial state to the measured angles by the linearised motion.
 
-    def state(self, values: Array, before: Round | None, began: float) -> Round:
-        """Find the initial state (steps 2 and 3 of Fig. 4)."""
-        try:
-            rope = self.rope(values)
-        except InvalidInput as error:
-            what = f"J = {values[0]:.3g} kg m^2, eta = {values[1]:.3g} N m s/rad"
-            raise IdentificationError(f"{what}: {error}") from error
-        start = None if before is None else (before.q, before.qd)
-        found = estimate_initial_state(self.measured, rope, rates=self.rates, start=start, max_evaluations=self.limit)
-        plain = squared_error(self.measured, rope, first_state(self.measured, self.rates))
-        seconds = time.perf_counter() - began
-        inertia, friction = float(values[0]), float(values[1])
-        return Round(inertia, friction, found.q, found.qd, found.error, plain, found.evaluations, seconds)
+    Returns J and eta, and their standard deviations (2,).
+    """
+    from scipy.optimize import lsq_linear
 
-    def parameters(self, at: Round) -> tuple[Array, Array]:
-        """Identify J and eta (step 4 of Fig. 4); return them and their standard deviations (2,)."""
-        rope = self.rope(np.array([at.inertia, at.friction]))
-        return self.by_torques(rope, at) if self.jacobian is None else self.by_response(self.jacobian, rope, at)
-
-    def by_torques(self, rope: Rope, at: Round) -> tuple[Array, Array]:
-        """Solve (6) with a mixture of measured and calculated motion."""
-        q, qd = angles(rope, self.measured.t, at.q, at.qd)
-        qdd = np.array([np.linalg.solve(mass_matrix(rope, a), -bias(rope, a, b)) for a, b in zip(q, qd, strict=True)])
-        if self.profile != "calculated":
-            seen = np.full(q.shape, np.nan)  # three successive samples make a rate: none at the ends
-            seen[1:-1] = np.gradient(self.measured.data, self.measured.t, axis=0)[1:-1]
-            q, qd = self.measured.data if self.profile == "measured" else q, seen
-        found = fit_regression(rope, q, qd, qdd, UNKNOWNS).solve()
-        return np.maximum(found.values, 0.0), found.std
-
-    def by_response(self, jacobian: AngleJacobian, rope: Rope, at: Round) -> tuple[Array, Array]:
-        """Fit J and eta, and the initial state, to the measured angles by the linearised motion."""
-        q, _, dq, _ = jacobian(self.measured.t, at.q, at.qd, rope)
-        known = np.isfinite(self.measured.data)
-        left, matrix = (self.measured.data - q)[known], dq[known]
-        scale = np.sqrt((matrix**2).sum(axis=0))
-        matrix = matrix / scale
-        values = np.array([at.inertia, at.friction])
-        move = np.linalg.lstsq(matrix, left, rcond=None)[0]
-        residual = left - matrix @ move
-        variance = float(residual @ residual) / max(left.size - move.size, 1)
-        spread = np.sqrt(variance * np.diag(np.linalg.pinv(matrix.T @ matrix))) / scale
-        below = values + (move / scale)[:2] <= 0.0
-        if below.any():  # what would become negative stops at 0, and the rest adapts to it
-            held = np.append(below, np.zeros(scale.size - 2, dtype=bool))
-            move = np.where(held, -np.append(values, np.zeros(scale.size - 2)) * scale, 0.0)
-            move[~held] = np.linalg.lstsq(matrix[:, ~held], left - matrix @ move, rcond=None)[0]
-        return np.where(below, 0.0, np.maximum(values + (move / scale)[:2], 0.0)), spread[:2]
+    q, _, dq, _ = jacobian(measured.t, at.q, at.qd, rope)
+    known = np.isfinite(measured.data)
+    left, matrix = (measured.data - q)[known], dq[known]
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    matrix = matrix / scale
+    residual = left - matrix @ np.linalg.lstsq(matrix, left, rcond=None)[0]
+    variance = float(residual @ residual) / max(left.size - scale.size, 1)
+    spread = np.sqrt(variance * np.diag(np.linalg.pinv(matrix.T @ matrix))) / scale
+    wanted = left + matrix[:, :2] @ (np.array([at.inertia, at.friction]) * scale[:2])
+    least = np.append(np.zeros(2), np.full(scale.size - 2, -np.inf))
+    return lsq_linear(matrix, wanted, (least, np.inf), method="bvls").x[:2] / scale[:2], spread[:2]

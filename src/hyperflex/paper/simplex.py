@@ -1,7 +1,8 @@
 """Initial state by the Nelder-Mead simplex method (paper (7))."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +18,12 @@ from hyperflex.status import Status
 
 Rates = Literal["rest", "measured", "free"]
 
-RATES = ("rest", "measured", "free")
+RATES = get_args(Rates)
 PRECISION = 1e-6  # tolerance of a rollout over the rope's length: some 1e-5 rad, far below the noise of a camera
 BEYOND = 1e3  # rad or rad/s: no state that a simplex may try
+EDGE = 0.05  # rad, of the first simplex in an angle; in a rate, this over PACE
+PACE = 0.2  # s, the time in which such a rate makes such an angle
+ANGLE_STEP, ERROR_STEP = 1e-4, 1e-6  # rad and rad^2: tolerances of the simplex, far below the noise of a camera
 MAX_EVALUATIONS = 400  # rollouts for each unknown, in each of the two descents
 
 
@@ -95,69 +99,53 @@ def estimate_initial_state(
     """
     measured = matching_angles(recording, rope)
     n = rope.n_links
-    checks.choice("rates", rates, RATES)
-    state = first_state(measured, rates)
+    best = first_state(measured, rates)
+    limit = checks.count("max_evaluations", max_evaluations)
     if start is not None:
         given = checks.sequence("start", start, "angles, rad, and rates, rad/s")
         if len(given) != 2:
             raise InvalidInput("start is not a pair", got=start, allowed="angles, rad, and rates, rad/s")
-        state[:n] = checks.array("start angles", given[0], (n,), unit="rad")
+        best[:n] = checks.array("start angles", given[0], (n,), unit="rad")
         if rates == "free":
-            state[n:] = checks.array("start rates", given[1], (n,), unit="rad/s")
-    descent = _Descent(measured, rope, state, 2 * n if rates == "free" else n)
-    if not np.isfinite(descent(state[: descent.free])):
+            best[n:] = checks.array("start rates", given[1], (n,), unit="rad/s")
+    edges = np.append(np.full(n, EDGE), np.full(n, EDGE / PACE))[: 2 * n if rates == "free" else n]
+    least, evaluations = squared_error(measured, rope, best), 1
+    if not np.isfinite(least):
         raise IdentificationError(
             "The rope cannot be simulated from the start. Give another start or other parameters."
         )
-    status = Status.INTERRUPTED
+
+    def error(unknown: Array) -> float:
+        """Return E of (7), and keep the best state, so that Ctrl-C loses nothing."""
+        nonlocal best, least, evaluations
+        state = np.append(unknown, best[edges.size :])
+        found, evaluations = squared_error(measured, rope, state), evaluations + 1
+        if found < least:
+            best, least = state, found
+        return found
+
+    converged = False
     with stoppable() as stop:
-        converged = [descent.descend(checks.count("max_evaluations", max_evaluations)) for _ in range(2)][-1]
-        status = Status.SUCCESS if converged else Status.FAILED
-    best = descent.best
-    return stop.deliver(InitialState(best[:n].copy(), best[n:].copy(), descent.least, descent.evaluations, status))
+        for _ in range(2):
+            converged = _descend(error, best[: edges.size], edges, limit)
+    status = stop.status or (Status.SUCCESS if converged else Status.FAILED)
+    return stop.deliver(InitialState(best[:n].copy(), best[n:].copy(), least, evaluations, status))
 
 
-class _Descent:
-    """Counts rollouts and remembers the best state, so that Ctrl-C loses nothing."""
+def _descend(error: Callable[[Array], float], start: Array, edges: Array, max_evaluations: int) -> bool:
+    """Descend with a new simplex of these edges, and return whether it converged."""
+    from scipy.optimize import minimize
 
-    edge = 0.05  # rad, of the first simplex in an angle; in a rate, this over the time below
-    pace = 0.2  # s, the time in which such a rate makes such an angle
-    angle_step, error_step = 1e-4, 1e-6  # rad and rad^2: tolerances of the simplex, far below the noise of a camera
-
-    def __init__(self, measured: Recording, rope: Rope, state: Array, free: int) -> None:
-        self.measured, self.rope, self.free = measured, rope, free
-        self.best, self.least, self.evaluations = state.copy(), np.inf, 0
-
-    def __call__(self, unknown: Array) -> float:
-        """Return E of (7) with the free part of the state set to `unknown`; inf where the rollout fails."""
-        state = np.append(unknown, self.best[self.free :])
-        error = squared_error(self.measured, self.rope, state)
-        self.evaluations += 1
-        if error < self.least:
-            self.best, self.least = state, error
-        return error
-
-    def descend(self, max_evaluations: int) -> bool:
-        """Descend with a fresh simplex from the best state, and return whether it converged."""
-        from scipy.optimize import minimize
-
-        n = self.rope.n_links
-        edges = np.repeat([self.edge, self.edge / self.pace], n)[: self.free]
-        here = self.best[: self.free]
-        result = minimize(
-            self,
-            here,
-            method="Nelder-Mead",
-            options={
-                "initial_simplex": np.vstack([here, here + np.diag(edges)]),
-                "xatol": self.angle_step / (1.0 if self.free == n else self.pace),
-                "fatol": self.error_step,
-                "maxfev": max_evaluations * self.free,
-                "maxiter": max_evaluations * self.free,
-                "adaptive": self.free > n,
-            },
-        )
-        return bool(result.success)
+    steepest = edges.max() / EDGE
+    options = {
+        "initial_simplex": np.vstack([start, start + np.diag(edges)]),
+        "xatol": ANGLE_STEP * steepest,
+        "fatol": ERROR_STEP,
+        "maxfev": max_evaluations * edges.size,
+        "maxiter": max_evaluations * edges.size,
+        "adaptive": steepest > 1.0,
+    }
+    return bool(minimize(error, start, method="Nelder-Mead", options=options).success)
 
 
 def squared_error(measured: Recording, rope: Rope, state: Array) -> float:
@@ -202,7 +190,8 @@ def matching_angles(recording: Recording, rope: Rope) -> Recording:
 
 def first_state(measured: Recording, rates: Rates) -> Array:
     """Return the measured initial angles with rates (2n,): zero, or from the first three samples."""
+    checks.choice("rates", rates, RATES)
     initial = np.zeros(measured.n_links)
     if rates != "rest":
         initial = np.gradient(measured.data[:3], measured.t[:3], axis=0, edge_order=2)[0]
-    return cast(Array, np.append(measured.data[0], initial))
+    return np.append(measured.data[0], initial)

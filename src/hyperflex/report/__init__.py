@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hyperflex.report.notebook import identification_html, plan_html, rope_html, run_html
     from hyperflex.report.page import Film, Picture, Section, TextTable, render, sections_markdown, write_page
     from hyperflex.report.pictures import animate, strobe_figure
-    from hyperflex.report.plan import PlanReport, search_summary
+    from hyperflex.report.plan import PlanReport
     from hyperflex.report.player import player_html, write_player
     from hyperflex.report.scene import Dots, Line, Overlay, Plot
     from hyperflex.report.style import BLUE, GREEN, GREY, INK, OUTCOME_COLOUR, RED, legend, new_figure, png, save_png

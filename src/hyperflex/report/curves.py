@@ -65,7 +65,7 @@ def energy_plot(run: Trajectory) -> Plot:
 
 
 def time_course(
-    run: Trajectory, what: str, panels: tuple[Panel, Panel], moves: Moves | None = None, event: float = np.nan
+    run: Trajectory, what: str, panels: tuple[Panel, ...], moves: Moves | None = None, event: float = np.nan
 ) -> "Figure":
     """Draw a run over time: angle of the arm with its `moves` numbered, two panels, and the motor's torque.
 

@@ -74,7 +74,7 @@ def strobe_figure(
         for glow, opacity in ((5.5, 0.07), (3.0, 0.16), (1.4, 1.0)):
             shades = np.column_stack([colours, opacity * fade])
             axis.add_collection(LineCollection(list(drawn.joints), colors=shades, linewidths=glow, capstyle="round"))
-        steps = _pieces(trail)
+        steps = pieces(trail)
         axis.add_collection(LineCollection(steps, colors=_dusk(len(steps)), linewidths=0.7, alpha=0.55))
         axis.scatter(*drawn.joints[:, -1].T, s=7.0, c=colours, zorder=3, lw=0)
         if run.setup.arm is not None:
@@ -198,7 +198,7 @@ def _film(run: Trajectory, times: Array, width: int, title: str, overlay: Overla
         t = float(times[k])
         now = shapes(run, np.maximum(t - step * np.arange(5.0, -1.0, -1.0), run.t[0]))
         ropes.set_segments(list(now.joints))
-        trail.set_segments(_pieces(shapes(run, np.linspace(max(t - overlay.trail, run.t[0]), t, 80)).joints[:, -1]))
+        trail.set_segments(pieces(shapes(run, np.linspace(max(t - overlay.trail, run.t[0]), t, 80)).joints[:, -1]))
         arm.set_data(*np.stack([now.pivots[-1], now.joints[-1, 0]]).T)
         dots.set_offsets(np.stack([now.pivots[-1], now.joints[-1, -1]]))
         text.set_text(f"t = {t:5.2f} s\n{note(t)}")
@@ -286,8 +286,8 @@ def _draw_key(axis: Any, first: float, last: float) -> None:
     from matplotlib.collections import LineCollection
 
     x = np.linspace(0.03, 0.19, 65)
-    pieces, style = _pieces(np.column_stack([x, np.full(65, 0.045)])), {"transform": axis.transAxes}
-    key = LineCollection(pieces, colors=_dusk(64), linewidths=5.0, label="key", antialiaseds=False, **style)
+    bars, style = pieces(np.column_stack([x, np.full(65, 0.045)])), {"transform": axis.transAxes}
+    key = LineCollection(bars, colors=_dusk(64), linewidths=5.0, label="key", antialiaseds=False, **style)
     axis.add_collection(key, autolim=False)
     for place, t, side in ((x[0], first, "left"), (x[-1], last, "right")):
         axis.text(place, 0.057, f"{t:.2f} s", color=PALE, fontsize=8.0, ha=side, zorder=5, **style)
@@ -300,6 +300,6 @@ def _dusk(count: int) -> Array:
     return np.asarray(LinearSegmentedColormap.from_list("dusk", _FIRST_TO_LAST)(np.linspace(0.0, 1.0, count))[:, :3])
 
 
-def _pieces(path: Array) -> list[Array]:
+def pieces(path: Array) -> list[Array]:
     """Return the pieces (2, 2) of a path (k, 2), one for each colour."""
     return list(np.stack([path[:-1], path[1:]], axis=1))

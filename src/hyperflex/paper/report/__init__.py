@@ -1,1 +1,0 @@
-"""The paper's figures, tables and claims as pictures, files and a page."""
