@@ -10,18 +10,19 @@ without a graphics card. All on this machine.
 from __future__ import annotations
 
 import argparse
+import http.client
 import json
 import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import machine
 import numpy as np
-from websockets.sync.client import ClientConnection, connect
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 from tests.browser import Browser, found
@@ -105,39 +106,44 @@ class Measured:
         }
 
 
-def ask(socket: ClientConnection, frames: list[float], **message: Any) -> float:
-    """Ask something; returns how long the answer took, s. Notes when frames come meanwhile."""
-    begin = time.monotonic()
-    socket.send(json.dumps({"id": begin, **message}))
-    while True:
-        told = socket.recv()
-        if isinstance(told, bytes):
-            frames.append(time.monotonic())
-        elif json.loads(told).get("id") == begin:
-            return time.monotonic() - begin
+def ask(place: str, **message: Any) -> float:
+    """Ask something; returns how long the answer took, s."""
+    begin, connection = time.monotonic(), http.client.HTTPConnection(place)
+    connection.request("POST", "/do", json.dumps(message))
+    connection.getresponse().read()
+    return time.monotonic() - begin
+
+
+def read_frames(place: str, frames: list[float], ended: threading.Event) -> None:
+    """Note when frames come."""
+    connection = http.client.HTTPConnection(place)
+    connection.request("GET", "/stream")
+    with connection.getresponse() as stream:
+        while not ended.is_set():
+            if stream.readline().startswith(b"event: frame"):
+                frames.append(time.monotonic())
 
 
 def soak(page: Measured, minutes: float) -> dict[str, float]:
     """A client without a picture moves the peg every second: memory, frames, answers."""
-    address = page.address.replace("http", "ws") + "socket"
-    with connect(address, compression=None) as socket:
-        frames: list[float] = []
-        for message in ({"button": "hang"}, {"button": "swing"}):
-            ask(socket, frames, **message)
-        begin, took, first, stops = time.monotonic(), [], 0.0, 0
-        while (now := time.monotonic()) < begin + SETTLED + 60.0 * minutes:
-            if not first and now > begin + SETTLED:
-                first, took, frames = page.memory(), [], [now]
-            took.append(ask(socket, frames, set={"target_x": -0.8 - 0.05 * np.random.default_rng(len(took)).random()}))
-            while time.monotonic() < now + 1.0:
-                try:
-                    if isinstance(socket.recv(timeout=PATIENCE), bytes):
-                        frames.append(time.monotonic())
-                except TimeoutError:  # it was told that the next frame takes too long
-                    stops += 1
-                    for button in ("hang", "swing"):
-                        ask(socket, frames, button=button)
-        last = page.memory()
+    place, frames, ended = page.address.removeprefix("http://").rstrip("/"), [time.monotonic()], threading.Event()
+    reader = threading.Thread(target=read_frames, args=(place, frames, ended), daemon=True)
+    reader.start()
+    for button in ("hang", "swing"):
+        ask(place, button=button)
+    begin, took, first, stops = time.monotonic(), [], 0.0, 0
+    while (now := time.monotonic()) < begin + SETTLED + 60.0 * minutes:
+        if not first and now > begin + SETTLED:
+            first, took = page.memory(), []
+            frames[:] = [now]
+        took.append(ask(place, set={"target_x": -0.8 - 0.05 * np.random.default_rng(len(took)).random()}))
+        time.sleep(max(now + 1.0 - time.monotonic(), 0.0))
+        if time.monotonic() > frames[-1] + PATIENCE:  # it was reported that the next frame takes too long
+            stops += 1
+            for button in ("hang", "swing"):
+                ask(place, button=button)
+    last = page.memory()
+    ended.set()
     return {
         "minutes": minutes,
         "first MB": first,

@@ -17,7 +17,7 @@ from hyperflex.errors import MissingPackage
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src"
-HIDDEN = ("cv2", "av", "xarray", "pandas", "mcap", "rosbags", "gymnasium", "websockets")
+HIDDEN = ("cv2", "av", "xarray", "pandas", "mcap", "rosbags", "gymnasium")
 
 
 def built(kind: str, folder: Path) -> Path:
@@ -46,10 +46,9 @@ def test_the_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
         "mcap",
         "rosbags",
         "gymnasium",
-        "websockets",
         "pytest",
     }
-    assert {"vision", "xarray", "gym", "mcap", "ros", "viewer", "all"} <= set(told.get_all("Provides-Extra"))
+    assert {"vision", "xarray", "gym", "mcap", "ros", "all"} <= set(told.get_all("Provides-Extra"))
 
 
 def test_the_sdist_can_be_built_and_tested(tmp_path: Path) -> None:
@@ -64,7 +63,7 @@ def test_each_extra_is_named_as_it_is_called() -> None:
     """By what loads its packages; `pip` installs nothing for an extra that is not there, and only warns."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     text = "".join(path.read_text("utf-8") for path in SOURCE.rglob("*.py"))
-    for extra in ("vision", "xarray", "gym", "mcap", "ros", "viewer"):
+    for extra in ("vision", "xarray", "gym", "mcap", "ros"):
         assert extra in project["optional-dependencies"]
         assert f'"{extra}", "' in text
 

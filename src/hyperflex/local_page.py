@@ -1,32 +1,132 @@
-"""Pages for browsers of this machine: where they listen, and who may ask for them."""
+"""Pages for browsers of this machine: a server, and who may ask it."""
 
+import contextlib
 import os
+import threading
+from abc import ABC, abstractmethod
 from collections.abc import Collection
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 from hyperflex.errors import InvalidInput
 
 HOST = "127.0.0.1"  # this machine alone
+_SILENCE = 30.0  # s, after which a connection that sends or takes nothing is closed
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src 'self' data:; connect-src 'self'; frame-src 'self'; frame-ancestors 'self'; base-uri 'none'; "
+    "form-action 'none'",
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
 
 
-def own_names(port: int) -> set[str]:
-    """Return the names, with the port, by which this machine asks for a page of its own."""
-    return {f"{name}:{port}" for name in (HOST, "localhost")}
+class LocalServer(ABC):
+    """Answers browsers, each request in its own thread, until it is closed. Subclasses answer; `start` begins it.
+
+    Parameters
+    ----------
+    port : int
+        0 selects a free port; see `address`.
+    host : str
+        Address to listen at.
+    allow : collection of str
+        Hosts, as ``name:port``, accepted in requests in addition to this machine's own names.
+
+    Attributes
+    ----------
+    address : str
+        Address to open in the browser.
+    closed : threading.Event
+
+    Raises
+    ------
+    InvalidInput
+        If the server cannot listen there, or `allow` contains more than host names.
+
+    Notes
+    -----
+    Host and Origin of a request must be own or allowed names, so that no page from elsewhere reaches the server through
+    the browser.
+    """
+
+    def __init__(self, port: int = 0, host: str = HOST, allow: Collection[str] = ()) -> None:
+        for each in allow:
+            if urlsplit(f"//{each}").netloc != each:
+                fix = "Leave out http:// and what follows the port"
+                raise InvalidInput("allow is no host", got=each, allowed="host:port, as in robot.lan:8080", fix=fix)
+        page = self
+
+        class Handler(BaseHTTPRequestHandler):
+            timeout = _SILENCE
+
+            def do_GET(self) -> None:
+                asked, origin = self.headers.get("Host"), self.headers.get("Origin")
+                if asked not in page._names or (origin is not None and urlsplit(origin).netloc not in page._names):
+                    self.send_error(HTTPStatus.FORBIDDEN)
+                    return
+                with contextlib.suppress(OSError):  # the browser went away
+                    page.answer(self)
+
+            do_POST = do_GET
+
+            def log_message(self, *_: Any) -> None:
+                """Do not print requests."""
+
+        try:
+            self._server = ThreadingHTTPServer((host, port), Handler)
+        except (OSError, OverflowError) as error:
+            code = error.errno or 0 if isinstance(error, OSError) else 0
+            why = os.strerror(code).lower() if code > 0 else "there is no such port"
+            why = "the host is not known" if code < 0 else why
+            allowed = "an address of this machine, and a free port up to 65535, or 0 for any"
+            got = f"{host}, port {port}"
+            raise InvalidInput(f"no page can be shown there: {why}", got=got, allowed=allowed) from None
+        self._server.daemon_threads = True
+        self.port = int(self._server.server_address[1])
+        self.address = f"http://{HOST if host == '0.0.0.0' else host}:{self.port}/"
+        self._names = {*allow, f"{HOST}:{self.port}", f"localhost:{self.port}"}
+        self.closed = threading.Event()
+        self._thread = threading.Thread(target=self._server.serve_forever, name="hyperflex page", daemon=True)
+
+    def start(self) -> None:
+        """Begin to answer."""
+        self._thread.start()
+
+    @abstractmethod
+    def answer(self, request: BaseHTTPRequestHandler) -> None:
+        """Answer a request that is permitted."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the server."""
+        self.closed.set()
+        self._server.shutdown()
+        self._server.server_close()
+
+    def wait(self, seconds: float | None = None) -> None:
+        """Wait until the server ends, or for a time, s."""
+        self._thread.join(seconds)
 
 
-def address(port: int, host: str = HOST) -> str:
-    """Return what to open in the browser for a server that listens at `host`."""
-    return f"http://{HOST if host == '0.0.0.0' else host}:{port}/"
+def send_head(request: BaseHTTPRequestHandler, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+    """Send the head of an answer whose content, of a media type, follows until the connection is closed."""
+    request.send_response(status)
+    for name, value in (_HEADERS | {"Content-Type": kind}).items():
+        request.send_header(name, value)
+    request.end_headers()
 
 
-def may_ask(host: str | None, origin: str | None, names: Collection[str]) -> bool:
-    """Whether Host and Origin of a request (None: it has none) are of `names`: no page from elsewhere may ask."""
-    return host in names and (origin is None or urlsplit(origin).netloc in names)
-
-
-def cannot_listen(port: int, error: OSError | OverflowError, host: str = HOST) -> InvalidInput:
-    """Return the error of a place that cannot be listened at, to be raised."""
-    code = error.errno or 0 if isinstance(error, OSError) else 0
-    why = os.strerror(code).lower() if code > 0 else "the host is not known" if code else "there is no such port"
-    allowed = "an address of this machine, and a free port up to 65535, or 0 for any"
-    return InvalidInput(f"no page can be shown there: {why}", got=f"{host}, port {port}", allowed=allowed)
+def send(request: BaseHTTPRequestHandler, text: str, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
+    """Answer with a text of a media type."""
+    send_head(request, f"{kind}; charset=utf-8", status)
+    request.wfile.write(text.encode())

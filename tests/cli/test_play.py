@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import pytest
 
 import hyperflex as hf
@@ -57,12 +55,3 @@ def test_it_refuses(hyperflex, seen, words, told):
     code, _, err = hyperflex("play", "--no-open", *words)
     assert (code, seen) == (2, [])
     assert told in err
-
-
-def test_without_the_extra_it_names_the_command_that_installs_it(hyperflex, monkeypatch):
-    monkeypatch.setitem(sys.modules, "websockets", None)
-    for name in [name for name in sys.modules if name.startswith("hyperflex.play")]:
-        monkeypatch.delitem(sys.modules, name)
-    code, _, err = hyperflex("play", "--no-open")
-    assert code == 2
-    assert "pip install 'hyperflex[viewer]'" in err

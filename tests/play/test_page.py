@@ -22,7 +22,8 @@ def server(tmp_path_factory):
 
 @pytest.fixture
 def page(browser, server):
-    server.runner.call(lambda: server.runner.act("hang")).result()
+    with server.runner.news:
+        server.runner.act("hang")
     browser.open(server.address)
     wait(browser, "window.play && play.scene && play.frames.length")
     return browser
@@ -60,7 +61,8 @@ def test_a_target_is_set_planned_for_cast_at_and_scrubbed(page, server):
     wait(page, "play.scene.plan && !play.scene.planning")
     assert page.evaluate("document.querySelector('[data-button=cast]').disabled") is False
     plan = planned()  # one that winds; the search had two seconds
-    server.runner.call(lambda: setattr(server.runner, "plan", plan)).result()
+    with server.runner.news:
+        server.runner.plan = plan
     click(page, "wind")
     wait(page, "play.scene.activity === 'cast' && play.frames.length > 5")
     page.evaluate("set({speed: 2})")
@@ -74,7 +76,7 @@ def test_a_target_is_set_planned_for_cast_at_and_scrubbed(page, server):
     page.evaluate("document.getElementById('live').click()")
     assert page.evaluate("play.shown[0]") >= now
     own = server.address.removeprefix("http://")
-    assert set(page.requests) == {f"http://{own}", f"ws://{own}socket"}
+    assert set(page.requests) == {f"http://{own}", f"http://{own}stream", f"http://{own}do"}
     assert page.complaints == []
 
 
@@ -162,7 +164,8 @@ def test_states_look_as_they_did(browser, server, tmp_path, state, shape):
         runner.changed()
 
     browser.open("about:blank")  # nobody looks: nothing moves on
-    server.runner.call(show).result()
+    with server.runner.news:
+        show()
     browser.open(server.address, phone=shape == "phone", dark=state == "swing")
     wait(browser, "window.play && play.counts.painted > 0")
     browser.evaluate("new Promise((done) => setTimeout(done, 300))")

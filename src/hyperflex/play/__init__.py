@@ -1,8 +1,7 @@
-"""A live page in the browser to swing a rope, plan and cast; it needs ``pip install 'hyperflex[viewer]'``."""
+"""A live page in the browser to swing a rope, plan and cast."""
 
 from typing import TYPE_CHECKING
 
-from hyperflex import extras
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
@@ -11,5 +10,4 @@ if TYPE_CHECKING:
     from hyperflex.play.server import PlayServer
     from hyperflex.play.session import Session
 
-extras.require(("websockets",), "viewer", "Live pages")
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -45,13 +45,10 @@ class Folder:
             raise InvalidInput(f"{name} is a recording", fix="Choose the file (.toml) of its rope, too")
         return player_html(read_trajectory(path), title=f"{name}, simulated")
 
-    def setup(self, name: str) -> Setup:
-        """Return a set-up, or the verified one of a plan."""
-        return Setup.from_toml(self._existing(name, ".toml"))
-
-    def limits(self, name: str) -> MotorLimits | None:
-        """Return the motor limits of a file; None without any."""
-        return read_limits(self._existing(name, ".toml"))
+    def setup(self, name: str) -> tuple[Setup, MotorLimits | None]:
+        """Return a set-up, or the verified one of a plan, and the motor limits of the file; None without any."""
+        path = self._existing(name, ".toml")
+        return Setup.from_toml(path), read_limits(path)
 
     def save(self, name: str, recorded: Recorded, plan: CastPlan | WhipPlan | None) -> str:
         """Write a new file by its suffix; return its name.

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from hyperflex.errors import HyperflexError
 from hyperflex.model import Arm, Obstacle, Peg, Rope
@@ -42,27 +42,14 @@ class PlanningTask(NamedTuple):
 
     def plan(self, on_plan: Callable[[CastPlan], None]) -> CastPlan | WhipPlan:
         """Plan, with one processor left to others; `on_plan` is called with each better plan for a cast."""
-        threads = max(1, (os.cpu_count() or 2) - 1)
+        common: dict[str, Any] = {
+            "conditions": Conditions(obstacles=self.obstacles),
+            "time_budget": self.time_budget,
+            "options": SearchOptions(threads=max(1, (os.cpu_count() or 2) - 1)),
+        }
         if self.kind == "cast":
-            return plan_cast(
-                self.rope,
-                self.arm,
-                self.target,
-                self.limits,
-                conditions=Conditions(obstacles=self.obstacles),
-                time_budget=self.time_budget,
-                options=SearchOptions(threads=threads),
-                on_plan=on_plan,
-            )
-        return plan_whip(
-            self.rope,
-            self.arm,
-            TipTarget(self.target.x, self.target.y),
-            self.limits,
-            conditions=Conditions(obstacles=self.obstacles),
-            time_budget=self.time_budget,
-            options=SearchOptions(threads=threads),
-        )
+            return plan_cast(self.rope, self.arm, self.target, self.limits, on_plan=on_plan, **common)
+        return plan_whip(self.rope, self.arm, TipTarget(self.target.x, self.target.y), self.limits, **common)
 
 
 class PlanningProcess:
@@ -81,13 +68,9 @@ class PlanningProcess:
         self.task, self.begun = task, 0.0
         self.best: CastPlan | None = None
         self._answers, answers = Pipe(duplex=False)
-        command = [
-            sys.executable,
-            "-c",
-            _COMMAND,
-            str(answers.fileno()),
-        ]  # a separate program: no main module runs twice
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=[answers.fileno()])
+        number = answers.fileno()
+        command = [sys.executable, "-c", _COMMAND, str(number)]  # a separate program: no main module runs twice
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=[number])
         answers.close()
         if self._process.stdin is not None:
             with self._process.stdin as stream, contextlib.suppress(OSError):  # it has ended: there will be no answer

@@ -1,11 +1,9 @@
-"""The thread that advances a session in real time and executes all commands."""
+"""The thread that advances a session in real time, and the commands of the page."""
 
-import queue
 import threading
 import time
 import traceback
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
 from typing import Any
 
 from hyperflex.errors import HyperflexError, InvalidInput
@@ -16,6 +14,7 @@ from hyperflex.play.session import Session
 
 FRAME_RATE = 60.0  # Hz
 _LATE = 0.1  # s, by which frames may be late; then they are omitted
+_GAP = 1e-3  # s between two frames that are late, in which commands are executed
 
 
 class Runner:
@@ -24,47 +23,47 @@ class Runner:
     Parameters
     ----------
     session : Session
-    notify : callable
-        Called from the thread at each new frame and each change of :meth:`scene`.
 
     Attributes
     ----------
+    news : threading.Condition
+        Its lock guards session and runner; it is notified of each new frame and each change of :meth:`scene`.
     frame : bytes
         The newest frame, as of :meth:`Session.frame`.
-    watched : bool
-        Whether a page is open; otherwise the simulation pauses.
+    number : int
+        Counts frames.
+    watchers : int
+        Number of open pages; without any the simulation pauses.
     plan : CastPlan, WhipPlan or None
         The last plan.
     """
 
-    def __init__(self, session: Session, notify: Callable[[], None]) -> None:
-        self.session, self.frame, self.watched, self.paused = session, session.frame(), False, False
+    def __init__(self, session: Session) -> None:
+        self.session, self.frame, self.watchers, self.paused = session, session.frame(), 0, False
         self.plan: CastPlan | WhipPlan | None = None
-        self.number = self.version = 0
-        self._notify, self._notice, self._late = notify, "", False
+        self.number, self.news, self._changes = 0, threading.Condition(), 0
+        self._notice, self._late = "", False
         self._usual: float | None = None  # the speed, while a plan is shown in slow motion
-        self._commands: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
         self._planning: PlanningProcess | None = None
-        self._reported, self._closed = 0.0, threading.Event()
+        self._reported, self.closed = 0.0, threading.Event()
         self._thread = threading.Thread(target=self._run, name="hyperflex play", daemon=True)
         self._thread.start()
 
-    def call(self, action: Callable[[], Any]) -> "Future[Any]":
-        """Let the thread call a function between two frames; the future has its result or exception."""
-        future: Future[Any] = Future()
-        self._commands.put((action, future))
-        return future
-
     def close(self) -> None:
         """End thread and planning."""
-        self._closed.set()
-        self.call(lambda: None)
+        self.closed.set()
         self._thread.join()
-        if self._planning is not None:
-            self._planning.cancel()
+        with self.news:
+            self._cancel()
+            self.news.notify_all()
+
+    @property
+    def version(self) -> tuple[int, int]:
+        """Differs after each change of :meth:`scene`."""
+        return self._changes, self.session.version
 
     def scene(self) -> dict[str, Any]:
-        """Return the state of the page in addition to the frames; called from the thread."""
+        """Return the state of the page in addition to the frames."""
         plan, busy = self.plan, self._planning
         shown = None if plan is None else {"kind": plan.kind, "success": plan.success, "message": plan.message}
         spent = time.monotonic() - busy.begun if busy is not None and busy.begun else 0.0
@@ -111,32 +110,30 @@ class Runner:
 
     def changed(self, picture: bool = True) -> None:
         """Send the scene to the pages, and with a changed `picture` also a new frame while the simulation pauses."""
-        self.version += 1
+        self._changes += 1
         if picture:
             self.frame, self.number = self.session.frame(), self.number + 1
-        self._notify()
+        self.news.notify_all()
 
     def _run(self) -> None:
         due = time.monotonic()
-        while not self._closed.is_set():
-            self._answer(due)
-            self._poll_planning()
-            now = time.monotonic()
-            if now < due:
-                continue
-            late, due = now - due > _LATE, max(due + 1.0 / FRAME_RATE, now - _LATE)
-            if self.paused or not self.watched:
-                due = now + 1.0 / FRAME_RATE
-                continue
-            if late != self._late:
-                self._late, self.version = late, self.version + 1
-            self._advance()
+        while not self.closed.wait(max(due - time.monotonic(), _GAP)):
+            with self.news:
+                self._poll_planning()
+                now = time.monotonic()
+                late, due = now - due > _LATE, max(due + 1.0 / FRAME_RATE, now - _LATE)
+                if self.paused or not self.watchers:
+                    due = now + 1.0 / FRAME_RATE
+                    continue
+                if late != self._late:
+                    self._late, self._changes = late, self._changes + 1
+                self._advance()
 
     def _advance(self) -> None:
         try:
             self.frame = self.session.advance(self.session.settings.speed / FRAME_RATE)
             self.number += 1
-            self._notify()
+            self.news.notify_all()
         except HyperflexError as error:
             self._stop(str(error))
         except Exception as error:  # noqa: BLE001 last resort: the page must stay usable
@@ -147,20 +144,6 @@ class Runner:
         self.paused, self._notice = True, why
         self.changed(picture=False)
 
-    def _answer(self, until: float) -> None:
-        """Execute commands, and wait for more until a given time."""
-        while True:
-            try:
-                action, future = self._commands.get(timeout=max(until - time.monotonic(), 0.0))
-            except queue.Empty:
-                return
-            if not future.set_running_or_notify_cancel():  # the page went away
-                continue
-            try:
-                future.set_result(action())
-            except Exception as error:  # noqa: BLE001 the caller gets it
-                future.set_exception(error)
-
     def _poll_planning(self) -> None:
         if self._planning is None:
             return
@@ -170,10 +153,10 @@ class Runner:
             self.plan = best
         if found is not None:
             self._planning = None
-            if isinstance(found, str):
-                self._notice = found
-            else:
-                self.plan = found
+        if isinstance(found, str):
+            self._notice = found
+        elif found is not None:
+            self.plan = found
         if found is not None or better or time.monotonic() - self._reported > 0.25:  # s between two reports of a search
             self._reported = time.monotonic()
             self.changed(picture=False)

@@ -75,7 +75,7 @@ class CastReport(PlanReport[CastPlan]):
 
     def grazes(self) -> bool:
         """Whether the rope touches the target before it strikes it."""
-        return self.outcome.strike_time - self.outcome.touch_time > BOUNCE_TIME
+        return bool(self.outcome.strike_time - self.outcome.touch_time > BOUNCE_TIME)
 
     def fold(self) -> float:
         """Return the greatest angle between links, rad, of a rope that folds flat on the way; else 0."""

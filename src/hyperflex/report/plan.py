@@ -185,8 +185,8 @@ class PlanReport(ABC, Generic[PlanT]):
 
     def _sections(self, shown: Mapping[str, Picture | Film]) -> list[Section]:
         plan, texts, notes = self.plan, self.texts, (self.search_summary,)
-        verdict = (plan.success, self.verdict)
-        sections = [Section("In short", verdict=verdict, text=self.advice, tiles=self.tiles, notes=notes)]
+        short = {"verdict": (plan.success, self.verdict), "text": self.advice, "tiles": self.tiles, "notes": notes}
+        sections: list[Section] = [Section("In short", **short)]
         sections += self.without_run() if plan.run is None else ()
         if self.story:
             sections.append(Section("The plan" if plan.run is None else "What happens", text=self.story))

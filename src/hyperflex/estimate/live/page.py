@@ -1,20 +1,20 @@
 """A page for a browser on this machine that shows pictures as they come (MJPEG)."""
 
 import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, Self
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler
 
-from hyperflex.local_page import HOST, address, cannot_listen, may_ask, own_names
+from hyperflex.local_page import LocalServer, send, send_head
 from hyperflex.vision import Image
 
 _WAIT = 1.0  # s between two checks whether the page is closed
 _PAGE = (
-    b'<!doctype html><meta charset="utf-8"><title>hyperflex watch</title>'
-    b'<body style="margin:0;background:#222"><img src="stream" alt="the rope" style="max-width:100%;display:block">'
+    '<!doctype html><meta charset="utf-8"><title>hyperflex watch</title>'
+    '<body style="margin:0;background:#222"><img src="stream" alt="the rope" style="max-width:100%;display:block">'
 )
 
 
-class PicturePage:
+class PicturePage(LocalServer):
     """Serves the newest picture to browsers on this machine.
 
     Parameters
@@ -34,43 +34,14 @@ class PicturePage:
 
     Notes
     -----
-    It listens on 127.0.0.1 and answers requests for that name alone, so that no page from elsewhere reaches it through
-    the browser. Call :meth:`show` only while the page is `watched`: it encodes the picture.
+    Call :meth:`show` only while the page is `watched`: it encodes the picture.
     """
 
     def __init__(self, port: int = 0) -> None:
+        super().__init__(port)
         self._condition = threading.Condition()
-        self._jpeg, self._number, self._closed, self._watching = b"", 0, False, 0
-        page = self
-
-        class Handler(BaseHTTPRequestHandler):
-            protocol_version = "HTTP/1.0"
-
-            def do_GET(self) -> None:
-                page._answer(self)
-
-            def log_message(self, *_: Any) -> None:
-                """Do not print requests."""
-
-        try:
-            self._server = ThreadingHTTPServer((HOST, port), Handler)
-        except (OSError, OverflowError) as error:
-            raise cannot_listen(port, error) from None
-        self._server.daemon_threads = True
-        self.port = int(self._server.server_address[1])
-        self.address = address(self.port)
-        self._thread = threading.Thread(target=self._server.serve_forever, name="page", daemon=True)
-        self._thread.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with self._condition:
-            self._closed = True
-            self._condition.notify_all()
-        self._server.shutdown()
-        self._server.server_close()
+        self._jpeg, self._number, self._watching = b"", 0, 0
+        self.start()
 
     @property
     def watched(self) -> bool:
@@ -88,41 +59,30 @@ class PicturePage:
             self._jpeg, self._number = coded.tobytes(), self._number + 1
             self._condition.notify_all()
 
-    def _answer(self, request: BaseHTTPRequestHandler) -> None:
-        if not may_ask(request.headers.get("Host"), request.headers.get("Origin"), own_names(self.port)):
-            request.send_error(403)
-        elif request.path == "/":
-            request.send_response(200)
-            request.send_header("Content-Type", "text/html; charset=utf-8")
-            request.end_headers()
-            request.wfile.write(_PAGE)
-        elif request.path == "/stream":
-            self._stream(request)
+    def answer(self, request: BaseHTTPRequestHandler) -> None:
+        """Answer with the page or the stream of its pictures."""
+        if request.path == "/":
+            send(request, _PAGE, "text/html")
+        elif request.path != "/stream":
+            request.send_error(HTTPStatus.NOT_FOUND)
         else:
-            request.send_error(404)
+            with self._condition:
+                self._watching += 1
+            try:
+                self._stream(request)
+            finally:
+                with self._condition:
+                    self._watching -= 1
 
     def _stream(self, request: BaseHTTPRequestHandler) -> None:
         """Send pictures until the browser or the page closes."""
-        request.send_response(200)
-        request.send_header("Content-Type", "multipart/x-mixed-replace; boundary=picture")
-        request.send_header("Cache-Control", "no-store")
-        request.end_headers()
-        with self._condition:
-            self._watching += 1
+        send_head(request, "multipart/x-mixed-replace; boundary=picture")
         last = 0
-        try:
-            while True:
-                with self._condition:
-                    if self._number == last:
-                        self._condition.wait(_WAIT)
-                    if self._closed:
-                        return
-                    last, coded = self._number, self._jpeg
-                if coded:
-                    head = f"--picture\r\nContent-Type: image/jpeg\r\nContent-Length: {len(coded)}\r\n\r\n"
-                    request.wfile.write(head.encode() + coded + b"\r\n")
-        except OSError:  # the browser went away
-            return
-        finally:
+        while not self.closed.is_set():
             with self._condition:
-                self._watching -= 1
+                if self._number == last:
+                    self._condition.wait(_WAIT)
+                last, coded = self._number, self._jpeg
+            if coded:
+                head = f"--picture\r\nContent-Type: image/jpeg\r\nContent-Length: {len(coded)}\r\n\r\n"
+                request.wfile.write(head.encode() + coded + b"\r\n")
