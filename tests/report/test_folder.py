@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import errno
 import os
-import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from hyperflex import files
 from hyperflex.errors import FileProblem
-from hyperflex.report import folder
 from hyperflex.report.folder import whole_folder
 
 
@@ -130,31 +127,3 @@ def test_a_folder_in_the_way_of_a_file_stays(tmp_path):
 def test_a_folder_that_cannot_be_made_is_refused_before_any_work(tmp_path):
     with pytest.raises(FileProblem, match="cannot be made"), whole_folder(tmp_path / ("x" * 300)):
         pytest.fail("work began")
-
-
-@pytest.fixture
-def kept_by_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder to be, which another process keeps locked."""
-    fcntl = pytest.importorskip("fcntl")
-    monkeypatch.setattr(folder, "LOCK_TIMEOUT", 0.05)
-    lock = os.open(tmp_path, os.O_RDONLY)
-    fcntl.flock(lock, fcntl.LOCK_EX)
-    yield tmp_path / "x"
-    os.close(lock)
-
-
-def test_a_folder_that_another_process_keeps_locked_is_filled_all_the_same(kept_by_another):
-    with whole_folder(kept_by_another) as stage:
-        fill(stage)
-    assert content(kept_by_another) == dict.fromkeys("abc", "new")
-
-
-def test_who_waits_for_a_locked_folder_can_be_interrupted(kept_by_another, monkeypatch):
-    monkeypatch.setattr(folder.time, "sleep", lambda _: signal.raise_signal(signal.SIGINT))
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with pytest.raises(KeyboardInterrupt), whole_folder(kept_by_another) as stage:
-            fill(stage)
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert list(kept_by_another.parent.iterdir()) == []

@@ -188,7 +188,7 @@ def test_criteria_that_are_not_the_usual_ones_are_named():
         assert any(words.endswith(f"{turns} are required") for _, words in report.tiles)
         assert any(f"In the last 2 s{watch} the rope slips" in line for line in report.story)
         axis = course_of(report).axes[1]
-        assert any(f"{turns} turns are required" in text.get_text() for text in axis.texts)
+        assert any(f"{turns} turns are required" in text.get_text() for text in axis.get_legend().get_texts())
         assert any(line.get_ydata()[0] == problem.criteria.turns == line.get_ydata()[-1] for line in axis.get_lines())
         (green,) = [span.get_x() for span in axis.patches]
         assert green == pytest.approx(plan.motion.breaks[-1] + problem.criteria.settle)
@@ -311,8 +311,8 @@ def test_the_film_of_strokes_has_notes(report, failing, notes):
 )
 def test_the_time_course_numbers_the_moves_and_marks_the_event(report, moves, event):
     arm, upper, *_ = course_of(report()).axes
-    assert [text.get_text() for text in arm.texts] == moves
-    assert any(event in text.get_text() for text in upper.texts)
+    assert [text.get_text().strip() for text in arm.texts] == moves
+    assert any(event in text.get_text() for text in upper.get_legend().get_texts())
     (marked,) = (line for line in upper.get_lines() if line.get_linestyle() == "--" and line.get_color() == "#d1483a")
     assert f"{marked.get_xdata()[0]:.2f} s" in event
 
@@ -378,7 +378,4 @@ def test_labels_do_not_lie_on_each_other(held):
         assert overlapping(course_of(report)) == []
     firm = replace(held, tug=replace(held.tug, slip=0.05 * held.tug.slip, slipped=False))
     assert overlapping(tug_figure(held)) == []
-    figure = tug_figure(firm)
-    assert overlapping(figure) == []
-    (note,) = figure.axes[1].texts
-    assert figure.axes[1].get_window_extent().y1 > note.get_window_extent().y1  # within its panel
+    assert overlapping(tug_figure(firm)) == []

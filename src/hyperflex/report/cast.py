@@ -119,8 +119,7 @@ class CastReport(PlanReport[CastPlan]):
         for axis in figure.axes:
             axis.axvspan(self.stop + criteria.settle, run.t[-1], color=GREEN, alpha=0.10, lw=0)
         _, upper, lower, _ = figure.axes
-        place = {"transform": upper.get_xaxis_transform(), "va": "top", "ha": "right"}
-        note(upper, run.t[-1], 0.84, "slip is measured ", GREEN, **place)
+        note(upper, run.t[-1], 0.03, "slip is measured ", GREEN, transform=upper.get_xaxis_transform(), ha="right")
         if not np.isfinite(wound.before).any():
             lower.set(ylim=(0.0, 1.0), yticks=())
             note(lower, 0.5, 0.5, "the rope does not lie on the target", transform=lower.transAxes, ha="center")
@@ -142,8 +141,7 @@ def tug_figure(held: HoldingForce) -> "Figure":
         pull.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, fontsize=8.0)
         allowed = 1e3 * WindCriteria.max_slip
         slip.plot(way, 1e3 * np.abs(tug.slip), color=RED)
-        slip.axhline(allowed, color=GREY, ls="--", lw=1.0)
-        note(slip, way[0], allowed, f" {allowed:g} mm: has slipped")
-        slip.set_ylim(top=max(1.4 * allowed, slip.get_ylim()[1]))  # the note lies within the panel
+        slip.axhline(allowed, color=GREY, ls="--", lw=1.0, label=f"{allowed:g} mm: has slipped")
+        slip.legend(loc="upper left", fontsize=8.0)
         slip.set(ylabel="slip, mm", xlabel="distance of the pull away from the target, mm")
     return figure

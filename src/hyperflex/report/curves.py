@@ -1,12 +1,12 @@
 """Curves of a run over time: plots that the player and the figures share, and the figure of a time course."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperflex import checks
-from hyperflex.checks import Array
 from hyperflex.report.pictures import strobe_figure
 from hyperflex.report.scene import Line, Plot, span
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, new_figure, note
@@ -17,14 +17,6 @@ if TYPE_CHECKING:
 
 
 KINDS = ("strobe", "course")
-
-
-class Moves(NamedTuple):
-    """Moves of the arm, in order: start of each (k,), s, angles between them (k + 1,), rad, and their names."""
-
-    starts: Array
-    angles: Array
-    names: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -40,9 +32,9 @@ class Panel:
     colours : tuple of str
         Of the curves.
     level : (float, str), optional
-        A value to mark by a dashed line, and the note on it.
+        A value to mark by a dashed line, and its label.
     event : str
-        The note on the time course's event, if this panel has it.
+        Label of the time course's event, if this panel has it.
     """
 
     plot: Plot
@@ -65,11 +57,15 @@ def energy_plot(run: Trajectory) -> Plot:
 
 
 def time_course(
-    run: Trajectory, what: str, panels: tuple[Panel, ...], moves: Moves | None = None, event: float = np.nan
+    run: Trajectory,
+    what: str,
+    panels: tuple[Panel, ...],
+    moves: Sequence[tuple[float, str]] = (),
+    event: float = np.nan,
 ) -> "Figure":
-    """Draw a run over time: angle of the arm with its `moves` numbered, two panels, and the motor's torque.
+    """Draw a run over time: angle of the arm with its `moves`, two panels, and the motor's torque.
 
-    The time `event`, s, is marked in all of them; NaN where there is none.
+    A move is its start, s, and its name. The time `event`, s, is marked in all panels; NaN where there is none.
     """
     angle = Plot("angle of the arm", "degrees", (Line("", np.degrees(run.arm_angle)),))
     torque = Plot("torque of the motor for the rope", "N m", (Line("", run.motor_torque),))
@@ -78,9 +74,10 @@ def time_course(
         for axis, panel in zip(axes, (Panel(angle, "arm"), *panels, Panel(torque, "torque", (INK,))), strict=True):
             _draw_panel(axis, panel, run, event)
         axes[-1].set(xlabel="time, s")
-        if moves is not None:
-            axes[0].set_title("Angle of the arm, its moves numbered")
-            _name(axes[0], run, moves)
+        axes[0].margins(y=0.15)  # room for the names of the moves
+        for start, name in moves:
+            axes[0].axvline(start, color=GREY, lw=0.6, ls=":")
+            note(axes[0], start, 1.0, f" {name}", transform=axes[0].get_xaxis_transform(), va="top")
     return figure
 
 
@@ -98,39 +95,16 @@ def run_figure(
 
 
 def _draw_panel(axis: Any, panel: Panel, run: Trajectory, event: float) -> None:
-    """Draw the curves of a panel, its level, and the event, with the note on the side with more room."""
+    """Draw the curves of a panel, its level and the event; a legend above it names them."""
     plot = panel.plot
     for line, colour in zip(plot.lines, panel.colours, strict=False):
         axis.plot(run.t, line.values, color=colour, label=line.label)
     unit = f", {plot.unit}" if plot.unit else ""
     axis.set(ylabel=f"{panel.label}{unit}", title=plot.title[0].upper() + plot.title[1:], xlim=(run.t[0], run.t[-1]))
-    if len(plot.lines) > 1:
-        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8.0, borderaxespad=0.1)
     if panel.level is not None:
         value, words = panel.level
-        axis.axhline(value, color=GREY, ls="--", lw=1.0)
-        note(axis, run.t[0], value, f" {words}")
-    if panel.level is not None or panel.event:  # room above the curves for the notes
-        low, high = axis.get_ylim()
-        axis.set_ylim(low, high + 0.3 * (high - low))
+        axis.axhline(value, color=GREY, ls="--", lw=1.0, label=words)
     if np.isfinite(event):
-        axis.axvline(event, color=RED, lw=1.0, ls="--")
-    if np.isfinite(event) and panel.event:
-        late = event > 0.5 * (run.t[0] + run.t[-1])
-        place = {"transform": axis.get_xaxis_transform(), "va": "top", "ha": "right" if late else "left"}
-        note(axis, event, 0.97, f" {panel.event} ", RED, **place)
-
-
-def _name(axis: Any, run: Trajectory, moves: Moves) -> None:
-    """Write the name of each move on the curve of the arm's angle where the move is half done."""
-    ends = [*moves.starts[1:], np.inf]
-    for name, start, end, low, high in zip(
-        moves.names, moves.starts, ends, moves.angles[:-1], moves.angles[1:], strict=True
-    ):
-        away = np.where((run.t >= start) & (run.t < end), np.abs(run.arm_angle - 0.5 * (low + high)), np.inf)
-        half = int(away.argmin())
-        word = len(name) > 1  # goes to the right of the curve, so that it does not hide it
-        box = {"boxstyle": "round,pad=0.25" if word else "circle,pad=0.2", "facecolor": "white", "lw": 0.7}
-        style: Any = {"ha": "left" if word else "center", "va": "center", "fontsize": 8.5}
-        place, offset = (run.t[half], np.degrees(run.arm_angle[half])), (16.0 if word else 0.0, 0.0)  # points
-        axis.annotate(name, place, offset, textcoords="offset points", bbox=box | {"edgecolor": "#b9c0c9"}, **style)
+        axis.axvline(event, color=RED, lw=1.0, ls="--", label=panel.event)
+    if axis.get_legend_handles_labels()[0]:
+        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, fontsize=8.0, borderaxespad=0.1)

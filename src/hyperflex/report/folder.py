@@ -3,7 +3,6 @@
 import os
 import secrets
 import shutil
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -12,7 +11,6 @@ from hyperflex import files
 from hyperflex.errors import FileProblem
 from hyperflex.interruption import deferred
 
-LOCK_TIMEOUT = 5.0  # s for which another process may fill the folder; it takes thousandths
 Progress = Callable[[str], None]  # called with a message on what is being done
 
 
@@ -49,7 +47,7 @@ def whole_folder(directory: str | Path, own: Sequence[str] = ()) -> Iterator[Pat
         with deferred():
             stage = _stage(target)
         yield stage
-        with _alone(target), deferred():
+        with deferred():
             _move(stage, target, own)
     except _NotPutBackError:
         kept = True
@@ -91,27 +89,6 @@ def _stage(target: Path) -> Path:
     return stage
 
 
-@contextmanager
-def _alone(target: Path) -> Iterator[None]:
-    """Let one process at a time fill a folder, where the system can lock the folder above it."""
-    descriptor = None
-    try:
-        with suppress(ImportError, OSError):  # Windows; some network disks
-            import fcntl
-
-            descriptor = os.open(next(path for path in target.parents if path.exists()), os.O_RDONLY)
-            end = time.monotonic() + LOCK_TIMEOUT
-            while time.monotonic() < end:
-                with suppress(BlockingIOError):
-                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    break
-                time.sleep(0.01)
-        yield
-    finally:
-        if descriptor is not None:
-            os.close(descriptor)
-
-
 def _move(stage: Path, target: Path, own: Sequence[str]) -> None:
     """Replace the `own` files by those of `stage`; restore everything on failure."""
     names = sorted(path.name for path in stage.iterdir())
@@ -119,15 +96,13 @@ def _move(stage: Path, target: Path, own: Sequence[str]) -> None:
         if (target / name).is_dir():
             raise FileProblem(f"{target / name} is a folder where a file shall go. Nothing was written. Move it away.")
     done: list[tuple[Path, Path]] = []
+    earlier = stage / "earlier"
+    target.mkdir(parents=True, exist_ok=True)
     try:
-        if not target.exists():
-            target.parent.mkdir(parents=True, exist_ok=True)
-            stage.rename(target)
-            return
-        (stage / "earlier").mkdir()
+        earlier.mkdir()
         for name in (*names, *(set(own) - set(names))):
-            for source, place in ((target / name, stage / "earlier" / name), (stage / name, target / name)):
-                if os.path.lexists(source):
+            for source, place in ((target / name, earlier / name), (stage / name, target / name)):
+                with suppress(FileNotFoundError):
                     source.rename(place)
                     done.append((source, place))
     except BaseException as error:
@@ -142,6 +117,8 @@ def _undo(done: list[tuple[Path, Path]], stage: Path, target: Path, error: BaseE
     try:
         for source, place in reversed(done):
             place.replace(source)
+        with suppress(OSError):  # it was there before: the stage is within it
+            target.rmdir()
     except OSError as problem:
         raise _NotPutBackError(
             f"The folder {target} could not be filled, and not all its earlier files could be put back: "

@@ -22,29 +22,25 @@ def target_map(plan: CastPlan, nearest: str) -> "Figure":
     """
     setup, fallback = plan.problem, plan.fallback
     arm, limits, gravity = setup.arm, setup.limits, np.array(setup.rope.gravity)
-    pivot, far = np.array(arm.pivot), arm.length + setup.rope.total_length
+    far = arm.length + setup.rope.total_length
     pegs = [(peg, INK, "peg that the rope must run behind") for peg in setup.criteria.behind]
     pegs.append((plan.target, RED, "target"))
     if fallback is not None:
         pegs.append((fallback.target, GREEN, f"{nearest}, {length(fallback.distance, small='cm')} away"))
-    corners = [pivot - far, pivot + far]
-    corners += [np.array([peg.x, peg.y]) + side * peg.radius for peg, *_ in pegs for side in (-1.0, 1.0)]
-    low, high = np.min(corners, axis=0), np.max(corners, axis=0)
-    margin = 0.04 * (high - low)
     angle = float(np.clip(-0.5 * np.pi, *limits.angles) if plan.moves is None else plan.moves.angles(limits)[0])
     tip = arm.tip(np.array([angle]))[0]
     end = tip + setup.rope.total_length * gravity / np.hypot(*gravity)
     with new_figure(8.6, 6.4) as figure:
         axis: Any = figure.subplots()
-        (x0, y0), (x1, y1) = low - margin, high + margin
-        axis.set(xlim=(x0, x1), ylim=(y0, y1), aspect="equal", xlabel="x, m", ylabel="y, m (up)")
         _circles(axis, arm, far)
         axis.plot(*np.stack([tip, end], axis=1), color="#d99a1c", lw=2.0, label="rope, hanging at rest")
-        axis.plot(*np.stack([pivot, tip], axis=1), color=INK, lw=3.0, label="arm")
-        axis.plot(*pivot, "o", color=INK, ms=5.0, label="motor's shaft")
-        draw_obstacles(axis, setup.obstacles, 8.0 * far)
+        axis.plot(*np.stack([np.array(arm.pivot), tip], axis=1), color=INK, lw=3.0, label="arm")
+        axis.plot(*arm.pivot, "o", color=INK, ms=5.0, label="motor's shaft")
         for peg, colour, label in pegs:
-            _peg(axis, peg, 0.006 * (x1 - x0), colour, label)
+            _peg(axis, peg, 0.013 * far, colour, label)
+        axis.autoscale_view()
+        axis.set(xlim=axis.get_xlim(), ylim=axis.get_ylim(), aspect="equal", xlabel="x, m", ylabel="y, m (up)")
+        draw_obstacles(axis, setup.obstacles, 8.0 * far)
         legend(figure, axis, place="lower center", columns=2)
     return figure
 

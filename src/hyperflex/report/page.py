@@ -4,9 +4,12 @@ import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hyperflex import files
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 
 @dataclass(frozen=True)
@@ -66,28 +69,28 @@ def write_page(path: str | Path, title: str, lead: str, badge: str, sections: li
 
 def render(template: str, *, room: str = "hyperflex.report", **content: Any) -> str:
     """Return a template of a `room` with its content filled in; it may include those of this one."""
+    return environment(room, autoescape=True).get_template(template).render(**content)
+
+
+def environment(room: str = "hyperflex.report", **options: Any) -> "Environment":
+    """Return the templates of a `room` and of this one; `options` are passed to Jinja."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     from hyperflex import __version__
 
     loader = ChoiceLoader([PackageLoader(each, "templates") for each in dict.fromkeys((room, "hyperflex.report"))])
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.get_template(template).render(**content, version=__version__)
+    result = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, **options)
+    result.globals["version"] = __version__
+    return result
 
 
 def markdown(table: TextTable) -> str:
     """Return a table as Markdown, columns padded so that it reads well as plain text too."""
-    lines = [table.header, *table.rows]
-    cells = [[cell.replace("|", r"\|") for cell in line] for line in lines]
-    widths = [max(3, *(len(line[k]) for line in cells)) for k in range(len(table.header))]
-
-    def row(line: Sequence[str]) -> str:
-        return "| " + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) + " |"
-
-    rule = "|" + "|".join("-" * (width + 2) for width in widths) + "|"
-    return "\n".join([row(cells[0]), rule, *map(row, cells[1:])]) + "\n"
+    cells = [[cell.replace("|", r"\|") for cell in line] for line in (table.header, *table.rows)]
+    widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
+    lines = [f"| {' | '.join(map(str.ljust, line, widths))} |" for line in cells]
+    lines.insert(1, f"|{'|'.join('-' * (width + 2) for width in widths)}|")
+    return "\n".join(lines) + "\n"
 
 
 def sections_markdown(title: str, sections: Sequence[Section]) -> str:

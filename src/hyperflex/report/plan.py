@@ -11,7 +11,7 @@ import numpy as np
 from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.planning import RATE, CastPlan, InsertPlan, TipOptions, WhipPlan
-from hyperflex.report.curves import Moves, Panel, time_course
+from hyperflex.report.curves import Panel, time_course
 from hyperflex.report.folder import Progress, silent, whole_folder
 from hyperflex.report.page import Film, Picture, Section, write_page
 from hyperflex.report.pictures import strobe_figure
@@ -185,8 +185,9 @@ class PlanReport(ABC, Generic[PlanT]):
 
     def _sections(self, shown: Mapping[str, Picture | Film]) -> list[Section]:
         plan, texts, notes = self.plan, self.texts, (self.search_summary,)
-        short = {"verdict": (plan.success, self.verdict), "text": self.advice, "tiles": self.tiles, "notes": notes}
-        sections: list[Section] = [Section("In short", **short)]
+        verdict = (plan.success, self.verdict)
+        sections = list[Section]()
+        sections.append(Section("In short", verdict=verdict, text=self.advice, tiles=self.tiles, notes=notes))
         sections += self.without_run() if plan.run is None else ()
         if self.story:
             sections.append(Section("The plan" if plan.run is None else "What happens", text=self.story))
@@ -199,16 +200,10 @@ class PlanReport(ABC, Generic[PlanT]):
             sections.append(Section("Motor", table=texts.table("motor")))
         return [*sections, Section("Set-up", text=texts.paragraphs("setup"))]
 
-    def moves(self) -> Moves | None:
-        """Return the moves of the arm that begin within the run, numbered; None without any."""
-        moves, starts = self.plan.moves, self._starts
-        if moves is None:
-            return None
-        names = [str(k + 1) for k in range(starts.size)]
-        if self.last_move:
-            names[-1] = "last"
-        count = int((starts < self.run.t[-1]).sum())
-        return Moves(starts[:count], moves.angles(self.plan.problem.limits)[: count + 1], tuple(names[:count]))
+    def moves(self) -> list[tuple[float, str]]:
+        """Return start, s, and number of the arm's moves that begin within the run."""
+        names = [*map(str, range(1, self._starts.size)), "last" if self.last_move else str(self._starts.size)]
+        return [(start, name) for start, name in zip(self._starts, names, strict=False) if start < self.run.t[-1]]
 
     @property
     def _starts(self) -> Array:

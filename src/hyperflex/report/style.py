@@ -16,31 +16,7 @@ BLUE, RED, GREEN, GREY, INK = "#1f5fa8", "#d1483a", "#3b8f6b", "#8a93a0", "#1d27
 SOFT = "#5a6472"  # of notes
 OUTCOME_COLOUR = {"success": BLUE, "failure": RED}
 
-_STYLE: Any = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.titlecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": "#b9c0c9",
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e6e9ee",
-    "grid.linewidth": 0.8,
-    "xtick.color": SOFT,
-    "ytick.color": SOFT,
-    "text.color": INK,
-    "lines.linewidth": 1.3,
-    "lines.solid_capstyle": "round",
-    "legend.frameon": False,
-    "figure.facecolor": "white",
-    "figure.dpi": 110,
-    "savefig.dpi": 160,
-}
+_STYLE = Path(__file__).parent / "figure.mplstyle"
 
 
 @contextmanager
@@ -56,7 +32,7 @@ def new_figure(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(fname=_STYLE):
         figure = Figure(figsize=(width, height), layout=layout)
         FigureCanvasAgg(figure)
         vars(figure)["_repr_png_"] = partial(png, figure, dpi=100)  # a notebook shows it, with or without pyplot

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hyperflex.model import Obstacle, Peg, Wall
-from hyperflex.report.page import TextTable
+from hyperflex.report.page import TextTable, environment
 from hyperflex.report.units import length
 
 
@@ -18,20 +18,11 @@ class Texts:
     """
 
     def __init__(self, template: str, **content: Any) -> None:
-        from jinja2 import Environment, PackageLoader, StrictUndefined
-
-        environment = Environment(
-            loader=PackageLoader("hyperflex.report", "templates"),
-            autoescape=False,  # plain text; the page escapes it
-            undefined=StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-            finalize=lambda value: value.replace("\n", " ") if isinstance(value, str) else value,
-        )
-        environment.globals |= {"length": length, "degrees": np.degrees, "arctan2": np.arctan2}
-        environment.globals |= {"isfinite": math.isfinite, "nan": math.nan}
-        environment.filters |= {"described": described, "fixed": "{:.2f}".format}
-        text = environment.get_template(template).render(**content)
+        made = environment(finalize=lambda value: value.replace("\n", " ") if isinstance(value, str) else value)
+        made.globals |= {"length": length, "degrees": np.degrees, "arctan2": np.arctan2}
+        made.globals |= {"isfinite": math.isfinite, "nan": math.nan}
+        made.filters |= {"described": described, "fixed": "{:.2f}".format}
+        text = made.get_template(template).render(**content)
         heads = re.split(r"^# (\w+)\n", text, flags=re.MULTILINE)[1:]
         self._parts = dict(zip(heads[::2], heads[1::2], strict=True))
 
