@@ -186,7 +186,7 @@ class PlanReport(ABC, Generic[PlanT]):
     def _sections(self, shown: Mapping[str, Picture | Film]) -> list[Section]:
         plan, texts, notes = self.plan, self.texts, (self.search_summary,)
         verdict = (plan.success, self.verdict)
-        sections = list[Section]()
+        sections: list[Section] = []
         sections.append(Section("In short", verdict=verdict, text=self.advice, tiles=self.tiles, notes=notes))
         sections += self.without_run() if plan.run is None else ()
         if self.story:
