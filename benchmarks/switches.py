@@ -30,7 +30,7 @@ from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.planning import Conditions, MotorLimits, Problem, TipTarget, WhipPlan, plan_whip, simulate_impact
 from hyperflex.planning.clearance import obstacle_clearance, samples_clear_of_arm
 from hyperflex.planning.tasks.insert import finer_rope
-from hyperflex.planning.tasks.tip import OPTIONS, Flights, coarse_times, random_swings, signed_gaps
+from hyperflex.planning.tasks.tip import OPTIONS, Flights, random_swings, signed_gaps
 from hyperflex.planning.tasks.whip import find_peaks, verify_whip
 
 RESULTS = Path(__file__).parent / "results"
@@ -55,7 +55,7 @@ def draw() -> list[dict[str, float]]:
     """Walls and switches that some random swing strikes without a touch of the wall."""
     problem, rng = Problem(ROPE, ARM, LIMITS, TIME), np.random.default_rng(SEED)
     swings = random_swings(problem, 2 * SWINGS)[SWINGS:]  # the planner's are the first ones
-    flights = Flights(problem, swings, coarse_times(problem))
+    flights = Flights(problem, swings, np.arange(0.0, problem.time, OPTIONS.sample_time))
     peaks = find_peaks(flights.t, flights.joints[:, :, -1], flights.velocity)
     last = samples_clear_of_arm(ROPE, ARM, flights.q, flights.joints[:, :, 0], 0.0)
     found, taken = list[dict[str, float]](), set[int]()

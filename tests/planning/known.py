@@ -9,10 +9,10 @@ import numpy as np
 
 import hyperflex as hf
 from hyperflex.budget import Budget
-from hyperflex.planning.cast_plan import CastPlan
 from hyperflex.planning.feasibility import check_feasibility
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.outcome import verify_cast
+from hyperflex.planning.plan import CastPlan
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, Strikes, fly_to_strikes
 

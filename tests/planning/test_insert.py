@@ -36,7 +36,7 @@ from hyperflex.planning.tasks.insert import (
     verify_insert,
 )
 from hyperflex.planning.tasks.task import Candidate
-from hyperflex.planning.tasks.tip import OPTIONS, Flights
+from hyperflex.planning.tasks.tip import OPTIONS, Flights, coarse_flights
 from tests.planning.known_insert import ARM, MOVES, NEAR, ROPE, SLOT
 
 LIMITS = MotorLimits()
@@ -77,7 +77,7 @@ def test_walls_leave_the_gap_free_and_a_tube_begins_at_its_edges() -> None:
 def swing(problem: Problem, moves: Moves | None) -> Flights:
     """Return a coarse flight of one swing."""
     assert moves is not None
-    return Flights(problem, [moves], np.arange(0.0, problem.time, OPTIONS.sample_time))
+    return next(coarse_flights(problem, [moves], Budget()))
 
 
 @pytest.mark.parametrize(

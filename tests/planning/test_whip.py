@@ -25,7 +25,7 @@ from hyperflex.planning import (
 )
 from hyperflex.planning.clearance import sampled_obstacle_gaps
 from hyperflex.planning.tasks.task import Candidate
-from hyperflex.planning.tasks.tip import OPTIONS, Aim, Flights, coarse_times, random_swings, signed_gaps
+from hyperflex.planning.tasks.tip import OPTIONS, Aim, coarse_flights, random_swings, signed_gaps
 from hyperflex.planning.tasks.whip import PeakCosts, WhipTask, find_peaks, simulate_impact, verify_whip
 from tests.planning.known_whip import ARM, MOVES, NEAR, ROPE, planned_whip
 
@@ -159,7 +159,9 @@ def test_signed_gaps_of_a_wall() -> None:
 def test_peaks_behind_an_obstacle_cost_more() -> None:
     walled, moves = replace(PROBLEM, obstacles=(WALL,)), [MOVES, replace(MOVES, side=1, ends=-MOVES.ends)]
     target = TipTarget(0.6, -0.6, least_speed=1.0)
-    free, there = (WhipTask(each, target).score(Flights(each, moves, coarse_times(each))) for each in (PROBLEM, walled))
+    free, there = (
+        WhipTask(each, target).score(next(coarse_flights(each, moves, Budget()))) for each in (PROBLEM, walled)
+    )
     assert max(cost for cost, _ in free) < max(cost for cost, _ in there)
 
 

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.planning.cast_plan import CastPlan, FallbackTarget
     from hyperflex.planning.casting import plan_cast
     from hyperflex.planning.ensemble import SuccessProbability, estimate_success_probability
     from hyperflex.planning.feasibility import Feasibility, check_feasibility
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
         measure_holding_force,
         verify_cast,
     )
-    from hyperflex.planning.plan import RATE
+    from hyperflex.planning.plan import RATE, CastPlan, FallbackTarget
     from hyperflex.planning.plan_files import read_limits, read_plan
     from hyperflex.planning.problem import Problem
     from hyperflex.planning.reach_map import NOT_PLANNED, ReachMap, TargetGrid, build_reach_map, read_reach_map

@@ -14,7 +14,6 @@ from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
 from hyperflex.interruption import Stop, interruptible, stoppable
 from hyperflex.model import Arm, Peg, Rope, Setup, cuts
 from hyperflex.motion import hold_arm
-from hyperflex.planning.cast_plan import CastPlan, FallbackTarget
 from hyperflex.planning.clearance import obstacle_clearance, rope_clearance
 from hyperflex.planning.ensemble import estimate_success_probability
 from hyperflex.planning.feasibility import (
@@ -26,6 +25,7 @@ from hyperflex.planning.feasibility import (
     search_time,
 )
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, WindCriteria, refuse_behind
+from hyperflex.planning.plan import CastPlan, FallbackTarget
 from hyperflex.planning.planner import Planner
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import check_start

@@ -18,10 +18,10 @@ from hyperflex.interfaces import Motor, RopeState, StateSource
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Peg, Rope
 from hyperflex.motion import Motion
-from hyperflex.planning.cast_plan import CastPlan
 from hyperflex.planning.clearance import joint_velocities
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import refuse_behind
+from hyperflex.planning.plan import CastPlan
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, arm_tip, fly_to_strikes, robust_values, winding_scores
 from hyperflex.planning.shooting import shoot

@@ -6,7 +6,7 @@ rests, with differences of free flights, until the tip does what the task requir
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
@@ -145,9 +145,13 @@ class Flights:
         return np.maximum.accumulate(depth, axis=1)
 
 
-def coarse_times(problem: Problem) -> Array:
-    """Return the times of the samples of swings that are only scored (T,), s."""
-    return np.arange(0.0, problem.time + 0.5 * OPTIONS.sample_time, OPTIONS.sample_time)
+def coarse_flights(problem: Problem, moves: Sequence[Moves], budget: Budget) -> Iterator[Flights]:
+    """Simulate swings that are only scored, in batches until the budget expires, one batch at least."""
+    t = np.arange(0.0, problem.time + 0.5 * OPTIONS.sample_time, OPTIONS.sample_time)
+    for low in range(0, len(moves), OPTIONS.batch):
+        if low and budget.expired:
+            return
+        yield Flights(problem, moves[low : low + OPTIONS.batch], t, budget=budget)
 
 
 def random_swings(
@@ -374,15 +378,12 @@ class TipTask(Task):
         return ""
 
     def scored(self, moves: Sequence[Moves], budget: Budget) -> list[Candidate]:
-        """Score swings in batches until the budget expires, one batch at least; return possible ones, best first."""
-        found, t = list[Candidate](), coarse_times(self.problem)
-        for low in range(0, len(moves), OPTIONS.batch):
-            if low and budget.expired:
-                break
-            some = moves[low : low + OPTIONS.batch]
-            costs = self.score(Flights(self.problem, some, t, budget=budget))
-            found += [Candidate(each, -cost, at) for each, (cost, at) in zip(some, costs, strict=True)]
-        return sorted((each for each in found if math.isfinite(each.score)), key=lambda one: -one.score)
+        """Score swings until the budget expires; return the possible ones, best first."""
+        found = list[Candidate]()
+        for flights in coarse_flights(self.problem, moves, budget):
+            scores = zip(flights.moves, self.score(flights), strict=True)
+            found += [Candidate(each, -cost, t) for each, (cost, t) in scores if cost < math.inf]
+        return sorted(found, key=lambda one: -one.score)
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Return the random swings; then by turns variations of the best, by little and by much, and new ones."""

@@ -32,7 +32,7 @@ from hyperflex.planning.tasks.tip import (
     TipOutcome,
     TipPlan,
     TipTask,
-    coarse_times,
+    coarse_flights,
     given_or_default,
     plan_tip,
     random_swings,
@@ -247,14 +247,11 @@ def build_whip_map(
     if problem.time < (least := 4.0 * OPTIONS.sample_time):
         allowed = f"at least {least:g} s; three periods of the rope's swing are usual"
         raise InvalidInput("time_limit is too short for any whip", got=problem.time, allowed=allowed)
-    budget, found, moves = Budget.of(time_budget), list[Peaks](), random_swings(problem, swings)
-    for low in range(0, swings, OPTIONS.batch):
-        if low and budget.expired:
-            moves = moves[:low]
-            break
-        flights = Flights(problem, moves[low : low + OPTIONS.batch], coarse_times(problem), budget=budget)
+    found, moves = list[Peaks](), list[Moves]()
+    for flights in coarse_flights(problem, random_swings(problem, swings), Budget.of(time_budget)):
         some = flight_peaks(problem, flights)
-        found.append(some._replace(row=some.row + low))
+        found.append(some._replace(row=some.row + len(moves)))
+        moves += flights.moves
     return WhipMap(problem, tuple(moves), Peaks(*map(np.concatenate, zip(*found, strict=True))))
 
 
@@ -480,9 +477,9 @@ class WhipTask(TipTask):
             return TipFeasibility(self.distance, math.inf, message)
         known = self.map or build_whip_map(self.problem, time_budget=budget.share(0.4))
         target, peaks = self.target, known.peaks
-        pairs = cheapest_peaks(PeakCosts().of(target, peaks), peaks, len(known.moves))
-        swings = [Candidate(each, -cost, t) for each, (cost, t) in zip(known.moves, pairs, strict=True)]
-        self.swings = sorted((one for one in swings if math.isfinite(one.score)), key=lambda one: -one.score)
+        pairs = zip(known.moves, cheapest_peaks(PeakCosts().of(target, peaks), peaks, len(known.moves)), strict=True)
+        swings = [Candidate(each, -cost, t) for each, (cost, t) in pairs if cost < math.inf]
+        self.swings = sorted(swings, key=lambda one: -one.score)
         free = peaks._replace(blocked=np.zeros_like(peaks.blocked))
         cost = float(PeakCosts().of(target, free).min(initial=math.inf))
         if cost > OPTIONS.max_cost:
