@@ -211,7 +211,7 @@ def test_a_robust_plan_says_how_often_it_wins(hyperflex, rope_file, ready, tmp_p
     _, out, _ = hyperflex(*arguments(rope_file, tmp_path / "out", "--robust"))
     assert isinstance(asked["uncertainty"], Uncertainty)
     assert str(SuccessProbability(30, 40)) in " ".join(out.split())
-    assert "as a usual identification leaves it: length 1 %" in " ".join(out.split())
+    assert "typical of an identification: length 1 %" in " ".join(out.split())
     assert str(SuccessProbability(30, 40)) in (tmp_path / "out" / "report.html").read_text()
     assert files.read_toml(tmp_path / "out" / "cast.toml")["plan"]["success_probability"]["successes"] == 30
 
@@ -222,7 +222,7 @@ def test_what_identify_left_in_the_ropes_file_counts(hyperflex_json, ready, tmp_
     asked = ready("misses", success_probability=SuccessProbability(30, 40))
     _, told = hyperflex_json(*arguments(tmp_path / "fit.toml", tmp_path / "out", "--robust"))
     assert asked["uncertainty"].posterior.covariance.tolist() == [[1e-9]]
-    assert told["uncertainty"].startswith("friction by the covariance in the rope's file; as a usual")
+    assert told["uncertainty"].startswith("friction by the covariance in the rope's file; typical")
     assert asked["uncertainty"].friction == 0.0
 
 

@@ -118,13 +118,13 @@ def test_a_rope_file_tells_what_it_can_and_the_rest_is_as_usual(tmp_path: Path) 
     ROPE.to_toml(tmp_path / "plain.toml")
     usual = Uncertainty.from_rope_file(tmp_path / "plain.toml")
     assert usual.describe() == Uncertainty().describe()
-    assert "usual identification" in usual.describe()
+    assert "typical of an identification" in usual.describe()
     assert "length 1 %, mass 2 %, friction 20 %, mu 10 %, lag 10 ms, timing 2 ms" in usual.describe()
     told = {"parameters": ["length[0]", "tip_mass"], "covariance": [[1e-6, 0.0], [0.0, 1e-8]], "values": {}}
     files.write_toml(tmp_path / "fitted.toml", {"rope": ROPE.table(), "identification": told})
     known = Uncertainty.from_rope_file(tmp_path / "fitted.toml")
     assert (known.length, known.mass, known.friction) == (0.0, 0.02, 0.2)
-    assert known.describe().startswith("length, tip_mass by the covariance in the rope's file; as a usual")
+    assert known.describe().startswith("length, tip_mass by the covariance in the rope's file; typical")
     assert "length 1 %" not in known.describe()
     assert np.std([d.rope.length[0] for d in known.sample(500, CAST_SETUP, PEG)]) == pytest.approx(1e-3, rel=0.1)
 
@@ -136,7 +136,7 @@ def test_what_a_fit_could_not_tell_is_as_uncertain_as_usual(tmp_path: Path) -> N
     files.write_toml(tmp_path / "fitted.toml", {"rope": ROPE.table(), "identification": told})
     known = Uncertainty.from_rope_file(tmp_path / "fitted.toml")
     assert (known.length, known.mass, known.friction) == (0.01, 0.0, 0.0)
-    assert "the fit could not tell all of length; as a usual identification leaves it: length 1 %" in known.describe()
+    assert "not fully determined by the fit: length; typical of an identification: length 1 %" in known.describe()
     draws = known.sample(500, CAST_SETUP, PEG)
     assert np.std([d.rope.total_length for d in draws]) == pytest.approx(0.01, rel=0.1)  # 3 deviations of one from 500
     covariance, values = np.diag([0.0, 4e-8]), {"length:factor": np.array(1.0)}

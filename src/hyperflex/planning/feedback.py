@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -403,8 +403,10 @@ class _Loop:
             return [*self._flights(goal, scenario, state, [flight.moves.varied(each) for each in change])]
 
         begin = self._flights(goal, scenario, state, [self.moves])[0]
-        given: dict[str, Any] = {"close": 0.0, "rounds": options.rounds, "difference": options.difference}
-        return shoot(begin, scale, fly, **given, budget=self.budget)[0].moves
+        best, _ = shoot(
+            begin, scale, fly, close=0.0, rounds=options.rounds, difference=options.difference, budget=self.budget
+        )
+        return best.moves
 
     def _flights(self, goal: Goal, scenario: Scenario, state: RopeState, throws: Sequence[Moves]) -> list[_Flight]:
         """Simulate throws (M) from a state, and compare them with the goal where they pass it nearest."""

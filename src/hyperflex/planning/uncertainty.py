@@ -265,16 +265,16 @@ class Uncertainty:
         return cls(**zero, posterior=posterior)
 
     def describe(self) -> str:
-        """Return in words what is uncertain, and where that comes from."""
+        """Return as text which uncertainties count, and their source."""
         usual = [f"{name} {100 * getattr(self, name):.2g} %" for name in RELATIVE if getattr(self, name)]
         usual += [f"{name} {1e3 * getattr(self, name):.2g} ms" for name in TIMES if getattr(self, name)]
         usual += [f"place {1e3 * self.place:.2g} mm"] if self.place else []
-        assumed = f"as a usual identification leaves it: {', '.join(usual)}" if usual else ""
+        assumed = f"typical of an identification: {', '.join(usual)}" if usual else ""
         if self.posterior is None:
             return assumed or "nothing"
         parts = [f"{', '.join(self.posterior.fitted_properties)} by the covariance in the rope's file"]
         if self.posterior.undetermined_properties:
-            parts.append(f"the fit could not tell all of {', '.join(self.posterior.undetermined_properties)}")
+            parts.append(f"not fully determined by the fit: {', '.join(self.posterior.undetermined_properties)}")
         return "; ".join([*parts, assumed] if assumed else parts)
 
     def sample(self, count: int, problem: Problem, peg: Peg, *, seed: int | Sequence[int] = 0) -> list[Scenario]:

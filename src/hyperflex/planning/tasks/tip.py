@@ -19,7 +19,7 @@ from hyperflex.checks import Array
 from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import stoppable
-from hyperflex.model import DAMPING, Arm, Obstacle, Rope, Setup, Wall
+from hyperflex.model import Arm, Obstacle, Rope, Setup, Wall
 from hyperflex.planning.clearance import gap_of, joint_velocities, named, obstacle_gaps
 from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.moves import Moves
@@ -31,6 +31,7 @@ from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, arm_tip, check_start, free_sides
 from hyperflex.planning.shooting import shoot
 from hyperflex.planning.tasks.task import Candidate, Task, Verified
+from hyperflex.planning.uncertainty import scaled_rope
 from hyperflex.planning.verification import verified_setup
 from hyperflex.simulation import simulate
 from hyperflex.status import Status
@@ -441,8 +442,15 @@ class TipTask(Task):
         (first,) = self._fly([begin], [found.t], budget)
         if first is None:
             return None
-        given: dict[str, Any] = {"close": self.close, "rounds": options.rounds, "difference": options.difference}
-        best, varied = shoot(first, self._scale(begin), fly, **given, budget=budget)
+        best, varied = shoot(
+            first,
+            self._scale(begin),
+            fly,
+            close=self.close,
+            rounds=options.rounds,
+            difference=options.difference,
+            budget=budget,
+        )
         return replace(best, std=self._std(best, varied, budget))
 
     def _scale(self, moves: Moves) -> Array:
@@ -464,10 +472,7 @@ class TipTask(Task):
     def _std(self, aim: Aim, varied: Sequence[Aim], budget: Budget) -> float:
         """Return the standard deviation of an aim's place, m, by those with `varied` parameters."""
         rope, options, k, longer = self.problem.rope, OPTIONS, aim.moves.ends.size, 1.0 + OPTIONS.difference
-        ropes = [
-            rope.replace(length=longer * rope.length, com=longer * rope.com, inertia=longer**2 * rope.inertia),
-            rope.replace(**{name: longer * getattr(rope, name) for name in DAMPING}),
-        ]
+        ropes = [scaled_rope(rope, longer, 1.0, 1.0), scaled_rope(rope, 1.0, 1.0, longer)]
         others = [each or aim for each in self._fly(2 * [aim.moves], 2 * [aim.t], budget, ropes)]
         steps = options.difference * np.append(self._scale(aim.moves), [1.0, 1.0])
         place = np.array([each.place - aim.place for each in (*varied, *others)]) / steps[:, None]
