@@ -243,7 +243,7 @@ def test_a_plan_without_moves_has_nothing_to_write(tmp_path, made):
 
 def test_a_set_up_is_no_plan(tmp_path):
     hf.Setup(planned().problem.rope).to_toml(tmp_path / "setup.toml")
-    with pytest.raises(InvalidInput, match="holds no plan"):
+    with pytest.raises(InvalidInput, match="has no plan"):
         hf.read_plan(tmp_path / "setup.toml")
 
 

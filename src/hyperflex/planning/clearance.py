@@ -11,7 +11,7 @@ from hyperflex.core.batch import proximity
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Wall
 from hyperflex.trajectory import Trajectory, interpolated
 
-FINE = 4e-4  # m, that a link moves at most between two looks
+FINE = 4e-4  # m, that a link moves at most between two checks
 FASTER = 1.5  # times its speeds at two samples that a link may move in between
 # Links that begin so near the arm's tip do not count for the arm, from which they hang: radii of rope and arm, and
 # lengths of the arm
@@ -36,8 +36,8 @@ def rope_clearance(run: Trajectory) -> Clearance:
     Notes
     -----
     Angles between samples are those of cubic interpolation. Intervals in which a link may come nearer than at any
-    sample, by its speed, are looked at so closely that no link moves by more than FINE. Half of that is taken off, and
-    what interpolation may be off where a blow lies between two samples. So what is told may be too small by FINE and
+    sample, by its speed, are checked so closely that no link moves by more than FINE. Half of that is subtracted, and
+    what interpolation may be off where a blow lies between two samples. So the result may be too small by FINE and
     twice that, but not too large.
     """
     arm, rope = run.setup.arm, run.setup.rope
@@ -85,7 +85,7 @@ def samples_clear_of_arm(
     """Return after how many samples (M,) a rope at angles q (M, T, n) comes too near arm or shaft; T if it does not.
 
     `base` (M, T, 2), m, are places of the arm's tip, `clearance`, m, is the distance that it keeps; none if -inf.
-    Samples from `until` (M,) on are not looked at.
+    Samples from `until` (M,) on are not checked.
     """
     clear = np.full(len(q), q.shape[1])
     if clearance == -np.inf:
@@ -119,7 +119,7 @@ def gap_of(obstacle: Obstacle, x: float, y: float) -> float:
 
 
 def named(obstacle: Obstacle) -> str:
-    """Return an obstacle in words, by its kind and place."""
+    """Return the name of an obstacle, by its kind and place."""
     return f"the {type(obstacle).__name__.lower()} at ({obstacle.x:.4g}, {obstacle.y:.4g}) m"
 
 

@@ -179,7 +179,7 @@ def verify_cast(
     Parameters
     ----------
     motion : Motion
-        With an end, after which the arm stands still.
+        With an end, after which the arm rests.
     tol, contact_step : float
         As for :func:`hyperflex.simulate`, m and s.
     time_budget : float or Budget, optional

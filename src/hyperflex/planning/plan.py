@@ -136,7 +136,7 @@ class Plan(ABC):
         if value is None:
             read = "A plan that is read from a file has no runs: hyperflex.simulate(plan.setup()) makes one"
             fix = "Plan for a target that is feasible" if self.motion is None else read
-            raise InvalidInput(f"the plan holds no {name}", got=self.message or "a plan that succeeds", fix=fix)
+            raise InvalidInput(f"the plan has no {name}", got=self.message or "a plan that succeeds", fix=fix)
         return value
 
     def __repr__(self) -> str:
@@ -294,7 +294,7 @@ class CastPlan(Plan):
 class FallbackTarget:
     """The nearest target with a plan that succeeds, or that is expected to be feasible.
 
-    `target` is like the one asked for, `distance`, m, from it. `plan` succeeds; None if the target is only expected to
+    `target` is like the given one, `distance`, m, from it. `plan` succeeds; None if the target is only expected to
     be feasible. `failed_plans` counts nearer targets for which planning failed.
     """
 
@@ -305,7 +305,7 @@ class FallbackTarget:
 
 
 def to_table(value: Any) -> Any:
-    """Turn a dataclass into nested tables for TOML; fields that are None and runs are left out."""
+    """Turn a dataclass into nested tables for TOML; fields that are None and runs are omitted."""
     if isinstance(value, Rope):
         return value.table()
     if not is_dataclass(value):

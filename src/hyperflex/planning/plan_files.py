@@ -33,12 +33,12 @@ def read_plan(path: files.PathLike) -> AnyPlan:
     Raises
     ------
     FileProblem, InvalidInput
-        If the file cannot be read or holds no plan.
+        If the file cannot be read or has no plan.
     """
     content = files.read_toml(path)
     table = dict(content.get(PLAN) or {})
     if table.pop("source", None) != "simulated" or (kind := KINDS.get(table.pop("kind", ""))) is None:
-        raise InvalidInput(f"{path} holds no plan", got=sorted(content), allowed="a file that a plan's to_toml wrote")
+        raise InvalidInput(f"{path} has no plan", got=sorted(content), allowed="a file that a plan's to_toml wrote")
     try:
         return from_table(kind, table)
     except InvalidInput as error:
@@ -51,7 +51,7 @@ def read_plan(path: files.PathLike) -> AnyPlan:
 def read_limits(path: files.PathLike) -> MotorLimits | None:
     """Read the motor's limits from the table [limits] of a set-up's TOML file, or from a plan's; None without them.
 
-    Raises FileProblem or InvalidInput if the file cannot be read, or holds limits that cannot be.
+    Raises FileProblem or InvalidInput if the file cannot be read, or has limits that are out of range.
     """
     content: Mapping[str, Any] = files.read_toml(path)
     for name in (PLAN, "problem") if PLAN in content else ():

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 FORMAT = "hyperflex reach map 2"
 STATUSES = (Status.SUCCESS, Status.INFEASIBLE, Status.OUT_OF_TIME, Status.FAILED)  # by their numbers in a map
 NOT_PLANNED = -1  # of a target that was not planned before an interrupt
-ATTRIBUTES = ("radius", "mu", "time_budget", "seed")  # of the file, beside format and problem
+ATTRIBUTES = ("radius", "mu", "time_budget", "seed")  # of the file, with format and problem
 VARIABLES = {  # name: dimensions, unit, long name
     "x": (("x",), "m", "targets' x"),
     "y": (("y",), "m", "targets' y"),

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 MOVES = 32  # sampled delays; a throw of more moves uses them again
 RELATIVE, TIMES = ("length", "mass", "friction", "mu"), ("lag", "timing")  # relative, and in seconds
-# Fitted properties that replace a factor. A motion shows friction over mass: with either fitted the mass is left out.
+# Fitted properties that replace a factor. A motion shows friction over mass: with either fitted the mass is omitted.
 REPLACED_BY = {"length": ("length",), "mass": ("mass", "inertia", *DAMPING), "friction": DAMPING}
 OTHER = 0.1  # part by which lengths of two ropes differ that are not one; usually a length is known to 1 %
 TABLE = ("parameters", "values", "std", "covariance", "length_covariance")  # of an identification
-MIN_LAG = 2e-4  # s; smaller lags are left out
+MIN_LAG = 2e-4  # s; smaller lags are omitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ class RopePosterior:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "RopePosterior | None":
-        """Read it from a rope file that identify wrote; None if the file holds no covariance.
+        """Read it from a rope file that identify wrote; None if the file has no covariance.
 
         Raises FileProblem or InvalidInput if the file cannot be read, or its table of the identification is incomplete.
         """
@@ -297,9 +297,9 @@ class Uncertainty:
         rope = problem.rope if self.posterior is None else self.posterior.sample(rng)
         thrown, known = problem.rope, rope if self.posterior is None else self.posterior.rope
         if known.n_links != thrown.n_links or abs(known.total_length / thrown.total_length - 1.0) > OTHER:
-            got, asked = (f"{each.n_links} links, {each.total_length:.3g} m" for each in (known, thrown))
-            raise InvalidInput("posterior is of another rope", got=got, allowed=f"{asked}, as thrown")
-        if rope.radius != thrown.radius:  # which no recording tells
+            got, required = (f"{each.n_links} links, {each.total_length:.3g} m" for each in (known, thrown))
+            raise InvalidInput("posterior is of another rope", got=got, allowed=f"{required}, as cast")
+        if rope.radius != thrown.radius:  # which no recording shows
             rope = rope.replace(radius=thrown.radius)
         x, y = np.array([peg.x, peg.y]) + self.place * rng.standard_normal(2)
         target = replace(peg, x=float(x), y=float(y), mu=peg.mu * float(factors[3]))

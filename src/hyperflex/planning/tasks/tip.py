@@ -180,8 +180,8 @@ def signed_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Arra
     """Distances (..., w, n), m, of the links of a rope from `begin` to `end` (..., n, 2) from w obstacles, < 0 inside.
 
     For a link through a wall the depth is the distance along the wall from the crossing to the nearer end of the wall,
-    or the length of the rope's end beyond it if that is less. It tells a search how far it is from a swing that does
-    not touch the wall.
+    or the length of the rope's end beyond it if that is less: roughly how far the swing is from one that does not touch
+    the wall.
     """
     gaps = obstacle_gaps(obstacles, begin, end)
     for k, wall in enumerate(obstacles):
