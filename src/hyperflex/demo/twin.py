@@ -133,18 +133,6 @@ def fit(recording: Recording, progress: bool | Callable[[dict[str, float]], None
     return identify(recording, guess(), FREE, options=FitOptions(train=7.0, window=3.5), progress=progress)
 
 
-def write_bundled(video: Path = BUNDLED, mapped_path: Path = MAPPED) -> None:
-    """Write the files of the package: the video, and the result of the fit without noise.
-
-    The latter uses the same swing without a camera: the best approximation of a rope of 40 links by 10. It differs from
-    the rope divided into 10 links, because coarse links need more inertia and friction for the same motion.
-    """
-    film(video)
-    mapped = {name: float(values[0]) for name, values in fit(exact()).values.items()}
-    about = "what the demo's fit finds without a camera; made by hyperflex.demo.twin.write_bundled"
-    files.write_toml(mapped_path, {"source": "simulated", "about": about, "mapped": mapped})
-
-
 def mapped_truth() -> dict[str, float]:
     """Read the result of the fit without noise: one friction and one inertia for all links, SI."""
     return {name: float(value) for name, value in files.read_toml(MAPPED)["mapped"].items()}

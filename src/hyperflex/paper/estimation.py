@@ -17,7 +17,7 @@ from hyperflex.checks import Array
 from hyperflex.estimate import MarkerMeasurement, RopeFilter, RopeTracker
 from hyperflex.model import Rope
 from hyperflex.paper.casting import cable
-from hyperflex.paper.estimator import SAMPLES, TOL, BlobTracker, OnlineEstimator, Tracker, capture
+from hyperflex.paper.estimator import SAMPLES, TOL, BlobTracker, OnlineEstimator, capture
 from hyperflex.paper.part import Claim, Item, Part, Table
 from hyperflex.report import BLUE, GREEN, GREY, INK, RED, Section, TextTable, legend, new_figure
 from hyperflex.simulation import simulate
@@ -249,9 +249,7 @@ def _by_windows(result: Followed, name: str) -> None:
     ends = along[np.append(True, known)]
     start = np.stack([np.interp(arcs, ends, np.append(0.0, first[known, c])) for c in (0, 1)], axis=1)
     paper = OnlineEstimator(cable(), arcs, times[0], start)
-    tracker: Tracker = paper
-    if name != "paper":
-        tracker = BlobTracker(times[0], start, moving=name == "constant velocity")
+    tracker = paper if name == "paper" else BlobTracker(times[0], start, moving=name == "constant velocity")
     result.places[0] = first
     for k, frame in enumerate(subject.frames):
         began = time.perf_counter()

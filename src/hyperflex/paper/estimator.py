@@ -1,7 +1,7 @@
 """The paper's online estimator (section III D, Fig. 7), and trackers without dynamics to compare it with."""
 
 import time
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -45,16 +45,6 @@ class Ahead(NamedTuple):
     rates: Array | float  # (n,) rad/s, of the links at the frame; NaN: not known
 
 
-class Tracker(Protocol):
-    """Predicts markers, and corrects its state by what was found."""
-
-    def predict(self, t: float) -> Ahead:
-        """Predict to a time, s."""
-
-    def correct(self, t: float, seen: Array) -> None:
-        """Take markers (K, 2), m, found at the time, s, of the prediction; NaN: not found, the prediction is taken."""
-
-
 class BlobTracker:
     """Expects each marker, the last one on the tip, where it was, or, if `moving`, where it goes; knows no rope."""
 
@@ -62,13 +52,13 @@ class BlobTracker:
         self.t, self.places, self.moving, self.velocity = t, places, moving, np.zeros_like(places)
 
     def predict(self, t: float) -> Ahead:
-        """See :class:`Tracker`."""
+        """Predict to a time, s."""
         times, velocity = np.linspace(0.0, t - self.t, SAMPLES + 1), self.velocity[-1]
         tip = self.places[-1] + np.outer(times, velocity)
         return Ahead(self.places + (t - self.t) * self.velocity, tip, velocity, np.nan)
 
     def correct(self, t: float, seen: Array) -> None:
-        """See :class:`Tracker`."""
+        """Take markers (K, 2), m, found at the time, s, of the prediction; NaN: not found, the prediction is taken."""
         places = np.where(np.isnan(seen), self.predict(t).places, seen)
         if self.moving:
             self.velocity = (places - self.places) / (t - self.t)
@@ -117,14 +107,17 @@ class OnlineEstimator:
         self._ahead: Trajectory | None = None
 
     def predict(self, t: float) -> Ahead:
-        """See :class:`Tracker`."""
+        """Predict to a time, s."""
         start, times = time.perf_counter(), np.linspace(0.0, t - self.t, SAMPLES + 1)
         run = simulate(self.rope, duration=times[-1], q0=self.q, qd0=self.qd, t_eval=times, tol=TOL)
         self._ahead, self.seconds = run, time.perf_counter() - start
         return Ahead(self._places(run.q[-1]), run.tip, run.tip_velocity[0], self.qd)
 
     def correct(self, t: float, seen: Array) -> None:
-        """See :class:`Tracker`; InvalidInput if nothing was predicted."""
+        """Take markers (K, 2), m, found at the time, s, of the prediction; NaN: not found, the prediction is taken.
+
+        Raises InvalidInput if nothing was predicted.
+        """
         if self._ahead is None:
             raise InvalidInput("nothing was predicted yet", fix="Call predict first")
         q, qd = self._ahead.q[-1], self._ahead.qd[-1]

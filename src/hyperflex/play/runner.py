@@ -30,8 +30,8 @@ class Runner:
         Its lock guards session and runner; it is notified of each new frame and each change of :meth:`scene`.
     frame : bytes
         The newest frame, as of :meth:`Session.frame`.
-    number : int
-        Counts frames.
+    number, version : int
+        Count frames, and changes of :meth:`scene`.
     watchers : int
         Number of open pages; without any the simulation pauses.
     plan : CastPlan, WhipPlan or None
@@ -41,7 +41,7 @@ class Runner:
     def __init__(self, session: Session) -> None:
         self.session, self.frame, self.watchers, self.paused = session, session.frame(), 0, False
         self.plan: CastPlan | WhipPlan | None = None
-        self.number, self.news, self._changes = 0, threading.Condition(), 0
+        self.number, self.version, self.news = 0, 0, threading.Condition()
         self._notice, self._late = "", False
         self._usual: float | None = None  # the speed, while a plan is shown in slow motion
         self._planning: PlanningProcess | None = None
@@ -56,11 +56,6 @@ class Runner:
         with self.news:
             self._cancel()
             self.news.notify_all()
-
-    @property
-    def version(self) -> tuple[int, int]:
-        """Differs after each change of :meth:`scene`."""
-        return self._changes, self.session.version
 
     def scene(self) -> dict[str, Any]:
         """Return the state of the page in addition to the frames."""
@@ -110,7 +105,7 @@ class Runner:
 
     def changed(self, picture: bool = True) -> None:
         """Send the scene to the pages, and with a changed `picture` also a new frame while the simulation pauses."""
-        self._changes += 1
+        self.version += 1
         if picture:
             self.frame, self.number = self.session.frame(), self.number + 1
         self.news.notify_all()
@@ -126,7 +121,7 @@ class Runner:
                     due = now + 1.0 / FRAME_RATE
                     continue
                 if late != self._late:
-                    self._late, self._changes = late, self._changes + 1
+                    self._late, self.version = late, self.version + 1
                 self._advance()
 
     def _advance(self) -> None:

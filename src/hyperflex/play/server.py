@@ -88,7 +88,7 @@ class PlayServer(LocalServer):
 
     def _stream(self, request: BaseHTTPRequestHandler) -> None:
         """Send the newest scene and frame whenever the last ones were sent: a slow page gets fewer."""
-        runner, version, number = self.runner, (-1, -1), -1
+        runner, version, number = self.runner, -1, -1
         with runner.news:
             runner.watchers += 1
         try:

@@ -54,13 +54,10 @@ class Session:
         Obstacles of the last opened set-up, without the target.
     activity : str
         ``"hang"``, ``"swing"``, ``"cast"`` (a planned motion) or ``"file"``.
-    version : int
-        Increases with each change of the result of :meth:`scene`.
     """
 
     def __init__(self, settings: Settings | None = None) -> None:
         self.settings = settings or Settings()
-        self.version = 0
         self.obstacles: tuple[Obstacle, ...] = ()
         self._motor = MotorLimits()  # whose torque and angles are kept to
         self._given: Setup | None = None  # whose rope and arm are used until others are set
@@ -94,7 +91,6 @@ class Session:
             self.hang()
         self.activity = "hang" if self.activity == "swing" else "swing"
         self._goal = self._next = None
-        self.version += 1
 
     @property
     def limits(self) -> MotorLimits:
@@ -107,13 +103,11 @@ class Session:
         With the motor's `limits`, if the file has them.
         """
         self._begin(setup, activity, None)
-        if activity == "file":
-            self._motor = limits or MotorLimits()
         if limits is not None:
             motor = {"motor_speed": limits.speed, "motor_acceleration": limits.acceleration}
             self.settings = replace(self.settings, **motor)
         if activity == "file":
-            self._given = setup
+            self._motor, self._given = limits or MotorLimits(), setup
             self.obstacles = tuple(each for each in setup.pegs if each not in setup.round_pegs[:1])
         if (peg := self._target(setup)) is not None:
             place = {"target_x": peg.x, "target_y": peg.y, "target_radius": peg.radius, "target_friction": peg.mu}
@@ -139,7 +133,6 @@ class Session:
             self.hang()
         elif "arm_angle" in values:
             self.activity, self._goal = "hang", math.radians(self.settings.arm_angle)
-        self.version += 1
 
     def advance(self, dt: float) -> bytes:
         """Advance by dt, s; return the frame: NUMBERS and places of shaft and joints, m, as float32.
@@ -190,7 +183,6 @@ class Session:
         self.t, self._begun, self._run = 0.0, 0.0, run
         self._state = self._origin = self._goal = self._next = None
         self._tensions.clear()
-        self.version += 1
 
     def _simulate(self, dt: float, time_budget: float | None = None) -> None:
         try:
