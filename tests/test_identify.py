@@ -23,7 +23,7 @@ from hyperflex.identification.fit.windows import Window, cut_windows, decimation
 from hyperflex.identification.measurements import Measurements
 from hyperflex.identification.model.parameters import Parameters, parse, scaling
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.prediction import HeldOut, predict
+from hyperflex.identification.prediction import HeldOut, PredictionUncertainty, predict
 from hyperflex.identification.rounds import message
 from hyperflex.identification.symptoms import _identifiable, _of_prediction
 from hyperflex.identification.uncertainty.covariance import Information, estimate_covariance
@@ -52,7 +52,9 @@ def plain(rope: Rope) -> Plant:
 
 
 def held_out(plant: Plant, angles: Recording) -> HeldOut | None:
-    return predict(plant, plant.parameters.start, Measurements(angles, angles), FitOptions())
+    count, links = len(plant.parameters), plant.parameters.guess.n_links
+    uncertainty = PredictionUncertainty(np.zeros((count, count)), np.ones(links), 1.0)
+    return predict(plant, plant.parameters.start, Measurements(angles, angles), FitOptions(), uncertainty)
 
 
 def swing(rope: Rope, duration: float = 8.0, rate: float = 100.0, noise: float = NOISE, seed: int = 1) -> Recording:

@@ -15,7 +15,7 @@ from rich.console import Console
 import hyperflex as hf
 from hyperflex import files, identification, progress, report
 from hyperflex.errors import Interrupted
-from hyperflex.identification import rounds
+from hyperflex.identification import pipeline
 from hyperflex.status import Status
 
 
@@ -328,14 +328,14 @@ def test_the_bar_moves_forward_and_tells_stage_and_round(monkeypatch, capsys):
     entries = [
         {"stage": stage, "stages": 2, "round": k, "window": 0.25, "gain": 0.5} for stage in range(2) for k in range(9)
     ]
-    parts = [rounds.part_done(entry) for entry in entries]
+    parts = [pipeline.part_done(entry) for entry in entries]
     assert parts == sorted(parts)
     assert 0.0 < parts[0] < 0.5
     assert parts[9] > 0.5
     assert parts[-1] < 1.0
-    assert rounds.message(entries[10]) == "stage 2 of 2, windows of 0.25 s: round 2 gained 50 %"
+    assert pipeline.message(entries[10]) == "stage 2 of 2, windows of 0.25 s: round 2 gained 50 %"
     monkeypatch.setattr(progress, "terminal", lambda: Console(file=io.StringIO(), force_terminal=True))
-    with rounds.rounds_shown(True) as hear:
+    with pipeline.rounds_shown(True) as hear:
         for entry in entries:
             hear(entry)
     assert capsys.readouterr().out == ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,9 +86,8 @@ def test_candidates_are_ranked_and_the_best_is_named() -> None:
     found = design_experiment(SINGLE, "friction", [small, impossible, still, SHORT])
     assert [plan.experiment.name for plan in found.plans[:2]] == ["short", "small"]
     assert found.best is found.plans[0]
-    assert "Make: short" in found.advice
-    assert "small would leave" in found.advice
-    assert "Not sufficient: still" in found.advice
+    assert "Make: short" in found.recommendation
+    assert "Not sufficient: still" in found.recommendation
     assert "wrong shape" in next(plan.reason for plan in found.plans if plan.experiment is impossible)
     assert found.success
 
@@ -122,29 +122,26 @@ def test_by_default_motions_are_tried_first_and_the_best_is_varied() -> None:
 
 def test_a_common_factor_is_said_to_need_scales_or_a_torque() -> None:
     swing = Experiment("swing", arm_swings(t_move=0.7, t_rest=0.4), rate=40.0, duration=4.0)
-    found = design_experiment(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=["inertia", "mass", "friction"])
+    free = ["inertia", "mass", "friction"]
+    found = design_experiment(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=free)
     assert found.best is None
     assert np.isinf(found.plans[0].score)
-    assert "No candidate determines inertia[0], inertia[1]: no known force or torque acts" in found.advice
-    assert "Weigh the links and leave mass out of free: then swing determines inertia to" in found.advice
-    assert "Or measure the motor's torque" in found.advice
-    assert "want=['J/p1', 'p/p1', 'c/p1']" in found.advice
+    assert "No candidate determines inertia[0], inertia[1]: no known force or torque acts" in found.recommendation
     # and what it promises is so
-    weighed = design_experiment(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=["inertia", "friction"])
-    assert f"determines inertia to {100 * weighed.plans[0].score:.3g} %" in found.advice
-    masses = design_experiment(
-        DOUBLE, "mass", [Experiment("", q0=0.8, duration=3.0)], free=["mass", "inertia", "friction"]
-    )
-    assert "Measure mass" in masses.advice
-    assert "a motor whose torque is measured" in masses.advice
-    ratio = design_experiment(DOUBLE, "J/p1", [swing], arm=Arm(length=0.1), free=["inertia", "mass", "friction"])
-    assert ratio.best is not None
+    assert "Weigh the links and leave mass out of free" in found.recommendation
+    assert design_experiment(DOUBLE, "inertia", [swing], arm=Arm(length=0.1)).best is not None
+    assert "Or measure the torque" in found.recommendation
+    driven = replace(swing, torque_noise=1e-3)
+    assert design_experiment(DOUBLE, "inertia", [driven], arm=Arm(length=0.1), free=free).best is not None
+    assert "want=('J/p1', 'p/p1', 'c/p1')" in found.recommendation
+    ratios = ("J/p1", "p/p1", "c/p1")
+    assert design_experiment(DOUBLE, ratios, [swing], arm=Arm(length=0.1), free=free).best is not None
 
 
 def test_what_does_not_act_is_told_from_a_common_factor() -> None:
     found = design_experiment(SINGLE, "length", [SHORT], free=["inertia", "length"])
     assert found.best is None
-    assert "No candidate determines length[0]: it has no effect in these motions" in found.advice
+    assert "No candidate determines length[0]: it has no effect in these motions" in found.recommendation
 
 
 def test_a_measured_torque_is_foreseen() -> None:
@@ -159,7 +156,7 @@ def test_a_measured_torque_is_foreseen() -> None:
     still = design_experiment(DOUBLE, "friction", [Experiment("", q0=0.8, duration=3.0, torque_noise=1e-3)])
     assert "the torque of no motor" in still.plans[0].reason
     assert still.best is None
-    assert still.advice == "No candidate could be simulated."
+    assert still.recommendation == "No candidate could be simulated."
 
 
 def test_ctrl_c_keeps_what_was_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:

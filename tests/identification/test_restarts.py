@@ -13,7 +13,7 @@ from hyperflex.identification.fit.multiple_shooting import fit
 from hyperflex.identification.fit.windows import Window
 from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements
 from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.multi_start import _from_behind, _Search, _settled
+from hyperflex.identification.multi_start import MultiStart
 
 PAPER = hf.Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)  # inferred, see ../shared
 PAIR = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09], inertia=[6e-4, 8e-4], friction=[1.2e-3, 5e-4])
@@ -94,10 +94,10 @@ def test_friction_does_not_fall_to_its_bound_and_stay_there() -> None:
     assert abs(found.values["friction"][0] - 3e-4) < 3.0 * found.std["friction"][0]
 
 
-def search(plant: Plant, *, ambiguous: bool) -> _Search:
+def search(plant: Plant) -> MultiStart:
     """What all starts of a recording without declared noise have in common."""
     angles = hf.Recording(np.arange(4.0), np.zeros((4, plant.parameters.guess.n_links)))
-    return _Search(plant, Measurements(angles, angles), Loss(), Budget(), lambda _: None, ambiguous)
+    return MultiStart(plant, Measurements(angles, angles), Loss(), Budget(), lambda _: None, ambiguous=False)
 
 
 def dry() -> hf.Recording:
@@ -119,11 +119,11 @@ def test_a_state_that_is_caught_is_started_elsewhere() -> None:
     states = list(good.states)
     states[1] = np.array([states[1][0] + 2.5, 0.0])
     assert fit(plant, windows, good.x, states, states_only=True, rounds=1).cost > 2.0 * good.cost
-    found = _settled(search(plant, ambiguous=False), windows, good.x, states, lambda _: None)
+    found = search(plant).settled(windows, good.x, states, lambda _: None)
     assert found.cost == pytest.approx(good.cost, rel=1e-3)  # the same optimum, as far as a fit goes
 
 
-# ---- alternating fits: parameters and states take turns where several shapes look alike
+# ---- states are searched where several shapes look alike
 
 
 def seen_at_its_tip(frames: int) -> tuple[Plant, list[Window], Array, list[Array]]:
@@ -141,18 +141,9 @@ def seen_at_its_tip(frames: int) -> tuple[Plant, list[Window], Array, list[Array
     return plant, windows, plant.parameters.start, states
 
 
-def test_the_state_of_a_window_is_found_from_the_one_after_it() -> None:
-    """The first window has none before it: from the state after it back in time, rates turned round."""
-    plant, windows, x, states = seen_at_its_tip(80)
-    (found,) = _from_behind(plant, x, windows[0], windows[1], states[1], Loss())
-    # 80 values of 0.5 mm tell angles to some mrad and rates to tenths of a rad/s; mirror images are far off
-    np.testing.assert_allclose(found[:2], states[0][:2], atol=0.02)
-    np.testing.assert_allclose(found[2:], states[0][2:], atol=0.5)
-
-
 def test_a_window_that_was_taken_for_its_mirror_image_is_turned() -> None:
     plant, windows, x, states = seen_at_its_tip(80)
     wrong = np.append(states[0][:2] + np.array([0.5, -1.5]), -states[0][2:])
-    found = _settled(search(plant, ambiguous=True), windows, x, [wrong, *states[1:]], lambda _: None)
+    found = search(plant).settled(windows, x, [wrong, *states[1:]], lambda _: None)
     np.testing.assert_allclose(found.states[0][:2], states[0][:2], atol=0.02)
     assert found.cost - found.prior_cost < 2.0 * sum(window.values for window in windows)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from hyperflex.identification.pipeline import identify
     from hyperflex.identification.prediction import BAND, HeldOut
     from hyperflex.identification.result import Identification
-    from hyperflex.identification.texts import GRADES, text
+    from hyperflex.identification.texts import text
     from hyperflex.identification.uncertainty.bootstrap import Bootstrap, bootstrap
     from hyperflex.identification.uncertainty.covariance import Basis, Interval
     from hyperflex.identification.uncertainty.noise import correlogram

@@ -1,4 +1,4 @@
-"""Evidence for models: BIC and held-out prediction, and the recommendation from both."""
+"""Models of a rope compared: BIC and held-out prediction, and the recommendation from both."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,11 +12,11 @@ from hyperflex import checks, extras, files
 from hyperflex.budget import Budget, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
-from hyperflex.files import PathLike
 from hyperflex.identification.model.parameters import GRAVITY, scales
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.pipeline import TIME_BUDGET, identify
 from hyperflex.identification.prediction import HeldOut
+from hyperflex.identification.ranking import Ranking
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.interruption import interruptible, stoppable
@@ -27,168 +27,24 @@ from hyperflex.status import Status
 if TYPE_CHECKING:
     import xarray as xr
 
-
-@dataclass(frozen=True)
-class EvidenceOptions:
-    """When evidence prefers a model."""
-
-    # difference of BIC from which evidence is strong (Kass and Raftery 1995, doi:10.2307/2291091)
-    strong: float = 6.0
-    # probabilities below it are not told apart
-    tiny: float = 1e-09
-    # probability below which residuals are no white noise
-    coloured: float = 0.01
-    # standard errors by which a prediction must be worse on the mean to count as worse
-    clear: float = 2.0
-    # predicted stretches, fewer have no standard error to speak of
-    few: int = 3
-    # ratio of rms errors below which a difference is too small to matter
-    matters: float = 1.02
-    # ratio of rms errors within which predictions are as good as each other, where there are few
-    alike: float = 1.1
-
-
-SUPPORT = EvidenceOptions()
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """Evidence for a model. A model with fewer `unknowns` is simpler; None if it cannot be compared."""
-
-    name: str
-    unknowns: float
-    bic: float | None
-    held_out: HeldOut | None
-    whiteness: float
-
-
-def criteria(fits: Sequence[Basis]) -> list[float | None]:
-    """Return the BIC of each fit; None where it fits other samples than the one with the most.
-
-    N ln(s^2) + sum of ln N over the identifiable parameters (Schwarz 1978, doi:10.1214/aos/1176344136), s^2 the mean
-    weighted square. A window's initial state counts ln of that window's own number of values. Values count as N / tau,
-    tau the shortest integrated autocorrelation time among the candidates. With a robust loss the squares are what the
-    loss makes of them, over the least scale among the candidates.
-    """
-    sizes = [np.concatenate([window.t for window in one.windows]) for one in fits]
-    whole = max(sizes, key=lambda t: t.size)
-    width = fits[int(np.argmax([t.size for t in sizes]))].windows[0].y.shape[1]
-    tau = min(one.information.correlation for one in fits)
-    scale = min(one.fit.loss.scaled(one.fit.residuals).scale for one in fits)
-    result: list[float | None] = []
-    for one, t in zip(fits, sizes, strict=True):
-        same = np.array_equal(t, whole) and one.windows[0].y.shape[1] == width
-        result.append(_criterion(one, tau, scale) if same else None)
-    return result
-
-
-def _criterion(one: Basis, tau: float, scale: float) -> float:
-    values = np.array([window.values for window in one.windows])
-    count = float(values.sum()) / tau
-    cost = sum(one.fit.loss.scaled([]).cost(residual) for residual in one.fit.residuals)
-    if one.fit.loss.name == "squares":
-        misfit = count * float(np.log(cost / values.sum()))
-    else:
-        misfit = cost / (tau * scale**2)
-    states = np.array([window.unknowns for window in one.windows])
-    known = one.information.known.shape[1]
-    of_states = float((states * np.log(np.maximum(values / tau, 1.0))).sum())
-    return float(misfit + known * np.log(count) + of_states)
-
-
-def why_alike(one: HeldOut | None, best: HeldOut | None) -> str:
-    """Return why `one` does not predict clearly worse than `best`; "" if it does."""
-    if one is None or best is None or not np.isfinite(_squares(one)).all():
-        return ""
-    mine, other = _squares(one), _squares(best)
-    if mine.size < SUPPORT.few or mine.size != other.size:
-        near = np.sqrt(mine.mean()) <= SUPPORT.alike * np.sqrt(other.mean())
-        few = (
-            f"with so little held-out data a difference below {100.0 * (SUPPORT.alike - 1.0):.0f} % is not significant"
-        )
-        return few if near else ""
-    if mine.mean() <= SUPPORT.matters**2 * other.mean():
-        return f"a difference below {100.0 * (SUPPORT.matters - 1.0):.0f} % is irrelevant"
-    gap = mine - other
-    if gap.mean() > SUPPORT.clear * gap.std(ddof=1) / np.sqrt(gap.size):
-        return ""
-    chance = f"over the {mine.size} predicted stretches the difference is not significant"
-    return f"{chance} (less than {SUPPORT.clear:g} standard errors)"
-
-
-def error(held_out: HeldOut | None) -> float:
-    """Return the rms prediction error over channels and stretches, rad or m; inf without a prediction."""
-    return float("inf") if held_out is None else float(np.sqrt(_squares(held_out).mean()))
-
-
-def _squares(held_out: HeldOut) -> Array:
-    """Return the mean square of each stretch (W,)."""
-    return np.asarray(np.nanmean(held_out.window_rms**2, axis=1))
-
-
-def recommend(all_of_them: Sequence[Evidence], unit: str) -> tuple[str | None, str]:
-    """Return the preferred model and why, in words; the simplest one where evidence does not decide."""
-    known = [each for each in all_of_them if each.bic is not None]
-    if not known:
-        return None, "No candidate could be fitted."
-    if len(known) == 1:
-        return known[0].name, f"Only {known[0].name} could be fitted: there is no comparison."
-    least = min(known, key=lambda each: each.bic or 0.0)
-    likely = [each for each in known if _bic(each) - _bic(least) < SUPPORT.strong]
-    predicted = [each for each in known if np.isfinite(error(each.held_out))]
-    first = min(likely, key=lambda each: each.unknowns)
-    if not predicted:
-        alone = "There is no held-out prediction, so only fits were compared."
-        return first.name, f"{_by_bic(first, known)} {alone}{_hue(first)}"
-    nearest = min(predicted, key=lambda each: error(each.held_out))
-    alike = {each.name: why_alike(each.held_out, nearest.held_out) for each in predicted}
-    good = [each for each in predicted if alike[each.name]]
-    both = [each for each in likely if each in good]
-    if both:
-        chosen = min(both, key=lambda each: each.unknowns)
-        also = "best of all."
-        if chosen is not nearest:
-            also = f"not clearly worse than {nearest.name} ({_error(nearest, unit)}): {alike[chosen.name]}."
-        return chosen.name, f"{_by_bic(chosen, known)} Prediction error {_error(chosen, unit)}, {also}{_hue(chosen)}"
-    simple = min(good, key=lambda each: each.unknowns)
-    chosen = simple if first.whiteness < SUPPORT.coloured else first
-    why = "are not white noise, which BIC requires" if chosen is simple else "are white noise, as BIC requires"
-    return chosen.name, (
-        f"BIC and prediction disagree: BIC prefers {first.name}, held-out prediction prefers {simple.name} "
-        f"({_error(simple, unit)} against {_error(first, unit)}). The residuals of {first.name} {why}, "
-        f"so {chosen.name} is preferred; a longer recording would decide.{_hue(chosen)}"
-    )
-
-
-def _bic(each: Evidence) -> float:
-    return float("inf") if each.bic is None else each.bic
-
-
-def _by_bic(chosen: Evidence, known: Sequence[Evidence]) -> str:
-    rest = min(_bic(each) for each in known if each is not chosen)
-    ahead = rest - _bic(chosen)
-    next_one = next(each for each in known if each is not chosen and _bic(each) == rest)
-    if ahead >= SUPPORT.strong:
-        return f"{chosen.name}: BIC is lower by {ahead:.0f} than that of the next, {next_one.name}."
-    what = "lower" if ahead >= 0.0 else "higher"
-    weak = f"{chosen.name}: BIC is {what} than that of {next_one.name} by only {abs(ahead):.1f}: no strong evidence"
-    return f"{weak}." if ahead >= 0.0 else f"{weak}, and it is the simpler of the two."
-
-
-def probability(value: float) -> str:
-    """Return a p-value as text."""
-    return f"p = {value:.2g}" if value >= SUPPORT.tiny else f"p < {SUPPORT.tiny:.0e}"
-
-
-def _hue(chosen: Evidence) -> str:
-    """Return a warning if the residuals of the preferred model are more than noise."""
-    if chosen.whiteness >= SUPPORT.coloured:
-        return ""
-    return f" But its residuals are not white noise ({probability(chosen.whiteness)}): all candidates omit an effect."
-
-
-def _error(each: Evidence, unit: str) -> str:
-    return f"{1e3 * error(each.held_out):.3g} m{unit}"
+STRONG = 6.0  # difference of BIC from which evidence is strong (Kass and Raftery 1995, doi:10.2307/2291091)
+TINY = 1e-9  # probabilities below it are not told apart
+COLOURED = 0.01  # probability below which residuals are no white noise
+CLEAR = 2.0  # standard errors by which a prediction must be worse on the mean to count as worse
+FEW = 3  # predicted stretches, fewer have no standard error to speak of
+MATTERS = 1.02  # ratio of rms errors below which a difference is too small to matter
+ALIKE = 1.1  # ratio of rms errors within which predictions are as good as each other, where there are few
+WORSE = 1.001  # ratio of costs: within it fits have reached the same optimum, as far as they go
+SLIGHT = 0.1  # of its scale, what a guess has none of at the start
+MAX_ADDED = 2  # resistances beside viscous friction in one candidate
+COLUMNS = {  # of the table: what they are
+    "links": "number of links",
+    "parameters": "identifiable free parameters",
+    "bic": "Bayesian information criterion, smaller is better",
+    "fit_rms": "error of the fit",
+    "held_out_rms": "error of predicting the held-out part",
+    "whiteness": "probability of residuals as autocorrelated as these under white noise",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,28 +61,125 @@ class FittedModel:
         None where the fit failed.
     reason : str
         Why it failed, or why it cannot be compared; empty if all went well.
+    unknowns : float
+        Identifiable parameters and states; a model with fewer is simpler.
     bic : float or None
         Bayesian information criterion; None where other samples were fitted than in the rest.
-    fit_rms, held_out_rms : float, rad or m
-        Error of the fit, and of the prediction of the part held out (inf: it failed, or nothing was held out).
+    fit_rms : float, rad or m
+        Error of the fit.
+    held_out : HeldOut or None
+        Prediction of the part held out.
     whiteness : float
         p-value of the residuals' autocorrelation under white noise.
     """
 
     name: str
-    free: tuple[str, ...]
-    links: int
+    free: tuple[str, ...] = ()
+    links: int = 0
     identification: Identification | None = None
     reason: str = ""
     parameters: int = 0
+    unknowns: float = 0.0
     bic: float | None = None
     fit_rms: float = float("inf")
-    held_out_rms: float = float("inf")
+    held_out: HeldOut | None = None
     whiteness: float = float("nan")
+
+    @property
+    def held_out_rms(self) -> float:
+        """Prediction error over channels and stretches, rad or m; inf without a prediction, and where one failed."""
+        return float("inf") if self.held_out is None else float(np.sqrt(_squares(self.held_out).mean()))
+
+    @property
+    def white(self) -> str:
+        """The p-value as text."""
+        return f"p = {self.whiteness:.2g}" if self.whiteness >= TINY else f"p < {TINY:.0e}"
+
+
+def criteria(fits: Sequence[Basis]) -> list[float | None]:
+    """Return the BIC of each fit; None where it fits other samples than the one with the most.
+
+    N ln(s^2) + sum of ln N over the identifiable parameters (Schwarz 1978, doi:10.1214/aos/1176344136), s^2 the mean
+    weighted square. A window's initial state counts ln of that window's own number of values. Values count as N / tau,
+    tau the shortest integrated autocorrelation time among the candidates. With a robust loss the squares are what the
+    loss makes of them, over the least scale among the candidates.
+    """
+    sizes = [np.concatenate([window.t for window in one.windows]) for one in fits]
+    most = int(np.argmax([t.size for t in sizes]))
+    tau = min(one.information.correlation for one in fits)
+    scale = min(one.fit.loss.scaled(one.fit.residuals).scale for one in fits)
+    return [
+        _criterion(one, tau, scale)
+        if np.array_equal(t, sizes[most]) and one.windows[0].y.shape[1] == fits[most].windows[0].y.shape[1]
+        else None
+        for one, t in zip(fits, sizes, strict=True)
+    ]
+
+
+def _criterion(one: Basis, tau: float, scale: float) -> float:
+    values = np.array([window.values for window in one.windows])
+    count = float(values.sum()) / tau
+    cost = sum(one.fit.loss.scaled([]).cost(residual) for residual in one.fit.residuals)
+    squares = one.fit.loss.name == "squares"
+    misfit = count * float(np.log(cost / values.sum())) if squares else cost / (tau * scale**2)
+    states = np.array([window.unknowns for window in one.windows])
+    of_states = float((states * np.log(np.maximum(values / tau, 1.0))).sum())
+    return float(misfit + one.information.known.shape[1] * np.log(count) + of_states)
+
+
+def predicts_as_well(one: HeldOut | None, best: HeldOut | None) -> bool:
+    """Whether `one` does not predict clearly worse than `best`: by 2 %, and by two standard errors over stretches."""
+    if one is None or best is None:
+        return False
+    mine, other = _squares(one), _squares(best)
+    if not np.isfinite(mine).all():
+        return False
+    ratio, gap = float(np.sqrt(mine.mean() / other.mean())), mine - other
+    if mine.size < FEW or mine.size != other.size:
+        return ratio <= ALIKE
+    return bool(ratio <= MATTERS or gap.mean() <= CLEAR * gap.std(ddof=1) / np.sqrt(gap.size))
+
+
+def _squares(held_out: HeldOut) -> Array:
+    """Return the mean square of each stretch (W,)."""
+    return np.asarray(np.nanmean(held_out.window_rms**2, axis=1))
+
+
+def recommend(models: Sequence[FittedModel]) -> tuple[str | None, str]:
+    """Return the preferred model and why, in words; the simplest one where evidence does not decide."""
+    bic = {each.name: each.bic for each in models if each.bic is not None}
+    known = sorted((each for each in models if each.name in bic), key=lambda each: each.unknowns)
+    if not known:
+        return None, "No candidate could be fitted."
+    likely = [each for each in known if bic[each.name] - min(bic.values()) < STRONG]
+    nearest = min(known, key=lambda each: each.held_out_rms)
+    good = [each for each in known if predicts_as_well(each.held_out, nearest.held_out)]
+    both = [each for each in likely if each in good or not good]
+    chosen = both[0] if both else likely[0] if likely[0].whiteness >= COLOURED else good[0]
+    if len(known) == 1:
+        words = f"Only {chosen.name} could be fitted: there is no comparison."
+    elif not good:
+        words = f"{chosen.name} is preferred by BIC{_also(likely)}; there is no held-out prediction."
+    elif both:
+        words = f"{chosen.name} is preferred by BIC{_also(likely)} and by held-out prediction{_also(good)}."
+    else:
+        words = (
+            f"BIC prefers {likely[0].name}, whose residuals are {'' if chosen in likely else 'not '}white noise as it "
+            f"requires; prediction prefers {good[0].name}. {chosen.name} is preferred; a longer recording would decide."
+        )
+    if chosen.whiteness < COLOURED:
+        words += f" But its residuals are not white noise ({chosen.white}): all candidates omit an effect."
+    return chosen.name, words
+
+
+def _also(alike: Sequence[FittedModel]) -> str:
+    """Return that others are as good, of which the simplest is taken."""
+    others = ", ".join(each.name for each in alike[1:])
+    return f" (others are not clearly worse: {others})" if others else ""
 
 
 @dataclass(frozen=True, eq=False)
-class ModelComparison:
+class ModelComparison(Ranking):
     """Models of a rope compared by :func:`hyperflex.compare_models`; ``print`` shows the table and why.
 
     Attributes
@@ -254,21 +207,6 @@ class ModelComparison:
         raise KeyError(name)
 
     @property
-    def status(self) -> Status:
-        """SUCCESS if all candidates were tried and one is preferred."""
-        return self.ended or (Status.FAILED if self.best is None else Status.SUCCESS)
-
-    @property
-    def success(self) -> bool:
-        """Whether all candidates were tried and one is preferred."""
-        return self.status is Status.SUCCESS
-
-    @property
-    def message(self) -> str:
-        """Why the comparison failed; empty on success."""
-        return "" if self.success else f"{self.status}: {self.recommendation}"
-
-    @property
     def best(self) -> Identification | None:
         """The identification of the preferred model."""
         return None if self.preferred is None else self[self.preferred].identification
@@ -280,56 +218,40 @@ class ModelComparison:
         import xarray as xr
 
         columns: dict[str, Any] = {}
-        for name, unit, about in (
-            ("links", "1", "number of links"),
-            ("parameters", "1", "identifiable free parameters"),
-            ("bic", "1", "Bayesian information criterion, smaller is better"),
-            ("fit_rms", self.unit, "error of the fit"),
-            ("held_out_rms", self.unit, "error of predicting the held-out part"),
-            ("whiteness", "1", "probability of residuals as autocorrelated as these under white noise"),
-        ):
-            values = [getattr(model, name) for model in self.models]
-            numbers = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-            columns[name] = ("model", numbers, {"units": unit, "long_name": about})
+        for name, about in COLUMNS.items():
+            values = np.array([getattr(model, name) for model in self.models], dtype=np.float64)  # None becomes NaN
+            unit = self.unit if name.endswith("rms") else "1"
+            columns[name] = ("model", values, {"units": unit, "long_name": about})
         names = [model.name for model in self.models]
         return xr.Dataset(columns, {"model": names}, {"preferred": self.preferred or ""})
 
     def summary(self) -> dict[str, Any]:
         """Return the table, the preference and the texts as plain numbers, lists and strings; None for no number."""
-        names = ("name", "links", "parameters", "bic", "fit_rms", "held_out_rms", "whiteness", "reason")
-        table = [{name: getattr(m, name) for name in (*names, "free")} for m in self.models]
-        result: dict[str, Any] = {"success": self.success, "status": self.status, "message": self.message}
-        result |= {"preferred": self.preferred, "unit": self.unit}
-        return dict(files.plain(result | {"recommendation": self.recommendation, "models": table}))
-
-    def to_json(self, path: PathLike) -> None:
-        """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""
-        files.write_json(path, self.summary())
+        table = [{name: getattr(m, name) for name in ("name", "free", *COLUMNS, "reason")} for m in self.models]
+        about = {"preferred": self.preferred, "unit": self.unit, "models": table}
+        return dict(files.plain(super().summary() | about))
 
     def __str__(self) -> str:
-        wide = max([5, *(len(model.name) for model in self.models)])
         least = min((m.bic for m in self.models if m.bic is not None), default=0.0)
-        head = f"{'model':<{wide}}  links  parameters  BIC over best  fit, m{self.unit}  held out, m{self.unit}  white"
-        lines = [f"Models compared ({self.status})", f"  {head}"]
-        lines += [f"  {_row(model, wide, least, len(self.unit))}" for model in self.models]
-        return "\n".join([*lines, f"  {self.recommendation}"])
-
-
-def _row(model: FittedModel, wide: int, least: float, unit: int) -> str:
-    start = f"{model.name:<{wide}}  {model.links:5d}"
-    if model.identification is None:
-        return f"{start}  failed: {model.reason}"
-    above = "-" if model.bic is None else f"{model.bic - least:.1f}"
-    white = f"{'yes' if model.whiteness >= SUPPORT.coloured else 'no'} ({probability(model.whiteness)})"
-    held = f"{1e3 * model.held_out_rms:.3f}" if np.isfinite(model.held_out_rms) else "-"
-    fit = f"{1e3 * model.fit_rms:.3f}"
-    mark = f"  {model.reason}" if model.reason else ""
-    return f"{start}  {model.parameters:10d}  {above:>13}  {fit:>{6 + unit}}  {held:>{11 + unit}}  {white}{mark}"
-
-
-WORSE = 1.001  # ratio of costs: within it fits have reached the same optimum, as far as they go
-SLIGHT = 0.1  # of its scale, what a guess has none of at the start
-MAX_ADDED = 2  # resistances beside viscous friction in one candidate
+        head = [
+            "model",
+            "links",
+            "parameters",
+            "BIC over best",
+            f"fit, m{self.unit}",
+            f"held out, m{self.unit}",
+            "white",
+        ]
+        rows: list[tuple[list[str], str]] = [(head, "")]
+        for model in self.models:
+            cells, failed = [model.name, str(model.links)], model.identification is None
+            if not failed:
+                above = "-" if model.bic is None else f"{model.bic - least:.1f}"
+                held = f"{1e3 * model.held_out_rms:.3f}" if np.isfinite(model.held_out_rms) else "-"
+                white = f"{'yes' if model.whiteness >= COLOURED else 'no'} ({model.white})"
+                cells += [str(model.parameters), above, f"{1e3 * model.fit_rms:.3f}", held, white]
+            rows.append((cells, f"failed: {model.reason}" if failed else model.reason))
+        return self._text("Models compared", rows)
 
 
 @dataclass(frozen=True)
@@ -349,9 +271,6 @@ class Candidate:
         labels = [label for word in self.free if (label := parse_label(word)) and label.law in ("", "shared", "inner")]
         names = {label.name for label in labels if FREE_PROPERTIES[label.name].owner in ("link", "rope")} - set(GRAVITY)
         return other.guess.replace(**{name: getattr(rope, name) for name in sorted(names)})
-
-
-Done = tuple[Candidate, Identification | str]  # a fit, or why it failed
 
 
 @interruptible(ModelComparison)
@@ -422,7 +341,7 @@ def compare_models(
         setup = replace(setup, arc_lengths=np.append(0.0, np.cumsum(rope_guess.length)))
     todo = candidates(rope_guess, free, models, links)
     budget = Budget.of(TIME_BUDGET * len(todo) if time_budget is None else time_budget)
-    done: list[Identification | str] = []
+    done: list[Identification | str] = []  # a fit, or why it failed
     with stoppable() as stop, budget.progress(progress, "comparing", len(todo), "models"):
         for number, each in enumerate(todo):
             budget.check()
@@ -436,15 +355,23 @@ def compare_models(
             except HyperflexError as failure:
                 done.append(str(failure))
             budget.report(number + 1.0)
-    if stop.received and all(isinstance(one, str) for one in done):
+    fits = [one for one in done if isinstance(one, Identification)]
+    if stop.received and not fits:
         raise Interrupted
-    late = any(not isinstance(one, str) and one.ended is Status.OUT_OF_TIME for one in done)
+    late = any(one.ended is Status.OUT_OF_TIME for one in fits)
+    bases = [one.basis for one in fits if one.converged]
+    scores = dict(zip(map(id, bases), criteria(bases) if bases else [], strict=True))
+    fitted = tuple(_fitted_model(each, one, scores) for each, one in zip(todo, done, strict=False))
+    unit = fits[-1].unit if fits else "rad"
     ended = stop.status or (Status.OUT_OF_TIME if late else None)
-    return stop.deliver(_compared(todo[: len(done)], done, ended))
+    return stop.deliver(ModelComparison(fitted, *recommend(fitted), unit, ended))
 
 
 def _refit_from_nested(
-    fit: Callable[..., Identification], candidate: Candidate, found: Identification, simpler: Iterable[Done]
+    fit: Callable[..., Identification],
+    candidate: Candidate,
+    found: Identification,
+    simpler: Iterable[tuple[Candidate, Identification | str]],
 ) -> Identification:
     """Return a fit no worse than those of models nested in it: where one is better, fitted again from there."""
     cost = found.basis.fit.cost
@@ -458,37 +385,23 @@ def _refit_from_nested(
     return found
 
 
-def _compared(todo: Sequence[Candidate], done: Sequence[Identification | str], ended: Status | None) -> ModelComparison:
-    fits = [each.basis for each in done if not isinstance(each, str) and each.converged]
-    scores = dict(zip(map(id, fits), criteria(fits) if fits else [], strict=True))
-    models, evidence, unit = [], [], "rad"
-    for each, found in zip(todo, done, strict=True):
-        if isinstance(found, str):
-            models.append(FittedModel(each.name, each.free, each.guess.n_links, reason=found))
-            continue
-        model = _fitted_model(each, found, scores.get(id(found.basis)))
-        models.append(model)
-        unit = found.unit
-        unknowns = model.parameters + sum(window.unknowns for window in found.basis.windows)
-        evidence.append(Evidence(each.name, unknowns, model.bic, found.held_out, model.whiteness))
-    preferred, words = recommend(evidence, unit)
-    return ModelComparison(tuple(models), preferred, words, unit, ended)
-
-
-def _fitted_model(candidate: Candidate, found: Identification, bic: float | None) -> FittedModel:
+def _fitted_model(candidate: Candidate, found: Identification | str, scores: Mapping[int, float | None]) -> FittedModel:
+    model = FittedModel(candidate.name, candidate.free, candidate.guess.n_links)
+    if isinstance(found, str):
+        return replace(model, reason=found)
+    bic, information = scores.get(id(found.basis)), found.basis.information
     reason = "" if bic is not None else "it was fitted to other samples than the rest, so its BIC is not comparable"
-    information = found.basis.information
-    return FittedModel(
-        candidate.name,
-        candidate.free,
-        candidate.guess.n_links,
-        found,
-        reason if found.converged else "the fit did not converge",
-        information.known.shape[1],
-        bic,
-        found.residual_rms_all,
-        error(found.held_out),
-        information.whiteness,
+    parameters = information.known.shape[1]
+    return replace(
+        model,
+        identification=found,
+        reason=reason if found.converged else "the fit did not converge",
+        parameters=parameters,
+        unknowns=parameters + sum(window.unknowns for window in found.basis.windows),
+        bic=bic,
+        fit_rms=found.residual_rms_all,
+        held_out=found.held_out,
+        whiteness=information.whiteness,
     )
 
 
@@ -528,12 +441,11 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
 
     What is not free is 0 in them, but viscous friction that is not in `free`, which all have as given.
     """
-    free = checks.sequence("free", free, "names of parameters, such as ['inertia', 'friction']")
     own: dict[str, tuple[str, ...]] = {}
-    for word in free:
+    for word in checks.sequence("free", free, "names of parameters, such as ['inertia', 'friction']"):
         label = parse_label(word)
-        own.setdefault(label.name if label else "", ())
-        own[label.name if label else ""] += (word,)
+        name = label.name if label else ""
+        own[name] = (*own.get(name, ()), word)
     viscous, *added = RESISTANCES
     law = ":shared" if ":" in "".join(own.get(viscous.name, ())) else ""
     for each in added:  # started from 0 it may stay there: a joint that never sticks tells little of dry friction
@@ -544,7 +456,8 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
     varied = [*added, viscous] if viscous.name in own else added
     if viscous in varied:
         chosen += [those for those in sets if those and all(each.name in DAMPING for each in those)]
-    plain = tuple(word for name, words in own.items() for word in words if name not in [each.name for each in varied])
+    names = [each.name for each in varied]
+    plain = tuple(word for name, words in own.items() for word in words if name not in names)
     result = []
     for those in chosen:
         words = [word for each in those if each in varied for word in own.get(each.name, (each.name + law,))]

@@ -1,7 +1,7 @@
 """Candidate experiments: motion of the arm, frame rate, duration and markers."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,14 +11,14 @@ from hyperflex import checks, files
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
-from hyperflex.files import PathLike
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import linearise
-from hyperflex.identification.fit.windows import Window, decimation_step, usual_length
+from hyperflex.identification.fit.windows import decimation_step, usual_length
 from hyperflex.identification.measurements import build_plant, measure, with_torque
 from hyperflex.identification.model.parameters import Parameter, Parameters, common_factor, in_common_factor, parse
-from hyperflex.identification.model.plant import PRECISION, Plant, pivot_places
+from hyperflex.identification.model.plant import PRECISION, pivot_places
 from hyperflex.identification.options import RecordingSetup
+from hyperflex.identification.ranking import Ranking
 from hyperflex.identification.uncertainty.covariance import Information, known_directions
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.interruption import interruptible, stoppable
@@ -29,25 +29,16 @@ from hyperflex.sensors import Markers
 from hyperflex.simulation import simulate
 from hyperflex.status import Status
 
-
-@dataclass(frozen=True)
-class DefaultExperiments:
-    """The experiments that are tried by default."""
-
-    most_frames: int = 1000000
-    # rad at the first joint, and as much to the other side at the tip
-    bent: float = 0.8
-    # frames a second, s, and most markers of the default experiments
-    rate: float = 30.0
-    duration: float = 10.0
-    markers: int = 11
-
-
-DEFAULTS = DefaultExperiments()
-
+MOST_FRAMES = 1000000
+RATE, DURATION, MARKERS = 30.0, 10.0, 11  # frames a second, s, and most markers of the default experiments
 ANGLES = (0.3, 0.8, 1.5)  # rad, from which a straight rope is let go
+BENT = 0.8  # rad at the first joint, and as much to the other side at the tip
 RESTS = (0.34, 0.53, 0.80)  # s, of the paper's swings: its failure, its success, and a slow one
 RATES, DURATIONS, FEW = (7.5, 120.0), (5.0, 20.0), (3, 6)
+FAINT = 1e-3  # a ratio below this part of the largest of its kind is compared with that
+WEIGHED = ("mass", "com", "tip_mass")  # measurable with scales
+FORCELESS = ("J/p1", "p/p1", "c/p1")  # ratios that need no known force
+SHOWN = 3  # standard deviations in a line of the table, the rest in the summary
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +67,8 @@ class Experiment:
     motion: Motion | None = None
     q0: npt.ArrayLike | None = None
     qd0: npt.ArrayLike | None = None
-    rate: float = DEFAULTS.rate
-    duration: float = DEFAULTS.duration
+    rate: float = RATE
+    duration: float = DURATION
     markers: int | None = None
     noise: float | None = None
     torque_noise: float | None = None
@@ -91,11 +82,11 @@ class Experiment:
         if self.markers is not None:
             checks.count("experiment markers", self.markers, least=2)
         checks.text("experiment name", self.name)
-        if not 2.0 <= self.rate * self.duration + 1e-9 < DEFAULTS.most_frames:
+        if not 2.0 <= self.rate * self.duration + 1e-9 < MOST_FRAMES:
             raise InvalidInput(
                 "experiment rate and duration give too few frames, or too many",
                 got=[self.rate, self.duration],
-                allowed=f"3 to {DEFAULTS.most_frames:g} frames",
+                allowed=f"3 to {MOST_FRAMES:g} frames",
             )
 
     @property
@@ -103,25 +94,16 @@ class Experiment:
         """Times of the frames (T,), s."""
         return np.arange(int(np.floor(self.duration * self.rate + 1e-9)) + 1) / self.rate
 
-    def start(self, rope: Rope) -> tuple[Array | None, Array | None]:
-        """Return angles and rates (n,) of a `rope` at the start; None where they are not given."""
-        n = rope.n_links
-        q0 = None if self.q0 is None else checks.array("experiment q0", self.q0, (n,), unit="rad", scalar=True)
-        qd0 = None if self.qd0 is None else checks.array("experiment qd0", self.qd0, (n,), unit="rad/s", scalar=True)
-        return q0, qd0
-
 
 def default_experiments(rope: Rope, arm: Arm | None) -> list[Experiment]:
     """Return the motions tried first: free swings, and with an arm the paper's."""
     n, hangs = rope.n_links, rope.hanging_angle
-    markers = min(n + 1, DEFAULTS.markers)
-    found = [Experiment(f"let go at {angle:g} rad", q0=hangs + angle, markers=markers) for angle in ANGLES]
+    found = [Experiment(f"let go at {angle:g} rad", q0=hangs + angle) for angle in ANGLES]
     if n > 1:
-        bent = hangs + np.linspace(DEFAULTS.bent, -DEFAULTS.bent, n)
-        found.append(Experiment(f"let go bent, {DEFAULTS.bent:g} to {-DEFAULTS.bent:g} rad", q0=bent, markers=markers))
+        found.append(Experiment(f"let go bent, {BENT:g} to {-BENT:g} rad", q0=hangs + np.linspace(BENT, -BENT, n)))
     if arm is not None:
-        found += [Experiment(f"swings, rest {rest:g} s", arm_swings(t_rest=rest), markers=markers) for rest in RESTS]
-    return found
+        found += [Experiment(f"swings, rest {rest:g} s", arm_swings(t_rest=rest)) for rest in RESTS]
+    return [replace(each, markers=min(n + 1, MARKERS)) for each in found]
 
 
 def variations(best: Experiment) -> list[Experiment]:
@@ -129,11 +111,7 @@ def variations(best: Experiment) -> list[Experiment]:
     named = [replace(best, name=f"{best.name}, {rate:g} frames/s", rate=rate) for rate in RATES]
     named += [replace(best, name=f"{best.name}, {time:g} s", duration=time) for time in DURATIONS]
     most = best.markers or 0
-    named += [replace(best, name=f"{best.name}, {few} markers", markers=few) for few in FEW if few < most]
-    return named
-
-
-FAINT = 1e-3  # a ratio below this part of the largest of its kind is judged by that
+    return named + [replace(best, name=f"{best.name}, {few} markers", markers=few) for few in FEW if few < most]
 
 
 @dataclass(frozen=True)
@@ -143,37 +121,28 @@ class ExpectedInformation:
     parameters: Parameters
     information: Information
 
-    def spreads(self, want: Sequence[str]) -> dict[str, tuple[float, float]]:
+    def spreads(self, want: Iterable[str]) -> dict[str, tuple[float, float]]:
         """Return standard deviation, and the same over the size of the value, of each single number in `want`.
 
         InvalidInput for a word that is neither free nor a ratio.
         """
-        x = self.information.x
-        rope = self.parameters.rope(x)
+        x, every = self.information.x, self.parameters.all
+        known = ratios(self.parameters.rope(x), self.parameters.names)
         std = self.information.deviations(self.parameters.derivatives(x))
-        own = {
-            p.label: (p.name, float(s), size(p, float(each)))
-            for p, s, each in zip(self.parameters.all, std, x, strict=True)
-        }
-        known = ratios(rope, self.parameters.names)
         result: dict[str, tuple[float, float]] = {}
         for word in want:
             if word in known:
                 spread, value = ratio_spread(self.parameters, self.information)[word], np.abs(known[word])
                 against = np.maximum(value, FAINT * value.max() or 1.0)
-                for k in range(value.size):
-                    if word != "p/p1" or k > 0:  # the first is 1 by definition
-                        result[f"{word}[{k}]"] = (float(spread[k]), float(spread[k] / against[k]))
+                first = int(word == "p/p1")  # that of link 0 is 1 by definition
+                result |= {f"{word}[{k}]": (spread[k], spread[k] / against[k]) for k in range(first, value.size)}
                 continue
-            found = {label: (s, s / of) for label, (name, s, of) in own.items() if word in (label, name)}
-            if not found:
-                raise InvalidInput(
-                    "want names what is not free",
-                    got=word,
-                    allowed=", ".join(dict.fromkeys([*(p.name for p in self.parameters.all), *own, *known])),
-                )
-            result |= found
-        return result
+            which = [k for k, each in enumerate(every) if word in (each.label, each.name)]
+            if not which:
+                words = [*(each.name for each in every), *self.parameters.labels, *known]
+                raise InvalidInput("want names what is not free", got=word, allowed=", ".join(dict.fromkeys(words)))
+            result |= {every[k].label: (std[k], std[k] / size(every[k], x[k])) for k in which}
+        return {label: (float(own), float(part)) for label, (own, part) in result.items()}
 
 
 def size(parameter: Parameter, x: float) -> float:
@@ -189,59 +158,41 @@ def expected_information(
 
     InvalidInput or SimulationError if the experiment does not fit the rope or cannot be simulated.
     """
-    t, motion = experiment.t, experiment.motion
+    t, motion, n = experiment.t, experiment.motion, rope.n_links
     base = arm if motion is not None else None
+    q0, qd0 = (
+        None if given is None else checks.array(f"experiment {name}", given, (n,), unit=unit, scalar=True)
+        for name, given, unit in (("q0", experiment.q0, "rad"), ("qd0", experiment.qd0, "rad/s"))
+    )
     tol = PRECISION * rope.total_length
-    q0, qd0 = experiment.start(rope)
     run = simulate(rope, motion, arm=base, duration=float(t[-1]), t_eval=t, tol=tol, q0=q0, qd0=qd0)
     spread = experiment.noise or noise
     if experiment.markers is None:
-        arc_lengths, recording = None, Recording(t, run.q, noise=np.full(1, spread).repeat(rope.n_links))
+        arc_lengths, recording = None, Recording(t, run.q, noise=np.full(n, spread))
     else:
         arc_lengths = np.linspace(0.0, rope.total_length, experiment.markers)
         places = Markers(arc_lengths).predict(rope, run.q, pivot_places(motion, base, t))
         recording = Recording(t, places, "markers", np.full(places.shape[1], spread))
-    torque = experiment.torque_noise
-    if torque is not None and base is None:
-        raise InvalidInput("the torque of no motor can be measured", fix="Give a motion, and arm=... to design")
-    setup = RecordingSetup(motion, base, torque=None if torque is None else run.motor_torque)
-    plant = build_plant(recording, rope, free, arc_lengths, setup)
-    measured = measure(recording, rope, arc_lengths)
-    if torque is not None:
-        measured = with_torque(measured, run.motor_torque, torque)
+    measured, torque = measure(recording, rope, arc_lengths), None
+    if experiment.torque_noise is not None:
+        if base is None:
+            raise InvalidInput("the torque of no motor can be measured", fix="Give a motion, and arm=... to design")
+        torque = run.motor_torque
+        measured = with_torque(measured, torque, experiment.torque_noise)
+    plant = build_plant(recording, rope, free, arc_lengths, RecordingSetup(motion, base, torque=torque))
     length = min(usual_length(measured.shape, rope), 1.001 * recording.duration)
     windows, _ = measured.windows(length, decimation_step(recording, length))
-    states = np.hstack([run.q, run.qd])[np.searchsorted(t, [window.t[0] for window in windows])]
-    return ExpectedInformation(plant.parameters, _information(plant, windows, states))
-
-
-def _information(plant: Plant, windows: Sequence[Window], states: Array) -> Information:
-    """Return the information of windows that the model fits, the noise as given."""
     x, widths = plant.parameters.start, plant.parameters.widths
     rows = [np.zeros((x.size, x.size))]
-    for window, state in zip(windows, states, strict=True):
-        linear = linearise(plant, window, x, state, np.zeros(window.y.size), Loss())
-        rows.append(linear.reduced()[0] * widths)
+    for window in windows:  # which the model fits, the noise as given
+        k = np.searchsorted(t, window.t[0])
+        state = np.append(run.q[k], run.qd[k])
+        rows.append(linearise(plant, window, x, state, np.zeros(window.y.size), Loss()).reduced()[0] * widths)
     singular, known, unknown = known_directions(rows)
     covariance = (known / singular[: known.shape[1]] ** 2) @ known.T * np.outer(widths, widths)
     tied = in_common_factor(plant.parameters, x, unknown)
-    return Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)
-
-
-WEIGHED = ("mass", "com", "tip_mass")  # measurable with scales
-TORQUE_NOISE = 0.01  # part of the torque that holds arm and rope out level, all mass at the tip
-SHOWN = 3  # numbers asked for in a line of the table, the rest in the summary
-
-
-@dataclass(frozen=True)
-class DesignQuestion:
-    """Arguments of :func:`design_experiment`."""
-
-    rope: Rope
-    want: tuple[str, ...]
-    free: tuple[str, ...]
-    arm: Arm | None
-    noise: float
+    information = Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)
+    return ExpectedInformation(plant.parameters, information)
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,6 +213,7 @@ class Plan:
     std: dict[str, float]
     relative: dict[str, float]
     reason: str = ""
+    _expected: ExpectedInformation | None = field(default=None, repr=False)
 
     @property
     def score(self) -> float:
@@ -270,7 +222,7 @@ class Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class ExperimentDesign:
+class ExperimentDesign(Ranking):
     """Experiments ranked by expected standard deviations; ``print`` shows the table.
 
     Attributes
@@ -279,7 +231,7 @@ class ExperimentDesign:
         The best first, those that could not be simulated last.
     want : tuple of str
         Names of the wanted numbers.
-    advice : str
+    recommendation : str
         Text: the recommended experiment, or what to measure if no experiment determines the wanted numbers.
     ended : Status or None
         INTERRUPTED or OUT_OF_TIME where not all candidates were simulated.
@@ -287,59 +239,33 @@ class ExperimentDesign:
 
     plans: tuple[Plan, ...]
     want: tuple[str, ...]
-    advice: str
+    recommendation: str
     ended: Status | None = None
-
-    @property
-    def status(self) -> Status:
-        """SUCCESS if all candidates were simulated and one determines what is wanted."""
-        return self.ended or (Status.FAILED if self.best is None else Status.SUCCESS)
-
-    @property
-    def success(self) -> bool:
-        """Whether all candidates were simulated and one determines what is wanted."""
-        return self.status is Status.SUCCESS
-
-    @property
-    def message(self) -> str:
-        """Why the design failed; empty on success."""
-        return "" if self.success else f"{self.status}: {self.advice}"
 
     @property
     def best(self) -> Plan | None:
         """The plan with the smallest standard deviations; None if none determines the wanted numbers."""
-        first = self.plans[0] if self.plans else None
-        return first if first is not None and np.isfinite(first.score) else None
+        return next((plan for plan in self.plans[:1] if np.isfinite(plan.score)), None)
 
     def summary(self) -> dict[str, Any]:
         """Return ranking and texts as plain numbers, lists and strings; None for a number that is not determined."""
-        head = {"success": self.success, "status": self.status, "message": self.message}
         table = []
         for plan in self.plans:
-            e = plan.experiment
-            row: dict[str, Any] = {"name": e.name, "rate": e.rate, "duration": e.duration, "markers": e.markers}
+            row = {name: getattr(plan.experiment, name) for name in ("name", "rate", "duration", "markers")}
             table.append(row | {"std": plan.std, "relative": plan.relative, "reason": plan.reason})
-        return dict(files.plain(head | {"want": self.want, "advice": self.advice, "plans": table}))
-
-    def to_json(self, path: PathLike) -> None:
-        """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""
-        files.write_json(path, self.summary())
+        return dict(files.plain(super().summary() | {"want": self.want, "plans": table}))
 
     def __str__(self) -> str:
-        wide = max([10, *(len(plan.experiment.name) for plan in self.plans)])
         labels = next((list(plan.std) for plan in self.plans if plan.std), [])[:SHOWN]
-        columns = "".join(f"  {'std of ' + label:>18}" for label in labels)
-        lines = [f"Experiments for {', '.join(self.want)} ({self.status})"]
-        lines.append(f"  {'experiment':<{wide}}  frames/s  time, s  markers  {'relative':>9}{columns}")
+        head = ["experiment", "frames/s", "time, s", "markers", "relative", *(f"std of {label}" for label in labels)]
+        rows: list[tuple[list[str], str]] = [(head, "")]
         for plan in self.plans:
             e = plan.experiment
-            start = f"  {e.name:<{wide}}  {e.rate:8g}  {e.duration:7g}  {e.markers or 'angles':>7}"
-            if plan.reason:
-                lines.append(f"{start}  failed: {plan.reason}")
-                continue
-            figures = "".join(f"  {_figure(plan.std[label]):>18}" for label in labels)
-            lines.append(f"{start}  {_percent(plan.score):>9}{figures}")
-        return "\n".join([*lines, f"  {self.advice}"])
+            cells = [e.name, f"{e.rate:g}", f"{e.duration:g}", str(e.markers or "angles")]
+            if not plan.reason:
+                cells += [_percent(plan.score), *(_figure(plan.std[label]) for label in labels)]
+            rows.append((cells, f"failed: {plan.reason}" if plan.reason else ""))
+        return self._text(f"Experiments for {', '.join(self.want)}", rows)
 
 
 @interruptible(ExperimentDesign)
@@ -405,133 +331,83 @@ def design_experiment(
     words = tuple(checks.text("a name in want", word) for word in names)
     free, progress = checks.sequence("free", free, "names of parameters"), checks.flag("progress", progress)
     checks.number("noise", noise, sign="positive", unit="m or rad")
-    todo = _todo(rope, candidates, arm)
-    asked = DesignQuestion(rope, words, tuple(free), arm, noise)
-    parse(rope, free, np.array([0.0, rope.total_length]), moved=True, arm=arm or Arm())  # wrong for one, wrong for all
-    plans: list[Plan] = []
-    seen: list[ExpectedInformation] = []
-    last = len(todo) + (0.0 if candidates is not None else 6.0)
-    budget = Budget.of(time_budget)
-    with stoppable() as stop, budget.progress(progress, "designing", last, "experiments"):
-        for experiment in _in_turn(todo, plans, vary=candidates is None):
-            budget.check()
-            plans.append(_plan(asked, experiment, seen))
-            budget.report(float(len(plans)))
-    if stop.received and not plans:
-        raise Interrupted
-    ranked = tuple(sorted(plans, key=lambda plan: (plan.score, bool(plan.reason))))
-    return stop.deliver(ExperimentDesign(ranked, words, _advice(asked, ranked, seen), stop.status))
-
-
-def _todo(rope: Rope, candidates: Sequence[Experiment] | None, arm: Arm | None) -> list[Experiment]:
     checks.instance("rope", rope, Rope)
     if arm is not None:
         checks.instance("arm", arm, Arm)
-    if candidates is None:
-        return default_experiments(rope, arm)
-    candidates = checks.sequence("candidates", candidates, "hyperflex.Experiment")
-    if len(candidates) == 0 or not all(isinstance(each, Experiment) for each in candidates):
-        raise InvalidInput("candidates are no experiments", got=candidates, allowed="a list of hyperflex.Experiment")
-    return list(candidates)
+    if candidates is not None:
+        candidates = checks.sequence("candidates", candidates, "hyperflex.Experiment")
+        if not candidates or not all(isinstance(each, Experiment) for each in candidates):
+            allowed = "a list of hyperflex.Experiment"
+            raise InvalidInput("candidates are no experiments", got=candidates, allowed=allowed)
+    parse(rope, free, np.array([0.0, rope.total_length]), moved=True, arm=arm or Arm())  # wrong for one, wrong for all
+    question = _Question(rope, words, tuple(free), arm, noise)
+    todo = default_experiments(rope, arm) if candidates is None else list(candidates)
+    plans: list[Plan] = []
+    budget, varied = Budget.of(time_budget), candidates is not None
+    with (
+        stoppable() as stop,
+        budget.progress(progress, "designing", len(todo) + (0.0 if varied else 6.0), "experiments"),
+    ):
+        while todo:
+            budget.check()
+            plans.append(question.plan(todo.pop(0)))
+            budget.report(float(len(plans)))
+            best = min(plans, key=lambda plan: plan.score)
+            if not (todo or varied) and np.isfinite(best.score):
+                todo, varied = variations(best.experiment), True
+    if stop.received and not plans:
+        raise Interrupted
+    ranked = tuple(sorted(plans, key=lambda plan: (plan.score, bool(plan.reason))))
+    return stop.deliver(ExperimentDesign(ranked, words, question.recommendation(ranked), stop.status))
 
 
-def _in_turn(todo: Sequence[Experiment], plans: Sequence[Plan], *, vary: bool) -> Iterator[Experiment]:
-    """Yield what to look at, and then variations of what was best."""
-    yield from todo
-    if vary and plans:
-        best = min(plans, key=lambda plan: plan.score)
-        if np.isfinite(best.score):
-            yield from variations(best.experiment)
+@dataclass(frozen=True)
+class _Question:
+    """What is asked of :func:`design_experiment`: which numbers of which rope, with what free."""
 
+    rope: Rope
+    want: tuple[str, ...]
+    free: tuple[str, ...]
+    arm: Arm | None
+    noise: float
 
-def _plan(asked: DesignQuestion, experiment: Experiment, seen: list[ExpectedInformation]) -> Plan:
-    """Return the plan of one candidate; errors of `want` pass through."""
-    try:
-        expected = expected_information(asked.rope, experiment, asked.free, asked.arm, asked.noise)
-    except HyperflexError as failure:
-        return Plan(experiment, {}, {}, str(failure))
-    seen.append(expected)
-    spreads = expected.spreads(asked.want).items()
-    return Plan(experiment, {name: std for name, (std, _) in spreads}, {name: part for name, (_, part) in spreads})
-
-
-def _advice(asked: DesignQuestion, ranked: Sequence[Plan], seen: Sequence[ExpectedInformation]) -> str:
-    if all(plan.reason for plan in ranked):
-        return "No candidate could be simulated."
-    best = ranked[0]
-    if not np.isfinite(best.score):
-        return _alternatives(asked, [plan.experiment for plan in ranked if not plan.reason], seen[0])
-    worst = max(best.relative, key=lambda name: best.relative[name])
-    said = f"Make: {best.experiment.name}. It determines {worst} to {_percent(best.score)}"
-    said += (
-        f" ({_figure(best.std[worst])})" if len(best.std) == 1 else f" and the rest of {', '.join(asked.want)} better"
-    )
-    others = [plan for plan in ranked[1:] if np.isfinite(plan.score)]
-    blind = [plan.experiment.name for plan in ranked[1:] if not plan.reason and not np.isfinite(plan.score)]
-    if others:
-        last = others[-1]
-        said += f"; {last.experiment.name} would leave {last.score / best.score:.2g} times as much"
-    said += "."
-    if blind:
-        said += f" Not sufficient: {', '.join(blind)}."
-    return said
-
-
-def _alternatives(asked: DesignQuestion, experiments: Sequence[Experiment], seen: ExpectedInformation) -> str:
-    """Return why none of the simulated `experiments` determines the wanted numbers, and what would."""
-    lost = [name for name, (std, _) in seen.spreads(asked.want).items() if not np.isfinite(std)]
-    names = ", ".join(lost) or ", ".join(asked.want)
-    if common_factor(seen.parameters, seen.information.x, seen.information.unknown) is None:
-        why = "it has no effect in these motions, or the same effect as other free parameters"
-        weighed = _weigh(asked, experiments) or "Free fewer parameters, or try motions in which their effects differ."
-        return f"No candidate determines {names}: {why}. {weighed}"
-    why = "no known force or torque acts, so masses, inertias and frictions share an unknown factor"
-    known = [name for name in ("J/p1", "p/p1", "c/p1") if _tells(seen, name)]
-    ratio = f"Ratios over the first moment are determined nevertheless: want={known!r}." if known else ""
-    helps = (_weigh(asked, experiments), _torque(asked, experiments), ratio)
-    return " ".join([f"No candidate determines {names}: {why}.", *(text for text in helps if text)])
-
-
-def _weigh(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
-    kept = tuple(word for word in asked.free if word.partition(":")[0].partition("[")[0] not in WEIGHED)
-    own = [word for word in asked.want if word.partition("[")[0] in WEIGHED]
-    if own:
-        return f"Measure {', '.join(own)} directly, with scales, and com on a knife edge."
-    if not kept or kept == asked.free:
-        return ""
-    found = _best(replace(asked, free=kept), experiments)
-    weighed = " and ".join(word for word in asked.free if word not in kept)
-    return "" if not found else f"Weigh the links and leave {weighed} out of free: {found}."
-
-
-def _torque(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
-    if asked.arm is None:
-        return "Or drive the rope by a motor whose torque is measured (arm=..., torque_noise)."
-    moved = [each for each in experiments if each.motion is not None and each.torque_noise is None]
-    reach = asked.arm.length + asked.rope.total_length
-    noise = float(f"{TORQUE_NOISE * asked.rope.total_mass * float(np.hypot(*asked.rope.gravity)) * reach:.1g}")
-    found = _best(asked, [replace(each, torque_noise=noise) for each in moved])
-    return "" if not found else f"Or measure the motor's torque, for example to {noise:g} N m: {found}."
-
-
-def _tells(seen: ExpectedInformation, name: str) -> bool:
-    spreads = seen.spreads([name])
-    return bool(spreads) and all(np.isfinite(std) for std, _ in spreads.values())
-
-
-def _best(asked: DesignQuestion, experiments: Sequence[Experiment]) -> str:
-    """Return which experiment then determines the wanted numbers, and how well; empty if none does."""
-    scores: dict[str, float] = {}
-    for experiment in experiments:
+    def plan(self, experiment: Experiment) -> Plan:
+        """Return the plan of one candidate; errors of `want` pass through."""
         try:
-            expected = expected_information(asked.rope, experiment, asked.free, asked.arm, asked.noise)
-            scores[experiment.name] = max(part for _, part in expected.spreads(asked.want).values())
-        except HyperflexError:
-            continue
-    name = min(scores, key=lambda each: scores[each], default="")
-    if not name or not np.isfinite(scores[name]):
-        return ""
-    return f"then {name} determines {', '.join(asked.want)} to {100.0 * scores[name]:.3g} %"
+            expected = expected_information(self.rope, experiment, self.free, self.arm, self.noise)
+        except HyperflexError as failure:
+            return Plan(experiment, {}, {}, str(failure))
+        spreads = expected.spreads(self.want).items()
+        stds, parts = {name: std for name, (std, _) in spreads}, {name: part for name, (_, part) in spreads}
+        return Plan(experiment, stds, parts, "", expected)
+
+    def recommendation(self, ranked: Sequence[Plan]) -> str:
+        """Return which experiment to make, or what else to measure."""
+        expected = [plan._expected for plan in ranked if plan._expected is not None]
+        if not expected:
+            return "No candidate could be simulated."
+        best, *others = ranked
+        if not np.isfinite(best.score):
+            return self._alternatives(best, expected[0])
+        worst = max(best.relative, key=lambda name: best.relative[name])
+        said = f"Make: {best.experiment.name}. It determines {worst} to {_percent(best.score)}"
+        said += f" and the rest of {', '.join(self.want)} better." if len(best.std) > 1 else "."
+        blind = [plan.experiment.name for plan in others if not plan.reason and not np.isfinite(plan.score)]
+        return f"{said} Not sufficient: {', '.join(blind)}." if blind else said
+
+    def _alternatives(self, plan: Plan, expected: ExpectedInformation) -> str:
+        """Return why no experiment, as this plan, determines the wanted numbers, and what would."""
+        lost = ", ".join(name for name, std in plan.std.items() if not np.isfinite(std))
+        weighed = [word for word in self.free if word.partition(":")[0].partition("[")[0] in WEIGHED]
+        scales = f" Weigh the links and leave {' and '.join(weighed)} out of free." if weighed else ""
+        if common_factor(expected.parameters, expected.information.x, expected.information.unknown) is None:
+            why = "it has no effect in these motions, or the same effect as other free parameters"
+            return f"No candidate determines {lost}: {why}.{scales} Or free fewer parameters, or try other motions."
+        why = "no known force or torque acts, so masses, inertias and frictions share an unknown factor"
+        return (
+            f"No candidate determines {lost}: {why}.{scales} Or measure the torque of the motor that drives the rope "
+            f"(arm=..., torque_noise=...). Ratios over the first moment need neither: want={FORCELESS}."
+        )
 
 
 def _figure(value: float) -> str:

@@ -1,5 +1,6 @@
 """Findings: what an identification shows beside its values, as data. Their texts are in texts.py."""
 
+from bisect import bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
@@ -15,98 +16,86 @@ class Severity(IntEnum):
     WRONG = 3  # the result must not be used
 
 
-class Rank(IntEnum):
-    """Which findings of one severity come first: plain evidence, causes (the greatest gain first), symptoms."""
-
-    EVIDENCE = 0
-    CAUSE = 1
-    SYMPTOM = 2
-
-
 class Kind(StrEnum):
-    """Kind of a finding, with its rank."""
-
-    rank: Rank
-
-    def __new__(cls, value: str, rank: Rank) -> "Kind":
-        """Make a kind of its name and its rank."""
-        made = str.__new__(cls, value)
-        made._value_, made.rank = value, rank
-        return made
+    """Kind of a finding. Of findings of one severity plain evidence comes first, then causes, then symptoms."""
 
     # What the recording or the rope shows by itself
-    MARKERS_SWAPPED = "markers swapped for a time", Rank.EVIDENCE
-    PICTURE_SCALE = "different scales along x and y", Rank.EVIDENCE
-    MARKER_DISTANCES = "marker distances unlike link lengths", Rank.EVIDENCE
-    UNLIKE_LENGTHS = "link lengths of different units", Rank.EVIDENCE
-    NOISE_OVERSTATED = "declared noise too large", Rank.EVIDENCE
-    UNEXPLAINED = "residuals larger than noise", Rank.EVIDENCE
-    SPRING_OR_ANGLES = "angles scaled, or a spring", Rank.EVIDENCE
+    MARKERS_SWAPPED = "markers swapped for a time"
+    PICTURE_SCALE = "different scales along x and y"
+    MARKER_DISTANCES = "marker distances unlike link lengths"
+    UNLIKE_LENGTHS = "link lengths of different units"
+    NOISE_OVERSTATED = "declared noise too large"
+    UNEXPLAINED = "residuals larger than noise"
+    SPRING_OR_ANGLES = "angles scaled, or a spring"
     # Declarations that contradict the data
-    CLOCK = "clock or lengths", Rank.CAUSE
-    DRIFT = "drifting clock", Rank.CAUSE
-    LENGTHS = "lengths", Rank.CAUSE
-    ZERO = "zero of the angles", Rank.CAUSE
-    LINK_ZERO = "zero of one link", Rank.CAUSE
-    ANGLE_SCALE = "scale of the angles", Rank.CAUSE
-    RELATIVE = "angles are relative", Rank.CAUSE
-    ABSOLUTE = "angles are absolute", Rank.CAUSE
-    REVERSED = "order from the free end", Rank.CAUSE
-    SWAPPED = "two neighbours swapped", Rank.CAUSE
-    SENSE = "sense of one link", Rank.CAUSE
-    ZERO_DIRECTION = "zero points elsewhere", Rank.CAUSE
-    DEGREES = "angles are in degrees", Rank.CAUSE
-    RADIANS = "angles are in radians", Rank.CAUSE
-    Y_AXIS = "direction of y", Rank.CAUSE
-    AXES_SWAPPED = "x and y swapped", Rank.CAUSE
-    MARKER_SCALE = "scale of the markers", Rank.CAUSE
-    MARKER_PLACES = "places of the markers", Rank.CAUSE
-    DELAY = "delay of the motion", Rank.CAUSE
-    ARM_LENGTH = "length of the arm", Rank.CAUSE
-    ARM_INERTIA = "inertia of the arm", Rank.CAUSE
-    ARM_FRICTION = "friction of the arm", Rank.CAUSE
-    MASS_TAPER = "mass changes along the rope", Rank.CAUSE
-    REST_BEND = "bent at rest", Rank.CAUSE
-    HELD = "held value", Rank.CAUSE
-    RESISTANCE = "another resistance", Rank.CAUSE
-    UNEVEN_RESISTANCE = "resistance differs along the rope", Rank.CAUSE
-    LINKS_TOO_LONG = "links too long", Rank.CAUSE
+    CLOCK = "clock or lengths"
+    DRIFT = "drifting clock"
+    LENGTHS = "lengths"
+    ZERO = "zero of the angles"
+    LINK_ZERO = "zero of one link"
+    ANGLE_SCALE = "scale of the angles"
+    RELATIVE = "angles are relative"
+    ABSOLUTE = "angles are absolute"
+    REVERSED = "order from the free end"
+    SWAPPED = "two neighbours swapped"
+    SENSE = "sense of one link"
+    ZERO_DIRECTION = "zero points elsewhere"
+    DEGREES = "angles are in degrees"
+    RADIANS = "angles are in radians"
+    Y_AXIS = "direction of y"
+    AXES_SWAPPED = "x and y swapped"
+    MARKER_SCALE = "scale of the markers"
+    MARKER_PLACES = "places of the markers"
+    DELAY = "delay of the motion"
+    ARM_LENGTH = "length of the arm"
+    ARM_INERTIA = "inertia of the arm"
+    ARM_FRICTION = "friction of the arm"
+    MASS_TAPER = "mass changes along the rope"
+    REST_BEND = "bent at rest"
+    HELD = "held value"
+    RESISTANCE = "another resistance"
+    UNEVEN_RESISTANCE = "resistance differs along the rope"
+    LINKS_TOO_LONG = "links too long"
     # What the fit looks like
-    HANGS_UPWARDS = "gravity holds the rope up", Rank.SYMPTOM
-    NOT_CONVERGED = "fit not converged", Rank.SYMPTOM
-    POOR_FIT = "poor fit", Rank.SYMPTOM
-    POOR_TORQUE = "torque does not fit", Rank.SYMPTOM
-    MASS_FAR = "mass far beyond its link", Rank.SYMPTOM
-    PREDICTION_FAILED = "prediction failed", Rank.SYMPTOM
-    PREDICTION_POOR = "poor prediction", Rank.SYMPTOM
-    PREDICTION_OUTSIDE = "prediction outside its band", Rank.SYMPTOM
-    WINDOWS_DISAGREE = "windows disagree", Rank.SYMPTOM
-    RESISTANCE_CHANGES = "resistance changes with time", Rank.SYMPTOM
-    NOTHING_KNOWN = "no ratio known", Rank.SYMPTOM
-    GRAVITY_ROTATED = "gravity rotated", Rank.SYMPTOM
-    UNTESTED = "lengths and times untested", Rank.SYMPTOM
-    POORLY_DETERMINED = "poorly determined values", Rank.SYMPTOM
-    LONE_START = "one start alone", Rank.SYMPTOM
-    NOISE_UNDERSTATED = "declared noise too small", Rank.SYMPTOM
-    COLOURED = "correlated residuals", Rank.SYMPTOM
-    NOT_STATIONARY = "residuals not stationary", Rank.SYMPTOM
-    FEW_VALUES = "few independent values", Rank.SYMPTOM
-    BETTER_OPTIMUM = "better optimum nearby", Rank.SYMPTOM
-    PROFILE_GIVEN_UP = "profile given up", Rank.SYMPTOM
+    HANGS_UPWARDS = "gravity holds the rope up"
+    NOT_CONVERGED = "fit not converged"
+    POOR_FIT = "poor fit"
+    POOR_TORQUE = "torque does not fit"
+    MASS_FAR = "mass far beyond its link"
+    PREDICTION_FAILED = "prediction failed"
+    PREDICTION_POOR = "poor prediction"
+    PREDICTION_OUTSIDE = "prediction outside its band"
+    WINDOWS_DISAGREE = "windows disagree"
+    RESISTANCE_CHANGES = "resistance changes with time"
+    NOTHING_KNOWN = "no ratio known"
+    GRAVITY_ROTATED = "gravity rotated"
+    UNTESTED = "lengths and times untested"
+    POORLY_DETERMINED = "poorly determined values"
+    LONE_START = "one start alone"
+    NOISE_UNDERSTATED = "declared noise too small"
+    COLOURED = "correlated residuals"
+    NOT_STATIONARY = "residuals not stationary"
+    FEW_VALUES = "few independent values"
+    BETTER_OPTIMUM = "better optimum nearby"
+    PROFILE_GIVEN_UP = "profile given up"
     # What the values stand for
-    TORQUE_SCALE = "proportional to the torque", Rank.SYMPTOM
-    HELD_SCALE = "proportional to held masses", Rank.SYMPTOM
-    COMMON_FACTOR = "unknown common factor", Rank.SYMPTOM
-    UNDETECTABLE = "lengths and times tested together only", Rank.SYMPTOM
-    FRICTION_MODEL = "friction depends on the model", Rank.SYMPTOM
-    WINDOWS_LEFT_OUT = "windows left out", Rank.SYMPTOM
-    IDENTIFIABLE = "all identifiable", Rank.SYMPTOM
-    COMBINATION = "unknown combination", Rank.SYMPTOM
-    NO_EFFECT = "no effect in this motion", Rank.SYMPTOM
-    AT_ZERO = "went to zero", Rank.SYMPTOM
-    NOT_ESTIMATED = "no standard deviations", Rank.SYMPTOM
-    CHOSEN = "free by default", Rank.SYMPTOM
-    HELD_VALUES = "held values", Rank.SYMPTOM
+    TORQUE_SCALE = "proportional to the torque"
+    HELD_SCALE = "proportional to held masses"
+    COMMON_FACTOR = "unknown common factor"
+    UNDETECTABLE = "lengths and times tested together only"
+    FRICTION_MODEL = "friction depends on the model"
+    WINDOWS_LEFT_OUT = "windows left out"
+    IDENTIFIABLE = "all identifiable"
+    COMBINATION = "unknown combination"
+    NO_EFFECT = "no effect in this motion"
+    AT_ZERO = "went to zero"
+    NOT_ESTIMATED = "no standard deviations"
+    CHOSEN = "free by default"
+    HELD_VALUES = "held values"
+
+
+KINDS = list(Kind)
+FIRST_CAUSE, FIRST_SYMPTOM = KINDS.index(Kind.CLOCK), KINDS.index(Kind.HANGS_UPWARDS)
 
 
 @dataclass(frozen=True)
@@ -156,6 +145,9 @@ def grade(findings: Iterable[Finding]) -> Grade:
 
 def ordered(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return findings, the most severe first, then by rank; what a short fit has confirmed first, then by gain."""
-    return tuple(
-        sorted(findings, key=lambda each: (-each.severity, each.kind.rank, "before" not in each.values, -each.gain))
-    )
+
+    def order(finding: Finding) -> tuple[float, ...]:
+        rank = bisect_right((FIRST_CAUSE, FIRST_SYMPTOM), KINDS.index(finding.kind))
+        return -finding.severity, rank, "before" not in finding.values, -finding.gain
+
+    return tuple(sorted(findings, key=order))

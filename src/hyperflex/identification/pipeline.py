@@ -1,7 +1,8 @@
 """identify: from a recording and a first guess to an Identification."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,32 +12,33 @@ from hyperflex import checks
 from hyperflex.budget import Budget, OutOfTime, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted
-from hyperflex.identification.declarations.clock import SCALES
+from hyperflex.identification.declarations.clock import DRIFT, SCALES
 from hyperflex.identification.declarations.evidence import evidence
+from hyperflex.identification.declarations.held import FEW_LINKS
 from hyperflex.identification.declarations.link_test import link_test
 from hyperflex.identification.declarations.mistakes import ShortFit, mistakes, spring_or_angles
+from hyperflex.identification.declarations.registry import LAWS
+from hyperflex.identification.declarations.resistances import is_uneven
 from hyperflex.identification.declarations.score_findings import explaining, first_misdeclared
-from hyperflex.identification.declarations.score_tests import ScoreTest, score_tests
-from hyperflex.identification.declarations.window_tests import drift_test, scatter_test, window_scores
+from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, score_tests
+from hyperflex.identification.declarations.window_tests import (
+    Scatter,
+    WindowScores,
+    drift_test,
+    scatter_test,
+    window_scores,
+)
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Report
 from hyperflex.identification.fit.windows import part_left, usual_length, with_enough_frames
-from hyperflex.identification.free_parameters import Trial, choose_parameters
-from hyperflex.identification.measurements import (
-    Measurements,
-    build_plant,
-    checked_measurements,
-    split,
-    with_torque,
-)
-from hyperflex.identification.model.plant import Plant
-from hyperflex.identification.multi_start import check_memory, multi_start, search_delay, with_delay
+from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements, split, with_torque
+from hyperflex.identification.model.plant import ANGLES, Plant
+from hyperflex.identification.multi_start import multi_start, search_delay, with_delay
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
 from hyperflex.identification.result import Identification
-from hyperflex.identification.rounds import rounds_shown
 from hyperflex.identification.symptoms import LIMITS, residuals_of, symptoms
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information, of_ratios
 from hyperflex.identification.uncertainty.model_error import with_model_error
@@ -44,12 +46,16 @@ from hyperflex.identification.uncertainty.profile import all_intervals
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.interruption import deferred, interruptible, stoppable
 from hyperflex.model import Rope
+from hyperflex.progress import progress_bar
 from hyperflex.recording import Recording
 from hyperflex.sensors import Angles, Markers
 from hyperflex.status import Status
 
 TIME_BUDGET = 1800.0  # s, where no time budget is given
 SMALL = 0.06  # rad: half a turn that was read as degrees
+MOST = 3  # parameters that are freed at most beyond the first ones: each costs a fit
+# Of what was held, what a user is likely not to know: the likeliest first
+ALLOWED = ("com", "gravity_angle", "delay", *LAWS)
 
 
 @interruptible(Identification)
@@ -143,6 +149,62 @@ def identify(
     return result
 
 
+@contextmanager
+def rounds_shown(show: bool | Report) -> Iterator[Report]:
+    """Show rounds of a fit on standard error if required; yields the callable that gets them, `show` if it is one."""
+    if callable(show):
+        yield show
+        return
+    with progress_bar(0.0, 1.0, show, "first states (Ctrl-C keeps the best so far)", "fit") as bar:
+        if bar is not None:
+            bar(0.0)
+        yield (lambda entry: None) if bar is None else lambda entry: bar(part_done(entry), message(entry))
+
+
+def part_done(entry: dict[str, Any]) -> float:
+    """Return the part of a fit that is done after a round: stages count alike, rounds of a stage less and less."""
+    return float((entry["stage"] + 1.0 - 0.7 ** (entry["round"] + 1.0)) / entry["stages"])
+
+
+def message(entry: dict[str, Any]) -> str:
+    """Return what a round did, in words."""
+    stage = f"stage {entry['stage'] + 1:.0f} of {entry['stages']:.0f}, windows of {entry['window']:.3g} s"
+    about = f"profile of {entry['parameter']}, " if "parameter" in entry else ""
+    return f"{about}{stage}: round {entry['round'] + 1:.0f} gained {100.0 * entry['gain']:.2g} %"
+
+
+@dataclass
+class Trial:
+    """A fit with what was free in it: of noise alone (`plain`), and with all that its deviations count.
+
+    Then the settings that it used, its score tests, and how its windows agree.
+    """
+
+    free: list[str]
+    plain: Basis
+    basis: Basis
+    settings: dict[str, Any]
+    tests: tuple[ScoreTest, ...] = ()
+    scores: WindowScores | None = None
+    scatter: tuple[Scatter, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether it converged, and was not ended early."""
+        return self.plain.fit.converged and self.plain.fit.status is None
+
+
+def first_choice(guess: Rope) -> list[str]:
+    """Return what is free at first: inertia and friction; of a rope of many links one value each, of stiffness if any.
+
+    A rope of many links that are not alike in the guess keeps its taper: what is free is a factor on all.
+    """
+    if guess.n_links <= FEW_LINKS:
+        return ["inertia", "friction"]
+    words = ["friction", "stiffness"] if guess.stiffness.any() else ["inertia", "friction"]
+    return [f"{word}:{'shared' if np.ptp(getattr(guess, word)) == 0.0 else 'factor'}" for word in words]
+
+
 @dataclass(frozen=True)
 class _Case:
     """What is to be identified.
@@ -163,17 +225,77 @@ class _Case:
     report: Report
 
     def solve(self, free: Sequence[str] | None) -> Identification:
-        """Return the result, or the best of it within the time."""
+        """Return the result, or the best of it within the time: what was fitted is worth more than its tests."""
         began = time.monotonic()
         try:
-            trial, chosen = choose_parameters(self.fit, self.guess) if free is None else (self.fit(free), [])
+            trial, chosen = self.choose() if free is None else (self.fit(free), [])
         except OutOfTime:
             raise IdentificationError(
                 f"The time budget was over before anything was fitted to {self.seen.channels.t.size} samples. "
                 "Allow more (time_budget=...), give a part of the recording, or check its unit and its noise."
             ) from None
-        self.test(trial)
-        return self.complete(trial, chosen, began)
+        done, stds = trial.plain.fit, self.options.scale_std
+        ranges: dict[str, Interval] | None = None
+        held_out: HeldOut | None = None
+        remarks, found, doubts = list[Finding](), list[Finding](), list[Finding]()
+        if trial.tests:
+            trial.basis = with_model_error(trial.plain, trial.tests, stds)
+        with stoppable() as stop:
+            if done.status is None:
+                if trial.tests:
+                    self.budget.check()
+                    trial.tests = (*trial.tests, *link_test(trial.plain, trial.tests))
+                    trial.scatter, covariance = scatter_test(trial.plain, trial.scores)
+                    scatter = covariance if trial.scatter else None
+                    trial.basis = with_model_error(trial.plain, trial.tests, stds, scatter)
+                ranges = self._intervals(trial, remarks)
+                if self.rest is not None:
+                    plant = trial.basis.plant.without_torque()  # what is held out is predicted without force or torque
+                    spread = prediction_uncertainty(trial.basis, self.untorqued.channels.data.shape[1])
+                    held_out = predict(plant, done.x, self.rest, self.options, spread)
+                with deferred():
+                    found = symptoms(trial.basis, trial.tests, trial.scatter, held_out, self._settings(trial, began))
+                doubts = self._mistakes(trial, found)
+        done.status = done.status or stop.status
+        settings = self._settings(trial, began)
+        with deferred():
+            if done.status is not None:
+                found = symptoms(trial.basis, trial.tests, trial.scatter, held_out, settings)
+                ranges = stop.partial if isinstance(stop.partial, dict) else ranges or self._intervals(trial, remarks)
+            findings = [*chosen, *found, *doubts, *remarks]
+            return _result(trial.basis, held_out, settings, ranges, trial.tests, findings)
+
+    def choose(self) -> tuple[Trial, list[Finding]]:
+        """Return the fit with parameters chosen one by one, and the choice as a finding.
+
+        What the score tests of a fit require is freed as well, as long as that makes a fit that converges: of what
+        explains the same, to EQUAL, the first of ALLOWED. An interrupted fit is the last.
+        """
+        trial, added = self.fit(first_choice(self.guess)), list[str]()
+        usual = trial.free
+        for _ in range(MOST):
+            mistaken = [each.gain for each in trial.tests if each.significant and each.name in (DRIFT, ANGLES)]
+            least = max(mistaken, default=0.0) + TESTING.equal
+            required = [each for each in trial.tests if self._required(each, trial.free) and each.gain > least]
+            if not required or not trial.complete:
+                break
+            equals = [each for each in required if each.gain > required[0].gain - TESTING.equal]
+            chosen = min(equals, key=lambda each: ALLOWED.index(each.name.partition(":")[0]))
+            richer: Trial | None = None
+            with stoppable() as stop:
+                richer = self.fit(_with_word(trial.free, chosen.name))
+            if richer is None or not richer.complete:
+                trial.plain.fit.status = stop.status if richer is None else richer.plain.fit.status
+                break  # what has converged and was tested is worth more
+            trial = richer
+            added.append(f"{chosen.name} ({100.0 * chosen.gain:.3g} % of the residuals' squares)")
+        return trial, [Finding(Kind.CHOSEN, Severity.NOTE, {"usual": usual, "added": added})]
+
+    def _required(self, test: ScoreTest, free: Sequence[str]) -> bool:
+        name = test.name.partition(":")[0]
+        if is_uneven(test.name) and not (f"{name}:shared" in free and np.all(getattr(self.guess, name) > 0.0)):
+            return False  # of a factor on a guess that is not alike, or on nothing
+        return test.significant and name in ALLOWED and not test.freed_with and (name != "com" or test.matters)
 
     def fit(self, free: Sequence[str]) -> Trial:
         """Return the fit of these parameters, its covariance (of noise alone) and score tests."""
@@ -186,87 +308,37 @@ class _Case:
             plant = with_delay(plant, delay["delay_from"])
         wanted = usual if self.options.window is None else self.options.window
         length = min(wanted, 1.001 * self.seen.channels.duration)
-        check_memory(plant, self.seen, length)
         found = multi_start(plant, self.seen, length, usual, loss=loss, budget=self.budget, report=self.report)
         windows, done = found.windows, found.fit
         basis = Basis(plant, windows, done, fit_information(plant, windows, done))
         trial = Trial(list(free), basis, basis, found.settings | delay)
-        with stoppable() as stop:  # what was fitted is worth more than its tests
-            if done.converged and done.status is None:
-                tests = score_tests(
-                    basis, self.options.gravity_std, angles=self.recording.kind == "angles", budget=self.budget
-                )
+        with stoppable() as stop:
+            if trial.complete:
+                angles = self.recording.kind == "angles"
+                tests = score_tests(basis, self.options.gravity_std, angles=angles, budget=self.budget)
                 trial.tests = tests
                 trial.scores = window_scores(basis, [each.name for each in tests if each.masks and not each.law])
                 trial.tests = tuple(sorted((*tests, *drift_test(basis, trial.scores)), key=lambda each: -each.gain))
         done.status = done.status or stop.status
         return trial
 
-    def test(self, trial: Trial) -> None:
-        """Test a trial's links and how its windows agree, and count in its covariance what the model omits."""
-        plain, done, stds = trial.plain, trial.plain.fit, self.options.scale_std
-        if not trial.tests:
-            return
-        trial.basis = with_model_error(plain, trial.tests, stds)  # what remains if the next test is interrupted
-        with stoppable() as stop:
-            if done.converged and done.status is None:
-                self.budget.check()
-                trial.tests = (*trial.tests, *link_test(plain, trial.tests))
-                scatter, covariance = scatter_test(plain, trial.scores)
-                trial.basis = with_model_error(plain, trial.tests, stds, covariance if scatter else None)
-                trial.scatter = scatter
-        done.status = done.status or stop.status
-
-    def complete(self, trial: Trial, chosen: list[Finding], began: float) -> Identification:
-        """Return a fit as a result, with intervals, predictions of what was held out, and findings."""
-        basis, done = trial.basis, trial.basis.fit
-        ranges: dict[str, Interval] | None = None
-        remarks: list[Finding] = []
-        held_out: HeldOut | None = None
-        with stoppable() as stop:  # what was fitted is worth more than its intervals and its predictions
-            ranges = self._intervals(trial, remarks)
-            if self.rest is not None and done.status is None:
-                plant = basis.plant.without_torque()  # what is held out is predicted without force or torque
-                spread = prediction_uncertainty(basis, self.untorqued.channels.data.shape[1])
-                held_out = predict(plant, done.x, self.rest, self.options, spread)
-        if stop.status is not None:
-            ranges = stop.partial if ranges is None and isinstance(stop.partial, dict) else ranges
-            done.status = stop.status
-        settings = self._settings(trial, began)
-        doubts: list[Finding] = []
-        with stoppable() as stop:
-            with deferred():
-                found = symptoms(basis, trial.tests, trial.scatter, held_out, settings)
-            if done.status is None:
-                doubts = self._mistakes(trial, found)
-        if stop.status is not None:
-            done.status = stop.status
-            found = symptoms(basis, trial.tests, trial.scatter, held_out, settings)
-        with deferred():
-            return _result(basis, held_out, settings, ranges, trial.tests, [*chosen, *found, *doubts, *remarks])
-
     def _settings(self, trial: Trial, began: float) -> dict[str, Any]:
         """Return what was fitted and how."""
         setup, basis, fitted = self.setup, trial.basis, self.seen.channels
         tested = any(each.name == SCALES for each in trial.tests)  # else nothing counts what was declared
-        stds = {name: getattr(self.options, name) * tested for name in ("length_std", "clock_std", "torque_std")}
-        if setup.torque is None:
-            del stds["torque_std"]
+        stds = ["length_std", "clock_std", *(["torque_std"] if setup.torque is not None else [])]
+        settings = trial.settings | {name: getattr(self.options, name) * tested for name in stds}
         moved = "moved" if setup.arm is None else f"moved by an arm of {setup.arm.length:g} m"
-        settings = (
-            trial.settings
-            | stds
-            | {
-                "fitted_from": float(fitted.t[0]),
-                "fitted_to": float(fitted.t[-1]),
-                "autocorrelation": basis.information.correlation,
-                "seconds": time.monotonic() - began,
-                "free": trial.free,
-                "loss": self.options.loss,
-                "base": "fixed" if setup.motion is None else moved,
-                "noise": "not declared" if self.recording.noise is None else "declared",
-            }
-        )
+        settings |= {
+            "fitted_from": float(fitted.t[0]),
+            "fitted_to": float(fitted.t[-1]),
+            "autocorrelation": basis.information.correlation,
+            "seconds": time.monotonic() - began,
+            "free": trial.free,
+            "loss": self.options.loss,
+            "base": "fixed" if setup.motion is None else moved,
+            "noise": "not declared" if self.recording.noise is None else "declared",
+        }
         if isinstance(basis.plant.sensor, Markers):
             settings["arc_lengths"] = basis.plant.sensor.arc_lengths.tolist()
         if setup.origin is not None:
@@ -277,8 +349,8 @@ class _Case:
         """Return what seems wrong in the declaration of the recording, as far as it and short fits show."""
         short = ShortFit(self.guess, trial.free, self.setup, Loss(self.options.loss))
         said = spring_or_angles(self.recording, short)
-        wrong = any(each.severity is Severity.WRONG or each.kind is Kind.GRAVITY_ROTATED for each in found)
         shape = self.seen.shape
+        wrong = any(each.severity is Severity.WRONG or each.kind is Kind.GRAVITY_ROTATED for each in found)
         wrong = wrong or (shape.kind == "angles" and float(np.nanmax(np.abs(shape.data))) < SMALL)
         wrong = wrong or any(each.suspected and each.quantity.declared for each in trial.tests)
         to_noise = self.recording.noise is not None and trial.basis.information.variance <= 1.0
@@ -291,13 +363,19 @@ class _Case:
         basis, how = trial.basis, self.options.intervals
         if how is None or not basis.information.estimated:
             return None
-        if not basis.fit.converged or basis.fit.status is not None:
-            how = "covariance"
-        if how == "auto" and (
-            first_misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > LIMITS.poor
-        ):
+        wrong = first_misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > LIMITS.poor
+        if not trial.complete or (how == "auto" and wrong):
             how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
         return all_intervals(basis, how, remarks=remarks, budget=self.budget, report=self.report)
+
+
+def _with_word(free: Sequence[str], word: str) -> list[str]:
+    """Return `free` with a word more; what was one value of all gives way to what it is made of then."""
+    name, _, law = word.partition(":")
+    parts = {"taper": [f"{name}:factor", word], "pivot": [f"{name}[0]", f"{name}:inner"]}.get(law)
+    if parts is None or f"{name}:shared" not in free:
+        return [*free, word]
+    return [*[each for each in free if each != f"{name}:shared"], *parts]
 
 
 def _result(
@@ -312,7 +390,10 @@ def _result(
     plant, information, found = basis.plant, basis.information, basis.fit
     parameters = plant.parameters
     x = parameters.rounded(found.x)
-    rope, slopes, (residuals, torque) = parameters.rope(x), parameters.derivatives(x), residuals_of(basis)
+    rope, slopes, residuals = parameters.rope(x), parameters.derivatives(x), residuals_of(basis)
+    torque = None
+    if plant.motor is not None:
+        residuals, torque = residuals[:, :-1], residuals[:, -1]
     known, ratio_std = ratios(rope, parameters.names), ratio_spread(parameters, information)
     covariance, by_length = information.covariances(slopes)
     if intervals is not None:
@@ -342,27 +423,22 @@ def _result(
         unit="rad" if isinstance(plant.sensor, Angles) else "m",
         history=tuple(found.history),
         torque_residuals=torque,
+        _basis=basis,
     )
-    object.__setattr__(result, "_basis", basis)
     held = [Finding(Kind.HELD_VALUES, Severity.NOTE, {"names": list(result.held)})] if result.held else []
     return result.with_findings([*findings, *held])
 
 
 def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array]:
     """Return numbers (P,) by property: (n,) with the rope's own (or 0) where a link is not free, or single."""
-    parameters = plant.parameters
-    n = parameters.guess.n_links
     result: dict[str, Array] = {}
-    for parameter, number in zip(parameters.all, numbers, strict=True):
-        name, held = parameter.name, np.zeros(n)
-        if not parameter.links:
-            result[name] = np.array(number)
-        elif parameter.law != "own":
+    for parameter, number in zip(plant.parameters.all, numbers, strict=True):
+        name = parameter.name
+        if not parameter.links or parameter.law != "own":
             result[parameter.label] = np.array(number)
-        else:
-            if name == "arc":
-                held = plant.sensor.values[2:] * (rope is not None)
-            elif rope is not None:
-                held = getattr(rope, name).copy()
-            result.setdefault(name, held)[list(parameter.links)] = number
+            continue
+        if name not in result:
+            own = plant.sensor.values[2:] if name == "arc" else getattr(rope or plant.parameters.guess, name)
+            result[name] = own * (rope is not None)
+        result[name][list(parameter.links)] = number
     return result

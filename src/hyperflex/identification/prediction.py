@@ -58,16 +58,10 @@ class HeldOut:
     @property
     def persistence(self) -> float:
         """Error of predicting that all stays as it was when the prediction began, rms over all values, rad or m."""
-        began = self._began
-        off = np.full_like(self.measured, np.nan)
-        for k in range(self.starts.size):
-            piece = self.measured[began == k]
-            for c, column in enumerate(piece.T):
-                known = column[~np.isnan(column)]
-                if known.size:
-                    off[began == k, c] = column - known[0]
-        known = off[~np.isnan(off)]
-        return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+        columns = [column for k in range(self.starts.size) for column in self.measured[self._began == k].T]
+        known = [column[~np.isnan(column)] for column in columns]
+        off = np.concatenate([each - each[:1] for each in known])
+        return float(np.sqrt(np.mean(off**2))) if off.size else 0.0
 
     @property
     def _began(self) -> npt.NDArray[np.intp]:
@@ -83,8 +77,9 @@ class HeldOut:
         wide = np.where(np.isnan(self.std), 0.0, BAND * self.std).max(axis=1) > WIDE * self.persistence
         keep = ~np.concatenate([np.logical_or.accumulate(wide[self._began == k]) for k in range(self.starts.size)])
         seen, predicted = self.measured[keep], self.predicted[keep]
-        rms = _rms(predicted - seen)
-        return replace(self, rms=rms, t=self.t[keep], measured=seen, predicted=predicted, std=self.std[keep])
+        return replace(
+            self, rms=_rms(predicted - seen), t=self.t[keep], measured=seen, predicted=predicted, std=self.std[keep]
+        )
 
     @property
     def failed(self) -> Array:
@@ -93,24 +88,20 @@ class HeldOut:
 
 
 def predict(
-    plant: Plant,
-    x: Array,
-    measured: Measurements,
-    options: FitOptions,
-    uncertainty: "PredictionUncertainty | None" = None,
+    plant: Plant, x: Array, measured: Measurements, options: FitOptions, uncertainty: "PredictionUncertainty"
 ) -> HeldOut | None:
     """Predict the measurements piece by piece, with parameters x (P,); None if too short for one prediction.
 
     The first prediction starts ``options.lead`` after the first sample, each next one ``options.ahead`` later, its
     state fitted to the measurements on the time `lead` before it. More than 200 samples in that time are decimated. All
-    samples have equal weights, beside a prior of the state those of the noise in `uncertainty` (1 rad or m without).
+    samples have equal weights, compared with a prior of the state those of the noise.
     """
-    lead, ahead, loss = options.lead, options.ahead, Loss(options.loss)
+    lead, ahead = options.lead, options.ahead
     step = decimation_step(measured.channels, lead)
     recording, angles = measured.channels.decimate(step), measured.shape.decimate(step).data
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
     prior = np.zeros((0, 2 * angles.shape[1])) if measured.prior is None else measured.prior
-    size = 1.0 if uncertainty is None else max(float(np.sqrt(np.mean(uncertainty.noise**2))), TINY)
+    size = max(float(np.sqrt(np.mean(uncertainty.noise**2))), TINY)
     predictions = []
     for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
         before = (t >= start - lead - slack) & (t < start + slack)
@@ -120,34 +111,19 @@ def predict(
             continue
         guess = first_state(t[before], angles[before])
         window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, prior)
-        found = fit_state(plant, x, window, window.guess, loss=loss)
-        reached = _ahead(plant, x, window, found, t[after], uncertainty)
-        predictions.append((float(start), t[after], data[after], *reached))
+        found = fit_state(plant, x, window, guess, loss=Loss(options.loss))
+        y = None if found is None else plant.predict(x, np.append(window.t[0], t[after]), found[0])
+        if found is None or y is None:
+            y, std = np.full_like(data[after], np.inf), np.full_like(data[after], np.nan)
+        else:
+            y, std = y[1:], prediction_std(plant, x, window, found, t[after], uncertainty)
+        predictions.append((float(start), t[after], data[after], y, std))
     if not predictions:
         return None
     starts, *pieces = zip(*predictions, strict=True)
     window_rms = np.array([_rms(y - values) for _, _, values, y, _ in predictions])
     times, seen, predicted, std = (np.concatenate(each) for each in pieces)
-    rms = _rms(predicted - seen)
-    return HeldOut(rms, window_rms, np.array(starts), lead, ahead, times, seen, predicted, std)
-
-
-def _ahead(
-    plant: Plant,
-    x: Array,
-    window: Window,
-    found: tuple[Array, Array] | None,
-    t: Array,
-    uncertainty: "PredictionUncertainty | None",
-) -> tuple[Array, Array]:
-    """Return prediction and standard deviation (m, C) at t (m,); inf and NaN where there is none."""
-    y = None if found is None else plant.predict(x, np.append(window.t[0], t), found[0])
-    shape = (t.size, window.y.shape[1])
-    if found is None or y is None or not np.isfinite(y).all():
-        return np.full(shape, np.inf), np.full(shape, np.nan)
-    if uncertainty is None:
-        return y[1:], np.full(shape, np.nan)
-    return y[1:], prediction_std(plant, x, window, found, t, uncertainty)
+    return HeldOut(_rms(predicted - seen), window_rms, np.array(starts), lead, ahead, times, seen, predicted, std)
 
 
 def _rms(error: Array) -> Array:

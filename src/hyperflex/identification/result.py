@@ -109,7 +109,7 @@ class Identification:
     unit: str
     history: tuple[dict[str, float], ...]
     torque_residuals: Array | None = None
-    _basis: Basis | None = field(default=None, init=False, repr=False)
+    _basis: Basis | None = field(default=None, repr=False)
 
     @property
     def grade(self) -> Grade:
@@ -204,9 +204,7 @@ class Identification:
 
     def with_findings(self, more: Iterable[Finding]) -> "Identification":
         """Return the same result with more findings."""
-        result: Identification = replace(self, findings=ordered((*self.findings, *more)))
-        object.__setattr__(result, "_basis", self._basis)
-        return result
+        return replace(self, findings=ordered((*self.findings, *more)))
 
     def to_json(self, path: PathLike) -> None:
         """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""

@@ -14,13 +14,12 @@ from hyperflex.identification.declarations.score_findings import REPORTED, score
 from hyperflex.identification.declarations.score_tests import CLOCK, TESTING, ScoreTest
 from hyperflex.identification.declarations.window_tests import Scatter
 from hyperflex.identification.findings import Finding, Kind, Severity
-from hyperflex.identification.fit.loss import NORMAL, Loss
-from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.fit.loss import NORMAL
 from hyperflex.identification.model.parameters import common_factor, in_common_factor, lumped
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.texts import percent
-from hyperflex.identification.uncertainty.covariance import TOUCHED, Basis, Information
+from hyperflex.identification.uncertainty.covariance import TOUCHED, Basis
 from hyperflex.identification.uncertainty.model_error import law_error
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratio_spread, ratios
@@ -103,46 +102,40 @@ def _of_fit(basis: Basis) -> Iterator[Finding]:
     fit, white = basis.fit, basis.information.whiteness >= CHANCE
     if fit.status is not None or not fit.converged:
         yield Finding(Kind.NOT_CONVERGED, Severity.WRONG, {"how": fit.status or "not converged"})
-    residuals, torque = residuals_of(basis)
-    rms, spread, noise = _sizes(basis.windows, residuals, 0, fit.loss)
-    worst = int(np.argmax(np.where(rms > LIMITS.noisy * noise * white, rms / np.maximum(spread, 1e-12), 0.0)))
-    excused = LIMITS.noisy * noise[worst]
-    allowed = max(LIMITS.white_poor * spread[worst], excused)
-    if not white:
-        allowed = max(LIMITS.poor * spread[worst], min(excused, LIMITS.white_poor * spread[worst]))
-    if rms[worst] > allowed:
-        angles = isinstance(basis.plant.sensor, Angles)
-        what = f"Link {worst}" if angles else f"Marker {worst // 2}"
-        values = {"what": what, "rms": float(rms[worst]), "motion": float(spread[worst])}
-        yield Finding(Kind.POOR_FIT, Severity.WRONG, values | {"unit": "rad" if angles else "m"})
-    if torque is not None:
-        (off,), (moved,), (noisy,) = _sizes(basis.windows, torque[:, None], residuals.shape[1], fit.loss)
-        if off > max(LIMITS.white_poor * moved, LIMITS.noisy * noisy):
-            yield Finding(Kind.POOR_TORQUE, Severity.WRONG, {"rms": float(off), "motion": float(moved)})
+    rms, spread, noise = _sizes(basis)
+    least, excused = LIMITS.white_poor * spread, LIMITS.noisy * noise
+    most = np.maximum(least, excused) if white else np.maximum(LIMITS.poor * spread, np.minimum(least, excused))
+    seen = rms.size - (basis.plant.motor is not None)  # a torque is the last channel
+    worst = int(np.argmax(np.where(rms > excused * white, rms / np.maximum(spread, 1e-12), 0.0)[:seen]))
+    if rms[worst] > most[worst]:
+        what, unit = (
+            (f"Link {worst}", "rad") if isinstance(basis.plant.sensor, Angles) else (f"Marker {worst // 2}", "m")
+        )
+        values = {"what": what, "rms": float(rms[worst]), "motion": float(spread[worst]), "unit": unit}
+        yield Finding(Kind.POOR_FIT, Severity.WRONG, values)
+    if seen < rms.size and rms[-1] > max(least[-1], excused[-1]):
+        yield Finding(Kind.POOR_TORQUE, Severity.WRONG, {"rms": float(rms[-1]), "motion": float(spread[-1])})
 
 
-def residuals_of(basis: Basis) -> tuple[Array, Array | None]:
-    """Return measured less fitted values (m, C) of all windows, rad or m, and torques (m,), N m; NaN in gaps."""
+def residuals_of(basis: Basis) -> Array:
+    """Return measured less fitted channels (m, C) of all windows, rad or m, a torque last, N m; NaN in gaps."""
     weights = np.concatenate([w.weight for w in basis.windows])
-    each = zip(basis.fit.residuals, basis.windows, strict=True)
-    flat = np.concatenate([residual.reshape(w.y.shape) for residual, w in each])
     with np.errstate(divide="ignore", invalid="ignore"):
-        every = np.where(weights > 0.0, -flat / weights, np.nan)
-    return (every, None) if basis.plant.motor is None else (every[:, :-1], every[:, -1])
+        return np.where(weights > 0.0, -np.concatenate(basis.fit.residuals).reshape(weights.shape) / weights, np.nan)
 
 
-def _sizes(windows: Sequence[Window], residuals: Array, first: int, loss: Loss) -> tuple[Array, Array, Array]:
-    """Return rms (C,) of residuals (medians under a robust loss), motion and declared noise, channels from `first`."""
-    part = slice(first, first + residuals.shape[1])
-    known = [np.where(w.weight > 0.0, w.y, np.nan)[:, part] for w in windows]
-    weights = np.concatenate([w.weight for w in windows])[:, part]
+def _sizes(basis: Basis) -> Array:
+    """Return rms of residuals (medians under a robust loss), motion within windows and declared noise (3, C)."""
+    residuals, weights = residuals_of(basis), np.concatenate([w.weight for w in basis.windows])
     with np.errstate(divide="ignore"):
         noise = np.sqrt(np.nanmean(np.where(weights > 0.0, 1.0 / weights**2, np.nan), axis=0))
-    noise = np.where(((weights == 0.0) | (weights == 1.0)).all(axis=0), 0.0, noise)  # not declared
-    spread = np.sqrt(np.mean([np.nanvar(y, axis=0) for y in known], axis=0))
-    if loss.name == "squares":
-        return np.sqrt(np.nanmean(residuals**2, axis=0)), spread, noise
-    return NORMAL * np.nanmedian(np.abs(residuals), axis=0), spread, noise
+    noise[((weights == 0.0) | (weights == 1.0)).all(axis=0)] = 0.0  # not declared
+    moved = [np.nanvar(np.where(w.weight > 0.0, w.y, np.nan), axis=0) for w in basis.windows]
+    if basis.fit.loss.name == "squares":
+        rms = np.sqrt(np.nanmean(residuals**2, axis=0))
+    else:
+        rms = NORMAL * np.nanmedian(np.abs(residuals), axis=0)
+    return np.stack([rms, np.sqrt(np.mean(moved, axis=0)), noise])
 
 
 def _of_prediction(held_out: HeldOut | None) -> Iterator[Finding]:
@@ -161,12 +154,15 @@ def _of_prediction(held_out: HeldOut | None) -> Iterator[Finding]:
         yield Finding(Kind.PREDICTION_OUTSIDE, Severity.WRONG, {"part": held_out.inside})
 
 
-def _disagreeing(scatter: Sequence[Scatter]) -> Iterator[Finding]:
-    """Yield the ratio of moments and inertias of which windows disagree most."""
-    for first in [each for each in scatter if each.label.startswith(MASSES)][:1]:
-        yield Finding(
-            Kind.WINDOWS_DISAGREE, Severity.WRONG if first.part > TESTING.moves else Severity.DOUBT, first._asdict()
-        )
+def _disagreeing(scatter: Sequence[Scatter]) -> list[Finding]:
+    """Return the ratio of moments and inertias of which windows disagree most, and that of a resistance."""
+    masses = [each for each in scatter if each.label.startswith(MASSES)]
+    laws = [each for each in scatter if each not in masses]
+    found = [Finding(Kind.RESISTANCE_CHANGES, Severity.LIMIT, each._asdict()) for each in laws[:1]]
+    for each in masses[:1]:
+        severity = Severity.WRONG if each.part > TESTING.moves else Severity.DOUBT
+        found.append(Finding(Kind.WINDOWS_DISAGREE, severity, each._asdict()))
+    return found
 
 
 def _far(rope: Rope) -> Iterator[Finding]:
@@ -185,23 +181,23 @@ def _far(rope: Rope) -> Iterator[Finding]:
 def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
     """Return whether any ratio of moments and inertias is known that is free, and what is poorly determined.
 
-    A name stands for all its links. Ratios stand for the values that they are of where no torque tells these. What
-    cannot be known at all is reported elsewhere.
+    A name stands for all its links. Ratios stand for the values that they are of where no torque tells these. What was
+    held, and what cannot be known at all, is reported elsewhere.
     """
     parameters, information = basis.plant.parameters, basis.information
-    known, spreads = ratios(rope, parameters.names), ratio_spread(parameters, information)
-    parts = {name: _parts(known[name], spreads[name]) for name in known}
-    masses = np.concatenate([parts[name] for name in MASSES])
-    nothing = bool(masses.any() and (masses[masses > 0.0] > LIMITS.loose).all())
+    every, spreads = ratios(rope, parameters.names), ratio_spread(parameters, information)
+    known = {name: (std > 0.0) & (std < np.inf) for name, std in spreads.items()}
+    parts = {name: spreads[name] * known[name] / np.maximum(np.abs(every[name]), 1e-300) for name in every}
+    masses = np.concatenate([parts[name][known[name]] for name in MASSES])
+    nothing = masses.size > 0 and bool((masses > LIMITS.loose).all())
     std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
     by_ratios = {"mass", "com", "inertia", *LAWS} if basis.plant.motor is None else set()
     loose: dict[str, float] = {}
     for each, value, spread in zip(parameters.all, values, std, strict=True):
-        if value > 0.0 and each.kind.form != "linear" and each.name not in by_ratios:
-            part = float(spread / value)
-            if (LIMITS.friction_loose if each.name in LAWS else LIMITS.loose) < part < np.inf:
-                loose[each.label] = part
+        least = (LIMITS.friction_loose if each.name in LAWS else LIMITS.loose) * value
+        if each.kind.form != "linear" and each.name not in by_ratios and 0.0 < least < spread < np.inf:
+            loose[each.label] = float(spread / value)
     for name, own in parts.items():
         wide = np.flatnonzero(own > (LIMITS.loose if name in MASSES else LIMITS.friction_loose))
         if 1 < wide.size == np.count_nonzero(own):
@@ -216,12 +212,6 @@ def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
     return not nothing, found
 
 
-def _parts(values: Array, std: Array) -> Array:
-    """Return standard deviations (n,) as parts of values (n,); 0 of what was held or cannot be known at all."""
-    known = (std > 0.0) & (std < np.inf)
-    return np.where(known, std, 0.0) / np.maximum(np.abs(values), 1e-300)
-
-
 def _rotated(basis: Basis) -> Iterator[Finding]:
     """Yield that gravity was found far from where it was taken to be."""
     angle = basis.plant.parameters.single("gravity_angle", basis.fit.x)
@@ -231,8 +221,8 @@ def _rotated(basis: Basis) -> Iterator[Finding]:
 
 def _of_noise(basis: Basis, tests: Sequence[ScoreTest]) -> Iterator[Finding]:
     """Yield that declared noise is far larger than residuals, or these far larger than noise without a known cause."""
-    rms, _, noise = _sizes(basis.windows, residuals_of(basis)[0], 0, basis.fit.loss)
-    declared, left = float(np.sqrt(np.mean(noise**2))), float(np.sqrt(np.mean(rms**2)))
+    rms, _, noise = _sizes(basis)[:, : None if basis.plant.motor is None else -1]
+    declared, left = (float(np.sqrt(np.mean(each**2))) for each in (noise, rms))
     if left <= LIMITS.quiet * declared:
         values = {"declared": declared, "left": left, "times": declared / max(left, 1e-300)}
         yield Finding(Kind.NOISE_OVERSTATED, values=values)
@@ -283,6 +273,8 @@ def _limits(
     basis: Basis, tests: Sequence[ScoreTest], scatter: Sequence[Scatter], settings: dict[str, Any]
 ) -> Iterator[Finding]:
     """Yield what no motion tells, and what the model, the windows and the noise leave open."""
+    from scipy.special import chdtrc
+
     information = basis.information
     if moves_alike(basis.plant) and any(each.name == CLOCK and each.std <= REPORTED.untested for each in tests):
         yield Finding(Kind.UNDETECTABLE, Severity.LIMIT)
@@ -292,8 +284,6 @@ def _limits(
     missing = max(0, settings["left_out"] - 1)  # what remains at the end is no window, as a rule
     if missing > LIMITS.left_out * (missing + settings["windows"]):
         yield Finding(Kind.WINDOWS_LEFT_OUT, Severity.LIMIT, {"part": missing / (missing + settings["windows"])})
-    for first in [each for each in scatter if not each.label.startswith(MASSES)][:1]:
-        yield Finding(Kind.RESISTANCE_CHANGES, Severity.LIMIT, first._asdict())
     if settings.get("starts", 1) > 1 and settings["starts_agree"] <= 1:
         yield Finding(Kind.LONE_START, Severity.LIMIT, {"starts": settings["starts"]})
     if information.correlation > LIMITS.correlated or information.whiteness < CHANCE:
@@ -302,15 +292,9 @@ def _limits(
         yield Finding(Kind.NOT_STATIONARY, Severity.LIMIT)
     elif information.freedom < LIMITS.least_freedom:
         yield Finding(Kind.FEW_VALUES, Severity.LIMIT, {"values": information.freedom})
-    if settings["noise"] == "declared" and _exceeds_noise(information):
+    chance = chdtrc(information.freedom, information.freedom * information.variance)  # of so large a variance
+    if settings["noise"] == "declared" and chance < CHANCE:
         yield Finding(Kind.NOISE_UNDERSTATED, Severity.LIMIT, {"times": float(np.sqrt(information.variance))})
-
-
-def _exceeds_noise(information: Information) -> bool:
-    """Whether the variance of residuals over the declared noise's fails a chi-squared test."""
-    from scipy.special import gammaincc
-
-    return bool(gammaincc(0.5 * information.freedom, 0.5 * information.freedom * information.variance) < CHANCE)
 
 
 def _identifiable(basis: Basis) -> Iterator[Finding]:
@@ -325,24 +309,16 @@ def _identifiable(basis: Basis) -> Iterator[Finding]:
     else:
         common, grows = common_factor(parameters, x, unknown), in_common_factor(parameters, x, unknown)
         others = unknown if common is None else unknown - np.outer(common, common @ unknown)
-        idle = (np.sqrt((others**2).sum(axis=1)) > 1.0 - TOUCHED) & ~grows
-        touched = (np.sqrt((unknown**2).sum(axis=1)) > TOUCHED) | grows
-        names = [p.name for p, there, alone in zip(parameters.all, touched, idle, strict=True) if there and not alone]
+        idle = (np.linalg.norm(others, axis=1) > 1.0 - TOUCHED) & ~grows
+        touched = ((np.linalg.norm(unknown, axis=1) > TOUCHED) | grows) & ~idle
         if (count := unknown.shape[1] - int(idle.sum())) > 0:
-            spreads = ratio_spread(parameters, information)
-            lost = [name for name, std in spreads.items() if np.isinf(std).any()]
+            names = dict.fromkeys(p.name for p, there in zip(parameters.all, touched, strict=True) if there)
+            lost = [name for name, std in ratio_spread(parameters, information).items() if np.isinf(std).any()]
             words = f"Not even known: {', '.join(lost)}." if lost else "The ratios over p1 are known."
-            values = {
-                "count": count,
-                "names": list(dict.fromkeys(names)),
-                "ratios": words,
-                "common": common is not None,
-            }
-            yield Finding(Kind.COMBINATION, Severity.NOTE if values["common"] else Severity.LIMIT, values)
-        if lost := [label for label, alone in zip(parameters.labels, idle, strict=True) if alone]:
-            yield Finding(Kind.NO_EFFECT, Severity.LIMIT, {"names": lost})
-    values_now = parameters.values(parameters.rounded(x))
-    pairs = zip(parameters.all, values_now, strict=True)
-    none = [each.label for each, value in pairs if each.form == "nonnegative" and value == 0.0]
-    if none:
-        yield Finding(Kind.AT_ZERO, Severity.LIMIT, {"names": none})
+            values = {"count": count, "names": list(names), "ratios": words, "common": common is not None}
+            yield Finding(Kind.COMBINATION, Severity.LIMIT if common is None else Severity.NOTE, values)
+        if idle.any():
+            yield Finding(Kind.NO_EFFECT, Severity.LIMIT, {"names": np.array(parameters.labels)[idle].tolist()})
+    least = (parameters.lower >= 0.0) & (parameters.values(parameters.rounded(x)) == 0.0)
+    if least.any():
+        yield Finding(Kind.AT_ZERO, Severity.LIMIT, {"names": np.array(parameters.labels)[least].tolist()})

@@ -1,7 +1,7 @@
 """The texts of findings: one table, and how a report is made of it."""
 
 import string
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,263 +10,216 @@ from hyperflex.identification.findings import Finding, Grade, Kind, Severity
 
 LINES = 5  # of a short report, the grade's line included
 NAMES = 4  # of a list that are shown in a line
-GRADES = {
-    Grade.USABLE: "Usable.",
-    Grade.RATIOS: "Usable for ratios.",
-    Grade.DO_NOT_USE: "Do not use.",
-}
 COMPARE = "See whether another model predicts better (compare_models), and check what was declared."
-# What was seen, what it means, what to do. {x:%} is a part in per cent, {x:deg} an angle, {x:list} a list of names.
-TEXTS: dict[Kind, tuple[str, str, str]] = {
-    Kind.MARKERS_SWAPPED: ("Markers {first} and {second} are swapped {times:list}.", "", "Swap them back there."),
+# What was seen | what it means and what to do. {x:%} is a part in per cent, {x:deg} an angle, {x:list} a list of names.
+TEXTS: dict[Kind, str] = {
+    Kind.MARKERS_SWAPPED: "Markers {first} and {second} are swapped {times:list}. | Swap them back there.",
     Kind.PICTURE_SCALE: (
-        "Lengths at {angle:deg} from +x are about {factor:.3g} times those across.",
-        "Pixels are not square, x and y are scaled differently, or the camera views the plane from the side.",
-        "Calibrate the camera.",
+        "Lengths at {angle:deg} from +x are about {factor:.3g} times those across. | Pixels are not square, x and y "
+        "are scaled differently, or the camera views the plane from the side. Calibrate the camera."
     ),
     Kind.MARKER_DISTANCES: (
-        "The markers lie {measured:list} m apart, the links are {declared:list} m long.",
-        "Their scale or the link lengths are wrong; the angles do not show it.",
-        "Measure a length, and check the scale of the markers.",
+        "The markers lie {measured:list} m apart, the links are {declared:list} m long. | Their scale or the link "
+        "lengths are wrong; the angles do not show it. Measure a length, and check the scale of the markers."
     ),
-    Kind.UNLIKE_LENGTHS: ("Link {longest} is {times:.3g} times as long as link {shortest}.", "", "Give all in m."),
+    Kind.UNLIKE_LENGTHS: "Link {longest} is {times:.3g} times as long as link {shortest}. | Give all in m.",
     Kind.HANGS_UPWARDS: (
-        "Gravity would hold the rope up: its first moment p1 is negative.",
-        "The zero of the angles or the direction of y is wrong.",
-        "Check zero='hanging' or 'up', y_axis='up' or 'down'.",
+        "Gravity would hold the rope up: its first moment p1 is negative. | The zero of the angles or the direction "
+        "of y is wrong. Check zero='hanging' or 'up', y_axis='up' or 'down'."
     ),
     Kind.NOISE_OVERSTATED: (
-        "The declared noise ({declared:.2g}) is {times:.2g} times as large as the residuals ({left:.2g}).",
-        "",
-        "Check its value and unit: it is in the unit of the data.",
+        "The declared noise ({declared:.2g}) is {times:.2g} times as large as the residuals ({left:.2g}). | Check its"
+        " value and unit: it is in the unit of the data."
     ),
     Kind.UNEXPLAINED: (
-        "Residuals are {times:.2g} times as large as the declared noise, and no tested cause explains it.",
-        "More noise is present, or the model omits an effect; ratios may be off by more than their intervals.",
-        f"Check the noise's value and unit. {COMPARE}",
+        "Residuals are {times:.2g} times as large as the declared noise, and no tested cause explains it. | More "
+        "noise is present, or the model omits an effect; ratios may be off by more than their intervals. Check the "
+        "noise's value and unit. " + COMPARE
     ),
     Kind.SPRING_OR_ANGLES: (
-        "stiffness was freed, but angles multiplied by {factor:.3g} explain the recording as well without it.",
-        "",
-        "Check the angles' scale in radians, or name what is free.",
+        "stiffness was freed, but angles multiplied by {factor:.3g} explain the recording as well without it. | Check"
+        " the angles' scale in radians, or name what is free."
     ),
     Kind.CLOCK: (
-        "Times multiplied by {clock:.3g}, or lengths divided by {scale:.3g}, fit better.",
-        "The clock, the frame rate or a length is not as declared; ratios move by up to {moved:%}.",
-        "Check the frame rate, and measure one length again.",
+        "Times multiplied by {clock:.3g}, or lengths divided by {scale:.3g}, fit better. | The clock, the frame rate "
+        "or a length is not as declared; ratios move by up to {moved:%}. Check the frame rate, and measure one length"
+        " again."
     ),
     Kind.DRIFT: (
-        "The clock seems to drift by {drift:%} from the first window to the last.",
-        "Or something else changes over the recording; ratios move by up to {moved:%}.",
-        "Check the time stamps, or fit parts of the recording separately.",
+        "The clock seems to drift by {drift:%} from the first window to the last. | Or something else changes over "
+        "the recording; ratios move by up to {moved:%}. Check the time stamps, or fit parts of the recording "
+        "separately."
     ),
     Kind.LENGTHS: (
-        "Lengths of the links or of the arm seem {off:%} off.",
-        "A drive has its own length and time; an omitted resistance can look the same.",
-        "Measure the lengths again.",
+        "Lengths of the links or of the arm seem {off:%} off. | A drive has its own length and time; an omitted "
+        "resistance can look the same. Measure the lengths again."
     ),
     Kind.ZERO: (
-        "The zero of the angles seems off by {angle:deg}.",
-        "The camera is not level, or the zero, axes or their order are not as declared.",
-        "Check the zero and the axes, level the camera, or free 'gravity_angle'.",
+        "The zero of the angles seems off by {angle:deg}. | The camera is not level, or the zero, axes or their order"
+        " are not as declared. Check the zero and the axes, level the camera, or free 'gravity_angle'."
     ),
-    Kind.LINK_ZERO: ("The zero of link {link} seems off by {angle:deg}.", "", "Check that sensor's zero."),
+    Kind.LINK_ZERO: "The zero of link {link} seems off by {angle:deg}. | Check that sensor's zero.",
     Kind.ANGLE_SCALE: (
-        "Angles multiplied by {factor:.3g} fit better.",
-        "The sensor's scale is not as declared; ratios move by up to {moved:%}.",
-        "Check what an angle of the sensor is in radians.",
+        "Angles multiplied by {factor:.3g} fit better. | The sensor's scale is not as declared; ratios move by up to "
+        "{moved:%}. Check what an angle of the sensor is in radians."
     ),
-    Kind.RELATIVE: ("It fits as if angles were relative to the link before.", "", "Declare angles='relative'."),
-    Kind.ABSOLUTE: ("It fits as if angles were absolute.", "", "Declare angles='absolute'."),
-    Kind.REVERSED: ("It fits as if {what} were counted from the free end.", "", "Reverse their order."),
-    Kind.SWAPPED: ("It fits as if {what} {first} and {second} were swapped.", "", "Swap them."),
-    Kind.SENSE: ("It fits as if link {link} grew to the other side.", "", "Check its sense."),
-    Kind.ZERO_DIRECTION: ("It fits as if angles were 0 {where}.", "", "Check zero='hanging' or 'up', and the axes."),
-    Kind.DEGREES: ("It fits as if angles were in degrees.", "", "Declare unit='deg'."),
-    Kind.RADIANS: ("It fits as if angles were in radians.", "", "Declare unit='rad'."),
-    Kind.Y_AXIS: ("It fits as if y pointed the other way.", "", "Declare y_axis='up' or 'down'."),
-    Kind.AXES_SWAPPED: ("It fits as if x and y were swapped.", "", "Check the order of the columns."),
-    Kind.MARKER_SCALE: ("Markers divided by {factor:.3g} fit better.", "Their scale is wrong.", "Check the scale."),
+    Kind.RELATIVE: "It fits as if angles were relative to the link before. | Declare angles='relative'.",
+    Kind.ABSOLUTE: "It fits as if angles were absolute. | Declare angles='absolute'.",
+    Kind.REVERSED: "It fits as if {what} were counted from the free end. | Reverse their order.",
+    Kind.SWAPPED: "It fits as if {what} {first} and {second} were swapped. | Swap them.",
+    Kind.SENSE: "It fits as if link {link} grew to the other side. | Check its sense.",
+    Kind.ZERO_DIRECTION: "It fits as if angles were 0 {where}. | Check zero='hanging' or 'up', and the axes.",
+    Kind.DEGREES: "It fits as if angles were in degrees. | Declare unit='deg'.",
+    Kind.RADIANS: "It fits as if angles were in radians. | Declare unit='rad'.",
+    Kind.Y_AXIS: "It fits as if y pointed the other way. | Declare y_axis='up' or 'down'.",
+    Kind.AXES_SWAPPED: "It fits as if x and y were swapped. | Check the order of the columns.",
+    Kind.MARKER_SCALE: "Markers divided by {factor:.3g} fit better. | Their scale is wrong. Check the scale.",
     Kind.MARKER_PLACES: (
-        "The markers seem to be at {places:list} mm along the rope.",
-        "arc_lengths or a length are off; ratios move by up to {moved:%}.",
-        "Measure arc_lengths and lengths again, or free 'arc'.",
+        "The markers seem to be at {places:list} mm along the rope. | arc_lengths or a length are off; ratios move by"
+        " up to {moved:%}. Measure arc_lengths and lengths again, or free 'arc'."
     ),
-    Kind.DELAY: ("The motion seems {delay:.3g} s late in the recording's time.", "", "Free 'delay'."),
-    Kind.ARM_LENGTH: ("The arm seems {length:.3g} m long.", "", "Measure the arm again."),
-    Kind.ARM_INERTIA: ("The arm's inertia seems to be {value:.2g} kg m^2.", "", "Free 'arm_inertia'."),
-    Kind.ARM_FRICTION: ("The arm's friction seems to be {value:.2g} N m s/rad.", "", "Free 'arm_friction'."),
+    Kind.DELAY: "The motion seems {delay:.3g} s late in the recording's time. | Free 'delay'.",
+    Kind.ARM_LENGTH: "The arm seems {length:.3g} m long. | Measure the arm again.",
+    Kind.ARM_INERTIA: "The arm's inertia seems to be {value:.2g} kg m^2. | Free 'arm_inertia'.",
+    Kind.ARM_FRICTION: "The arm's friction seems to be {value:.2g} N m s/rad. | Free 'arm_friction'.",
     Kind.MASS_TAPER: (
-        "The mass of the tip seems {factor:.3g} times that of the begin.",
-        "The mass is not even along the rope; ratios move by up to {moved:%}.",
-        "Give the guess such masses, or free 'mass:taper'.",
+        "The mass of the tip seems {factor:.3g} times that of the begin. | The mass is not even along the rope; "
+        "ratios move by up to {moved:%}. Give the guess such masses, or free 'mass:taper'."
     ),
-    Kind.REST_BEND: ("The rope seems bent at rest, by {angle:deg} a joint.", "", "Free 'rest_angle:shared'."),
+    Kind.REST_BEND: "The rope seems bent at rest, by {angle:deg} a joint. | Free 'rest_angle:shared'.",
     Kind.HELD: (
-        "What is held does not fit: {name} seems to be {values:list}.",
-        "Ratios move by up to {moved:%}.",
-        "Measure it, or free {name}.",
+        "What is held does not fit: {name} seems to be {values:list}. | Ratios move by up to {moved:%}. Measure it, "
+        "or free {name}."
     ),
     Kind.RESISTANCE: (
-        "{name} fits better as {values:list}.",
-        "A resistance is of another kind or size, or changes.",
-        "Free {name}.",
+        "{name} fits better as {values:list}. | A resistance is of another kind or size, or changes. Free {name}."
     ),
     Kind.UNEVEN_RESISTANCE: (
-        "{name} is {factor:.2g} times as large at the {where}.",
-        "The resistance differs along the rope.",
-        "Free {words:list}.",
+        "{name} is {factor:.2g} times as large at the {where}. | The resistance differs along the rope. Free "
+        "{words:list}."
     ),
     Kind.LINKS_TOO_LONG: (
-        "This looks like a rope of finer links (probability {probability:%}).",
-        "Values are off by up to {moved:%} with so few links.",
-        "Use more links.",
+        "This looks like a rope of finer links (probability {probability:%}). | Values are off by up to {moved:%} "
+        "with so few links. Use more links."
     ),
     Kind.NOT_CONVERGED: (
-        "The fit is {how}.",
-        "Values, ratios and deviations are those of its last step, not what the data show.",
-        "Give a better guess, shorter windows, fewer free parameters, or more time.",
+        "The fit is {how}. | Values, ratios and deviations are those of its last step, not what the data show. Give a"
+        " better guess, shorter windows, fewer free parameters, or more time."
     ),
     Kind.POOR_FIT: (
-        "{what} is {rms:.3g} {unit} off, and moves by {motion:.3g} {unit} (rms) within the windows.",
-        "The model does not describe this motion.",
-        "Check units, zero and sense of the recording, link lengths, the motion of the base, and the guess.",
+        "{what} is {rms:.3g} {unit} off, and moves by {motion:.3g} {unit} (rms) within the windows. | The model does "
+        "not describe this motion. Check units, zero and sense of the recording, link lengths, the motion of the "
+        "base, and the guess."
     ),
     Kind.POOR_TORQUE: (
-        "The torque is {rms:.3g} N m off, and moves by {motion:.3g} N m (rms) within the windows.",
-        "Masses, inertias and frictions mean nothing until it fits.",
-        "Check its sign (positive turns the arm to larger angles) and its unit, N m.",
+        "The torque is {rms:.3g} N m off, and moves by {motion:.3g} N m (rms) within the windows. | Masses, inertias "
+        "and frictions mean nothing until it fits. Check its sign (positive turns the arm to larger angles) and its "
+        "unit, N m."
     ),
     Kind.MASS_FAR: (
-        "Link {link} would have its mass {reach:.3g} times as far from its joint as it is long.",
-        "Inertia over first moment is more than a link can have.",
-        "Check times, frame rate, scale, lengths and the order of the links.",
+        "Link {link} would have its mass {reach:.3g} times as far from its joint as it is long. | Inertia over first "
+        "moment is more than a link can have. Check times, frame rate, scale, lengths and the order of the links."
     ),
     Kind.PREDICTION_FAILED: (
-        "{failed} of {count} predictions of the held-out part failed (from t = {times:list} s).",
-        "The identified rope cannot be simulated there.",
-        "Inspect the held-out part, or fit all (train=inf).",
+        "{failed} of {count} predictions of the held-out part failed (from t = {times:list} s). | The identified rope"
+        " cannot be simulated there. Inspect the held-out part, or fit all (train=inf)."
     ),
     Kind.PREDICTION_POOR: (
-        "Predictions of the held-out part err by {part:%} of what no motion at all would.",
-        "The model omits an effect, or something is not as declared.",
-        COMPARE,
+        "Predictions of the held-out part err by {part:%} of what no motion at all would. | The model omits an "
+        "effect, or something is not as declared. " + COMPARE
     ),
     Kind.PREDICTION_OUTSIDE: (
-        "Only {part:%} of the held-out part lies where 95 % is expected.",
-        "Intervals are far too small: the model omits an effect, or something is not as declared.",
-        COMPARE,
+        "Only {part:%} of the held-out part lies where 95 % is expected. | Intervals are far too small: the model "
+        "omits an effect, or something is not as declared. " + COMPARE
     ),
     Kind.WINDOWS_DISAGREE: (
-        "{label} scatters between windows {times:.2g} times as much as noise makes it (std {part:%}).",
-        "Something changes over the recording, or was left out.",
-        "Fit parts of the recording separately.",
+        "{label} scatters between windows {times:.2g} times as much as noise makes it (std {part:%}). | Something "
+        "changes over the recording, or was left out. Fit parts of the recording separately."
     ),
     Kind.RESISTANCE_CHANGES: (
-        "{label} scatters between windows {times:.2g} times as much as noise makes it (std {part:%}).",
-        "A resistance changes, or is of another kind.",
-        "",
+        "{label} scatters between windows {times:.2g} times as much as noise makes it (std {part:%}). | A resistance "
+        "changes, or is of another kind."
     ),
     Kind.NOTHING_KNOWN: (
-        "No ratio of moments and inertias is known better than to {limit:%}.",
-        "The recording determines too little.",
-        "Record longer or larger swings, or more frames a second.",
+        "No ratio of moments and inertias is known better than to {limit:%}. | The recording determines too little. "
+        "Record longer or larger swings, or more frames a second."
     ),
     Kind.GRAVITY_ROTATED: (
-        "Gravity is rotated by {angle:deg}.",
-        "Axes or zero may not be as declared.",
-        "Check zero, y_axis and the order of the axes.",
+        "Gravity is rotated by {angle:deg}. | Axes or zero may not be as declared. Check zero, y_axis and the order "
+        "of the axes."
     ),
     Kind.UNTESTED: (
-        "This motion tests neither times nor lengths.",
-        "If they are wrong by more than declared, moments and inertias are too (clock 1 % off: J/p1 2 % off).",
-        "Check the frame rate.",
+        "This motion tests neither times nor lengths. | If they are wrong by more than declared, moments and inertias"
+        " are too (clock 1 % off: J/p1 2 % off). Check the frame rate."
     ),
     Kind.POORLY_DETERMINED: (
-        "Poorly determined: {labels:list}.",
-        "Their standard deviations are large; all other {others} are known better.",
-        "Record longer or larger swings, or hold what you know otherwise.",
+        "Poorly determined: {labels:list}. | Their standard deviations are large; all other {others} are known "
+        "better. Record longer or larger swings, or hold what you know otherwise."
     ),
     Kind.LONE_START: (
-        "Only one of {starts} starts came to this fit.",
-        "It may be a local optimum.",
-        "Give a better guess, or shorter windows.",
+        "Only one of {starts} starts came to this fit. | It may be a local optimum. Give a better guess, or shorter "
+        "windows."
     ),
     Kind.NOISE_UNDERSTATED: (
-        "Residuals are {times:.3g} times as large as the declared noise.",
-        "The noise is larger, or the model omits an effect; parameters may be biased beyond their intervals.",
-        "",
+        "Residuals are {times:.3g} times as large as the declared noise. | The noise is larger, or the model omits an"
+        " effect; parameters may be biased beyond their intervals."
     ),
     Kind.COLOURED: (
-        "Residuals are correlated, over {samples:.0f} samples.",
-        "The noise is coloured, or the model omits an effect; deviations include other resistances, not more.",
-        "",
+        "Residuals are correlated, over {samples:.0f} samples. | The noise is coloured, or the model omits an effect;"
+        " deviations include other resistances, not more."
     ),
     Kind.NOT_STATIONARY: (
-        "No stationary noise explains the residuals.",
-        "Standard deviations and intervals may be far too small.",
-        "",
+        "No stationary noise explains the residuals. | Standard deviations and intervals may be far too small."
     ),
     Kind.FEW_VALUES: (
-        "The residuals are worth about {values:.2g} independent values.",
-        "Standard deviations and intervals are little more than a guess.",
-        "Record longer, or free fewer parameters.",
+        "The residuals are worth about {values:.2g} independent values. | Standard deviations and intervals are "
+        "little more than a guess. Record longer, or free fewer parameters."
     ),
     Kind.BETTER_OPTIMUM: (
-        "Near {name} the squares fall {gain:.3g} residual variances below this fit.",
-        "It is not the best one.",
-        "Fit again with rope_guess=hyperflex.identification.profile(found, '{name}').better.",
+        "Near {name} the squares fall {gain:.3g} residual variances below this fit. | It is not the best one. Fit "
+        "again with rope_guess=hyperflex.identification.profile(found, '{name}').better."
     ),
     Kind.PROFILE_GIVEN_UP: (
-        "The profile of {name} took too long to follow to its ends.",
-        "Its interval is that of the standard deviation.",
-        "",
+        "The profile of {name} took too long to follow to its ends. | Its interval is that of the standard deviation."
     ),
     Kind.TORQUE_SCALE: (
-        "Masses, inertias and frictions are proportional to the torque as measured.",
-        "A torque 1 % too large makes them 1 % too large; standard deviations include torque_std.",
-        "Check its scale with a known weight.",
+        "Masses, inertias and frictions are proportional to the torque as measured. | A torque 1 % too large makes "
+        "them 1 % too large; standard deviations include torque_std. Check its scale with a known weight."
     ),
     Kind.HELD_SCALE: (
-        "Masses, inertias and frictions are proportional to the held masses and centres of mass.",
-        "No motion tests these{sensitivity}.",
-        "Use ratios alone, or weigh the links and find where each balances.",
+        "Masses, inertias and frictions are proportional to the held masses and centres of mass. | No motion tests "
+        "these{sensitivity}. Use ratios alone, or weigh the links and find where each balances."
     ),
     Kind.COMMON_FACTOR: (
-        "Masses, inertias and frictions share a factor that no free swing shows.",
-        "Ratios are known.",
-        "Use ratios alone, or weigh the links and hold 'mass' and 'com'.",
+        "Masses, inertias and frictions share a factor that no free swing shows. | Ratios are known. Use ratios "
+        "alone, or weigh the links and hold 'mass' and 'com'."
     ),
     Kind.UNDETECTABLE: (
-        "Times and lengths are tested against each other only.",
-        "With a clock 1 % off and all lengths 2 % off a rope moves exactly alike, and J/p1 is 2 % off.",
-        "Check the frame rate, or one length.",
+        "Times and lengths are tested against each other only. | With a clock 1 % off and all lengths 2 % off a rope "
+        "moves exactly alike, and J/p1 is 2 % off. Check the frame rate, or one length."
     ),
     Kind.FRICTION_MODEL: (
-        "Friction would change by up to {part:%} with {name} free as well.",
-        "It stands for all that brakes: a model error.",
-        "",
+        "Friction would change by up to {part:%} with {name} free as well. | It stands for all that brakes: a model "
+        "error."
     ),
     Kind.WINDOWS_LEFT_OUT: (
-        "{part:%} of the windows were left out.",
-        "They have too few samples, or the rope could not be simulated from their states.",
-        "",
+        "{part:%} of the windows were left out. | They have too few samples, or the rope could not be simulated from "
+        "their states."
     ),
-    Kind.IDENTIFIABLE: ("All free parameters are identifiable, given those that were held.", "", ""),
+    Kind.IDENTIFIABLE: "All free parameters are identifiable, given those that were held.",
     Kind.COMBINATION: (
-        "{count} combination(s) of {names:list} cannot be known.",
-        "They act alike in this motion; their values are one choice of many. {ratios}",
-        "Hold what you can measure otherwise, such as 'mass' and 'com', or record another motion.",
+        "{count} combination(s) of {names:list} cannot be known. | They act alike in this motion; their values are "
+        "one choice of many. {ratios} Hold what you can measure otherwise, such as 'mass' and 'com', or record "
+        "another motion."
     ),
     Kind.NO_EFFECT: (
-        "{names:list} cannot be known.",
-        "What has no effect in this motion has values that mean nothing.",
-        "Hold them, or record a motion in which they act.",
+        "{names:list} cannot be known. | What has no effect in this motion has values that mean nothing. Hold them, "
+        "or record a motion in which they act."
     ),
-    Kind.AT_ZERO: ("{names:list} went to 0, the least allowed.", "The data show none of it.", ""),
-    Kind.NOT_ESTIMATED: ("The fit ended before standard deviations and intervals were computed.", "", ""),
-    Kind.CHOSEN: ("Free by default: {usual:list}.", "Added because the recording shows it: {added:list}.", ""),
-    Kind.HELD_VALUES: ("Held as given: {names:list}.", "A standard deviation of 0 is no accuracy.", ""),
+    Kind.AT_ZERO: "{names:list} went to 0, the least allowed. | The data show none of it.",
+    Kind.NOT_ESTIMATED: "The fit ended before standard deviations and intervals were computed.",
+    Kind.CHOSEN: "Free by default: {usual:list}. | Added because the recording shows it: {added:list}.",
+    Kind.HELD_VALUES: "Held as given: {names:list}. | A standard deviation of 0 is no accuracy.",
 }
 
 
@@ -293,14 +246,14 @@ def percent(part: float) -> str:
 
 def text(finding: Finding) -> str:
     """Return a finding as one line: what was seen, what it means, what to do."""
-    seen, means, advice = (_Formatter().vformat(each, (), finding.values) for each in TEXTS[finding.kind])
+    seen, _, rest = _Formatter().vformat(TEXTS[finding.kind], (), finding.values).partition(" | ")
     if finding.gain > 0.0 and "left" not in finding.values:
         seen += f" It explains {percent(finding.gain)} of the residuals' sum of squares{_others(finding)}."
     if "before" in finding.values:
         seen += " A short fit leaves {left:%} of the motion then, {before:%} as declared."
         seen = _Formatter().vformat(seen, (), finding.values)
     maybe = "Possible: " if finding.severity is Severity.DOUBT and finding.gain > 0.0 else ""
-    return maybe + " ".join(each for each in (seen, means, advice) if each)
+    return f"{maybe}{seen} {rest}".rstrip()
 
 
 def _others(finding: Finding) -> str:
@@ -312,12 +265,7 @@ def _others(finding: Finding) -> str:
 
 def report(grade: Grade, findings: Sequence[Finding], *, full: bool = False) -> str:
     """Return the grade and one line for each finding; at most LINES lines unless `full`, notes only then."""
-    lines = lines_of(findings if full else [each for each in findings if each.severity > Severity.NOTE])
-    shown = lines if full or len(lines) < LINES else lines[: LINES - 2]
-    more = [f"and {len(lines) - len(shown)} more: report(full=True)"] if len(shown) < len(lines) else []
-    return "\n".join([GRADES[grade], *(f"  {line}" for line in (*shown, *more))])
-
-
-def lines_of(findings: Iterable[Finding]) -> list[str]:
-    """Return the texts of findings."""
-    return [text(each) for each in findings]
+    lines = [text(each) for each in findings if full or each.severity > Severity.NOTE]
+    if len(lines) >= LINES and not full:
+        lines[LINES - 2 :] = [f"and {len(lines) - LINES + 2} more: report(full=True)"]
+    return "\n  ".join([f"{grade.capitalize()}.", *lines])

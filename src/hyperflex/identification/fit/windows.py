@@ -38,6 +38,7 @@ class WindowOptions:
 
 
 CUT = WindowOptions()
+WEIGHTLESS = 1.0  # s, taken for the period of a swing where nothing pulls
 
 
 @dataclass(frozen=True)
@@ -83,10 +84,15 @@ def part_left(windows: Sequence[Window], residuals: Sequence[Array]) -> float:
     return float(np.sqrt(left / moved)) if moved > 0.0 else np.inf
 
 
+def swing_period(rope: Rope) -> float:
+    """Return the period, s, of a small swing of a straight rod as long as the rope; inf without gravity."""
+    gravity = float(np.hypot(*rope.gravity))
+    return 2.0 * np.pi * float(np.sqrt(2.0 * rope.total_length / (3.0 * gravity))) if gravity > 0.0 else np.inf
+
+
 def usual_length(recording: Recording, rope: Rope) -> float:
     """Return a window length (s): some periods of a small swing of a rod as long as the rope, less for fast links."""
-    gravity = float(np.hypot(*rope.gravity))
-    period = 2.0 * np.pi * float(np.sqrt(2.0 * rope.total_length / (3.0 * gravity))) if gravity > 0.0 else 1.0
+    period = swing_period(rope) if rope.gravity.any() else WEIGHTLESS
     fastest = max(rms_rate(recording.t, column) for column in recording.data.T)
     spacing = float(np.median(np.diff(recording.t)))
     return max(min(CUT.part * period, CUT.turn / fastest if fastest > 0.0 else np.inf), CUT.fewest * spacing)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hyperflex.identification import BAND, GRADES, Identification, Severity, text
+from hyperflex.identification import BAND, Identification, Severity, text
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.report.folder import whole_folder
@@ -103,7 +103,8 @@ def _assessment(found: Identification) -> Section:
                 )
             )
     marks = tuple((each.severity is Severity.NOTE, text(each)) for each in found.findings)
-    return Section("Assessment", verdict=(found.success, GRADES[found.grade]), tiles=tuple(tiles), marks=marks)
+    verdict = found.success, f"{found.grade.capitalize()}."
+    return Section("Assessment", verdict=verdict, tiles=tuple(tiles), marks=marks)
 
 
 def _found(found: Identification, guess: Rope | None) -> list[Section]:
