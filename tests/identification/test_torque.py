@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -182,7 +183,7 @@ def test_what_the_plant_sees_is_what_the_simulator_calls_motor_torque() -> None:
     assert seen is not None
     # two runs of tolerances 1e-9 and 6e-8 m
     np.testing.assert_allclose(seen[:, 2], swing.motor_torque[:60], atol=1e-5 * np.abs(swing.motor_torque).max())
-    assert subject.without_torque().motor is None
+    assert replace(subject, torque=False).motor is None
 
 
 # ---- the twin

@@ -5,7 +5,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.declarations.evidence import unlike_lengths
-from hyperflex.identification.fit.windows import CUT, rms_rate, swing_period
+from hyperflex.identification.fit.windows import STILL, rms_rate, swing_period
 from hyperflex.identification.texts import text
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -72,11 +72,11 @@ def check_motion(shape: Recording, channels: Recording | None = None) -> None:
     Motion beyond the declared noise passes, and smooth motion: it is more autocorrelated than the same values shuffled.
     """
     swing = np.nanmax(shape.data, axis=0) - np.nanmin(shape.data, axis=0)
-    if not (swing > CUT.still).any():
+    if not (swing > STILL).any():
         raise InvalidInput(
             "nothing moves in the recording",
             got=f"largest swing {swing.max():.3g} rad",
-            allowed=f"more than {CUT.still:g} rad",
+            allowed=f"more than {STILL:g} rad",
             fix="Record a free swing, or check the unit of the angles",
         )
     channels = channels or shape

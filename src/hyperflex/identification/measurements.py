@@ -9,7 +9,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit.windows import CUT, Window, cut_windows
+from hyperflex.identification.fit.windows import STILL, Window, cut_windows
 from hyperflex.identification.model.parameters import Parameters, parse
 from hyperflex.identification.model.plant import Plant, pivot_places
 from hyperflex.identification.options import FitOptions, RecordingSetup
@@ -80,7 +80,7 @@ def refuse_still_markers(recording: Recording, arc_lengths: Array) -> None:
     reach = np.hypot(*(np.nanmax(places, axis=0) - np.nanmin(places, axis=0)).T)
     beyond = arc_lengths > 1e-9 * arc_lengths.max()
     swing = reach[beyond] / arc_lengths[beyond]
-    if swing.max() > CUT.still and (swing < STUCK * swing.max()).any():
+    if swing.max() > STILL and (swing < STUCK * swing.max()).any():
         marker = int(np.flatnonzero(beyond)[np.argmin(swing)])
         raise InvalidInput(
             f"marker {marker} never moves while others do",

@@ -16,43 +16,35 @@ from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import STEPS, Fit, Report, fit, fit_state, with_entries
-from hyperflex.identification.fit.windows import CUT, Window, decimation_step, nearest_turn, part_left
+from hyperflex.identification.fit.multiple_shooting import HARDLY, Fit, Report, fit, fit_state, with_entries
+from hyperflex.identification.fit.windows import FEWEST_SAMPLES, Window, decimation_step, nearest_turn, part_left
 from hyperflex.identification.measurements import Measurements
 from hyperflex.identification.model.parameters import Parameters
 from hyperflex.identification.model.plant import Plant
 from hyperflex.interruption import stoppable
 
-
-@dataclass(frozen=True)
-class SearchOptions:
-    """How the fit searches."""
-
-    # windows so many times shorter come first; how many, spread over the recording
-    first: int = 8
-    first_windows: int = 40
-    # times what a value of the middle window costs, or of known noise: worth another state, or start
-    worse: float = 2.0
-    # part of its cost: more is the same state again
-    better: float = 0.98
-    # part of the motion that a fit without known noise leaves, from which it is tried from other starts
-    bad: float = 0.05
-    # further starts of an ambiguous recording, and by which factor, its logarithm, at most
-    scattered: int = 3
-    spread: float = 0.7
-    # ratio of costs within which two starts have come to the same
-    alike: float = 1.05
-    # of the grid on either side of 0; windows; rounds of their states
-    delay_steps: int = 16
-    delay_windows: int = 4
-    delay_rounds: int = 2
-    # part of the cost without delay that another must come below
-    clearly: float = 0.8
-    # of the derivatives of all values that are in memory at once
-    copies: int = 4
-
-
-SEARCH = SearchOptions()
+# windows so many times shorter come first; how many, spread over the recording
+FIRST = 8
+FIRST_WINDOWS = 40
+# times what a value of the middle window costs, or of known noise: worth another state, or start
+WORSE = 2.0
+# part of its cost: more is the same state again
+BETTER = 0.98
+# part of the motion that a fit without known noise leaves, from which it is tried from other starts
+BAD = 0.05
+# further starts of an ambiguous recording, and by which factor, its logarithm, at most
+SCATTERED = 3
+SPREAD = 0.7
+# ratio of costs within which two starts have come to the same
+ALIKE = 1.05
+# of the grid on either side of 0; windows; rounds of their states
+DELAY_STEPS = 16
+DELAY_WINDOWS = 4
+DELAY_ROUNDS = 2
+# part of the cost without delay that another must come below
+CLEARLY = 0.8
+# of the derivatives of all values that are in memory at once
+COPIES = 4
 
 
 @dataclass
@@ -87,7 +79,7 @@ def multi_start(
     )
     values = measured.channels.data.size // step
     memory.check(
-        8.0 * SEARCH.copies * values * (2 * links + count),
+        8.0 * COPIES * values * (2 * links + count),
         f"a fit of {count} parameters of {links} links to {values} values",
         "Free fewer parameters, or give a part of the recording",
     )
@@ -128,8 +120,8 @@ class MultiStart:
     def is_bad(self, windows: Sequence[Window], found: Fit) -> bool:
         """Whether values cost twice what known noise does, or a fit leaves a large part of the motion."""
         if self.measured.channels.noise is not None:
-            return found.cost - found.prior_cost > SEARCH.worse * sum(window.values for window in windows)
-        return not found.converged or part_left(windows, found.residuals) > SEARCH.bad
+            return found.cost - found.prior_cost > WORSE * sum(window.values for window in windows)
+        return not found.converged or part_left(windows, found.residuals) > BAD
 
     def stages(self, length: float, usual: float) -> Iterator[Fitted]:
         """Yield fits of shorter windows, then of those of `length`, s; the last one if it was ended early."""
@@ -141,7 +133,7 @@ class MultiStart:
             step = decimation_step(channels, part)
             windows, dropped = self.measured.windows(part, step)
             if part < length:
-                windows = windows[:: max(1, len(windows) // SEARCH.first_windows)]
+                windows = windows[:: max(1, len(windows) // FIRST_WINDOWS)]
                 if not self._enough(windows):
                     continue
             stage = {"window": part, "stage": number, "stages": len(lengths)}
@@ -153,7 +145,7 @@ class MultiStart:
                 if part == length:
                     found = self.settled(usable, x, states, heard)
                 else:
-                    found = self.fit(usable, x, states, heard, enough=STEPS.hardly)
+                    found = self.fit(usable, x, states, heard, enough=HARDLY)
             if found is None and usable:
                 found = stop.partial
             if found is None:
@@ -173,7 +165,7 @@ class MultiStart:
         """
         best, rng, parameters = done[-1], np.random.default_rng(0), self.plant.parameters
         guess = parameters.start
-        factors = np.exp(rng.uniform(-SEARCH.spread, SEARCH.spread, (SEARCH.scattered * self.ambiguous, guess.size)))
+        factors = np.exp(rng.uniform(-SPREAD, SPREAD, (SCATTERED * self.ambiguous, guess.size)))
         starts = [guess, *(each.fit.x for each in done[:-1]), *(parameters.scaled(guess, each) for each in factors)]
         costs = [best.fit.cost]
         for number, x in enumerate(starts):
@@ -194,7 +186,7 @@ class MultiStart:
                 best.fit.status = tried.status
                 break
         if len(costs) > 1:
-            agree = sum(cost <= SEARCH.alike * best.fit.cost for cost in costs)
+            agree = sum(cost <= ALIKE * best.fit.cost for cost in costs)
             best.settings |= {"starts": len(costs), "starts_agree": agree}
 
     def settled(self, windows: Sequence[Window], x: Array, states: list[Array], report: Report) -> Fit:
@@ -207,7 +199,7 @@ class MultiStart:
                 each = list(zip(windows, states, best.residuals, strict=True))
                 costs = np.array([loss.cost(residual) / window.values for window, _, residual in each])
                 limit = float(np.median(costs))
-                poor = np.flatnonzero(costs > SEARCH.worse * (min(limit, 1.0) if known_noise else limit)).tolist()
+                poor = np.flatnonzero(costs > WORSE * (min(limit, 1.0) if known_noise else limit)).tolist()
                 before = {k: best.window_cost(*each[k]) for k in poor}
                 if not self.search_states(windows, best.x, states, poor, loss, before):
                     break
@@ -236,11 +228,11 @@ class MultiStart:
         for k in which:
             self.budget.check()
             starts = restart_states(self.plant, windows, x, states, k)
-            best = fit_state(self.plant, x, windows[k], *starts, loss=loss, enough=STEPS.hardly)
+            best = fit_state(self.plant, x, windows[k], *starts, loss=loss, enough=HARDLY)
             if best is None:
                 continue
             cost = loss.cost(best[1]) + windows[k].prior_cost(best[0])
-            if before is None or cost < SEARCH.better * before[k]:
+            if before is None or cost < BETTER * before[k]:
                 states[k] = best[0]
                 found.append(k)
         return found
@@ -272,7 +264,7 @@ class MultiStart:
             if window.others and kept and refine:
                 starts += arrived(self.plant, x, kept[-1], states[-1], window)
             rounds = 30 if refine or window.others else 0
-            found = fit_state(self.plant, x, window, *starts, loss=self.loss, rounds=rounds, enough=STEPS.hardly)
+            found = fit_state(self.plant, x, window, *starts, loss=self.loss, rounds=rounds, enough=HARDLY)
             if found is not None:
                 kept.append(window)
                 states.append(found[0])
@@ -292,8 +284,8 @@ def stage_lengths(length: float, usual: float, spacing: float, *, short: bool = 
     lengths = [length]
     while lengths[0] > 2.0 * usual:
         lengths.insert(0, 0.5 * lengths[0])
-    if short and lengths[0] / SEARCH.first >= CUT.fewest * spacing:
-        lengths.insert(0, lengths[0] / SEARCH.first)
+    if short and lengths[0] / FIRST >= FEWEST_SAMPLES * spacing:
+        lengths.insert(0, lengths[0] / FIRST)
     return lengths
 
 
@@ -321,23 +313,23 @@ def search_delay(plant: Plant, measured: Measurements, length: float, loss: Loss
     A grid, since the cost has a minimum for each swing. `plant` is without torque, its delay free.
     """
     windows = measured.windows(length, decimation_step(measured.channels, length))[0]
-    windows = windows[:: -(-len(windows) // SEARCH.delay_windows)] if windows else []
+    windows = windows[:: -(-len(windows) // DELAY_WINDOWS)] if windows else []
 
     def cost(delay: float) -> float:
         x, total = with_delay(plant, delay).parameters.start, 0.0
         for window in windows:
-            found = fit_state(plant, x, window, window.guess, loss=loss, rounds=SEARCH.delay_rounds)
+            found = fit_state(plant, x, window, window.guess, loss=loss, rounds=DELAY_ROUNDS)
             if found is None:
                 return np.inf
             total += float(np.minimum(found[1] ** 2, 9.0 * np.median(found[1] ** 2)).sum())  # outliers count little
         return total
 
-    delays = length / SEARCH.delay_steps * np.arange(-SEARCH.delay_steps, SEARCH.delay_steps + 1)
+    delays = length / DELAY_STEPS * np.arange(-DELAY_STEPS, DELAY_STEPS + 1)
     best = min(delays.tolist(), key=cost)
-    return best if cost(best) < SEARCH.clearly * cost(0.0) else 0.0
+    return best if cost(best) < CLEARLY * cost(0.0) else 0.0
 
 
 def with_delay(plant: Plant, delay: float) -> Plant:
     """Return the model with its delay starting from `delay`, s."""
     every = [replace(each, start=delay) if each.name == "delay" else each for each in plant.parameters.all]
-    return plant.with_parameters(Parameters(plant.parameters.guess, every))
+    return replace(plant, parameters=Parameters(plant.parameters.guess, every))

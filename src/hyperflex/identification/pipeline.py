@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,14 +32,14 @@ from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import Report
-from hyperflex.identification.fit.windows import part_left, usual_length, with_enough_frames
+from hyperflex.identification.fit.windows import part_left, usual_length
 from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements, split, with_torque
 from hyperflex.identification.model.plant import ANGLES, Plant
 from hyperflex.identification.multi_start import multi_start, search_delay, with_delay
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
 from hyperflex.identification.result import Identification
-from hyperflex.identification.symptoms import LIMITS, residuals_of, symptoms
+from hyperflex.identification.symptoms import POOR, residuals_of, symptoms
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information, of_ratios
 from hyperflex.identification.uncertainty.model_error import with_model_error
 from hyperflex.identification.uncertainty.profile import all_intervals
@@ -250,7 +250,9 @@ class _Case:
                     trial.basis = with_model_error(trial.plain, trial.tests, stds, scatter)
                 ranges = self._intervals(trial, remarks)
                 if self.rest is not None:
-                    plant = trial.basis.plant.without_torque()  # what is held out is predicted without force or torque
+                    plant = replace(
+                        trial.basis.plant, torque=False
+                    )  # what is held out is predicted without force or torque
                     spread = prediction_uncertainty(trial.basis, self.untorqued.channels.data.shape[1])
                     held_out = predict(plant, done.x, self.rest, self.options, spread)
                 with deferred():
@@ -301,10 +303,10 @@ class _Case:
         """Return the fit of these parameters, its covariance (of noise alone) and score tests."""
         shape, loss = self.seen.shape, Loss(self.options.loss)
         plant = build_plant(self.recording, self.guess, free, self.places, self.setup)
-        usual = with_enough_frames(usual_length(shape, self.guess), shape)
+        usual = usual_length(shape, self.guess)
         delay = {}
         if "delay" in free:
-            delay["delay_from"] = search_delay(plant.without_torque(), self.untorqued, usual, loss)
+            delay["delay_from"] = search_delay(replace(plant, torque=False), self.untorqued, usual, loss)
             plant = with_delay(plant, delay["delay_from"])
         wanted = usual if self.options.window is None else self.options.window
         length = min(wanted, 1.001 * self.seen.channels.duration)
@@ -363,7 +365,7 @@ class _Case:
         basis, how = trial.basis, self.options.intervals
         if how is None or not basis.information.estimated:
             return None
-        wrong = first_misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > LIMITS.poor
+        wrong = first_misdeclared(trial.tests) or part_left(basis.windows, basis.fit.residuals) > POOR
         if not trial.complete or (how == "auto" and wrong):
             how = "covariance"  # profiles of a fit that is wrong say nothing, and take long
         return all_intervals(basis, how, remarks=remarks, budget=self.budget, report=self.report)

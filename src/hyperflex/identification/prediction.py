@@ -8,7 +8,7 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.identification.fit.loss import Loss
 from hyperflex.identification.fit.multiple_shooting import fit_state, linearise
-from hyperflex.identification.fit.windows import CUT, Window, decimation_step, first_state
+from hyperflex.identification.fit.windows import LEAST_VALUES, Window, decimation_step, first_state
 from hyperflex.identification.measurements import Measurements
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.options import FitOptions
@@ -107,7 +107,7 @@ def predict(
         before = (t >= start - lead - slack) & (t < start + slack)
         after = (t > start + slack) & (t <= start + ahead + slack)
         known = ~np.isnan(data[before])
-        if not after.any() or (~np.isnan(angles[before])).sum(axis=0).min() < CUT.least:
+        if not after.any() or (~np.isnan(angles[before])).sum(axis=0).min() < LEAST_VALUES:
             continue
         guess = first_state(t[before], angles[before])
         window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, prior)

@@ -1,7 +1,7 @@
 """What a fit shows of itself: whether it fits and predicts, what it determines, and what its values stand for."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,45 +29,38 @@ from hyperflex.sensors import Angles
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
 
 
-@dataclass(frozen=True)
-class FitLimits:
-    """Limits from which a fit is reported as poor, poorly determined or odd."""
-
-    # Of the fit: part of the motion that may stay unexplained (right fits of real pendulums leave 0.1 to 1 %); the
-    # same where what stays is white, so that it is noise, and of a torque, which sensors or currents do not tell
-    # better
-    poor: float = 0.05
-    white_poor: float = 0.2
-    # times the declared noise: residuals below show less noise, or are as good as the recording
-    quiet: float = 0.5
-    noisy: float = 1.5
-    # times the declared noise's variance: twice as much is no mistake of whoever declared it
-    unexplained: float = 4.0
-    # rad, of gravity's angle: 11 degrees, more than any camera that was meant to be level
-    axes: float = 0.2
-    # lengths of a link, to which its mass may reach; 1 is the most without counterweights (Cauchy-Schwarz)
-    reach: float = 2.0
-    # Of the prediction: part of the error that no motion would make; parts of the values within the 95 % band: fewer
-    # than half are there where deviations are 2.9 times too small, and with 0.9 the error is about as stated
-    persistence: float = 0.5
-    inside: float = 0.5
-    as_stated: float = 0.9
-    # std over value, beyond which it is poorly determined; of frictions, stiffnesses
-    loose: float = 0.15
-    friction_loose: float = 0.3
-    # part of a friction: by more than another law would change it, it is called a model error
-    friction_moves: float = 0.1
-    # part of the windows
-    left_out: float = 0.2
-    # samples
-    correlated: float = 10.0
-    # independent values; a variance from fewer has no std
-    least_freedom: float = 2.0
-    # of centres of mass: the change that people think in
-    per_cent: float = 0.01
-
-
-LIMITS = FitLimits()
+# Of the fit: part of the motion that may stay unexplained (right fits of real pendulums leave 0.1 to 1 %); the
+# same where what stays is white, so that it is noise, and of a torque, which sensors or currents do not tell
+# better
+POOR = 0.05
+WHITE_POOR = 0.2
+# times the declared noise: residuals below show less noise, or are as good as the recording
+QUIET = 0.5
+NOISY = 1.5
+# times the declared noise's variance: twice as much is no mistake of whoever declared it
+UNEXPLAINED = 4.0
+# rad, of gravity's angle: 11 degrees, more than any camera that was meant to be level
+AXES = 0.2
+# lengths of a link, to which its mass may reach; 1 is the most without counterweights (Cauchy-Schwarz)
+REACH = 2.0
+# Of the prediction: part of the error that no motion would make; parts of the values within the 95 % band: fewer
+# than half are there where deviations are 2.9 times too small, and with 0.9 the error is about as stated
+PERSISTENCE = 0.5
+INSIDE = 0.5
+AS_STATED = 0.9
+# std over value, beyond which it is poorly determined; of frictions, stiffnesses
+LOOSE = 0.15
+FRICTION_LOOSE = 0.3
+# part of a friction: by more than another law would change it, it is called a model error
+FRICTION_MOVES = 0.1
+# part of the windows
+LEFT_OUT = 0.2
+# samples
+CORRELATED = 10.0
+# independent values; a variance from fewer has no std
+LEAST_FREEDOM = 2.0
+# of centres of mass: the change that people think in
+PER_CENT = 0.01
 
 
 def symptoms(
@@ -103,8 +96,8 @@ def _of_fit(basis: Basis) -> Iterator[Finding]:
     if fit.status is not None or not fit.converged:
         yield Finding(Kind.NOT_CONVERGED, Severity.WRONG, {"how": fit.status or "not converged"})
     rms, spread, noise = _sizes(basis)
-    least, excused = LIMITS.white_poor * spread, LIMITS.noisy * noise
-    most = np.maximum(least, excused) if white else np.maximum(LIMITS.poor * spread, np.minimum(least, excused))
+    least, excused = WHITE_POOR * spread, NOISY * noise
+    most = np.maximum(least, excused) if white else np.maximum(POOR * spread, np.minimum(least, excused))
     seen = rms.size - (basis.plant.motor is not None)  # a torque is the last channel
     worst = int(np.argmax(np.where(rms > excused * white, rms / np.maximum(spread, 1e-12), 0.0)[:seen]))
     if rms[worst] > most[worst]:
@@ -148,9 +141,9 @@ def _of_prediction(held_out: HeldOut | None) -> Iterator[Finding]:
         return
     held_out = held_out.foreseeable
     error, still = float(np.sqrt(np.mean(held_out.rms**2))), held_out.persistence
-    if error > LIMITS.persistence * still > 0.0 and not held_out.inside >= LIMITS.as_stated:
+    if error > PERSISTENCE * still > 0.0 and not held_out.inside >= AS_STATED:
         yield Finding(Kind.PREDICTION_POOR, Severity.WRONG, {"part": error / still})
-    elif held_out.inside < LIMITS.inside:
+    elif held_out.inside < INSIDE:
         yield Finding(Kind.PREDICTION_OUTSIDE, Severity.WRONG, {"part": held_out.inside})
 
 
@@ -174,7 +167,7 @@ def _far(rope: Rope) -> Iterator[Finding]:
     p, inertia = lumped(rope)
     reach = inertia / np.where(p > 0.0, p, np.inf) / rope.length
     k = int(np.argmax(reach))
-    if reach[k] > LIMITS.reach:
+    if reach[k] > REACH:
         yield Finding(Kind.MASS_FAR, Severity.WRONG, {"link": k, "reach": float(reach[k])})
 
 
@@ -189,22 +182,22 @@ def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
     known = {name: (std > 0.0) & (std < np.inf) for name, std in spreads.items()}
     parts = {name: spreads[name] * known[name] / np.maximum(np.abs(every[name]), 1e-300) for name in every}
     masses = np.concatenate([parts[name][known[name]] for name in MASSES])
-    nothing = masses.size > 0 and bool((masses > LIMITS.loose).all())
+    nothing = masses.size > 0 and bool((masses > LOOSE).all())
     std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
     by_ratios = {"mass", "com", "inertia", *LAWS} if basis.plant.motor is None else set()
     loose: dict[str, float] = {}
     for each, value, spread in zip(parameters.all, values, std, strict=True):
-        least = (LIMITS.friction_loose if each.name in LAWS else LIMITS.loose) * value
+        least = (FRICTION_LOOSE if each.name in LAWS else LOOSE) * value
         if each.kind.form != "linear" and each.name not in by_ratios and 0.0 < least < spread < np.inf:
             loose[each.label] = float(spread / value)
     for name, own in parts.items():
-        wide = np.flatnonzero(own > (LIMITS.loose if name in MASSES else LIMITS.friction_loose))
+        wide = np.flatnonzero(own > (LOOSE if name in MASSES else FRICTION_LOOSE))
         if 1 < wide.size == np.count_nonzero(own):
             loose[name] = float(own.max())
         else:
             loose |= {f"{name}[{k}]": float(own[k]) for k in wide}
-    found = [Finding(Kind.NOTHING_KNOWN, Severity.WRONG, {"limit": LIMITS.loose})] * nothing
+    found = [Finding(Kind.NOTHING_KNOWN, Severity.WRONG, {"limit": LOOSE})] * nothing
     if loose:
         labels = [f"{label} (± {percent(part)})" for label, part in loose.items()]
         others = "values" if information.unknown.shape[1] == 0 else "ratios"
@@ -215,7 +208,7 @@ def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
 def _rotated(basis: Basis) -> Iterator[Finding]:
     """Yield that gravity was found far from where it was taken to be."""
     angle = basis.plant.parameters.single("gravity_angle", basis.fit.x)
-    if abs(angle) > LIMITS.axes:
+    if abs(angle) > AXES:
         yield Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)})
 
 
@@ -223,10 +216,10 @@ def _of_noise(basis: Basis, tests: Sequence[ScoreTest]) -> Iterator[Finding]:
     """Yield that declared noise is far larger than residuals, or these far larger than noise without a known cause."""
     rms, _, noise = _sizes(basis)[:, : None if basis.plant.motor is None else -1]
     declared, left = (float(np.sqrt(np.mean(each**2))) for each in (noise, rms))
-    if left <= LIMITS.quiet * declared:
+    if left <= QUIET * declared:
         values = {"declared": declared, "left": left, "times": declared / max(left, 1e-300)}
         yield Finding(Kind.NOISE_OVERSTATED, values=values)
-    elif tests and not any(each.significant for each in tests) and basis.information.variance > LIMITS.unexplained:
+    elif tests and not any(each.significant for each in tests) and basis.information.variance > UNEXPLAINED:
         yield Finding(Kind.UNEXPLAINED, values={"times": float(np.sqrt(basis.information.variance))})
 
 
@@ -250,7 +243,7 @@ def _com_sensitivity(basis: Basis, test: ScoreTest) -> float:
     gradients, known = ratio_gradients(parameters, information.x), ratios(parameters.rope(information.x))
     stds, worst = ratio_spread(parameters, information), 0.0
     for name in MASSES:
-        moved = np.max(np.abs(gradients[name] @ (test.rate * np.abs(test.values))), axis=1) * LIMITS.per_cent
+        moved = np.max(np.abs(gradients[name] @ (test.rate * np.abs(test.values))), axis=1) * PER_CENT
         beyond = (moved > 2.0 * stds[name]) & (stds[name] > 0.0)
         worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
     return worst
@@ -279,18 +272,18 @@ def _limits(
     if moves_alike(basis.plant) and any(each.name == CLOCK and each.std <= REPORTED.untested for each in tests):
         yield Finding(Kind.UNDETECTABLE, Severity.LIMIT)
     part, name = law_error(basis, tests)
-    if part > LIMITS.friction_moves:
+    if part > FRICTION_MOVES:
         yield Finding(Kind.FRICTION_MODEL, Severity.LIMIT, {"part": part, "name": as_free([name])[0]})
     missing = max(0, settings["left_out"] - 1)  # what remains at the end is no window, as a rule
-    if missing > LIMITS.left_out * (missing + settings["windows"]):
+    if missing > LEFT_OUT * (missing + settings["windows"]):
         yield Finding(Kind.WINDOWS_LEFT_OUT, Severity.LIMIT, {"part": missing / (missing + settings["windows"])})
     if settings.get("starts", 1) > 1 and settings["starts_agree"] <= 1:
         yield Finding(Kind.LONE_START, Severity.LIMIT, {"starts": settings["starts"]})
-    if information.correlation > LIMITS.correlated or information.whiteness < CHANCE:
+    if information.correlation > CORRELATED or information.whiteness < CHANCE:
         yield Finding(Kind.COLOURED, Severity.LIMIT, {"samples": information.correlation})
     if not information.agrees:
         yield Finding(Kind.NOT_STATIONARY, Severity.LIMIT)
-    elif information.freedom < LIMITS.least_freedom:
+    elif information.freedom < LEAST_FREEDOM:
         yield Finding(Kind.FEW_VALUES, Severity.LIMIT, {"values": information.freedom})
     chance = chdtrc(information.freedom, information.freedom * information.variance)  # of so large a variance
     if settings["noise"] == "declared" and chance < CHANCE:

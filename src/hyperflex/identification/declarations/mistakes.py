@@ -15,8 +15,8 @@ from hyperflex.identification.declarations.evidence import neighbours_swapped
 from hyperflex.identification.declarations.score_tests import CLOCK, ScoreTest
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import STEPS, fit
-from hyperflex.identification.fit.windows import decimation_step, part_left, usual_length, with_enough_frames
+from hyperflex.identification.fit.multiple_shooting import HARDLY, fit
+from hyperflex.identification.fit.windows import decimation_step, part_left, usual_length
 from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements
 from hyperflex.identification.model.parameters import lumped
 from hyperflex.identification.model.plant import ANGLES, Plant
@@ -162,7 +162,7 @@ class ShortFit:
         return part, [plant.parameters.single(name, x) for name in more]
 
     def _left(self, plant: Plant, measured: Measurements) -> tuple[float, Array]:
-        usual = with_enough_frames(usual_length(measured.shape, self.rope), measured.shape)
+        usual = usual_length(measured.shape, self.rope)
         if "delay" in plant.parameters.names:
             plant = with_delay(plant, search_delay(plant, measured, usual, self.loss))
         x, fitted = plant.parameters.start, None
@@ -172,7 +172,7 @@ class ShortFit:
             if sum(each.values - each.unknowns for each in windows) <= x.size:
                 continue
             states = [each.guess for each in windows]
-            found = fit(plant, windows, x, states, loss=self.loss, rounds=SHORT_FIT.rounds, enough=STEPS.hardly)
+            found = fit(plant, windows, x, states, loss=self.loss, rounds=SHORT_FIT.rounds, enough=HARDLY)
             x, fitted = found.x, (windows, found.residuals)
         if fitted is None or lumped(plant.parameters.rope(x))[0][0] <= 0.0:
             return np.inf, x

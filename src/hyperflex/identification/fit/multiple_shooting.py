@@ -20,33 +20,25 @@ from hyperflex.identification.model.plant import Plant
 from hyperflex.interruption import stoppable
 from hyperflex.status import Status
 
-
-@dataclass(frozen=True)
-class StepOptions:
-    """Damped steps, and when a fit ends."""
-
-    least_damping: float = 1e-07
-    most_damping: float = 10000000000.0
-    # gain of a round, in units of the residual variance, below which parameters move by less than their std
-    enough: float = 0.1
-    # damping above which a step is so much shortened that its own gain says nothing about what is left to gain
-    short: float = 1.0
-    # gain of a round, as a part of the cost, that ends a fit after which others come
-    hardly: float = 0.01
-    # part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
-    rough: float = 1e-05
-    # rounds that hardly gain, though the linear model promises more, before a fit gives up
-    stalls: int = 5
-    # in scales: farther above its bound a parameter falls by no more than this part of the way
-    near: float = 0.01
-    fall: float = 0.7
-    # for the predicted decrease: parameters that do not act promise nothing
-    prediction_damping: float = 1e-06
-    # rounds after which one of several states is preferred
-    sketch: int = 6
-
-
-STEPS = StepOptions()
+LEAST_DAMPING = 1e-07
+MOST_DAMPING = 10000000000.0
+# gain of a round, in units of the residual variance, below which parameters move by less than their std
+ENOUGH = 0.1
+# damping above which a step is so much shortened that its own gain says nothing about what is left to gain
+SHORT_DAMPING = 1.0
+# gain of a round, as a part of the cost, that ends a fit after which others come
+HARDLY = 0.01
+# part of the cost that a fit may leave where it stalls: dry friction and bounds make a bottom rough
+ROUGH = 1e-05
+# rounds that hardly gain, though the linear model promises more, before a fit gives up
+STALLS = 5
+# in scales: farther above its bound a parameter falls by no more than this part of the way
+NEAR = 0.01
+FALL = 0.7
+# for the predicted decrease: parameters that do not act promise nothing
+PREDICTION_DAMPING = 1e-06
+# rounds after which one of several states is preferred
+SKETCH = 6
 Report = Callable[[dict[str, Any]], None]
 
 
@@ -67,11 +59,6 @@ class Fit:
     converged: bool = False
     status: Status | None = None  # why it ended early; None if it did not
     history: list[dict[str, float]] = field(default_factory=list)
-
-    @property
-    def interrupted(self) -> bool:
-        """Whether it was ended early, by the user or by its budget."""
-        return self.status is not None
 
     @property
     def cost(self) -> float:
@@ -178,13 +165,12 @@ def fit(
     """
     loss, budget = loss or Loss(), budget or Budget()
     budget.check()
-    residuals = _residuals(plant, windows, x, states)
-    if residuals is None:
+    best = _evaluated(plant, windows, x, states, loss, target)
+    if best is None:
         raise InvalidInput("the rope cannot be simulated from the guess", fix="Give a guess nearer to the real one")
-    best = Fit(x, states, residuals, loss, _prior_cost(windows, x, states, target))
     count = sum(window.values for window in windows)
     lower = np.empty(0) if states_only else plant.parameters.lower
-    least = min(1e-4, STEPS.enough / count) if enough is None else enough
+    least = min(1e-4, ENOUGH / count) if enough is None else enough
     damping, stalled = 1e-3, 0
     with stoppable() as stop:
         for number in range(rounds):
@@ -209,8 +195,8 @@ def fit(
             if report is not None:
                 report(best.history[-1])
             stalled = stalled + 1 if gain < least else 0
-            best.converged = stalled > 0 and (free or promised < max(least, STEPS.rough) * before)
-            if best.converged or stalled == STEPS.stalls:
+            best.converged = stalled > 0 and (free or promised < max(least, ROUGH) * before)
+            if best.converged or stalled == STALLS:
                 break
     best.status = stop.status
     return stop.deliver(best)
@@ -229,40 +215,33 @@ def fit_state(
 
     Of several `starts` the one goes on that a few rounds bring farthest. It ends as :func:`fit` does.
     """
-    found: Fit | None = None
-    for start in starts:
-        sketch = STEPS.sketch if len(starts) > 1 else rounds
-        tried = _fit_state(plant, x, window, start, loss, sketch, enough)
-        if tried is not None and (found is None or tried.cost < found.cost):
-            found = tried
+
+    def fitted(start: Array, rounds: int) -> Fit | None:
+        try:
+            return fit(plant, [window], x, [start], loss=loss, states_only=True, rounds=rounds, enough=enough)
+        except InvalidInput:
+            return None
+
+    sketches = [fitted(start, SKETCH if len(starts) > 1 else rounds) for start in starts]
+    found = min((each for each in sketches if each is not None), key=lambda each: each.cost, default=None)
     if found is not None and len(starts) > 1 and not found.converged:
-        found = _fit_state(plant, x, window, found.states[0], loss, rounds, enough) or found
+        found = fitted(found.states[0], rounds) or found
     return None if found is None else (found.states[0], found.residuals[0])
 
 
-def _fit_state(
-    plant: Plant, x: Array, window: Window, start: Array, loss: Loss | None, rounds: int, enough: float | None
+def _evaluated(
+    plant: Plant, windows: Sequence[Window], x: Array, states: list[Array], loss: Loss, target: Target | None
 ) -> Fit | None:
-    try:
-        return fit(plant, [window], x, [start], loss=loss, states_only=True, rounds=rounds, enough=enough)
-    except InvalidInput:
-        return None
-
-
-def _residuals(plant: Plant, windows: Sequence[Window], x: Array, states: Sequence[Array]) -> list[Array] | None:
-    """Return all windows' residuals, or None as soon as a rollout fails."""
-    result = []
+    """Return a fit with all windows' residuals, or None as soon as a rollout fails."""
+    residuals: list[Array] = []
+    prior_cost = 0.0 if target is None else target.residual(x) ** 2
     for window, state in zip(windows, states, strict=True):
         residual = plant.residual(x, window, state)
         if residual is None:
             return None
-        result.append(residual)
-    return result
-
-
-def _prior_cost(windows: Sequence[Window], x: Array, states: Sequence[Array], target: Target | None) -> float:
-    own = 0.0 if target is None else target.residual(x) ** 2
-    return own + sum(window.prior_cost(state) for window, state in zip(windows, states, strict=True))
+        residuals.append(residual)
+        prior_cost += window.prior_cost(state)
+    return Fit(x, states, residuals, loss, prior_cost)
 
 
 def _step(at: Fit, linear: Sequence[Linear], lower: Array, damping: float) -> tuple[Array, list[Array]]:
@@ -295,7 +274,7 @@ def _predicted_decrease(at: Fit, linear: Sequence[Linear], lower: Array) -> floa
     """Return the decrease of the squares that the linear model predicts; inf where no window has derivatives."""
     if not any(each.known for each in linear):
         return float("inf")
-    shared, states = _step(at, linear, lower, STEPS.prediction_damping)
+    shared, states = _step(at, linear, lower, PREDICTION_DAMPING)
     gained = 0.0
     for each, state in zip(linear, states, strict=True):
         ahead = each.residual + each.state @ state + each.shared @ shared
@@ -317,17 +296,15 @@ def _improve(
     Return the damping for the next round, and whether a step was taken that damping hardly shortened.
     """
     before = best.cost
-    while damping < STEPS.most_damping:
+    while damping < MOST_DAMPING:
         shared, moves = _step(best, linear, lower, damping)
         x = best.x + shared if lower.size else best.x
         states = [state + move for state, move in zip(best.states, moves[: len(windows)], strict=True)]
-        residuals = _residuals(plant, windows, x, states)
-        if residuals is not None:
-            tried = Fit(x, states, residuals, best.loss, _prior_cost(windows, x, states, target))
-            if tried.cost <= before:
-                best.x, best.states, best.residuals, best.prior_cost = x, states, residuals, tried.prior_cost
-                free = damping <= STEPS.short and any(each.known for each in linear)
-                return max(0.1 * damping, STEPS.least_damping), free
+        tried = _evaluated(plant, windows, x, states, best.loss, target)
+        if tried is not None and tried.cost <= before:
+            best.x, best.states, best.residuals, best.prior_cost = x, states, tried.residuals, tried.prior_cost
+            free = damping <= SHORT_DAMPING and any(each.known for each in linear)
+            return max(0.1 * damping, LEAST_DAMPING), free
         damping = max(10.0 * damping, 1e-6)
     return 1e-3, False
 
@@ -352,6 +329,6 @@ def _bounded(matrix: Array, gradient: Array, x: Array, lower: Array) -> Array:
     unbounded = ~np.isfinite(lower)
     longest = float(np.abs(move[unbounded]).max()) if unbounded.any() else 0.0
     above = x - lower
-    far = ~unbounded & (above > STEPS.near)
-    falling = float((-move[far] / (STEPS.fall * above[far])).max()) if far.any() else 0.0
+    far = ~unbounded & (above > NEAR)
+    falling = float((-move[far] / (FALL * above[far])).max()) if far.any() else 0.0
     return move / max(1.0, longest, falling)

@@ -10,34 +10,26 @@ from hyperflex.checks import Array
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
-
-@dataclass(frozen=True)
-class WindowOptions:
-    """How a recording is cut into windows."""
-
-    # samples a window; more of them repeat what their neighbours say and only cost time
-    densest: int = 200
-    # samples a window, where the recording allows it
-    fewest: int = 8
-    # values of each link's angle in a window, ten for each unknown of its state, where the recording allows it
-    seen: int = 20
-    # periods
-    part: float = 1.2
-    # rad a link may turn within a window, as rms rate times time: beyond it fits find false minima
-    turn: float = 8.0
-    # part of a window for which a link may be out of sight
-    blind: float = 0.5
-    # values of a link's angle in a window
-    least: int = 4
-    # rad by which a shape must differ from another to be a start of its own
-    aside: float = 0.3
-    # of weighted least squares that come near to least absolute errors
-    rounds: int = 8
-    # rad, a recording that moves less holds no dynamics
-    still: float = 0.001
-
-
-CUT = WindowOptions()
+# samples a window; more of them repeat what their neighbours say and only cost time
+DENSEST = 200
+# samples a window, where the recording allows it
+FEWEST_SAMPLES = 8
+# values of each link's angle in a window, ten for each unknown of its state, where the recording allows it
+FEWEST_SEEN = 20
+# periods
+PERIODS = 1.2
+# rad a link may turn within a window, as rms rate times time: beyond it fits find false minima
+MOST_TURN = 8.0
+# part of a window for which a link may be out of sight
+BLIND = 0.5
+# values of a link's angle in a window
+LEAST_VALUES = 4
+# rad by which a shape must differ from another to be a start of its own
+ASIDE = 0.3
+# of weighted least squares that come near to least absolute errors
+ABSOLUTE_ROUNDS = 8
+# rad, a recording that moves less holds no dynamics
+STILL = 0.001
 WEIGHTLESS = 1.0  # s, taken for the period of a swing where nothing pulls
 
 
@@ -91,18 +83,16 @@ def swing_period(rope: Rope) -> float:
 
 
 def usual_length(recording: Recording, rope: Rope) -> float:
-    """Return a window length (s): some periods of a small swing of a rod as long as the rope, less for fast links."""
+    """Return a window length (s): some periods of a small swing of a rod as long as the rope, less for fast links.
+
+    It is doubled until it holds ``FEWEST_SEEN`` values of each link.
+    """
     period = swing_period(rope) if rope.gravity.any() else WEIGHTLESS
     fastest = max(rms_rate(recording.t, column) for column in recording.data.T)
     spacing = float(np.median(np.diff(recording.t)))
-    return max(min(CUT.part * period, CUT.turn / fastest if fastest > 0.0 else np.inf), CUT.fewest * spacing)
-
-
-def with_enough_frames(length: float, recording: Recording) -> float:
-    """Return a window length (s), doubled until it holds ``CUT.seen`` values of each link."""
-    spacing = float(np.median(np.diff(recording.t)))
+    length = max(min(PERIODS * period, MOST_TURN / max(fastest, 1e-300)), FEWEST_SAMPLES * spacing)
     seen = float((~np.isnan(recording.data)).mean(axis=0).min()) * length / spacing
-    return float(length * 2.0 ** np.ceil(np.log2(CUT.seen / seen))) if 0.0 < seen < CUT.seen else length
+    return float(length * 2.0 ** np.ceil(np.log2(FEWEST_SEEN / seen))) if 0.0 < seen < FEWEST_SEEN else length
 
 
 def rms_rate(t: Array, angle: Array) -> float:
@@ -122,9 +112,9 @@ def rms_rate(t: Array, angle: Array) -> float:
 
 
 def decimation_step(recording: Recording, length: float) -> int:
-    """Return the step of the decimation that leaves at most ``CUT.densest`` samples a window."""
+    """Return the step of the decimation that leaves at most ``DENSEST`` samples a window."""
     spacing = float(np.median(np.diff(recording.t)))
-    return max(1, int(length / (spacing * CUT.densest)))
+    return max(1, int(length / (spacing * DENSEST)))
 
 
 def cut_windows(
@@ -152,15 +142,11 @@ def cut_windows(
         rows = number == k
         known = ~np.isnan(angles[rows])
         span = t[rows][-1] - t[rows][0]
-        if (
-            known.sum(axis=0).min() < CUT.least
-            or span < 0.5 * length
-            or _longest_gap(t[rows], known) > CUT.blind * span
-        ):
+        if known.sum(axis=0).min() < LEAST_VALUES or span < 0.5 * length or _longest_gap(t[rows], known) > BLIND * span:
             dropped += 1
             continue
         guess, *others = (first_state(t[rows], each[rows]) for each in (angles, *sides))
-        others = [each for each in others if np.abs(each - guess)[: angles.shape[1]].max() > CUT.aside]
+        others = [each for each in others if np.abs(each - guess)[: angles.shape[1]].max() > ASIDE]
         windows.append(Window(t[rows], y[rows], weight[rows], guess, prior, tuple(others)))
     return windows, dropped
 
@@ -192,7 +178,7 @@ def _value_and_slope(tau: Array, y: Array) -> tuple[float, float]:
     """Return value and slope at 0 of the cubic nearest to y (m,), by least absolute errors: no outlier tilts it."""
     powers = np.vander(tau, min(3, tau.size - 2) + 1, increasing=True)
     weight = np.ones(tau.size)
-    for _ in range(CUT.rounds):
+    for _ in range(ABSOLUTE_ROUNDS):
         found = np.linalg.lstsq(powers * weight[:, None], y * weight, rcond=None)[0]
         away = np.abs(powers @ found - y)
         weight = 1.0 / np.sqrt(np.maximum(away, 0.1 * away.mean() + 1e-12))

@@ -1,8 +1,8 @@
 """Free parameters: their scales and bounds for the fit, and the rope with given values."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
@@ -261,23 +261,13 @@ def parse(
                 "laws along the rope",
             )
         result += _one(guess, label, arc_lengths, moved, arm)
-    _refuse_twice(result, free)
-    return result
-
-
-def _refuse_twice(chosen: list[Parameter], free: Sequence[str]) -> None:
-    """Refuse words that free one number twice."""
-    twice: set[str] = set()
-    for one, other in combinations(chosen, 2):
-        both = one.law == other.law == "own"
-        shared = set(one.links) & set(other.links) if both else set()
-        apart = both and one.links and not shared
-        if one.name == other.name and not apart and (one.law == other.law or "own" in (one.law, other.law)):
-            twice |= {f"{one.name}[{link}]" for link in shared} or {one.name}
+    slots = Counter((p.name, slot) for p in result for slot in (p.links if p.law == "own" else [p.law]) or [p.name])
+    own, laws = ({p.name for p in result if (p.law == "own") == own} for own in (True, False))
+    twice = own & laws | {f"{name}[{slot}]" for (name, slot), times in slots.items() if times > 1}
     if twice:
-        raise InvalidInput(
-            "free names the same thing twice", got=list(free), allowed=f"{', '.join(sorted(twice))} only once"
-        )
+        allowed = f"{', '.join(sorted(twice))} only once"
+        raise InvalidInput("free names the same thing twice", got=list(free), allowed=allowed)
+    return result
 
 
 def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm: Arm | None) -> list[Parameter]:
@@ -288,29 +278,29 @@ def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm:
     if {"motion": not moved, "camera": unseen, "marker": unseen, "arm": arm is None}.get(owner):
         why, fix = NEEDS[owner]
         raise InvalidInput(f"{name} is free, but {why}", fix=f"Give {fix}, or leave it out")
-    if arc_lengths is not None and owner == "marker":
-        return _arcs(guess, place, law, arc_lengths)
-    if owner != "link":
+    if owner not in ("link", "marker"):
         if place is not None or law:
             raise InvalidInput(f"{name} belongs to the whole rope, or camera", got=f"{name}[{place}]", allowed=name)
         return [_whole(guess, name, arm or Arm())]
-    n = guess.n_links
-    if place is not None and place >= n:
+    starts = getattr(guess, name) if arc_lengths is None or owner == "link" else arc_lengths
+    every = tuple(range(starts.size))
+    if (place is not None and place not in every) or (law and owner == "marker"):
+        got = f"{name}[{place}]" if law == "" else f"{name}:{law}"
         raise InvalidInput(
-            "free names a link that the rope does not have", got=f"{name}[{place}]", allowed=f"0 to {n - 1}"
+            f"free names a {owner} that the rope does not have", got=got, allowed=f"{name}, or one of 0 to {every[-1]}"
         )
-    everyone = tuple(range(n))
     if law in ("factor", "taper"):
-        if not getattr(guess, name).any():
+        if not starts.any():
             raise InvalidInput(f"{name}:{law} is free but starts from 0", allowed=f"a guess of {name} that is not 0")
-        return [Parameter(name, everyone, f"{name}:{law}", 1.0 if law == "factor" else 0.0, 1.0, law)]  # type: ignore[arg-type]
-    starts, sizes = getattr(guess, name), scales(guess, name)
-    if law == "inner" and n < 2:
-        raise InvalidInput(f"{name}:inner is free, but there is one link", allowed=f"{name}")
-    if law in ("shared", "inner"):
-        own = slice(law == "inner", None)
-        return [Parameter(name, everyone[own], f"{name}:{law}", float(starts[own].mean()), float(sizes[own].mean()))]
-    chosen = everyone if place is None else (place,)
+        return [Parameter(name, every, f"{name}:{law}", 1.0 if law == "factor" else 0.0, 1.0, law)]  # type: ignore[arg-type]
+    sizes = scales(guess, name) if owner == "link" else np.full(starts.size, ORIGIN * guess.total_length)
+    if law:
+        own = every[law == "inner" :]
+        if not own:
+            raise InvalidInput(f"{name}:inner is free, but there is one link", allowed=f"{name}")
+        start, size = float(starts[list(own)].mean()), float(sizes[list(own)].mean())
+        return [Parameter(name, own, f"{name}:{law}", start, size)]
+    chosen = every if place is None else (place,)
     return [Parameter(name, (k,), f"{name}[{k}]", float(starts[k]), float(sizes[k])) for k in chosen]
 
 
@@ -330,16 +320,6 @@ def _whole(guess: Rope, name: str, arm: Arm) -> Parameter:
         "arm_friction": (arm.friction, typical or level),
     }[name]
     return Parameter(name, (), name, start, max(start, size))
-
-
-def _arcs(guess: Rope, marker: int | None, law: str, arc_lengths: Array) -> list[Parameter]:
-    if law or (marker is not None and marker >= arc_lengths.size):
-        raise InvalidInput(
-            "arc names no marker", got=law or marker, allowed=f"arc, or arc[0] to arc[{arc_lengths.size - 1}]"
-        )
-    chosen = range(arc_lengths.size) if marker is None else (marker,)
-    scale = ORIGIN * guess.total_length
-    return [Parameter("arc", (k,), f"arc[{k}]", float(arc_lengths[k]), scale) for k in chosen]
 
 
 def scales(guess: Rope, name: str) -> Array:

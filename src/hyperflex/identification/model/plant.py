@@ -1,7 +1,7 @@
 """Predicted measurements of a window, with derivatives by state and parameters."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -41,13 +41,13 @@ class _Evaluation:
 
     rope: Rope
     chain: Chain
-    motion: Motion
+    motion: Motion | None
     arm: Arm | None
     drive: Drive
     sensor: PostureSensor
     motor: MotorTorque | None
     moving: list[int]  # which parameters move the rope
-    parameter_directions: ParameterDirections  # state first, then those
+    directions: ParameterDirections  # state first, then those
     seeds: Directions  # the same for the kernels
 
 
@@ -60,57 +60,48 @@ class PredictedChannels:
     shared: Array
 
 
+@dataclass(eq=False)
 class Plant:
     """Predicts the channels of a window, those of `sensor` and, with `torque`, of the arm's motor as the last.
 
     `motion` and `arm` move the first joint; by default it is fixed.
     """
 
-    def __init__(
-        self,
-        parameters: Parameters,
-        sensor: PostureSensor | None = None,
-        motion: Motion | None = None,
-        arm: Arm | None = None,
-        *,
-        torque: bool = False,
-    ) -> None:
-        self.parameters, self.sensor = parameters, sensor or Angles()
-        self.motion, self.arm = motion, arm
-        self.motor = MotorTorque(arm) if torque and arm is not None else None
-        self._setup = Setup(parameters.guess, motion, arm, tol=PRECISION * parameters.guess.total_length)
+    parameters: Parameters
+    sensor: PostureSensor = field(default_factory=Angles)
+    motion: Motion | None = None
+    arm: Arm | None = None
+    torque: bool = False
+
+    def __post_init__(self) -> None:
+        guess = self.parameters.guess
+        self.motor = MotorTorque(self.arm) if self.torque and self.arm is not None else None
+        self._setup = Setup(guess, self.motion, self.arm, tol=PRECISION * guess.total_length)
         self._last: tuple[bytes | None, _Evaluation | None] = (None, None)
+        # parameters that are values of the sensor or, numbered after those, of the motor: number, number of the value
+        places = {"origin_x": 0, "origin_y": 1, ANGLES: 0}
+        if self.motor is not None:
+            places |= {name: self.sensor.values.size + k for k, name in enumerate(ARM)}
+        own = [places.get(p.name, 2 + p.links[0] if p.name == "arc" else None) for p in self.parameters.all]
+        self._own = [(k, place) for k, place in enumerate(own) if place is not None]
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled: not the last evaluation, whose arrays could be written to then; no kernel's may."""
         return vars(self) | {"_last": (None, None)}
-
-    def without_torque(self) -> "Plant":
-        """Return the same without the torque channel."""
-        return self if self.motor is None else Plant(self.parameters, self.sensor, self.motion, self.arm)
-
-    def with_parameters(self, parameters: Parameters) -> "Plant":
-        """Return the same with other free parameters."""
-        return Plant(parameters, self.sensor, self.motion, self.arm, torque=self.motor is not None)
 
     def cut(self, x: Array, pieces: int) -> "Plant":
         """Return the same at x, without free parameters, each link cut into pieces; InvalidInput where none can be."""
         at = self._at(x)
         if at is None:
             raise InvalidInput("the parameters describe no rope", got=x)
-        rope = divided(at.rope, pieces)
-        return Plant(Parameters(rope, []), at.sensor, None if self.motion is None else at.motion, at.arm)
+        return Plant(Parameters(divided(at.rope, pieces), []), at.sensor, at.motion, at.arm)
 
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         """Return the channels (m, C) at times t (m,) from `state` (2n,) at t[0]; None where the rollout fails."""
         at = self._at(x)
-        if at is None or not np.isfinite(state).all():
-            return None
-        y = self._run(at, t, state)
-        if y is None:
-            return None
-        seen = self._channels(at, t, y)
-        return seen if np.isfinite(seen).all() else None
+        y = None if at is None else self._run(at, t, state)
+        seen = None if at is None or y is None else self._channels(at, t, y)
+        return seen if seen is not None and np.isfinite(seen).all() else None
 
     def propagate(self, x: Array, t: float, state: Array, until: float) -> Array | None:
         """Return the state (2n,) at `until`, s, from `state` at t; None where the rollout fails."""
@@ -126,26 +117,26 @@ class Plant:
         n, start = at.rope.n_links, (state[: state.size // 2], state[state.size // 2 :])
         try:
             run = record_steps(at.chain, at.drive, start, self._limits(at, t), float(t[0]), t=t)
-            _, dy = forward_derivatives(run, at.parameter_directions, start, t, at.seeds)
+            _, dy = forward_derivatives(run, at.directions, start, t, at.seeds)
         except SimulationError:
             return None
-        y = run.y[-t.size :]
-        q, dq = y[:, :n], dy[:, :n, : len(at.parameter_directions.names)]
-        dpivot = np.zeros((t.size, 2, at.parameter_directions.width))
+        y, count = run.y[-t.size :], len(at.directions.names)
+        q, dy = y[:, :n], dy[:, :, :count]
+        dpivot = np.zeros((t.size, 2, at.directions.width))
         if self.sensor.placed:
             place_changes(at.drive, at.seeds, np.array(t), dpivot)
-        dpivot = dpivot[:, :, : dq.shape[2]]
-        seen = self._channels(at, t, y)
-        moved = at.sensor.jacobian(at.rope, q, dq, dpivot, at.parameter_directions.lengths(n))
+        seen, own = self._channels(at, t, y), at.sensor.value_jacobian(at.rope, q)
+        moved = at.sensor.jacobian(at.rope, q, dy[:, :n], dpivot[:, :, :count], at.directions.lengths(n))
+        if at.motor is not None:
+            by_run = at.motor.jacobian(at.chain, at.drive, at.directions.parts[2 * n :], t, y, dy)
+            moved, by_sensor = np.concatenate([moved, by_run[:, None]], axis=1), own
+            own = np.zeros((*moved.shape[:2], own.shape[2] + len(ARM)))
+            own[:, :-1, : -len(ARM)] = by_sensor
+            own[:, -1, -len(ARM) :] = at.motor.value_jacobian(at.chain, at.drive, t, y)
         shared = np.zeros((*moved.shape[:2], len(self.parameters)))
         shared[:, :, at.moving] = moved[:, :, 2 * n :]
-        self._add_own(at, q, shared)
-        if at.motor is not None:
-            torque = self._torque_jacobian(at, at.motor, t, y, dy)
-            moved, shared = (
-                np.concatenate([before, added[:, None]], axis=1)
-                for before, added in zip((moved, shared), torque, strict=True)
-            )
+        for k, place in self._own:
+            shared[:, :, k] = self.parameters.all[k].derivative(float(x[k])) * own[:, :, place]
         if not (np.isfinite(seen).all() and np.isfinite(moved).all()):
             return None
         return PredictedChannels(seen, moved[:, :, : 2 * n], shared)
@@ -155,33 +146,13 @@ class Plant:
         seen = self.predict(x, window.t, state)
         return None if seen is None else ((seen - window.y) * window.weight).ravel()
 
-    def _add_own(self, at: _Evaluation, q: Array, shared: Array) -> None:
-        """Write the derivatives with respect to the sensor's own values to their columns."""
-        own = at.sensor.value_jacobian(at.rope, q)
-        for k, parameter in enumerate(self.parameters.all):
-            if (place := _place(parameter.name, parameter.links)) is not None:
-                shared[:, :, k] = parameter.scale * own[:, :, place]
-
-    def _torque_jacobian(
-        self, at: _Evaluation, motor: MotorTorque, t: Array, y: Array, dy: Array
-    ) -> tuple[Array, Array]:
-        """Return the derivatives of the motor's torque: (m, 2n + D) as the run's, and (m, P) by the parameters."""
-        n = at.rope.n_links
-        parts = at.parameter_directions.parts[2 * n :]
-        moved = motor.jacobian(at.chain, at.drive, parts, t, y, dy[:, :, : len(at.parameter_directions.names)])
-        shared = np.zeros((t.size, len(self.parameters)))
-        shared[:, at.moving] = moved[:, 2 * n :]
-        own = motor.value_jacobian(at.chain, at.drive, t, y)
-        for k, parameter in enumerate(self.parameters.all):
-            if parameter.name in ARM:
-                shared[:, k] = parameter.scale * own[:, ARM.index(parameter.name)]
-        return moved, shared
-
     def _limits(self, at: _Evaluation, t: Array) -> Limits:
         return rollout_limits(self._setup, at.chain, float(t[-1]))
 
     def _run(self, at: _Evaluation, t: Array, state: Array) -> Array | None:
         """Return the rollout's states at t (m,) from `state` (2n,), or None where it fails or takes too many steps."""
+        if not np.isfinite(state).all():
+            return None
         n = at.rope.n_links
         run = prepare_rollout(at.chain, at.drive, (state[:n], state[n:]), t, self._limits(at, t))
         most = max(MOST_STEPS, MOST_STEPS_A_SECOND * float(t[-1] - t[0])) / run.limits.budget
@@ -192,9 +163,7 @@ class Plant:
         moved = self.sensor.placed and (self.motion is not None or self.arm is not None)
         pivot = pivot_places(at.motion, at.arm, t) if moved else np.zeros((t.size, 2))
         seen = at.sensor.predict(at.rope, y[:, : at.rope.n_links], pivot)
-        if at.motor is None:
-            return seen
-        return np.column_stack([seen, at.motor.predict(at.chain, at.drive, t, y)])
+        return seen if at.motor is None else np.column_stack([seen, at.motor.predict(at.chain, at.drive, t, y)])
 
     def _at(self, x: Array) -> _Evaluation | None:
         key = x.tobytes()
@@ -207,24 +176,19 @@ class Plant:
         rope = self.parameters.possible(x)
         if rope is None:
             return None
-        motion, drive = self.motion or hold_arm(0.0), self._setup.drive()
+        motion, arm, drive = self.motion, self.arm, self._setup.drive()
         delay, longer = self.parameters.single("delay", x), self.parameters.single(ARM_LENGTH, x, 1.0)
-        arm = self.arm if self.arm is None else replace(self.arm, length=longer * self.arm.length)
-        if self.motion is not None and (delay != 0.0 or longer != 1.0):
-            motion = self.motion.shifted(delay)
+        if motion is not None and (delay != 0.0 or longer != 1.0):
+            arm = None if arm is None else replace(arm, length=longer * arm.length)
+            motion = motion.shifted(delay)
             drive = Setup(self.parameters.guess, motion, arm).drive()
-        own = self.sensor.values.copy()
-        for parameter, each in zip(self.parameters.all, x, strict=True):
-            if (place := _place(parameter.name, parameter.links)) is not None:
-                own[place] = parameter.value(each)
-        motor = self.motor
-        if motor is not None:
-            held = zip(ARM, motor.values, strict=True)
-            motor = motor.with_values(np.array([self.parameters.single(name, x, value) for name, value in held]))
-        moving = self.parameters.parts(x, rope)
-        n = rope.n_links
-        unit = np.eye(n)
-        parts = [{"q0": row} for row in unit] + [{"qd0": row} for row in unit]
+        own = np.append(self.sensor.values, [] if self.motor is None else self.motor.values)
+        for k, place in self._own:
+            own[place] = self.parameters.all[k].value(x[k])
+        sensor = self.sensor.with_values(own[: self.sensor.values.size])
+        motor = None if self.motor is None else self.motor.with_values(own[self.sensor.values.size :])
+        moving, unit = self.parameters.parts(x, rope), np.eye(rope.n_links)
+        parts = [{name: row} for name in ("q0", "qd0") for row in unit]
         for _, part in moving:
             if "delay" in part:
                 breaks = np.full(drive.breaks.size, part["delay"][0])
@@ -232,19 +196,9 @@ class Plant:
             if ARM_LENGTH in part:
                 part = {ARM_LENGTH: part[ARM_LENGTH] * drive.arm_length / longer}
             parts.append(part)
-        names = tuple(str(k) for k in range(len(parts)))
-        chain, directions = rope.chain(), ParameterDirections(names, tuple(parts))
+        chain, directions = rope.chain(), ParameterDirections(tuple(map(str, range(len(parts)))), tuple(parts))
         seeds, freed = directions.directions(chain, drive), [k for k, _ in moving]
-        return _Evaluation(
-            rope, chain, motion, arm, drive, self.sensor.with_values(own), motor, freed, directions, seeds
-        )
-
-
-def _place(name: str, markers: tuple[int, ...]) -> int | None:
-    """Return which of the values of :class:`hyperflex.sensors.Markers` a parameter is."""
-    if name == "arc":
-        return 2 + markers[0]
-    return {"origin_x": 0, "origin_y": 1, ANGLES: 0}.get(name)
+        return _Evaluation(rope, chain, motion, arm, drive, sensor, motor, freed, directions, seeds)
 
 
 def pivot_places(motion: Motion | None, arm: Arm | None, t: Array) -> Array:
@@ -275,7 +229,7 @@ def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array
             continue
     extra = [each for group in groups for each in group]
     parameters = Parameters(plant.parameters.guess, [*plant.parameters.all, *extra])
-    return plant.with_parameters(parameters), np.concatenate([x, [each.first for each in extra]]), groups
+    return replace(plant, parameters=parameters), np.append(x, [each.first for each in extra]), groups
 
 
 def scale_words(plant: Plant) -> dict[int, str]:
