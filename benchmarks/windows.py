@@ -32,7 +32,7 @@ import hyperflex as hf
 from hyperflex import files
 from hyperflex.identification import Kind
 from hyperflex.identification import text as text_of
-from hyperflex.identification.texts import percent
+from hyperflex.identification.findings import percent
 from hyperflex.identification.uncertainty.ratios import ratio_spread
 
 RESULTS = Path(__file__).parent / "results"

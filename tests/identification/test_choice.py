@@ -356,7 +356,7 @@ def held(errors: list[float]) -> HeldOut:
 
 def model(name: str, unknowns: float, bic: float, errors: list[float] | None, whiteness: float = 0.5) -> FittedModel:
     held_out = None if errors is None else held(errors)
-    return FittedModel(name, unknowns=unknowns, bic=bic, held_out=held_out, whiteness=whiteness)
+    return FittedModel(name, GUESS, (), unknowns=unknowns, bic=bic, held_out=held_out, whiteness=whiteness)
 
 
 def test_prediction_decides_where_bic_trusts_coloured_residuals() -> None:
@@ -393,5 +393,5 @@ def test_a_prediction_is_worse_beyond_its_scatter_only() -> None:
     assert predicts_as_well(held([0.0101, 0.0201, 0.0101, 0.0201]), best)  # sure, and too small to matter
     assert not predicts_as_well(held([0.0112]), held([0.010]))  # one stretch: 10 %
     assert predicts_as_well(held([0.0109]), held([0.010]))
-    assert FittedModel("none").held_out_rms == np.inf
+    assert FittedModel("none", GUESS, ()).held_out_rms == np.inf
     assert recommend([model("one", 4, 0.0, [np.inf]), model("two", 4, 30.0, [np.inf])])[0] == "one"

@@ -9,13 +9,12 @@ if TYPE_CHECKING:
     from hyperflex.identification.declarations.score_tests import ScoreTest
     from hyperflex.identification.excitation import check_motion, check_times
     from hyperflex.identification.experiment_design import Experiment, ExperimentDesign, Plan, design_experiment
-    from hyperflex.identification.findings import Finding, Grade, Kind, Severity
+    from hyperflex.identification.findings import Finding, Grade, Kind, Severity, text
     from hyperflex.identification.model.parameters import lumped, perturbed
     from hyperflex.identification.options import FitOptions, RecordingSetup
     from hyperflex.identification.pipeline import identify
     from hyperflex.identification.prediction import BAND, HeldOut
     from hyperflex.identification.result import Identification
-    from hyperflex.identification.texts import text
     from hyperflex.identification.uncertainty.bootstrap import Bootstrap, bootstrap
     from hyperflex.identification.uncertainty.covariance import Basis, Interval
     from hyperflex.identification.uncertainty.noise import correlogram

@@ -1,6 +1,6 @@
 """Models of a rope compared: BIC and held-out prediction, and the recommendation from both."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -53,14 +53,14 @@ class FittedModel:
 
     Attributes
     ----------
-    name, free : str, tuple of str
-        Its name, and what was free.
-    links, parameters : int
-        Numbers of links, and of free parameters that can be known.
+    name, guess, free : str, Rope, tuple of str
+        Its name, what it was fitted from, and what was free.
     identification : Identification or None
         None where the fit failed.
     reason : str
         Why it failed, or why it cannot be compared; empty if all went well.
+    parameters : int
+        Number of free parameters that can be known.
     unknowns : float
         Identifiable parameters and states; a model with fewer is simpler.
     bic : float or None
@@ -74,8 +74,8 @@ class FittedModel:
     """
 
     name: str
-    free: tuple[str, ...] = ()
-    links: int = 0
+    guess: Rope
+    free: tuple[str, ...]
     identification: Identification | None = None
     reason: str = ""
     parameters: int = 0
@@ -84,6 +84,11 @@ class FittedModel:
     fit_rms: float = float("inf")
     held_out: HeldOut | None = None
     whiteness: float = float("nan")
+
+    @property
+    def links(self) -> int:
+        """Number of links."""
+        return self.guess.n_links
 
     @property
     def held_out_rms(self) -> float:
@@ -254,25 +259,6 @@ class ModelComparison(Ranking):
         return self._text("Models compared", rows)
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A model to be fitted: a name, a guess and the words of ``free``."""
-
-    name: str
-    guess: Rope
-    free: tuple[str, ...]
-
-    def nested_in(self, other: "Candidate") -> bool:
-        """Whether `other` frees all that is free here, and more."""
-        return set(self.free) < set(other.free) and self.guess.n_links == other.guess.n_links
-
-    def starting_guess(self, other: "Candidate", rope: Rope) -> Rope:
-        """Return the guess of `other` with the values fitted here, of `rope`; laws keep their guess."""
-        labels = [label for word in self.free if (label := parse_label(word)) and label.law in ("", "shared", "inner")]
-        names = {label.name for label in labels if FREE_PROPERTIES[label.name].owner in ("link", "rope")} - set(GRAVITY)
-        return other.guess.replace(**{name: getattr(rope, name) for name in sorted(names)})
-
-
 @interruptible(ModelComparison)
 @one_thread()
 def compare_models(
@@ -341,7 +327,7 @@ def compare_models(
         setup = replace(setup, arc_lengths=np.append(0.0, np.cumsum(rope_guess.length)))
     todo = candidates(rope_guess, free, models, links)
     budget = Budget.of(TIME_BUDGET * len(todo) if time_budget is None else time_budget)
-    done: list[Identification | str] = []  # a fit, or why it failed
+    done: list[FittedModel] = []
     with stoppable() as stop, budget.progress(progress, "comparing", len(todo), "models"):
         for number, each in enumerate(todo):
             budget.check()
@@ -350,51 +336,54 @@ def compare_models(
             try:
                 found = fit(each.guess, each.free, options=options)
                 options = replace(options, window=found.settings["window"])  # the same for all
-                simpler = zip(todo, done, strict=False)
-                done.append(_refit_from_nested(partial(fit, options=options), each, found, simpler))
+                done.append(
+                    replace(each, identification=_refit_from_nested(partial(fit, options=options), each, found, done))
+                )
             except HyperflexError as failure:
-                done.append(str(failure))
+                done.append(replace(each, reason=str(failure)))
             budget.report(number + 1.0)
-    fits = [one for one in done if isinstance(one, Identification)]
+    fits = [one.identification for one in done if one.identification is not None]
     if stop.received and not fits:
         raise Interrupted
     late = any(one.ended is Status.OUT_OF_TIME for one in fits)
     bases = [one.basis for one in fits if one.converged]
     scores = dict(zip(map(id, bases), criteria(bases) if bases else [], strict=True))
-    fitted = tuple(_fitted_model(each, one, scores) for each, one in zip(todo, done, strict=False))
+    fitted = tuple(_with_evidence(one, scores) for one in done)
     unit = fits[-1].unit if fits else "rad"
     ended = stop.status or (Status.OUT_OF_TIME if late else None)
     return stop.deliver(ModelComparison(fitted, *recommend(fitted), unit, ended))
 
 
 def _refit_from_nested(
-    fit: Callable[..., Identification],
-    candidate: Candidate,
-    found: Identification,
-    simpler: Iterable[tuple[Candidate, Identification | str]],
+    fit: Callable[..., Identification], model: FittedModel, found: Identification, before: Sequence[FittedModel]
 ) -> Identification:
     """Return a fit no worse than those of models nested in it: where one is better, fitted again from there."""
-    cost = found.basis.fit.cost
-    for other, before in simpler:
-        if isinstance(before, str) or not other.nested_in(candidate):
+    for other in before:
+        simple, nested = other.identification, set(other.free) < set(model.free) and other.links == model.links
+        if simple is None or not nested or simple.residual_t.size != found.residual_t.size:
             continue
-        if before.residual_t.size == found.residual_t.size and WORSE * before.basis.fit.cost < cost:
-            again = fit(other.starting_guess(candidate, before.rope), candidate.free)
-            if again.basis.fit.cost < cost:
-                found, cost = again, again.basis.fit.cost
+        if WORSE * simple.basis.fit.cost < found.basis.fit.cost:
+            again = fit(_started(model.guess, simple.rope, other.free), model.free)
+            found = min(found, again, key=lambda each: each.basis.fit.cost)
     return found
 
 
-def _fitted_model(candidate: Candidate, found: Identification | str, scores: Mapping[int, float | None]) -> FittedModel:
-    model = FittedModel(candidate.name, candidate.free, candidate.guess.n_links)
-    if isinstance(found, str):
-        return replace(model, reason=found)
+def _started(guess: Rope, rope: Rope, free: Sequence[str]) -> Rope:
+    """Return a guess with the values of `rope` of what was free in it; laws keep their guess."""
+    labels = [label for word in free if (label := parse_label(word)) and label.law in ("", "shared", "inner")]
+    names = {label.name for label in labels if FREE_PROPERTIES[label.name].owner in ("link", "rope")} - set(GRAVITY)
+    return guess.replace(**{name: getattr(rope, name) for name in sorted(names)})
+
+
+def _with_evidence(model: FittedModel, scores: Mapping[int, float | None]) -> FittedModel:
+    found = model.identification
+    if found is None:
+        return model
     bic, information = scores.get(id(found.basis)), found.basis.information
     reason = "" if bic is not None else "it was fitted to other samples than the rest, so its BIC is not comparable"
     parameters = information.known.shape[1]
     return replace(
         model,
-        identification=found,
         reason=reason if found.converged else "the fit did not converge",
         parameters=parameters,
         unknowns=parameters + sum(window.unknowns for window in found.basis.windows),
@@ -407,7 +396,7 @@ def _fitted_model(candidate: Candidate, found: Identification | str, scores: Map
 
 def candidates(
     guess: Rope, free: Sequence[str], models: Mapping[str, object] | None, links: Sequence[int]
-) -> list[Candidate]:
+) -> list[FittedModel]:
     """Return the candidates, made of the arguments of :func:`compare_models`."""
     if models is None:
         result = _resistances(guess, free)
@@ -419,24 +408,24 @@ def candidates(
     for count in links:
         n = checks.count("links", count, most=MOST_LINKS)
         if n != guess.n_links:
-            result.append(Candidate(f"{n} links", recut(simplest.guess, n), simplest.free))
+            result.append(FittedModel(f"{n} links", recut(simplest.guess, n), simplest.free))
     names = [each.name for each in result]
     if len(set(names)) < len(names):
         raise InvalidInput("two candidates have one name", got=names, allowed="each name once")
     return result
 
 
-def _own(name: str, guess: Rope, value: object) -> Candidate:
+def _own(name: str, guess: Rope, value: object) -> FittedModel:
     if isinstance(value, tuple) and len(value) == 2 and isinstance(value[0], Rope):
         guess, value = value
     if isinstance(value, str) or not isinstance(value, Sequence):
         raise InvalidInput(
             f"candidate {name!r} cannot be used", got=value, allowed="what is free, or a pair (guess, what is free)"
         )
-    return Candidate(name, guess, tuple(value))
+    return FittedModel(name, guess, tuple(value))
 
 
-def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
+def _resistances(guess: Rope, free: Sequence[str]) -> list[FittedModel]:
     """Return the viscous rope, alone and with one or two resistances added; and what else damps in its place.
 
     What is not free is 0 in them, but viscous friction that is not in `free`, which all have as given.
@@ -463,5 +452,5 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[Candidate]:
         words = [word for each in those if each in varied for word in own.get(each.name, (each.name + law,))]
         absent = {each.name: 0.0 for each in varied if each not in those}
         name = " + ".join(each.field for each in those)
-        result.append(Candidate(name, guess.replace(**absent), (*plain, *words)))
+        result.append(FittedModel(name, guess.replace(**absent), (*plain, *words)))
     return result

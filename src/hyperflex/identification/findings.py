@@ -1,10 +1,17 @@
-"""Findings: what an identification shows beside its values, as data. Their texts are in texts.py."""
+"""Findings: what an identification shows beside its values, as data, and their texts."""
 
+import string
 from bisect import bisect_right
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Any
+
+import numpy as np
+
+LINES = 5  # of a short report, the grade's line included
+NAMES = 4  # of a list that are shown in a line
+COMPARE = "See whether another model predicts better (compare_models), and check what was declared."
 
 
 class Severity(IntEnum):
@@ -17,81 +24,295 @@ class Severity(IntEnum):
 
 
 class Kind(StrEnum):
-    """Kind of a finding. Of findings of one severity plain evidence comes first, then causes, then symptoms."""
+    """Kind of a finding, and its text: what was seen | what it means and what to do.
+
+    In a text {x:%} is a part in per cent, {x:deg} an angle, {x:list} a list of names. Of findings of one severity plain
+    evidence comes first, then causes, then symptoms.
+    """
+
+    text: str
+
+    def __new__(cls, value: str, text: str) -> "Kind":
+        """Make a kind of its name and its text."""
+        made = str.__new__(cls, value)
+        made._value_, made.text = value, " ".join(text.split())
+        return made
 
     # What the recording or the rope shows by itself
-    MARKERS_SWAPPED = "markers swapped for a time"
-    PICTURE_SCALE = "different scales along x and y"
-    MARKER_DISTANCES = "marker distances unlike link lengths"
-    UNLIKE_LENGTHS = "link lengths of different units"
-    NOISE_OVERSTATED = "declared noise too large"
-    UNEXPLAINED = "residuals larger than noise"
-    SPRING_OR_ANGLES = "angles scaled, or a spring"
+    MARKERS_SWAPPED = (
+        "markers swapped for a time",
+        "Markers {first} and {second} are swapped {times:list}. | Swap them back there.",
+    )
+    PICTURE_SCALE = (
+        "different scales along x and y",
+        """Lengths at {angle:deg} from +x are about {factor:.3g} times those across. | Pixels are not square, x and y
+        are scaled differently, or the camera views the plane from the side. Calibrate the camera.""",
+    )
+    MARKER_DISTANCES = (
+        "marker distances unlike link lengths",
+        """The markers lie {measured:list} m apart, the links are {declared:list} m long. | Their scale or the link
+        lengths are wrong; the angles do not show it. Measure a length, and check the scale of the markers.""",
+    )
+    UNLIKE_LENGTHS = (
+        "link lengths of different units",
+        "Link {longest} is {times:.3g} times as long as link {shortest}. | Give all in m.",
+    )
+    NOISE_OVERSTATED = (
+        "declared noise too large",
+        """The declared noise ({declared:.2g}) is {times:.2g} times as large as the residuals ({left:.2g}). | Check its
+        value and unit: it is in the unit of the data.""",
+    )
+    UNEXPLAINED = (
+        "residuals larger than noise",
+        """Residuals are {times:.2g} times as large as the declared noise, and no tested cause explains it. | More
+        noise is present, or the model omits an effect; ratios may be off by more than their intervals. Check the
+        noise's value and unit. """
+        + COMPARE,
+    )
+    SPRING_OR_ANGLES = (
+        "angles scaled, or a spring",
+        """stiffness was freed, but angles multiplied by {factor:.3g} explain the recording as well without it. | Check
+        the angles' scale in radians, or name what is free.""",
+    )
     # Declarations that contradict the data
-    CLOCK = "clock or lengths"
-    DRIFT = "drifting clock"
-    LENGTHS = "lengths"
-    ZERO = "zero of the angles"
-    LINK_ZERO = "zero of one link"
-    ANGLE_SCALE = "scale of the angles"
-    RELATIVE = "angles are relative"
-    ABSOLUTE = "angles are absolute"
-    REVERSED = "order from the free end"
-    SWAPPED = "two neighbours swapped"
-    SENSE = "sense of one link"
-    ZERO_DIRECTION = "zero points elsewhere"
-    DEGREES = "angles are in degrees"
-    RADIANS = "angles are in radians"
-    Y_AXIS = "direction of y"
-    AXES_SWAPPED = "x and y swapped"
-    MARKER_SCALE = "scale of the markers"
-    MARKER_PLACES = "places of the markers"
-    DELAY = "delay of the motion"
-    ARM_LENGTH = "length of the arm"
-    ARM_INERTIA = "inertia of the arm"
-    ARM_FRICTION = "friction of the arm"
-    MASS_TAPER = "mass changes along the rope"
-    REST_BEND = "bent at rest"
-    HELD = "held value"
-    RESISTANCE = "another resistance"
-    UNEVEN_RESISTANCE = "resistance differs along the rope"
-    LINKS_TOO_LONG = "links too long"
+    CLOCK = (
+        "clock or lengths",
+        """Times multiplied by {clock:.3g}, or lengths divided by {scale:.3g}, fit better. | The clock, the frame rate
+        or a length is not as declared; ratios move by up to {moved:%}. Check the frame rate, and measure one length
+        again.""",
+    )
+    DRIFT = (
+        "drifting clock",
+        """The clock seems to drift by {drift:%} from the first window to the last. | Or something else changes
+        over the recording; ratios move by up to {moved:%}. Check the time stamps, or fit parts of the recording
+        separately.""",
+    )
+    LENGTHS = (
+        "lengths",
+        """Lengths of the links or of the arm seem {off:%} off. | A drive has its own length and time; an omitted
+        resistance can look the same. Measure the lengths again.""",
+    )
+    ZERO = (
+        "zero of the angles",
+        """The zero of the angles seems off by {angle:deg}. | The camera is not level, or the zero, axes or their order
+        are not as declared. Check the zero and the axes, level the camera, or free 'gravity_angle'.""",
+    )
+    LINK_ZERO = "zero of one link", "The zero of link {link} seems off by {angle:deg}. | Check that sensor's zero."
+    ANGLE_SCALE = (
+        "scale of the angles",
+        """Angles multiplied by {factor:.3g} fit better. | The sensor's scale is not as declared; ratios move by up to
+        {moved:%}. Check what an angle of the sensor is in radians.""",
+    )
+    RELATIVE = (
+        "angles are relative",
+        "It fits as if angles were relative to the link before. | Declare angles='relative'.",
+    )
+    ABSOLUTE = "angles are absolute", "It fits as if angles were absolute. | Declare angles='absolute'."
+    REVERSED = "order from the free end", "It fits as if {what} were counted from the free end. | Reverse their order."
+    SWAPPED = "two neighbours swapped", "It fits as if {what} {first} and {second} were swapped. | Swap them."
+    SENSE = "sense of one link", "It fits as if link {link} grew to the other side. | Check its sense."
+    ZERO_DIRECTION = (
+        "zero points elsewhere",
+        "It fits as if angles were 0 {where}. | Check zero='hanging' or 'up', and the axes.",
+    )
+    DEGREES = "angles are in degrees", "It fits as if angles were in degrees. | Declare unit='deg'."
+    RADIANS = "angles are in radians", "It fits as if angles were in radians. | Declare unit='rad'."
+    Y_AXIS = "direction of y", "It fits as if y pointed the other way. | Declare y_axis='up' or 'down'."
+    AXES_SWAPPED = "x and y swapped", "It fits as if x and y were swapped. | Check the order of the columns."
+    MARKER_SCALE = (
+        "scale of the markers",
+        "Markers divided by {factor:.3g} fit better. | Their scale is wrong. Check the scale.",
+    )
+    MARKER_PLACES = (
+        "places of the markers",
+        """The markers seem to be at {places:list} mm along the rope. | arc_lengths or a length are off; ratios move by
+        up to {moved:%}. Measure arc_lengths and lengths again, or free 'arc'.""",
+    )
+    DELAY = "delay of the motion", "The motion seems {delay:.3g} s late in the recording's time. | Free 'delay'."
+    ARM_LENGTH = "length of the arm", "The arm seems {length:.3g} m long. | Measure the arm again."
+    ARM_INERTIA = "inertia of the arm", "The arm's inertia seems to be {value:.2g} kg m^2. | Free 'arm_inertia'."
+    ARM_FRICTION = "friction of the arm", "The arm's friction seems to be {value:.2g} N m s/rad. | Free 'arm_friction'."
+    MASS_TAPER = (
+        "mass changes along the rope",
+        """The mass of the tip seems {factor:.3g} times that of the begin. | The mass is not even along the rope;
+        ratios move by up to {moved:%}. Give the guess such masses, or free 'mass:taper'.""",
+    )
+    REST_BEND = "bent at rest", "The rope seems bent at rest, by {angle:deg} a joint. | Free 'rest_angle:shared'."
+    HELD = (
+        "held value",
+        """What is held does not fit: {name} seems to be {values:list}. | Ratios move by up to {moved:%}. Measure it,
+        or free {name}.""",
+    )
+    RESISTANCE = (
+        "another resistance",
+        "{name} fits better as {values:list}. | A resistance is of another kind or size, or changes. Free {name}.",
+    )
+    UNEVEN_RESISTANCE = (
+        "resistance differs along the rope",
+        """{name} is {factor:.2g} times as large at the {where}. | The resistance differs along the rope. Free
+        {words:list}.""",
+    )
+    LINKS_TOO_LONG = (
+        "links too long",
+        """This looks like a rope of finer links (probability {probability:%}). | Values are off by up to {moved:%}
+        with so few links. Use more links.""",
+    )
     # What the fit looks like
-    HANGS_UPWARDS = "gravity holds the rope up"
-    NOT_CONVERGED = "fit not converged"
-    POOR_FIT = "poor fit"
-    POOR_TORQUE = "torque does not fit"
-    MASS_FAR = "mass far beyond its link"
-    PREDICTION_FAILED = "prediction failed"
-    PREDICTION_POOR = "poor prediction"
-    PREDICTION_OUTSIDE = "prediction outside its band"
-    WINDOWS_DISAGREE = "windows disagree"
-    RESISTANCE_CHANGES = "resistance changes with time"
-    NOTHING_KNOWN = "no ratio known"
-    GRAVITY_ROTATED = "gravity rotated"
-    UNTESTED = "lengths and times untested"
-    POORLY_DETERMINED = "poorly determined values"
-    LONE_START = "one start alone"
-    NOISE_UNDERSTATED = "declared noise too small"
-    COLOURED = "correlated residuals"
-    NOT_STATIONARY = "residuals not stationary"
-    FEW_VALUES = "few independent values"
-    BETTER_OPTIMUM = "better optimum nearby"
-    PROFILE_GIVEN_UP = "profile given up"
+    HANGS_UPWARDS = (
+        "gravity holds the rope up",
+        """Gravity would hold the rope up: its first moment p1 is negative. | The zero of the angles or the direction
+        of y is wrong. Check zero='hanging' or 'up', y_axis='up' or 'down'.""",
+    )
+    NOT_CONVERGED = (
+        "fit not converged",
+        """The fit is {how}. | Values, ratios and deviations are those of its last step, not what the data show. Give a
+        better guess, shorter windows, fewer free parameters, or more time.""",
+    )
+    POOR_FIT = (
+        "poor fit",
+        """{what} is {rms:.3g} {unit} off, and moves by {motion:.3g} {unit} (rms) within the windows. | The model does
+        not describe this motion. Check units, zero and sense of the recording, link lengths, the motion of the base,
+        and the guess.""",
+    )
+    POOR_TORQUE = (
+        "torque does not fit",
+        """The torque is {rms:.3g} N m off, and moves by {motion:.3g} N m (rms) within the windows. | Masses, inertias
+        and frictions mean nothing until it fits. Check its sign (positive turns the arm to larger angles) and its
+        unit, N m.""",
+    )
+    MASS_FAR = (
+        "mass far beyond its link",
+        """Link {link} would have its mass {reach:.3g} times as far from its joint as it is long. | Inertia over first
+        moment is more than a link can have. Check times, frame rate, scale, lengths and the order of the links.""",
+    )
+    PREDICTION_FAILED = (
+        "prediction failed",
+        """{failed} of {count} predictions of the held-out part failed (from t = {times:list} s). | The identified rope
+        cannot be simulated there. Inspect the held-out part, or fit all (train=inf).""",
+    )
+    PREDICTION_POOR = (
+        "poor prediction",
+        """Predictions of the held-out part err by {part:%} of what no motion at all would. | The model omits an
+        effect, or something is not as declared. """
+        + COMPARE,
+    )
+    PREDICTION_OUTSIDE = (
+        "prediction outside its band",
+        """Only {part:%} of the held-out part lies where 95 % is expected. | Intervals are far too small: the model
+        omits an effect, or something is not as declared. """
+        + COMPARE,
+    )
+    WINDOWS_DISAGREE = (
+        "windows disagree",
+        """{label} scatters between windows {times:.2g} times as much as noise makes it (std {part:%}). | Something
+        changes over the recording, or was left out. Fit parts of the recording separately.""",
+    )
+    RESISTANCE_CHANGES = (
+        "resistance changes with time",
+        """{label} scatters between windows {times:.2g} times as much as noise makes it (std {part:%}). | A resistance
+        changes, or is of another kind.""",
+    )
+    NOTHING_KNOWN = (
+        "no ratio known",
+        """No ratio of moments and inertias is known better than to {limit:%}. | The recording determines too little.
+        Record longer or larger swings, or more frames a second.""",
+    )
+    GRAVITY_ROTATED = (
+        "gravity rotated",
+        """Gravity is rotated by {angle:deg}. | Axes or zero may not be as declared. Check zero, y_axis and the order
+        of the axes.""",
+    )
+    UNTESTED = (
+        "lengths and times untested",
+        """This motion tests neither times nor lengths. | If they are wrong by more than declared, moments and inertias
+        are too (clock 1 % off: J/p1 2 % off). Check the frame rate.""",
+    )
+    POORLY_DETERMINED = (
+        "poorly determined values",
+        """Poorly determined: {labels:list}. | Their standard deviations are large; all other {others} are known
+        better. Record longer or larger swings, or hold what you know otherwise.""",
+    )
+    LONE_START = (
+        "one start alone",
+        """Only one of {starts} starts came to this fit. | It may be a local optimum. Give a better guess, or shorter
+        windows.""",
+    )
+    NOISE_UNDERSTATED = (
+        "declared noise too small",
+        """Residuals are {times:.3g} times as large as the declared noise. | The noise is larger, or the model omits an
+        effect; parameters may be biased beyond their intervals.""",
+    )
+    COLOURED = (
+        "correlated residuals",
+        """Residuals are correlated, over {samples:.0f} samples. | The noise is coloured, or the model omits an effect;
+        deviations include other resistances, not more.""",
+    )
+    NOT_STATIONARY = (
+        "residuals not stationary",
+        "No stationary noise explains the residuals. | Standard deviations and intervals may be far too small.",
+    )
+    FEW_VALUES = (
+        "few independent values",
+        """The residuals are worth about {values:.2g} independent values. | Standard deviations and intervals are
+        little more than a guess. Record longer, or free fewer parameters.""",
+    )
+    BETTER_OPTIMUM = (
+        "better optimum nearby",
+        """Near {name} the squares fall {gain:.3g} residual variances below this fit. | It is not the best one. Fit
+        again with rope_guess=hyperflex.identification.profile(found, '{name}').better.""",
+    )
+    PROFILE_GIVEN_UP = (
+        "profile given up",
+        """The profile of {name} took too long to follow to its ends. | Its interval is that of the standard
+        deviation.""",
+    )
     # What the values stand for
-    TORQUE_SCALE = "proportional to the torque"
-    HELD_SCALE = "proportional to held masses"
-    COMMON_FACTOR = "unknown common factor"
-    UNDETECTABLE = "lengths and times tested together only"
-    FRICTION_MODEL = "friction depends on the model"
-    WINDOWS_LEFT_OUT = "windows left out"
-    IDENTIFIABLE = "all identifiable"
-    COMBINATION = "unknown combination"
-    NO_EFFECT = "no effect in this motion"
-    AT_ZERO = "went to zero"
-    NOT_ESTIMATED = "no standard deviations"
-    CHOSEN = "free by default"
-    HELD_VALUES = "held values"
+    TORQUE_SCALE = (
+        "proportional to the torque",
+        """Masses, inertias and frictions are proportional to the torque as measured. | A torque 1 % too large makes
+        them 1 % too large; standard deviations include torque_std. Check its scale with a known weight.""",
+    )
+    HELD_SCALE = (
+        "proportional to held masses",
+        """Masses, inertias and frictions are proportional to the held masses and centres of mass. | No motion tests
+        these{sensitivity}. Use ratios alone, or weigh the links and find where each balances.""",
+    )
+    COMMON_FACTOR = (
+        "unknown common factor",
+        """Masses, inertias and frictions share a factor that no free swing shows. | Ratios are known. Use ratios
+        alone, or weigh the links and hold 'mass' and 'com'.""",
+    )
+    UNDETECTABLE = (
+        "lengths and times tested together only",
+        """Times and lengths are tested against each other only. | With a clock 1 % off and all lengths 2 % off a rope
+        moves exactly alike, and J/p1 is 2 % off. Check the frame rate, or one length.""",
+    )
+    FRICTION_MODEL = (
+        "friction depends on the model",
+        """Friction would change by up to {part:%} with {name} free as well. | It stands for all that brakes: a model
+        error.""",
+    )
+    WINDOWS_LEFT_OUT = (
+        "windows left out",
+        """{part:%} of the windows were left out. | They have too few samples, or the rope could not be simulated from
+        their states.""",
+    )
+    IDENTIFIABLE = "all identifiable", "All free parameters are identifiable, given those that were held."
+    COMBINATION = (
+        "unknown combination",
+        """{count} combination(s) of {names:list} cannot be known. | They act alike in this motion; their values are
+        one choice of many. {ratios} Hold what you can measure otherwise, such as 'mass' and 'com', or record another
+        motion.""",
+    )
+    NO_EFFECT = (
+        "no effect in this motion",
+        """{names:list} cannot be known. | What has no effect in this motion has values that mean nothing. Hold them,
+        or record a motion in which they act.""",
+    )
+    AT_ZERO = "went to zero", "{names:list} went to 0, the least allowed. | The data show none of it."
+    NOT_ESTIMATED = "no standard deviations", "The fit ended before standard deviations and intervals were computed."
+    CHOSEN = "free by default", "Free by default: {usual:list}. | Added because the recording shows it: {added:list}."
+    HELD_VALUES = "held values", "Held as given: {names:list}. | A standard deviation of 0 is no accuracy."
 
 
 KINDS = list(Kind)
@@ -151,3 +372,51 @@ def ordered(findings: Iterable[Finding]) -> tuple[Finding, ...]:
         return -finding.severity, rank, "before" not in finding.values, -finding.gain
 
     return tuple(sorted(findings, key=order))
+
+
+class _Formatter(string.Formatter):
+    """Fills a text with SI values in units for people."""
+
+    def format_field(self, value: Any, spec: str) -> str:
+        """Return a value as its specification says."""
+        if spec == "%":
+            return percent(value)
+        if spec == "deg":
+            return f"{np.degrees(value):.3g} degrees"
+        if spec == "list":
+            shown = [f"{each:.4g}" if isinstance(each, float) else str(each) for each in value]
+            more = f" and {len(shown) - NAMES} more" if len(shown) > NAMES else ""
+            return (", ".join(shown[:NAMES]) or "none") + more
+        return str(super().format_field(value, spec))
+
+
+def percent(part: float) -> str:
+    """Return a part in per cent: two digits, and at most 1000 %, beyond which a number says nothing."""
+    return "1000 % and more" if part > 10.0 else f"{float(f'{100.0 * part:.2g}'):g} %"
+
+
+def text(finding: Finding) -> str:
+    """Return a finding as one line: what was seen, what it means, what to do."""
+    seen, _, rest = _Formatter().vformat(finding.kind.text, (), finding.values).partition(" | ")
+    if finding.gain > 0.0 and "left" not in finding.values:
+        seen += f" It explains {percent(finding.gain)} of the residuals' sum of squares{_others(finding)}."
+    if "before" in finding.values:
+        seen += " A short fit leaves {left:%} of the motion then, {before:%} as declared."
+        seen = _Formatter().vformat(seen, (), finding.values)
+    maybe = "Possible: " if finding.severity is Severity.DOUBT and finding.gain > 0.0 else ""
+    return f"{maybe}{seen} {rest}".rstrip()
+
+
+def _others(finding: Finding) -> str:
+    """Return what had to be free as well, and what explains as much."""
+    along, alike = finding.values.get("freed_with", ()), finding.values.get("alike", ())
+    words = f" with {', '.join(along)} free as well" if along else ""
+    return words + (f"; as well explained by: {', '.join(alike)}" if alike else "")
+
+
+def report(grade: Grade, findings: Sequence[Finding], *, full: bool = False) -> str:
+    """Return the grade and one line for each finding; at most LINES lines unless `full`, notes only then."""
+    lines = [text(each) for each in findings if full or each.severity > Severity.NOTE]
+    if len(lines) >= LINES and not full:
+        lines[LINES - 2 :] = [f"and {len(lines) - LINES + 2} more: report(full=True)"]
+    return "\n  ".join([f"{grade.capitalize()}.", *lines])

@@ -11,9 +11,8 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.identification.declarations.score_tests import ScoreTest
-from hyperflex.identification.findings import Finding, Grade, Kind, grade, ordered
+from hyperflex.identification.findings import Finding, Grade, Kind, grade, ordered, report, text
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.texts import report, text
 from hyperflex.identification.uncertainty.covariance import Basis, Interval
 from hyperflex.model import Rope
 from hyperflex.status import Status

@@ -13,12 +13,11 @@ from hyperflex.identification.declarations.resistances import as_free
 from hyperflex.identification.declarations.score_findings import REPORTED, score_findings
 from hyperflex.identification.declarations.score_tests import CLOCK, TESTING, ScoreTest
 from hyperflex.identification.declarations.window_tests import Scatter
-from hyperflex.identification.findings import Finding, Kind, Severity
+from hyperflex.identification.findings import Finding, Kind, Severity, percent
 from hyperflex.identification.fit.loss import NORMAL
 from hyperflex.identification.model.parameters import common_factor, in_common_factor, lumped
 from hyperflex.identification.model.plant import Plant
 from hyperflex.identification.prediction import HeldOut
-from hyperflex.identification.texts import percent
 from hyperflex.identification.uncertainty.covariance import TOUCHED, Basis
 from hyperflex.identification.uncertainty.model_error import law_error
 from hyperflex.identification.uncertainty.noise import CHANCE
