@@ -23,8 +23,8 @@ from hyperflex.identification.fit.windows import Window, cut_windows, decimation
 from hyperflex.identification.measurements import Measurements
 from hyperflex.identification.model.parameters import Parameters, parse, scaling
 from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.pipeline import message
 from hyperflex.identification.prediction import HeldOut, PredictionUncertainty, predict
-from hyperflex.identification.rounds import message
 from hyperflex.identification.symptoms import _identifiable, _of_prediction
 from hyperflex.identification.uncertainty.covariance import Information, estimate_covariance
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation

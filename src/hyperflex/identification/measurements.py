@@ -254,17 +254,11 @@ def build_plant(
 
 def split(measured: Measurements, options: FitOptions) -> tuple[Measurements, Measurements | None]:
     """Return the part to fit and the part held out."""
-    every = measured.channels
-    if options.train is None:
-        time = float(every.t[0] + TRAIN * every.duration)
-        if every.t[-1] - time < options.lead + options.ahead:
-            return measured, None
-    else:
-        time = options.train
-        if time > every.t[-1]:
-            return measured, None
-        if time <= every.t[0]:
-            raise InvalidInput("train leaves nothing to fit", got=time, allowed=f"a time after {every.t[0]:g} s")
-    fitted = measured.between(-np.inf, time)
-    rest = every.t >= time
-    return fitted, measured.between(time, np.inf) if rest.sum() > 1 else None
+    t, time = measured.channels.t, options.train
+    if time is None:
+        time = float(t[0] + TRAIN * measured.channels.duration)
+        time = time if t[-1] - time >= options.lead + options.ahead else np.inf
+    if time <= t[0]:
+        raise InvalidInput("train leaves nothing to fit", got=time, allowed=f"a time after {t[0]:g} s")
+    rest = measured.between(time, np.inf) if (t >= time).sum() > 1 else None
+    return (measured if time > t[-1] else measured.between(-np.inf, time)), rest

@@ -179,27 +179,35 @@ class Identification:
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
-        result: dict[str, Any] = {"grade": self.grade.value, "success": self.success, "status": self.status.value}
-        result |= {"message": self.message, "findings": [each.table for each in self.findings]}
-        alike = ("identifiable", "unit", "values", "std", "model_std", "ratios", "ratio_std", "ratio_model_std")
-        names = (*alike, "held", "parameters", "covariance", "length_covariance")
-        result |= {name: getattr(self, name) for name in names}
+        names = (
+            "grade",
+            "success",
+            "status",
+            "message",
+            "identifiable",
+            "unit",
+            "values",
+            "std",
+            "model_std",
+            "ratios",
+        )
+        names += ("ratio_std", "ratio_model_std", "held", "parameters", "covariance", "length_covariance")
+        result = {name: getattr(self, name) for name in (*names, "residual_rms", "residual_rms_all", "settings")}
+        result |= {"grade": self.grade.value, "status": self.status.value}
+        result["findings"] = [each.table for each in self.findings]
         result["intervals"] = {
             name: {"low": each.low, "high": each.high, "kind": each.kind} for name, each in self.intervals.items()
         }
-        result |= {"residual_rms": self.residual_rms, "residual_rms_all": self.residual_rms_all}
         if self.torque_residuals is not None:
             result["torque_rms"] = self.torque_rms
-        if self.held_out is not None:
-            held = self.held_out
+        if (held := self.held_out) is not None:
             result["held_out"] = {"lead": held.lead, "ahead": held.ahead, "predictions": held.starts.size}
             result["held_out"] |= {"rms": held.rms, "window_rms": held.window_rms, "inside_band": held.inside}
         result["score_tests"] = {
             each.name: {"gain": each.gain, "values": each.values, "refitted": each.refitted}
             for each in self.score_tests
         }
-        result |= {"settings": self.settings, "rope": self.rope.table()}
-        return dict(files.plain(result))
+        return dict(files.plain(result | {"rope": self.rope.table()}))
 
     def with_findings(self, more: Iterable[Finding]) -> "Identification":
         """Return the same result with more findings."""
