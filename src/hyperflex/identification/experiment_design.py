@@ -180,7 +180,7 @@ def expected_information(
         torque = run.motor_torque
         measured = with_torque(measured, torque, experiment.torque_noise)
     plant = build_plant(recording, rope, free, arc_lengths, RecordingSetup(motion, base, torque=torque))
-    length = min(usual_length(measured.shape, rope), 1.001 * recording.duration)
+    length = min(usual_length(measured.shape, rope, fewest=0), 1.001 * recording.duration)  # alike for all frame rates
     windows, _ = measured.windows(length, decimation_step(recording, length))
     x, widths = plant.parameters.start, plant.parameters.widths
     rows = [np.zeros((x.size, x.size))]

@@ -82,7 +82,7 @@ def swing_period(rope: Rope) -> float:
     return 2.0 * np.pi * float(np.sqrt(2.0 * rope.total_length / (3.0 * gravity))) if gravity > 0.0 else np.inf
 
 
-def usual_length(recording: Recording, rope: Rope) -> float:
+def usual_length(recording: Recording, rope: Rope, fewest: int = FEWEST_SEEN) -> float:
     """Return a window length (s): some periods of a small swing of a rod as long as the rope, less for fast links.
 
     It is doubled until it holds ``FEWEST_SEEN`` values of each link.
@@ -92,7 +92,7 @@ def usual_length(recording: Recording, rope: Rope) -> float:
     spacing = float(np.median(np.diff(recording.t)))
     length = max(min(PERIODS * period, MOST_TURN / max(fastest, 1e-300)), FEWEST_SAMPLES * spacing)
     seen = float((~np.isnan(recording.data)).mean(axis=0).min()) * length / spacing
-    return float(length * 2.0 ** np.ceil(np.log2(FEWEST_SEEN / seen))) if 0.0 < seen < FEWEST_SEEN else length
+    return float(length * 2.0 ** np.ceil(np.log2(fewest / seen))) if 0.0 < seen < fewest else length
 
 
 def rms_rate(t: Array, angle: Array) -> float:
