@@ -29,14 +29,12 @@ TRAIN = 0.8  # part of a recording that is fitted when nothing is said
 class Measurements:
     """What is fitted: channels, the angles that they show, and the prior of a state (see Window).
 
-    assumed: the channels' noise was not declared, but taken to be of a usual size. sides: other angles that would show
-    as the same channels.
+    sides: other angles that would show as the same channels.
     """
 
     channels: Recording
     shape: Recording
     prior: Array | None = None
-    assumed: bool = False
     sides: tuple[Recording, ...] = ()
 
     def windows(self, length: float, step: int = 1) -> tuple[list[Window], int]:
@@ -104,17 +102,16 @@ def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: 
         along = replace(recording, data=np.column_stack([joint, recording.data]), noise=None)
         places = np.append(0.0, arc_lengths)
     shape = _shape(along, rope, places)
-    n, prior, assumed = rope.n_links, None, False
+    n, prior = rope.n_links, None
     sides: tuple[Recording, ...] = ()
     if places.size - 1 < n and n > 1:
         turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n)
         none = np.zeros_like(turn)
         prior = np.block([[turn / BEND, none], [none, turn / SWAY]])
-        assumed = recording.noise is None
-        if assumed:
+        if recording.noise is None:
             recording = replace(recording, noise=np.array(UNTOLD * rope.total_length))
         sides = tuple(_shape(along, rope, places, side) for side in (1.0, -1.0))
-    return Measurements(recording, shape, prior, assumed, sides)
+    return Measurements(recording, shape, prior, sides)
 
 
 def with_torque(measured: Measurements, torque: npt.ArrayLike, noise: npt.ArrayLike | None) -> Measurements:

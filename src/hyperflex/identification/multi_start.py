@@ -32,9 +32,6 @@ WORSE = 2.0
 BETTER = 0.98
 # part of the motion that a fit without known noise leaves, from which it is tried from other starts
 BAD = 0.05
-# further starts of an ambiguous recording, and by which factor, its logarithm, at most
-SCATTERED = 3
-SPREAD = 0.7
 # ratio of costs within which two starts have come to the same
 ALIKE = 1.05
 # of the grid on either side of 0; windows; rounds of their states
@@ -160,13 +157,11 @@ class MultiStart:
     def try_other_starts(self, done: list[Fitted], length: float) -> None:
         """Put better fits from other starts in place of the last one, as long as it is bad.
 
-        Starts are the guess, what shorter windows came to and, where shapes look alike, x scattered about the guess.
-        States are fitted to each start first, window after window, so that no start is lost by a bad guess of states.
+        Starts are the guess, and what shorter windows came to. States are fitted to each start first, window after
+        window, so that no start is lost by a bad guess of states.
         """
-        best, rng, parameters = done[-1], np.random.default_rng(0), self.plant.parameters
-        guess = parameters.start
-        factors = np.exp(rng.uniform(-SPREAD, SPREAD, (SCATTERED * self.ambiguous, guess.size)))
-        starts = [guess, *(each.fit.x for each in done[:-1]), *(parameters.scaled(guess, each) for each in factors)]
+        best = done[-1]
+        starts = [self.plant.parameters.start, *(each.fit.x for each in done[:-1])]
         costs = [best.fit.cost]
         for number, x in enumerate(starts):
             if not self.is_bad(best.windows, best.fit):
@@ -191,23 +186,27 @@ class MultiStart:
 
     def settled(self, windows: Sequence[Window], x: Array, states: list[Array], report: Report) -> Fit:
         """Fit all windows, again from other states of those that fit badly, as long as that gains."""
-        best = self.fit(windows, x, states, report)
-        known_noise = self.measured.channels.noise is not None and not self.measured.assumed  # a value costs about 1
+        rough = {"enough": HARDLY} if self.ambiguous else {}  # where states are likely to be searched
+        best = self.fit(windows, x, states, report, **rough)
         with stoppable() as stop:
             while best.status is None:
                 loss, states = best.loss, list(best.states)
                 each = list(zip(windows, states, best.residuals, strict=True))
                 costs = np.array([loss.cost(residual) / window.values for window, _, residual in each])
-                limit = float(np.median(costs))
-                poor = np.flatnonzero(costs > WORSE * (min(limit, 1.0) if known_noise else limit)).tolist()
+                limit = min(float(np.median(costs)), np.inf if self.measured.channels.noise is None else 1.0)
+                poor = np.flatnonzero(costs > WORSE * limit).tolist()
                 before = {k: best.window_cost(*each[k]) for k in poor}
                 if not self.search_states(windows, best.x, states, poor, loss, before):
                     break
-                again = self.fit(windows, best.x, states, report)
+                again = self.fit(windows, best.x, states, report, **rough)
                 if again.cost >= best.cost:
                     break
                 again.history[:0] = best.history
                 best = again
+            if rough and best.status is None:
+                end = self.fit(windows, best.x, best.states, report)
+                end.history[:0] = best.history
+                best = end
         best.status = best.status or stop.status
         return best
 

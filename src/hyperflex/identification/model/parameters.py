@@ -129,12 +129,6 @@ class Parameters:
         """Return d value / d x (P,)."""
         return np.array([p.derivative(each) for p, each in zip(self.all, x, strict=True)])
 
-    def scaled(self, x: Array, factors: Array) -> Array:
-        """Return x (P,) with the values multiplied by positive factors (P,)."""
-        return np.array(
-            [x + np.log(f) if p.form == "log" else f * x for p, x, f in zip(self.all, x, factors, strict=True)]
-        )
-
     def single(self, name: str, x: Array, held: float = 0.0) -> float:
         """Return the value of a parameter of the whole, `held` where it is not free."""
         return next((p.value(each) for p, each in zip(self.all, x, strict=True) if p.name == name), held)
