@@ -645,8 +645,8 @@ def test_progress_is_told_and_printed(
     said: list[str] = []
     monkeypatch.setattr(progress, "lines", lambda: nullcontext(said.append))
     identify(free_swing, GUESS, ["friction"], progress=True)
-    assert said[0] == "first states (Ctrl-C keeps the best so far)"
-    assert said[1:] == [message(entry) for entry in told]
+    assert said[0].startswith("first states (Ctrl-C keeps the best so far)")
+    assert all(line.startswith(message(entry)) for line, entry in zip(said[1:], told, strict=True))
     assert capsys.readouterr() == ("", "")
 
 
