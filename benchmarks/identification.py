@@ -13,11 +13,10 @@ from clock import NOTE, alternately
 
 import hyperflex as hf
 from hyperflex.identification import identify
-from hyperflex.identification.fit.windows import usual_length
+from hyperflex.identification.fit import usual_length
 from hyperflex.identification.measurements import Measurements
 from hyperflex.identification.measurements import measure as measured
-from hyperflex.identification.model.parameters import Parameters, parse
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model import Parameters, Plant, parse
 from hyperflex.identification.multi_start import multi_start
 from hyperflex.paper import iterative_revision
 

@@ -18,11 +18,9 @@ from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification import FitOptions, Identification, Kind, RecordingSetup, identify, lumped, ratios
 from hyperflex.identification.declarations.evidence import other_lengths
-from hyperflex.identification.fit.multiple_shooting import Fit, Linear, fit, fit_state
-from hyperflex.identification.fit.windows import Window, cut_windows, decimation_step, usual_length
+from hyperflex.identification.fit import Fit, Linear, Window, cut_windows, decimation_step, fit, fit_state, usual_length
 from hyperflex.identification.measurements import Measurements
-from hyperflex.identification.model.parameters import Parameters, parse, scaling
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model import Parameters, Plant, parse, scaling
 from hyperflex.identification.pipeline import message
 from hyperflex.identification.prediction import HeldOut, PredictionUncertainty, predict
 from hyperflex.identification.symptoms import _identifiable, _of_prediction
@@ -186,7 +184,7 @@ def test_a_value_at_its_bound_does_not_hide_what_is_known() -> None:
     states = [np.append(run.q[k], run.qd[k]) for k in starts]
     parameters = freed(rope, ["inertia", "com", "friction"])
     plant = Plant(parameters)
-    residuals = [plant.residual(parameters.start, window, state) for window, state in zip(windows, states, strict=True)]
+    residuals = [window.residual(plant, parameters.start, state) for window, state in zip(windows, states, strict=True)]
     truth = Fit(parameters.start, states, [r for r in residuals if r is not None])
     information = estimate_covariance(plant, windows, truth)
     # Rounding only, as away from the bound

@@ -13,7 +13,7 @@ import hyperflex as hf
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import lumped, ratios
-from hyperflex.identification.model.parameters import Parameters, common_factor, in_common_factor, parse
+from hyperflex.identification.model import Parameters, common_factor, in_common_factor, parse
 from hyperflex.model import divided
 from hyperflex.model.properties import (
     FREE_PROPERTIES,

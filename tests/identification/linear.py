@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.fit.loss import Loss, LossName
-from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.parameters import Parameters, parse
-from hyperflex.identification.model.plant import Plant, PredictedChannels
+from hyperflex.identification.fit import Loss, LossName, Window, fit
+from hyperflex.identification.model import Parameters, Plant, PredictedChannels, parse
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.model import Rope
 

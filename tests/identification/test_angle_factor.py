@@ -12,7 +12,7 @@ import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Kind
 from hyperflex.identification.declarations.clock import DRIFT
-from hyperflex.identification.model.plant import ANGLES
+from hyperflex.identification.model import ANGLES
 
 GUESS = SINGLE.replace(inertia=1e-3, friction=5e-4)
 

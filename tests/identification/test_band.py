@@ -8,10 +8,8 @@ import pytest
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.identification import pipeline as _identify
-from hyperflex.identification.fit.multiple_shooting import fit_state
-from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.parameters import Parameters, parse
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.fit import Window, fit_state
+from hyperflex.identification.model import Parameters, Plant, parse
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import PredictionUncertainty, prediction_std
 from tests.faults.interrupting import left_by

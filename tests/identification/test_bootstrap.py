@@ -12,7 +12,7 @@ from hyperflex.budget import Budget
 from hyperflex.core.tangent.forward_sensitivity import forward_sensitivities
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, Identification, bootstrap, identify
-from hyperflex.identification.fit.multiple_shooting import Fit, fit
+from hyperflex.identification.fit import Fit, fit
 from hyperflex.identification.uncertainty import bootstrap as _bootstrap
 from hyperflex.identification.uncertainty.bootstrap import Bootstrap, _Draws, _Noise
 from hyperflex.identification.uncertainty.covariance import Basis

@@ -16,7 +16,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import comparison as _choice
 from hyperflex.identification.comparison import FittedModel, candidates, criteria, predicts_as_well, recommend
-from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification.model import lumped
 from hyperflex.identification.pipeline import identify
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.noise import Piece, whiteness

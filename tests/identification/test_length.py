@@ -9,7 +9,7 @@ import pytest
 
 from hyperflex import Recording, Rope, identify, simulate
 from hyperflex.identification import FitOptions
-from hyperflex.identification.model.parameters import Parameters, parse
+from hyperflex.identification.model import Parameters, parse
 from hyperflex.model import divided
 
 GUESS = Rope.uniform(length=0.6, mass=0.09, n_links=3, radius=0.02, friction=2e-4)

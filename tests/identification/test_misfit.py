@@ -9,9 +9,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification import Kind
-from hyperflex.identification.fit.loss import Loss, LossName
-from hyperflex.identification.fit.multiple_shooting import Fit
-from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.fit import Fit, Loss, LossName, Window
 from hyperflex.identification.symptoms import _of_fit, _of_noise
 from hyperflex.sensors import Angles
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hyperflex.checks import Array
-from hyperflex.identification.model.parameters import Parameters, parse
-from hyperflex.identification.model.plant import Plant, pivot_places
+from hyperflex.identification.model import Parameters, Plant, parse, pivot_places
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings
 from hyperflex.sensors import Angles, Markers

@@ -15,9 +15,8 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Finding, FitOptions, Identification, Kind, identify, profile
-from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import Fit, fit
-from hyperflex.identification.model.plant import PredictedChannels
+from hyperflex.identification.fit import Fit, Loss, fit
+from hyperflex.identification.model import PredictedChannels
 from hyperflex.identification.uncertainty import profile as _profile
 from hyperflex.identification.uncertainty.profile import (
     ParameterCoordinate,

@@ -8,11 +8,9 @@ import pytest
 import hyperflex as hf
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
-from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.windows import Window
+from hyperflex.identification.fit import Loss, Window, fit
 from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model import Plant
 from hyperflex.identification.multi_start import MultiStart
 
 PAPER = hf.Rope(length=[0.2] * 5, mass=[1.53e-3] * 5, inertia=1.43e-7, friction=6.31e-4)  # inferred, see ../shared

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperflex.identification import FitOptions, Identification, Kind, identify
-from hyperflex.identification.model.parameters import Parameters, in_common_factor, parse, scaling
+from hyperflex.identification.model import Parameters, in_common_factor, parse, scaling
 from hyperflex.identification.uncertainty.covariance import of_ratios
 from hyperflex.model import Rope
 from hyperflex.recording import Recording

@@ -26,7 +26,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, Kind, RecordingSetup
 from hyperflex.identification.measurements import build_plant
-from hyperflex.identification.model.plant import ARM_LENGTH, TORQUE, Plant, extended
+from hyperflex.identification.model import ARM_LENGTH, TORQUE, Plant, extended
 from hyperflex.sensors import MotorTorque
 from tests.reference import dense
 from tests.reference.arm import bang_bang_swings, links_of

@@ -10,7 +10,7 @@ from scipy.stats import binom
 
 from hyperflex.checks import Array
 from hyperflex.identification import FitOptions, identify
-from hyperflex.identification.fit.loss import LossName
+from hyperflex.identification.fit import LossName
 from hyperflex.identification.uncertainty.noise import (
     Piece,
     ar_coefficients,

@@ -8,7 +8,7 @@ from benchmarks.wrong_input import DOUBLE, FREE, noisy, swing
 
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Finding, Identification, Kind, identify, ratios
-from hyperflex.identification.model.parameters import Parameter, Parameters, parse
+from hyperflex.identification.model import Parameter, Parameters, parse
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate

@@ -25,7 +25,7 @@ from benchmarks.wrong_input import (
 import hyperflex as hf
 from hyperflex.identification import Kind
 from hyperflex.identification.declarations.mistakes import ShortFit, _meant
-from hyperflex.identification.fit.loss import Loss
+from hyperflex.identification.fit import Loss
 
 ROOT = Path(__file__).parents[2]
 SIMULATED = list(simulated())

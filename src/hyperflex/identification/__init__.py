@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from hyperflex.identification.excitation import check_motion, check_times
     from hyperflex.identification.experiment_design import Experiment, ExperimentDesign, Plan, design_experiment
     from hyperflex.identification.findings import Finding, Grade, Kind, Severity, text
-    from hyperflex.identification.model.parameters import lumped, perturbed
+    from hyperflex.identification.model import lumped, perturbed
     from hyperflex.identification.options import FitOptions, RecordingSetup
     from hyperflex.identification.pipeline import identify
     from hyperflex.identification.prediction import BAND, HeldOut

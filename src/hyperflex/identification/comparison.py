@@ -12,7 +12,7 @@ from hyperflex import checks, extras, files
 from hyperflex.budget import Budget, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
-from hyperflex.identification.model.parameters import GRAVITY, scales
+from hyperflex.identification.model import GRAVITY, scales
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.pipeline import TIME_BUDGET, identify
 from hyperflex.identification.prediction import HeldOut

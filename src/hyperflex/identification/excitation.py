@@ -6,7 +6,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.declarations.evidence import unlike_lengths
 from hyperflex.identification.findings import text
-from hyperflex.identification.fit.windows import STILL, rms_rate, swing_period
+from hyperflex.identification.fit import STILL, rms_rate, swing_period
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 

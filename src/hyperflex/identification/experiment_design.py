@@ -11,12 +11,17 @@ from hyperflex import checks, files
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
-from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import linearise
-from hyperflex.identification.fit.windows import decimation_step, usual_length
+from hyperflex.identification.fit import Loss, decimation_step, linearise, usual_length
 from hyperflex.identification.measurements import build_plant, measure, with_torque
-from hyperflex.identification.model.parameters import Parameter, Parameters, common_factor, in_common_factor, parse
-from hyperflex.identification.model.plant import PRECISION, pivot_places
+from hyperflex.identification.model import (
+    PRECISION,
+    Parameter,
+    Parameters,
+    common_factor,
+    in_common_factor,
+    parse,
+    pivot_places,
+)
 from hyperflex.identification.options import RecordingSetup
 from hyperflex.identification.ranking import Ranking
 from hyperflex.identification.uncertainty.covariance import Information, known_directions

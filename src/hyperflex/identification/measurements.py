@@ -9,9 +9,8 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit.windows import STILL, Window, cut_windows
-from hyperflex.identification.model.parameters import Parameters, parse
-from hyperflex.identification.model.plant import Plant, pivot_places
+from hyperflex.identification.fit import STILL, Window, cut_windows
+from hyperflex.identification.model import Parameters, Plant, parse, pivot_places
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.model import Rope
 from hyperflex.recording import Recording, unwrap

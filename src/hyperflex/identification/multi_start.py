@@ -15,12 +15,22 @@ from hyperflex import memory
 from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
-from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import HARDLY, Fit, Report, fit, fit_state, with_entries
-from hyperflex.identification.fit.windows import FEWEST_SAMPLES, Window, decimation_step, nearest_turn, part_left
+from hyperflex.identification.fit import (
+    FEWEST_SAMPLES,
+    HARDLY,
+    Fit,
+    Loss,
+    Report,
+    Window,
+    decimation_step,
+    fit,
+    fit_state,
+    nearest_turn,
+    part_left,
+    with_entries,
+)
 from hyperflex.identification.measurements import Measurements
-from hyperflex.identification.model.parameters import Parameters
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model import Parameters, Plant
 from hyperflex.interruption import stoppable
 
 # windows so many times shorter come first; how many, spread over the recording

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit.loss import LOSSES, LossName
+from hyperflex.identification.fit import LOSSES, LossName
 from hyperflex.model import Arm
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options

@@ -30,11 +30,9 @@ from hyperflex.identification.declarations.window_tests import (
 )
 from hyperflex.identification.excitation import check_excitation
 from hyperflex.identification.findings import Finding, Kind, Severity
-from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import Report
-from hyperflex.identification.fit.windows import part_left, usual_length
+from hyperflex.identification.fit import Loss, Report, part_left, usual_length
 from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements, split, with_torque
-from hyperflex.identification.model.plant import ANGLES, Plant
+from hyperflex.identification.model import ANGLES, Plant
 from hyperflex.identification.multi_start import multi_start, search_delay, with_delay
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty

@@ -6,11 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import fit_state, linearise
-from hyperflex.identification.fit.windows import LEAST_VALUES, Window, decimation_step, first_state
+from hyperflex.identification.fit import LEAST_VALUES, Loss, Window, decimation_step, first_state, fit_state, linearise
 from hyperflex.identification.measurements import Measurements
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model import Plant
 from hyperflex.identification.options import FitOptions
 from hyperflex.identification.uncertainty.covariance import Basis
 

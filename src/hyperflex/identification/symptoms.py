@@ -14,9 +14,8 @@ from hyperflex.identification.declarations.score_findings import REPORTED, score
 from hyperflex.identification.declarations.score_tests import CLOCK, TESTING, ScoreTest
 from hyperflex.identification.declarations.window_tests import Scatter
 from hyperflex.identification.findings import Finding, Kind, Severity, percent
-from hyperflex.identification.fit.loss import NORMAL
-from hyperflex.identification.model.parameters import common_factor, in_common_factor, lumped
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.fit import NORMAL
+from hyperflex.identification.model import Plant, common_factor, in_common_factor, lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import TOUCHED, Basis
 from hyperflex.identification.uncertainty.model_error import law_error

@@ -4,7 +4,7 @@ import numpy as np
 
 from hyperflex.identification.declarations.held import HeldQuantity, free_names
 from hyperflex.identification.findings import Kind
-from hyperflex.identification.model.plant import ANGLES, Plant
+from hyperflex.identification.model import ANGLES, Plant
 
 
 def _heavy(plant: Plant) -> bool:

@@ -5,7 +5,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.held import HeldQuantity, free_names
 from hyperflex.identification.findings import Kind
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model import Plant
 
 SCALES = "scales"  # factors on the links' lengths, on gravity, which a clock makes, the arm's length and the torque
 DRIFT = "clock_drift"

@@ -2,7 +2,7 @@
 
 from hyperflex.identification.declarations.held import HeldQuantity, free_names
 from hyperflex.identification.findings import Kind
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model import Plant
 
 
 def _delay(plant: Plant, angles: bool) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.findings import Finding, Kind, Severity
-from hyperflex.identification.model.parameters import lumped
+from hyperflex.identification.model import lumped
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 

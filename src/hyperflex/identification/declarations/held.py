@@ -8,7 +8,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.findings import Kind
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model import Plant
 
 FEW_LINKS = 4  # links, up to which each has its own value in a test: of more, values of neighbours act alike
 

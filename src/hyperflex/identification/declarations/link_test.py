@@ -9,10 +9,8 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.declarations.held import FEW_LINKS
 from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, fit_with, some_windows, within
-from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.parameters import Parameter
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.fit import Window, fit
+from hyperflex.identification.model import Parameter, Plant
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import Rope

@@ -14,12 +14,9 @@ from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.declarations.evidence import neighbours_swapped
 from hyperflex.identification.declarations.score_tests import CLOCK, ScoreTest
 from hyperflex.identification.findings import Finding, Kind, Severity
-from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import HARDLY, fit
-from hyperflex.identification.fit.windows import decimation_step, part_left, usual_length
+from hyperflex.identification.fit import HARDLY, Loss, decimation_step, fit, part_left, usual_length
 from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements
-from hyperflex.identification.model.parameters import lumped
-from hyperflex.identification.model.plant import ANGLES, Plant
+from hyperflex.identification.model import ANGLES, Plant, lumped
 from hyperflex.identification.multi_start import search_delay, with_delay
 from hyperflex.identification.options import RecordingSetup
 from hyperflex.model import FREE_PROPERTIES, Rope

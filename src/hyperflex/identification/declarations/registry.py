@@ -5,7 +5,7 @@ Its kind of finding goes to findings.py, and its text to texts.py.
 
 from hyperflex.identification.declarations import angles, clock, drive, resistances, rope
 from hyperflex.identification.declarations.held import HeldQuantity
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model import Plant
 from hyperflex.model import RESISTANCES
 
 LAWS = tuple(each.name for each in RESISTANCES)

@@ -7,8 +7,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.held import HeldQuantity, free_names, many_links
 from hyperflex.identification.findings import Kind
-from hyperflex.identification.model.parameters import Parameters
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model import Parameters, Plant
 from hyperflex.model import DAMPING, RESISTANCES
 
 INNER = "stiffness:inner"  # springs in all joints but the first, as in an elastic rope that hangs on a hinge

@@ -5,7 +5,7 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.held import HeldQuantity, free_names, many_links
 from hyperflex.identification.findings import Kind
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.model import Plant
 from hyperflex.sensors import Markers
 
 TAPER, CURL, ARCS = "mass:taper", "rest_angle:shared", "arc"

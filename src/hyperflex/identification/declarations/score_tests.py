@@ -11,10 +11,8 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification.declarations.clock import SCALES
 from hyperflex.identification.declarations.held import HeldQuantity
 from hyperflex.identification.declarations.registry import LAWS, quantity, words_for_tests
-from hyperflex.identification.fit.multiple_shooting import Fit, fit, linearise
-from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.parameters import Mask
-from hyperflex.identification.model.plant import Plant, extended, scale_words
+from hyperflex.identification.fit import Fit, Window, fit, linearise
+from hyperflex.identification.model import Mask, Plant, extended, scale_words
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios

@@ -9,8 +9,8 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.clock import DRIFT
 from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
-from hyperflex.identification.fit.multiple_shooting import linearise
-from hyperflex.identification.model.plant import extended
+from hyperflex.identification.fit import linearise
+from hyperflex.identification.model import extended
 from hyperflex.identification.uncertainty.covariance import UNKNOWN, Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratio_spread, ratios

@@ -10,10 +10,8 @@ from hyperflex.budget import Budget, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.executor import checked_chunks, refuse_lost, run_chunks
-from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import fit
-from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.parameters import Parameters
+from hyperflex.identification.fit import Loss, Window, fit
+from hyperflex.identification.model import Parameters
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import LEVEL, Basis, Interval, checked_level
 from hyperflex.identification.uncertainty.ratios import ratios

@@ -10,11 +10,8 @@ from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import Fit, least_squares, linearise
-from hyperflex.identification.fit.windows import Window
-from hyperflex.identification.model.parameters import Mask, in_common_factor
-from hyperflex.identification.model.plant import Plant
+from hyperflex.identification.fit import Fit, Loss, Window, least_squares, linearise
+from hyperflex.identification.model import Mask, Plant, in_common_factor
 from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory, whiteness
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.interruption import stoppable

@@ -11,8 +11,7 @@ from hyperflex.identification.declarations.link_test import LINKS
 from hyperflex.identification.declarations.registry import LAWS
 from hyperflex.identification.declarations.resistances import is_uneven, uneven_shift
 from hyperflex.identification.declarations.score_tests import ScoreTest
-from hyperflex.identification.model.parameters import Parameters, lumped
-from hyperflex.identification.model.plant import scale_words
+from hyperflex.identification.model import Parameters, lumped, scale_words
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
 

@@ -10,8 +10,7 @@ from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.findings import Finding, Kind, Severity
-from hyperflex.identification.fit.loss import Loss
-from hyperflex.identification.fit.multiple_shooting import Fit, Report, Target, fit, with_entries
+from hyperflex.identification.fit import Fit, Loss, Report, Target, fit, with_entries
 from hyperflex.identification.options import How
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import (
@@ -586,7 +585,7 @@ def _rise(basis: Basis, move: Array) -> float | None:
     found, total = basis.fit, 0.0
     for window, state, follow in zip(basis.windows, found.states, basis.information.follow, strict=True):
         moved = state + follow @ move
-        residual = basis.plant.residual(found.x + move, window, moved)
+        residual = window.residual(basis.plant, found.x + move, moved)
         if residual is None:
             return None
         total += found.window_cost(window, moved, residual)

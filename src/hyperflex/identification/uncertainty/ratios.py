@@ -5,7 +5,7 @@ from collections.abc import Collection
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.model.parameters import Parameter, Parameters, lumped
+from hyperflex.identification.model import Parameter, Parameters, lumped
 from hyperflex.identification.uncertainty.covariance import Information
 from hyperflex.model import RESISTANCES, Rope
 

@@ -1,1 +1,0 @@
-"""The fit: multiple shooting over windows, from short to long."""

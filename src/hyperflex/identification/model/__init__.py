@@ -1,1 +1,0 @@
-"""Free parameters, and predicted measurements with their derivatives."""
