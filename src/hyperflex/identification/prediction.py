@@ -111,7 +111,7 @@ def predict(
         window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, prior)
         found = fit_state(plant, x, window, guess, loss=Loss(options.loss))
         y = None if found is None else plant.predict(x, np.append(window.t[0], t[after]), found[0])
-        if found is None or y is None:
+        if found is None or y is None or not np.isfinite(y).all():
             y, std = np.full_like(data[after], np.inf), np.full_like(data[after], np.nan)
         else:
             y, std = y[1:], prediction_std(plant, x, window, found, t[after], uncertainty)

@@ -178,7 +178,9 @@ def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
     parameters, information = basis.plant.parameters, basis.information
     every, spreads = ratios(rope, parameters.names), ratio_spread(parameters, information)
     known = {name: (std > 0.0) & (std < np.inf) for name, std in spreads.items()}
-    parts = {name: spreads[name] * known[name] / np.maximum(np.abs(every[name]), 1e-300) for name in every}
+    parts = {
+        name: np.where(known[name], std, 0.0) / np.maximum(np.abs(every[name]), 1e-300) for name, std in spreads.items()
+    }
     masses = np.concatenate([parts[name][known[name]] for name in MASSES])
     nothing = masses.size > 0 and bool((masses > LOOSE).all())
     std = information.deviations(parameters.derivatives(information.x))
