@@ -272,7 +272,10 @@ def parse(
                 "laws along the rope",
             )
         result += _one(guess, label, arc_lengths, moved, arm)
-    slots = Counter((p.name, slot) for p in result for slot in (p.links if p.law == "own" else [p.law]) or [p.name])
+    slots: Counter[tuple[str, object]] = Counter()
+    for p in result:
+        taken: Sequence[object] = (p.links or (p.name,)) if p.law == "own" else (p.law,)
+        slots.update((p.name, slot) for slot in taken)
     own, laws = ({p.name for p in result if (p.law == "own") == own} for own in (True, False))
     twice = own & laws | {f"{name}[{slot}]" for (name, slot), times in slots.items() if times > 1}
     if twice:
