@@ -179,8 +179,24 @@ class Identification:
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
-        names = """grade success status message identifiable unit values std model_std ratios ratio_std ratio_model_std
-            held parameters covariance length_covariance""".split()
+        names = [
+            "grade",
+            "success",
+            "status",
+            "message",
+            "identifiable",
+            "unit",
+            "values",
+            "std",
+            "model_std",
+            "ratios",
+            "ratio_std",
+            "ratio_model_std",
+            "held",
+            "parameters",
+            "covariance",
+            "length_covariance",
+        ]
         result = {name: getattr(self, name) for name in (*names, "residual_rms", "residual_rms_all", "settings")}
         result |= {"grade": self.grade.value, "status": self.status.value}
         result["findings"] = [each.table for each in self.findings]
