@@ -5,7 +5,7 @@ outliers and gaps spoil guesses, a sticking joint has no gradient, and with few 
 image. So the states of windows that fit badly are searched from several starts, and all is fitted again.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -38,6 +38,18 @@ FIRST = 8
 FIRST_WINDOWS = 40
 # times what a value of the middle window costs, or of known noise: worth another state, or start
 WORSE = 2.0
+# times at most that parameters and states take turns; a rope that is seen at its tip needed four
+TURNS = 6
+# times what a value of the better windows, or of noise, costs: a shape taken for its mirror costs 100s
+AMISS = 10.0
+# quantile of the windows' costs that stands for those that fit
+BETTER_PART = 0.25
+# of a fit after which states are searched
+ROUNDS = 15
+# rad, rad/s: ends of fits to the same minimum differ by less, and other minima by far more
+SAME_STATE = 0.01
+# rounds of fitting a state to a part of a window
+SHORT = 10
 # part of its cost: more is the same state again
 BETTER = 0.98
 # part of the motion that a fit without known noise leaves, from which it is tried from other starts
@@ -52,6 +64,9 @@ DELAY_ROUNDS = 2
 CLEARLY = 0.8
 # of the derivatives of all values that are in memory at once
 COPIES = 4
+
+
+GROWING = (0.125, 0.25, 0.5)  # parts of a window to which a state is fitted first
 
 
 @dataclass
@@ -177,7 +192,7 @@ class MultiStart:
             if not self.is_bad(best.windows, best.fit):
                 break
             entry = {"phase": "start", "start": number, "window": length, "stage": 0, "stages": 1}
-            every, states = list(range(len(best.windows))), list(best.fit.states)
+            every, states = dict.fromkeys(range(len(best.windows)), np.inf), list(best.fit.states)
             if len(self.search_states(best.windows, x, states, every, self.loss)) < len(every):
                 continue
             try:
@@ -195,9 +210,28 @@ class MultiStart:
             best.settings |= {"starts": len(costs), "starts_agree": agree}
 
     def settled(self, windows: Sequence[Window], x: Array, states: list[Array], report: Report) -> Fit:
-        """Fit all windows, again from other states of those that fit badly, as long as that gains."""
-        rough = {"enough": HARDLY} if self.ambiguous else {}  # where states are likely to be searched
-        best = self.fit(windows, x, states, report, **rough)
+        """Fit all windows, again from other states of those that fit badly, as long as that gains.
+
+        Where shapes look alike, a window whose shape was taken for its mirror image would spoil x in a fit of all
+        windows, and with a wrong x the mirror image may fit better: so x is fitted to the windows that fit first.
+        """
+        begun = x, states
+        for _ in range(TURNS * self.ambiguous):
+            fitting, _ = self._fitting(windows, x, states)
+            if not self._enough([windows[k] for k in fitting]):
+                break
+            seen, known = [windows[k] for k in fitting], [states[k] for k in fitting]
+            some = self.fit(seen, x, known, report, enough=HARDLY, rounds=ROUNDS)
+            x, states = some.x, list(states)
+            for k, state in zip(fitting, some.states, strict=True):
+                states[k] = state
+            _, amiss = self._fitting(windows, x, states)
+            if not self.search_states(windows, x, states, amiss, self.loss, thorough=True):
+                break
+        try:
+            best = self.fit(windows, x, states, report)
+        except InvalidInput:
+            best = self.fit(windows, *begun, report)
         with stoppable() as stop:
             while best.status is None:
                 loss, states = best.loss, list(best.states)
@@ -206,45 +240,74 @@ class MultiStart:
                 limit = min(float(np.median(costs)), np.inf if self.measured.channels.noise is None else 1.0)
                 poor = np.flatnonzero(costs > WORSE * limit).tolist()
                 before = {k: best.window_cost(*each[k]) for k in poor}
-                if not self.search_states(windows, best.x, states, poor, loss, before):
+                if not self.search_states(windows, best.x, states, before, loss, thorough=self.ambiguous):
                     break
-                again = self.fit(windows, best.x, states, report, **rough)
+                again = self.fit(windows, best.x, states, report)
                 if again.cost >= best.cost:
                     break
                 again.history[:0] = best.history
                 best = again
-            if rough and best.status is None:
-                end = self.fit(windows, best.x, best.states, report)
-                end.history[:0] = best.history
-                best = end
         best.status = best.status or stop.status
         return best
+
+    def _fitting(self, windows: Sequence[Window], x: Array, states: list[Array]) -> tuple[list[int], dict[int, float]]:
+        """Return the numbers of the windows that fit as well as the better ones, and costs of those that do not."""
+        residuals = [window.residual(self.plant, x, state) for window, state in zip(windows, states, strict=True)]
+        costs = [np.inf if each is None else float(each @ each) for each in residuals]
+        values = [cost / window.values for cost, window in zip(costs, windows, strict=True)]
+        least = AMISS * sorted(values)[int(BETTER_PART * len(values))]
+        fitting = [k for k, each in enumerate(values) if each <= least and np.isfinite(each)]
+        amiss = {
+            k: costs[k] + windows[k].prior_cost(states[k])
+            for k, each in enumerate(values)
+            if not each <= min(least, AMISS)
+        }
+        return fitting, amiss
 
     def search_states(
         self,
         windows: Sequence[Window],
         x: Array,
         states: list[Array],
-        which: Iterable[int],
+        before: dict[int, float],
         loss: Loss,
-        before: dict[int, float] | None = None,
+        *,
+        thorough: bool = False,
     ) -> list[int]:
-        """Put the state of least cost at x in place of that of `which` windows; return the numbers of those found.
+        """Put states that cost clearly less in place of those of windows, given by number with their costs `before`.
 
-        With costs `before`, only a state that costs clearly less.
+        Return the numbers of those found. `thorough`: states are fitted to a window's last samples as well, beginning
+        with the window after, and to its first samples, then to more and more of it. A state of which a value costs
+        no more than AMISS ends that search.
         """
         found: list[int] = []
-        for k in which:
-            self.budget.check()
-            starts = restart_states(self.plant, windows, x, states, k)
-            best = fit_state(self.plant, x, windows[k], *starts, loss=loss, enough=HARDLY)
-            if best is None:
-                continue
-            cost = loss.cost(best[1]) + windows[k].prior_cost(best[0])
-            if before is None or cost < BETTER * before[k]:
-                states[k] = best[0]
+        for k, least in before.items():
+            least, window = BETTER * least, windows[k]
+            for starts in (
+                self._starts(windows, x, states, k, loss)
+                if thorough
+                else [restart_states(self.plant, windows, x, states, k)]
+            ):
+                self.budget.check()
+                best = fit_state(self.plant, x, window, *starts, loss=loss, enough=HARDLY)
+                if best is None or (cost := loss.cost(best[1]) + window.prior_cost(best[0])) >= least:
+                    continue
+                states[k], least = best[0], cost
                 found.append(k)
-        return found
+                if thorough and cost <= AMISS * window.values:
+                    break
+        return sorted(set(found))
+
+    def _starts(
+        self, windows: Sequence[Window], x: Array, states: Sequence[Array], k: int, loss: Loss
+    ) -> Iterator[list[Array]]:
+        """Yield groups of states to start window k from, the cheapest first."""
+        starts = list(restart_states(self.plant, windows, x, states, k))
+        if k > 0:
+            yield arrived(self.plant, x, windows[k - 1], states[k - 1], windows[k])
+        if k + 1 < len(windows) and self.plant.motion is None:
+            yield _from_behind(self.plant, x, windows[k], windows[k + 1], states[k + 1], loss)
+        yield _grown(self.plant, x, windows[k], starts, loss)
 
     def _enough(self, windows: Sequence[Window]) -> bool:
         return sum(window.values - window.unknowns for window in windows) > len(self.plant.parameters)
@@ -296,6 +359,38 @@ def stage_lengths(length: float, usual: float, spacing: float, *, short: bool = 
     if short and lengths[0] / FIRST >= FEWEST_SAMPLES * spacing:
         lengths.insert(0, lengths[0] / FIRST)
     return lengths
+
+
+def _part(window: Window, rows: slice) -> Window:
+    return replace(window, t=window.t[rows], y=window.y[rows], weight=window.weight[rows])
+
+
+def _grown(plant: Plant, x: Array, window: Window, states: list[Array], loss: Loss) -> list[Array]:
+    """Return states (2n,) fitted to the first samples of a window, then to more and more; those that end alike once."""
+    for part in GROWING:
+        seen = _part(window, slice(0, max(FEWEST_SAMPLES, int(part * window.t.size))))
+        grown: list[Array] = []
+        for state in states:
+            found = fit_state(plant, x, seen, state, loss=loss, rounds=SHORT, enough=HARDLY)
+            end = state if found is None else found[0]
+            if all(np.abs(end - other).max() > SAME_STATE for other in grown):
+                grown.append(end)
+        states = grown
+    return states
+
+
+def _from_behind(plant: Plant, x: Array, window: Window, after: Window, state: Array, loss: Loss) -> list[Array]:
+    """Return the state (2n,) of a window from the beginning of the one after, back in time and fitted on the way."""
+    end, n = float(after.t[0]), state.size // 2
+    for part in (*(1.0 - each for each in GROWING[1:]), 0.0):
+        first = int(part * window.t.size)
+        mirrored = plant.propagate(x, 0.0, np.append(state[:n], -state[n:]), end - float(window.t[first]))
+        if mirrored is None:  # backwards friction would push; forwards, with all rates reversed, it is about right
+            return []
+        state = nearest_turn(np.append(mirrored[:n], -mirrored[n:]), window.guess)
+        found = fit_state(plant, x, _part(window, slice(first, None)), state, loss=loss, rounds=SHORT, enough=HARDLY)
+        state, end = state if found is None else found[0], float(window.t[first])
+    return [state]
 
 
 def restart_states(
