@@ -21,6 +21,7 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -70,10 +71,10 @@ def measure(folder: Path, name: str, count: int) -> list[dict[str, Any]]:
         row |= {"grade": str(found.grade), "reason": text_of(found.findings[0])}
         parts = [percent(each.values["part"]) for each in found.findings if each.kind is Kind.FRICTION_MODEL]
         row["friction"] = f"up to {parts[0]}" if parts else ""
-        own, laws = (
-            ratio_spread(found.basis.plant.parameters, found.basis.as_declared.information, model=model)
-            for model in (False, True)
-        )
+        # without errors of lengths, clock and torque, which all parts of a recording have in common
+        information = replace(found.basis.information, scale_error=np.zeros((4, 4)))
+        parameters = found.basis.plant.parameters
+        own, laws = (ratio_spread(parameters, information, model=model) for model in (False, True))
         row["ratios"] = {
             f"{kind}[{k}]": numbers
             for kind, values in found.ratios.items()

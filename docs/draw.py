@@ -15,8 +15,7 @@ import hyperflex as hf
 from hyperflex.cli.app import run
 from hyperflex.demo import twin
 from hyperflex.paper import casting, estimation, identification
-from hyperflex.report.identification.figures import prediction_figure
-from hyperflex.report.identification.fitted import fitted_channels
+from hyperflex.report.identification.figures import FittedChannels, prediction_figure
 from hyperflex.report.pictures import strobe_figure
 from hyperflex.report.style import BLUE, GREY, RED, new_figure, save_png
 from hyperflex.vision import VideoReader
@@ -68,7 +67,7 @@ def identified() -> Figure:
     noise = np.radians(np.random.default_rng(1).normal(0.0, 0.2, swing.q.shape))
     recording = hf.Recording(swing.t, swing.q + noise, noise=np.radians(0.2))
     found = hf.identify(recording, truth.replace(friction=1e-3), ["inertia", "friction"])
-    view, held = fitted_channels(recording, found), found.held_out
+    view, held = FittedChannels(recording, found), found.held_out
     if held is None:
         raise SystemExit("nothing is held out")
     print(f"identified: {100.0 * held.inside:.0f} % within the band")
@@ -101,7 +100,7 @@ def tutorial(folder: Path) -> None:
     if found.held_out is None:
         raise SystemExit("nothing is held out")
     save_png(
-        prediction_figure(fitted_channels(recording, found), found.held_out), IMAGES / "tutorial-predicted.png", dpi=DPI
+        prediction_figure(FittedChannels(recording, found), found.held_out), IMAGES / "tutorial-predicted.png", dpi=DPI
     )
     picture(Image.open(folder / "cast" / "strike.png").convert("RGB"), "tutorial-strike.png", 640)
 

@@ -25,7 +25,7 @@ from hyperflex.model.properties import (
     parse_label,
 )
 from hyperflex.model.refine import recut
-from hyperflex.report.identification.parameters import numbers, parameters_table, rope_table
+from hyperflex.report.identification.tables import numbers, parameters_table, rope_table
 from hyperflex.report.units import readable_unit
 from hyperflex.simulation.sensitivity.sensitivity import sensitivities
 

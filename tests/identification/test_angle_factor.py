@@ -11,7 +11,7 @@ from benchmarks.wrong_input import DOUBLE, FREE, SINGLE, Array, noisy, swing
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Kind
-from hyperflex.identification.declarations.clock import DRIFT
+from hyperflex.identification.declarations.held import DRIFT
 from hyperflex.identification.model import ANGLES
 
 GUESS = SINGLE.replace(inertia=1e-3, friction=5e-4)

@@ -14,7 +14,7 @@ from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, Identification, bootstrap, identify
 from hyperflex.identification.fit import Fit, fit
 from hyperflex.identification.uncertainty import bootstrap as _bootstrap
-from hyperflex.identification.uncertainty.bootstrap import Bootstrap, _Draws, _Noise
+from hyperflex.identification.uncertainty.bootstrap import Bootstrap, Draws
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -42,21 +42,21 @@ def found() -> Identification:
 
 def noise_of(basis: Basis, draws: int) -> np.ndarray:
     """Return drawn noise (draws, m, C) of the first window."""
-    nothing = [np.zeros(w.y.shape) for w in basis.windows]
-    noise = _Noise(basis)
-    return np.array([noise.add(nothing, np.random.default_rng(k))[0].y for k in range(draws)])
+    noise = Draws(basis, 0)
+    seen = np.where(basis.windows[0].weight > 0.0, noise.clean[0], 0.0)
+    return np.array([noise.windows(np.random.default_rng(k))[0].y - seen for k in range(draws)])
 
 
 def test_fits_scatter_as_the_covariance_says(found: Identification) -> None:
     result = bootstrap(found, 60)
-    assert result.names == found.parameters
-    assert (result.samples.shape, result.failed, result.status) == ((60, 2), 0, Status.SUCCESS)
+    assert result.names == (*found.parameters, "J/p1[0]", "c/p1[0]")
+    assert (result.samples.shape, result.failed, result.status) == ((60, 4), 0, Status.SUCCESS)
     std = np.array([np.sqrt(found.std[n][0] ** 2 - found.model_std[n][0] ** 2) for n in ("inertia", "friction")])
     np.testing.assert_allclose(
-        result.samples.std(axis=0), std, rtol=0.35
+        result.samples[:, :2].std(axis=0), std, rtol=0.35
     )  # a standard deviation from 60 draws is known to 9 %
     middle = np.array([found.values[name][0] for name in ("inertia", "friction")])
-    np.testing.assert_array_less(np.abs(result.samples.mean(axis=0) - middle), 4.0 * std / np.sqrt(60))
+    np.testing.assert_array_less(np.abs(result.samples[:, :2].mean(axis=0) - middle), 4.0 * std / np.sqrt(60))
     one = result.interval("friction[0]", 0.8)
     inside = (result.samples[:, 1] > one.low) & (result.samples[:, 1] < one.high)
     assert (one.kind, inside.sum()) == ("bootstrap", 48)
@@ -65,11 +65,7 @@ def test_fits_scatter_as_the_covariance_says(found: Identification) -> None:
 def test_pickled_draws_compile_nothing(found: Identification) -> None:
     """Kernels are compiled for arrays that cannot be written to; what comes out of a pickle can be."""
     bootstrap(found, 1)
-    clean = [
-        found.basis.plant.predict(found.basis.fit.x, w.t, s)
-        for w, s in zip(found.basis.windows, found.basis.fit.states, strict=True)
-    ]
-    draws = _Draws(found.basis, clean, 0)
+    draws = Draws(found.basis, 0)
     before = len(forward_sensitivities.signatures)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(draws))([3]), draws([3]))
     assert len(forward_sensitivities.signatures) == before > 0
@@ -94,7 +90,7 @@ def test_ctrl_c_keeps_what_is_done(found: Identification, monkeypatch: pytest.Mo
     monkeypatch.setattr(_bootstrap, "fit", some)
     result = left_by(lambda: bootstrap(found, 10))
     assert result.status is Status.INTERRUPTED
-    assert result.samples.shape == (2, 2)
+    assert result.samples.shape == (2, 4)
 
 
 def test_out_of_time_it_keeps_what_is_done(found: Identification) -> None:

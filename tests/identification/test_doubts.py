@@ -12,7 +12,7 @@ from benchmarks.wrong_input import noisy, swing
 
 import hyperflex as hf
 from hyperflex.identification import Identification, Kind, Severity, ratios
-from hyperflex.identification.declarations.clock import SCALES
+from hyperflex.identification.declarations.held import SCALES
 from hyperflex.identification.declarations.score_findings import score_findings
 from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.uncertainty.model_error import with_model_error

@@ -15,13 +15,12 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Finding, FitOptions, Identification, Kind, identify, profile
-from hyperflex.identification.fit import Fit, Loss, fit
+from hyperflex.identification.fit import Fit, Loss, Target, fit
 from hyperflex.identification.model import PredictedChannels
 from hyperflex.identification.uncertainty import profile as _profile
 from hyperflex.identification.uncertainty.profile import (
-    ParameterCoordinate,
-    RatioCoordinate,
     all_intervals,
+    coordinate,
     profiled,
     skewed,
 )
@@ -114,7 +113,7 @@ def test_a_linear_problem_has_the_interval_of_its_covariance() -> None:
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     plain = all_intervals(basis, "covariance")
     for k, (label, one) in enumerate(plain.items()):
-        found = profiled(basis, ParameterCoordinate(basis, k), 0.95, points=3)
+        found = profiled(coordinate(basis, label), 0.95, points=3)
         width = one.high - one.low
         assert (found.low, found.high) == pytest.approx((one.low, one.high), abs=0.005 * width)  # CLOSE
         assert found.ends == ("crossed", "crossed")
@@ -122,8 +121,8 @@ def test_a_linear_problem_has_the_interval_of_its_covariance() -> None:
         middle = basis.plant.parameters.values(basis.fit.x)[k]
         np.testing.assert_allclose(found.rise, ((found.values - middle) / scale) ** 2, atol=1e-6)  # a parabola
         assert found.values.size >= 9
-        assert not skewed(basis, k)
         assert label == found.name
+    assert skewed(basis) == []
 
 
 @pytest.mark.parametrize("rounds", [100, 0])  # 0: too dear, and all is left to the covariance
@@ -138,10 +137,10 @@ def test_profiles_are_of_noise_alone_and_intervals_of_all(rounds: int, monkeypat
     }
     basis = replace(plain, information=replace(information, **errors))
     by_std = all_intervals(basis, "covariance")
-    for k, (label, one) in enumerate(all_intervals(basis, "profile").items()):
+    for label, one in all_intervals(basis, "profile").items():
         alone, same = (
-            profiled(basis, ParameterCoordinate(basis, k), 0.95),
-            profiled(plain, ParameterCoordinate(plain, k), 0.95),
+            profiled(coordinate(basis, label), 0.95),
+            profiled(coordinate(plain, label), 0.95),
         )
         assert (alone.low, alone.high) == (same.low, same.high)
         assert one.high - one.low == pytest.approx(np.sqrt(6.0) * (alone.high - alone.low), rel=0.01)  # 1 + 1 + 2^2
@@ -153,7 +152,7 @@ def test_an_estimate_at_its_bound_or_near_it_has_it_as_its_end(at: bool) -> None
     plant = waves(60, truth=np.array([0.0, 10.0]))
     draws = (fitted(plant, np.random.default_rng(k).standard_normal((60, 1))) for k in range(99))
     basis = next(b for b in draws if (b.fit.x[0] == 0.0) == at and b.fit.x[0] ** 2 < b.information.covariance[0, 0])
-    one = profiled(basis, ParameterCoordinate(basis, 0), 0.95)
+    one = profiled(coordinate(basis, "inertia[0]"), 0.95)
     assert (one.low, one.ends) == (0.0, ("bound", "crossed"))
     assert one.high > 0.0
 
@@ -162,14 +161,14 @@ def test_what_is_tied_to_a_parameter_beside_its_bound_is_skewed() -> None:
     noise = np.random.default_rng(4).standard_normal((60, 1))
     beside = np.array([0.1, 10.0])
     tied, apart = (fitted(waves(60, truth=beside, tied=tied), noise) for tied in (0.8, 0.0))
-    assert [skewed(tied, 0), skewed(tied, 1)] == [True, True]
-    assert [skewed(apart, 0), skewed(apart, 1)] == [True, False]
+    assert skewed(tied) == [0, 1]
+    assert skewed(apart) == [0]
 
 
 def test_coloured_noise_widens_a_profile_as_it_does_the_covariance() -> None:
     basis = fitted(waves(120), autoregressive(np.random.default_rng(4), (120, 1), 0.8))
     assert basis.information.memory[1:].any()
-    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(basis, ParameterCoordinate(basis, 0), 0.95)
+    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(coordinate(basis, "inertia[0]"), 0.95)
     assert (found.low, found.high) == pytest.approx((one.low, one.high), abs=0.005 * (one.high - one.low))
 
 
@@ -201,13 +200,14 @@ def test_a_better_optimum_on_the_way_is_told() -> None:
     data = noise + dipped.third  # the third wave is there
     basis = fitted(dipped, data)
     assert basis.fit.x[0] == pytest.approx(dipped.at, abs=std)  # the search itself finds it, near as it is
+    kept = Target(lambda x: float(x[0]), lambda _: np.eye(2)[0], float(plain.fit.x[0]), 1e6 / std)
     stuck = replace(
         plain,
         plant=dipped,
         windows=basis.windows,
-        fit=fit(dipped, basis.windows, plain.fit.x, plain.fit.states, held=[0], enough=1e-9),
+        fit=fit(dipped, basis.windows, plain.fit.x, plain.fit.states, target=kept, enough=1e-9),
     )
-    one = profiled(stuck, ParameterCoordinate(stuck, 0), 0.95)
+    one = profiled(coordinate(stuck, "inertia[0]"), 0.95)
     assert one.gain > 1.0
     assert one.better is not None
     first = dipped.parameters.all[0]
@@ -216,7 +216,7 @@ def test_a_better_optimum_on_the_way_is_told() -> None:
     remarks: list[Finding] = []
     all_intervals(stuck, "profile", remarks=remarks)
     assert (remarks[0].kind, remarks[0].values["name"]) == (Kind.BETTER_OPTIMUM, "inertia[0]")
-    honest = profiled(plain, ParameterCoordinate(plain, 0), 0.95)
+    honest = profiled(coordinate(plain, "inertia[0]"), 0.95)
     assert honest.gain < 0.01  # what the fit left, in residual variances
     assert honest.better is None
 
@@ -224,7 +224,7 @@ def test_a_better_optimum_on_the_way_is_told() -> None:
 def test_a_profile_that_is_too_dear_leaves_the_covariance_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, most_rounds=0))
-    one, plain = profiled(basis, ParameterCoordinate(basis, 0), 0.95), all_intervals(basis, "covariance")["inertia[0]"]
+    one, plain = profiled(coordinate(basis, "inertia[0]"), 0.95), all_intervals(basis, "covariance")["inertia[0]"]
     assert (one.low, one.high, one.kind) == (plain.low, plain.high, "covariance")
     remarks: list[Finding] = []
     found = all_intervals(basis, "profile", remarks=remarks)["inertia[0]"]
@@ -254,7 +254,7 @@ def test_robust_losses_profile_what_their_covariance_says() -> None:
     random = np.random.default_rng(4)
     noise = random.standard_normal((300, 1)) * np.where(random.uniform(size=(300, 1)) < 0.05, 10.0, 1.0)
     basis = fitted(waves(300), noise, "huber")
-    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(basis, ParameterCoordinate(basis, 0), 0.95)
+    one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(coordinate(basis, "inertia[0]"), 0.95)
     assert Loss("huber", 2.0, fixed=True).scaled([noise.ravel()]).scale == 2.0  # costs along it are of one kind
     # Huber's formula takes the mean of psi', the profile each residual's own: alike to some 1 / sqrt(300)
     assert found.high - found.low == pytest.approx(one.high - one.low, rel=0.15)
@@ -299,7 +299,7 @@ def test_what_cannot_be_known_has_no_limits() -> None:
     assert low[0] < found.intervals["J/p1[0]"].low < high[0]
     one = profile(found, "J/p1[0]")  # known all the same, though the rope's scale is not
     assert one.ends == ("crossed", "crossed")
-    std = RatioCoordinate(found.basis, "J/p1", 0).std  # of noise alone, as the profile
+    std = coordinate(found.basis, "J/p1[0]").std  # of noise alone, as the profile
     half = std * np.sqrt(quantile(0.95, found.basis.information.freedom))
     middle = found.ratios["J/p1"][0]
     assert (one.low, one.high) == pytest.approx((middle - half, middle + half), abs=0.02 * half)
@@ -329,7 +329,7 @@ def test_ends_of_a_ratio_are_those_of_least_squares_with_the_ratio_held() -> Non
         return float(2.0 * least_squares(residual, begun, x_scale="jac", diff_step=1e-5, bounds=(least, np.inf)).cost)
 
     best = float((found.residuals**2).sum())
-    unit = found.basis.information.variance * RatioCoordinate(found.basis, "J/p1", 1).widening  # of white residuals: 1
+    unit = found.basis.information.variance * coordinate(found.basis, "J/p1[1]").widening  # of white residuals: 1
     weight = found.basis.windows[0].weight.max()
     for end in (one.low, one.high):
         rise = (squares(end) - best) * weight**2 / unit
@@ -353,26 +353,26 @@ def test_a_ratio_is_followed_where_another_parameter_is_at_its_bound() -> None:
     assert np.sqrt(one.rise[one.values == one.low]) == pytest.approx(np.sqrt(one.limit[0]), abs=0.05)  # a few CLOSE
 
 
-def test_fits_that_do_not_converge_are_no_points_of_a_ratios_profile(
+def test_fits_that_do_not_converge_are_no_points_of_a_profile(
     found: Identification, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Their squares are too large, and the interval would be too short."""
 
     def unfinished(*given: object, **options: object) -> Fit:
         done = fit(*given, **options)  # type: ignore[arg-type]
-        done.converged = "target" not in options
+        done.converged = options["target"] is None
         return done
 
     monkeypatch.setattr(_profile, "fit", unfinished)
-    assert profile(found, "c/p1[4]").kind == "covariance"
-    assert profile(found, "inertia:shared").kind == "profile"
+    for name in ("c/p1[4]", "friction:shared"):
+        assert profile(found, name).kind == "covariance"
 
 
 def test_an_end_that_was_not_found_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, tries=1))
     monkeypatch.setattr(_profile, "quantile", lambda *_: 1e4)  # the first step goes far beyond
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
-    one = profiled(basis, ParameterCoordinate(basis, 1), 0.95)
+    one = profiled(coordinate(basis, "friction[0]"), 0.95)
     assert one.kind == "covariance"
 
 
@@ -387,7 +387,7 @@ def test_profiles_of_ratios_do_not_depend_on_how_hard_they_are_drawn(
         one = profile(found, f"{name}[2]")
         assert one.ends[1] == "crossed"
         ends.append(one.high)
-    std = RatioCoordinate(found.basis, name, 2).std
+    std = coordinate(found.basis, f"{name}[2]").std
     assert ends[1] == pytest.approx(ends[0], abs=0.02 * std)  # CLOSE, twice
 
 

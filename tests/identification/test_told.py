@@ -52,7 +52,7 @@ def test_what_was_held_is_left_out() -> None:
 def test_long_arrays_stay_out_of_short_names() -> None:
     found = fitted(PAIR, ["friction"], intervals=None)
     drawn = hf.bootstrap(found, 2)
-    assert repr(drawn) == "<Bootstrap of 2 fits, 0 more failed: friction[0], friction[1]>"
+    assert repr(drawn) == "<Bootstrap of 2 fits, 0 more failed>"
     grown = hf.predictability(hf.Setup(PAIR, duration=1.0, q0=[0.8, 0.8]))
     assert len(repr(grown)) < 120
     assert "fold" in repr(grown)

@@ -9,7 +9,7 @@ from benchmarks.wrong_input import DOUBLE, FREE, SINGLE, Array, noisy, swing
 
 import hyperflex as hf
 from hyperflex.identification import Kind
-from hyperflex.identification.declarations.clock import DRIFT
+from hyperflex.identification.declarations.held import DRIFT
 
 GUESS = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
 

@@ -16,16 +16,24 @@ from hyperflex.identification import Identification, correlogram
 from hyperflex.recording import Recording
 from hyperflex.report.identification import page as identification
 from hyperflex.report.identification.figures import (
+    FittedChannels,
     fit_figure,
     history_figure,
     multiples_figure,
     prediction_figure,
     residual_figure,
 )
-from hyperflex.report.identification.fitted import fitted_channels
 from hyperflex.report.identification.page import identification_page, write_identification
-from hyperflex.report.identification.parameters import numbers, parameters_table, ratios_table, rope_table, ties
-from hyperflex.report.identification.setting import fit_table, lead, recording_table
+from hyperflex.report.identification.tables import (
+    fit_table,
+    lead,
+    numbers,
+    parameters_table,
+    ratios_table,
+    recording_table,
+    rope_table,
+    ties,
+)
 from hyperflex.report.units import readable_unit, rounded, short
 from hyperflex.status import Status
 
@@ -144,7 +152,7 @@ def test_predictions_that_failed_are_drawn_as_failed(tmp_path, swing):
     failed = dataclasses.replace(held, rms=rms, window_rms=window_rms, predicted=predicted, std=std)
     text = page(tmp_path, (recording, changed(found, held_out=failed)))
     assert "<b>failed</b>" in text
-    titles = [axis.get_title("left") for axis in prediction_figure(fitted_channels(recording, found), failed).axes]
+    titles = [axis.get_title("left") for axis in prediction_figure(FittedChannels(recording, found), failed).axes]
     assert titles[1] == "measured minus predicted: failed where dark"
 
 
@@ -276,7 +284,7 @@ def test_the_set_up_is_told(swing, markers):
     at_joints = dict(recording_table(recording, swing[1]).rows)  # a result without places along the rope
     assert at_joints["markers at"] == "the joints, the first at the pivot"
     assert "hyperflex" in fitted["versions"]
-    assert "friction" in lead(recording, found, found.rope)
+    assert "friction" in lead(recording, found)
     uneven = Recording(np.cumsum(np.linspace(0.01, 0.05, 20)), np.linspace(0.0, 1.0, 20)[:, None])
     assert dict(recording_table(uneven, found).rows)["samples"].endswith("uneven: 12.11 to 50 ms")
     table = rope_table(swing[1].rope, swing[1])
@@ -326,12 +334,12 @@ def test_deviations_have_two_digits():
 
 def test_measured_and_fitted_stand_side_by_side(swing, markers):
     for recording, found in (swing, markers):
-        view = fitted_channels(recording, found)
+        view = FittedChannels(recording, found)
         rows = [int(np.flatnonzero(view.t == time)[0]) for time in view.fit_t]
         known = ~np.isnan(found.residuals)
         np.testing.assert_allclose((view.measured[rows] - view.fitted)[known], found.residuals[known], atol=1e-15)
-    assert fitted_channels(*swing).names == ("link 0", "link 1")
-    assert fitted_channels(*markers).names[3] == "marker 1, y"
+    assert FittedChannels(*swing).names == ("link 0", "link 1")
+    assert FittedChannels(*markers).names[3] == "marker 1, y"
 
 
 def test_the_worst_window_is_the_one_with_a_bump(swing):
@@ -339,7 +347,7 @@ def test_the_worst_window_is_the_one_with_a_bump(swing):
     residuals = found.residuals.copy()
     inside = (found.residual_t > 3.0) & (found.residual_t < 3.1)
     residuals[inside, 1] += 0.5
-    number, start, end = fitted_channels(recording, changed(found, residuals=residuals)).worst_window(1)
+    number, start, end = FittedChannels(recording, changed(found, residuals=residuals)).worst_window(1)
     assert start <= 3.0
     assert end >= 3.1
     assert end - start <= found.settings["window"]
@@ -349,7 +357,7 @@ def test_the_worst_window_is_the_one_with_a_bump(swing):
 def test_the_channels_chosen_of_many_hold_the_worst(markers):
     recording, found = markers
     rms = np.array([2.0, 2.0, 9.0, 1.0, 1.0, 1.0])
-    assert fitted_channels(recording, changed(found, residual_rms=rms)).chosen == (2, 3, 4, 5)
+    assert FittedChannels(recording, changed(found, residual_rms=rms)).chosen == (2, 3, 4, 5)
     angles = Recording(np.arange(9.0), np.zeros((9, 9)))
     nine = changed(
         found,
@@ -358,22 +366,22 @@ def test_the_channels_chosen_of_many_hold_the_worst(markers):
         residuals=np.zeros((9, 9)),
         residual_t=np.arange(9.0),
     )
-    assert fitted_channels(angles, nine).chosen == (0, 2, 4, 8)
+    assert FittedChannels(angles, nine).chosen == (0, 2, 4, 8)
 
 
 def test_figures_show_each_chosen_channel_and_multiples_all(swing, markers):
-    view = fitted_channels(*swing)
+    view = FittedChannels(*swing)
     titles = [axis.get_title("left") for axis in fit_figure(view).axes]
     assert [title.split(":")[0] for title in titles] == ["link 0", "its worst window", "link 1", "its worst window"]
     assert f"{1e3 * swing[1].residual_rms[1]:.3g} mrad" in titles[2]
     assert len(residual_figure(view).axes) == 6
-    shown = [axis.get_title("left").split(":")[0] for axis in multiples_figure(fitted_channels(*markers)).axes]
-    assert shown[:6] == list(fitted_channels(*markers).names)
+    shown = [axis.get_title("left").split(":")[0] for axis in multiples_figure(FittedChannels(*markers)).axes]
+    assert shown[:6] == list(FittedChannels(*markers).names)
 
 
 def test_the_band_of_a_prediction_is_as_wide_as_the_fit_expects(swing):
     recording, found = swing
-    figure = prediction_figure(fitted_channels(recording, found), found.held_out)
+    figure = prediction_figure(FittedChannels(recording, found), found.held_out)
     bands = figure.axes[1].collections
     assert len(bands) == found.held_out.starts.size
     first = found.held_out.t <= found.held_out.starts[0] + found.held_out.ahead + 1e-9

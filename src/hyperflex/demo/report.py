@@ -24,13 +24,13 @@ from hyperflex.report import (
     GREY,
     RED,
     CastReport,
+    FittedChannels,
     Picture,
     Progress,
     Section,
     TextTable,
     check_folder,
     fit_figure,
-    fitted_channels,
     legend,
     new_figure,
     png,
@@ -199,10 +199,11 @@ def _write(folder: Path, report: DemoReport, cast: CastReport, progress: Progres
     """Write all files to `folder`; return their names by kind."""
     demo, found = report.demo, report.demo.identification
     progress("drawing")
-    view, last = fitted_channels(demo.recording, found), demo.recording.n_links - 1
+    last = demo.recording.n_links - 1
+    view = FittedChannels(demo.recording, found, chosen=((last + 1) // 2, last))
     pictures = {
         "seen": _frames(folder / _FILES["tracked"]),
-        "prediction": png(fit_figure(replace(view, chosen=((last + 1) // 2, last)))),
+        "prediction": png(fit_figure(view)),
         "parameters": png(_parameters_figure(demo)),
     }
     for kind, content in pictures.items():

@@ -41,7 +41,8 @@ class Kind(StrEnum):
     # What the recording or the rope shows by itself
     MARKERS_SWAPPED = (
         "markers swapped for a time",
-        "Markers {first} and {second} are swapped {times:list}. | Swap them back there.",
+        """Markers {first} and {second} are swapped {times:list}. | In these times the distances fit the other order.
+        Swap the two back there.""",
     )
     PICTURE_SCALE = (
         "different scales along x and y",
@@ -55,12 +56,13 @@ class Kind(StrEnum):
     )
     UNLIKE_LENGTHS = (
         "link lengths of different units",
-        "Link {longest} is {times:.3g} times as long as link {shortest}. | Give all in m.",
+        """Link {longest} is {times:.3g} times as long as link {shortest}. | One of the lengths may be in another unit.
+        Give all lengths in m.""",
     )
     NOISE_OVERSTATED = (
         "declared noise too large",
-        """The declared noise ({declared:.2g}) is {times:.2g} times as large as the residuals ({left:.2g}). | Check its
-        value and unit: it is in the unit of the data.""",
+        """The declared noise ({declared:.2g}) is {times:.2g} times as large as the residuals ({left:.2g}). | The
+        recording is better than declared. Check the noise's value and unit: it is in the unit of the data.""",
     )
     UNEXPLAINED = (
         "residuals larger than noise",
@@ -71,8 +73,9 @@ class Kind(StrEnum):
     )
     SPRING_OR_ANGLES = (
         "angles scaled, or a spring",
-        """stiffness was freed, but angles multiplied by {factor:.3g} explain the recording as well without it. | Check
-        the angles' scale in radians, or name what is free.""",
+        """Angles multiplied by {factor:.3g} explain the recording as well as the stiffness that was freed. | The
+        stiffness may stand for a wrong scale of the angles. Check the angles' scale in radians, or name in 'free' what
+        is free.""",
     )
     # Declarations that contradict the data
     CLOCK = (
@@ -83,9 +86,9 @@ class Kind(StrEnum):
     )
     DRIFT = (
         "drifting clock",
-        """The clock seems to drift by {drift:%} from the first window to the last. | Or something else changes
-        over the recording; ratios move by up to {moved:%}. Check the time stamps, or fit parts of the recording
-        separately.""",
+        """The clock seems to drift by {drift:%} from the first window to the last. | The clock drifts, or something
+        else changes over the recording; ratios move by up to {moved:%}. Check the time stamps, or fit parts of the
+        recording separately.""",
     )
     LENGTHS = (
         "lengths",
@@ -97,7 +100,11 @@ class Kind(StrEnum):
         """The zero of the angles seems off by {angle:deg}. | The camera is not level, or the zero, axes or their order
         are not as declared. Check the zero and the axes, level the camera, or free 'gravity_angle'.""",
     )
-    LINK_ZERO = "zero of one link", "The zero of link {link} seems off by {angle:deg}. | Check that sensor's zero."
+    LINK_ZERO = (
+        "zero of one link",
+        """The zero of link {link} seems off by {angle:deg}. | Its sensor is mounted or calibrated with an offset. Check
+        the zero of that sensor.""",
+    )
     ANGLE_SCALE = (
         "scale of the angles",
         """Angles multiplied by {factor:.3g} fit better. | The sensor's scale is not as declared; ratios move by up to
@@ -105,20 +112,51 @@ class Kind(StrEnum):
     )
     RELATIVE = (
         "angles are relative",
-        "It fits as if angles were relative to the link before. | Declare angles='relative'.",
+        """The data fit as if each angle were measured from the link before. | Angles were declared as absolute. Declare
+        angles='relative'.""",
     )
-    ABSOLUTE = "angles are absolute", "It fits as if angles were absolute. | Declare angles='absolute'."
-    REVERSED = "order from the free end", "It fits as if {what} were counted from the free end. | Reverse their order."
-    SWAPPED = "two neighbours swapped", "It fits as if {what} {first} and {second} were swapped. | Swap them."
-    SENSE = "sense of one link", "It fits as if link {link} grew to the other side. | Check its sense."
+    ABSOLUTE = (
+        "angles are absolute",
+        """The data fit as if each angle were measured from one fixed direction. | Angles were declared as relative.
+        Declare angles='absolute'.""",
+    )
+    REVERSED = (
+        "order from the free end",
+        """The data fit as if {what} were counted from the free end. | Their order is not as declared. Reverse the order
+        of the columns.""",
+    )
+    SWAPPED = (
+        "two neighbours swapped",
+        """The data fit as if {what} {first} and {second} were swapped. | Their order is not as declared. Swap the two
+        columns.""",
+    )
+    SENSE = (
+        "sense of one link",
+        """The data fit as if the angle of link {link} had the other sign. | Its sensor counts in the other direction.
+        Check the sign of that angle.""",
+    )
     ZERO_DIRECTION = (
         "zero points elsewhere",
-        "It fits as if angles were 0 {where}. | Check zero='hanging' or 'up', and the axes.",
+        """The data fit as if an angle of 0 were a link {where}. | The zero is not as declared. Check zero='hanging' or
+        'up', and the axes.""",
     )
-    DEGREES = "angles are in degrees", "It fits as if angles were in degrees. | Declare unit='deg'."
-    RADIANS = "angles are in radians", "It fits as if angles were in radians. | Declare unit='rad'."
-    Y_AXIS = "direction of y", "It fits as if y pointed the other way. | Declare y_axis='up' or 'down'."
-    AXES_SWAPPED = "x and y swapped", "It fits as if x and y were swapped. | Check the order of the columns."
+    DEGREES = (
+        "angles are in degrees",
+        "The data fit as if angles were in degrees. | They were declared as radians. Declare unit='deg'.",
+    )
+    RADIANS = (
+        "angles are in radians",
+        "The data fit as if angles were in radians. | They were declared as degrees. Declare unit='rad'.",
+    )
+    Y_AXIS = (
+        "direction of y",
+        """The data fit as if y pointed the other way. | The direction of y is not as declared. Declare y_axis='up' or
+        'down'.""",
+    )
+    AXES_SWAPPED = (
+        "x and y swapped",
+        """The data fit as if x and y were swapped. | The axes are not as declared. Check the order of the columns.""",
+    )
     MARKER_SCALE = (
         "scale of the markers",
         "Markers divided by {factor:.3g} fit better. | Their scale is wrong. Check the scale.",
@@ -128,20 +166,39 @@ class Kind(StrEnum):
         """The markers seem to be at {places:list} mm along the rope. | arc_lengths or a length are off; ratios move by
         up to {moved:%}. Measure arc_lengths and lengths again, or free 'arc'.""",
     )
-    DELAY = "delay of the motion", "The motion seems {delay:.3g} s late in the recording's time. | Free 'delay'."
-    ARM_LENGTH = "length of the arm", "The arm seems {length:.3g} m long. | Measure the arm again."
-    ARM_INERTIA = "inertia of the arm", "The arm's inertia seems to be {value:.2g} kg m^2. | Free 'arm_inertia'."
-    ARM_FRICTION = "friction of the arm", "The arm's friction seems to be {value:.2g} N m s/rad. | Free 'arm_friction'."
+    DELAY = (
+        "delay of the motion",
+        """The motion of the base seems {delay:.3g} s late in the recording's time. | The clocks of motor and recording
+        differ. Free 'delay'.""",
+    )
+    ARM_LENGTH = (
+        "length of the arm",
+        "An arm {length:.3g} m long fits better. | Its length is not as declared. Measure the arm again.",
+    )
+    ARM_INERTIA = (
+        "inertia of the arm",
+        """An inertia of the arm of {value:.2g} kg m^2 fits better. | The inertia of the arm is not as declared. Measure
+        it, or free 'arm_inertia'.""",
+    )
+    ARM_FRICTION = (
+        "friction of the arm",
+        """A friction of the arm of {value:.2g} N m s/rad fits better. | The friction of the arm is not as declared.
+        Measure it, or free 'arm_friction'.""",
+    )
     MASS_TAPER = (
         "mass changes along the rope",
-        """The mass of the tip seems {factor:.3g} times that of the begin. | The mass is not even along the rope;
+        """The mass at the tip seems {factor:.3g} times that at the first joint. | The mass is not even along the rope;
         ratios move by up to {moved:%}. Give the guess such masses, or free 'mass:taper'.""",
     )
-    REST_BEND = "bent at rest", "The rope seems bent at rest, by {angle:deg} a joint. | Free 'rest_angle:shared'."
+    REST_BEND = (
+        "bent at rest",
+        """The rope seems bent at rest, by {angle:deg} at each joint. | It was taken as straight. Free
+        'rest_angle:shared', or give the guess such angles.""",
+    )
     HELD = (
         "held value",
-        """What is held does not fit: {name} seems to be {values:list}. | Ratios move by up to {moved:%}. Measure it,
-        or free {name}.""",
+        """A held value does not fit: {name} seems to be {values:list}. | Ratios move by up to {moved:%}. Measure it, or
+        free {name}.""",
     )
     RESISTANCE = (
         "another resistance",
@@ -154,8 +211,8 @@ class Kind(StrEnum):
     )
     LINKS_TOO_LONG = (
         "links too long",
-        """This looks like a rope of finer links (probability {probability:%}). | Values are off by up to {moved:%}
-        with so few links. Use more links.""",
+        """The residuals look like those of a rope of finer links (probability {probability:%}). | Values are off by up
+        to {moved:%} with so few links. Use more links.""",
     )
     # What the fit looks like
     HANGS_UPWARDS = (
@@ -204,13 +261,13 @@ class Kind(StrEnum):
     )
     WINDOWS_DISAGREE = (
         "windows disagree",
-        """{label} scatters between windows {times:.2g} times as much as noise makes it (std {part:%}). | Something
-        changes over the recording, or was left out. Fit parts of the recording separately.""",
+        """{label} differs between windows {times:.2g} times as much as by noise (std {part:%}). | Something changes
+        over the recording, or the model omits an effect. Fit parts of the recording separately.""",
     )
     RESISTANCE_CHANGES = (
         "resistance changes with time",
-        """{label} scatters between windows {times:.2g} times as much as noise makes it (std {part:%}). | A resistance
-        changes, or is of another kind.""",
+        """{label} differs between windows {times:.2g} times as much as by noise (std {part:%}). | A resistance changes
+        over the recording, or is of another kind. Fit parts of the recording separately, or free another.""",
     )
     NOTHING_KNOWN = (
         "no ratio known",
@@ -225,7 +282,7 @@ class Kind(StrEnum):
     UNTESTED = (
         "lengths and times untested",
         """This motion tests neither times nor lengths. | If they are wrong by more than declared, moments and inertias
-        are too (clock 1 % off: J/p1 2 % off). Check the frame rate.""",
+        are too (clock 1 % off: J/p1 2 % off). Check the frame rate and the lengths.""",
     )
     POORLY_DETERMINED = (
         "poorly determined values",
@@ -234,27 +291,30 @@ class Kind(StrEnum):
     )
     LONE_START = (
         "one start alone",
-        """Only one of {starts} starts came to this fit. | It may be a local optimum. Give a better guess, or shorter
+        """Only one of {starts} starts led to this fit. | It may be a local optimum. Give a better guess, or shorter
         windows.""",
     )
     NOISE_UNDERSTATED = (
         "declared noise too small",
         """Residuals are {times:.3g} times as large as the declared noise. | The noise is larger, or the model omits an
-        effect; parameters may be biased beyond their intervals.""",
+        effect; then parameters may be off by more than their intervals. Check the noise's value and unit, or free
+        another resistance.""",
     )
     COLOURED = (
         "correlated residuals",
-        """Residuals are correlated, over {samples:.0f} samples. | The noise is coloured, or the model omits an effect;
-        deviations include other resistances, not more.""",
+        """Residuals are correlated, over {samples:.0f} samples. | The noise is correlated in time, or the model omits
+        an effect; deviations include other resistances alone. See whether another model leaves less
+        (compare_models).""",
     )
     NOT_STATIONARY = (
         "residuals not stationary",
-        "No stationary noise explains the residuals. | Standard deviations and intervals may be far too small.",
+        """No stationary noise explains the residuals. | Standard deviations and intervals may be far too small. See
+        whether another model leaves less (compare_models), or use parts of the recording.""",
     )
     FEW_VALUES = (
         "few independent values",
-        """The residuals are worth about {values:.2g} independent values. | Standard deviations and intervals are
-        little more than a guess. Record longer, or free fewer parameters.""",
+        """The residuals hold about {values:.2g} independent values. | Standard deviations and intervals are little more
+        than a guess. Record longer, or free fewer parameters.""",
     )
     BETTER_OPTIMUM = (
         "better optimum nearby",
@@ -263,8 +323,8 @@ class Kind(StrEnum):
     )
     PROFILE_GIVEN_UP = (
         "profile given up",
-        """The profile of {name} took too long to follow to its ends. | Its interval is that of the standard
-        deviation.""",
+        """The likelihood profile of {name} was not followed to its ends: it took too many fits. | The interval is from
+        the standard deviation. Use profile(found, name) to see the curve, or free fewer parameters.""",
     )
     # What the values stand for
     TORQUE_SCALE = (
@@ -289,30 +349,46 @@ class Kind(StrEnum):
     )
     FRICTION_MODEL = (
         "friction depends on the model",
-        """Friction would change by up to {part:%} with {name} free as well. | It stands for all that brakes: a model
-        error.""",
+        """Friction would change by up to {part:%} with {name} free as well. | The fitted friction stands for all that
+        damps the motion; standard deviations include this change. Free both if the recording determines both.""",
     )
     WINDOWS_LEFT_OUT = (
         "windows left out",
-        """{part:%} of the windows were left out. | They have too few samples, or the rope could not be simulated from
-        their states.""",
+        """{part:%} of the windows were not used. | They have too few samples, or the rope could not be simulated from
+        their first states. Check gaps and outliers of the recording.""",
     )
     IDENTIFIABLE = "all identifiable", "All free parameters are identifiable, given those that were held."
     COMBINATION = (
         "unknown combination",
-        """{count} combination(s) of {names:list} cannot be known. | They act alike in this motion; their values are
+        """{count} combination(s) of {names:list} cannot be known. | They act alike in this motion; the values shown are
         one choice of many. {ratios} Hold what you can measure otherwise, such as 'mass' and 'com', or record another
         motion.""",
     )
     NO_EFFECT = (
         "no effect in this motion",
-        """{names:list} cannot be known. | What has no effect in this motion has values that mean nothing. Hold them,
+        """{names:list} cannot be known. | They have no effect in this motion; the values shown mean nothing. Hold them,
         or record a motion in which they act.""",
     )
-    AT_ZERO = "went to zero", "{names:list} went to 0, the least allowed. | The data show none of it."
-    NOT_ESTIMATED = "no standard deviations", "The fit ended before standard deviations and intervals were computed."
-    CHOSEN = "free by default", "Free by default: {usual:list}. | Added because the recording shows it: {added:list}."
-    HELD_VALUES = "held values", "Held as given: {names:list}. | A standard deviation of 0 is no accuracy."
+    AT_ZERO = (
+        "went to zero",
+        """{names:list} went to 0, the least allowed. | The data show none of it. Hold it at 0, unless you know
+        otherwise.""",
+    )
+    NOT_ESTIMATED = (
+        "no standard deviations",
+        """The fit ended before standard deviations and intervals were computed. | How well the values are known is
+        open. Allow more time.""",
+    )
+    CHOSEN = (
+        "free by default",
+        """Free by default: {usual:list}. | Added because the recording shows it: {added:list}. Name what is free to
+        choose otherwise.""",
+    )
+    HELD_VALUES = (
+        "held values",
+        """Held as given: {names:list}. | Their standard deviation of 0 is not an accuracy. Free what you do not
+        know.""",
+    )
 
 
 KINDS = list(Kind)
@@ -401,7 +477,7 @@ def text(finding: Finding) -> str:
     if finding.gain > 0.0 and "left" not in finding.values:
         seen += f" It explains {percent(finding.gain)} of the residuals' sum of squares{_others(finding)}."
     if "before" in finding.values:
-        seen += " A short fit leaves {left:%} of the motion then, {before:%} as declared."
+        seen += " A short fit then leaves {left:%} of the motion, and {before:%} as declared."
         seen = _Formatter().vformat(seen, (), finding.values)
     maybe = "Possible: " if finding.severity is Severity.DOUBT and finding.gain > 0.0 else ""
     return f"{maybe}{seen} {rest}".rstrip()

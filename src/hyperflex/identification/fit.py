@@ -381,10 +381,9 @@ def fit(
     enough: float | None = None,
     budget: Budget | None = None,
     report: Report | None = None,
-    held: Sequence[int] = (),
     target: Target | None = None,
 ) -> Fit:
-    """Fit parameters and all states together, or the states alone, from first guesses; parameters `held` stay.
+    """Fit parameters and all states together, or the states alone, from first guesses.
 
     A `target` counts as one residual more. Out of time it returns the best so far. It ends with a round that gains less
     than the part `enough` of the cost; by default less than parameters move by chance.
@@ -418,8 +417,6 @@ def fit(
             ]
             if target is not None:
                 linear.append(target.linear(best.x))
-            for each in linear:
-                each.shared[:, list(held)] = 0.0
             if states_only:
                 linear = [Linear(each.state, each.shared[:, :0], each.residual, each.known) for each in linear]
             linear = [each.compact() for each in linear]

@@ -633,26 +633,26 @@ def pivot_places(motion: Motion | None, arm: Arm | None, t: Array) -> Array:
     return place if arm is None else place + arm.tip(motion.angle(t))
 
 
-def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, list[list[Parameter]]]:
-    """Return the model at x (P,) with more free parameters, its x, and these word by word; words that fail are out."""
-    rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), []
+def extended(plant: Plant, x: Array, words: Sequence[str]) -> tuple[Plant, Array, dict[str, list[Parameter]]]:
+    """Return the model at x (P,) with more free parameters, its x, and these by word; words that fail are out."""
+    rope, groups = plant.parameters.rope(plant.parameters.rounded(x)), dict[str, list[Parameter]]()
     arcs = plant.sensor.arc_lengths if isinstance(plant.sensor, Markers) else None
     for word in words:
         if word in (ANGLES, TORQUE, ARM_LENGTH):
-            groups.append([Parameter(word, (), word, 1.0, 1.0, "factor")])
+            groups[word] = [Parameter(word, (), word, 1.0, 1.0, "factor")]
             continue
         label = parse_label(word.removesuffix(":pivot"))
         if word.endswith(":pivot") and label is not None:
             if getattr(rope, label.name)[0] > 0.0:
                 every = tuple(range(rope.n_links))
-                groups.append([Parameter(label.name, every, word, 1.0, 1.0, "pivot")])
+                groups[word] = [Parameter(label.name, every, word, 1.0, 1.0, "pivot")]
             continue
         try:
             arm = None if plant.motor is None else plant.arm
-            groups.append(parse(rope, [word], arcs, moved=plant.motion is not None, arm=arm))
+            groups[word] = parse(rope, [word], arcs, moved=plant.motion is not None, arm=arm)
         except InvalidInput:  # a mass of 0 has no logarithm, say
             continue
-    extra = [each for group in groups for each in group]
+    extra = [each for group in groups.values() for each in group]
     parameters = Parameters(plant.parameters.guess, [*plant.parameters.all, *extra])
     return replace(plant, parameters=parameters), np.append(x, [each.first for each in extra]), groups
 

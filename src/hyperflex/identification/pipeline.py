@@ -12,18 +12,14 @@ from hyperflex import checks
 from hyperflex.budget import Budget, OutOfTime, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, Interrupted
-from hyperflex.identification.declarations.clock import DRIFT, SCALES
 from hyperflex.identification.declarations.evidence import evidence
-from hyperflex.identification.declarations.held import FEW_LINKS
+from hyperflex.identification.declarations.held import DRIFT, FEW_LINKS, LAWS, SCALES
 from hyperflex.identification.declarations.link_test import link_test
 from hyperflex.identification.declarations.mistakes import ShortFit, mistakes, spring_or_angles
-from hyperflex.identification.declarations.registry import LAWS
-from hyperflex.identification.declarations.resistances import is_uneven
 from hyperflex.identification.declarations.score_findings import explaining, first_misdeclared
-from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, score_tests
+from hyperflex.identification.declarations.score_tests import TESTING, Scores, ScoreTest, score_tests
 from hyperflex.identification.declarations.window_tests import (
     Scatter,
-    WindowScores,
     drift_test,
     scatter_test,
     window_scores,
@@ -183,7 +179,7 @@ class Trial:
     basis: Basis
     settings: dict[str, Any]
     tests: tuple[ScoreTest, ...] = ()
-    scores: WindowScores | None = None
+    scores: Scores | None = None
     scatter: tuple[Scatter, ...] = ()
 
     @property
@@ -293,7 +289,7 @@ class _Case:
 
     def _required(self, test: ScoreTest, free: Sequence[str]) -> bool:
         name = test.name.partition(":")[0]
-        if is_uneven(test.name) and not (f"{name}:shared" in free and np.all(getattr(self.guess, name) > 0.0)):
+        if test.uneven and not (f"{name}:shared" in free and np.all(getattr(self.guess, name) > 0.0)):
             return False  # of a factor on a guess that is not alike, or on nothing
         return test.significant and name in ALLOWED and not test.freed_with and (name != "com" or test.matters)
 

@@ -8,10 +8,9 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.declarations.evidence import hangs_upwards, unlike_lengths
-from hyperflex.identification.declarations.registry import LAWS
-from hyperflex.identification.declarations.resistances import as_free
+from hyperflex.identification.declarations.held import CLOCK, LAWS, as_free
 from hyperflex.identification.declarations.score_findings import REPORTED, score_findings
-from hyperflex.identification.declarations.score_tests import CLOCK, TESTING, ScoreTest
+from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.declarations.window_tests import Scatter
 from hyperflex.identification.findings import Finding, Kind, Severity, percent
 from hyperflex.identification.fit import NORMAL

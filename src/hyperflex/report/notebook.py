@@ -8,7 +8,7 @@ import numpy as np
 from hyperflex.identification import Identification
 from hyperflex.model import LINK_PROPERTIES, PROPERTIES, Rope
 from hyperflex.report.cast import CastReport
-from hyperflex.report.identification.parameters import parameters_table, present
+from hyperflex.report.identification.tables import parameters_table, present
 from hyperflex.report.page import TextTable, render
 from hyperflex.report.plan import Plan, PlanReport
 from hyperflex.report.player import FRAME_RATE, player_html

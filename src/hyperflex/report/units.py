@@ -55,6 +55,12 @@ def readable_unit(what: str, values: npt.ArrayLike) -> Unit:
     return Unit(*(fitting[0] if fitting else ladder[-1]))
 
 
+def amount(value: float, what: str, digits: int = 3) -> str:
+    """Return a value with the unit that suits it, and so many digits; `what` as of :func:`readable_unit`."""
+    unit = readable_unit(what, value)
+    return f"{value / unit.size:.{digits}g} {unit.name}"
+
+
 def rounded(value: float, std: float) -> str:
     """Return a value rounded to two digits of its standard deviation; four digits without one."""
     if not np.isfinite(value):

@@ -1,6 +1,9 @@
-"""What a score test says of: one object for each quantity that a fit holds, or that was declared."""
+"""What a fit holds and what was declared: one object for each quantity that the data may contradict.
 
-from collections.abc import Callable
+To add a quantity, write its object and list it in HELD. Its kind of finding goes to findings.py, its text to texts.py.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,9 +11,52 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification.findings import Kind
-from hyperflex.identification.model import Plant
+from hyperflex.identification.model import ANGLES, Plant
+from hyperflex.model import DAMPING, RESISTANCES, Rope
+from hyperflex.sensors import Markers
 
 FEW_LINKS = 4  # links, up to which each has its own value in a test: of more, values of neighbours act alike
+LAWS = tuple(each.name for each in RESISTANCES)
+CLOCK = "gravity_scale"  # what a wrong clock, or wrong lengths, move: times x a and lengths x a^2 act alike
+SCALES = "scales"  # factors on the links' lengths, on gravity, which a clock makes, the arm's length and the torque
+DRIFT = "clock_drift"
+LINKS = "links"
+INNER = "stiffness:inner"  # springs in all joints but the first, as in an elastic rope that hangs on a hinge
+
+
+@dataclass(frozen=True)
+class TestedFit:
+    """The model of a fit, and whether angles were recorded."""
+
+    plant: Plant
+    angles: bool
+
+    @property
+    def rope(self) -> Rope:
+        """The rope of the guess."""
+        return self.plant.parameters.guess
+
+    @property
+    def many(self) -> bool:
+        """Whether the rope has so many links that they are tested together."""
+        return self.rope.n_links > FEW_LINKS
+
+    @property
+    def heavy(self) -> bool:
+        """Whether gravity acts."""
+        return bool(np.any(self.rope.gravity))
+
+    def is_free(self, *names: str) -> bool:
+        """Return whether one of these properties is free."""
+        return not self.plant.parameters.names.isdisjoint(names)
+
+
+def _one(key: str, change: Callable[[Any], Any] = float) -> Callable[[str, Array], dict[str, Any]]:
+    return lambda name, values: {key: float(change(values[0]))}
+
+
+def _named(name: str, values: Array) -> dict[str, Any]:
+    return {"name": f"'{name}'", "values": [float(each) for each in values]}
 
 
 @dataclass(frozen=True)
@@ -21,13 +67,12 @@ class HeldQuantity:
     ----------
     kind : Kind
         Of its finding.
-    words : callable
-        Returns what a fit frees to test it, as in ``free``, for a model and whether angles were recorded; empty where
-        there is nothing to test.
+    words : tuple of str
+        What a fit frees to test it, as in ``free``: a test each, with this name.
+    applies : callable
+        Return whether a word is to be tested, for a fit in which its property is not free.
     values : callable
         Returns the values of its finding from a test's name and values.
-    name : str
-        Of its test, as in ``free``, where it has a name of its own.
     factor : bool
         Whether its value is a factor.
     declared : bool
@@ -40,30 +85,157 @@ class HeldQuantity:
         The same, up to which it does not matter: instruments err by so much.
     reported : bool
         Whether it is reported with its value as soon as it is significant.
+    apart : bool
+        Whether it is tested in a linearisation of its own: it acts much as others do.
     """
 
     kind: Kind
-    words: Callable[[Plant, bool], list[str]]
-    values: Callable[[str, Array], dict[str, Any]]
-    name: str = ""
+    words: tuple[str, ...]
+    applies: Callable[[TestedFit, str], bool]
+    values: Callable[[str, Array], dict[str, Any]] = _named
     factor: bool = False
     declared: bool = False
     farthest: float = np.inf
     enough: float = np.inf
     slight: float = 0.0
     reported: bool = False
-    apart: bool = False  # tested in a linearisation of its own: it acts much as others do
+    apart: bool = False
+
+    def tested(self, fit: TestedFit) -> list[str]:
+        """Return the words to test; of what is free only growth along the rope is tested."""
+        uneven = self.kind is Kind.UNEVEN_RESISTANCE
+        return [word for word in self.words if (uneven or not fit.is_free(base(word))) and self.applies(fit, word)]
+
+    @property
+    def of_rope(self) -> bool:
+        """Whether it is a property of the rope that is not reported as soon as it is significant."""
+        return not (self.reported or self.declared or self.kind is Kind.DRIFT)
 
     def size(self, value: float) -> float:
         """Return how far a value is from what was held: the logarithm of a factor, or the value."""
         return abs(float(np.log(max(value, 1e-9)))) if self.factor else abs(value)
 
 
-def free_names(plant: Plant) -> set[str]:
-    """Return the names of the properties that are free."""
-    return {each.name for each in plant.parameters.all}
+def base(word: str) -> str:
+    """Return the property of a word such as ``friction[0]`` or ``friction:shared``."""
+    return word.partition("[")[0].partition(":")[0]
 
 
-def many_links(plant: Plant) -> bool:
-    """Whether a rope has so many links that they are tested together."""
-    return plant.parameters.guess.n_links > FEW_LINKS
+def as_free(names: Sequence[str]) -> list[str]:
+    """Return names of tests as entries of ``free``, where "pivot" is the first joint's own."""
+    return [f"'{name.replace(':pivot', '[0]')}'" for name in names]
+
+
+def _clock(name: str, values: Array) -> dict[str, Any]:
+    scale = max(float(values[0]), 1e-9)
+    return {"scale": scale, "clock": float(np.sqrt(scale))}
+
+
+def _left_out(fit: TestedFit, word: str) -> bool:
+    return fit.many and not fit.rope.stiffness.any() if word == INNER else fit.many == word.endswith(":shared")
+
+
+def _along(fit: TestedFit, word: str) -> bool:
+    """Whether a resistance may differ along the rope that is one value, or one factor, of all links.
+
+    The first joint often is a bearing, the others are none. Two joints differ by that alone.
+    """
+    labels, n, (name, _, law) = fit.plant.parameters.labels, fit.rope.n_links, word.partition(":")
+    alike = not {f"{name}:shared", f"{name}:factor"}.isdisjoint(labels) and word not in labels
+    return alike and n > 1 and (law == "pivot" or n > 2 or name == "drag")
+
+
+def _uneven(name: str, values: Array) -> dict[str, Any]:
+    name, _, law = name.partition(":")
+    shown, one = {"name": name.replace("_", " ")}, float(values[0])
+    if law == "pivot":
+        words = [f"'{name}[0]'", f"'{name}:inner'"]
+        return shown | {"factor": one, "where": "first joint as at the others", "words": words}
+    words = [f"'{name}:factor'", f"'{name}:taper'"]
+    return shown | {"factor": float(np.exp(one)), "where": "tip as at the first joint", "words": words}
+
+
+MASSES = HeldQuantity(
+    Kind.HELD, ("tip_mass", "mass", "com", "inertia"), lambda fit, word: fit.many == (word == "tip_mass")
+)
+HELD: tuple[HeldQuantity, ...] = (
+    HeldQuantity(
+        Kind.ZERO,
+        ("gravity_angle",),
+        lambda fit, word: fit.heavy,
+        _one("angle"),
+        declared=True,
+        reported=True,
+        enough=0.03,  # rad, of gravity: 1.7 degrees, more than a camera that was levelled by eye is off
+    ),
+    HeldQuantity(
+        Kind.CLOCK,
+        (CLOCK,),
+        lambda fit, word: fit.heavy,
+        _clock,
+        factor=True,
+        declared=True,
+        farthest=6.0,  # a frame rate off by two makes gravity four times as large; beyond, something else is wrong
+        slight=0.01,  # relative, of lengths: rulers err by so much; a triple pendulum seems 0.0067 off with drag free
+    ),
+    HeldQuantity(
+        Kind.ANGLE_SCALE,
+        (ANGLES,),
+        lambda fit, word: fit.angles and fit.heavy,
+        _one("factor", lambda factor: 1.0 / factor),
+        factor=True,
+        declared=True,
+        farthest=2.0,  # beyond, something else is wrong
+        enough=0.02,  # encoders are better
+    ),
+    HeldQuantity(
+        Kind.DELAY,
+        ("delay",),
+        lambda fit, word: fit.plant.motion is not None,
+        _one("delay"),
+        declared=True,
+        reported=True,
+    ),
+    *(
+        HeldQuantity(kind, (word,), lambda fit, word: fit.plant.motor is not None, _one("value"), reported=True)
+        for kind, word in ((Kind.ARM_INERTIA, "arm_inertia"), (Kind.ARM_FRICTION, "arm_friction"))
+    ),
+    HeldQuantity(Kind.RESISTANCE, (*LAWS, *(f"{name}:shared" for name in LAWS), INNER), _left_out),
+    HeldQuantity(
+        Kind.UNEVEN_RESISTANCE,
+        tuple(f"{name}:{law}" for name in DAMPING for law in ("pivot", "taper") if (name, law) != ("drag", "pivot")),
+        _along,
+        _uneven,
+    ),
+    MASSES,
+    HeldQuantity(Kind.MASS_TAPER, ("mass:taper",), lambda fit, word: fit.many, _one("factor", np.exp)),
+    HeldQuantity(
+        Kind.REST_BEND,
+        ("rest_angle:shared",),
+        lambda fit, word: fit.many and (fit.is_free("stiffness") or bool(fit.rope.stiffness.any())),
+        _one("angle"),
+        reported=True,
+    ),
+    HeldQuantity(
+        Kind.MARKER_PLACES,
+        ("arc",),
+        lambda fit, word: isinstance(fit.plant.sensor, Markers) and not fit.is_free("length"),
+        lambda name, values: {"places": (1e3 * values).tolist()},
+        reported=True,
+    ),
+    HeldQuantity(
+        Kind.HELD,
+        ("length",),
+        lambda fit, word: 1 < fit.rope.n_links <= FEW_LINKS and not fit.is_free("com", "inertia"),
+        apart=True,
+    ),
+    # tested by the scores of the windows
+    HeldQuantity(Kind.DRIFT, (DRIFT,), lambda fit, word: False, _one("drift", lambda drift: 0.5 * abs(drift))),
+)
+QUANTITIES = {word: each for each in HELD for word in each.words}
+
+
+def words_for_tests(fit: TestedFit) -> list[list[str]]:
+    """Return words for what is held, those that are tested in one linearisation together."""
+    together = [word for each in HELD if not each.apart for word in each.tested(fit)]
+    return [together, *(words for each in HELD if each.apart and (words := each.tested(fit)))]

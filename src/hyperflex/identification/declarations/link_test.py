@@ -7,16 +7,15 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.declarations.held import FEW_LINKS
-from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, fit_with, some_windows, within
+from hyperflex.identification.declarations.held import FEW_LINKS, LINKS
+from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest, fit_with, part_of, within
 from hyperflex.identification.fit import Window, fit
-from hyperflex.identification.model import Parameter, Plant
+from hyperflex.identification.model import Plant
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.model import Rope
 from hyperflex.sensors import Angles
 
-LINKS = "links"
 UNSURE, ELSE = 0.25, 2.0  # of the pattern's amplitude (1: finer links): its least deviation, and that of other causes
 PIECES = 4  # that each link is cut into: errors go with a link's length squared, so that a 16th of them is left
 
@@ -35,40 +34,36 @@ def link_test(basis: Basis, others: Sequence[ScoreTest] = ()) -> tuple[ScoreTest
     :func:`_probability`.
     """
     name = next((each.name for each in others if each.masks), "")
-    richer = fit_with(basis, name) if name else None
+    richer = fit_with(basis, name)
     if richer is not None:
         return tuple(within(each, basis.fit.x.size, [name]) for each in link_test(richer))
-    plant, x, found = basis.plant, basis.fit.x, basis.fit
+    plant, x, some = basis.plant, basis.fit.x, part_of(basis)
     n, parameters = plant.parameters.guess.n_links, plant.parameters.all
     few, own = n <= FEW_LINKS, any(0 < len(p.links) < n for p in parameters if p.kind.owner == "link")
     if n == 1 or plant.motor is not None or (basis.information.whiteness >= CHANCE if few else own):
         return ()
-    windows, states, residuals = some_windows(basis)
+    loss, states = some.fit.loss, some.fit.states
     try:
         finer = plant.cut(x, PIECES)
-        seen = [_seen(plant.parameters.rope(x), finer, *each) for each in zip(windows, states, strict=True)]
-        again = fit(plant, seen, x, states, loss=found.loss, rounds=TESTING.rounds)
+        seen = [_seen(plant.parameters.rope(x), finer, *each) for each in zip(some.windows, states, strict=True)]
+        again = fit(plant, seen, x, states, loss=loss, rounds=TESTING.rounds)
     except InvalidInput:  # links that are not uniform, or that cannot be simulated
         return ()
-    pairs = list(zip(residuals, again.residuals, strict=True))
-    before = sum(found.loss.cost(residual) for residual, _ in pairs)
-    gained = before - sum(found.loss.cost(residual - pattern) for residual, pattern in pairs)
-    likely = _probability(basis, pairs)
+    pairs = list(zip(some.fit.residuals, again.residuals, strict=True))
+    before = sum(loss.cost(residual) for residual, _ in pairs)
+    gained = before - sum(loss.cost(residual - pattern) for residual, pattern in pairs)
     shift = again.x - x
-    std = np.sqrt(np.diag(basis.information.covariance))
-    parts = [_part(*each) for each in zip(parameters, x, shift, strict=True)]
-    ratio_sensitivity = float(np.max(parts, where=np.abs(shift) > 2.0 * std, initial=0.0))
-    part = max(gained, 0.0) / before if before > 0.0 else 0.0
-    return (
-        ScoreTest(
-            LINKS,
-            part,
-            np.array([float(n * PIECES)]),
-            shift=shift,
-            excess_gain=likely,
-            ratio_sensitivity=ratio_sensitivity,
-        ),
+    std, now, then = np.sqrt(np.diag(basis.information.covariance)), *map(plant.parameters.values, (x, again.x))
+    parts = np.abs(np.divide(then - now, now, out=np.zeros(x.size), where=now > 0.0))
+    test = ScoreTest(
+        LINKS,
+        max(gained, 0.0) / before if before > 0.0 else 0.0,
+        np.array([float(n * PIECES)]),
+        shift=shift,
+        excess_gain=_probability(basis, pairs),
+        ratio_sensitivity=float(np.max(parts, where=np.abs(shift) > 2.0 * std, initial=0.0)),
     )
+    return (test,)
 
 
 def _probability(basis: Basis, pairs: list[tuple[Array, Array]]) -> float:
@@ -89,39 +84,27 @@ def _probability(basis: Basis, pairs: list[tuple[Array, Array]]) -> float:
         variance = max(variance, scatter)
     white = basis.information.whiteness >= CHANCE
     std = float(np.sqrt(variance if white else variance + UNSURE**2))
-    away = np.array([amplitude - 1.0, amplitude]) / max(std, 1e-12)
-    finer, these = -0.5 * away**2
-    other = -np.inf if white else -0.5 * (amplitude / ELSE) ** 2 + np.log(std / ELSE)
-    most = max(finer, these, other)
-    weights = np.exp(np.array([finer, these, other]) - most)
+    logs = -0.5 * (np.array([amplitude - 1.0, amplitude]) / max(std, 1e-12)) ** 2  # of finer links, and of these
+    if not white:
+        logs = np.append(logs, -0.5 * (amplitude / ELSE) ** 2 + np.log(std / ELSE))
+    weights = np.exp(logs - logs.max())
     return float(weights[0] / weights.sum())
-
-
-def _part(parameter: Parameter, x: float, shift: float) -> float:
-    """Return by what part of itself a value changes with its x; 0 of nothing."""
-    value = parameter.value(x)
-    return abs(parameter.value(x + shift) / value - 1.0) if value > 0.0 else 0.0
 
 
 def _seen(rope: Rope, finer: Plant, window: Window, state: Array) -> Window:
     """Return a window with what the sensor sees of the finer rope from a smooth shape like `state` (2n,)."""
+    from scipy.interpolate import make_interp_spline
+
     n, fine = rope.n_links, finer.parameters.guess
     places, old = (np.cumsum(each.length) - 0.5 * each.length for each in (fine, rope))
-    start = np.concatenate([_along(places, old, state[:n]), _along(places, old, state[n:])])
+    # along the rope, straight lines continue beyond the ends
+    start = make_interp_spline(old, state.reshape(2, n).T, k=1)(places).T.ravel()
     y = finer.predict(np.zeros(0), window.t, start)
     if y is None:
         raise InvalidInput("the finer rope cannot be simulated")
     if isinstance(finer.sensor, Angles):
         y = _chords(y.reshape(y.shape[0], n, PIECES), fine.length.reshape(n, PIECES))
     return replace(window, y=np.where(window.weight > 0.0, y, 0.0))
-
-
-def _along(places: Array, old: Array, values: Array) -> Array:
-    """Return values (n,) given at `old` (n,) along the rope at other places; straight lines go on beyond the ends."""
-    slope = np.diff(values)[[0, -1]] / np.diff(old)[[0, -1]]
-    ends = values[[0, -1]] + slope * (places[[0, -1]] - old[[0, -1]])
-    known = np.concatenate([places[:1], old, places[-1:]])
-    return np.asarray(np.interp(places, known, np.concatenate([ends[:1], values, ends[1:]])))
 
 
 def _chords(q: Array, length: Array) -> Array:

@@ -12,7 +12,8 @@ import numpy as np
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.declarations.evidence import neighbours_swapped
-from hyperflex.identification.declarations.score_tests import CLOCK, ScoreTest
+from hyperflex.identification.declarations.held import CLOCK, base
+from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.findings import Finding, Kind, Severity
 from hyperflex.identification.fit import HARDLY, Loss, decimation_step, fit, part_left, usual_length
 from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements
@@ -119,15 +120,16 @@ class MistakeOptions:
     shorter: float = 4.0
     windows: int = 6
     rounds: int = 12
+    # rad, 5 degrees, of a link's zero: between what is no mistake and the 10 degrees that were tried
+    zero: float = 0.09
     # logarithms of factors of angles, or of the arm's length: tried, and reported
-    gain: float = 0.3
+    farthest: float = 0.3
     least_gain: float = 0.005
     # times the residual of another explanation: one that leaves no more explains as well
     as_good: float = 1.1
-    # the same of a spring's: a real pendulum read 10 % too large left 1.16, a double one with springs 1.5
+    # times the residual of a spring: angles that leave no more explain as well; a real pendulum read 10 % too large
+    # left 1.16, a double one with springs 1.5
     spring: float = 1.25
-    # rad, 5 degrees: between what is no mistake and the 10 degrees that were tried
-    zero: float = 0.09
 
 
 SHORT_FIT = MistakeOptions()
@@ -149,7 +151,7 @@ class ShortFit:
     def __call__(self, recording: Recording, more: Sequence[str] = ()) -> tuple[float, list[float]]:
         """Return the residual, rms, as a part of the motion (inf: nothing fits), and values of `more`, also free."""
         words = [*self.free, *(each for each in more if each not in self.free)]
-        words = [word for word in words if FREE_PROPERTIES[_base(word)].owner != "arm"]
+        words = [word for word in words if FREE_PROPERTIES[base(word)].owner != "arm"]
         try:
             measured, places = checked_measurements(recording, self.rope, self.setup)
             plant = build_plant(recording, self.rope, words, places, replace(self.setup, torque=None))
@@ -182,51 +184,42 @@ def spring_or_angles(recording: Recording, left: ShortFit) -> list[Finding]:
     A pendulum whose angles are read 10 % too large seems to swing faster with its amplitude than gravity makes it. So
     does one with a spring. Nothing is said where the guess has a stiffness, or where one explains clearly more.
     """
-    words = [word for word in left.free if _base(word) != "stiffness"]
+    words = [word for word in left.free if base(word) != "stiffness"]
     if recording.kind != "angles" or len(words) == len(left.free) or left.rope.stiffness.any():
         return []
     plain = replace(left, free=words)
-    least, factor = _best_factor(lambda factor: plain(angles_as(recording, factor * recording.data, factor))[0])
-    if abs(np.log(factor)) < SHORT_FIT.least_gain or least > SHORT_FIT.spring * left(recording)[0]:
+    least, log = _best(lambda log: plain(angles_as(recording, np.exp(log) * recording.data, np.exp(log)))[0])
+    if abs(log) < SHORT_FIT.least_gain or least > SHORT_FIT.spring * left(recording)[0]:
         return []
-    return [Finding(Kind.SPRING_OR_ANGLES, Severity.WRONG, {"factor": factor})]
+    return [Finding(Kind.SPRING_OR_ANGLES, Severity.WRONG, {"factor": float(np.exp(log))})]
 
 
 def mistakes(recording: Recording, left: ShortFit, named: ScoreTest | None) -> list[Finding]:
     """Return the mistake that explains a fit that is not good, or nothing.
 
-    A mistake is named if it leaves half of what the recording as declared leaves at most, and that is little. A wrong
-    clock or scale and a camera that is not level come before a mistake that explains less, and beside one that explains
-    as much; the zero of one link comes where nothing else explains. It has to leave half of what the score test `named`
-    leaves, too.
+    A mistake is named if it leaves half of what the recording as declared leaves at most, and that is little. It has to
+    leave half of what a wrong clock or scale and a camera that is not level leave, and of what the score test `named`
+    leaves, too; one that explains as much as the former is named with them. The zero of one link comes where nothing
+    else explains.
     """
     declared, _ = left(recording)
     skewed, (scale, angle) = left(recording, SKEWED)
     most, name = declared, "" if named is None else named.name
-    if _base(name) in FREE_PROPERTIES and name not in (*SKEWED, "delay"):
+    if base(name) in FREE_PROPERTIES and name not in (*SKEWED, "delay"):
         most = min(most, left(recording, (name,))[0])
     if named is not None and name in (ANGLES, "delay"):  # a short fit does not free the one, and searches the other
         most = min(most, declared * float(np.sqrt(1.0 - named.gain)))
-    tried = [*_meant(recording, left), *_driven(recording, left)]
-    least, found = min(tried, key=lambda each: each[0], default=(np.inf, []))
-    if name in SKEWED:
-        most = min(most, skewed)
-    elif least > SHORT_FIT.better * min(most, skewed):
-        skew = _skew(float(np.sqrt(scale)), float(angle))
-        found = [*found, *skew] if least <= SHORT_FIT.as_good * skewed < np.inf else skew
-        least = min(least, skewed)
-    if least > min(SHORT_FIT.better * most, SHORT_FIT.fits):
-        most = min(most, skewed)
-        least, found = min(_zeros(recording, left, declared), key=lambda each: each[0], default=(np.inf, []))
-    if least > min(SHORT_FIT.better * most, SHORT_FIT.fits):
-        return []
-    gain = 1.0 - min(1.0, least / min(declared, 1.0)) ** 2
-    shown = {"left": least, "before": min(declared, 1.0)}
-    return [replace(each, severity=Severity.WRONG, gain=gain, values=each.values | shown) for each in found]
-
-
-def _base(word: str) -> str:
-    return word.partition("[")[0].partition(":")[0]
+    skew = _skew(float(np.sqrt(scale)), float(angle))
+    for tried in ([*_meant(recording, left), *_driven(recording, left)], _zeros(recording, left, declared)):
+        least, found = min(tried, key=lambda each: each[0], default=(np.inf, []))
+        if least > SHORT_FIT.better * skewed:
+            found = [*(found if least <= SHORT_FIT.as_good * skewed else []), *skew] if name not in SKEWED else []
+            least = min(least, skewed)
+        if found and least <= min(SHORT_FIT.better * most, SHORT_FIT.fits):
+            gain = 1.0 - min(1.0, least / min(declared, 1.0)) ** 2
+            shown = {"left": least, "before": min(declared, 1.0)}
+            return [replace(each, severity=Severity.WRONG, gain=gain, values=each.values | shown) for each in found]
+    return []
 
 
 def _meant(recording: Recording, left: ShortFit) -> Iterator[Tried]:
@@ -250,13 +243,11 @@ def _zeros(recording: Recording, left: ShortFit, declared: float) -> Iterator[Tr
     About quadratic in the zero: its least value follows from what is left at three zeros.
     """
     n = recording.data.shape[1]
-    if recording.kind != "angles" or not 1 < n <= TRIED.swaps:
-        return
 
     def moved(k: int, zero: float) -> float:
         return left(angles_as(recording, recording.data - zero * np.eye(n)[k]))[0]
 
-    for k in range(n):
+    for k in range(n) if recording.kind == "angles" and 1 < n <= TRIED.swaps else ():
         below, above = moved(k, -SHORT_FIT.zero) ** 2, moved(k, SHORT_FIT.zero) ** 2
         bend = below - 2.0 * declared**2 + above
         if 0.0 < bend < np.inf:
@@ -270,27 +261,24 @@ def _driven(recording: Recording, left: ShortFit) -> Iterator[Tried]:
     if arm is None:
         return
 
-    def longer(factor: float) -> float:
-        return replace(left, setup=replace(setup, arm=replace(arm, length=factor * arm.length)))(recording)[0]
+    def longer(log: float) -> float:
+        other = replace(arm, length=float(np.exp(log)) * arm.length)
+        return replace(left, setup=replace(setup, arm=other))(recording)[0]
 
-    part, factor = _best_factor(longer)
-    yield part, [Finding(Kind.ARM_LENGTH, values={"length": factor * arm.length})]
+    part, log = _best(longer)
+    yield part, [Finding(Kind.ARM_LENGTH, values={"length": float(np.exp(log)) * arm.length})]
     if "delay" not in left.free:
         part, (delay,) = left(recording, ("delay",))
         yield part, [Finding(Kind.DELAY, values={"delay": delay})]
 
 
-def _best_factor(part: Callable[[float], float]) -> tuple[float, float]:
-    """Return the least part of the motion that a factor leaves, and that factor."""
+def _best(part: Callable[[float], float]) -> tuple[float, float]:
+    """Return the least part of the motion that the logarithm of a factor leaves, and that logarithm."""
     from scipy.optimize import minimize_scalar
 
-    found = minimize_scalar(
-        lambda log: part(float(np.exp(log))),
-        bounds=(-SHORT_FIT.gain, SHORT_FIT.gain),
-        method="bounded",
-        options={"xatol": 2e-3, "maxiter": 12},
-    )
-    return float(found.fun), float(np.exp(found.x))
+    bounds = (-SHORT_FIT.farthest, SHORT_FIT.farthest)
+    found = minimize_scalar(part, bounds=bounds, method="bounded", options={"xatol": 2e-3, "maxiter": 12})
+    return float(found.fun), float(found.x)
 
 
 def _skew(clock: float, angle: float) -> list[Finding]:

@@ -5,10 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hyperflex.identification.declarations.clock import DRIFT, SCALES
-from hyperflex.identification.declarations.link_test import LINKS
-from hyperflex.identification.declarations.resistances import as_free, is_uneven
-from hyperflex.identification.declarations.score_tests import CLOCK, TESTING, ScoreTest
+from hyperflex.identification.declarations.held import CLOCK, DRIFT, LINKS, SCALES, as_free
+from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.findings import Finding, Kind, Severity
 
 
@@ -63,58 +61,36 @@ def score_findings(tests: Sequence[ScoreTest], *, odd: bool, known: bool, wrong:
 
 def finding(test: ScoreTest, severity: Severity, tests: Sequence[ScoreTest] = ()) -> Finding:
     """Return a test as a finding, with which others of `tests` explain as much."""
-    values = test.quantity.values(test.name, test.values) | {
-        "moved": test.moved,
-        "freed_with": as_free(test.freed_with),
-    }
     alike = [each for each in tests if each.significant and each is not test and each.gain > test.gain - TESTING.equal]
-    values["alike"] = [_label(each) for each in alike]
-    return Finding(test.quantity.kind, severity, values, test.gain)
+    others = {"freed_with": as_free(test.freed_with), "alike": [_label(each) for each in alike]}
+    values = test.quantity.values(test.name, test.values) | {"moved": test.moved}
+    return Finding(test.quantity.kind, severity, values | others, test.gain)
 
 
 def _label(test: ScoreTest) -> str:
     """Return what a test is about, and its value."""
-    name = str(test.quantity.kind) if test.quantity.name else f"'{test.name}'"
-    first = next(
-        (each for each in test.quantity.values(test.name, test.values).values() if isinstance(each, float)), None
-    )
-    return name if first is None else f"{name} ({first:.3g})"
+    name = f"'{test.name}'" if test.quantity.kind in (Kind.HELD, Kind.RESISTANCE) else str(test.quantity.kind)
+    values = test.quantity.values(test.name, test.values).values()
+    return next((f"{name} ({each:.3g})" for each in values if isinstance(each, float)), name)
 
 
 def _causes(tests: Sequence[ScoreTest]) -> list[ScoreTest]:
     """Return what is held and surely does not fit, though ratios move by no more than noise may, or not at all."""
-    certain = (each for each in tests if each.significant and each.excess_gain > TESTING.sure)
-    return [each for each in certain if (each.law and not each.matters) or _covered_only(each)]
-
-
-def _covered_only(test: ScoreTest) -> bool:
-    """Whether something that was held seems not to fit, though ratios move by no more than noise may."""
-    return test.covered and not (test.quantity.reported or test.quantity.declared or test.name == DRIFT)
+    certain = (each for each in tests if each.significant and each.excess_gain > TESTING.sure and not each.matters)
+    return [each for each in certain if each.law or (each.covered and each.quantity.of_rope)]
 
 
 def _doubtful(test: ScoreTest, first: ScoreTest | None) -> bool:
     """Whether something seems off, but so little that ratios hardly move, or something else may explain it."""
-    if test.name in (LINKS, SCALES):
-        return False
-    if test.slight and test.significant:
-        return True
-    covered = test.covered and not test.quantity.reported and test.name != DRIFT
-    if (test.suspected or covered) and (not test.freed_with or test.expected):
-        return True
-    small = test.significant and not test.matters
     if test.name == DRIFT:
         return test.refitted and not (test.significant and test.matters) and (first is None or first.gain <= test.gain)
-    if is_uneven(test.name) or test.quantity.reported:
-        return small
+    if test.name in (LINKS, SCALES) or (test.significant and test.matters):
+        return False
+    if test.suspected or test.covered:
+        return not test.freed_with or test.expected
     alike = first is not None and abs(test.gain - first.gain) < TESTING.equal
-    return (
-        small
-        and test.law
-        and not test.covered
-        and test.gain > TESTING.explains
-        and test.excess_gain > TESTING.sure
-        and not alike
-    )
+    explains = test.law and test.gain > TESTING.explains and not alike
+    return test.significant and (test.slight or test.uneven or test.quantity.reported or explains)
 
 
 def _of_links(tests: Sequence[ScoreTest], *, odd: bool) -> list[Finding]:
@@ -143,11 +119,8 @@ def _lengths(tests: Sequence[ScoreTest]) -> list[Finding]:
         return []
     score = scales.information[:2] @ np.log(np.clip(scales.values, 1e-9, 1e9))
     off, std = abs(float(np.linalg.solve(known, score)[0])), float(np.sqrt(np.linalg.inv(known)[0, 0]))
-    return (
-        []
-        if off < max(REPORTED.short, REPORTED.certain * std)
-        else [Finding(Kind.LENGTHS, Severity.DOUBT, {"off": off})]
-    )
+    seen = off >= max(REPORTED.short, REPORTED.certain * std)
+    return [Finding(Kind.LENGTHS, Severity.DOUBT, {"off": off})] * seen
 
 
 def _untested(tests: Sequence[ScoreTest]) -> list[Finding]:

@@ -8,11 +8,20 @@ import numpy as np
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.declarations.clock import SCALES
-from hyperflex.identification.declarations.held import HeldQuantity
-from hyperflex.identification.declarations.registry import LAWS, quantity, words_for_tests
-from hyperflex.identification.fit import Fit, Window, fit, linearise
-from hyperflex.identification.model import Mask, Plant, extended, scale_words
+from hyperflex.identification.declarations.held import (
+    CLOCK,
+    LAWS,
+    MASSES,
+    QUANTITIES,
+    SCALES,
+    HeldQuantity,
+    TestedFit,
+    base,
+    words_for_tests,
+)
+from hyperflex.identification.findings import Kind
+from hyperflex.identification.fit import Fit, fit, linearise
+from hyperflex.identification.model import Mask, Parameter, Plant, extended, scale_words
 from hyperflex.identification.uncertainty.covariance import Basis, estimate_covariance
 from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
@@ -47,7 +56,6 @@ class ScoreTestOptions:
 
 
 TESTING = ScoreTestOptions()
-CLOCK = "gravity_scale"  # what a wrong clock, or wrong lengths, move
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,12 +119,17 @@ class ScoreTest:
     @property
     def quantity(self) -> HeldQuantity:
         """What it is about."""
-        return quantity(self.name)
+        return QUANTITIES.get(self.name, MASSES)
 
     @property
     def law(self) -> bool:
         """Whether it is a resistance that was left out."""
-        return self.name.partition(":")[0] in LAWS
+        return base(self.name) in LAWS
+
+    @property
+    def uneven(self) -> bool:
+        """Whether it is of the growth of a resistance along the rope, or of the first joint's own."""
+        return self.quantity.kind is Kind.UNEVEN_RESISTANCE
 
     @property
     def refitted(self) -> bool:
@@ -136,7 +149,7 @@ class ScoreTest:
     @property
     def possible(self) -> bool:
         """Whether something can be held or declared so wrongly."""
-        return self.quantity.farthest == np.inf or self.size <= np.log(self.quantity.farthest)
+        return bool(self.size <= np.log(self.quantity.farthest))
 
     @property
     def slight(self) -> bool:
@@ -198,7 +211,7 @@ def score_tests(
     tests, later, now = found, dict[str, ScoreTest](), basis
     for _ in range(TESTING.hiding):
         hiding = next((each.name for each in tests if each.masks), "")
-        richer = fit_with(now, hiding) if hiding else None
+        richer = fit_with(now, hiding)
         if richer is None:
             break
         now = richer
@@ -223,7 +236,7 @@ def within(test: ScoreTest, size: int, freed: Sequence[str]) -> ScoreTest:
 
 def _refitted_tests(basis: Basis, budget: Budget, *, angles: bool) -> list[ScoreTest]:
     """Return the tests of a fit, the greatest gain first; those that explain much with what a refit says."""
-    found = [each for words in words_for_tests(basis.plant, angles=angles) for each in _tested(basis, words)]
+    found = [test for words in words_for_tests(TestedFit(basis.plant, angles)) for test in _tested(basis, words)]
     found += _tested(basis, list(scale_words(basis.plant).values()), SCALES)
     found.sort(key=lambda each: -each.gain)
     others = [k for k, each in enumerate(found) if each.name != SCALES]
@@ -237,61 +250,91 @@ def _refitted_tests(basis: Basis, budget: Budget, *, angles: bool) -> list[Score
     return sorted(found, key=lambda each: -each.gain)
 
 
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """What each of W windows says of K numbers: the P that were free, and those of words that were held.
+
+    All are in units of `scale` (K,), the change of x that each makes a cost of 1; inf of what does not act. score
+    (W, K): derivative of half the sum of squares of a window by each, its state eliminated. information (W, K, K).
+    total: sum of squares. plant, x (K,): with all of them free. groups: numbers of each word. free: which of the P are
+    not at a bound.
+    """
+
+    plant: Plant
+    x: Array
+    groups: dict[str, list[int]]
+    free: list[int]
+    scale: Array
+    score: Array
+    information: Array
+    total: float
+
+    def inverse(self, which: Sequence[int]) -> Array:
+        """Return the inverse (K, K) of the information of all windows about `which` numbers, 0 elsewhere."""
+        part, matrix = np.ix_(which, which), self.information.sum(axis=0)
+        result: Array = np.zeros(matrix.shape)
+        result[part] = np.linalg.pinv(matrix[part], rcond=TESTING.tiny, hermitian=True)
+        return result
+
+
+def scores(basis: Basis, words: Sequence[str]) -> Scores | None:
+    """Return the scores of a fit, at the cost of one round of it; None where they are not finite."""
+    count = basis.fit.x.size
+    plant, x, held = extended(basis.plant, basis.fit.x, words)
+    score, matrices, total, groups = [], [], 0.0, dict[str, list[int]]()
+    for each in zip(basis.windows, basis.fit.states, basis.fit.residuals, strict=True):
+        slopes, left = linearise(plant, each[0], x, *each[1:], basis.fit.loss).reduced()
+        score.append(slopes.T @ left)
+        matrices.append(slopes.T @ slopes)
+        total += float(left @ left)
+    if not (np.isfinite(matrices).all() and total > 0.0):
+        return None
+    first = count
+    for word, group in held.items():
+        groups[word] = list(range(first, first := first + len(group)))
+    scale = np.sqrt(np.diag(np.sum(matrices, axis=0)))
+    scale[scale == 0.0] = np.inf
+    free = [k for k in range(count) if x[k] > plant.parameters.lower[k]]
+    return Scores(plant, x, groups, free, scale, score / scale, matrices / np.outer(scale, scale), total)
+
+
 def _tested(basis: Basis, words: Sequence[str], together: str = "") -> list[ScoreTest]:
     """Return the tests of these words, or one of all, by the name `together`."""
-    plant, x, groups = extended(basis.plant, basis.fit.x, words)
-    groups = [[each for group in groups for each in group]] if together and groups else groups
-    size, total = x.size, 0.0
-    matrix, score = np.zeros((size, size)), np.zeros(size)
-    for window, state, residual in zip(basis.windows, basis.fit.states, basis.fit.residuals, strict=True):
-        slopes, left = linearise(plant, window, x, state, residual, basis.fit.loss).reduced()
-        matrix += slopes.T @ slopes
-        score += slopes.T @ left
-        total += float(left @ left)
-    if not (np.isfinite(matrix).all() and total > 0.0):
+    found = scores(basis, words)
+    if found is None or not found.groups:
         return []
-    scale = np.sqrt(np.diag(matrix))
-    scale[scale == 0.0] = np.inf
-    matrix, score = matrix / np.outer(scale, scale), score / scale
-    free = [k for k in range(basis.fit.x.size) if x[k] > plant.parameters.lower[k]]
-    inner = np.linalg.pinv(matrix[np.ix_(free, free)], rcond=TESTING.tiny, hermitian=True)
-    tests, first = [], basis.fit.x.size
-    for word, group in zip((each[0].name for each in groups), groups, strict=True):
-        own = list(range(first, first + len(group)))
-        first += len(group)
-        across = matrix[np.ix_(own, free)] @ inner
-        information = matrix[np.ix_(own, own)] - across @ matrix[np.ix_(free, own)]
-        step = _possible_step(information, score[own] - across @ score[free], x[own] <= plant.parameters.lower[own])
-        gain = -float(step @ (score[own] - across @ score[free])) / total
-        moved = x[own] + step / scale[own]
-        shift = np.zeros(basis.fit.x.size)
-        shift[free] = -across.T @ step / scale[free]
-        shift = np.maximum(shift, plant.parameters.lower[: shift.size] - basis.fit.x)  # no resistance gets negative
-        noise = basis.information.variance * basis.information.correlation
-        chance = noise * max(1, int(np.count_nonzero(step)))
-        excess_gain = max(0.0, 1.0 - chance / (gain * total)) if gain * total > 0.0 else 0.0
-        added = np.zeros((basis.fit.x.size,) * 2)
-        inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
-        added[np.ix_(free, free)] = noise * across.T @ inverse @ across / np.outer(scale[free], scale[free])
-        label = group[0].label if group[0].law != "own" or len(group[0].links) > 1 else word
-        with np.errstate(over="ignore"):
-            values = [parameter.value(each) for parameter, each in zip(group, moved, strict=True)]
-        rate = np.zeros((basis.fit.x.size, len(own)))
-        acting = np.where(np.isfinite(scale[own]), scale[own], 0.0)
-        rate[free] = -across.T / scale[free, None] * acting
-        each = ScoreTest(
-            together or label,
-            min(gain, 1.0),
-            np.array(values),
-            std=_std(information, noise, [p.scale for p in group] / scale[own]),
-            shift=shift,
-            added=added,
-            excess_gain=excess_gain,
-            rate=rate,
-            information=information * np.outer(acting, acting) / max(noise, 1e-300),
-        )
-        tests.append(each)
-    return tests
+    groups = {together: list(range(basis.fit.x.size, found.x.size))} if together else found.groups
+    return [_test(basis, found, name, own) for name, own in groups.items()]
+
+
+def _test(basis: Basis, found: Scores, name: str, own: list[int]) -> ScoreTest:
+    """Return the test of numbers that were held, to first order."""
+    count, lower = basis.fit.x.size, found.plant.parameters.lower
+    matrix, score, scale = found.information.sum(axis=0), found.score.sum(axis=0), found.scale
+    parameters: list[Parameter] = [found.plant.parameters.all[k] for k in own]
+    across = matrix[own] @ found.inverse(found.free)
+    information = matrix[np.ix_(own, own)] - across @ matrix[:, own]
+    slope = score[own] - across @ score
+    step = _possible_step(information, slope, found.x[own] <= lower[own])
+    gain = -float(step @ slope) / found.total
+    noise = basis.information.variance * basis.information.correlation
+    chance = noise * max(1, int(np.count_nonzero(step)))
+    rate = -(across.T / scale[:, None])[:count]
+    with np.errstate(over="ignore"):
+        moved = found.x[own] + step / scale[own]
+        values = np.array([each.value(x) for each, x in zip(parameters, moved, strict=True)])
+    acting = np.where(np.isfinite(scale[own]), scale[own], 0.0)
+    return ScoreTest(
+        name,
+        min(gain, 1.0),
+        values,
+        std=_std(information, noise, [each.scale for each in parameters] / scale[own]),
+        shift=np.maximum(rate @ step, lower[:count] - basis.fit.x),  # no resistance gets negative
+        added=noise * rate @ np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ rate.T,
+        excess_gain=max(0.0, 1.0 - chance / (gain * found.total)) if gain > 0.0 else 0.0,
+        rate=rate * acting,
+        information=information * np.outer(acting, acting) / max(noise, 1e-300),
+    )
 
 
 def _std(information: Array, noise: float, scale: Array) -> float:
@@ -316,46 +359,56 @@ def _possible_step(information: Array, score: Array, bounded: Mask) -> Array:
     return step
 
 
-def fit_with(basis: Basis, name: str) -> Basis | None:
-    """Return a fit of some windows with `name` free as well, and its covariance; None where none converges."""
-    plant, x, _ = extended(basis.plant, basis.fit.x, [name])
-    windows, states, _ = some_windows(basis)
-    found = _fit(plant, windows, x, states, basis)
-    return None if found is None else Basis(plant, windows, found, estimate_covariance(plant, windows, found))
+def part_of(basis: Basis) -> Basis:
+    """Return a fit in some of its windows, spread over the recording."""
+    every, found = -(-len(basis.windows) // TESTING.windows), basis.fit
+    some = Fit(found.x, found.states[::every], found.residuals[::every], found.loss)
+    return replace(basis, windows=basis.windows[::every], fit=some)
 
 
-def some_windows(basis: Basis) -> tuple[list[Window], list[Array], list[Array]]:
-    """Return windows spread over the recording, their states, and their residuals."""
-    every = -(-len(basis.windows) // TESTING.windows)
-    return basis.windows[::every], basis.fit.states[::every], basis.fit.residuals[::every]
-
-
-def _fit(plant: Plant, windows: list[Window], x: Array, states: list[Array], basis: Basis) -> Fit | None:
+def _fit_with(some: Basis, *names: str) -> Basis | None:
+    """Return a fit with `names` free as well, without its covariance; None where none converges."""
+    plant, x, _ = extended(some.plant, some.fit.x, names)
     try:
-        return fit(plant, windows, x, states, loss=basis.fit.loss, rounds=TESTING.rounds)
+        found = fit(plant, some.windows, x, some.fit.states, loss=some.fit.loss, rounds=TESTING.rounds)
     except InvalidInput:
         return None
+    return replace(some, plant=plant, fit=found)
+
+
+def fit_with(basis: Basis, name: str) -> Basis | None:
+    """Return a fit of some windows with `name` free as well, and its covariance; None where none converges."""
+    found = _fit_with(part_of(basis), name) if name else None
+    if found is None:
+        return None
+    return replace(found, information=estimate_covariance(found.plant, found.windows, found.fit))
 
 
 def _refitted(basis: Basis, test: ScoreTest) -> ScoreTest:
     """Return a test with what a fit of some windows says."""
-    plant, x, _ = extended(basis.plant, basis.fit.x, [test.name])
-    windows, states, _ = some_windows(basis)
-    before, after = _fit(basis.plant, windows, basis.fit.x, states, basis), _fit(plant, windows, x, states, basis)
+    some = part_of(basis)
+    before, after = _fit_with(some), _fit_with(some, test.name)
     if before is None or after is None:
         return replace(test, gain=0.0, excess_gain=0.0)
-    x = plant.parameters.rounded(after.x)
-    names, spread = ("J/p1", "p/p1"), ratio_spread(basis.plant.parameters, basis.information)
-    then, now = ratios(plant.parameters.rope(x)), ratios(basis.plant.parameters.rope(before.x))
-    later, size, std = (np.concatenate([each[name] for name in names]) for each in (then, now, spread))
+    parameters = after.plant.parameters
+    x = parameters.rounded(after.fit.x)
+    spread = ratio_spread(basis.plant.parameters, basis.information)
+    then, now = ratios(parameters.rope(x)), ratios(basis.plant.parameters.rope(before.fit.x))
+    later, size, std = (np.concatenate([each["J/p1"], each["p/p1"]]) for each in (then, now, spread))
     step = np.abs(later / size - 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):  # what was held has no deviation: inf if it moves
         beyond = np.where(step > TESTING.tiny, np.abs(later - size) / std, 0.0)
-    gain = 1.0 - after.cost / before.cost if before.cost > 0.0 else 0.0
+    gain = 1.0 - after.fit.cost / before.fit.cost if before.fit.cost > 0.0 else 0.0
     excess_gain = max(0.0, 1.0 - (1.0 - test.excess_gain) * test.gain / gain) if gain > 0.0 else 0.0
-    values = plant.parameters.values(x)[basis.fit.x.size :]
     sure = basis.information.whiteness >= CHANCE
     if not sure and excess_gain > TESTING.sure:  # what is held may be all that colours the residuals
-        sure = estimate_covariance(plant, windows, after).whiteness >= CHANCE
-    moved, far = float(step.max()), float(beyond.max())
-    return replace(test, gain=gain, values=values, moved=moved, beyond=far, excess_gain=excess_gain, sure=sure)
+        sure = estimate_covariance(after.plant, after.windows, after.fit).whiteness >= CHANCE
+    return replace(
+        test,
+        gain=gain,
+        values=parameters.values(x)[basis.fit.x.size :],
+        moved=float(step.max()),
+        beyond=float(beyond.max()),
+        excess_gain=excess_gain,
+        sure=sure,
+    )

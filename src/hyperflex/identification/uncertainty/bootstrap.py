@@ -1,9 +1,10 @@
 """Parametric bootstrap: fits to recordings simulated from a fit."""
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import toeplitz
 
 from hyperflex import checks
 from hyperflex.budget import Budget, one_thread
@@ -26,11 +27,9 @@ class Bootstrap:
     Attributes
     ----------
     names : tuple of str
-        Of the P parameters, as in ``Identification.parameters``.
+        Of the parameters, as in ``Identification.parameters``, and then of the ratios, such as ``J/p1[0]``.
     samples : (B, P) array
-        Fitted values, SI units.
-    ratio_names, ratio_samples : tuple of str, (B, R) array
-        The same of the ratios, such as ``J/p1[0]``.
+        Their fitted values, SI units.
     failed : int
         How many more fits failed.
     ended : Status or None
@@ -41,24 +40,17 @@ class Bootstrap:
     samples: Array
     failed: int
     ended: Status | None = None
-    ratio_names: tuple[str, ...] = ()
-    ratio_samples: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __repr__(self) -> str:
-        return f"<{self._head}: {', '.join(self.names)}>"
+        end = "" if self.ended is None else f", {self.ended}"
+        return f"<Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}>"
 
     def __str__(self) -> str:
-        lines = [self._head]
+        lines = [repr(self).strip("<>")]
         if len(self.samples) > 1:
-            for name in (*self.names, *self.ratio_names):
-                values = self._of(name)
+            for name, values in zip(self.names, self.samples.T, strict=True):
                 lines.append(f"  {name:<18} {values.mean():.5g} ± {values.std(ddof=1):.2g}, 95 % {self.interval(name)}")
         return "\n".join(lines)
-
-    @property
-    def _head(self) -> str:
-        end = "" if self.ended is None else f", {self.ended}"
-        return f"Bootstrap of {len(self.samples)} fits, {self.failed} more failed{end}"
 
     @property
     def status(self) -> Status:
@@ -73,27 +65,20 @@ class Bootstrap:
     @property
     def message(self) -> str:
         """Why it is no success; empty on success."""
-        return "" if self.success else f"{self.status}: {self._head}"
+        return "" if self.success else f"{self.status}: {repr(self).strip('<>')}"
 
     def interval(self, name: str, level: float = LEVEL) -> Interval:
         """Return the percentile interval of parameter or ratio `name` at a `level`; beside bounds see `profile`.
 
         It is of noise alone: ``Identification.intervals`` add errors of the model and of the lengths.
         """
-        values = self._of(name)
+        if name not in self.names:
+            raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(self.names))
         side = 0.5 * (1.0 - checked_level(level))
-        if values.size == 0:
+        if len(self.samples) == 0:
             raise IdentificationError("No fit of the bootstrap converged: there is no interval.")
-        low, high = np.quantile(values, [side, 1.0 - side])
+        low, high = np.quantile(self.samples[:, self.names.index(name)], [side, 1.0 - side])
         return Interval(float(low), float(high), "bootstrap", level=level)
-
-    def _of(self, name: str) -> Array:
-        every = (*self.names, *self.ratio_names)
-        if name not in every:
-            raise InvalidInput("no such parameter was free", got=name, allowed=", ".join(every))
-        which = every.index(name)
-        count = len(self.names)
-        return self.samples[:, which] if which < count else self.ratio_samples[:, which - count]
 
 
 @interruptible(Bootstrap)
@@ -150,11 +135,7 @@ def bootstrap(
     """
     basis = found.basis
     count, seed = checks.count("count", count), checks.count("seed", seed, least=0)
-    plant, fitted = basis.plant, basis.fit
-    seen = [plant.predict(fitted.x, w.t, s) for w, s in zip(basis.windows, fitted.states, strict=True)]
-    clean = [y for y in seen if y is not None]
-    if len(clean) < len(seen):
-        raise IdentificationError("The fit cannot be simulated any more: nothing can be drawn from it.")
+    draws = Draws(basis, seed)
     executor, size = checked_chunks(executor, chunk_size, 1)
     fits: dict[int, list[Array | None]] = {}
     budget = Budget.of(time_budget)
@@ -166,75 +147,63 @@ def bootstrap(
             if len(fits) * size < count:
                 budget.check()
 
-        lost = run_chunks(_Draws(basis, clean, seed), range(count), executor, size, keep)
+        lost = run_chunks(draws, range(count), executor, size, keep)
         refuse_lost(lost, "simulated recordings")
     every = [x for low in sorted(fits) for x in fits[low]]
-    done = [(plant.parameters.values(x), list(_ratios(plant.parameters, x).values())) for x in every if x is not None]
-    failed, names = len(every) - len(done), tuple(_ratios(plant.parameters, fitted.x))
-    table = np.array([values for values, _ in done]).reshape(len(done), len(plant.parameters))
-    numbers = np.array([ratios for _, ratios in done]).reshape(len(done), len(names))
-    return stop.deliver(Bootstrap(plant.parameters.labels, table, failed, stop.status, names, numbers))
+    done = [list(_values(basis.plant.parameters, x).values()) for x in every if x is not None]
+    names = tuple(_values(basis.plant.parameters, basis.fit.x))
+    table = np.reshape(done, (len(done), len(names)))
+    return stop.deliver(Bootstrap(names, table, len(every) - len(done), stop.status))
 
 
-def _ratios(parameters: Parameters, x: Array) -> dict[str, float]:
-    """Return each link's ratios, but the first moment of link 0 over itself."""
+def _values(parameters: Parameters, x: Array) -> dict[str, float]:
+    """Return the parameters and each link's ratios by label, but the first moment of link 0 over itself."""
     found = ratios(parameters.rope(parameters.rounded(x)), parameters.names)
     each = {f"{name}[{k}]": float(value) for name, values in found.items() for k, value in enumerate(values)}
     del each["p/p1[0]"]
-    return each
+    return dict(zip(parameters.labels, parameters.values(x).tolist(), strict=True)) | each
 
 
-def _refitted(basis: Basis, windows: list[Window]) -> Array | None:
-    """Return x (P,) of the fit to other windows, from the optimum; None where it fails."""
-    try:
-        found = fit(basis.plant, windows, basis.fit.x, basis.fit.states, loss=Loss(basis.fit.loss.name))
-    except InvalidInput:
-        return None
-    return found.x if found.converged else None
+class Draws:
+    """Draws recordings like the fitted one by their numbers, and fits them."""
 
-
-class _Draws:
-    """Draws recordings by their numbers, and fits them; `clean` is what is predicted for each window, (m, C) each."""
-
-    def __init__(self, basis: Basis, clean: list[Array], seed: int) -> None:
-        self.basis, self.clean, self.seed, self.noise = basis, clean, seed, _Noise(basis)
+    def __init__(self, basis: Basis, seed: int) -> None:
+        self.basis, self.seed, windows, information = basis, seed, basis.windows, basis.information
+        seen = [basis.plant.predict(basis.fit.x, w.t, s) for w, s in zip(windows, basis.fit.states, strict=True)]
+        self.clean = [y for y in seen if y is not None]
+        if len(self.clean) < len(seen):
+            raise IdentificationError("The fit cannot be simulated any more: nothing can be drawn from it.")
+        self.scale, memory = float(np.sqrt(information.variance)), information.memory
+        longest = max(window.t.size for window in windows)
+        self.root = np.linalg.cholesky(toeplitz(memory[:longest])) if memory[1:].any() else np.eye(longest)
+        parts = [r[w.weight.ravel() > 0.0] for r, w in zip(basis.fit.residuals, windows, strict=True)]
+        residuals = np.concatenate(parts)
+        unknowns = sum(w.unknowns for w in windows) + len(basis.plant.parameters)
+        self.residuals = residuals * np.sqrt(residuals.size / max(1.0, residuals.size - unknowns))
 
     @one_thread()
     def __call__(self, numbers: list[int]) -> list[Array | None]:
         """Return x (P,) of the fit to each recording; None where it fails."""
-        rngs = [np.random.default_rng([self.seed, number]) for number in numbers]
-        return [_refitted(self.basis, self.noise.add(self.clean, rng)) for rng in rngs]
+        return [self._refitted(self.windows(np.random.default_rng([self.seed, number]))) for number in numbers]
 
-
-class _Noise:
-    """Draws noise like the residuals."""
-
-    def __init__(self, basis: Basis) -> None:
-        self.windows, information = basis.windows, basis.information
-        self.scale = float(np.sqrt(information.variance))
-        longest = max(window.t.size for window in self.windows)
-        lags = np.abs(np.subtract.outer(np.arange(longest), np.arange(longest)))
-        memory = information.memory
-        self.root = np.linalg.cholesky(memory[:longest][lags]) if memory[1:].any() else None
-        self.drawn: Array | None = None
-        if basis.fit.loss.name != "squares":
-            parts = [r[w.weight.ravel() > 0.0] for r, w in zip(basis.fit.residuals, self.windows, strict=True)]
-            residuals = np.concatenate(parts)
-            unknowns = sum(w.unknowns for w in self.windows) + len(basis.plant.parameters)
-            self.drawn = residuals * np.sqrt(residuals.size / max(1.0, residuals.size - unknowns))
-
-    def add(self, clean: list[Array], random: np.random.Generator) -> list[Window]:
-        """Return the windows with noise added to the predictions `clean`, each (m, C)."""
+    def windows(self, random: np.random.Generator) -> list[Window]:
+        """Return the windows with noise like the residuals added to what is predicted."""
         windows = []
-        for window, seen in zip(self.windows, clean, strict=True):
-            known = window.weight > 0.0
-            noise = self._draw(seen.shape, random)
+        for window, seen in zip(self.basis.windows, self.clean, strict=True):
+            known, m = window.weight > 0.0, seen.shape[0]
+            if self.basis.fit.loss.name != "squares":
+                noise = random.choice(self.residuals, seen.shape)
+            else:
+                noise = self.scale * (self.root[:m, :m] @ random.standard_normal(seen.shape))
             y = np.where(known, seen + noise / np.where(known, window.weight, 1.0), 0.0)
             windows.append(replace(window, y=y))
         return windows
 
-    def _draw(self, shape: tuple[int, ...], random: np.random.Generator) -> Array:
-        if self.drawn is not None:
-            return random.choice(self.drawn, shape)
-        white = random.standard_normal(shape)
-        return self.scale * (white if self.root is None else self.root[: shape[0], : shape[0]] @ white)
+    def _refitted(self, windows: list[Window]) -> Array | None:
+        """Return x (P,) of the fit to other windows, from the optimum; None where it fails."""
+        plant, fitted = self.basis.plant, self.basis.fit
+        try:
+            found = fit(plant, windows, fitted.x, fitted.states, loss=Loss(fitted.loss.name))
+        except InvalidInput:
+            return None
+        return found.x if found.converged else None

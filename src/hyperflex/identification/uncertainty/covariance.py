@@ -1,7 +1,7 @@
 """Covariance of the parameters (sandwich estimate for robust losses and coloured noise), and intervals from it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit import Fit, Loss, Window, least_squares, linearise
 from hyperflex.identification.model import Mask, Plant, in_common_factor
-from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory, whiteness
+from hyperflex.identification.uncertainty.noise import Piece, correlated, noise_memory, whiteness
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.interruption import stoppable
 
@@ -20,6 +20,7 @@ UNKNOWN = 1e-6  # singular values below this part of the largest are rounding
 LEAST_SENSITIVITY = 0.05  # of a loss, on average: where nearly all residuals count as outliers nothing is known
 TOUCHED = 1e-3  # a parameter or ratio is unknown when this part of it lies in an unknown direction
 End = Literal["crossed", "bound", "open"]
+IntervalKind = Literal["covariance", "profile", "bootstrap", "unknown"]
 LEVEL = 0.95
 GRACE = 0.5  # s of work: what an interrupted fit may still take to tell how far it is known
 SIGNED = ("p/p1",)  # ratios that may be negative: a centre of mass behind its joint
@@ -31,7 +32,7 @@ class Information:
 
     singular (P,): of the derivatives of all residuals, states eliminated, largest first. known (P, k) and unknown
     (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. model (P, P): the same of errors of the
-    model, which come on top. correlation: autocorrelation time of the residuals, samples. plain (P, P): the covariance
+    model, which come on top. correlation: autocorrelation time of the noise, samples. plain (P, P): the covariance
     if the residuals were white. variance: of what each residual counts. freedom: its degrees of freedom, 1 at least.
     memory (m,): autocorrelations of the noise by lag; agrees: whether they explain the residuals. whiteness: p-value of
     white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters stand in an
@@ -112,16 +113,6 @@ class Basis:
     fit: Fit
     information: Information
 
-    @property
-    def of_noise(self) -> "Basis":
-        """The same, without errors of the model, the lengths, the clock and the torque."""
-        return replace(self.as_declared, information=replace(self.as_declared.information, model=np.zeros((0, 0))))
-
-    @property
-    def as_declared(self) -> "Basis":
-        """The same, without errors of lengths, clock and torque, which all parts of a recording have in common."""
-        return replace(self, information=replace(self.information, scale_error=np.zeros((4, 4))))
-
 
 def not_estimated(plant: Plant, fit: Fit) -> Information:
     """Return the information of a fit of which nothing was worked out: all is unknown."""
@@ -182,7 +173,7 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
         known,
         unknown,
         sandwich * scale,
-        autocorrelation(pieces),
+        max(1.0, 2.0 * float(memory.sum()) - 1.0),
         plain=plain * scale,
         variance=variance,
         freedom=max(1.0, freedom / (2.0 * float(memory @ memory) - 1.0)),
@@ -261,7 +252,7 @@ class Interval:
 
     low: float
     high: float
-    kind: Literal["covariance", "profile", "bootstrap", "unknown"]
+    kind: IntervalKind
     ends: tuple[End, End] = ("crossed", "crossed")
     level: float = LEVEL
 
@@ -279,34 +270,37 @@ def checked_level(level: float) -> float:
     return float(level)
 
 
-def around(x: float, half: float, least: float, level: float, value: Callable[[float], float] = float) -> Interval:
-    """Return the interval of a value, a function of x, from half its width in x, within the bound `least` of x."""
-    ends: tuple[End, End] = ("bound" if x - half < least else "crossed", "crossed")
-    return Interval(value(max(x - half, least)), value(x + half), "covariance", ends, level)
-
-
-def _unknown(level: float, *, signed: bool) -> Interval:
-    return Interval(-np.inf if signed else 0.0, np.inf, "unknown", ("open" if signed else "bound", "open"), level)
-
-
-def from_covariance(basis: Basis, which: int, level: float = LEVEL) -> Interval:
-    """Return the interval of parameter number `which` from its standard deviation, within its bound."""
-    information, parameter = basis.information, basis.plant.parameters.all[which]
-    std = float(information.deviations(np.ones(information.x.size))[which])
+def interval(
+    at: float,
+    std: float,
+    freedom: float,
+    least: float,
+    level: float = LEVEL,
+    value: Callable[[float], float] = float,
+) -> Interval:
+    """Return the interval of a value, a function of `at`, from the standard deviation of `at` and its bound `least`."""
     if not np.isfinite(std):
-        return _unknown(level, signed=parameter.form == "linear")
-    half = std * float(np.sqrt(quantile(level, information.freedom)))
-    return around(float(information.x[which]), half, parameter.least, level, parameter.value)
+        low = value(least)
+        return Interval(low, np.inf, "unknown", ("open" if np.isneginf(low) else "bound", "open"), level)
+    half = std * float(np.sqrt(quantile(level, freedom)))
+    ends: tuple[End, End] = ("bound" if at - half < least else "crossed", "crossed")
+    return Interval(value(max(at - half, least)), value(at + half), "covariance", ends, level)
+
+
+def of_parameters(basis: Basis, level: float = LEVEL) -> dict[str, Interval]:
+    """Return intervals of all free parameters by label, from their standard deviations, within bounds."""
+    information = basis.information
+    each = zip(
+        basis.plant.parameters.all, information.x, information.deviations(np.ones(information.x.size)), strict=True
+    )
+    return {p.label: interval(float(x), std, information.freedom, p.least, level, p.value) for p, x, std in each}
 
 
 def of_ratios(ratios: dict[str, Array], std: dict[str, Array], freedom: float) -> dict[str, Interval]:
     """Return intervals of the ratios by name and link (``J/p1[0]``), from their standard deviations, within bounds."""
-    times, result = float(np.sqrt(quantile(LEVEL, freedom))), {}
-    for name, values in ratios.items():
-        signed = name in SIGNED
-        for k, (value, spread) in enumerate(zip(values, std[name], strict=True)):
-            if not np.isfinite(spread):
-                result[f"{name}[{k}]"] = _unknown(LEVEL, signed=signed)
-            elif spread > 0.0:
-                result[f"{name}[{k}]"] = around(value, times * spread, -np.inf if signed else 0.0, LEVEL)
-    return result
+    return {
+        f"{name}[{k}]": interval(value, spread, freedom, -np.inf if name in SIGNED else 0.0)
+        for name, values in ratios.items()
+        for k, (value, spread) in enumerate(zip(values, std[name], strict=True))
+        if spread > 0.0
+    }

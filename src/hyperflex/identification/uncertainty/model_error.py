@@ -6,18 +6,15 @@ from dataclasses import replace
 import numpy as np
 
 from hyperflex.checks import Array
-from hyperflex.identification.declarations.clock import CLOCK, DRIFT, SCALES
-from hyperflex.identification.declarations.link_test import LINKS
-from hyperflex.identification.declarations.registry import LAWS
-from hyperflex.identification.declarations.resistances import is_uneven, uneven_shift
+from hyperflex.identification.declarations.held import CLOCK, DRIFT, LAWS, LINKS, QUANTITIES, SCALES, base
 from hyperflex.identification.declarations.score_tests import ScoreTest
-from hyperflex.identification.model import Parameters, lumped, scale_words
+from hyperflex.identification.model import scale_words
 from hyperflex.identification.uncertainty.covariance import Basis
 from hyperflex.identification.uncertainty.noise import CHANCE
 
 ASKED = 0.67  # part of a gain, 1 - 1 / chi^2: chi^2 = 3, one in 25 right fits of a law, which cannot be negative
 CLOCK_POWER = {"N m s/rad": -0.5, "N m": -1.0, "N m/rad": -1.0}  # of gravity's factor, in resistances: by their unit
-FLOOR = 5e-4  # relative, of a value: no clock, length or weight is known better; 6e-4 was seen of a good pendulum
+LARGEST = 3.0  # logarithm of a factor, as far as it counts: 20 times; to first order it may be any number
 
 
 def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array, scatter: Array | None = None) -> Basis:
@@ -26,34 +23,52 @@ def with_model_error(basis: Basis, tests: Sequence[ScoreTest], scale_std: Array,
     Links that are too long, and each resistance that was left out and that the data ask for, would move the parameters
     by their `shift`, and leave them less known: that is taken as a standard deviation, in proportion to how far noise
     does not explain what it gains. Where residuals are white, or much goes away, everything else that was held or
-    declared counts as well; where they are not, resistances count the size of :func:`law_error` at least, and no value
-    is taken as known better than FLOOR. All lengths of links may be off by one factor, the arm's by another, all times
-    and all torques as well, see :func:`_scale_error`. `scatter` (P, P) is what windows that disagree show.
+    declared counts as well; where they are not, resistances count the size of :func:`law_error` at least. All
+    lengths of links may be off by one factor, the arm's by another, all times and all torques as well, see
+    :func:`_scale_error`. `scatter` (P, P) is what windows that disagree show.
     """
     information, x = basis.information, basis.fit.x
     model, white = np.zeros((x.size, x.size)), information.whiteness >= CHANCE
     counted = False
     for each in tests:
-        if each.name == SCALES or (is_uneven(each.name) and not each.significant):
+        if each.name == SCALES or (each.uneven and not each.significant):
             continue
         asked = (
             white or each.law or each.significant or each.suspected or each.name == DRIFT
         )  # which has a std of its own
         counts = asked and each.excess_gain > ASKED and not (each.slight and each.freed_with)
         if counts or each.name == LINKS:  # whose excess_gain is a probability
-            shift = uneven_shift(each.name, each.values, each.shift, basis.plant.parameters, x)
+            shift = _shift(each, basis)
             model += each.excess_gain * (np.outer(shift, shift) + (each.added if each.law else 0.0))
-            counted = counted or each.name == "gravity_scale"
+            counted = counted or each.name == CLOCK
     if not white:
         model += np.diag(np.maximum(_law_errors(basis, tests)[0] ** 2 - np.diag(model), 0.0))
-        model += np.diag(_floor(basis.plant.parameters, x) ** 2)
     if scatter is not None:
         model += scatter
-    gravity = next((float(each.values[0]) for each in tests if each.name == "gravity_scale"), 1.0)
+    gravity = next((float(each.values[0]) for each in tests if each.name == CLOCK), 1.0)
     driven = basis.plant.motion is not None
-    told = driven or (not counted and (white or abs(np.log(max(gravity, 1e-9))) > CLOCK.slight))
+    told = driven or (not counted and (white or abs(np.log(max(gravity, 1e-9))) > QUANTITIES[CLOCK].slight))
     scales, error = _scale_error(basis, tests, scale_std, told=told)
     return replace(basis, information=replace(information, model=model, scales=scales, scale_error=error))
+
+
+def _shift(test: ScoreTest, basis: Basis) -> Array:
+    """Return the `shift` of a test; of what is one value of all links as far as the farthest link's is off.
+
+    A resistance that differs along the rope changes what is alike in the fit, and each link's own in addition.
+    """
+    parameters, x, shift = basis.plant.parameters, basis.fit.x, test.shift
+    if not test.uneven or not shift.size:
+        return shift
+    law = test.name.partition(":")[2]
+    size = np.log(max(float(test.values[0]), 1e-9)) if law == "pivot" else float(test.values[0])
+    steps, shift = np.clip(size, -LARGEST, LARGEST) * parameters.shape(law), shift.copy()
+    for k, each in enumerate(parameters.all):
+        if each.name == base(test.name) and each.law in ("own", "factor") and len(each.links) == steps.size:
+            moved = x[k] + shift[k]
+            off = moved + steps - x[k] if each.form == "log" else moved * np.exp(steps) - x[k]
+            shift[k] = off[np.argmax(np.abs(off))]
+    return shift
 
 
 def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, told: bool) -> tuple[Array, Array]:
@@ -90,19 +105,6 @@ def _scale_error(basis: Basis, tests: Sequence[ScoreTest], std: Array, *, told: 
     return rate, 0.5 * (error + error.T) + told * causes
 
 
-def _floor(parameters: Parameters, x: Array) -> Array:
-    """Return the changes of x (P,) that move moments, masses or lengths by the part FLOOR."""
-    rope = parameters.rope(x)
-    moments, inertia = lumped(rope)
-    places = np.abs(moments) / np.where(rope.mass > 0.0, rope.mass, np.inf)
-    sizes = {"inertia": inertia, "com": places, "mass": rope.mass, "length": rope.length}
-    moved = np.zeros(x.size)
-    for k, each in enumerate(parameters.all):
-        if each.name in sizes and each.law == "own":
-            moved[k] = FLOOR * sizes[each.name][list(each.links)].mean() / each.derivative(float(x[k]))
-    return moved
-
-
 def law_error(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[float, str]:
     """Return by what part of its value a free resistance may change if another one is free too, and that one's name.
 
@@ -126,8 +128,8 @@ def _law_errors(basis: Basis, tests: Sequence[ScoreTest]) -> tuple[Array, list[s
     own = np.array([p.name in LAWS and p.kind.unit != "N m/rad" for p in parameters.all]) & (x > parameters.lower)
     sizes, names = np.zeros(x.size), [""] * x.size
     for each in tests:
-        if each.law and each.shift.size and (each.significant or not is_uneven(each.name)):
-            shift = uneven_shift(each.name, each.values, each.shift, parameters, x)
+        if each.law and each.shift.size and (each.significant or not each.uneven):
+            shift = _shift(each, basis)
             size = np.sqrt(shift**2 + np.maximum(np.diag(each.added), 0.0)) * own
             names = [each.name if more else name for more, name in zip(size > sizes, names, strict=True)]
             sizes = np.maximum(sizes, size)

@@ -1,7 +1,9 @@
 """Profile likelihood of a parameter or ratio, all else fitted again; and which intervals are found by it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from functools import cached_property
+from itertools import islice
 
 import numpy as np
 
@@ -19,12 +21,13 @@ from hyperflex.identification.uncertainty.covariance import (
     Basis,
     End,
     Interval,
-    around,
+    IntervalKind,
     checked_level,
-    from_covariance,
+    interval,
+    of_parameters,
 )
 from hyperflex.identification.uncertainty.ratios import ratio_gradients, ratios
-from hyperflex.identification.uncertainty.threshold import near_bounds, quantile, threshold
+from hyperflex.identification.uncertainty.threshold import Mask, near_bounds, quantile, threshold
 from hyperflex.interruption import interruptible, stoppable
 from hyperflex.model import Rope
 
@@ -34,142 +37,121 @@ WEIGHT = 1000.0
 TRIED = 2  # steps, each half of the one before, with which a start is to bring a ratio a quarter of its way
 
 
-class _Coordinate:
-    """A function of x (P,) that a profile follows.
+@dataclass(frozen=True, eq=False)
+class Coordinate:
+    """A function of x (P,) that a profile follows: the x of a parameter, or a ratio such as ``J/p1[0]``.
 
     Attributes
     ----------
+    basis : Basis
     label : str
         The name, as in ``Identification.intervals``.
-    origin, std : float
-        Value at the fit, and its standard deviation by noise; 0 or not finite where the data do not determine it.
-    column : (P,) array
-        How the estimate of x moves with the coordinate.
-    widening : float
-        By what factor autocorrelated residuals widen its variance.
+    at, gradient : callable
+        Its value at x (P,), and its derivatives by x (P,).
+    value : callable
+        Return the value in SI units from that of the coordinate.
     bound : float
         The least value of the coordinate, -inf where none is known beforehand.
+    bounds : callable
+        Return for ``threshold`` at x the number of the coordinate, a covariance, and distances above the bounds.
+    known : bool
+        Whether the data determine it.
     """
 
-    def __init__(self, basis: Basis, label: str, slope: Array, bound: float, *, known: bool) -> None:
-        information = basis.information
-        self.basis, self.label, self.bound = basis, label, bound
-        self.parameters, self.lower = basis.plant.parameters, basis.plant.parameters.lower
-        self.origin = self.at(basis.fit.x)
-        variance = float(slope @ information.covariance @ slope)
-        self.std = (float(np.sqrt(variance)) if variance > 0.0 else 0.0) if known else float("inf")
-        known = known and self.std > 0.0
-        self.column = information.covariance @ slope / variance if known else np.zeros(slope.size)
-        self.widening = variance / float(slope @ information.plain @ slope) if known else 1.0
+    basis: Basis
+    label: str
+    at: Callable[[Array], float]
+    gradient: Callable[[Array], Array]
+    value: Callable[[float], float]
+    bound: float
+    bounds: Callable[[Array], tuple[int, Array, Array]]
+    known: bool
 
-    def at(self, x: Array) -> float:
-        """Return the coordinate of x."""
-        raise NotImplementedError
+    @cached_property
+    def slope(self) -> Array:
+        """Its derivatives (P,) at the fit."""
+        return self.gradient(self.basis.fit.x)
 
+    @cached_property
+    def std(self) -> float:
+        """Standard deviation by noise; 0 or not finite where the data do not determine it."""
+        variance = float(self.slope @ self.basis.information.covariance @ self.slope)
+        return float(np.sqrt(max(variance, 0.0))) if self.known else np.inf
 
-class ParameterCoordinate(_Coordinate):
-    """One of the parameters, by its x."""
-
-    def __init__(self, basis: Basis, which: int) -> None:
-        self.which, parameters = which, basis.plant.parameters
-        one = np.eye(len(parameters))[which]
-        known = bool(np.isfinite(basis.information.deviations(np.ones(one.size))[which]))
-        super().__init__(basis, parameters.labels[which], one, float(parameters.lower[which]), known=known)
-
-    def at(self, x: Array) -> float:
-        """Return its x."""
-        return float(x[self.which])
-
-    def value(self, at: float) -> float:
-        """Return the value in SI units."""
-        return self.parameters.all[self.which].value(at)
+    @property
+    def widening(self) -> float:
+        """By what factor autocorrelated residuals widen its variance."""
+        return self.std**2 / float(self.slope @ self.basis.information.plain @ self.slope)
 
     def aimed(self, x: Array, at: float) -> Array:
-        """Return where a fit held at `at` begins: x with this one set, the others moved along, within their bounds."""
-        begun: Array = np.maximum(x + self.column * (at - self.at(x)), self.lower)
-        begun[self.which] = at
-        return begun
-
-    def held(self, at: float, unit: float, firmness: float) -> dict[str, Any]:
-        """Return the options of ``fit`` that hold it where the fit begins."""
-        return {"held": (self.which,)}
-
-    def limits(self, x: Array) -> tuple[int, Array, Array]:
-        """Return for ``threshold`` its number, the covariance (P, P), and the distances (P,) of x above the bounds."""
-        return self.which, self.basis.information.covariance, x - self.lower
-
-    def by_std(self, level: float) -> Interval:
-        """Return its interval of noise from the standard deviation."""
-        return from_covariance(self.basis.of_noise, self.which, level)
-
-
-class RatioCoordinate(_Coordinate):
-    """A ratio such as ``J/p1[0]``, by its value."""
-
-    def __init__(self, basis: Basis, name: str, link: int) -> None:
-        self.name, self.link, self.parameters = name, link, basis.plant.parameters
-        slope = self.gradient(basis.fit.x)
-        known = bool(np.isfinite(basis.information.spread(slope[None])[0]))
-        super().__init__(basis, f"{name}[{link}]", slope, -np.inf if name in SIGNED else 0.0, known=known)
-        self.least = self._least(slope, basis.fit.x)
-
-    def _least(self, slope: Array, x: Array) -> float:
-        """Return the least ratio that bounds allow, in so far as it is known: of a resistance, or of one parameter."""
-        if self.name not in ("J/p1", *SIGNED):
-            return 0.0
-        movers = np.flatnonzero(slope)
-        if movers.size != 1 or slope[movers[0]] < 0.0 or not np.isfinite(self.lower[movers[0]]):
-            return -np.inf
-        lowest = x.copy()
-        lowest[movers[0]] = self.lower[movers[0]]
-        return self.at(lowest) if self.parameters.possible(lowest) is not None else -np.inf
-
-    def at(self, x: Array) -> float:
-        """Return the ratio."""
-        return float(ratios(self.parameters.rope(x), self.parameters.names)[self.name][self.link])
-
-    def gradient(self, x: Array) -> Array:
-        """Return its derivatives by x (P,)."""
-        slope: Array = ratio_gradients(self.parameters, x)[self.name][self.link]
-        return slope
-
-    def value(self, at: float) -> float:
-        """Return the ratio, which is in SI units, within the bound."""
-        return max(at, self.bound)
-
-    def aimed(self, x: Array, at: float) -> Array:
-        """Return where a fit at `at` begins: x moved along, as far as the ratio goes along; a target draws it on."""
+        """Return where a fit at `at` begins: x moved with its estimate, as far as the coordinate goes along."""
         here, part = self.at(x), 1.0
+        column = self.basis.information.covariance @ self.slope / self.std**2
         for _ in range(TRIED):
-            begun = np.maximum(x + part * self.column * (at - here), self.lower)
-            if self.parameters.possible(begun) is not None and abs(self.at(begun) - at) < 0.75 * abs(at - here):
+            parameters = self.basis.plant.parameters
+            begun = np.maximum(x + part * column * (at - here), parameters.lower)
+            if parameters.possible(begun) is not None and abs(self.at(begun) - at) < 0.75 * abs(at - here):
                 return np.asarray(begun)
             part *= 0.5
         return x
 
-    def held(self, at: float, unit: float, firmness: float) -> dict[str, Any]:
-        """Return the target that draws it to `at`, so many times more firmly than usual.
+    def target(self, at: float, unit: float, firmness: float) -> Target:
+        """Return the target that draws a fit to `at`, so many times more firmly than usual.
 
-        `unit` is the rise of the squares one std away. The target lies beyond by what the data hold the ratio back.
+        `unit` is the rise of the squares one std away. The target lies beyond by what the data hold it back.
         """
         weight = firmness * WEIGHT
-        beyond = at + (at - self.origin) / weight**2
-        return {"target": Target(self.at, self.gradient, beyond, weight * float(np.sqrt(unit)) / self.std)}
-
-    def limits(self, x: Array) -> tuple[int, Array, Array]:
-        """Return the number, the variance (1, 1) and the distance (1,) of the ratio alone above its bound.
-
-        Other parameters' bounds do not count: where all share an unknown factor they are not in a ratio's way.
-        """
-        return 0, np.array([[self.std**2]]), np.array([self.at(x) - self.least])
+        beyond = at + (at - self.at(self.basis.fit.x)) / weight**2
+        return Target(self.at, self.gradient, beyond, weight * float(np.sqrt(unit)) / self.std)
 
     def by_std(self, level: float) -> Interval:
-        """Return its interval of noise from the standard deviation, within its bound."""
-        half = self.std * float(np.sqrt(quantile(level, self.basis.information.freedom)))
-        return around(self.origin, half, self.bound, level)
+        """Return its interval of noise from the standard deviation."""
+        freedom = self.basis.information.freedom
+        return interval(self.at(self.basis.fit.x), self.std, freedom, self.bound, level, self.value)
 
 
-Coordinate = ParameterCoordinate | RatioCoordinate
+def coordinate(basis: Basis, label: str) -> Coordinate:
+    """Return the coordinate of a free parameter or of a ratio, by its label."""
+    parameters, information = basis.plant.parameters, basis.information
+    if label in parameters.labels:
+        which, one = parameters.labels.index(label), np.ones(len(parameters))
+        return Coordinate(
+            basis,
+            label,
+            at=lambda x: float(x[which]),
+            gradient=lambda x: np.eye(x.size)[which],
+            value=parameters.all[which].value,
+            bound=float(parameters.lower[which]),
+            bounds=lambda x: (which, information.covariance, x - parameters.lower),
+            known=bool(np.isfinite(information.deviations(one)[which])),
+        )
+    name, _, link = label.removesuffix("]").partition("[")
+    bound = -np.inf if name in SIGNED else 0.0
+
+    def at(x: Array) -> float:
+        return float(ratios(parameters.rope(x), parameters.names)[name][int(link)])
+
+    def gradient(x: Array) -> Array:
+        return np.asarray(ratio_gradients(parameters, x)[name][int(link)])
+
+    def bounds(x: Array) -> tuple[int, Array, Array]:
+        # The bounds of other parameters do not count: where all share an unknown factor they are not in its way
+        return 0, np.array([[found.std**2]]), np.array([at(x) - least])
+
+    known = bool(np.isfinite(information.spread(gradient(basis.fit.x)[None])[0]))
+    found = Coordinate(basis, label, at, gradient, lambda at: max(at, bound), bound, bounds, known)
+    least = _least(found) if name in ("J/p1", *SIGNED) else 0.0
+    return found
+
+
+def _least(along: Coordinate) -> float:
+    """Return the least ratio that the bound of the parameter allows by which alone it moves; else -inf."""
+    parameters, lowest = along.basis.plant.parameters, along.basis.fit.x.copy()
+    movers = np.flatnonzero(along.slope)
+    if movers.size != 1 or along.slope[movers[0]] < 0.0 or not np.isfinite(parameters.lower[movers[0]]):
+        return -np.inf
+    lowest[movers[0]] = parameters.lower[movers[0]]
+    return along.at(lowest) if parameters.possible(lowest) is not None else -np.inf
 
 
 @dataclass(frozen=True)
@@ -190,10 +172,6 @@ class ProfileOptions:
     tries: int = 25
     # of all fits on one side; usual are ten
     most_rounds: int = 100
-    # rounds of a fit after which its squares must not be HOPELESS
-    promising: int = 4
-    # rise of the squares after the first rounds, over the residual variance: not this optimum's valley
-    hopeless: float = 10000.0
     # fall of the squares, over the residual variance, from which another optimum is said to be better
     better: float = 1.0
 
@@ -239,7 +217,7 @@ class Profile:
     values: Array
     rise: Array
     limit: Array
-    kind: Literal["profile", "covariance"] = "profile"
+    kind: IntervalKind = "profile"
     gain: float = 0.0
     better: Rope | None = None
 
@@ -293,42 +271,27 @@ def profile(
     Cost: about three fits of two or three rounds a side, a hundred rounds at most.
     """
     basis, level, points = found.basis, checked_level(level), checks.count("points", points, least=0)
-    labels = basis.plant.parameters.labels
-    if name in labels:
-        return profiled(basis, ParameterCoordinate(basis, labels.index(name)), level, points, report=progress)
-    moved = {
-        f"{ratio}[{k}]": (ratio, k) for ratio, std in found.ratio_std.items() for k in np.flatnonzero(std).tolist()
-    }
-    if name not in moved:
+    every = [f"{ratio}[{k}]" for ratio, std in found.ratio_std.items() for k in np.flatnonzero(std)]
+    every = [*basis.plant.parameters.labels, *every]
+    if name not in every:
         raise InvalidInput(
-            "no such parameter was free, and no free one moves such a ratio",
-            got=name,
-            allowed=", ".join([*labels, *moved]),
+            "no such parameter was free, and no free one moves such a ratio", got=name, allowed=", ".join(every)
         )
-    return profiled(basis, RatioCoordinate(basis, *moved[name]), level, points, report=progress)
+    return profiled(coordinate(basis, name), level, points, report=progress)
 
 
 def profiled(
-    basis: Basis,
-    along: Coordinate,
-    level: float,
-    points: int = 0,
-    *,
-    budget: Budget | None = None,
-    report: Report | None = None,
+    along: Coordinate, level: float, points: int = 0, *, budget: Budget | None = None, report: Report | None = None
 ) -> Profile:
     """Return the profile along a coordinate; see :func:`profile`."""
     if not np.isfinite(along.std) or along.std == 0.0:
         return Profile(along.label, along.value(along.bound), np.inf, level, ("open", "open"), *np.zeros((3, 0)))
-    walk = _ProfileSearch(basis, along, level, budget or Budget(), report)
-    kind: Literal["profile", "covariance"] = "profile"
+    walk, basis = _ProfileSearch(along, level, budget or Budget(), report), along.basis
     try:
-        below, first = walk.side(-1.0)
-        above, second = walk.side(1.0)
-        low, high, ends = along.value(below), along.value(above), (first, second)
+        (below, first), (above, second) = walk.side(-1.0), walk.side(1.0)
+        found = Interval(along.value(below), along.value(above), "profile", (first, second), level)
     except _TooLong:
-        kind, interval = "covariance", along.by_std(level)
-        low, high, ends = interval.low, interval.high, interval.ends
+        found = along.by_std(level)
     if points:
         walk.fill(points)
     known = sorted((p for p in walk.points if np.isfinite(p.rise)), key=lambda p: p.at)
@@ -336,7 +299,8 @@ def profiled(
     best = min(known, key=lambda p: p.rise)
     gain = (basis.fit.cost - walk.least) / walk.unit - min(best.rise, 0.0)
     better = basis.plant.parameters.rope(best.x) if gain > WALK.better else None
-    return Profile(along.label, low, high, level, ends, values, rise, limit, kind, max(gain, 0.0), better)
+    ends = found.low, found.high, level, found.ends
+    return Profile(along.label, *ends, values, rise, limit, found.kind, max(gain, 0.0), better)
 
 
 class _TooLong(Exception):
@@ -346,92 +310,66 @@ class _TooLong(Exception):
 class _ProfileSearch:
     """Walks away from the optimum along one coordinate, to either side."""
 
-    def __init__(
-        self,
-        basis: Basis,
-        along: Coordinate,
-        level: float,
-        budget: Budget,
-        report: Report | None,
-    ) -> None:
-        self.basis, self.along, self.level, self.budget, self.report = basis, along, level, budget, report
+    def __init__(self, along: Coordinate, level: float, budget: Budget, report: Report | None) -> None:
+        self.along, self.level, self.budget, self.report, self.basis = along, level, budget, report, along.basis
         self.rounds = WALK.most_rounds  # that one side may still take
-        information, found = basis.information, basis.fit
+        information, found = self.basis.information, self.basis.fit
         self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
         self.unit = information.variance * along.widening
         self.enough = WALK.finish * information.variance / max(found.cost, 1e-300)
-        best = self._fit(found.x, found.states, 10, report)
+        best = self._fit(found.x, found.states, 10)
         self.least = best.cost
         self.points = [self._point(best.x, best.states, best.cost)]
 
     def _point(self, x: Array, states: list[Array], cost: float) -> _Point:
         rise = (cost - self.least) / self.unit  # negative where this optimum is a better one
-        which, covariance, above = self.along.limits(x)
-        limit = threshold(self.level, self.basis.information.freedom, which, covariance, above)
+        limit = threshold(self.level, self.basis.information.freedom, *self.along.bounds(x))
         return _Point(self.along.at(x), x, states, rise, limit)
 
-    def _fit(self, x: Array, states: list[Array], rounds: int, report: Report | None = None, **held: Any) -> Fit:
-        """Return a fit from there, all free but for what is `held`."""
-        how: dict[str, Any] = {"loss": self.loss, "enough": self.enough, "budget": self.budget, "report": report}
-        found = fit(self.basis.plant, self.basis.windows, x, states, rounds=rounds, **how, **held)
+    def _fit(self, x: Array, states: list[Array], rounds: int, target: Target | None = None) -> Fit:
+        """Return a fit from there, drawn to a target."""
+        found = fit(
+            self.basis.plant,
+            self.basis.windows,
+            x,
+            states,
+            loss=self.loss,
+            rounds=rounds,
+            enough=self.enough,
+            budget=self.budget,
+            report=self.report,
+            target=target,
+        )
         self.budget.check()  # else a fit that the budget has ended would pass for one that has settled
         return found
 
     def at(self, value: float) -> _Point | None:
-        """Return the fit with the coordinate at `value`, from the nearest one known; None where none can be found."""
+        """Return the fit with the coordinate at `value`, as firmly held as it takes; None where none can be found."""
         start = min(self.points, key=lambda p: abs(p.at - value))
         x = self.along.aimed(start.x, value)
-        move = x - start.x
-        states = [s + f @ move for s, f in zip(start.states, self.basis.information.follow, strict=True)]
-        for begin in (states, start.states):
-            found = self._drawn(x, begin, value)
-            if found is not None:
-                self.points.append(found)
-                return found
-        return None
-
-    def _drawn(self, x: Array, states: list[Array], value: float) -> _Point | None:
-        """Return the fit from there with the coordinate at `value`, as firmly held as it takes; None on failure."""
-        point, found = None, None
+        follow = zip(start.states, self.basis.information.follow, strict=True)
+        states, point, converged = [s + f @ (x - start.x) for s, f in follow], start, False
         for firmness in FIRMNESS:
             if self.rounds <= 0:
                 raise _TooLong
-            held = self.along.held(value, self.unit, firmness)
-            found = self._reached(x, states, held)
-            if found is None:
+            target = self.along.target(value, self.unit, firmness)
+            try:
+                found = self._fit(x, states, min(20, self.rounds), target)
+            except InvalidInput:
+                self.rounds -= 1
                 return None
-            if "target" not in held:
-                return self._point(found.x, found.states, found.cost)
-            x, states = found.x, found.states
-            point = self._point(x, states, found.cost - held["target"].residual(x) ** 2)
-            if found.converged and not self.short(point, value):
-                return point
-        return point if found is not None and found.converged else None
+            self.rounds -= max(len(found.history), 1)
+            x, states, converged = found.x, found.states, found.converged
+            point = self._point(x, states, found.cost - target.residual(x) ** 2)
+            if converged and not self.short(point, value):
+                break
+        self.points += [point] * converged
+        return point if converged else None
 
     def short(self, point: _Point, value: float) -> bool:
         """Whether a point stays short of the value that it was drawn to, seen from the optimum."""
         origin = self.points[0].at
         return bool((value - point.at) * np.sign(value - origin) > WALK.reached * abs(value - origin))
-
-    def _reached(self, x: Array, states: list[Array], held: dict[str, Any]) -> Fit | None:
-        """Return the fit from there, or None where it cannot be simulated or is far from any of interest."""
-        taken = 0
-
-        def watch(entry: dict[str, Any]) -> None:
-            nonlocal taken
-            taken += 1
-            if self.report is not None:
-                self.report(entry)
-            rise = (entry["cost"] - self.least) / self.unit
-            if "target" not in held and taken >= WALK.promising and rise > WALK.hopeless:
-                raise InvalidInput("no fit of interest is near")
-
-        try:
-            return self._fit(x, states, min(20, self.rounds), watch, **held)
-        except InvalidInput:
-            return None
-        finally:
-            self.rounds -= max(taken, 1)
 
     def side(self, sign: float) -> tuple[float, End]:
         """Return the coordinate of the end of the interval below (-1) or above (1) the optimum, and its kind."""
@@ -504,40 +442,34 @@ def all_intervals(
     and ``phase="profile"``. Ctrl-C raises Interrupted; in its ``partial``, and out of time, what was not profiled yet
     has intervals from the covariance.
     """
-    result = {label: from_covariance(basis, which, level) for which, label in enumerate(basis.plant.parameters.labels)}
-    labels = list(result)
+    result = of_parameters(basis, level)
     if how == "covariance":
         return result
     with stoppable() as stop:
-        chosen = _skewed_parameters(basis) if how == "auto" else list(range(len(labels)))
-        chosen = [k for k in chosen if result[labels[k]].kind != "unknown"]
+        chosen = skewed(basis) if how == "auto" else list(range(len(result)))
+        labels = [label for k in chosen if result[label := basis.plant.parameters.labels[k]].kind != "unknown"]
         length = max(float(w.t[-1] - w.t[0]) for w in basis.windows)
-        for number, k in enumerate(chosen):
-            at = {"phase": "profile", "parameter": labels[k], "window": length, "stage": number, "stages": len(chosen)}
-            along = ParameterCoordinate(basis, k)
-            found = profiled(
-                basis, along, level, budget=budget, report=None if report is None else with_entries(report, at)
-            )
+        for number, label in enumerate(labels):
+            at = {"phase": "profile", "parameter": label, "window": length, "stage": number, "stages": len(labels)}
+            heard = None if report is None else with_entries(report, at)
+            found = profiled(coordinate(basis, label), level, budget=budget, report=heard)
             if found.kind == "profile":
-                interval = Interval(found.low, found.high, found.kind, found.ends, level)
-                result[labels[k]] = _with_model_error(basis, k, interval)
+                own = Interval(found.low, found.high, found.kind, found.ends, level)
+                result[label] = _with_model_error(basis, label, own)
             if remarks is not None:
                 remarks += _remarks(found)
     return stop.deliver(result)
 
 
-def _with_model_error(basis: Basis, which: int, interval: Interval) -> Interval:
+def _with_model_error(basis: Basis, label: str, own: Interval) -> Interval:
     """Return the interval of a profile, made wider by the model's errors; it stays within the parameter's bound."""
-    parameter, information = basis.plant.parameters.all[which], basis.information
-    x = float(information.x[which])
+    which, information = basis.plant.parameters.labels.index(label), basis.information
+    parameter, x = basis.plant.parameters.all[which], float(information.x[which])
     one = np.eye(information.x.size)[which : which + 1] * parameter.derivative(x)
-    value = parameter.value(x)
-    model = float(information.model_spread(one)[0]) * float(np.sqrt(quantile(interval.level, information.freedom)))
-    low = value - float(np.hypot(value - interval.low, model))
-    least = -np.inf if parameter.form == "linear" else 0.0
-    end: End = "bound" if low <= least else interval.ends[0]
-    high = value + float(np.hypot(interval.high - value, model))
-    return replace(interval, low=max(low, least), high=high, ends=(end, interval.ends[1]))
+    model = float(information.model_spread(one)[0]) * float(np.sqrt(quantile(own.level, information.freedom)))
+    value, least = parameter.value(x), -np.inf if parameter.form == "linear" else 0.0
+    low, high = value - float(np.hypot(value - own.low, model)), value + float(np.hypot(own.high - value, model))
+    return replace(own, low=max(low, least), high=high, ends=("bound" if low <= least else own.ends[0], own.ends[1]))
 
 
 def _remarks(found: Profile) -> list[Finding]:
@@ -547,37 +479,27 @@ def _remarks(found: Profile) -> list[Finding]:
     return [Finding(Kind.PROFILE_GIVEN_UP, Severity.LIMIT, {"name": found.name})] * (found.kind == "covariance")
 
 
-def skewed(basis: Basis, which: int) -> bool:
-    """Tell whether the covariance does not suffice for a parameter.
+def skewed(basis: Basis) -> list[int]:
+    """Return the parameters for which the covariance does not suffice, MOST at most, those nearest to a bound first.
 
     Beside a bound, its own or that of one it correlates with; or where, two standard deviations away along the line of
-    the covariance, the squares rise otherwise than by four. Two rollouts of all windows.
+    the covariance, the squares rise otherwise than by four. Two rollouts of all windows for each.
     """
-    information = basis.information
-    covariance, std = information.covariance, np.sqrt(np.diag(information.covariance))
-    near = np.flatnonzero(near_bounds(covariance, information.x - basis.plant.parameters.lower))
-    if std[which] == 0.0:
-        return False
-    if any(abs(covariance[which, k]) > TIED * std[which] * std[k] for k in near):
-        return True
-    for step in (-2.0, 2.0):
-        move = step * information.plain[:, which] / np.sqrt(information.plain[which, which])
-        rise = _rise(basis, move)
-        if rise is None or abs(np.sqrt(max(rise, 0.0)) / abs(step) - 1.0) > BENT:
-            return True
-    return False
-
-
-def _skewed_parameters(basis: Basis) -> list[int]:
-    information = basis.information
+    information, above = basis.information, basis.information.x - basis.plant.parameters.lower
     std = np.sqrt(np.diag(information.covariance))
-    above = (information.x - basis.plant.parameters.lower) / np.where(std > 0.0, std, 1.0)
-    known = np.isfinite(information.deviations(np.ones(std.size)))
-    chosen: list[int] = []
-    for k in np.argsort(above, kind="stable"):
-        if len(chosen) < MOST and known[k] and skewed(basis, int(k)):
-            chosen.append(int(k))
-    return chosen
+    known = np.isfinite(information.deviations(np.ones(std.size))) & (std > 0.0)
+    beside = near_bounds(information.covariance, above)
+    tied: Mask = np.any((np.abs(information.covariance) > TIED * np.outer(std, std)) & beside, axis=1)
+    order = np.argsort(above / np.where(std > 0.0, std, 1.0), kind="stable")
+    return list(islice((int(k) for k in order if known[k] and (tied[k] or _bent(basis, int(k)))), MOST))
+
+
+def _bent(basis: Basis, which: int) -> bool:
+    """Whether the squares do not rise as a parabola along the line of a parameter's covariance."""
+    plain = basis.information.plain
+    line = plain[:, which] / np.sqrt(plain[which, which])
+    rises = [(_rise(basis, step * line), step) for step in (-2.0, 2.0)]
+    return any(rise is None or abs(np.sqrt(max(rise, 0.0)) / abs(step) - 1.0) > BENT for rise, step in rises)
 
 
 def _rise(basis: Basis, move: Array) -> float | None:

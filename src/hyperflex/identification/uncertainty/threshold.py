@@ -71,29 +71,22 @@ def _draws(count: int, freedom: float) -> tuple[Array, Array]:
 
 
 def _rise(points: Array, inverse: Array, limit: Array, *, tested: bool) -> Array:
-    """Return the least (v - u)^T H (v - u) over v >= limit for each u (N, k); with v[0] = 0 where it is `tested`."""
+    """Return the least (v - u)^T H (v - u) over v >= limit for each u (N, k); with v[0] = 0 where it is `tested`.
+
+    By coordinate descent, of those alone that the bounds change.
+    """
     away = np.zeros_like(points)  # v - u
-    free = np.arange(1 if tested else 0, limit.size)
     if tested:
         away[:, 0] = -points[:, 0]
-        if free.size:
-            rest = np.linalg.pinv(inverse[1:, 1:], hermitian=True) @ inverse[1:, 0]
-            away[:, 1:] = np.outer(points[:, 0], rest)
-    crossing = (points + away < limit)[:, free].any(axis=1)
-    if crossing.any():
-        away[crossing] = _descend(points[crossing], away[crossing], inverse, limit, free)
-    return np.asarray(np.einsum("ni,ij,nj->n", away, inverse, away))
-
-
-def _descend(points: Array, away: Array, inverse: Array, limit: Array, free: npt.NDArray[np.intp]) -> Array:
-    """Return the best v - u (N, k) within the limits by coordinate descent; those not `free` stay."""
+        away[:, 1:] = np.outer(points[:, 0], np.linalg.pinv(inverse[1:, 1:], hermitian=True) @ inverse[1:, 0])
+    first = int(tested)
+    crossing = (points + away < limit)[:, first:].any(axis=1)
+    some, own = away[crossing], limit - points[crossing]
     for _ in range(SWEEPS):
-        moved = 0.0
-        for j in free:
-            best = away[:, j] - away @ inverse[:, j] / inverse[j, j]
-            best = np.maximum(best, limit[j] - points[:, j])
-            moved = max(moved, float(np.abs(best - away[:, j]).max()))
-            away[:, j] = best
-        if moved < SETTLED:
+        before = some.copy()
+        for j in range(first, limit.size):
+            some[:, j] = np.maximum(some[:, j] - some @ inverse[:, j] / inverse[j, j], own[:, j])
+        if np.abs(some - before).max(initial=0.0) < SETTLED:
             break
-    return away
+    away[crossing] = some
+    return np.asarray(np.einsum("ni,ij,nj->n", away, inverse, away))

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.identification import BAND, HeldOut, Identification, correlogram
-from hyperflex.model import Rope
-from hyperflex.report.identification.fitted import FittedChannels
-from hyperflex.report.identification.parameters import Number, numbers
+from hyperflex.model import PROPERTIES, Rope
+from hyperflex.recording import Recording
+from hyperflex.report.identification.tables import Number, numbers
 from hyperflex.report.style import BLUE, GREEN, GREY, INK, RED, legend, new_figure
-from hyperflex.report.units import Unit, readable_unit
+from hyperflex.report.units import amount, readable_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +26,57 @@ _SHAPES = 5  # instants
 _FEW_WINDOWS = 3  # so few are seen well enough on the whole
 _LEAST_LINKS = 6  # with values of their own; fewer are read in a table
 _SPARSE, _DENSE = 120, 4000  # samples: below, each is drawn as a ring; above, as a speck
+FEW = 4  # channels that are all shown large
+
+
+class FittedChannels:
+    """A recording and its fit in the same channels.
+
+    All measured angles or positions, and the fit at the fitted samples. The `chosen` channels are the most informative:
+    first, middle and last link, or middle and last marker (both places), and the one with the worst fit; all of a few.
+
+    Attributes
+    ----------
+    t, measured : (T,) s, (T, C) rad or m
+        NaN in gaps.
+    fit_t, fitted, window : (m,) s, (m, C) rad or m, (m,) int
+        The fit, NaN in gaps, and the number of the window of each sample.
+    names : tuple of str
+        Of the channels, counted from 0 as in the assessment.
+    chosen : tuple of int
+    end : float
+        End of the fitted samples, s.
+    """
+
+    def __init__(self, recording: Recording, found: Identification, chosen: tuple[int, ...] = ()) -> None:
+        angles, rms = found.unit == "rad", found.residual_rms
+        channels = recording.angles() if angles else recording
+        self.found, self.t, self.measured, self.fit_t = found, channels.t, channels.data, found.residual_t
+        self.fitted = channels.data[np.searchsorted(channels.t, self.fit_t)] - found.residuals
+        step, length = float(np.median(np.diff(self.t))), float(found.settings["window"])
+        length = min(length, 2.0 * (self.t[-1] - self.t[0]))
+        self.window = np.floor((self.fit_t - self.fit_t[0]) / length + 1e-6 * step / length).astype(int)
+        self.end = float(found.settings["fitted_to"])
+        count, last = rms.size, rms.size // 2 - 1
+        self.chosen = tuple(range(count))
+        if angles:
+            self.names = tuple(f"link {k}" for k in range(count))
+            if count > FEW:
+                self.chosen = tuple(sorted({0, count // 2, count - 1, int(np.argmax(rms))}))
+        else:
+            self.names = tuple(f"marker {k}, {axis}" for k in range(count // 2) for axis in "xy")
+            if count > FEW:
+                markers = sorted({last // 2, last, int(np.argmax(np.hypot(rms[::2], rms[1::2])))})
+                self.chosen = tuple(c for k in markers for c in (2 * k, 2 * k + 1))
+        self.chosen = chosen or self.chosen
+
+    def worst_window(self, channel: int) -> tuple[int, float, float]:
+        """Return the number, and first and last time, s, of the window in which a channel fits worst."""
+        squares = self.found.residuals[:, channel] ** 2
+        sums, counts = (np.bincount(self.window, each) for each in (np.nan_to_num(squares), ~np.isnan(squares)))
+        worst = int(np.argmax(sums / np.maximum(counts, 1.0)))
+        inside = self.fit_t[self.window == worst]
+        return worst, float(inside[0]), float(inside[-1])
 
 
 def broken(axis: Any, t: Array, values: Array, number: Array | None = None, **style: Any) -> None:
@@ -44,25 +97,32 @@ def samples(axis: Any, t: Array, values: Array) -> None:
         axis.plot(t, values, ".", ms=3.0 if t.size < _DENSE else 2.0, color=GREY, label="measured")
 
 
+def _titled(view: FittedChannels, channel: int, digits: int = 3) -> str:
+    """Return a channel's name and residual."""
+    return f"{view.names[channel]}: {amount(view.found.residual_rms[channel], view.found.unit, digits)}"
+
+
 def fit_figure(view: FittedChannels) -> Figure:
     """Draw the chosen channels over the whole time, and the window with the worst fit of each."""
     zoomed = np.unique(view.window).size > _FEW_WINDOWS
-    with new_figure(_WIDTH, 0.9 + 1.75 * len(view.chosen)) as figure:
-        axes = figure.subplots(
-            len(view.chosen), 2 if zoomed else 1, squeeze=False, width_ratios=(2.6, 1.0) if zoomed else None
-        )
+    with _rows(view, 2 if zoomed else 1, (2.6, 1.0) if zoomed else None) as (figure, axes):
         for row, channel in zip(axes, view.chosen, strict=True):
             _draw_fit(row[0], view, channel)
-            rms = view.found.residual_rms[channel]
-            unit = readable_unit(view.found.unit, rms)
-            row[0].set_title(f"{view.names[channel]}: {rms / unit.size:.3g} {unit.name} rms")
-            row[0].set(ylabel=_label(view, channel), xlim=(view.t[0], view.t[-1]))
+            row[0].set(title=f"{_titled(view, channel)} rms", ylabel=_label(view, channel), xlim=view.t[[0, -1]])
             if zoomed:
                 _draw_worst(row[1], view, channel)
-        for axis in axes[-1]:
-            axis.set_xlabel("time, s")
         legend(figure, axes[0, 0])
     return figure
+
+
+@contextmanager
+def _rows(view: FittedChannels, columns: int, widths: tuple[float, ...] | None = None) -> Iterator[tuple[Figure, Any]]:
+    """Yield a figure with a row of axes for each chosen channel, over time."""
+    with new_figure(_WIDTH, 0.9 + 1.75 * len(view.chosen)) as figure:
+        axes = figure.subplots(len(view.chosen), columns, squeeze=False, width_ratios=widths)
+        for axis in axes[-1]:
+            axis.set_xlabel("time, s")
+        yield figure, axes
 
 
 def _draw_fit(axis: Any, view: FittedChannels, channel: int) -> None:
@@ -71,12 +131,12 @@ def _draw_fit(axis: Any, view: FittedChannels, channel: int) -> None:
     held = view.found.held_out
     if held is not None:
         axis.axvspan(view.end, view.t[-1], color=RED, alpha=0.06, lw=0, label="held out")
-        _draw_predicted(axis, held, channel, label="predicted without data")
+        _draw_predicted(axis, held, channel)
 
 
-def _draw_predicted(axis: Any, held: HeldOut, channel: int, **style: Any) -> None:
+def _draw_predicted(axis: Any, held: HeldOut, channel: int) -> None:
     value = np.where(np.isfinite(held.predicted[:, channel]), held.predicted[:, channel], np.nan)
-    broken(axis, held.t, value, _stretch(held), color=RED, **style)
+    broken(axis, held.t, value, _stretch(held), color=RED, label="predicted without data")
 
 
 def _stretch(held: HeldOut) -> Array:
@@ -88,14 +148,12 @@ def _draw_worst(axis: Any, view: FittedChannels, channel: int) -> None:
     """Draw the worst window with its neighbours' nearest parts."""
     number, start, end = view.worst_window(channel)
     margin = 0.25 * (end - start)
-    near = (view.t >= start - margin) & (view.t <= end + margin)
-    fit_near = (view.fit_t >= start - margin) & (view.fit_t <= end + margin)
+    near, fit_near = (np.abs(t - 0.5 * (start + end)) <= 0.5 * (end - start) + margin for t in (view.t, view.fit_t))
     axis.axvspan(start, end, color=BLUE, alpha=0.06, lw=0)
     samples(axis, view.t[near], view.measured[near, channel])
     broken(axis, view.fit_t[fit_near], view.fitted[fit_near, channel], view.window[fit_near], color=BLUE)
-    worst = float(np.sqrt(np.nanmean(view.found.residuals[fit_near & (view.window == number), channel] ** 2)))
-    unit = readable_unit(view.found.unit, worst)
-    axis.set_title(f"its worst window: {worst / unit.size:.3g} {unit.name}")
+    worst = float(np.sqrt(np.nanmean(view.found.residuals[view.window == number, channel] ** 2)))
+    axis.set_title(f"its worst window: {amount(worst, view.found.unit)}")
     axis.locator_params(axis="x", nbins=4)
 
 
@@ -105,96 +163,80 @@ def _label(view: FittedChannels, channel: int) -> str:
 
 def prediction_figure(view: FittedChannels, held: HeldOut) -> Figure:
     """Draw the held-out part and its prediction, and the error with its expected band."""
-    with new_figure(_WIDTH, 0.9 + 1.75 * len(view.chosen)) as figure:
-        axes = figure.subplots(len(view.chosen), 2, squeeze=False, sharex=True)
+    with _rows(view, 2) as (figure, axes):
         for row, channel in zip(axes, view.chosen, strict=True):
             inside = view.t >= view.end
             samples(row[0], view.t[inside], view.measured[inside, channel])
-            _draw_predicted(row[0], held, channel, label="predicted without data")
+            _draw_predicted(row[0], held, channel)
             row[0].set(ylabel=_label(view, channel), title=view.names[channel])
             _draw_error(row[1], view, held, channel)
-        for axis in axes[-1]:
-            axis.set_xlabel("time, s")
         legend(figure, *axes[0])
     return figure
 
 
 def _draw_error(axis: Any, view: FittedChannels, held: HeldOut, channel: int) -> None:
-    predicted = held.predicted[:, channel]
+    predicted, rms, number = held.predicted[:, channel], held.rms[channel], _stretch(held)
     error = held.measured[:, channel] - np.where(np.isfinite(predicted), predicted, np.nan)
-    band = BAND * held.std[:, channel]
-    rms = held.rms[channel]
-    unit = readable_unit(view.found.unit, rms if np.isfinite(rms) else np.nanmax(np.abs(error), initial=0.0))
-    for number in np.unique(_stretch(held)):
-        part = _stretch(held) == number
-        label = "expected for 95 %" if number == 1 else None
-        low, high = -band[part] / unit.size, band[part] / unit.size
-        axis.fill_between(held.t[part], low, high, color=RED, alpha=0.18, lw=0, label=label)
-    axis.plot(held.t, error / unit.size, ".", ms=2.5, color=INK, label="error")
+    greatest = float(np.nanmax(np.abs(error), initial=0.0))
+    unit = readable_unit(view.found.unit, rms if np.isfinite(rms) else greatest)
+    error, band = error / unit.size, BAND * held.std[:, channel] / unit.size
+    for k in np.unique(number):
+        part = number == k
+        label = "expected for 95 %" if k == 1 else None
+        axis.fill_between(held.t[part], -band[part], band[part], color=RED, alpha=0.18, lw=0, label=label)
+    axis.plot(held.t, error, ".", ms=2.5, color=INK, label="error")
     for start in held.failed:
         axis.axvspan(start, start + held.ahead, color=RED, alpha=0.3, lw=0)
-    told = f"{rms / unit.size:.3g} {unit.name} rms" if np.isfinite(rms) else "failed where dark"
-    axis.set(ylabel=f"error, {unit.name}", title=f"measured minus predicted: {told}")
-    tallest = max(1.1 * np.nanmax(np.abs(error), initial=0.0), np.nanquantile(np.append(band, 0.0), 0.97))
-    axis.set_ylim(-tallest / unit.size, tallest / unit.size) if tallest > 0.0 else None
+    told = f"{amount(rms, view.found.unit)} rms" if np.isfinite(rms) else "failed where dark"
+    tallest = max(1.1 * greatest / unit.size, np.nanquantile(np.append(band, 0.0), 0.97)) or 1.0
+    axis.set(ylabel=f"error, {unit.name}", title=f"measured minus predicted: {told}", ylim=(-tallest, tallest))
 
 
 def residual_figure(view: FittedChannels) -> Figure:
     """Draw the residuals of the chosen channels: over time, histogram, and autocorrelation."""
     found = view.found
     lag, correlation, band = correlogram(view.fit_t, found.residuals, _LAGS)
-    with new_figure(_WIDTH, 0.6 + 1.75 * len(view.chosen)) as figure:
-        axes = figure.subplots(len(view.chosen), 3, squeeze=False, width_ratios=(2.2, 1.0, 1.3))
+    with _rows(view, 3, (2.2, 1.0, 1.3)) as (figure, axes):
         for row, channel in zip(axes, view.chosen, strict=True):
             unit = readable_unit(found.unit, found.residual_rms[channel])
             values = found.residuals[:, channel] / unit.size
             row[0].plot(view.fit_t, values, ".", ms=2.0, color=BLUE)
             row[0].axhline(0.0, color=GREY, lw=0.8)
             row[0].set(ylabel=f"residual, {unit.name}", title=view.names[channel])
-            _draw_histogram(row[1], values[~np.isnan(values)], unit)
-            _draw_correlogram(row[2], lag, correlation[:, channel], band[:, channel])
+            _draw_histogram(row[1], values[~np.isnan(values)])
+            row[1].set_xlabel(f"residual, {unit.name}")
+            row[2].fill_between(lag, -band[:, channel], band[:, channel], color=GREEN, alpha=0.2, lw=0)
+            row[2].vlines(lag, 0.0, correlation[:, channel], color=BLUE, lw=1.4)
+            row[2].axhline(0.0, color=GREY, lw=0.8)
+            row[2].set(ylim=(-1.0, 1.0), xlabel="lag, s" if channel == view.chosen[-1] else "")
         axes[0, 1].set_title("how often; line: normal")
         axes[0, 2].set_title("autocorrelation; shaded: white")
-        for axis, text in zip(axes[-1], ("time, s", f"residual, {unit.name}", "lag, s"), strict=True):
-            axis.set_xlabel(text)
     return figure
 
 
-def _draw_histogram(axis: Any, values: Array, unit: Unit) -> None:
+def _draw_histogram(axis: Any, values: Array) -> None:
     std = float(np.sqrt(np.mean(values**2)))
-    edge = 4.0 * std if std > 0.0 else 1.0
+    edge = 4.0 * std or 1.0
     bins = int(np.clip(np.sqrt(values.size), 8, 41))
     axis.hist(np.clip(values, -edge, edge), bins=bins, range=(-edge, edge), density=True, color=BLUE, alpha=0.35)
     if std > 0.0:
         grid = np.linspace(-edge, edge, 161)
         axis.plot(grid, np.exp(-0.5 * (grid / std) ** 2) / (std * np.sqrt(2.0 * np.pi)), color=INK, lw=1.0)
     axis.set_yticks([])
-    axis.set_xlabel(f"residual, {unit.name}")
-
-
-def _draw_correlogram(axis: Any, lag: Array, correlation: Array, band: Array) -> None:
-    axis.fill_between(lag, -band, band, color=GREEN, alpha=0.2, lw=0)
-    axis.vlines(lag, 0.0, correlation, color=BLUE, lw=1.4)
-    axis.axhline(0.0, color=GREY, lw=0.8)
-    axis.set_ylim(-1.0, 1.0)
 
 
 def multiples_figure(view: FittedChannels) -> Figure:
     """Draw small multiples of all channels: measured, fitted, predicted."""
-    count = len(view.names)
-    rows = -(-count // _COLUMNS)
+    rows = -(-len(view.names) // _COLUMNS)
     with new_figure(_WIDTH, 0.5 + 1.15 * rows) as figure:
-        axes = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True)
-        for channel, axis in enumerate(axes.ravel()):
-            if channel >= count:
-                axis.set_axis_off()
-                continue
+        axes = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True).ravel()
+        for channel, axis in enumerate(axes[: len(view.names)]):
             _draw_fit(axis, view, channel)
-            rms = view.found.residual_rms[channel]
-            unit = readable_unit(view.found.unit, rms)
-            axis.set_title(f"{view.names[channel]}: {rms / unit.size:.2g} {unit.name}", fontsize=8.0)
+            axis.set_title(_titled(view, channel, 2), fontsize=8.0)
             axis.tick_params(labelsize=7.0)
             axis.locator_params(nbins=4)
+        for axis in axes[len(view.names) :]:
+            axis.set_axis_off()
     return figure
 
 
@@ -243,9 +285,8 @@ def along_figure(found: Identification, guess: Rope | None = None) -> Figure | N
     """Draw each property with separate values for many links, with 95 % intervals; None if there is none."""
     own: dict[str, list[Number]] = {}
     for each in numbers(found):
-        if each.place is not None and each.name != "arc":
-            own.setdefault(each.name, []).append(each)
-    shown = {name: each for name, each in own.items() if len(each) >= _LEAST_LINKS}
+        own.setdefault(each.name, []).append(each)
+    shown = {k: v for k, v in own.items() if len(v) >= _LEAST_LINKS and PROPERTIES[k].owner == "link"}
     if not shown:
         return None
     with new_figure(10.0, 0.5 + 2.0 * len(shown)) as figure:

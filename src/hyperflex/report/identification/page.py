@@ -10,6 +10,7 @@ from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.report.folder import whole_folder
 from hyperflex.report.identification.figures import (
+    FittedChannels,
     along_figure,
     fit_figure,
     history_figure,
@@ -18,17 +19,25 @@ from hyperflex.report.identification.figures import (
     residual_figure,
     shapes_figure,
 )
-from hyperflex.report.identification.fitted import FittedChannels, fitted_channels
-from hyperflex.report.identification.parameters import numbers, parameters_table, ratios_table, rope_table, ties
-from hyperflex.report.identification.setting import fit_table, lead, recording_table
+from hyperflex.report.identification.tables import (
+    fit_table,
+    lead,
+    numbers,
+    parameters_table,
+    ratios_table,
+    recording_table,
+    rope_table,
+    ties,
+)
 from hyperflex.report.page import Picture, Section, TextTable, write_page
 from hyperflex.report.style import png
-from hyperflex.report.units import readable_unit
+from hyperflex.report.units import amount
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 LONG = 16  # rows of a table that are shown at once
+LEAST_CORRELATION = 1.05  # samples, that are stated: 1 is white noise
 _DPI = 110
 PAGE = "report.html"
 
@@ -61,7 +70,7 @@ def identification_page(
 
     Returns the file ``page``.
     """
-    view = fitted_channels(recording, found)
+    view = FittedChannels(recording, found)
     many = len(view.names) > len(view.chosen)
     sections = [
         _assessment(found),
@@ -76,32 +85,25 @@ def identification_page(
         *([_all(view)] if many else []),
     ]
     title = f"{recording.name or 'A recording'}, identified"
-    write_page(path, title, lead(recording, found, found.rope), str(found.grade), sections)
+    write_page(path, title, lead(recording, found), str(found.grade), sections)
     return {"page": Path(path)}
 
 
 def _assessment(found: Identification) -> Section:
-    every, rms = numbers(found), found.residual_rms_all
-    unit = readable_unit(found.unit, rms)
+    every = numbers(found)
     known = sum(np.isfinite(each.std) for each in every)
     tiles = [
         (f"{known} of {len(every)}", "free numbers that this motion determines on their own"),
-        (f"{rms / unit.size:.3g} {unit.name}", "residual of the fit (rms over all channels)"),
+        (amount(found.residual_rms_all, found.unit), "residual of the fit (rms over all channels)"),
     ]
     if (held := found.held_out) is not None:
         error = float(np.sqrt(np.mean(held.rms**2)))
-        unit = readable_unit(found.unit, error)
-        words = f"{error / unit.size:.3g} {unit.name}" if np.isfinite(error) else "failed"
+        words = amount(error, found.unit) if np.isfinite(error) else "failed"
         tiles.append((words, f"error of predicting {held.ahead:g} s that were not fitted (rms)"))
         if np.isfinite(held.inside):
-            half = BAND * float(np.sqrt(np.nanmean(held.std**2))) / unit.size
-            band = f"within ± {half:.3g} {unit.name}"
-            tiles.append(
-                (
-                    f"{100.0 * held.inside:.0f} %",
-                    f"of these predictions lie in the band that should contain 95 %, {band}",
-                )
-            )
+            half = amount(BAND * float(np.sqrt(np.nanmean(held.std**2))), found.unit)
+            words = f"of these predictions lie in the band that should contain 95 %, within ± {half}"
+            tiles.append((f"{100.0 * held.inside:.0f} %", words))
     marks = tuple((each.severity is Severity.NOTE, text(each)) for each in found.findings)
     verdict = found.success, f"{found.grade.capitalize()}."
     return Section("Assessment", verdict=verdict, tiles=tuple(tiles), marks=marks)
@@ -109,20 +111,17 @@ def _assessment(found: Identification) -> Section:
 
 def _found(found: Identification, guess: Rope | None) -> list[Section]:
     """Return the parameters, and the ratios if some of them were free."""
-    table = parameters_table(found, guess)
-    intervals = "from the fit" if getattr(found, "intervals", None) else "value plus and minus 1.96 std"
-    factor = found.settings["autocorrelation"]
-    counted = "Residuals are treated as independent from sample to sample"
-    if factor > 1.05:
-        counted = f"They include the correlation of the residuals over {factor:.3g} samples"
-    deviations = (
-        "std: standard deviation; it, the interval and the guess are in the unit of the value. "
-        f"95 % interval: {intervals}. {counted}. They include errors of the model as far as the assessment states."
-    )
-    counting = "Links and markers count from 0: link 0 hangs from the first joint."
-    unknown = not all(np.isfinite(each.std) for each in numbers(found))
-    many = ["If a value is not determined, the one shown is one of many with the same motion."] if unknown else []
-    notes = [deviations, *many, counting]
+    table, ratios, factor = parameters_table(found, guess), ratios_table(found), found.settings["autocorrelation"]
+    notes = [
+        "std: standard deviation; it, the interval and the guess are in the unit of the value.",
+        f"95 % interval: {'from the fit' if found.intervals else 'value plus and minus 1.96 std'}.",
+        "They include the errors of the model as far as the assessment states.",
+        "Links and markers count from 0: link 0 hangs from the first joint.",
+    ]
+    if factor > LEAST_CORRELATION:
+        notes.append(f"They include the correlation of the residuals over {factor:.3g} samples.")
+    if not all(np.isfinite(each.std) for each in numbers(found)):
+        notes.append("If a value is not determined, the one shown is one of many with the same motion.")
     if tied := ties(found):
         notes.append(f"Correlated errors: {', '.join(tied)}.")
     along = along_figure(found, guess)
@@ -130,7 +129,6 @@ def _found(found: Identification, guess: Rope | None) -> list[Section]:
     sections = [
         Section("Parameters", pictures=pictures, table=table, notes=tuple(notes), folded=_folded(table, "numbers"))
     ]
-    ratios = ratios_table(found)
     if ratios is not None:
         text = (
             "A free swing determines at most ratios to p1, the first moment of link 0 about its joint. Moments and "
@@ -144,12 +142,7 @@ def _fit(view: FittedChannels, many: bool) -> Section:
     which = "First, middle and last link" if view.found.unit == "rad" else "Middle and last marker"
     held = "" if view.found.held_out is None else "; red: what was held out"
     some = f"{which}, and the one that fits worst. " if many else ""
-    pictures = [
-        _picture(
-            fit_figure(view),
-            f"{some}Each window is fitted with its own initial state{held}.",
-        )
-    ]
+    pictures = [_picture(fit_figure(view), f"{some}Each window is fitted with its own initial state{held}.")]
     if view.found.unit == "m":
         pictures.append(_picture(shapes_figure(view), "Markers (rings) and fit (line) at some instants."))
     links = (("all", f"All {len(view.names)} channels"),) if many else ()
