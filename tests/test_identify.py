@@ -25,7 +25,7 @@ from hyperflex.identification.pipeline import message
 from hyperflex.identification.prediction import HeldOut, PredictionUncertainty, predict
 from hyperflex.identification.symptoms import _identifiable, _of_prediction
 from hyperflex.identification.uncertainty.covariance import Information, estimate_covariance
-from hyperflex.identification.uncertainty.noise import Piece, noise_memory
+from hyperflex.identification.uncertainty.noise import Piece, autocorrelation
 from hyperflex.identification.uncertainty.ratios import ratio_spread
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings
@@ -460,19 +460,20 @@ def test_a_fit_that_stalls_at_its_best_has_converged(free_swing: Recording) -> N
 
 def test_autocorrelation_of_known_processes() -> None:
     random = np.random.default_rng(0)
-    white = random.standard_normal((100, 200, 1))  # in windows of 200 samples
+    white = random.standard_normal((20000, 1))
     coloured = white.copy()
-    for k in range(1, white.shape[1]):
-        coloured[:, k] = 0.8 * coloured[:, k - 1] + 0.6 * white[:, k]
-    gaps = np.where(random.random(white.shape) < 0.3, 0.0, 1.0)
+    for k in range(1, white.size):
+        coloured[k] = 0.8 * coloured[k - 1] + 0.6 * white[k]
+    gaps = np.ones_like(white)
+    gaps[random.random(white.size) < 0.3] = 0.0
 
     def time(values: Array, seen: Array) -> float:
-        pieces = [Piece(v * s, s, np.zeros((*v.shape, 0))) for v, s in zip(values, seen, strict=True)]
-        return 2.0 * float(noise_memory(pieces)[0].sum()) - 1.0
+        return autocorrelation([Piece(values * seen, seen, np.zeros((*values.shape, 0)))])
 
     whole = np.ones_like(white)
-    assert time(white, whole) == pytest.approx(1.0, abs=0.1)
-    assert time(coloured, whole) == pytest.approx(9.0, rel=0.15)  # 1 + 2 * 0.8 / 0.2, and sampling
+    assert time(white, whole) == pytest.approx(1.0, abs=0.1)  # no lag above 0.05 at this length
+    # 1 + 2 * 0.8 / 0.2 = 9, less the tail below 0.05 (0.8^14 on: 2 * 0.044 / 0.2 = 0.44), and sampling
+    assert time(coloured, whole) == pytest.approx(8.6, rel=0.15)
     assert time(coloured, gaps) == pytest.approx(time(coloured, whole), rel=0.1)  # gaps are no whiter
 
 

@@ -12,7 +12,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.fit import Fit, Loss, Window, least_squares, linearise
 from hyperflex.identification.model import Mask, Plant, in_common_factor
-from hyperflex.identification.uncertainty.noise import Piece, correlated, noise_memory, whiteness
+from hyperflex.identification.uncertainty.noise import Piece, autocorrelation, correlated, noise_memory, whiteness
 from hyperflex.identification.uncertainty.threshold import quantile
 from hyperflex.interruption import stoppable
 
@@ -32,7 +32,7 @@ class Information:
 
     singular (P,): of the derivatives of all residuals, states eliminated, largest first. known (P, k) and unknown
     (P, P - k): directions. covariance (P, P): of x, 0 along unknown directions. model (P, P): the same of errors of the
-    model, which come on top. correlation: autocorrelation time of the noise, samples. plain (P, P): the covariance
+    model, which come on top. correlation: autocorrelation time of the residuals, samples. plain (P, P): the covariance
     if the residuals were white. variance: of what each residual counts. freedom: its degrees of freedom, 1 at least.
     memory (m,): autocorrelations of the noise by lag; agrees: whether they explain the residuals. whiteness: p-value of
     white noise. follow: derivative of each window's state by x (2n, P). growing (P,): which parameters stand in an
@@ -173,7 +173,7 @@ def estimate_covariance(plant: Plant, windows: Sequence[Window], fit: Fit, budge
         known,
         unknown,
         sandwich * scale,
-        max(1.0, 2.0 * float(memory.sum()) - 1.0),
+        autocorrelation(pieces),
         plain=plain * scale,
         variance=variance,
         freedom=max(1.0, freedom / (2.0 * float(memory @ memory) - 1.0)),

@@ -30,6 +30,7 @@ class NoiseOptions:
 
 
 NOISE = NoiseOptions()
+NEGLIGIBLE = 0.05  # an autocorrelation below it, and all at longer lags, do not count
 
 
 @dataclass(frozen=True)
@@ -111,11 +112,8 @@ def noise_memory(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     Those of an autoregression. Gaps of smooth residuals are bridged for it by straight lines: its many terms follow
     from differences of neighbours, which gaps blur.
     """
-    every, near = (
-        _lagged_products(pieces, lag) / max(sum(_lagged_product(piece.seen, lag) for piece in pieces), 1.0)
-        for lag in (0, 1)
-    )
-    if min(piece.seen.min() for piece in pieces) == 0.0 and near > NOISE.smooth * every:
+    gaps = min(piece.seen.min() for piece in pieces) == 0.0
+    if gaps and _longest(pieces) > 1 and _autocorrelations(pieces)[1] > NOISE.smooth:
         pieces = [_bridged(piece) for piece in pieces]
     parts, agrees = autoregression(pieces)
     return correlations(parts, _longest(pieces)), agrees
@@ -146,6 +144,31 @@ def correlated(memory: Array, values: Array) -> Array:
     m = values.shape[0]
     lags = np.abs(np.subtract.outer(np.arange(m), np.arange(m)))
     return np.asarray(np.tensordot(memory[lags], values, axes=1))
+
+
+def autocorrelation(pieces: Sequence[Piece]) -> float:
+    """Return the integrated autocorrelation time (samples, >= 1) of the residuals, pooled over windows.
+
+    1 + 2 sum of the autocorrelations up to the first below 0.05, each of the pairs of samples that are there.
+    """
+    part = _autocorrelations(pieces)
+    low = np.flatnonzero(part < NEGLIGIBLE)
+    return max(1.0, float(1.0 + 2.0 * part[1 : low[0] if low.size else None].sum()))
+
+
+def _autocorrelations(pieces: Sequence[Piece]) -> Array:
+    """Return the residuals' own autocorrelations (longest,) over the pairs of samples that there are.
+
+    Sums of products lack some pairs where there are gaps: they are scaled to the pairs there would be without any.
+    """
+    sums, pairs, every = np.zeros((3, _longest(pieces)))
+    for piece in pieces:
+        raise_if_cancelled()
+        m = len(piece.seen)
+        sums[:m] += [_lagged_product(piece.residual, lag) for lag in range(m)]
+        pairs[:m] += [_lagged_product(piece.seen, lag) for lag in range(m)]
+        every[:m] += piece.seen.mean() * (m - np.arange(m)) * piece.seen.shape[1]
+    return np.asarray(sums / max(sums[0], 1e-300) * every / np.maximum(pairs, 1.0))
 
 
 def expected_products(pieces: Sequence[Piece], most: int) -> Array:
