@@ -24,7 +24,7 @@ from hyperflex.identification.uncertainty.profile import (
     profiled,
     skewed,
 )
-from hyperflex.identification.uncertainty.threshold import _draws, _rise, quantile, threshold
+from hyperflex.identification.uncertainty.threshold import _rise, quantile, threshold
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 from hyperflex.simulation import simulate
@@ -244,12 +244,6 @@ def test_progress_hears_of_profiles() -> None:
     assert all({"window", "round", "cost", "gain", "damping"} <= entry.keys() for entry in heard)
 
 
-def test_draws_do_not_pile_up() -> None:
-    for k in range(20):
-        threshold(0.95, 10.0 + k, 0, np.eye(1), np.zeros(1))
-    assert _draws.cache_info().currsize <= 8
-
-
 def test_robust_losses_profile_what_their_covariance_says() -> None:
     random = np.random.default_rng(4)
     noise = random.standard_normal((300, 1)) * np.where(random.uniform(size=(300, 1)) < 0.05, 10.0, 1.0)
@@ -366,14 +360,6 @@ def test_fits_that_do_not_converge_are_no_points_of_a_profile(
     monkeypatch.setattr(_profile, "fit", unfinished)
     for name in ("c/p1[4]", "friction:shared"):
         assert profile(found, name).kind == "covariance"
-
-
-def test_an_end_that_was_not_found_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, tries=1))
-    monkeypatch.setattr(_profile, "quantile", lambda *_: 1e4)  # the first step goes far beyond
-    basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
-    one = profiled(coordinate(basis, "friction[0]"), 0.95)
-    assert one.kind == "covariance"
 
 
 @pytest.mark.parametrize("name", ["J/p1", "c/p1"])

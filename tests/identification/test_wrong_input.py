@@ -24,7 +24,7 @@ from benchmarks.wrong_input import (
 
 import hyperflex as hf
 from hyperflex.identification import Kind
-from hyperflex.identification.declarations.mistakes import ShortFit, _meant
+from hyperflex.identification.declarations.mistakes import ShortFit
 from hyperflex.identification.fit import Loss
 
 ROOT = Path(__file__).parents[2]
@@ -200,28 +200,3 @@ def test_a_recording_shorter_than_a_usual_window_is_looked_at_as_well() -> None:
     swing = hf.Recording(t, hf.simulate(rod, duration=1.0, t_eval=t, q0=[0.8]).q)
     left, _ = ShortFit(rod, ["friction"], hf.RecordingSetup(), Loss("squares"))(swing)
     assert left < 1e-5
-
-
-@pytest.mark.parametrize(
-    ("free", "angle", "left"),
-    [
-        (("gravity_angle",), 0.7, 0.2),
-        (("gravity_angle",), -0.7, 0.2),
-        (("gravity_angle",), 0.9, np.inf),  # beyond 45 degrees
-        (("gravity_angle",), -2.0, np.inf),
-        (("gravity_angle",), np.pi, np.inf),
-        (("inertia",), np.pi, 0.2),
-    ],
-)
-def test_a_declaration_that_turns_gravity_explains_nothing(free: tuple[str, ...], angle: float, left: float) -> None:
-    """With its direction free all zeros of the angles fit alike, each with another direction."""
-
-    class Fit:
-        def __init__(self) -> None:
-            self.free, self.setup = free, hf.RecordingSetup()
-
-        def __call__(self, _: object, names: tuple[str, ...] = ()) -> tuple[float, tuple[float, ...]]:
-            return 0.2, tuple(angle for _ in names)
-
-    recording = hf.Recording([0.0, 1.0], np.ones((2, 2)))
-    assert {part for part, _ in _meant(recording, Fit())} == {left}  # type: ignore[arg-type]
