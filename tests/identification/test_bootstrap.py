@@ -134,7 +134,7 @@ def test_refusals(found: Identification) -> None:
     with pytest.raises(InvalidInput, match="count"):
         bootstrap(found, 0)
     with pytest.raises(InvalidInput, match="no longer has its fit"):
-        bootstrap(replace(found))
+        bootstrap(replace(found, _basis=None))
     result = Bootstrap(("mass",), np.array([[1.0], [2.0]]), 0)
     with pytest.raises(InvalidInput, match=r"no such parameter.*mass"):
         result.interval("inertia")

@@ -421,7 +421,7 @@ def test_refusals(found: Identification) -> None:
         with pytest.raises(InvalidInput, match="level"):
             profile(found, FREE[0], level)
     with pytest.raises(InvalidInput, match="no longer has its fit"):
-        profile(replace(found), FREE[0])
+        profile(replace(found, _basis=None), FREE[0])
 
 
 def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
