@@ -24,7 +24,7 @@ class NoiseOptions:
     # largest difference from the autocorrelations of the residuals for which a process explains them
     agrees: float = 0.05
     # relative change of the sum of squared differences at which the search for a process ends
-    settled: float = 1e-4
+    settled: float = 0.01
     # autocorrelation of neighbours from which a line bridges a gap well
     smooth: float = 0.8
 

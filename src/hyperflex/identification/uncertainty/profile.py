@@ -313,6 +313,7 @@ class _ProfileSearch:
     def __init__(self, along: Coordinate, level: float, budget: Budget, report: Report | None) -> None:
         self.along, self.level, self.budget, self.report, self.basis = along, level, budget, report, along.basis
         self.rounds = WALK.most_rounds  # that one side may still take
+        self.settled = True  # whether the last fit that could be simulated has converged
         information, found = self.basis.information, self.basis.fit
         self.loss = Loss(found.loss.name, found.loss.scale, fixed=True)
         self.unit = information.variance * along.widening
@@ -348,7 +349,7 @@ class _ProfileSearch:
         start = min(self.points, key=lambda p: abs(p.at - value))
         x = self.along.aimed(start.x, value)
         follow = zip(start.states, self.basis.information.follow, strict=True)
-        states, point, converged = [s + f @ (x - start.x) for s, f in follow], start, False
+        states, point = [s + f @ (x - start.x) for s, f in follow], start
         for firmness in FIRMNESS:
             if self.rounds <= 0:
                 raise _TooLong
@@ -356,15 +357,15 @@ class _ProfileSearch:
             try:
                 found = self._fit(x, states, min(20, self.rounds), target)
             except InvalidInput:
-                self.rounds -= 1
+                self.rounds, self.settled = self.rounds - 1, True
                 return None
             self.rounds -= max(len(found.history), 1)
-            x, states, converged = found.x, found.states, found.converged
+            x, states, self.settled = found.x, found.states, found.converged
             point = self._point(x, states, found.cost - target.residual(x) ** 2)
-            if converged and not self.short(point, value):
+            if self.settled and not self.short(point, value):
                 break
-        self.points += [point] * converged
-        return point if converged else None
+        self.points += [point] * self.settled
+        return point if self.settled else None
 
     def short(self, point: _Point, value: float) -> bool:
         """Whether a point stays short of the value that it was drawn to, seen from the optimum."""
@@ -394,8 +395,10 @@ class _ProfileSearch:
             if (value == bound or short) and tried is inside:
                 return bound if value == bound else tried.at, "bound"
             value = self._next(origin, inside, outside, step)
-        if outside is None:
+        if outside is None and self.settled:
             return sign * np.inf, "open"
+        if outside is None:
+            raise _TooLong
         known = WALK.loose * min(self.along.std, abs(outside.at - origin))
         if outside.excess > WALK.loose and abs(outside.at - inside.at) > known:
             raise _TooLong
