@@ -45,7 +45,7 @@ def test_the_preview_is_what_to_look_at(hyperflex, tmp_path, monkeypatch):
         to_netcdf=lambda path: path.write_bytes(b"angles"),
     )
     monkeypatch.setattr("hyperflex.vision.track_bars", lambda *_, **__: found)
-    monkeypatch.setattr("hyperflex.cli.vision._bar_detector", lambda *_: None)
+    monkeypatch.setattr("hyperflex.cli.track._bar_detector", lambda *_: None)
     clicks = ("--bar", "213,140", "--bar", "252,180", "--pivot", "158", "150")
     words = ("track", "pendulum.mp4", *clicks, "-o", "angles.nc")
     monkeypatch.chdir(tmp_path)

@@ -79,9 +79,9 @@ def test_an_incomplete_bag_is_refused(tmp_path: Path) -> None:
         hf.read_recording(bag)
 
 
-def test_nested_brackets_in_a_bag_are_not_read(tmp_path: Path) -> None:
-    """The YAML reader takes 2.5 s of processor time until it gives up."""
+def test_brackets_nested_too_deep_in_a_bag_are_damage(tmp_path: Path) -> None:
+    """The YAML reader takes 2.5 s of processor time until it gives up, at any depth."""
     bag = bags.write(tmp_path / "bag", {"/joint_states": (bags.JOINT_STATE, [])})
     (bag / "metadata.yaml").write_bytes(b"[" * 3000)
-    with bounded(1.0), pytest.raises(FileProblem, match="damaged"):
+    with bounded(), pytest.raises(FileProblem, match="damaged"):
         hf.read_recording(bag)

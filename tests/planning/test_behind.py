@@ -11,7 +11,7 @@ import pytest
 import hyperflex as hf
 from hyperflex.budget import Budget
 from hyperflex.cli.app import run
-from hyperflex.cli.problem import read_problem
+from hyperflex.cli.plan import Source
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import Uncertainty, build_whip_map, check_feasibility, read_plan, verify_cast
 from hyperflex.planning.outcome import evaluate_cast
@@ -131,8 +131,9 @@ def test_pegs_to_run_behind_go_with_a_plan_through_its_files(tmp_path: Path) -> 
     assert again.problem == known.problem
     assert again.outcome.runs_behind == (True, False)
     assert hf.Setup.from_toml(tmp_path / "cast.toml").pegs == (PEG, *pegs, hf.Ground(0.0, -2.5))
-    task, _ = read_problem(tmp_path / "cast.toml", None, None, {}, {})
-    assert (task.criteria.behind, task.obstacles) == (pegs, (PEG, hf.Ground(0.0, -2.5)))
+    task = Source(out=tmp_path, setup=tmp_path / "cast.toml", limits={}).read({}, {})
+    assert (task.criteria.behind, task.targets["peg"]) == (pegs, PEG)
+    assert task.conditions.obstacles == (hf.Ground(0.0, -2.5),)
     report = CastReport(known)
     story, said = " ".join(report.story), report.texts.text("setup")
     assert "it runs behind a peg at (-0.25, -0.35) m, radius 30 mm, and not behind a peg at (-0.4, -0.5) m" in story
@@ -143,11 +144,12 @@ def test_a_setup_file_tells_what_to_run_behind(tmp_path: Path) -> None:
     path = tmp_path / "setup.toml"
     text = hf.Setup(CORD, arm=ARM, pegs=[TARGET]).dumps()
     path.write_text(text + "\n[behind]\nx = -0.25\ny = -0.35\nradius = 0.03\n", "utf-8")
-    assert read_problem(path, None, None, {}, {})[0].criteria.behind == (BEFORE,)
+    source = Source(out=tmp_path, setup=path, limits={})
+    assert source.read({}, {}).criteria.behind == (BEFORE,)
     assert hf.Setup.from_toml(path).pegs == (TARGET,)  # a run leaves it alone
     path.write_text(text + "\n[behind]\nx = -0.25\nspeed = 1.0\n", "utf-8")
     with pytest.raises(InvalidInput, match="speed"):
-        read_problem(path, None, None, {}, {})
+        source.read({}, {})
 
 
 def test_what_cannot_be_run_behind_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, Field, is_dataclass
 from pathlib import Path
@@ -28,52 +29,69 @@ def positive(unit: str) -> Callable[[typer.CallbackParam, float | None], float |
 
 
 OutFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if it does not exist.")]
-TimeBudget = Annotated[
-    float, typer.Option(callback=positive("s"), help="Time for the search and its verification, s, without compiling.")
-]
 ArcLengths = Annotated[
     list[str] | None,
     typer.Option(help="Distance of each marker along the rope, m; several times or with commas."),
 ]
-Workers = Annotated[int, typer.Option(min=1, help="Number of processes; each takes one processor.")]
 
 
 def command(function: Callable[..., None]) -> Callable[..., None]:
     """Return a function whose signature has the options of dataclasses one by one, and ``--json``.
 
-    An argument annotated ``Annotated[Given, MotorLimits]`` becomes one option for each option of that dataclass, and
-    receives those that were given. With ``Annotated[Given, Problem, "clearance"]`` only the named ones. Options x and y
-    become one option with the name of the argument: ``--slot X Y``.
+    An argument annotated with a dataclass becomes the options of its fields, which are annotated in the same way, and
+    receives an instance. One annotated ``Annotated[Given, MotorLimits]`` becomes one option for each option of that
+    dataclass, and receives those that were given. With ``Annotated[Given, Problem, "clearance"]`` only the named ones.
+    Options x and y become one option with the name of the argument: ``--slot X Y``.
     """
-    signature = inspect.signature(function, eval_str=True)
-    groups: dict[str, dict[str, tuple[str, ...]]] = {}
-    parameters: list[inspect.Parameter] = []
-    for each in signature.parameters.values():
-        kind, *names = getattr(each.annotation, "__metadata__", (None,))
-        if isinstance(kind, type) and is_dataclass(kind):
-            found = list(_options(each.name, kind, names))
-            groups[each.name] = {parameter.name: fields for parameter, fields in found}
-            parameters += [parameter for parameter, _ in found]
-        else:
-            parameters.append(each)
+    parameters, collect = _expanded(function)
     parameters.append(inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Json))
 
     @functools.wraps(function)
     def call(**values: Any) -> None:
         output.json_only(values.pop("json"))
-        for name, own in groups.items():
-            given: Given = {}
-            for option, fields in own.items():
-                value = values.pop(option)
-                if value is not None:
-                    chosen = None if value == "none" else value
-                    given |= zip(fields, value, strict=True) if len(fields) > 1 else {fields[0]: chosen}
-            values[name] = given
-        function(**values)
+        function(**collect(values))
 
     ordered = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in parameters]
-    call.__signature__ = signature.replace(parameters=ordered)  # type: ignore[attr-defined]
+    call.__signature__ = inspect.Signature(ordered)  # type: ignore[attr-defined]
     return call
+
+
+def _expanded(function: Callable[..., Any]) -> tuple[list[inspect.Parameter], Callable[[Given], Given]]:
+    """Return the options of a function, and a function that makes its arguments from their values."""
+    parameters: list[inspect.Parameter] = []
+    makers: dict[str, Callable[[Given], Any]] = {}
+    part: Any
+    for each in inspect.signature(function, eval_str=True).parameters.values():
+        kind, *names = getattr(each.annotation, "__metadata__", (None,))
+        if is_dataclass(each.annotation):
+            part = each.annotation
+            own, collect = _expanded(part)
+            makers[each.name] = functools.partial(_instance, part, collect)
+        elif isinstance(kind, type) and is_dataclass(kind):
+            options = list(_options(each.name, kind, names))
+            own = [parameter for parameter, _ in options]
+            makers[each.name] = functools.partial(_given, {each.name: fields for each, fields in options})
+        else:
+            own = [each]
+            makers[each.name] = operator.itemgetter(each.name)
+        parameters += own
+    return parameters, lambda values: {name: make(values) for name, make in makers.items()}
+
+
+def _instance(kind: Callable[..., Any], collect: Callable[[Given], Given], values: Given) -> Any:
+    return kind(**collect(values))
+
+
+def _given(fields: dict[str, tuple[str, ...]], values: Given) -> Given:
+    """Return the fields of a dataclass whose options, by name, were given."""
+    given: Given = {}
+    for option, names in fields.items():
+        value = values[option]
+        if len(names) > 1 and value is not None:
+            given |= zip(names, value, strict=True)
+        elif value is not None:
+            given[names[0]] = None if value == "none" else value
+    return given
 
 
 def _options(argument: str, kind: type, names: Sequence[str]) -> Iterator[tuple[inspect.Parameter, tuple[str, ...]]]:
@@ -82,21 +100,19 @@ def _options(argument: str, kind: type, names: Sequence[str]) -> Iterator[tuple[
     for each in options_of(kind):
         if (names and each.name not in names) or each.name == "y":
             continue
-        place, flag, hint = each.name == "x", hints[each.name] is bool, hints[each.name]
+        place, hint = each.name == "x", hints[each.name]
         if any(get_origin(part) is Literal for part in (hint, *get_args(hint))):
             hint = str
         option = argument if place else each.name
-        words = [f"--{option.replace('_', '-')}"] if flag else []
+        words = [f"--{option.replace('_', '-')}"] if hint is bool else []
         annotation = (tuple[float, float] if place else hint) | None
-        yield (
-            inspect.Parameter(
-                option,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=None,
-                annotation=Annotated[annotation, typer.Option(*words, help=_help(each, place))],
-            ),
-            ("x", "y") if place else (each.name,),
+        parameter = inspect.Parameter(
+            option,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=Annotated[annotation, typer.Option(*words, help=_help(each, place))],
         )
+        yield parameter, ("x", "y") if place else (each.name,)
 
 
 def _help(each: Field[Any], place: bool) -> str:
@@ -124,15 +140,10 @@ def check_destination(out: Path | None, suffix: str, inputs: Sequence[Path | Non
 def check_no_input(out: Path, inputs: Sequence[Path | None]) -> None:
     """Refuse an output that is among the inputs; an input may be None."""
     for path in inputs:
-        try:
-            same = path is not None and out.samefile(path)
-        except OSError:  # one of them does not exist
-            same = False
-        if same:
+        if path is not None and out.exists() and path.exists() and out.samefile(path):
             allowed, fix = f"a file other than {path}", "Give another name with -o"
-            raise InvalidInput(
-                "the output is one of the inputs and would overwrite it", got=str(out), allowed=allowed, fix=fix
-            )
+            what = "the output is one of the inputs and would overwrite it"
+            raise InvalidInput(what, got=str(out), allowed=allowed, fix=fix)
 
 
 def words(given: Sequence[str] | None) -> list[str]:

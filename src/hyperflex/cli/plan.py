@@ -1,30 +1,42 @@
 """``hyperflex cast``, ``whip``, ``insert`` and ``reach-map``: a rope, an arm and a target in, a motion out."""
 
 import math
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import typer
 
 from hyperflex import checks, files
 from hyperflex.cli import output
-from hyperflex.cli.command import Given, OutFolder, TimeBudget, Workers, positive
+from hyperflex.cli.command import Given, OutFolder, positive
 from hyperflex.cli.output import Rows
-from hyperflex.cli.problem import ArmLength, RopeFile, SetupFile, peg_of, read_problem, target_of
-from hyperflex.errors import InvalidInput
-from hyperflex.planning import Conditions, MotorLimits, SearchOptions, Slot, TipTarget, WindCriteria
+from hyperflex.errors import InvalidInput, located
+from hyperflex.model import PLAN, PLANNING, Arm, Obstacle, Peg, Rope, Setup, check_tables, obstacles_of
+from hyperflex.options import options_of
+from hyperflex.planning import (
+    Conditions,
+    MotorLimits,
+    SearchOptions,
+    Slot,
+    TipTarget,
+    WindCriteria,
+    checked_behind,
+    refuse_behind,
+)
 
 if TYPE_CHECKING:
     from hyperflex.planning import CastPlan
     from hyperflex.report import PlanReport
 
+_T = TypeVar("_T")
 _DATA, _PICTURE = "reach-map.nc", "reach-map.png"  # files of a reach map
 _RADIUS = 0.03  # m, of its targets by default
+_OBSTACLES = ("pegs", "walls", "grounds")  # tables of a set-up file
 _WRITTEN = {
     "page": "all results on one page",
     "motion": "the motion for the motor",
@@ -41,31 +53,198 @@ def _rate(option: typer.CallbackParam, value: float) -> float:
     return value
 
 
-Target = Annotated[
-    tuple[float, float] | None,
-    typer.Option(help="Place of the target: x to the right and y up, m; the motor's shaft is at [arm] pivot."),
+TimeBudget = Annotated[
+    float, typer.Option(callback=positive("s"), help="Time for the search and its verification, s, without compiling.")
 ]
-Radius = Annotated[float | None, typer.Option(callback=positive("m"), help="Radius of the target, a peg, m.")]
-Friction = Annotated[float | None, typer.Option(help="Coefficient of friction between rope and target. [default: 0.3]")]
-Rate = Annotated[float, typer.Option(callback=_rate, help="Rows a second in the motor's file, Hz, 10 to 100,000.")]
-Limits = Annotated[Given, MotorLimits]
 Winding = Annotated[Given, WindCriteria, "turns", "contact", "settle", "holding_force"]
-Search = Annotated[Given, SearchOptions, "seed", "skip_feasibility"]
-When = Annotated[Given, Conditions, "time_limit", "clearance"]
+
+
+class Problem(NamedTuple):
+    """What is planned for, and the targets of a set-up file: its tables by name, and "peg", the first peg."""
+
+    rope: Rope
+    arm: Arm
+    limits: MotorLimits
+    criteria: WindCriteria
+    conditions: Conditions
+    targets: Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """Options of all planners: files with rope, arm, limits and target, and the folder for the results."""
+
+    out: OutFolder
+    setup: Annotated[
+        Path | None,
+        typer.Argument(help="TOML file with [rope], [arm], [limits] and the target; options override it."),
+    ] = None
+    rope: Annotated[
+        Path | None, typer.Option(help="TOML file with the rope, such as identify writes; overrides [rope].")
+    ] = None
+    arm_length: Annotated[
+        float | None,
+        typer.Option(callback=positive("m"), help="Length of the arm that the motor turns, m. [default: 0.105]"),
+    ] = None
+    limits: Annotated[Given, MotorLimits]
+
+    def read(self, conditions: Given, criteria: Given | None = None) -> Problem:
+        """Return what is planned for; options override the file.
+
+        The first peg is the target if `criteria` of a wound rope are given, else an obstacle. A plan's file gives the
+        problem that the plan was made for, with the rope before it was cut.
+        """
+        content = {} if self.setup is None else files.read_toml(self.setup)
+        if PLAN in content and self.setup is not None:
+            found = _of_plan(self.setup, {**conditions, **(criteria or {})})
+            rope = found.rope if self.rope is None else Rope.from_toml(self.rope)
+        else:
+            found = self._of_tables(content)
+            rope = found.rope
+        arm = found.arm if self.arm_length is None else replace(found.arm, length=self.arm_length)
+        obstacles = list(found.conditions.obstacles)
+        first = None
+        if criteria is None:
+            refuse_behind(found.criteria.behind, "a whip or an insertion")
+        else:
+            first = next((each for each in obstacles if isinstance(each, Peg)), None)
+            obstacles = [each for each in obstacles if each is not first]
+        return Problem(
+            rope,
+            arm,
+            replace(found.limits, **self.limits),
+            replace(found.criteria, **(criteria or {})),
+            replace(found.conditions, obstacles=tuple(obstacles), **conditions),
+            {**found.targets, "peg": first},
+        )
+
+    def _of_tables(self, content: dict[str, Any]) -> Problem:
+        """Return the problem and the targets of a set-up file's tables, or of the rope's file alone."""
+        tables = {name: content.get(name, {}) for name in ("limits", "target", "slot", "behind")}
+        for name, table in tables.items():
+            checks.mapping(f"{name} of {self.setup}", table)
+        for name, kind in (("limits", MotorLimits), ("behind", Peg)):
+            checks.keys(f"the table [{name}]", tables[name], [each.name for each in fields(kind)])
+        if self.rope is not None:
+            content["rope"] = Rope.from_toml(self.rope).table()
+        if "rope" not in content:
+            raise InvalidInput("no rope is given", fix="Give --rope FILE, or a set-up file with a table [rope]")
+        where = str(self.setup or self.rope)
+        check_tables(where, content, (*PLANNING, "identification"))
+        if swinging := [name for name in ("q0", "qd0") if name in content]:
+            output.note(f"{' and '.join(swinging)} of {where}: not used, plans begin with a rope that hangs at rest")
+        with located(where, files.toml_words):
+            rope, arm = Rope.from_table(content["rope"]), Arm.from_table(content.get("arm", {}))
+            obstacles = obstacles_of({name: content[name] for name in _OBSTACLES if name in content})
+        if "arm" not in content and self.arm_length is None:
+            advice = "give --arm-length, or a table [arm] in the set-up file, for another"
+            output.note(f"no arm is given, so the paper's is used, {arm.length:g} m long; {advice}")
+        behind = obstacles_of({"pegs": tables["behind"]}) if tables["behind"] else ()
+        criteria, conditions = WindCriteria(behind=checked_behind(behind)), Conditions(obstacles=tuple(obstacles))
+        return Problem(rope, arm, MotorLimits(**tables["limits"]), criteria, conditions, tables)
+
+
+def _of_plan(path: Path, given: Given) -> Problem:
+    """Return problem and target of an earlier plan; report criteria that are neither given nor the defaults."""
+    from hyperflex.planning import CastPlan, InsertPlan, read_plan
+
+    plan = read_plan(path)
+    known, there = plan.problem, Setup.from_toml(path).pegs
+    if gone := [each for each in (*known.obstacles, *known.criteria.behind) if each not in there]:
+        fix = "Plan from a set-up file of your own that holds the present obstacles"
+        raise InvalidInput(f"{path} is of a plan for other obstacles than it names", got=gone[0], fix=fix)
+    if known.q0:
+        fix = "Plan in Python, with state0"
+        raise InvalidInput(f"{path} was planned for a rope that swings at first", got="q0", allowed="none", fix=fix)
+    required = {each.name: (getattr(known.criteria, each.name), each.default) for each in options_of(WindCriteria)}
+    required["clearance"] = known.clearance, Conditions.clearance
+    special = [
+        f"--{name.replace('_', '-')} {value:g}"
+        for name, (value, default) in required.items()
+        if value != default and name not in given
+    ]
+    if special:
+        output.note(f"{path} was planned with {' '.join(special)}, which is required again; give another to change it")
+    obstacles: tuple[Obstacle, ...] = known.obstacles
+    targets: dict[str, Any] = {"target": {}, "slot": {}}
+    if isinstance(plan, CastPlan):
+        obstacles = (plan.target, *obstacles)
+    else:
+        kind: type = type(plan.target)
+        values = {each.name: getattr(plan.target, each.name) for each in options_of(kind)}
+        targets["slot" if isinstance(plan, InsertPlan) else "target"] = values
+    conditions = Conditions(clearance=known.clearance, obstacles=obstacles)
+    return Problem(known.rope, known.arm, known.limits, known.criteria, conditions, targets)
+
+
+def _target_of(name: str, kind: Any, table: Mapping[str, Any], given: Given, option: str = "") -> Any:
+    """Return a target of a dataclass `kind`: the table [name] of a set-up file, with options over it."""
+    known = {each.name: each.default for each in options_of(kind)}
+    checks.keys(f"the table [{name}]", table, known)
+    values = {**table, **given}
+    lacking = [each for each, default in known.items() if default is MISSING and each not in values and each != "y"]
+    if missing := [f"--{(option or name) if each == 'x' else each}" for each in lacking]:
+        are = "is" if len(missing) == 1 else "are"
+        fix = f"Give {'it' if len(missing) == 1 else 'them'}, or a set-up file with a table [{name}]"
+        raise InvalidInput(f"{' and '.join(missing)} {are} missing", fix=fix)
+    return kind(**values)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task(Source):
+    """Options of the planners of one target."""
+
+    conditions: Annotated[Given, Conditions, "time_limit", "clearance"]
+    search: Annotated[Given, SearchOptions, "seed", "skip_feasibility"]
+    rate: Annotated[
+        float, typer.Option(callback=_rate, help="Rows a second in the motor's file, Hz, 10 to 100,000.")
+    ] = 200.0
+
+    def plan(self, planner: Callable[..., _T], problem: Problem, target: Any, **more: Any) -> _T:
+        """Return a plan for a target; after Ctrl-C the best so far. `more` are further arguments of the planner."""
+        options = SearchOptions(**self.search, **more.pop("search", {}), progress=True)
+        base = problem.rope, problem.arm, target, problem.limits
+        return output.run(lambda: planner(*base, conditions=problem.conditions, options=options, **more))[0]
+
+    def finish(
+        self,
+        plan: Any,
+        report_of: "Callable[[Any, Any], PlanReport[Any]]",
+        measure: Callable[[], tuple[Any, dict[str, Any]]],
+        doing: str,
+        notes: Sequence[str] = (),
+        **more: Any,
+    ) -> None:
+        """Write a plan, then what is measured on it and its page; print it, and end with its exit code.
+
+        `measure` returns what the report takes, and the same for JSON; `doing` says what it does. `notes` and `more`
+        are further text and JSON.
+        """
+        report = report_of(plan, None)
+        written = files.rescued(lambda folder: report.write_plan(folder, rate=self.rate), self.out)
+        result = {**plan.summary(), "verdict": report.verdict, **more}
+        with output.keeping(written, "the page and its figures", result), output.spinner() as progress:
+            progress(doing)
+            if plan.outcome is not None and not plan.interrupted:
+                measured, values = measure()
+                report, result = report_of(plan, measured), result | values
+            written |= report.add_page(self.out, progress=progress)
+        stopped = f"Interrupted; the best plan so far is in {written['page'].parent}. {report.verdict}"
+        output.show(
+            {**result, "files": written},
+            Rows(f"{report.name.capitalize()} (simulated)", report.tiles),
+            "\n".join(filter(None, (report.verdict, report.warning, *notes, *report.advice))),
+            Rows("Written", [(text, str(written[kind])) for kind, text in _WRITTEN.items() if kind in written]),
+            interrupted=stopped if plan.interrupted else "",
+            code=0 if plan.success else output.NO_PLAN,
+        )
 
 
 def cast(
-    out: OutFolder,
-    setup: SetupFile = None,
-    rope: RopeFile = None,
-    target: Target = None,
-    radius: Radius = None,
-    mu: Friction = None,
+    target: Annotated[Given, Peg, "x", "radius", "mu"],
+    task: Task,
     *,
     criteria: Winding,
-    conditions: When,
-    arm_length: ArmLength = None,
-    limits: Limits,
     robust: Annotated[
         bool,
         typer.Option(
@@ -74,8 +253,7 @@ def cast(
             "covariance that identify wrote into the rope's file, else with that of a usual identification.",
         ),
     ] = False,
-    search: Annotated[Given, SearchOptions, "seed", "skip_feasibility", "fallback"],
-    rate: Rate = 200.0,
+    search: Annotated[Given, SearchOptions, "fallback"],
     time_budget: TimeBudget = 60.0,
 ) -> None:
     """Plan a cast that winds the rope round a peg and holds.
@@ -99,44 +277,30 @@ def cast(
     from hyperflex.planning import Uncertainty, plan_cast
     from hyperflex.report import CastReport, check_folder
 
-    check_folder(out)
-    problem, targets = read_problem(setup, rope, arm_length, limits, conditions, criteria)
-    uncertainty = Uncertainty.from_rope_file(rope or setup or Path()) if robust else None
-    peg = peg_of(targets["peg"], target, radius, mu)
-    plan, _ = output.run(
-        lambda: plan_cast(
-            problem.rope,
-            problem.arm,
-            peg,
-            problem.limits,
-            criteria=problem.criteria,
-            conditions=Conditions(**conditions | {"clearance": problem.clearance, "obstacles": problem.obstacles}),
-            uncertainty=uncertainty,
-            time_budget=time_budget,
-            options=SearchOptions(**search, progress=True),
-            on_plan=_report_plan,
-        )
-    )
-    written, result = _write(CastReport(plan, None), out, rate)
-    if uncertainty is not None:
-        result["uncertainty"] = uncertainty.describe()
-    with output.keeping(written, "the page and its figures", result), output.spinner() as progress:
-        progress("simulating a tug at the rope")
-        held = None if plan.interrupted else plan.measure_holding_force()
-        report = CastReport(plan, held)
-        written |= report.add_page(out, progress=progress)
-    if held is not None:
-        result["holding_force"] = {
-            "force": held.force,
-            "slipped": held.tug.slipped,
-            "tail_weight": held.tail_weight,
-            "contact_angle": held.contact_angle,
-            "capstan_force": held.capstan_force,
-        }
-    notes = [] if uncertainty is None else [f"Uncertain: {uncertainty.describe()}."]
+    check_folder(task.out)
+    problem = task.read(task.conditions, criteria)
+    first: Peg | None = problem.targets["peg"]
+    peg = _target_of("pegs", Peg, {} if first is None else asdict(first), target, "target")
+    if first is not None and (peg.x, peg.y) != (first.x, first.y):
+        moved = f"--target moves the first of [pegs] from ({first.x:g}, {first.y:g}) m, where no obstacle is left"
+        output.note(f"{moved}. Obstacles come after it")
+    uncertainty = Uncertainty.from_rope_file(task.rope or task.setup or Path()) if robust else None
+    more = {"criteria": problem.criteria, "uncertainty": uncertainty, "on_plan": _report_plan, "search": search}
+    plan = task.plan(plan_cast, problem, peg, time_budget=time_budget, **more)
+
+    def measure() -> tuple[Any, dict[str, Any]]:
+        held = plan.measure_holding_force()
+        if held is None:
+            return None, {}
+        names = ("force", "tail_weight", "contact_angle", "capstan_force")
+        values = {name: getattr(held, name) for name in names}
+        return held, {"holding_force": values | {"slipped": held.tug.slipped}}
+
+    known = {} if uncertainty is None else {"uncertainty": uncertainty.describe()}
+    notes = [f"Uncertain: {text}." for text in known.values()]
     if plan.success_probability is not None:
         notes.append(f"Probability that the rope stays wound (slip is not checked): {plan.success_probability}.")
-    _finish(report, written, result, [*notes, *report.advice])
+    task.finish(plan, CastReport, measure, "simulating a tug at the rope", notes, **known)
 
 
 def _report_plan(plan: "CastPlan") -> None:
@@ -146,19 +310,7 @@ def _report_plan(plan: "CastPlan") -> None:
     output.note(f"a cast succeeds after {plan.seconds:.1f} s: {got}")
 
 
-def whip(
-    out: OutFolder,
-    setup: SetupFile = None,
-    rope: RopeFile = None,
-    *,
-    target: Annotated[Given, TipTarget],
-    conditions: When,
-    arm_length: ArmLength = None,
-    limits: Limits,
-    search: Search,
-    rate: Rate = 200.0,
-    time_budget: TimeBudget = 30.0,
-) -> None:
+def whip(target: Annotated[Given, TipTarget], task: Task, *, time_budget: TimeBudget = 30.0) -> None:
     """Plan a whip whose tip passes a point at a peak of its speed.
 
     The target is given by options, or as the table [target] of the set-up file with the same names and units. [pegs],
@@ -170,46 +322,22 @@ def whip(
     Ctrl-C ends the search; the best plan so far is written, marked as interrupted. The exit code is 4 if no whip meets
     the target; the best is written with the reason.
     """
-    from hyperflex.planning import plan_whip, refuse_behind
+    from hyperflex.planning import plan_whip
     from hyperflex.report import WhipReport, check_folder
 
-    check_folder(out)
-    problem, targets = read_problem(setup, rope, arm_length, limits, conditions)
-    refuse_behind(problem.criteria.behind, "a whip")
-    aim = target_of("target", TipTarget, targets["target"], target)
-    plan, _ = output.run(
-        lambda: plan_whip(
-            problem.rope,
-            problem.arm,
-            aim,
-            problem.limits,
-            conditions=Conditions(**conditions | {"clearance": problem.clearance, "obstacles": problem.obstacles}),
-            time_budget=time_budget,
-            options=SearchOptions(**search, progress=True),
-        )
-    )
-    written, result = _write(WhipReport(plan, None), out, rate)
-    with output.keeping(written, "the page and its figures", result), output.spinner() as progress:
-        progress("simulating the impact on a small peg")
-        impact = None if plan.outcome is None or plan.interrupted else plan.impact()
-        report = WhipReport(plan, impact)
-        written |= report.add_page(out, progress=progress)
-    _finish(report, written, result | ({} if impact is None else {"impact": asdict(impact)}))
+    check_folder(task.out)
+    problem = task.read(task.conditions)
+    aim = _target_of("target", TipTarget, problem.targets["target"], target)
+    plan = task.plan(plan_whip, problem, aim, time_budget=time_budget)
+
+    def measure() -> tuple[Any, dict[str, Any]]:
+        impact = plan.impact()
+        return impact, {"impact": asdict(impact)}
+
+    task.finish(plan, WhipReport, measure, "simulating the impact on a small peg")
 
 
-def insert(
-    out: OutFolder,
-    setup: SetupFile = None,
-    rope: RopeFile = None,
-    *,
-    slot: Annotated[Given, Slot],
-    conditions: When,
-    arm_length: ArmLength = None,
-    limits: Limits,
-    search: Search,
-    rate: Rate = 200.0,
-    time_budget: TimeBudget = 30.0,
-) -> None:
+def insert(slot: Annotated[Given, Slot], task: Task, *, time_budget: TimeBudget = 30.0) -> None:
     """Plan strokes after which the tip enters a slot between walls.
 
     The slot is a gap between two thin walls in one line. It is given by options, or as the table [slot] of the set-up
@@ -223,70 +351,28 @@ def insert(
     Ctrl-C ends the search; the best plan so far is written, marked as interrupted. The exit code is 4 if no way through
     the slot was found; the best is written with the reason.
     """
-    from hyperflex.planning import plan_insert, refuse_behind
+    from hyperflex.planning import plan_insert
     from hyperflex.report import InsertReport, check_folder
 
-    check_folder(out)
-    problem, targets = read_problem(setup, rope, arm_length, limits, conditions)
-    refuse_behind(problem.criteria.behind, "an insertion")
-    where = target_of("slot", Slot, targets["slot"], slot)
-    plan, _ = output.run(
-        lambda: plan_insert(
-            problem.rope,
-            problem.arm,
-            where,
-            problem.limits,
-            conditions=Conditions(**conditions | {"clearance": problem.clearance, "obstacles": problem.obstacles}),
-            time_budget=time_budget,
-            options=SearchOptions(**search, progress=True),
-        )
-    )
-    report = InsertReport(plan)
-    written, result = _write(report, out, rate)
-    with output.keeping(written, "the page and its figures", result), output.spinner() as progress:
-        written |= report.add_page(out, progress=progress)
-    _finish(report, written, result)
-
-
-def _write(report: "PlanReport[Any]", out: Path, rate: float) -> tuple[dict[str, Path], dict[str, Any]]:
-    """Write a plan's files; return them by kind, and the plan for JSON."""
-    written = files.rescued(lambda folder: report.write_plan(folder, rate=rate), out)
-    return written, report.plan.summary() | {"verdict": report.verdict}
-
-
-def _finish(
-    report: "PlanReport[Any]", written: Mapping[str, Path], result: Mapping[str, Any], notes: Sequence[str] = ()
-) -> None:
-    """Print a plan, its verdict with notes, and the files that were written; end with the plan's exit code."""
-    plan = report.plan
-    stopped = f"Interrupted; the best plan so far is in {written['page'].parent}. {report.verdict}"
-    output.show(
-        {**result, "files": written},
-        Rows(f"{report.name.capitalize()} (simulated)", report.tiles),
-        "\n".join((report.verdict, *filter(None, [getattr(report, "warning", "")]), *notes)),
-        Rows("Written", [(text, str(written[kind])) for kind, text in _WRITTEN.items() if kind in written]),
-        interrupted=stopped if plan.interrupted else "",
-        code=0 if plan.success else output.NO_PLAN,
-    )
+    check_folder(task.out)
+    problem = task.read(task.conditions)
+    where = _target_of("slot", Slot, problem.targets["slot"], slot)
+    plan = task.plan(plan_insert, problem, where, time_budget=time_budget)
+    task.finish(plan, lambda plan, _: InsertReport(plan), lambda: (None, {}), "drawing the page")
 
 
 def reach_map(
-    out: OutFolder,
-    setup: SetupFile = None,
-    rope: RopeFile = None,
-    radius: Radius = None,
-    mu: Friction = None,
+    source: Source,
+    target: Annotated[Given, Peg, "radius", "mu"],
     *,
     cells: Annotated[
         int, typer.Option(min=1, max=200, help="Cells of the grid, from the shaft to the rope's reach.")
     ] = 8,
     criteria: Winding,
     conditions: Annotated[Given, Conditions, "clearance"],
-    arm_length: ArmLength = None,
-    limits: Limits,
     search: Annotated[Given, SearchOptions, "seed"],
     time_budget: Annotated[float, typer.Option(callback=positive("s"), help="Time for each target, s.")] = 10.0,
-    workers: Workers = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes; each takes one processor.")] = 1,
 ) -> None:
     """Map the targets that a rope can wind.
 
@@ -306,19 +392,21 @@ def reach_map(
     from hyperflex.planning import NOT_PLANNED, TargetGrid, build_reach_map
     from hyperflex.report import check_folder, save_png, whole_folder
 
-    check_folder(out)
-    problem, targets = read_problem(setup, rope, arm_length, limits, conditions, criteria)
-    first = targets["peg"]
-    like = peg_of(first, None if first else (0.0, 0.0), radius or (None if first else _RADIUS), mu)
-    with _processes(workers) as executor:
+    check_folder(source.out)
+    problem = source.read(conditions, criteria)
+    like = problem.targets["peg"] or Peg(0.0, 0.0, _RADIUS)
+    grid = TargetGrid(cells=cells, **{"radius": like.radius, "mu": like.mu} | target)
+    # spawned processes inherit no open files
+    pool = nullcontext() if workers == 1 else ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    with pool as executor:
         found, stopped = output.run(
             lambda: build_reach_map(
                 problem.rope,
                 problem.arm,
                 problem.limits,
-                grid=TargetGrid(cells=cells, radius=like.radius, mu=like.mu),
+                grid=grid,
                 criteria=problem.criteria,
-                conditions=Conditions(clearance=problem.clearance, obstacles=problem.obstacles),
+                conditions=problem.conditions,
                 time_budget=time_budget,
                 options=SearchOptions(**search, threads=1, executor=executor, progress=True),
             )
@@ -330,22 +418,17 @@ def reach_map(
             save_png(found.plot(), stage / _PICTURE)
         return {"map": folder / _DATA, "picture": folder / _PICTURE}
 
-    written = files.rescued(write, out)
-    targets_, wound = found.status.size, int(found.wound.sum())
+    written = files.rescued(write, source.out)
+    targets, wound = found.status.size, int(found.wound.sum())
     searched = int((~found.infeasible & (found.status != NOT_PLANNED)).sum())
-    result = {"source": "simulated", "targets": targets_, "feasible": searched, "wound": wound}
+    result = {"source": "simulated", "targets": targets, "feasible": searched, "wound": wound}
     rows = [
-        ("targets", f"{targets_}, {searched} of them feasible"),
+        ("targets", f"{targets}, {searched} of them feasible"),
         ("wound", f"{wound} of these, in simulation"),
         ("written", ", ".join(map(str, written.values()))),
     ]
     output.show(
         result | {"complete": found.complete, "files": written},
         Rows("Reach map (simulated)", rows),
-        interrupted=f"Interrupted; the map so far is in {out}." if stopped else "",
+        interrupted=f"Interrupted; the map so far is in {source.out}." if stopped else "",
     )
-
-
-def _processes(workers: int) -> AbstractContextManager[Executor | None]:
-    """Return processes that inherit no open files from this one; none for a single worker."""
-    return nullcontext() if workers == 1 else ProcessPoolExecutor(workers, mp_context=get_context("spawn"))

@@ -11,7 +11,7 @@ from hyperflex.lazy import attach
 if TYPE_CHECKING:
     from hyperflex.files.json import dumps_json, plain, write_json
     from hyperflex.files.netcdf import NetCDF, Variable, read_netcdf, write_netcdf
-    from hyperflex.files.reading import LARGEST, read_bytes, read_text, regular_file
+    from hyperflex.files.reading import LARGEST, not_damaged, read_bytes, read_text, regular_file
     from hyperflex.files.rescue import rescued
     from hyperflex.files.tables import Table, read_table, write_table
     from hyperflex.files.toml import dumps_toml, loads_toml, read_toml, toml_words, write_toml

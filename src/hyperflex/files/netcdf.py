@@ -9,15 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.files.reading import LARGEST, regular_file
+from hyperflex.errors import InvalidInput
+from hyperflex.files.reading import LARGEST, not_damaged, regular_file
 from hyperflex.files.writing import PathLike, write_bytes
 
 _HEAP = b"GCOL\x01\0\0\0"  # how a heap of texts begins
 _DEFLATED = 1100  # bytes that one byte of a compressed file may stand for: deflate makes at most 1032 of it
 _HDF5, _NETCDF3 = b"\x89HDF\r\n\x1a\n", b"CDF"  # how such files begin
-# What h5netcdf and h5py raise on damaged files, found by cutting and altering real ones.
-_DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, IndexError)
 
 
 class Variable(NamedTuple):
@@ -90,17 +88,13 @@ def read_netcdf(path: PathLike) -> NetCDF:
     class Content(h5netcdf.File):  # type: ignore[misc]
         _writable = False  # else one that fails to be opened is closed with a traceback of its own
 
-    try:
+    with not_damaged("NetCDF file", path):
         if endless:
             raise ValueError("an object of a heap has no size")
         with h5py.File(path, "r") as opened, Content(opened, "r") as content:
             groups = {name: _variables(group, most) for name, group in content.groups.items()}
             attributes = {key: _plain(value) for key, value in content.attrs.items()}
             return NetCDF(_variables(content, most), attributes, groups)
-    except _DAMAGE as error:
-        raise FileProblem(
-            f"The NetCDF file {path} cannot be read: it is damaged or cut off. Get it, or write it, again."
-        ) from error
 
 
 def _put(group: Any, variables: Mapping[str, Variable]) -> None:

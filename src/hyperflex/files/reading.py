@@ -1,9 +1,11 @@
 """Reading whole files with messages that say what to do; devices, pipes and files beyond a bound are refused."""
 
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
 from hyperflex.files.writing import PathLike, as_path
 
 LARGEST = 1 << 30  # bytes that are read into memory
@@ -51,6 +53,20 @@ def regular_file(path: PathLike, what: str = "file", most: float | None = None) 
             "is the right file, and cut it to the part that is needed."
         )
     return file
+
+
+@contextmanager
+def not_damaged(what: str, path: PathLike, advice: str = "Get it, or write it, again") -> Iterator[None]:
+    """Raise FileProblem for errors of the block, in which a library reads a file; `what` names the file's kind.
+
+    On damaged files libraries raise errors of nearly all classes.
+    """
+    try:
+        yield
+    except HyperflexError:
+        raise
+    except Exception as error:
+        raise FileProblem(f"The {what} {path} cannot be read: it is damaged or cut off. {advice}.") from error
 
 
 def read_bytes(path: PathLike, what: str = "file") -> bytes:

@@ -2,21 +2,28 @@
 
 import csv
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex.checks import Array
+from hyperflex.checks import LARGEST, Array
 from hyperflex.errors import InvalidInput
-from hyperflex.files import cells as _cells
 from hyperflex.files.reading import read_text
 from hyperflex.files.writing import PathLike, atomic
 
 _CUT = "The file ends within this line: it was probably cut off; get it again"
 _MEND = "Mend or remove the line"
-_EXAMPLE = "a number such as 0.5 or 1e-3, or nothing, NA, nan or - for a gap"
+_EXAMPLE = f"a number such as 0.5 or 1e-3, up to {LARGEST:g}, or nothing, NA, nan or - for a gap"
+_GAPS = frozenset({"", "na", "nan", "n/a", "#n/a", "null", "none", "-", "--"})  # in lower case
+_MARKS = "\t;,"  # what separates cells; the first of them that is in a line; else spaces
+_WITH_COMMAS = "\t;"  # between such marks a comma is a decimal comma
+_NUMBER = re.compile(r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|inf|infinity)\Z", re.ASCII | re.IGNORECASE)
+_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}\Z", re.ASCII)
+_WORDS = re.compile(r"[^\s\[(]\S*(?:\s+[\[(][^\])]*[\])])?")  # a name, and a unit in brackets behind it
+_FEW, _RARE = 3, 20  # cells that show how long numbers are; one in so many may be as short as a number that is cut off
 
 
 class Table(NamedTuple):
@@ -50,12 +57,10 @@ class Table(NamedTuple):
         if bad.any():
             k = int(np.argmax(bad))
             what = "is a gap" if np.isnan(t[k]) else "repeats a time" if t[k] == t[k - 1] else "goes back in time"
-            raise InvalidInput(
-                f"{self.path}, line {self.lines[k]}, column {name!r} {what}",
-                got=float(t[k]),
-                allowed="a time in each row" + ("" if np.isnan(t[k]) else f", here after {t[k - 1]:.10g}"),
-                fix="Sort the rows by time and drop repeated ones" if t[k] == t[k] else "Fill it in, or remove the row",
-            )
+            allowed = "a time in each row" + ("" if np.isnan(t[k]) else f", here after {t[k - 1]:.10g}")
+            fix = "Fill it in, or remove the row" if np.isnan(t[k]) else "Sort the rows by time and drop repeated ones"
+            where = f"{self.path}, line {self.lines[k]}, column {name!r} {what}"
+            raise InvalidInput(where, got=float(t[k]), allowed=allowed, fix=fix)
         return t
 
 
@@ -79,36 +84,58 @@ def read_table(path: PathLike) -> Table:
     FileProblem
         When the file is missing, empty, a device, too large, binary or not UTF-8.
     InvalidInput
-        When there is no header or no row, names repeat, a row has too few or too many cells, a cell is no number or
-        infinite (line and column are named), a comma may be a decimal comma or group thousands, or the file ends,
-        without a line feed, in a number with fewer digits than its column has: most likely it was cut off there.
+        When there is no header or no row, names repeat, a row has too few or too many cells, a cell is no number,
+        infinite or beyond 1e100 (line and column are named), a comma may be a decimal comma or group thousands, or the
+        file ends, without a line feed, in a number with fewer digits than its column has: most likely it was cut off.
     """
     text = read_text(path, "table").replace("\r\n", "\n").replace("\r", "\n")
-    numbered = [(k, line) for k, line in enumerate(text.split("\n"), 1) if line.strip()]
-    comments = [(k, line.strip().lstrip("#").strip()) for k, line in numbered if line.lstrip().startswith("#")]
-    rows = [(k, line) for k, line in numbered if not line.lstrip().startswith("#")]
+    numbered = [(k, line.strip(" ")) for k, line in enumerate(text.split("\n"), 1) if line.strip()]
+    comments = [(k, line.lstrip("#").strip()) for k, line in numbered if line.startswith("#")]
+    rows = [(k, line) for k, line in numbered if not line.startswith("#")]
     if not rows:
         raise InvalidInput(f"{path} holds no table", allowed="a header line of column names, then rows of numbers")
-    notes = {
-        key.strip().lower(): value.strip()
-        for _, each in comments
-        for key, colon, value in [each.partition(":")]
-        if colon
-    }
-    names, rows = _header(path, rows, comments, notes)
-    if not rows:
-        raise InvalidInput(f"{path} has a header but no rows", got=names, allowed="at least one row of numbers")
-    mark = _cells.mark_of(rows[0][1])
-    cut = not text.endswith("\n")
-    split = [_split(path, number, line, mark) for number, line in rows]
+    parts = [each.partition(":") for _, each in comments]
+    notes = {key.strip().lower(): value.strip() for key, colon, value in parts if colon}
+    try:
+        names, rows = _header(path, rows, comments, notes)
+        if not rows:
+            raise InvalidInput(f"{path} has a header but no rows", got=names, allowed="at least one row of numbers")
+        mark, cut = _mark_of(rows[0][1]), not text.endswith("\n")
+        split = [_cells(line, mark) for _, line in rows]
+    except csv.Error as error:
+        raise InvalidInput(f"{path} is no table that can be read ({error})", fix="Write it again") from None
+    lines, comma = [number for number, _ in rows], mark in _WITH_COMMAS
+    plain = all(line.isascii() and "_" not in line for _, line in rows)  # others Python alone reads as numbers
     values = np.empty((len(rows), len(names)))
-    for k, ((number, _), row) in enumerate(zip(rows, split, strict=True)):
-        values[k] = _row(path, number, row, names, mark in _cells.WITH_COMMAS, cut and k == len(rows) - 1)
-    if mark in _cells.WITH_COMMAS:
-        _check_commas(path, rows, split)
+    for k, row in enumerate(split):
+        last = cut and k == len(rows) - 1
+        if len(row) == len(names) + 1 and not row[-1]:
+            row.pop()  # a separator ends the line
+        if len(row) != len(names):
+            fix = "If numbers have decimal commas, separate the cells by semicolons or tabs, or write points"
+            raise InvalidInput(
+                f"{path}, line {lines[k]}, does not have the header's number of cells",
+                got=f"{len(row)} cells: {row}",
+                allowed=f"{len(names)} cells ({', '.join(names)})",
+                fix=fix if len(row) > len(names) else _CUT if last else _MEND,
+            )
+        for c, cell in enumerate(row):
+            number = _number(cell, plain, comma)
+            if number is None or abs(number) > LARGEST:
+                what = "is not a number" if number is None else "is infinite" if math.isinf(number) else "is too large"
+                fix = "Write times as numbers: seconds, or frames" if ":" in cell else ""
+                raise InvalidInput(
+                    f"{path}, line {lines[k]}, column {names[c]!r}, {what}",
+                    got=cell,
+                    allowed=_EXAMPLE,
+                    fix=_CUT if last and c == len(names) - 1 else fix,
+                )
+            values[k, c] = number
+    if comma:
+        _check_commas(path, lines, split)
     if cut:
-        _check_end(path, rows[-1][0], [row[len(names) - 1] for row in split])
-    return Table(names, values, [number for number, _ in rows], notes, str(path))
+        _check_end(path, lines[-1], [row[-1] for row in split])
+    return Table(names, values, lines, notes, str(path))
 
 
 def write_table(
@@ -134,57 +161,84 @@ def write_table(
 Lines = list[tuple[int, str]]  # with their numbers in the file
 
 
+def _mark_of(line: str) -> str:
+    """Return what separates the cells of a line: a tab, a semicolon, a comma, or a space for any white space."""
+    return next((mark for mark in _MARKS if mark in line), " ")
+
+
+def _cells(line: str, mark: str) -> list[str]:
+    """Return the cells of a line, without the spaces about them."""
+    if '"' in line:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True))]
+    return [cell.strip() for cell in line.split(None if mark == " " else mark)]
+
+
+def _names(line: str) -> list[str]:
+    """Return the column names of a header line; between spaces a unit in brackets belongs to the name before it."""
+    mark = _mark_of(line)
+    return (mark == " " and '"' not in line and _WORDS.findall(line)) or _cells(line, mark)
+
+
+def _is_data(line: str) -> bool:
+    """Whether a line holds a number, with a decimal point or comma, so that it is no header."""
+    return any(_NUMBER.match(cell.replace(",", ".", 1)) for cell in _cells(line, _mark_of(line)))
+
+
+def _number(cell: str, plain: bool, comma: bool) -> float | None:
+    """Return the number in a cell, NaN for a gap; None where there is none.
+
+    In a `plain` cell Python reads numbers as everybody does. With `comma` it may have a decimal comma.
+    """
+    if plain:
+        try:
+            return float(cell)
+        except ValueError:
+            pass
+    text = cell.replace(",", ".", 1) if comma else cell
+    return float(text) if _NUMBER.match(text) else math.nan if cell.lower() in _GAPS else None
+
+
 def _header(path: PathLike, rows: Lines, comments: Lines, notes: Mapping[str, str]) -> tuple[list[str], Lines]:
     """Return the column names, and the rows below them."""
-    number, line = rows[0]
-    if len(rows) > 1 and _is_title(line, rows[1][1]) and not _is_data(path, rows[1]):
-        return _header(path, rows[1:], comments, notes)
-    if _is_data(path, rows[0]):
-        return _from_comment(path, rows[0], comments, notes), rows
-    names = _names(path, number, line)
-    groups: list[list[str]] = []
-    while (names[0] == "" or len(set(names)) < len(names)) and len(rows) > 1 and not _is_data(path, rows[1]):
-        groups.append(names)
+    while len(rows) > 1 and _is_title(rows[0][1], rows[1][1]) and not _is_data(rows[1][1]):
         rows = rows[1:]
-        names = _names(path, *rows[0])
+    number, line = rows[0]
+    if _is_data(line):
+        return _from_comment(path, rows[0], comments, notes), rows
+    groups: list[list[str]] = []
+    names, rows = _names(line), rows[1:]
+    while (names[0] == "" or len(set(names)) < len(names)) and rows and not _is_data(rows[0][1]):
+        groups.append(names)
+        names, rows = _names(rows[0][1]), rows[1:]
     names = _joined(groups, names)
-    rows = rows[1:]
-    if len(names) > 1 and not names[-1] and all(not _split(path, *row, _cells.mark_of(row[1]))[-1] for row in rows):
+    if len(names) > 1 and not names[-1] and all(not _cells(row, _mark_of(row))[-1] for _, row in rows):
         names.pop()  # a separator ends each line
     if names[0] == "" and len(names) > 1:
         names[0] = "index"  # as pandas writes it
     if "" in names:
         raise InvalidInput(f"{path}, line {number}, has a column without a name", got=names, fix="Name every column")
-    said = _cells.names_in(notes["columns"]) if "columns" in notes else names
-    if said != names:
-        raise InvalidInput(
-            f"{path}: the header and the note 'columns' disagree", got=notes["columns"], allowed=", ".join(names)
-        )
+    if "columns" in notes and _names(notes["columns"]) != names:
+        what = f"{path}: the header and the note 'columns' disagree"
+        raise InvalidInput(what, got=notes["columns"], allowed=", ".join(names))
     return _no_repeats(path, names), rows
 
 
 def _is_title(line: str, below: str) -> bool:
     """Whether a line may stand above the header: it has one cell, or none of the marks, and that below has more."""
-    first, second = ([cell for cell in each.split(_cells.mark_of(each)) if cell.strip()] for each in (line, below))
-    plain = _cells.mark_of(line) == " " != _cells.mark_of(below)
-    return plain or len(first) == 1 < len(second)
+    first, second = ([cell for cell in each.split(_mark_of(each)) if cell.strip()] for each in (line, below))
+    return _mark_of(line) == " " != _mark_of(below) or len(first) == 1 < len(second)
 
 
 def _from_comment(path: PathLike, row: tuple[int, str], comments: Lines, notes: Mapping[str, str]) -> list[str]:
     """Return the names that a note ``columns`` or the comment right above the rows holds."""
     above = [text for number, text in comments if number < row[0]][-1:]
     texts = [notes["columns"]] if "columns" in notes else [text for text in above if ":" not in text]
-    row_cells = _split(path, *row, _cells.mark_of(row[1]))
-    for text in texts:
-        names = _names(path, row[0], text)
-        if len(names) == len(row_cells) and not any(map(_cells.is_number, names)):
+    count = len(_cells(row[1], _mark_of(row[1])))
+    for names in map(_names, texts):
+        if len(names) == count and not any(map(_NUMBER.match, names)):
             return _no_repeats(path, names)
-    raise InvalidInput(
-        f"{path} has no header",
-        got=row[1].strip(),
-        allowed=f"a first line with the names of {len(row_cells)} columns",
-        fix="Add one, e.g. t,th1",
-    )
+    allowed = f"a first line with the names of {count} columns"
+    raise InvalidInput(f"{path} has no header", got=row[1], allowed=allowed, fix="Add one, e.g. t,th1")
 
 
 def _joined(groups: list[list[str]], names: list[str]) -> list[str]:
@@ -196,28 +250,7 @@ def _joined(groups: list[list[str]], names: list[str]) -> list[str]:
             full[k] = full[k] or full[k - 1]
         pairs = zip(full, names, strict=False)
         names = [f"{above}_{name}" if above else name for above, name in pairs] + names[len(full) :]
-    if scorer:
-        names[0] = "frame"
-    return names
-
-
-def _names(path: PathLike, number: int, line: str) -> list[str]:
-    try:
-        return _cells.names_in(line)
-    except ValueError as error:
-        raise InvalidInput(f"{path}, line {number}, cannot be read ({error})", got=line.strip(), fix=_MEND) from None
-
-
-def _split(path: PathLike, number: int, line: str, mark: str) -> list[str]:
-    try:
-        return _cells.cells(line, mark)
-    except ValueError as error:
-        raise InvalidInput(f"{path}, line {number}, cannot be read ({error})", got=line.strip(), fix=_MEND) from None
-
-
-def _is_data(path: PathLike, row: tuple[int, str]) -> bool:
-    """Whether a line holds a number, so that it is no header."""
-    return any(map(_cells.is_number, _split(path, *row, _cells.mark_of(row[1]))))
+    return ["frame", *names[1:]] if scorer else names
 
 
 def _no_repeats(path: PathLike, names: list[str]) -> list[str]:
@@ -228,53 +261,12 @@ def _no_repeats(path: PathLike, names: list[str]) -> list[str]:
     return names
 
 
-def _row(path: PathLike, number: int, row: list[str], names: list[str], comma: bool, cut: bool) -> list[float]:
-    """Return one row of numbers; `cut` says that it is the last line and has no line feed."""
-    if len(row) == len(names) + 1 and not row[-1]:
-        row = row[:-1]  # a separator ends the line
-    if len(row) != len(names):
-        why = _CUT if cut else _MEND
-        if len(row) > len(names):
-            why = "If numbers have decimal commas, separate the cells by semicolons or tabs, or write points"
-        raise InvalidInput(
-            f"{path}, line {number}, does not have the header's number of cells",
-            got=f"{len(row)} cells: {row}",
-            allowed=f"{len(names)} cells ({', '.join(names)})",
-            fix=why,
-        )
-    if all(cell.isascii() and "_" not in cell for cell in row):  # which Python, but nobody else, reads as numbers
-        try:
-            numbers = list(map(float, row))
-            if not any(map(math.isinf, numbers)):
-                return numbers
-        except ValueError:
-            pass
-    numbers = []
-    for name, cell in zip(names, row, strict=True):
-        try:
-            numbers.append(_cells.number(cell, comma=comma))
-        except ValueError:
-            why = "Write times as numbers: seconds, or frames" if ":" in cell else ""
-            why = _CUT if cut and name == names[-1] else why
-            raise InvalidInput(
-                f"{path}, line {number}, column {name!r}, is not a number", got=cell, allowed=_EXAMPLE, fix=why
-            ) from None
-        if math.isinf(numbers[-1]):
-            raise InvalidInput(
-                f"{path}, line {number}, column {name!r}, is infinite", got=cell, allowed="a finite number, or a gap"
-            )
-    return numbers
-
-
-def _check_commas(path: PathLike, rows: Lines, split: list[list[str]]) -> None:
-    """Refuse commas that may group thousands: beside points, or where each stands before three digits."""
-    where = [(number, cell) for (number, line), row in zip(rows, split, strict=True) if "," in line for cell in row]
-    with_comma = [(number, cell) for number, cell in where if "," in cell]
-    if not with_comma:
-        return
+def _check_commas(path: PathLike, lines: list[int], split: list[list[str]]) -> None:
+    """Refuse commas that may group thousands: where there are points, or where each stands before three digits."""
+    commas = [(number, cell) for number, row in zip(lines, split, strict=True) for cell in row if "," in cell]
     points = any("." in cell for row in split for cell in row)
-    if points or all(_cells.could_be_grouped(cell) for _, cell in with_comma):
-        number, cell = with_comma[0]
+    if commas and (points or all(_GROUPED.match(cell) for _, cell in commas)):
+        number, cell = commas[0]
         also = "; other numbers have points" if points else ""
         raise InvalidInput(
             f"{path}, line {number}: the comma may be a decimal comma or group thousands{also}",
@@ -290,18 +282,11 @@ def _check_end(path: PathLike, number: int, cells: list[str]) -> None:
     Writers give a column the same decimals, or all that a number needs; either way a cell far shorter than the others
     is rare. So it is refused when at most one in 20 of the others is as short.
     """
-    half = cells[-1] in ("-", "+") and cells[-1] not in cells[:-1]  # a sign without its number, not a gap
-    *others, last = [cell.lstrip("+-") for cell in cells]
-    others = [cell for cell in others if cell[:1].isdigit() or cell[:1] == "."]
-    if not half and (len(others) < 3 or not (last[:1].isdigit() or last[:1] == ".")):
-        return
-    decimals = [len(cell.partition(".")[2]) for cell in others]
-    whole = not any(decimals)
-    usual = [len(cell) for cell in others] if whole else decimals
-    size = len(last) if whole else len(last.partition(".")[2])
-    if half or sum(one <= size for one in usual) <= len(usual) / 20:
-        raise InvalidInput(
-            f"{path}, line {number}, ends the file in a shorter number than its column has",
-            got=cells[-1],
-            fix=f"{_CUT}, or add a line feed if it is whole",
-        )
+    *others, last = cells
+    others = [cell for cell in others if _NUMBER.match(cell)]
+    decimals = any("." in cell for cell in others)
+    *sizes, size = [len(cell.partition(".")[2] if decimals else cell.lstrip("+-")) for cell in (*others, last)]
+    short = len(sizes) >= _FEW and _NUMBER.match(last) and size < sorted(sizes)[len(sizes) // _RARE]
+    if short or (last == "-" and "-" not in cells[:-1]):  # a sign without its number, not a gap
+        what = f"{path}, line {number}, ends the file in a shorter number than its column has"
+        raise InvalidInput(what, got=last, fix=f"{_CUT}, or add a line feed if it is whole")

@@ -46,9 +46,9 @@ class Peg:
     0.03
     """
 
-    x: float = option(MISSING, "centre, to the right", unit="m")
+    x: float = option(MISSING, "centre of the peg", unit="m")
     y: float = option(MISSING, "centre, up", unit="m")
-    radius: float = option(MISSING, "radius", unit="m", sign="positive")
+    radius: float = option(MISSING, "radius of the peg", unit="m", sign="positive")
     mu: float = option(0.3, "coefficient of friction between rope and peg", sign="nonnegative")
     restitution: float = option(0.0, "part of the speed with which a point bounces back", sign="nonnegative")
     inertia: float | None = option(

@@ -1,7 +1,7 @@
 """Measured data: link angles or marker positions with their times, gaps and noise, and readers for common files."""
 
 from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations
-from hyperflex.recording.mcap import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_IN_FRAME
+from hyperflex.recording.messages import JOINT_STATES, MCAP_FORMAT, MCAP_METADATA, POSES_IN_FRAME
 from hyperflex.recording.read import read_recording
 from hyperflex.recording.recording import Recording, unwrap
 

@@ -3,83 +3,88 @@
 import difflib
 import re
 from collections.abc import Mapping, Sequence
-from typing import cast
+from typing import NamedTuple, cast
 
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, read_table
-from hyperflex.recording.declare import METRES, OPTIONS, RADIANS, SECONDS, Declarations, Raw
-from hyperflex.recording.recording import Kind
+from hyperflex.recording.declare import OPTIONS, POSITIVE, SECONDS, UNITS, Declarations, Raw
+from hyperflex.recording.recording import KINDS, Kind
 
-_ANGLE = re.compile(r"(?:th|theta|q)_?(\d+)\Z")
-_RATE = re.compile(r"(?:w|omega|dth|dtheta|qd)_?(\d+)\Z")
-_PLACE = re.compile(r"([xy])_?(\d+)\Z")
-_NOISE = re.compile(r"std_(.+)\Z")
+_NUMBERED = {  # names of columns, by what they hold
+    "angle": re.compile(r"(?:th|theta|q)_?(\d+)\Z"),
+    "rate": re.compile(r"(?:w|omega|dth|dtheta|qd)_?(\d+)\Z"),
+    "x": re.compile(r"x_?(\d+)\Z"),
+    "y": re.compile(r"y_?(\d+)\Z"),
+}
+_NOISE = "std_"  # begins the name of a column with the noise of another
 _WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\Z")
-_RATE_UNIT = re.compile(r"(\w+)/s\Z")
-_NUMBERS = {"frame_rate": "frames/s", "scale": "m per pixel"}
 _TRUTH = {"true": True, "yes": True, "false": False, "no": False}
-_WORDS = {"unit": (*RADIANS, *METRES, "px"), **OPTIONS}
+_ALL_UNITS = (*UNITS["angles"], *UNITS["markers"])
 _NOTES = (*Declarations.__dataclass_fields__, "noise")
-_ARGUMENTS = {"kind", "max_rate"}  # only the caller can say these
+_ARGUMENTS = ("kind", "max_rate")  # only the caller can give these
 FRAME = "frame"  # a column that counts frames: the time column where there is no other
-_COUNTERS = {FRAME, "frames", "index"}  # of rows; beside the time they tell nothing
+_COUNTERS = (FRAME, "frames", "index")  # of rows; not needed if there are times
+
+
+class _Columns(NamedTuple):
+    """Names of the columns to take."""
+
+    kind: Kind
+    data: list[str]
+    rates: Sequence[str] = ()
+    noise: Sequence[str] = ()
 
 
 def read(path: PathLike, time: str, kind: str | None, columns: Sequence[str] | None) -> Raw:
     """Return the columns of a CSV file and what its notes and header declare."""
     table = read_table(path)
     declared = _notes(path, table.notes)
-    plain, units = _units(table.names)
-    if len(set(plain)) < len(plain):
-        raise InvalidInput(
-            f"{path} has columns that differ only in their unit", got=table.names, fix="Remove one of them"
-        )
-    at = {name: k for k, name in enumerate(plain)}
-    time = _time(path, plain, time)
+    split = [match.groups() if (match := _WITH_UNIT.match(name)) else (name, None) for name in table.names]
+    at, units = {name: k for k, (name, _) in enumerate(split)}, {name: unit for name, unit in split if unit is not None}
+    if len(at) < len(split):
+        what, fix = f"{path} has columns that differ only in their unit", "Remove one of them"
+        raise InvalidInput(what, got=table.names, fix=fix)
+    time = _time(path, list(at), time)
     if time == FRAME:
         declared.setdefault("time_unit", FRAME)  # as its name declares
-    found = _named(path, columns, at, kind) if columns is not None else _known(path, plain, time, kind)
-    data_kind, data, rates, noise = found
-    if noise and "noise" in declared:
-        raise InvalidInput(f"{path} gives its noise twice", got=[*noise, "# noise: .."], fix="Remove one of them")
-    _declare_units(path, declared, units, time, data, rates)
-    return Raw(
-        t=table.times(table.names[at[time]]),
-        data=table.values[:, [at[name] for name in data]],
-        kind=data_kind,
-        rates=table.values[:, [at[name] for name in rates]] if rates else None,
-        noise=table.values[:, [at[name] for name in noise]] if noise else None,
-        declared=declared,
-        source=str(path),
-        lines=table.lines,
-    )
+    found = _known(path, list(at), time, kind) if columns is None else _named(path, columns, at, kind)
+    if found.noise and "noise" in declared:
+        raise InvalidInput(f"{path} gives its noise twice", got=[*found.noise, "# noise: .."], fix="Remove one of them")
+    for key, names, known in (("time_unit", [time], (*SECONDS, FRAME)), ("unit", found.data, _ALL_UNITS)):
+        _declare_unit(path, declared, key, {name: units.get(name) for name in names}, known)
+    for name in found.rates:
+        expected = f"{declared.get('unit', 'unit of angles')}/s"
+        if units.get(name, expected) != expected:
+            raise InvalidInput(f"{path}: the unit of column {name!r} does not fit", got=units[name], allowed=expected)
+    data, *optional = (table.values[:, [at[name] for name in names]] for names in found[1:])
+    times = table.times(table.names[at[time]])
+    rates, noise = (values if values.size else None for values in optional)
+    return Raw(times, data, found.kind, noise, rates, declared=declared, source=str(path))
 
 
 def _time(path: PathLike, names: list[str], time: str) -> str:
     """Return the name of the time column: `time`, or where that is the default and not there, what stands for it."""
     others = [name for name in names if name.lower() in ("t", "time")] or [name for name in names if name == FRAME]
     if time not in names and (time != "t" or len(others) != 1):
-        raise InvalidInput(
-            f"{path} has no time column {time!r}", got=names, fix="Pass time='NAME' with its time column's name"
-        )
+        fix = "Pass time='NAME' with its time column's name"
+        raise InvalidInput(f"{path} has no time column {time!r}", got=names, fix=fix)
     return time if time in names else others[0]
 
 
 def _notes(path: PathLike, notes: Mapping[str, str]) -> dict[str, object]:
     """Return what the ``# key: value`` lines declare."""
     declared: dict[str, object] = {}
+    options = {**OPTIONS, "unit": _ALL_UNITS}
     for key, value in notes.items():
         what = f"{path}: the note {key!r}"
-        if key in _NUMBERS:
-            declared[key] = checks.number(what, _number(what, value), sign="positive", unit=_NUMBERS[key])
-        elif key == "noise":
-            numbers = [checks.number(what, _number(what, part), sign="positive") for part in value.split(",")]
+        if key in POSITIVE or key == "noise":
+            numbers = [_number(what, part, POSITIVE.get(key, "")) for part in value.split(",")]
             declared[key] = numbers[0] if len(numbers) == 1 else numbers
         elif key == "wrapped":
             declared[key] = _TRUTH[checks.choice(what, value.lower(), tuple(_TRUTH))]
-        elif key in _WORDS:
-            declared[key] = checks.choice(what, value, _WORDS[key])
+        elif key in options:
+            declared[key] = checks.choice(what, value, options[key])
         elif key != "columns" and _looks_like_declaration(key):
             raise InvalidInput(
                 f"{path} has a note that looks like a declaration but is none",
@@ -90,11 +95,12 @@ def _notes(path: PathLike, notes: Mapping[str, str]) -> dict[str, object]:
     return declared
 
 
-def _number(what: str, text: str) -> float:
+def _number(what: str, text: str, unit: str) -> float:
     try:
-        return float(text.replace("_", "?"))  # 1_000 is a number to Python alone
+        number = float(text.replace("_", "?"))  # 1_000 is a number to Python alone
     except ValueError:
         raise InvalidInput(f"{what} is not a number", got=text, allowed="a number such as 0.5") from None
+    return checks.number(what, number, sign="positive", unit=unit)
 
 
 def _looks_like_declaration(key: str) -> bool:
@@ -106,68 +112,53 @@ def _looks_like_declaration(key: str) -> bool:
     return plain in _ARGUMENTS or about_units or bool(difflib.get_close_matches(plain, _NOTES, 1, 0.75))
 
 
-def _units(header: list[str]) -> tuple[list[str], dict[str, str]]:
-    """Split ``th1 [deg]`` into name and unit."""
-    plain, units = [], {}
-    for name in header:
-        match = _WITH_UNIT.match(name)
-        plain.append(match[1] if match else name)
-        if match:
-            units[plain[-1]] = match[2]
-    return plain, units
-
-
-Found = tuple[Kind, list[str], list[str], list[str]]
-
-
-def _named(path: PathLike, columns: Sequence[str], at: dict[str, int], kind: str | None) -> Found:
+def _named(path: PathLike, columns: Sequence[str], at: Mapping[str, int], kind: str | None) -> _Columns:
     """Return the columns that the caller names, in the caller's order."""
     if kind is None:
         raise InvalidInput("columns is given without kind", allowed="kind='angles' or kind='markers'")
-    chosen = cast(Kind, checks.choice("kind", kind, ("angles", "markers")))
     missing = [name for name in columns if name not in at]
     if missing or isinstance(columns, str) or not columns:
         raise InvalidInput(f"{path} has no such columns", got=missing or columns, allowed=", ".join(at))
-    return chosen, list(columns), [], []
+    return _Columns(cast(Kind, checks.choice("kind", kind, KINDS)), list(columns))
 
 
-def _known(path: PathLike, names: list[str], time: str, kind: str | None) -> Found:
+def _known(path: PathLike, names: list[str], time: str, kind: str | None) -> _Columns:
     """Return the columns that their names tell: angles, rates, x and y of markers, ``std_`` of any of these."""
-    noisy = {match[1]: name for name in names if (match := _NOISE.match(name))}
-    angles = {int(match[1]): name for name in names if (match := _ANGLE.match(name))}
-    rates = {int(match[1]): name for name in names if (match := _RATE.match(name))}
-    places = {(int(match[2]), match[1]): name for name in names if (match := _PLACE.match(name))}
-    known = {time, *_COUNTERS, *noisy.values(), *angles.values(), *rates.values(), *places.values()}
+    noisy = {name.removeprefix(_NOISE): name for name in names if name.startswith(_NOISE)}
+    found = {
+        what: {int(match[1]): name for name in names if (match := pattern.match(name))}
+        for what, pattern in _NUMBERED.items()
+    }
+    known = {time, *_COUNTERS, *noisy.values(), *(name for each in found.values() for name in each.values())}
     rest = [name for name in names if name not in known]
-    both = bool(angles) and bool(places)
-    if rest or not (angles or places) or (both and kind is None):
+    angles, places = bool(found["angle"]), bool(found["x"] or found["y"])
+    if rest or not (angles or places) or (angles and places and kind is None):
         raise InvalidInput(
             f"{path} does not say which columns to take" + (", and has others" if rest else ""),
             got=rest or names,
-            allowed="th1, th2, .. (and w1, w2, ..) or x0, y0, x1, y1, .. beside the time, std_.. for their noise",
-            fix="Pass kind='angles' or 'markers'" if both and not rest else "Name them: columns=[..] and kind=..",
+            allowed="th1, th2, .. (and w1, w2, ..) or x0, y0, x1, y1, .. with the time, std_.. for their noise",
+            fix="Name them: columns=[..] and kind=.." if rest or not angles else "Pass kind='angles' or 'markers'",
         )
-    chosen = cast(Kind, checks.choice("kind", kind or ("angles" if angles else "markers"), ("angles", "markers")))
+    chosen = cast(Kind, checks.choice("kind", kind or ("angles" if angles else "markers"), KINDS))
+    rates: list[str] = []
     if chosen == "angles":
-        data = _in_order(path, angles)
-        speed = _in_order(path, rates, len(data)) if rates else []
+        data = _in_order(path, found["angle"])
+        rates = _in_order(path, found["rate"], len(data)) if found["rate"] else []
     else:
-        joints = sorted({number for number, _ in places})
-        pairs = [(number, axis) for number in joints for axis in "xy"]
-        if not joints or joints != list(range(len(joints))) or set(pairs) != set(places):
+        if not found["x"] or not sorted(found["x"]) == sorted(found["y"]) == list(range(len(found["x"]))):
             raise InvalidInput(f"{path} lacks coordinates of some marker", got=names, allowed="x0, y0, x1, y1, ..")
-        data, speed = [places[pair] for pair in pairs], []
+        data = [found[axis][k] for k in sorted(found["x"]) for axis in "xy"]
     noise = [noisy[name] for name in data if name in noisy]
     if noise and len(noise) < len(data):
         raise InvalidInput(f"{path} gives the noise of some columns only", got=noise, allowed="std_.. for each or none")
-    return chosen, data, speed, noise
+    return _Columns(chosen, data, rates, noise)
 
 
 def _in_order(path: PathLike, numbered: dict[int, str], count: int = 0) -> list[str]:
     """Return names by ascending number, which must run without a hole from 0 or 1."""
     numbers = sorted(numbered)
-    whole = bool(numbers) and numbers[0] in (0, 1) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    if not whole or (count and len(numbers) != count):
+    first = numbers[0] if numbers else -1
+    if first not in (0, 1) or numbers != list(range(first, first + (count or len(numbers)))):
         raise InvalidInput(
             f"{path} has the wrong columns",
             got=[numbered[k] for k in numbers],
@@ -176,28 +167,16 @@ def _in_order(path: PathLike, numbered: dict[int, str], count: int = 0) -> list[
     return [numbered[k] for k in numbers]
 
 
-def _declare_units(
-    path: PathLike, declared: dict[str, object], units: dict[str, str], time: str, data: list[str], rates: list[str]
+def _declare_unit(
+    path: PathLike, declared: dict[str, object], key: str, units: dict[str, str | None], known: Sequence[str]
 ) -> None:
-    """Add the units that stand in the header to what is declared; they must agree with each other and the notes."""
-    for key, names, known in (
-        ("time_unit", [time], (*SECONDS, "frame")),
-        ("unit", data, (*RADIANS, *METRES, "px")),
-    ):
-        said = {units[name] for name in names if name in units}
-        if not said:
-            continue
-        if len(said) > 1 or any(name not in units for name in names):
-            raise InvalidInput(f"{path} does not give one unit to all columns", got=units, allowed=", ".join(known))
-        unit = checks.choice(f"{path}: the unit of {names[0]}", said.pop(), known)
-        if declared.get(key, unit) != unit:
-            raise InvalidInput(
-                f"{path}: header and notes disagree on {key}", got=[unit, declared[key]], fix="Mend one of them"
-            )
-        declared[key] = unit
-    for name in rates:
-        match = _RATE_UNIT.match(units.get(name, ""))
-        if name in units and (match is None or match[1] != declared.get("unit")):
-            raise InvalidInput(
-                f"{path}: column {name!r} is in {units[name]!r}", allowed=f"{declared.get('unit', 'unit of angles')}/s"
-            )
+    """Add the unit of columns in the header to what is declared; they must agree with each other and the notes."""
+    given = set(units.values())
+    if given == {None}:
+        return
+    if len(given) > 1:
+        raise InvalidInput(f"{path} does not give one unit to all columns", got=units, allowed=", ".join(known))
+    unit = checks.choice(f"{path}: the unit of {next(iter(units))}", given.pop(), known)
+    if declared.setdefault(key, unit) != unit:
+        fix = "Mend one of them"
+        raise InvalidInput(f"{path}: header and notes disagree on {key}", got=[unit, declared[key]], fix=fix)

@@ -4,24 +4,24 @@ Nothing is guessed: what neither the file nor the caller declares is refused, an
 """
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TypedDict
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, TypedDict
 
 import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, located
-from hyperflex.options import option, options_of
+from hyperflex.options import option
 from hyperflex.recording.recording import CONVENTION, Kind, Recording, per_sample, unwrap
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
 RADIANS = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "turn": 2.0 * math.pi}
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+UNITS: dict[Kind, tuple[str, ...]] = {"angles": tuple(RADIANS), "markers": (*METRES, "px")}
 FASTEST = 300.0  # rad/s, 48 turns a second: faster than any pendulum or rope link seen in recordings so far
 LONG = 3.5  # usual steps; up to two missing rows leave the slope of a well sampled swing readable
-HUGE = 1e60  # no measurement; larger ones overflow where products of angles, rates and times are squared
 
 OPTIONS: dict[str, tuple[str, ...]] = {
     "time_unit": (*SECONDS, "frame"),
@@ -30,6 +30,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "sense": ("+x", "-x"),
     "angles": ("absolute", "relative"),
 }
+POSITIVE = {"frame_rate": "frames/s", "scale": "m per pixel"}
 DEFAULTS = {"zero": "hanging", "sense": "+x", "angles": "absolute"}
 
 
@@ -74,119 +75,77 @@ class Raw:
     kind: Kind
     noise: Array | None = None
     rates: Array | None = None
-    declared: Mapping[str, object] = field(default_factory=dict)
-    usual: Mapping[str, object] = field(default_factory=dict)
+    declared: Mapping[str, Any] = field(default_factory=dict)
+    usual: Mapping[str, Any] = field(default_factory=dict)
     convention: str = ""
     name: str = ""
     source: str = ""
-    lines: Sequence[int] = ()  # of the file, one a sample, where it has lines
 
 
 def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) -> Recording:
     """Return `raw` as a Recording by what the file and the caller (`given`, and `noise` or None) declare."""
-    declared = _declarations(raw, given)
-    _require_all(raw, declared)
-    _check_size(raw)
-    t = _seconds(raw, declared)
+    declared = {**DEFAULTS, **raw.usual, **_agreed(raw, asdict(given))}
+    _check(raw, declared)
+    std = _agreed(raw, {"noise": noise}).get("noise", raw.noise)
+    std = None if std is None else per_sample(std, raw.data)
+    time = SECONDS[declared["time_unit"]] if "frame_rate" not in declared else 1.0 / declared["frame_rate"]
     convert = _angles if raw.kind == "angles" else _markers
-    data, std, rates, convention = convert(raw, declared, _noise(raw, noise))
-    with located(raw.source):
-        recording = Recording(t, data, raw.kind, std, rates, raw.convention or convention, raw.name, raw.source)
+    with located(raw.source), np.errstate(over="ignore", invalid="ignore"):  # Recording names what is not finite
+        data, std, rates, convention = convert(raw, declared, std)
+        parts = data, raw.kind, std, rates, raw.convention or convention, raw.name, raw.source
+        recording = Recording(raw.t * time, *parts)
     if recording.kind == "angles":
         _check_speed(recording, checks.number("max_rate", max_rate, sign="positive", unit="rad/s"))
     return recording
 
 
-def _check_size(raw: Raw) -> None:
-    """Refuse infinite and absurdly large numbers before anything is computed with them."""
-    for name, values in (("t", raw.t), ("data", raw.data), ("rates", raw.rates), ("noise", raw.noise)):
-        bad = np.argwhere(np.abs(values) > HUGE) if values is not None else np.empty((0, 0))
-        if values is not None and bad.size:
-            place = tuple(int(k) for k in bad[0])
-            line = f", line {raw.lines[place[0]]}" if raw.lines else ""
-            raise InvalidInput(
-                f"{raw.source}{line}: {name}{list(place)} cannot be used",
-                got=float(values[place]),
-                allowed=f"finite numbers up to {HUGE:g} in size (NaN marks a gap)",
-            )
-
-
-def _noise(raw: Raw, given: object) -> Array | None:
-    """Return the noise of each sample: the caller's, which must not contradict a note, or the file's."""
-    note = raw.declared.get("noise")
-    own = raw.noise if note is None else note
-    if given is None:
-        return None if own is None else per_sample(own, raw.data)
-    noise = per_sample(given, raw.data)
-    if note is not None and not np.array_equal(noise, per_sample(note, raw.data)):
-        raise InvalidInput(
-            f"{raw.source} declares noise = {note!r}, the argument something else",
-            got=given,
-            fix="Leave noise out, or mend the file",
-        )
-    return noise
-
-
-def _declarations(raw: Raw, given: Declarations) -> dict[str, object]:
-    """Return what is declared: caller and file must agree; else the format's convention or the default."""
-    result: dict[str, object] = {**DEFAULTS, **raw.usual}
-    for key in (each.name for each in options_of(Declarations)):
-        argument, file = getattr(given, key), raw.declared.get(key)
-        if argument is not None and file is not None and argument != file:
+def _agreed(raw: Raw, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what caller or file declare; they must agree."""
+    result = {}
+    for key, argument in given.items():
+        file = raw.declared.get(key)
+        if argument is not None and file is not None and not np.array_equal(argument, file):
             raise InvalidInput(
                 f"{raw.source} declares {key} = {file!r}, the argument something else",
                 got=argument,
-                fix=f"Leave {key} out, or mend the file",
+                fix=f"Omit {key}, or mend the file",
             )
-        value = file if argument is None else argument
-        if value is not None:
-            result[key] = value
+        if argument is not None or file is not None:
+            result[key] = file if argument is None else argument
     return result
 
 
-def _require_all(raw: Raw, declared: Mapping[str, object]) -> None:
-    """Refuse with the names of all arguments that are still missing."""
-    required = {"time_unit": OPTIONS["time_unit"], "unit": tuple(RADIANS)}
-    if raw.kind == "markers":
-        required = {"time_unit": OPTIONS["time_unit"], "unit": (*METRES, "px"), "y_axis": OPTIONS["y_axis"]}
-    missing = [key for key in required if key not in declared]
-    if declared.get("time_unit") == "frame" and "frame_rate" not in declared:
-        missing.append("frame_rate")
-    if declared.get("unit") == "px" and "scale" not in declared:
-        missing.append("scale")
-    if missing:
-        words = {key: f"{key}=... ({' | '.join(options)})" for key, options in required.items()}
-        words |= {"frame_rate": "frame_rate=... (frames/s)", "scale": "scale=... (m per pixel)"}
+def _check(raw: Raw, declared: Mapping[str, Any]) -> None:
+    """Refuse what is not known or does not apply, and name all that is still missing."""
+    options = {**OPTIONS, "unit": UNITS[raw.kind]}
+    applies = {
+        "frame_rate": ("times that count frames", declared.get("time_unit") == "frame"),
+        "y_axis": ("markers", raw.kind == "markers"),
+        "scale": ("markers in pixels", raw.kind == "markers" and declared.get("unit") == "px"),
+    }
+    for key, value in declared.items():
+        if key in options:
+            checks.choice(key, value, options[key])
+        elif key in POSITIVE:
+            checks.number(key, value, sign="positive", unit=POSITIVE[key])
+        if key in applies and not applies[key][1]:
+            fix = f"Omit {key}, or declare what {raw.source} holds"
+            raise InvalidInput(f"{key} is for {applies[key][0]}", got=value, fix=fix)
+    needed = ["time_unit", "unit", *(key for key, (_, needed) in applies.items() if needed)]
+    if missing := [key for key in needed if key not in declared]:
+        allowed = {key: " | ".join(each) for key, each in options.items()} | POSITIVE
         raise InvalidInput(
             f"{raw.source} holds {raw.kind}, but not all that is needed to read them is declared",
-            fix=f"Pass {', '.join(words[key] for key in missing)}; nothing is guessed",
+            fix=f"Pass {', '.join(f'{key}=... ({allowed[key]})' for key in missing)}; nothing is guessed",
         )
-
-
-def _seconds(raw: Raw, declared: Mapping[str, object]) -> Array:
-    unit = checks.choice("time_unit", declared.get("time_unit"), OPTIONS["time_unit"])
-    if unit == "frame":
-        return raw.t / checks.number("frame_rate", declared.get("frame_rate"), sign="positive", unit="frames/s")
-    if declared.get("frame_rate") is not None:
-        raise InvalidInput(
-            "frame_rate is given, but the times are in " + unit,
-            got=declared.get("frame_rate"),
-            fix="Leave frame_rate out, or pass time_unit='frame' if the time column counts frames",
-        )
-    return raw.t * SECONDS[unit]
 
 
 Converted = tuple[Array, Array | None, Array | None, str]
 
 
-def _angles(raw: Raw, declared: Mapping[str, object], noise: Array | None) -> Converted:
+def _angles(raw: Raw, declared: Mapping[str, Any], noise: Array | None) -> Converted:
     """Return absolute angles in rad from hanging, their noise, rates, and what was done."""
-    unit = checks.choice("unit", declared.get("unit"), tuple(RADIANS))
-    zero, sense, kind = (checks.choice(key, declared.get(key), OPTIONS[key]) for key in ("zero", "sense", "angles"))
-    for key in ("y_axis", "scale"):
-        if declared.get(key) is not None:
-            fix = f"Leave {key} out"
-            raise InvalidInput(f"{key} is for markers, but {raw.source} holds angles", got=declared[key], fix=fix)
+    unit, zero, sense, kind = (declared[key] for key in ("unit", "zero", "sense", "angles"))
     factor = RADIANS[unit] * (1.0 if sense == "+x" else -1.0)
     data = raw.data * factor
     rates = None if raw.rates is None else raw.rates * factor
@@ -199,27 +158,18 @@ def _angles(raw: Raw, declared: Mapping[str, object], noise: Array | None) -> Co
         noise = None if noise is None else np.sqrt(np.cumsum(noise**2, axis=1))
     if zero == "up":
         data = data - math.pi
-    text = f"absolute link angles in rad, 0 hanging, positive towards +x; read as {kind} angles in {unit}, "
-    return data, noise, rates, text + f"zero {zero}, positive towards {sense}"
+    text = f"{CONVENTION['angles']}; read as {kind} angles in {unit}, zero {zero}, positive towards {sense}"
+    return data, noise, rates, text
 
 
-def _markers(raw: Raw, declared: Mapping[str, object], noise: Array | None) -> Converted:
+def _markers(raw: Raw, declared: Mapping[str, Any], noise: Array | None) -> Converted:
     """Return marker positions in m with y up, their noise, and what was done."""
-    unit = checks.choice("unit", declared.get("unit"), (*METRES, "px"))
-    y_axis = checks.choice("y_axis", declared.get("y_axis"), OPTIONS["y_axis"])
-    if unit == "px":
-        factor = checks.number("scale", declared.get("scale"), sign="positive", unit="m per pixel")
-    elif declared.get("scale") is not None:
-        fix = "Leave scale out, or declare unit='px'"
-        raise InvalidInput(f"scale is for pixels, but the positions are in {unit}", got=declared["scale"], fix=fix)
-    else:
-        factor = METRES[unit]
+    unit, y_axis = declared["unit"], declared["y_axis"]
+    factor = declared["scale"] if unit == "px" else METRES[unit]
     flip = np.where(np.arange(raw.data.shape[1]) % 2 == 1, -1.0 if y_axis == "down" else 1.0, 1.0)
     noise = None if noise is None else noise * factor
-    text = f"{CONVENTION['markers']}; read in {unit}, y {y_axis}"
-    if unit == "px":
-        text += f", {factor:g} m per pixel"
-    return raw.data * factor * flip, noise, None, text
+    size = f", {factor:g} m per pixel" if unit == "px" else ""
+    return raw.data * factor * flip, noise, None, f"{CONVENTION['markers']}; read in {unit}, y {y_axis}{size}"
 
 
 def _check_speed(recording: Recording, fastest: float) -> None:

@@ -1,27 +1,42 @@
-"""Messages of joints and poses as columns, whatever the file: which topic, which joints, in which plane."""
+"""MCAP files and ROS 2 bags: joint states, poses and points as columns."""
 
+import json
 from array import array
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hyperflex import checks
+from hyperflex import checks, extras
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.files import PathLike
+from hyperflex.files import LARGEST, PathLike, as_path, not_damaged, regular_file
 from hyperflex.recording.declare import Raw
 from hyperflex.recording.recording import Kind
 
+MCAP_FORMAT = "hyperflex mcap 1"
+MCAP_METADATA = "hyperflex"  # name of the record that declares what a file of ours holds
+JOINT_STATES, POSES_IN_FRAME, POSE_IN_FRAME = "foxglove.JointStates", "foxglove.PosesInFrame", "foxglove.PoseInFrame"
+KINDS: dict[str, Kind] = {  # by schema
+    JOINT_STATES: "angles",
+    POSES_IN_FRAME: "markers",
+    POSE_IN_FRAME: "markers",
+    "sensor_msgs/msg/JointState": "angles",
+    "geometry_msgs/msg/PoseArray": "markers",
+    "geometry_msgs/msg/PoseStamped": "markers",
+    "geometry_msgs/msg/PointStamped": "markers",
+}
 PLANES = {"xz": (0, 2), "xy": (0, 1), "yz": (1, 2)}  # axes to the right and up, of poses in space
 TIMES = ("t", "log")  # stamps in the messages, or times at which they were recorded
 
 
 class Topic(NamedTuple):
-    """A topic of a file that can be read: its name, what it holds, and in how many messages."""
+    """A topic of a file: its name, the schema and the number of its messages."""
 
     name: str
-    kind: Kind
+    schema: str
     messages: int
 
 
@@ -35,29 +50,128 @@ class Selection(NamedTuple):
     time: str = TIMES[0]
 
 
-class Joints(NamedTuple):
-    """A message of joints: time (s, or whole ns), names, angles and rates (none, or one a joint)."""
+class Message(NamedTuple):
+    """A message: time (s, or whole ns), names of joints, and their angles and rates, or x, y, z of each pose."""
 
     time: float
     names: Sequence[str]
-    position: Sequence[float]
-    velocity: Sequence[float]
+    values: Sequence[float]
+    rates: Sequence[float] = ()
 
 
-class Poses(NamedTuple):
-    """A message of poses: time (s, or whole ns), and x, y, z of each, one after the other."""
-
-    time: float
-    places: Sequence[float]
+def is_bag(path: Path) -> bool:
+    """Return whether a path is a folder that holds a bag."""
+    return path.is_dir() and (path / "metadata.yaml").exists()
 
 
-def choose(path: PathLike, topics: Sequence[Topic], selection: Selection) -> Topic:
+def read_mcap(path: PathLike, selection: Selection) -> Raw:
+    """Return the messages of one topic of an MCAP file as columns, with what the file declares."""
+    reader = extras.load("mcap.reader", "mcap", "MCAP files")
+    file = regular_file(path, "MCAP file")
+    with not_damaged("MCAP file", path, "Get it again; mcap recover may help"), file.open("rb") as stream:
+        opened = reader.SeekingReader(stream, validate_crcs=True, record_size_limit=LARGEST)
+        if (summary := opened.get_summary()) is None:
+            raise InvalidInput(f"{path} has no summary", fix="It was not closed: mcap recover mends such files")
+        channels = list(summary.channels.values())
+        if not channels or any(each.message_encoding != "cdr" for each in channels):
+            return _of_mcap(path, opened, summary, selection)
+    return read_bag(path, selection)
+
+
+def _of_mcap(path: PathLike, reader: Any, summary: Any, selection: Selection) -> Raw:
+    counts = summary.statistics.channel_message_counts if summary.statistics else {}
+    topics = [
+        Topic(each.topic, summary.schemas[each.schema_id].name, counts.get(each.id, 1))
+        for each in summary.channels.values()
+        if each.message_encoding == "json" and each.schema_id in summary.schemas
+    ]
+    ours = (each for each in reader.iter_metadata() if each.name == MCAP_METADATA)
+    own = next((dict(each.metadata) for each in ours if each.metadata.get("format") == MCAP_FORMAT), {})
+    if own and selection.kind is selection.topic is None:  # of a run its angles
+        selection = selection._replace(kind=own["kind"])
+    topic, noise = _choose(path, topics, selection), array("d")
+    messages = _json_messages(reader, topic, selection.time, noise, exact=bool(own))
+    if not own:
+        return _columns(path, topic, messages, selection)
+    columns, plane = selection.columns or json.loads(own.get("columns", "null")), selection.plane or own.get("plane")
+    if KINDS[topic.schema] == "angles":
+        selection = selection._replace(columns=columns)
+    raw = _columns(path, topic, messages, selection._replace(plane=plane))
+    axes = {"angles": "absolute"} if raw.kind == "angles" else {"y_axis": "up"}
+    return replace(
+        raw,
+        declared={**raw.declared, **axes},
+        usual={},
+        noise=np.array(noise).reshape(raw.data.shape) if noise else None,
+        convention=own.get("convention", "") if raw.kind == own["kind"] else "",
+        name=own.get("name", ""),
+    )
+
+
+def _json_messages(reader: Any, topic: Topic, time: str, noise: "array[float]", *, exact: bool) -> Iterator[Message]:
+    """Yield messages; standard deviations go to `noise`. With `exact` the times are those of a file of ours, s."""
+    for _, _, each in reader.iter_messages([topic.name]):
+        message = json.loads(each.data)
+        noise.extend(message.get("std", ()))
+        if exact:
+            when = float(message["t"])
+        else:
+            stamp = message["timestamp"]
+            when = each.log_time if time == "log" else int(stamp["sec"]) * 1_000_000_000 + int(stamp["nsec"])
+        if topic.schema == JOINT_STATES:
+            joints = message["joints"]
+            rates = [_number(joint["velocity"]) for joint in joints if "velocity" in joint]
+            position = [_number(joint.get("position")) for joint in joints]
+            yield Message(when, [joint["name"] for joint in joints], position, rates)
+        else:
+            held = [message["pose"]] if topic.schema == POSE_IN_FRAME else message["poses"]
+            yield Message(when, (), [_number(pose["position"][axis]) for pose in held for axis in "xyz"])
+
+
+def _number(value: Any) -> float:
+    """Return a number; null, as gaps are written, is NaN."""
+    return float("nan") if value is None else float(value)
+
+
+def read_bag(path: PathLike, selection: Selection) -> Raw:
+    """Return the messages of one topic of a ROS 2 bag as columns."""
+    bags = extras.load("rosbags.highlevel", "ros", "ROS bags")
+    stores = extras.load("rosbags.typesys", "ros", "ROS bags")
+    known = stores.get_typestore(stores.Stores.ROS2_HUMBLE)  # of bags that do not say what their messages are
+    with (
+        not_damaged("bag", path, "Get it again"),
+        bags.AnyReader([as_path(path, "bag")], default_typestore=known) as reader,
+    ):
+        topics = [Topic(name, each.msgtype or "", each.msgcount) for name, each in reader.topics.items()]
+        topic = _choose(path, topics, selection)
+        return _columns(path, topic, _ros_messages(reader, topic, selection.time), selection)
+
+
+def _ros_messages(reader: Any, topic: Topic, time: str) -> Iterator[Message]:
+    for connection, logged, content in reader.messages(reader.topics[topic.name].connections):
+        message = reader.deserialize(content, connection.msgtype)
+        stamp = message.header.stamp
+        when = logged if time == "log" else stamp.sec * 1_000_000_000 + stamp.nanosec
+        if KINDS[topic.schema] == "angles":
+            yield Message(when, message.name, message.position, message.velocity)
+            continue
+        if topic.schema.endswith("PoseArray"):
+            points = [each.position for each in message.poses]
+        else:
+            points = [message.point if topic.schema.endswith("PointStamped") else message.pose.position]
+        yield Message(when, (), [value for each in points for value in (each.x, each.y, each.z)])
+
+
+def _choose(path: PathLike, topics: Sequence[Topic], selection: Selection) -> Topic:
     """Return the selected topic; InvalidInput where there is none, or where several could be meant."""
     checks.choice("time", selection.time, TIMES)
     if selection.plane is not None:
         checks.choice("plane", selection.plane, tuple(PLANES))
-    listed = ", ".join(f"{each.name} ({each.kind})" for each in topics) or "none"
-    fit = [each for each in topics if selection.kind in (None, each.kind) and selection.topic in (None, each.name)]
+    known = sorted(each for each in topics if each.schema in KINDS)
+    listed = ", ".join(f"{each.name} ({KINDS[each.schema]})" for each in known) or "none"
+    fit = [
+        each for each in known if selection.kind in (None, KINDS[each.schema]) and selection.topic in (None, each.name)
+    ]
     if not fit:
         got = selection.topic or selection.kind or "other topics"
         allowed = f"joint states, poses or points; here: {listed}"
@@ -69,29 +183,27 @@ def choose(path: PathLike, topics: Sequence[Topic], selection: Selection) -> Top
     return fit[0]
 
 
-def refuse_columns(path: PathLike, topic: Topic, selection: Selection) -> None:
-    """Refuse names of joints for a topic of poses."""
-    if selection.columns is not None:
-        raise InvalidInput(f"{path}: columns are names of joints, {topic.name} holds poses", fix="Leave them out")
+def _columns(path: PathLike, topic: Topic, messages: Iterator[Message], selection: Selection) -> Raw:
+    """Return messages as columns."""
+    return (_joints if KINDS[topic.schema] == "angles" else _poses)(path, topic, messages, selection)
 
 
-def joints(path: PathLike, rows: Iterable[Joints], columns: Sequence[str] | None) -> Raw:
-    """Return joint states as columns in the order of the given names, by default the first message's; NaN in gaps."""
+def _joints(path: PathLike, topic: Topic, messages: Iterator[Message], selection: Selection) -> Raw:
+    """Return joints as columns in the order of the given names, by default the first message's; NaN in gaps."""
     times: list[float] = []
-    position, velocity, order, moving = array("d"), array("d"), list(columns or ()), True
-    for row in rows:
+    position, velocity, order, moving = array("d"), array("d"), list(selection.columns or ()), True
+    for row in messages:
         order = order or list(row.names)
-        if len(row.position) != len(row.names):
-            raise InvalidInput(f"{path}: message {len(times)} has not one position a joint", got=len(row.position))
-        moving &= len(row.velocity) == len(row.names)
+        if len(row.values) != len(row.names):
+            fix = "Record it again"
+            raise InvalidInput(
+                f"{path}: message {len(times)} has not one position a joint", got=len(row.values), fix=fix
+            )
+        moving &= len(row.rates) == len(row.names)
         times.append(row.time)
-        if list(row.names) == order:
-            position.extend(row.position)
-            velocity.extend(row.velocity if moving else ())
-        else:
-            at = {name: k for k, name in enumerate(row.names)}
-            position.extend(row.position[at[name]] if name in at else np.nan for name in order)
-            velocity.extend(row.velocity[at[name]] if moving and name in at else np.nan for name in order)
+        at = {name: k for k, name in enumerate(row.names)}
+        position.extend(row.values[at[name]] if name in at else np.nan for name in order)
+        velocity.extend(row.rates[at[name]] if moving and name in at else np.nan for name in order)
     data = np.array(position).reshape(len(times), -1)
     if unseen := [name for name, column in zip(order, data.T, strict=True) if np.isnan(column).all()]:
         raise InvalidInput(f"{path} has no joints of these names", got=unseen, fix="Check columns=[...]")
@@ -101,22 +213,21 @@ def joints(path: PathLike, rows: Iterable[Joints], columns: Sequence[str] | None
     return Raw(_seconds(times), data, "angles", rates=rates, declared=declared, usual=usual, source=str(path))
 
 
-def poses(path: PathLike, rows: Iterable[Poses], plane: str | None) -> Raw:
+def _poses(path: PathLike, topic: Topic, messages: Iterator[Message], selection: Selection) -> Raw:
     """Return the places of poses in a plane as columns."""
-    if plane is None:
+    if selection.columns is not None:
+        raise InvalidInput(f"{path}: columns are names of joints, {topic.name} holds poses", fix="Omit them")
+    if selection.plane is None:
         allowed = "'xz' (x right, z up), 'xy' or 'yz'"
         fix = "Pass plane=...: the axes to the right and up, in which the rope swings"
         raise InvalidInput(f"{path} holds places in space, and no plane is declared", allowed=allowed, fix=fix)
-    times: list[float] = []
-    places, size = array("d"), 0
-    for row in rows:
-        size = size or len(row.places)
-        if len(row.places) != size:
-            got = f"{len(row.places) // 3}, the first one {size // 3}"
-            raise InvalidInput(f"{path}: message {len(times)} has another number of poses", got=got)
-        times.append(row.time)
-        places.extend(row.places)
-    data = np.array(places).reshape(len(times), -1, 3)[:, :, PLANES[plane]].reshape(len(times), -1)
+    times, places = zip(*((row.time, row.values) for row in messages), strict=True)
+    sizes = [len(each) for each in places]
+    if len(set(sizes)) > 1:
+        k = next(k for k, size in enumerate(sizes) if size != sizes[0])
+        got = f"{sizes[k] // 3}, the first one {sizes[0] // 3}"
+        raise InvalidInput(f"{path}: message {k} has another number of poses", got=got, fix="Select another topic")
+    data = np.array(places).reshape(len(times), -1, 3)[:, :, PLANES[selection.plane]].reshape(len(times), -1)
     declared, usual = {"time_unit": "s", "unit": "m"}, {"y_axis": "up"}
     return Raw(_seconds(times), data, "markers", declared=declared, usual=usual, source=str(path))
 

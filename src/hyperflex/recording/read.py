@@ -4,18 +4,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Unpack
 
+import numpy as np
+
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, as_path, read_netcdf, regular_file
 from hyperflex.recording import csv as _csv
 from hyperflex.recording import matfile as _matfile
-from hyperflex.recording import mcap as _mcap
-from hyperflex.recording import rosbag as _rosbag
+from hyperflex.recording import messages
 from hyperflex.recording.declare import FASTEST, DeclarationFields, Declarations, Raw, to_recording
-from hyperflex.recording.messages import Selection
 from hyperflex.recording.recording import VARIABLE, Kind, Recording
-
-SUFFIXES = (".csv", ".txt", ".nc", ".mat", ".mcap", ".db3")
 
 
 def read_recording(
@@ -98,67 +96,58 @@ def read_recording(
     checks.keys("a recording", declarations, Declarations.__dataclass_fields__)
     file = as_path(path, "recording")
     suffix = file.suffix.lower()
-    bag = suffix == ".db3" or _rosbag.is_bag(file)
-    if not (bag or suffix == ".mcap") and (topic is not None or plane is not None):
-        raise InvalidInput(f"topic and plane are for MCAP files and bags, {path} is neither", fix="Leave them out")
+    bag = suffix == ".db3" or messages.is_bag(file)
     if bag or suffix == ".mcap":
-        raw = (_rosbag if bag else _mcap).read(path, Selection(topic, kind, columns, plane, time))
+        read = messages.read_bag if bag else messages.read_mcap
+        raw = read(path, messages.Selection(topic, kind, columns, plane, time))
+    elif topic is not None or plane is not None:
+        raise InvalidInput(f"topic and plane are for MCAP files and bags, {path} is neither", fix="Omit them")
     elif suffix in (".csv", ".txt"):
         raw = _csv.read(path, time, kind, columns)
     elif suffix in (".nc", ".mat"):
         if columns is not None or time != "t":
-            raise InvalidInput(f"time and columns are for CSV files, {path} names its own", fix="Leave them out")
+            raise InvalidInput(f"time and columns are for CSV files, {path} names its own", fix="Omit them")
         raw = _netcdf(path) if suffix == ".nc" else _matfile.read(path)
         if kind not in (None, raw.kind):
-            raise InvalidInput(f"{path} holds {raw.kind}", got=kind, fix="Leave kind out")
+            raise InvalidInput(f"{path} holds {raw.kind}", got=kind, fix="Omit kind")
     else:
-        regular_file(file, "recording")  # tells of one that is not there
-        raise InvalidInput(
-            f"{path} has no known suffix", got=suffix, allowed=f"{', '.join(SUFFIXES)}, the folder of a bag"
-        )
-    raw = replace(raw, name=name or raw.name or file.stem)
-    return to_recording(raw, Declarations(**declarations), noise, max_rate)
+        regular_file(file, "recording")  # reports one that is missing
+        allowed = ".csv, .txt, .nc, .mat, .mcap, .db3, the folder of a bag"
+        raise InvalidInput(f"{path} has no known suffix", got=suffix, allowed=allowed)
+    return to_recording(replace(raw, name=name or raw.name or file.stem), Declarations(**declarations), noise, max_rate)
 
 
 def _netcdf(path: PathLike) -> Raw:
     """Return the columns of a file of :meth:`Recording.to_netcdf`, with what its attributes declare."""
     content = read_netcdf(path)
-    attrs = content.attributes
-    held = {
-        key: (each.numbers(key), each.attributes)
-        for key, each in content.variables.items()
-        if key in ("time", "angle", "position", "noise", "rate")
-    }
-    kind: Kind = "angles" if "angle" in held else "markers"
+    attributes, found = content.attributes, content.variables
+    kind: Kind = "angles" if "angle" in found else "markers"
     name = VARIABLE[kind]
-    if "time" not in held or name not in held:
+    if "time" not in found or name not in found:
         raise InvalidInput(
             f"{path} holds no recording",
-            got=sorted(held),
+            got=sorted(found),
             allowed="variables time and angle (time, link) or position (time, marker, axis)",
             fix="A trajectory is opened by read_trajectory",
         )
-    samples = held["time"][0].shape[0] if held["time"][0].ndim == 1 else -1
-    rank = {"time": 1, "rate": 2, name: 2 if kind == "angles" else 3}
-    for key, (values, _) in held.items():
-        if values.ndim != rank.get(key, rank[name]) or values.shape[0] != samples:
-            raise InvalidInput(f"{path}: variable {key!r} has the wrong shape", got=values.shape, fix="Write it again")
-    declared: dict[str, object] = {key: attrs[key] for key in ("zero", "sense", "angles", "y_axis") if key in attrs}
+    t = found["time"].numbers("time")
+    columns = {}
+    for key, rank in ((name, 2 if kind == "angles" else 3), ("noise", np.ndim(found[name].values)), ("rate", 2)):
+        if key in found:
+            values = found[key].numbers(key)
+            if t.ndim != 1 or values.ndim != rank or values.shape[0] != t.size:
+                what = f"{path}: variable {key!r} has the wrong shape"
+                raise InvalidInput(what, got=values.shape, fix="Write it again")
+            columns[key] = values.reshape(t.size, -1)
+    declared: dict[str, object] = {
+        key: attributes[key] for key in ("zero", "sense", "angles", "y_axis") if key in attributes
+    }
     for key, variable in (("time_unit", "time"), ("unit", name)):
-        if "units" in held[variable][1]:
-            declared[key] = held[variable][1]["units"]
+        if "units" in found[variable].attributes:
+            declared[key] = found[variable].attributes["units"]
     expected = f"{declared.get('unit')}/s"
-    if "rate" in held and "unit" in declared and held["rate"][1].get("units") != expected:
-        raise InvalidInput(f"{path}: units of rate", got=held["rate"][1].get("units"), allowed=repr(expected))
-    columns = {key: values.reshape(samples, -1) for key, (values, _) in held.items() if key != "time"}
-    return Raw(
-        t=held["time"][0],
-        data=columns[name],
-        kind=kind,
-        noise=columns.get("noise"),
-        rates=columns.get("rate"),
-        declared=declared,
-        convention=str(attrs.get("convention", "")),
-        name=str(attrs.get("name", "")),
-        source=str(path),
-    )
+    if "rate" in found and "unit" in declared and (unit := found["rate"].attributes.get("units")) != expected:
+        raise InvalidInput(f"{path}: the unit of the rates does not fit", got=unit, allowed=repr(expected))
+    convention, own = (str(attributes.get(key, "")) for key in ("convention", "name"))
+    given = columns[name], kind, columns.get("noise"), columns.get("rate"), declared
+    return Raw(t, *given, convention=convention, name=own, source=str(path))

@@ -13,6 +13,7 @@ from hyperflex.files import NetCDF, PathLike, Variable
 
 Kind = Literal["angles", "markers"]
 
+KINDS: tuple[Kind, ...] = ("angles", "markers")
 FORMAT = "hyperflex recording 1"
 VARIABLE: dict[Kind, str] = {"angles": "angle", "markers": "position"}  # of a NetCDF file
 UNIT = {"angles": "rad", "markers": "m"}
@@ -67,20 +68,20 @@ class Recording:
     source: str = ""
 
     def __post_init__(self) -> None:
-        kind = cast(Kind, checks.choice("kind", self.kind, ("angles", "markers")))
+        kind = cast(Kind, checks.choice("kind", self.kind, KINDS))
         t = checks.times("t", self.t, least=2)
         data = checks.array("data", self.data, (t.size, -1), unit=UNIT[kind], gaps=True)
         _check_columns(kind, data)
-        for name, value in (("t", t), ("data", data), ("kind", kind)):
-            object.__setattr__(self, name, value)
-        if self.noise is not None:
-            object.__setattr__(self, "noise", per_sample(self.noise, data))
-        if self.rates is not None:
-            rates = checks.array("rates", self.rates, (t.size, self.n_links), unit="rad/s", gaps=True)
-            object.__setattr__(self, "rates", rates)
         for name in ("convention", "name", "source"):
             checks.text(f"recording {name}", getattr(self, name))
-        object.__setattr__(self, "convention", self.convention or CONVENTION[kind])
+        values: dict[str, object] = {"t": t, "data": data, "convention": self.convention or CONVENTION[kind]}
+        if self.noise is not None:
+            values["noise"] = per_sample(self.noise, data)
+        if self.rates is not None:
+            shape = t.size, data.shape[1] if kind == "angles" else 0
+            values["rates"] = checks.array("rates", self.rates, shape, unit="rad/s", gaps=True)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
         name = f"{self.name!r}: " if self.name else ""
@@ -117,11 +118,8 @@ class Recording:
                 checks.number(name, each, unit="s")
         inside = (self.t >= start) & (self.t < end)
         if inside.sum() < 2:
-            raise InvalidInput(
-                "the span holds fewer than two samples",
-                got=[start, end],
-                allowed=f"a span within {self.t[0]:g} to {self.t[-1]:g} s",
-            )
+            allowed = f"a span within {self.t[0]:g} to {self.t[-1]:g} s"
+            raise InvalidInput("the span holds fewer than two samples", got=[start, end], allowed=allowed)
         return self._pick(inside)
 
     def split(self, time: float) -> "tuple[Recording, Recording]":
@@ -223,14 +221,9 @@ def unwrap(angle: Array) -> Array:
 def _check_columns(kind: Kind, data: Array) -> None:
     """Refuse a number of columns that does not fit the kind, and channels without any value."""
     columns = data.shape[1]
-    if kind == "angles" and columns < 1:
-        raise InvalidInput("data has no columns", got=data.shape, allowed="one column a link")
-    if kind == "markers" and (columns < 2 or columns % 2):
-        raise InvalidInput(
-            "data has the wrong number of columns for markers",
-            got=columns,
-            allowed="x and y of each marker: 2, 4, 6, ... columns",
-        )
+    if columns < 1 or (kind == "markers" and columns % 2):
+        allowed = {"angles": "one column a link", "markers": "x and y of each marker: 2, 4, 6, ... columns"}
+        raise InvalidInput("data has the wrong number of columns", got=columns, allowed=allowed[kind])
     empty = np.isnan(data).all(axis=0)
     if empty.any():
         raise InvalidInput(
@@ -242,11 +235,8 @@ def _check_columns(kind: Kind, data: Array) -> None:
 
 def per_sample(noise: object, data: Array) -> Array:
     """Return the noise of each sample (T, C) from one number, one a channel, or all of them."""
-    try:
-        each = np.ndim(noise) == 2  # type: ignore[arg-type]
-    except ValueError:  # ragged
-        each = True
-    if each:
-        return checks.array("noise", noise, data.shape, sign="positive")
-    given = checks.array("noise", noise, (data.shape[1],), sign="positive", scalar=True)
+    given = checks.array("noise", noise, None, sign="positive")
+    if given.shape not in ((), data.shape[1:], data.shape):
+        allowed = f"one number, {data.shape[1]} of them, or {data.shape[0]} x {data.shape[1]}"
+        raise InvalidInput("noise has the wrong shape", got=given.shape, allowed=allowed)
     return checks.array("noise", np.broadcast_to(given, data.shape), data.shape)

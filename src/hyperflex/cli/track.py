@@ -1,0 +1,395 @@
+"""``hyperflex track`` and ``watch``: a video to the motion of its rope or bars, and a rope followed live."""
+
+import math
+import time
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from hyperflex import checks, files
+from hyperflex.cli import output
+from hyperflex.cli.command import ArcLengths, check_destination, numbers, words
+from hyperflex.cli.output import Rows
+from hyperflex.errors import FileProblem, InvalidInput
+from hyperflex.interruption import stoppable
+
+if TYPE_CHECKING:
+    from hyperflex.estimate import (
+        Change,
+        EstimatedParameter,
+        FrameThread,
+        LiveEstimate,
+        PicturePage,
+        RopeTracker,
+        TrackedFrame,
+        TrackingTask,
+        Watch,
+    )
+    from hyperflex.vision import BarDetector, Frame, Image, MarkerColour, VideoWriter
+
+_SAME = 1e-6  # s, by which two times may differ
+_TICK, _FILE_TICK = 0.1, 5.0  # s without a frame, from a camera and a file, after which an estimate is given anyway
+Pixel = tuple[float, float] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Markers:
+    """Options on a rope with markers, and how its colour, parameters and changes are found."""
+
+    rope: Annotated[Path | None, typer.Option(help="TOML file with the rope.")] = None
+    camera: Annotated[
+        Path | None, typer.Option(help="TOML file of the calibrated camera, with the swing plane (calibrate).")
+    ] = None
+    arc_lengths: ArcLengths = None
+    preview: Annotated[Path | None, typer.Option(help="MP4 file of the pictures with the estimate drawn on them.")] = (
+        None
+    )
+    click: Annotated[
+        Pixel,
+        typer.Option(
+            help="Pixel of a marker in the first frame, u v. [default: the colour that most small things share]"
+        ),
+    ] = None
+    estimate: Annotated[
+        str, typer.Option(help="Parameters to estimate too, with standard deviations: scale=0.01,delay=0.02.")
+    ] = ""
+    changes: Annotated[
+        str,
+        typer.Option(
+            help="Changes to test for: tip_mass,touch; or none. [default: length, tip_mass, friction, drag, touch]"
+        ),
+    ] = ""
+    false_alarm_interval: Annotated[
+        float, typer.Option(help="Least mean time between false alarms of these tests, s.")
+    ] = 600.0
+
+    def check(self, out: Path, source: Path, *, bars: bool = False) -> None:
+        """Refuse, before any work, outputs that cannot be written, and missing options."""
+        for each, suffix in ((out, ".nc"), (self.preview, ".mp4")):
+            check_destination(each, suffix, [source, self.rope, self.camera])
+        needed = {"--rope": self.rope, "--camera": self.camera, "--arc-lengths": self.arc_lengths}
+        if not bars and (missing := [name for name, value in needed.items() if not value]):
+            fix = "Give them, or to track a pendulum whose links are bars --bar and --pivot"
+            raise InvalidInput("a rope with markers needs more options", got="no " + ", ".join(missing), fix=fix)
+
+    def task(self, images: "Iterable[Image]") -> "TrackingTask":
+        """Return what is tracked; the markers' colour is that of `images`."""
+        from hyperflex.estimate import ChangeTests, TrackingTask
+        from hyperflex.model import Rope
+        from hyperflex.vision import read_camera
+
+        lens, line = read_camera(self.camera or ""), Rope.from_toml(self.rope or "")
+        arcs = checks.array("--arc-lengths", numbers("--arc-lengths", self.arc_lengths or (), "0.2,0.4,0.6"), (-1,))
+        named = tuple(words([self.changes]))
+        tests = None if named == ("none",) else ChangeTests(named or None, self.false_alarm_interval)
+        estimated = [_parameter(each) for each in words([self.estimate])]
+        return TrackingTask(line, arcs, lens, _marker_colour(images, self.click), parameters=estimated, tests=tests)
+
+
+def _parameter(text: str) -> "EstimatedParameter":
+    """Return a parameter of ``--estimate scale=0.01,delay=0.02``."""
+    from hyperflex.estimate import EstimatedParameter
+
+    name, _, std = (part.strip() for part in text.partition("="))
+    if not std:
+        allowed = "each with the standard deviation of its prior, as in scale=0.01,delay=0.02"
+        raise InvalidInput("--estimate names a parameter without a number", got=text, allowed=allowed)
+    return EstimatedParameter(name, numbers("--estimate", [std], "scale=0.01")[0])
+
+
+def _marker_colour(images: "Iterable[Image]", click: Pixel) -> "MarkerColour":
+    """Return the markers' colour: that of the first picture which shows one, or at a pixel of the first picture."""
+    from hyperflex.vision import MarkerColour
+
+    count = 0
+    for image in images:
+        if click is not None:
+            return MarkerColour.from_click(image, click)
+        with suppress(InvalidInput):
+            return MarkerColour.from_frame(image)
+        count += 1
+    if not count:
+        raise InvalidInput("no frame was received", fix="Check the source, and --at if it is given")
+    raise InvalidInput(
+        "no colour of markers was found",
+        got=f"{count} frames",
+        allowed="a frame with at least 3 small things of one strong colour and size",
+        fix="Give a pixel of a marker with --click U V",
+    )
+
+
+def track(
+    video: Annotated[Path, typer.Argument(help="Video of the rope, MP4, MOV, ...")],
+    bar: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="In place of markers: pixel u,v in the middle of a link that is a bar of its own colour; once for "
+            "each link, from the pivot on."
+        ),
+    ] = None,
+    pivot: Annotated[Pixel, typer.Option(help="Pixel of the first joint, u v, for --bar.")] = None,
+    at: Annotated[
+        float | None,
+        typer.Option(help="Time of the frame of the pixels of --bar or --click, s. [default: the first frame]"),
+    ] = None,
+    out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the places or angles.")] = Path(
+        "markers.nc"
+    ),
+    *,
+    markers: Markers,
+) -> None:
+    """Track a rope in a video by its markers and its dynamics.
+
+    The rope hangs from the origin of the swing plane. Its markers are found and ordered in the first frames; from then
+    on each is searched where the rope's motion predicts it. `hyperflex identify` continues from the file, with the same
+    --arc-lengths and --origin 0 0.
+
+    With --bar and --pivot the command follows the links of a pendulum by their colours and needs neither rope nor
+    camera: the file then holds the links' angles.
+
+    After Ctrl-C, the part that has been tracked is in a separate file, such as markers-interrupted.nc.
+    """
+    from hyperflex.estimate import track_video
+    from hyperflex.vision import track_bars
+
+    since, preview = -math.inf if at is None else checks.number("--at", at, unit="s") - _SAME, markers.preview
+    if bar and pivot is None:
+        raise InvalidInput("--pivot is missing", fix="Give the pixel of the first joint, as --pivot 167 147")
+    markers.check(out, video, bars=bool(bar))
+    details: dict[str, Any] = {}
+    found: Any
+    with output.spinner() as said:
+        follow: dict[str, Any] = {"preview": preview, "progress": lambda count: said(f"frame {count}")}
+        if bar:
+            detector = _bar_detector(video, [numbers("--bar", [each], "213,140") for each in bar], since)
+            found, stopped = output.run(lambda: track_bars(video, detector, pivot or (), **follow))
+        else:
+            tracker = markers.task(_images_since(video, since)).tracker()
+            found, stopped = output.run(lambda: track_video(video, tracker, **follow))
+    if bar:
+        title, seen = f"Tracked {len(found.seen)} bars", found.seen.tolist()
+        rows = [(f"link {k}", f"seen in {100.0 * part:.1f} % of the frames") for k, part in enumerate(seen)]
+    else:
+        title, seen = f"Tracked {len(found.arc_lengths)} markers", found.seen
+        details = {
+            "found_at_s": found.found_at,
+            "markers": len(found.arc_lengths),
+            "arc_lengths": found.arc_lengths.tolist(),
+            **_estimated(tracker.estimator.measurement_noise.value, found.parameters, found.changes),
+        }
+        rows = [
+            ("found at", f"{found.found_at:.3f} s"),
+            ("seen", f"{100.0 * seen:.1f} % of all markers in {found.recording.duration:.2f} s"),
+            *_parameter_rows(details),
+            *(("change", str(change)) for change in found.changes),
+        ]
+    kept = output.partial_path(out) if stopped else out
+    files.rescued(found.to_netcdf, kept)
+    notes = [each.replace("arc_lengths", "--arc-lengths") for each in found.notes]
+    result = {"output": kept, "frames": found.frames, "duration_s": found.recording.duration, "seen": seen}
+    rows += [*(("note", each) for each in notes), ("written", str(kept))]
+    output.show(
+        result | details | {"notes": notes},
+        Rows(f"{title} in {found.frames} frames", rows if preview is None else [*rows, ("preview", str(preview))]),
+        interrupted=f"Interrupted after {found.frames} frames; the part that was tracked is in {kept}."
+        if stopped
+        else "",
+    )
+
+
+def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[Change]") -> dict[str, Any]:
+    """Return for JSON what was estimated in addition to the motion."""
+    named = {name: {"value": value, "std": std} for name, (value, std) in values.items()}
+    return {"noise_level": noise, "estimated": named, "changes": [asdict(change) for change in changes]}
+
+
+def _parameter_rows(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    for name, each in result["estimated"].items():
+        yield name, f"{each['value']:.5g} ± {each['std']:.2g}"
+
+
+def _images_since(video: Path, since: float) -> "Iterator[Image]":
+    """Yield the pictures of a video from a time on."""
+    from hyperflex.vision import VideoReader
+
+    with VideoReader(video) as reader:
+        for frame in reader:
+            if frame.time >= since:
+                yield frame.image
+
+
+def _bar_detector(video: Path, clicks: list[list[float]], since: float) -> "BarDetector":
+    """Return a detector of the bars at pixels in the first frame at or after a time."""
+    from hyperflex.vision import BarDetector
+
+    if any(len(each) != 2 for each in clicks):
+        raise InvalidInput("--bar is a pixel", got=clicks, allowed="u,v", fix="Give it once for each link")
+    if (image := next(_images_since(video, since), None)) is None:
+        raise InvalidInput("--at is after the end of the video", got=since + _SAME, fix="Give an earlier time")
+    return BarDetector.from_clicks(image, clicks)
+
+
+def watch(
+    source: Annotated[
+        str, typer.Argument(help="Number of a camera (0 is the first), a stream (rtsp://...), or a video.")
+    ],
+    out: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the log.")] = Path("watch.nc"),
+    page: Annotated[
+        int | None, typer.Option(help="Port of a page on this machine that shows the pictures; 0: any free one.")
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="Stop after this time, s.")] = None,
+    reconnect_timeout: Annotated[float, typer.Option(help="Time for which a lost source is tried again, s.")] = 10.0,
+    *,
+    markers: Markers,
+) -> None:
+    """Follow a rope live by its markers and its dynamics.
+
+    At every frame, and while none arrives, the command reports where the rope is, the age and uncertainty of this
+    estimate, and detected changes: a mass at the tip, for example, or a touch. It ends with the source or by Ctrl-C,
+    and then writes the log; the log of an interrupted run is marked. A video is followed frame by frame, with --page at
+    its own speed. With --json it prints one JSON object a line: one for each estimate, and a summary.
+    """
+    from threadpoolctl import threadpool_limits
+
+    from hyperflex.estimate import PicturePage, Watch, WatchLog, open_frames
+    from hyperflex.vision import read_camera
+
+    markers.check(out, Path(source))
+    until = math.inf if duration is None else checks.number("--duration", duration, sign="positive", unit="s")
+    with ExitStack() as stack:
+        stack.enter_context(threadpool_limits(1))
+        pictures = None if page is None else stack.enter_context(PicturePage(page))
+        lens = read_camera(markers.camera or "")
+        frames = stack.enter_context(open_frames(source, paced=page is not None, reconnect_timeout=reconnect_timeout))
+        if not frames.live and frames.image_size != lens.image_size:
+            got, allowed = ("x".join(map(str, size)) for size in (frames.image_size, lens.image_size))
+            raise InvalidInput("the video has another size than the camera's", got=got, allowed=allowed)
+        task = markers.task(_images(frames, reconnect_timeout))
+        task.rehearse()
+        tracker = task.tracker()
+        follow = Watch(frames, tracker, interval=_TICK if frames.live or page is not None else _FILE_TICK)
+        if pictures is not None:
+            output.note(f"pictures at {pictures.address}")
+        with WatchLog(out, task.rope.n_links, task.arc_lengths.size, source) as log, ExitStack() as films:
+            record = _Record(tracker, markers.preview, pictures, films)
+            with stoppable() as stop:
+                _run(follow, until, [log.note, record.take])
+                log.ending = frames.ended or f"stopped after {duration:g} s"
+            log.interrupted = stop.received
+    result = {"output": out, "ending": log.ending, "interrupted": log.interrupted, **record.summary()}
+    latency = result["latency_s"]
+    rows = [
+        ("ended", log.ending),
+        ("seen", f"{100.0 * result['seen']:.1f} % of all markers, {result['found']} frames with a rope"),
+        ("latency", f"median {1e3 * latency['median']:.1f} ms, 99 % at most {1e3 * latency['p99']:.1f} ms"),
+        *_parameter_rows(result),
+        ("messages", str(result["messages"])),
+        *([("warning", result["warning"])] if result["warning"] else []),
+        ("written", str(out)),
+    ]
+    stopped = f"Interrupted; the log is kept in {out}." if log.interrupted else ""
+    output.show(result, Rows(f"Watched {result['frames']} frames", rows), one_line=True, interrupted=stopped)
+
+
+def _run(follow: "Watch", until: float, takers: "list[Callable[[LiveEstimate], None]]") -> None:
+    """Hand each estimate to all who take it, until the source or the time ends."""
+    begin = time.monotonic()
+    with output.spinner() as said:
+        for estimate in follow:
+            for take in takers:
+                take(estimate)
+            if output.as_json():
+                output.print_json(_line(estimate), one_line=True)
+            else:
+                said("   ".join(_status(estimate)))
+                for message in estimate.messages:
+                    output.note(f"{estimate.t:.2f} s: {message}")
+            if time.monotonic() - begin > until:
+                return
+
+
+def _status(estimate: "LiveEstimate") -> list[str]:
+    """Return the status in two short lines."""
+    sure = f"tip ± {1e3 * estimate.tip_std:.1f} mm" if estimate.found else "rope not found"
+    late = "no frame" if estimate.frame is None else f"latency {1e3 * estimate.latency:.1f} ms"
+    age = "never seen" if math.isinf(estimate.age) else f"seen {1e3 * estimate.age:.0f} ms ago"
+    return [
+        f"{estimate.t:.2f} s   {estimate.rate:.1f} frames/s   {late}",
+        f"{estimate.seen} of {estimate.markers} markers, {age}   {sure}",
+    ]
+
+
+def _line(estimate: "LiveEstimate") -> dict[str, Any]:
+    """Return an estimate for a program."""
+    names = ("t", "found", "tip", "tip_std", "age", "latency", "rate", "seen", "markers", "messages")
+    state = {"frame": estimate.frame is not None, "q": estimate.state.q, "qd": estimate.state.qd}
+    return {name: getattr(estimate, name) for name in names} | state
+
+
+class _Record:
+    """Counts what a run has seen, and draws it on the frames for a film and for the page."""
+
+    def __init__(
+        self, tracker: "RopeTracker", preview: Path | None, page: "PicturePage | None", films: ExitStack
+    ) -> None:
+        self.tracker, self.preview, self.page, self.films = tracker, preview, page, films
+        self.film: tuple[VideoWriter, float] | None = None  # and the time of its first frame, s
+        self.counts: Counter[str] = Counter()
+        self.latencies, self.changes = array("f"), list["Change"]()
+
+    def take(self, estimate: "LiveEstimate") -> None:
+        """Count an estimate, and draw it if its frame can be used and somebody wants it."""
+        self.counts["messages"] += len(estimate.messages)
+        if estimate.frame is None:
+            return
+        self.counts.update(frames=1, **{name: int(getattr(estimate, name)) for name in ("found", "seen", "markers")})
+        self.latencies.append(estimate.latency)
+        if estimate.tracked is not None:
+            self.changes += estimate.tracked.changes
+            self._draw(estimate, estimate.frame, estimate.tracked)
+
+    def _draw(self, estimate: "LiveEstimate", frame: "Frame", tracked: "TrackedFrame") -> None:
+        from hyperflex.estimate import draw_frame
+        from hyperflex.vision import VideoWriter
+
+        watched = self.page is not None and self.page.watched
+        if not watched and self.preview is None:
+            return
+        image = draw_frame(frame.image, self.tracker, tracked, _status(estimate))
+        if self.page is not None and watched:
+            self.page.show(image)
+        if self.preview is not None:
+            if self.film is None:
+                writer = VideoWriter(self.preview, self.tracker.camera.image_size)
+                self.film = self.films.enter_context(writer), frame.time
+            self.film[0].write(image, frame.time - self.film[1])
+
+    def summary(self) -> dict[str, Any]:
+        """Return the counts by name."""
+        filter_, counts = self.tracker.estimator, self.counts
+        median, p99 = np.quantile(self.latencies or [np.nan], [0.5, 0.99])
+        return {
+            **{name: counts[name] for name in ("frames", "found", "messages")},
+            "seen": counts["seen"] / max(counts["markers"], 1),
+            "latency_s": {"median": median, "p99": p99},
+            "warning": self.tracker.warning,
+            **_estimated(filter_.measurement_noise.value, filter_.values, self.changes),
+        }
+
+
+def _images(frames: "FrameThread", reconnect_timeout: float) -> "Iterator[Image]":
+    """Yield pictures for so long, s; the last one that was asked for is left to be taken."""
+    until, count = time.monotonic() + reconnect_timeout, 0
+    while (frame := frames.peek(max(0.0, until - time.monotonic()))) is not None:
+        count += 1
+        yield frame.image
+        frames.take(0.0)
+    if not count and frames.ended:
+        raise FileProblem(frames.ended)
