@@ -104,7 +104,10 @@ def test_slots_that_are_refused(hyperflex, setup_file, tmp_path, more, words):
 def test_what_is_missing_is_named(hyperflex, tmp_path):
     ROPE.to_toml(tmp_path / "rope.toml")
     asked = ("insert", "--rope", tmp_path / "rope.toml", "-o", tmp_path / "out")
-    for more, words in (((), "--slot is missing"), (("--slot", "0.2", "-0.9"), "--direction is missing")):
+    for more, words in (
+        ((), "--slot and --direction are missing"),
+        (("--slot", "0.2", "-0.9"), "--direction is missing"),
+    ):
         code, _, err = hyperflex(*asked, *more)
         assert code == 2
         assert words in err

@@ -16,8 +16,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 import hyperflex as hf
 import hyperflex.envs
 from hyperflex.checks import Array
-from hyperflex.envs.drawing import default_rope
 from hyperflex.envs.policies import members_of
+from hyperflex.envs.vector import default_rope
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import check_feasibility
 

@@ -16,8 +16,8 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.envs import CrossingPolicy, PlannedCast, PumpingPolicy, Scores, score_policy, stable_baselines_env
-from hyperflex.envs.drawing import default_rope
 from hyperflex.envs.policies import members_of
+from hyperflex.envs.vector import default_rope
 from hyperflex.errors import InvalidInput, MissingPackage
 from hyperflex.planning import Moves, check_feasibility
 

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from hyperflex.envs.cast import CastEnv, CastVectorEnv
     from hyperflex.envs.policies import CrossingPolicy, PlannedCast, PumpingPolicy, RulePolicy
     from hyperflex.envs.scores import Scores, score_policy
+    from hyperflex.envs.stable_baselines import stable_baselines_env
     from hyperflex.envs.swing import SwingEnv, SwingVectorEnv
-    from hyperflex.envs.vec_env import stable_baselines_env
     from hyperflex.envs.vector import EnvOptions, RopeEnv, RopeVectorEnv
 
 extras.require(("gymnasium",), "gym", "Environments")

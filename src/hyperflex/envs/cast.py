@@ -9,9 +9,12 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.envs.vector import Flags, RopeEnv, RopeVectorEnv
 from hyperflex.envs.worlds import PegWorld
+from hyperflex.errors import InvalidInput
 from hyperflex.model import Peg
-from hyperflex.planning import WindCriteria
+from hyperflex.planning import Problem, WindCriteria, check_feasibility
 from hyperflex.trajectory import swept
+
+DRAWS = 100  # targets at most, until one is in reach
 
 
 class CastVectorEnv(RopeVectorEnv):
@@ -28,7 +31,24 @@ class CastVectorEnv(RopeVectorEnv):
         self._turns, self._wound = np.zeros(self.num_envs), np.zeros(self.num_envs)
 
     def _target(self, rng: np.random.Generator) -> Peg:
-        return self.drawing.target(rng) if self.target is None else self.target
+        """Return the target, or a peg of 50 mm to either side that the planner's feasibility check calls in reach."""
+        if self.target is not None:
+            return self.target
+        problem = Problem(self.model, self.arm, self.limits, side=-1)
+        length, (x, y) = self.model.total_length, self.arm.pivot
+        for _ in range(DRAWS):
+            side = 1.0 if rng.random() < 0.5 else -1.0
+            aside, up = length * rng.uniform(0.3, 0.55), length * rng.uniform(-0.55, -0.3)
+            peg = Peg(x + side * aside, y + up, 0.05)
+            found = check_feasibility(problem, peg)
+            if found.feasible:
+                return peg
+        raise InvalidInput(
+            f"no target can be drawn for this rope, arm and motor: of {DRAWS} none is in reach",
+            got=found.message,
+            allowed="a target in reach",
+            fix="Give target=hyperflex.Peg(x, y, radius), or another rope, arm or limits",
+        )
 
     def _extra(self) -> Array:
         """Return the targets: x and y from the shaft, and radius, m."""

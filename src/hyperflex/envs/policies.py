@@ -17,6 +17,8 @@ from hyperflex.interfaces import RopeState
 from hyperflex.motion import Motion
 from hyperflex.planning import CastPlan, Conditions, SearchOptions, plan_cast
 
+WINDS = 5.0  # s after the motion, in which the rope must wind
+
 
 class RulePolicy:
     """Half turns that a rule of :mod:`hyperflex.control` starts, as actions of either kind.
@@ -32,24 +34,21 @@ class RulePolicy:
     def __init__(self, env: Any, rule: Rule) -> None:
         self._members, self._rule = members_of(env), rule
         self._timing = TimingActuator(self._members.limits, self._members.dt, 1)
-        self._made, self._left, self._start = 0, 0, 0.0
+        self._made, self._start = 0, 0.0
 
     def __call__(self, seen: Array) -> Any:
         """Return the action for what is `seen`."""
-        members, begins = self._members, False
-        if self._left == 0:
+        members, world, begins = self._members, self._members.world, False
+        if not self._timing.remaining[0]:
             now = members.dt * float(members.steps[0])
             if np.isnan(self._start):
-                state = RopeState(now, members.world.q[0], members.world.qd[0])
-                self._start = self._rule.next_start(state, self._made)
+                self._start = self._rule.next_start(RopeState(now, world.q[0], world.qd[0]), self._made)
             begins = now > self._start - 0.5 * members.dt
             if begins:
-                self._made, self._left, self._start = self._made + 1, 2 * self._timing.half, np.nan
-        self._left = max(0, self._left - 1)
+                self._made, self._start = self._made + 1, np.nan
+        given = self._timing.accelerations(np.array([begins]), world.arm_angle, world.arm_rate)
         if isinstance(members.actuator, TimingActuator):
             return int(begins)
-        world = members.world
-        given = self._timing.accelerations(np.array([int(begins)]), world.arm_angle, world.arm_rate)
         return (given / members.limits.acceleration).astype(np.float32)
 
 
@@ -142,10 +141,8 @@ class PlannedCast:
         twin = type(members)(rope=members.model, target=members.pegs[0], tol=members.world.tol, **given)
         twin.reset(seed=0)
         twin.world.begin(np.array([0]), [members.model], members.pegs, members.world.q, members.world.arm_angle[0])
-        ended = False
-        while (
-            not ended and members.dt * twin.steps[0] < float(motion.breaks[-1]) + 5.0
-        ):  # s, in which the rope must wind
+        ended, end = False, float(motion.breaks[-1]) + WINDS
+        while not ended and members.dt * twin.steps[0] < end:
             _, _, terminated, _, info = twin.step(self._action(twin, motion)[None])
             ended, self._succeeds = bool(terminated[0]), bool(info["is_success"][0])
         return self._succeeds

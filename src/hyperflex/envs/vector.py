@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -16,15 +17,22 @@ from gymnasium.vector.utils import batch_space
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.envs.actuators import ACTUATORS, QUARTER
-from hyperflex.envs.drawing import Drawing, default_rope
-from hyperflex.envs.sensing import Sensing
 from hyperflex.envs.worlds import World
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Peg, Rope
-from hyperflex.planning import MotorLimits
+from hyperflex.planning import MotorLimits, Problem, Uncertainty, scaled_rope
 
 Flags = npt.NDArray[np.bool_]
 NOWHERE = Peg(1.0, 0.0, 0.05)  # placeholder where an environment has no target
+FACTORS = ("length", "mass", "friction")  # of the rope, that a mismatch and a randomization name
+RATE = 10.0  # rad/s, the unit of rates in an observation: makes numbers of about 1
+BOUND = 100.0  # to which observations are clipped, so that their space is bounded
+LIFTED = 0.1  # rad, to which a rope hangs from the vertical at the start
+
+
+def default_rope(n_links: int) -> Rope:
+    """Return the paper's cable, 2 m and 125 g, with the same friction of the whole rope for any number of links."""
+    return Rope.uniform(length=2.0, mass=0.125, n_links=n_links, radius=0.0025, friction=1e-5 * n_links)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +48,11 @@ class EnvOptions:
     action : {"acceleration", "timing"}
         What an action is.
     observation : {"state", "markers"}
-        What is observed.
+        ``"state"``: sine, cosine and rate of each link, then of the arm. ``"markers"``: sine, cosine and rate of the
+        arm, then places x, y of the markers from the shaft, m, now, and an interval before. Rates are in units of
+        10 rad/s. What the environment adds follows.
     markers : int
-        Number of markers.
+        Number of markers, the last one on the tip and the others evenly before it, each on a joint.
     dt : float
         Interval of an action, s.
     tol : float
@@ -68,7 +78,10 @@ class EnvOptions:
         for name, kind in (("arm", Arm), ("limits", MotorLimits)):
             checks.instance(name, getattr(self, name), kind)
         checks.choice("action", self.action, tuple(ACTUATORS))
+        checks.choice("observation", self.observation, ("state", "markers"))
         checks.number("dt", self.dt, sign="positive", unit="s")
+        for name, known in (("mismatch", FACTORS), ("randomization", (*FACTORS, "mu"))):
+            checks.keys(name, checks.mapping(name, getattr(self, name)), known)
 
 
 class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
@@ -118,11 +131,23 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         options = EnvOptions(**{name: value for name, value in arguments.items() if value is not None})
         self.model = checks.instance("rope", options.rope or default_rope(self.n_links), Rope)
         self.arm, self.limits, self.dt = options.arm, options.limits, options.dt
-        self.drawing = Drawing(self.model, self.arm, self.limits, options.mismatch, options.randomization)
+        given = options.mismatch
+        factors = [checks.number(f"mismatch {name}", given.get(name, 1.0), sign="positive") for name in FACTORS]
+        true = scaled_rope(self.model, *factors)
+        self._true = Problem(true, self.arm, self.limits) if options.randomization else true
+        known = dict.fromkeys((*FACTORS, "mu", "lag", "timing"), 0.0)
+        self._uncertainty = Uncertainty(**{**known, **options.randomization})  # type: ignore[arg-type]
         self.actuator = ACTUATORS[options.action](self.limits, self.dt, self.num_envs)
-        self._sensing = Sensing(options.observation, options.markers, self.model.n_links, self.extra)
-        self.world = self.world_class(self.drawing.true, self.arm, self.num_envs, options.tol)
-        self.single_action_space, self.single_observation_space = self.actuator.space, self._sensing.space
+        self.world = self.world_class(true, self.arm, self.num_envs, options.tol)
+        links, markers = true.n_links, checks.count("markers", options.markers, most=true.n_links)
+        seen = options.observation == "markers"
+        self._joints = np.round(np.linspace(0, links, markers + 1)[1:]).astype(np.intp) if seen else None
+        self._frames = np.zeros((2, self.num_envs, 2 * markers))  # now and an interval before
+        bound = np.full(3 + (4 * markers if seen else 3 * links) + self.extra, BOUND)
+        self.single_action_space, self.single_observation_space = (
+            self.actuator.space,
+            spaces.Box(-bound, bound, dtype=np.float64),
+        )
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.generators: list[np.random.Generator] = []
@@ -141,87 +166,98 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         options : dict, optional
             ``{"reset_mask": (M,) bool}``: the members to reset; by default all.
         """
-        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, dtype=np.bool_))
+        everyone = np.ones(self.num_envs, dtype=np.bool_)
+        mask = (options or {}).get("reset_mask", everyone)
         if np.shape(mask) != (self.num_envs,) or np.asarray(mask).dtype != np.bool_ or not np.any(mask):
             raise InvalidInput("reset_mask is not of these members", got=mask, allowed=f"({self.num_envs},) of bool")
-        which = np.flatnonzero(mask)
-        seeds = seed if isinstance(seed, Sequence) else [None if seed is None else seed + m for m in self._all]
+        members = range(self.num_envs)
+        seeds = seed if isinstance(seed, Sequence) else [None if seed is None else seed + m for m in members]
         if len(seeds) != self.num_envs:
             raise InvalidInput("there are not as many seeds as members", got=len(seeds), allowed=str(self.num_envs))
         if not self.generators:
-            self.generators = [seeding.np_random()[0] for _ in self._all]
-            which = np.arange(self.num_envs)
-        for m in which.tolist():
+            self.generators, mask = [seeding.np_random()[0] for _ in members], everyone
+        for m in np.flatnonzero(mask).tolist():
             if seeds[m] is not None:
                 self.generators[m] = seeding.np_random(seeds[m])[0]
-        self._begin(which)
-        return self._sensing.observe(self.world, self._extra()), self._info(np.isin(self._all, which))
+        self._begin(mask)
+        return self._observe(), self._info(mask)
 
     def step(self, actions: npt.NDArray[np.generic]) -> tuple[Array, Array, Flags, Flags, dict[str, Any]]:
         """Simulate an interval with actions (M, ...); return observations, rewards, terminated, truncated and info."""
         if not self.generators:
             raise InvalidInput("the environment has not begun", fix="Call reset() first")
-        anew = np.zeros_like(self._ended)
-        if self._mode is AutoresetMode.NEXT_STEP:
-            anew = self._ended
-        elif self._mode is AutoresetMode.DISABLED and self._ended.any():
+        if self._mode is AutoresetMode.DISABLED and self._ended.any():
             fix = 'Call reset() first, for some of many with options={"reset_mask": mask}'
             raise InvalidInput("episodes have ended", got=np.flatnonzero(self._ended).tolist(), fix=fix)
-        world = self.world
+        world, anew, everyone = self.world, self._ended, np.ones(self.num_envs, dtype=np.bool_)
         world.step(self.actuator.accelerations(actions, world.arm_angle, world.arm_rate), self.dt)
         self.steps = self.steps + 1
         places = world.places()
-        self._sensing.take_frame(world, places)
+        self._frames = np.stack([self._frame(places), self._frames[0]])
         rewards, reached = self._score(places)
         rewards, terminated = np.where(world.failed | anew, 0.0, rewards), (reached | world.failed) & ~anew
         truncated = (self.steps >= self._longest) & ~anew
         self._ended = terminated | truncated
-        if anew.any():
-            self._begin(np.flatnonzero(anew))
-        seen, info = self._sensing.observe(world, self._extra()), self._info(np.ones_like(anew))
+        self._begin(anew)  # with NextStep: in the other modes none has ended before a step
+        seen, info = self._observe(), self._info(everyone)
         if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
-            seen, info = self._begin_at_once(seen, info)
+            ended, last = self._ended, np.full(self.num_envs, None, dtype=object)
+            final = {name: value & ended if name.startswith("_") else value for name, value in info.items()}
+            for m in np.flatnonzero(ended):
+                last[m] = seen[m]
+            self._ended = np.zeros_like(ended)
+            self._begin(ended)
+            finals = {"final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
+            seen, info = self._observe(), self._info(everyone) | finals
         return seen, rewards, terminated, truncated, info
 
-    @property
-    def _all(self) -> range:
-        return range(self.num_envs)
-
-    def _begin_at_once(self, seen: Array, info: dict[str, Any]) -> tuple[Array, dict[str, Any]]:
-        """Restart ended members; return the new observations, and the information with the last ones before."""
-        ended, last = self._ended.copy(), np.full(self.num_envs, None, dtype=object)
-        final = {name: value & ended if name.startswith("_") else value for name, value in info.items()}
-        for m in np.flatnonzero(ended):
-            last[m] = seen[m]
-        self._begin(np.flatnonzero(ended))
-        finals = {"final_obs": last, "_final_obs": ended, "final_info": final, "_final_info": ended.copy()}
-        return self._sensing.observe(self.world, self._extra()), self._info(np.ones_like(ended)) | finals
-
-    def _begin(self, which: npt.NDArray[np.intp]) -> None:
+    def _begin(self, mask: Flags) -> None:
         """Begin episodes of some members."""
-        drawn = [self._draw(int(m)) for m in which]
-        q0, ropes, pegs = (list(each) for each in zip(*drawn, strict=True))
+        which = np.flatnonzero(mask)
+        if not which.size:
+            return
+        q0, ropes, pegs = zip(*(self._draw(m) for m in which.tolist()), strict=True)
         self.world.begin(which, ropes, pegs, np.array(q0), -QUARTER)
         self.actuator.begin(which)
-        self.steps[which], self._ended[which] = 0, False
+        self.steps[which], self._ended = 0, self._ended & ~mask
         places = self.world.places()
-        self._sensing.begin(self.world, places, which)
+        self._frames[:, which] = self._frame(places)[which]
         self._start(which, places)
 
     def _draw(self, m: int) -> tuple[Array, Rope, Peg]:
         """Sample the start of a member's episode: the rope's angles (n,), rad, and the true rope and peg."""
-        rng = self.generators[m]
-        q0 = self.drawing.angles(rng)
-        self.pegs[m] = self._target(rng)
-        return q0, *self.drawing.scenario(rng, self.pegs[m])
+        rng, rope = self.generators[m], self.model
+        q0 = np.full(rope.n_links, rope.hanging_angle + rng.uniform(-LIFTED, LIFTED))
+        self.pegs[m] = peg = self._target(rng)
+        if isinstance(self._true, Rope):
+            return q0, self._true, peg
+        drawn = self._uncertainty.sample(1, self._true, peg, seed=int(rng.integers(2**31)))[0]
+        return q0, drawn.rope, drawn.peg
+
+    def _observe(self) -> Array:
+        """Return the observations (M, ...)."""
+        world = self.world
+        arm = [np.sin(world.arm_angle)[:, None], np.cos(world.arm_angle)[:, None], world.arm_rate[:, None] / RATE]
+        if self._joints is None:
+            parts = [np.sin(world.q), np.cos(world.q), world.qd / RATE, *arm]
+        else:
+            parts = [*arm, *self._frames]
+        seen = np.concatenate([*parts, self._extra()], axis=1)
+        return np.asarray(np.clip(np.nan_to_num(seen), -BOUND, BOUND))
+
+    def _frame(self, places: Array) -> Array:
+        """Return the places of the markers (M, 2 K) among those of the joints, from the shaft, m."""
+        if self._joints is None:
+            return np.asarray(self._frames[0])
+        return np.asarray((places[:, self._joints] - np.array(self.arm.pivot)).reshape(self.num_envs, -1))
 
     def _target(self, rng: np.random.Generator) -> Peg:
         """Return the target of a member's episode."""
         return NOWHERE
 
-    def _extra(self) -> Array | None:
+    def _extra(self) -> Array:
         """Return the additional observations of the environment (M, extra)."""
-        return None
+        return np.empty((self.num_envs, 0))
 
     @abstractmethod
     def _start(self, which: npt.NDArray[np.intp], places: Array) -> None:

@@ -30,17 +30,12 @@ class World(ABC):
         Lengths of the links, m.
     """
 
-    q: Array
-    qd: Array
-    arm_angle: Array
-    arm_rate: Array
-    failed: npt.NDArray[np.bool_]
-
     def __init__(self, rope: Rope, arm: Arm, count: int, tol: float) -> None:
-        self.rope, self.arm, self.count, self.tol = rope, arm, count, tol
-        self.lengths = np.tile(rope.length, (count, 1))
+        self.arm, self.tol, self.lengths = arm, tol, np.tile(rope.length, (count, 1))
+        self.q, self.qd = (np.full((count, rope.n_links), np.nan) for _ in range(2))
+        self.arm_angle, self.arm_rate = np.zeros(count), np.zeros(count)
+        self.failed = np.ones(count, dtype=np.bool_)
 
-    @abstractmethod
     def begin(
         self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
     ) -> None:
@@ -48,6 +43,14 @@ class World(ABC):
 
         Their arms begin at `angle`, rad.
         """
+        self.lengths[which] = [rope.length for rope in ropes]
+        self._begin(which, ropes, pegs, q0, angle)
+
+    @abstractmethod
+    def _begin(
+        self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
+    ) -> None:
+        """Restart the simulation of some members."""
 
     @abstractmethod
     def step(self, accelerations: Array, dt: float) -> None:
@@ -66,21 +69,12 @@ class FreeWorld(World):
     def __init__(self, rope: Rope, arm: Arm, count: int, tol: float) -> None:
         super().__init__(rope, arm, count, tol)
         self._stepper = BatchStepper(rope, members=count, arm=arm, tol=tol)
-        self._ropes = [rope] * count
         self._show(self._stepper.start())
 
-    def begin(
+    def _begin(
         self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
     ) -> None:
-        """Restart some members."""
-        if any(self._ropes[m] is not rope for m, rope in zip(which, ropes, strict=True)):
-            state = self._stepper.restart(self._state, which, ropes, q0, arm_angle=angle)
-            self.lengths[which] = [rope.length for rope in ropes]
-            for m, rope in zip(which, ropes, strict=True):
-                self._ropes[m] = rope
-        else:
-            state = self._stepper.restart(self._state, which, None, q0, arm_angle=angle)
-        self._show(state)
+        self._show(self._stepper.restart(self._state, which, ropes, q0, arm_angle=angle))
 
     def step(self, accelerations: Array, dt: float) -> None:
         """Simulate an interval."""
@@ -97,30 +91,23 @@ class PegWorld(World):
 
     def __init__(self, rope: Rope, arm: Arm, count: int, tol: float) -> None:
         super().__init__(rope, arm, count, tol)
-        self._members: list[tuple[Stepper, State] | None] = [None] * count
-        self.q, self.qd = (np.full((count, rope.n_links), np.nan) for _ in range(2))
-        self.arm_angle, self.arm_rate = np.zeros(count), np.zeros(count)
-        self.failed = np.ones(count, dtype=np.bool_)
+        self._members: dict[int, tuple[Stepper, State]] = {}
 
-    def begin(
+    def _begin(
         self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
     ) -> None:
-        """Restart some members."""
-        for m, rope, peg, q in zip(which, ropes, pegs, q0, strict=True):
+        for m, rope, peg, q in zip(which.tolist(), ropes, pegs, q0, strict=True):
             stepper = Stepper(rope, arm=self.arm, pegs=[peg], tol=self.tol, refine=False)
-            self.lengths[m] = rope.length
-            self._show(int(m), stepper, stepper.start(q, arm_angle=angle))
+            self._show(m, stepper, stepper.start(q, arm_angle=angle))
 
     def step(self, accelerations: Array, dt: float) -> None:
         """Simulate an interval."""
-        for m, member in enumerate(self._members):
-            if member is None:
-                continue
-            stepper, state = member
+        for m, (stepper, state) in list(self._members.items()):
             try:
                 self._show(m, stepper, stepper.step(state, float(accelerations[m]), dt))
             except SimulationError:
-                self._members[m], self.failed[m] = None, True
+                del self._members[m]
+                self.failed[m] = True
                 self.q[m] = self.qd[m] = self.arm_angle[m] = self.arm_rate[m] = np.nan
 
     def _show(self, m: int, stepper: Stepper, state: State) -> None:
