@@ -266,5 +266,5 @@ def test_a_read_only_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
     for name in ("open", "unlink"):
         monkeypatch.setattr(os, name, refused)
-    with pytest.raises(FileProblem, match=r"out\.txt could not be written: the disk is read-only\. Nothing was"):
+    with pytest.raises(FileProblem, match=r"out\.txt could not be written: Read-only file system\. Nothing was"):
         files.write_text(tmp_path / "out.txt", "text")

@@ -157,11 +157,10 @@ def _refusal(error: Exception, named: Any) -> str:
 
 def _check_empty(arguments: Sequence[str]) -> None:
     """Refuse empty words: as the name of a file they would stand for the working directory."""
-    for before, word in pairwise(["", *arguments]):
+    for before, word in pairwise(["the command", *arguments]):
         if not word.strip() or (word.startswith("--") and word.endswith("=")):
-            option = before if not word.strip() and before.startswith("-") else word.rstrip("=")
-            what = f"{option} has no value" if option.strip() else "an argument is empty"
-            raise InvalidInput(what, got=word, allowed="a value", fix="Give one, or omit the option")
+            option = word.rstrip("=") if word.strip() else before
+            raise InvalidInput(f"{option} has no value", got=word, fix="Give one, or omit the option")
 
 
 def _options(named: Any) -> dict[str, str]:

@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -77,26 +78,22 @@ def _packages() -> Iterator[Finding]:
     except importlib.metadata.PackageNotFoundError:
         yield Finding("packages", WRONG, "hyperflex is not installed, its folder alone is there.", "pip install it.")
         return
-    packages: dict[str, list[str]] = {}
+    packages: dict[str, dict[str, str]] = {}
     for each in requirements:
-        match = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", each)
-        packages.setdefault(match[1] if match else "", []).append(re.split(r"[\s\[<>=!~;]", each, maxsplit=1)[0])
-    for extra, names in sorted(packages.items()):
-        versions = {name: _version(name) for name in names if name != "hyperflex"}
-        lacking = [name for name, version in versions.items() if not version]
-        there = ", ".join(f"{name} {version}" for name, version in versions.items() if version)
-        command = f"pip install 'hyperflex[{extra}]'" if extra else "pip install --force-reinstall hyperflex"
-        if extra in DEVELOPERS:
+        extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", each)
+        name = re.split(r"[\s\[<>=!~;]", each, maxsplit=1)[0]
+        if name != "hyperflex":
+            packages.setdefault(extra[1] if extra else "", {})[name] = _version(name)
+    for group, versions in sorted(packages.items()):
+        if group in DEVELOPERS:
             continue
-        if lacking:
-            state = "missing" if extra else WRONG
-            yield Finding(_title(extra), state, f"without {', '.join(lacking)}.", f"{command} brings them.")
-        elif versions:
-            yield Finding(_title(extra), "good", there)
-
-
-def _title(extra: str) -> str:
-    return f"extra {extra}" if extra else "packages"
+        title, needed, state = f"extra {group}", f"'hyperflex[{group}]'", "missing"
+        if not group:
+            title, needed, state = "packages", "--force-reinstall hyperflex", WRONG
+        if lacking := ", ".join(name for name, version in versions.items() if not version):
+            yield Finding(title, state, f"without {lacking}.", f"pip install {needed} brings them.")
+        else:
+            yield Finding(title, "good", ", ".join(f"{name} {version}" for name, version in versions.items()))
 
 
 def _version(name: str) -> str:
@@ -128,20 +125,18 @@ def _folders() -> Iterator[Finding]:
         trouble, free = _trouble(folder), shutil.disk_usage(folder).free
         if trouble is not None:
             yield Finding(name, WRONG, f"{folder} {trouble}.", "Work in a folder of your own.")
-        elif free < SPACE:
-            yield Finding(name, WRONG, f"{folder}: {free / 1e6:.0f} MB are free.", "Make room: runs are large.")
         else:
-            yield Finding(name, "good", f"{folder}, {free / 1e9:.0f} GB free")
+            state, fix = (WRONG, "Make room: runs are large.") if free < SPACE else ("good", "")
+            yield Finding(name, state, f"{folder}, {free / 1e9:.2g} GB free", fix)
 
 
 def _trouble(folder: Path) -> str | None:
     """Return why nothing can be written in a folder, or in the first one above it that is there; None if it can."""
-    base = next(each for each in (folder, *folder.parents) if each.exists())
     try:
-        with tempfile.TemporaryFile(dir=base):
-            return None
+        tempfile.TemporaryFile(dir=next(each for each in (folder, *folder.parents) if each.exists())).close()
     except OSError as error:
         return f"cannot be written to ({error.strerror})"
+    return None
 
 
 def _camera(number: int) -> Finding:
@@ -162,10 +157,9 @@ def _speed() -> float:
     """Return the processor time that a second of the source paper's cable takes, s; the best of a few runs."""
     import hyperflex as hf
 
-    cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    arm, motion, duration, best = hf.Arm(), hf.arm_swings(), 2.0, float("inf")
+    cable, duration = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4), 2.0
+    times = [time.process_time()]
     for _ in range(LOOKS + 1):  # the first may compile
-        begin = time.process_time()
-        hf.simulate(cable, motion, arm=arm, duration=duration)
-        best = min(best, time.process_time() - begin)
-    return best / duration
+        hf.simulate(cable, hf.arm_swings(), arm=hf.Arm(), duration=duration)
+        times.append(time.process_time())
+    return min(after - before for before, after in pairwise(times)) / duration

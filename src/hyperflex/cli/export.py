@@ -11,8 +11,8 @@ import typer
 from hyperflex import files
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
+from hyperflex.cli.identify import Reading
 from hyperflex.cli.output import Rows
-from hyperflex.errors import InvalidInput
 
 _WRITTEN = {".toml": ".xml", ".xml": ".toml"}  # the suffix that each becomes; all others become .mcap
 
@@ -25,26 +25,27 @@ def export(
         Path,
         typer.Option("--output", "-o", help="File to write: .xml of a set-up, .toml of MJCF, .mcap of the others."),
     ],
+    *,
+    reading: Reading,
 ) -> None:
     """Convert a set-up to MuJoCo, or a run or recording to MCAP.
 
-    An MJCF file that hyperflex wrote becomes a set-up again. What MuJoCo cannot express is refused by name. The file of
-    a recording must declare its units and axes.
+    An MJCF file that hyperflex wrote becomes a set-up again. What MuJoCo cannot express is refused by name. The file or
+    the options must declare the units and axes of a recording.
     """
     check_destination(out, _WRITTEN.get(source.suffix.lower(), ".mcap"), [source])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        files.rescued(_writer(source), out)
+        files.rescued(_writer(source, reading), out)
     notes = [str(each.message) for each in caught if each.category is UserWarning]
     rows = [("written", output.size_of(out)), *(("warning", each) for each in notes)]
     output.show({"output": out, "bytes": out.stat().st_size, "warnings": notes}, Rows(f"Exported {source}", rows))
 
 
-def _writer(source: Path) -> Callable[[Path], Any]:
+def _writer(source: Path, reading: Reading) -> Callable[[Path], Any]:
     """Return the function that writes what a file becomes."""
     from hyperflex.exchange import read_mjcf, write_mcap, write_mjcf
     from hyperflex.model import Setup
-    from hyperflex.recording import read_recording
     from hyperflex.trajectory import read_trajectory
 
     suffix = source.suffix.lower()
@@ -54,8 +55,4 @@ def _writer(source: Path) -> Callable[[Path], Any]:
         return read_mjcf(source).to_toml
     if suffix == ".nc" and str(files.read_netcdf(source).attributes.get("format")).startswith("hyperflex trajectory"):
         return partial(write_mcap, read_trajectory(source))
-    try:
-        return partial(write_mcap, read_recording(source))
-    except InvalidInput as error:
-        fix = "Export files that declare all of it, or in Python write_mcap(read_recording(.., unit=..), ..)"
-        raise InvalidInput(error.what, got=error.got, allowed=error.allowed, fix=fix) from None
+    return partial(write_mcap, reading.read(source))

@@ -1,6 +1,7 @@
 """``hyperflex identify``: a recording and a first guess in, an identified rope and its report out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,12 +13,37 @@ from hyperflex.cli.command import ArcLengths, Given, check_destination, check_no
 from hyperflex.cli.output import Block, Rows
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions
-from hyperflex.recording import FASTEST, Declarations
+from hyperflex.recording import FASTEST, Declarations, Recording, read_recording
 
 if TYPE_CHECKING:
     from hyperflex.identification import Identification
 
 _ROWS, _OF_EACH = 24, 5  # most rows of a table in the terminal, and of one ratio
+_FILES = {"rope": "rope.toml", "figures": "identification.json", "page": "report.html"}
+_WRITTEN = {"rope": "rope and figures", "figures": "numbers", "page": "all results on one page"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """Options with which a recording is read."""
+
+    kind: Annotated[str | None, typer.Option(help="angles or markers.")] = None
+    time: Annotated[str, typer.Option(help="Name of the time column; of messages t or log.")] = "t"
+    declarations: Annotated[Given, Declarations]
+    noise: Annotated[float | None, typer.Option(help="Standard deviation of a sample, in its unit.")] = None
+    columns: Annotated[list[str] | None, typer.Option(help="Data columns, or joints, in order, with commas.")] = None
+    topic: Annotated[str | None, typer.Option(help="Topic of an MCAP file or a bag that holds several.")] = None
+    plane: Annotated[
+        str | None, typer.Option(help="Plane of the swing, for poses in space: xz (x right, z up), xy or yz.")
+    ] = None
+    max_rate: Annotated[
+        float, typer.Option(help="Rate of an angle, rad/s, above which it is refused as a wrong unit.")
+    ] = FASTEST
+
+    def read(self, path: Path) -> Recording:
+        """Return a recording."""
+        given = vars(self) | {"columns": words(self.columns) or None}
+        return read_recording(path, **given.pop("declarations"), **given)
 
 
 def identify(
@@ -39,19 +65,8 @@ def identify(
     setup: Annotated[
         Path | None, typer.Option(help="TOML file of a set-up (as for simulate) whose motion and arm drive the rope.")
     ] = None,
-    kind: Annotated[str | None, typer.Option(help="angles or markers.")] = None,
-    time: Annotated[str, typer.Option(help="Name of the time column; of messages t or log.")] = "t",
     *,
-    declarations: Annotated[Given, Declarations],
-    noise: Annotated[float | None, typer.Option(help="Standard deviation of a sample, in its unit.")] = None,
-    columns: Annotated[list[str] | None, typer.Option(help="Data columns, or joints, in order, with commas.")] = None,
-    topic: Annotated[str | None, typer.Option(help="Topic of an MCAP file or a bag that holds several.")] = None,
-    plane: Annotated[
-        str | None, typer.Option(help="Plane of the swing, for poses in space: xz (x right, z up), xy or yz.")
-    ] = None,
-    max_rate: Annotated[
-        float, typer.Option(help="Rate of an angle, rad/s, above which it is refused as a wrong unit.")
-    ] = FASTEST,
+    reading: Reading,
     fit: Annotated[Given, FitOptions],
     time_budget: Annotated[
         float | None,
@@ -73,70 +88,37 @@ def identify(
     from hyperflex.identification import RecordingSetup
     from hyperflex.identification import identify as run
     from hyperflex.model import Rope
-    from hyperflex.recording import read_recording
+    from hyperflex.report import check_folder, identification_page, write_found
 
-    _check_output(out, [recording, rope, setup])
+    folder, inputs = out.suffix == "" or out.is_dir(), [recording, rope, setup]
+    if folder:
+        check_folder(out)
+        for name in _FILES.values():
+            check_no_input(out / name, inputs)
+    else:
+        check_destination(out, ".toml", inputs)
     places = numbers("--arc-lengths", arc_lengths, "0.2,0.4,0.6") if arc_lengths else None
-    placed = RecordingSetup(**_drive(setup), arc_lengths=places, origin=origin)
-    how = FitOptions(**fit)
-    measured = read_recording(
-        recording,
-        kind=kind,
-        time=time,
-        noise=noise,
-        columns=words(columns) or None,
-        topic=topic,
-        plane=plane,
-        max_rate=max_rate,
-        **declarations,
-    )
-    guess = Rope.from_toml(rope)
-    result, stopped = output.run(
-        lambda: run(
-            measured,
-            guess,
-            words(free) or None,
-            setup=placed,
-            options=how,
-            time_budget=time_budget,
-            progress=True,
-        )
-    )
+    placed, options = RecordingSetup(**_drive(setup), arc_lengths=places, origin=origin), FitOptions(**fit)
+    measured, guess, chosen = reading.read(recording), Rope.from_toml(rope), words(free) or None
+    how: dict[str, Any] = {"setup": placed, "options": options, "time_budget": time_budget, "progress": True}
+    result, stopped = output.run(lambda: run(measured, guess, chosen, **how))
     summary = {"output": out, **result.summary()}
-    if _is_folder(out):
-        from hyperflex.report import identification_page, write_found
-
-        written = files.rescued(lambda folder: write_found(folder, result), out)
+    if folder:
+        written = files.rescued(lambda path: write_found(path, result), out)
         with output.keeping(written, "the page", summary), output.spinner() as progress:
             progress("drawing the report")
-            written |= identification_page(out / "report.html", measured, result, guess)
+            written |= identification_page(out / _FILES["page"], measured, result, guess)
     else:
         files.rescued(result.to_toml, out)
         written = {"rope": out}
-    ended = result.converged and result.ended is None
     unusable = 0 if result.success else output.NOT_USABLE
     output.show(
         summary | {"files": written},
-        *_blocks(result, written),
+        *_blocks(result, str(written.get("page", "the folder"))),
+        Rows("Written", [(_WRITTEN[kind], str(path)) for kind, path in written.items()]),
         interrupted=f"Interrupted; the best so far is in {out}, marked as interrupted." if stopped else "",
-        code=unusable if ended else output.NOT_CONVERGED,
+        code=unusable if result.converged and result.ended is None else output.NOT_CONVERGED,
     )
-
-
-def _is_folder(out: Path) -> bool:
-    return out.suffix == "" or out.is_dir()
-
-
-def _check_output(out: Path, inputs: Sequence[Path | None]) -> None:
-    """Refuse, before any work, what cannot be written or would overwrite an input."""
-    if not _is_folder(out):
-        check_destination(out, ".toml", inputs)
-        return
-    from hyperflex.report import check_folder
-
-    check_folder(out)
-    for name in ("rope.toml", "identification.json", "report.html"):
-        check_no_input(out / name, inputs)
 
 
 def _drive(path: Path | None) -> dict[str, Any]:
@@ -153,8 +135,8 @@ def _drive(path: Path | None) -> dict[str, Any]:
     return {"motion": setup.motion or hold_arm(0.0), "arm": setup.arm}
 
 
-def _blocks(found: "Identification", written: dict[str, Path]) -> list[Block]:
-    """Return the grade, the fit, tables of parameters and ratios, findings and files, to be printed."""
+def _blocks(found: "Identification", whole: str) -> Iterator[Block]:
+    """Yield the grade, the fit, tables of parameters and ratios; `whole` is where the whole tables are."""
     from hyperflex.report import TextTable, parameters_table, ratios_table, readable_unit
 
     unit = readable_unit(found.unit, found.residual_rms)
@@ -162,17 +144,13 @@ def _blocks(found: "Identification", written: dict[str, Path]) -> list[Block]:
     if (held := found.held_out) is not None:
         worst = f"{held.rms.max() / unit.size:.3g} {unit.name}"
         rows.append((f"prediction error over {held.ahead:g} s", f"{worst} rms in the worst channel"))
-    headline, *lines_ = found.report().splitlines()
-    blocks: list[Block] = [headline, *lines_, Rows("Fit", rows)]
-    for table in (parameters_table(found, None), ratios_table(found)):
-        if table is not None:
-            first = [row[0] for row in table.rows]
-            kept = [row for k, row in enumerate(table.rows) if first[:k].count(row[0]) < _OF_EACH][:_ROWS]
-            shown = [k for k, name in enumerate(table.header) if name != "what it is"]
-            lines = (tuple(row[k] for k in shown) for row in kept)
-            blocks.append(TextTable(tuple(table.header[k] for k in shown), tuple(lines)))
-            if len(table.rows) > len(kept):
-                blocks.append(f"  and {len(table.rows) - len(kept)} more, in {written.get('page', 'the folder')}")
-    names = {"rope": "rope and figures", "figures": "numbers", "page": "all results on one page"}
-    files_ = Rows("Written", [(names[kind], str(path)) for kind, path in written.items()])
-    return [*blocks, files_]
+    yield from found.report().splitlines()
+    yield Rows("Fit", rows)
+    for table in filter(None, (parameters_table(found, None), ratios_table(found))):
+        first = [row[0] for row in table.rows]
+        kept = [row for k, row in enumerate(table.rows) if first[:k].count(row[0]) < _OF_EACH][:_ROWS]
+        shown = [k for k, name in enumerate(table.header) if name != "what it is"]
+        header, *lines = (tuple(row[k] for k in shown) for row in (table.header, *kept))
+        yield TextTable(header, tuple(lines))
+        if len(table.rows) > len(kept):
+            yield f"  and {len(table.rows) - len(kept)} more, in {whole}"

@@ -3,7 +3,7 @@
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +13,9 @@ from hyperflex.cli.command import Given, check_destination
 from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput
 from hyperflex.options import option, options_of
+
+if TYPE_CHECKING:
+    from hyperflex.model import Peg
 
 _BENDING = 2e-5  # N m^2 s/rad, friction of a joint times the length of a link, of the source paper's cable
 MOTIONS = {
@@ -98,6 +101,9 @@ def init(
 
     On a terminal the command asks for options that are not given; elsewhere it uses their defaults.
     """
+    from hyperflex.model import Peg, Setup
+    from hyperflex.simulation import check_outside
+
     check_destination(out, ".toml", [])
     if out.exists():
         raise InvalidInput(f"{out} exists already", allowed="a new file", fix="Give another name, or remove it first")
@@ -109,10 +115,8 @@ def init(
                 text = f"{each.metadata['help'].capitalize()}{unit}"
                 given |= {each.name: typer.prompt(text, default=each.default, type=type(each.default))}
     answers = Answers(**given)
-    for name, value in zip(("X", "Y", "RADIUS"), peg or (), strict=False):
-        checks.number(f"{name} of --peg", value, sign="positive" if name == "RADIUS" else "any", unit="m")
-    text = _text(out, answers, peg)
-    _check(text)
+    text = _text(out, answers, None if peg is None else Peg(*peg))
+    check_outside(Setup.loads(text))  # refuses answers that do not fit each other
     files.write_text(out, text)
     run = out.with_suffix(".nc")
     following = f"hyperflex simulate {out} -o {run} and hyperflex view {run}, or live: hyperflex play {out}"
@@ -120,12 +124,12 @@ def init(
     output.show({"output": out, **asdict(answers), "peg": peg}, Rows(f"Wrote {out}", rows))
 
 
-def _text(out: Path, answers: Answers, peg: tuple[float, float, float] | None) -> str:
+def _text(out: Path, answers: Answers, peg: "Peg | None") -> str:
     """Return the set-up with its comments; under an arm at rest the rope begins lifted, so that it moves."""
     values: dict[str, Any] = asdict(answers) | {"name": out.name, "stem": out.stem, "motion": MOTIONS[answers.motion]}
     values["friction"] = float(f"{_BENDING * answers.links / answers.length:.3g}")
     values["start"] = LIFTED.format(q0=", ".join(["0.5"] * answers.links)) if answers.motion == "hold" else ""
-    values["pegs"] = NO_PEGS if peg is None else PEGS.format(x=peg[0], y=peg[1], radius=peg[2])
+    values["pegs"] = NO_PEGS if peg is None else PEGS.format(**asdict(peg))
     return "".join(_aligned(line) for line in SETUP.format(**values).splitlines(keepends=True))
 
 
@@ -133,11 +137,3 @@ def _aligned(line: str) -> str:
     """Return a line with its comment in the column of all comments."""
     value, gap, comment = line.partition("  # ")
     return f"{value:<28}# {comment}" if gap else line
-
-
-def _check(text: str) -> None:
-    """Refuse answers that do not fit each other, before anything is written."""
-    from hyperflex.model import Setup
-    from hyperflex.simulation import check_outside
-
-    check_outside(Setup.loads(text))

@@ -5,12 +5,15 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import typer
 
 from hyperflex import files, interruption, progress
 from hyperflex.interruption import stoppable
+
+if TYPE_CHECKING:
+    from hyperflex.report import TextTable
 
 _T = TypeVar("_T")
 # exit codes; interrupted: 128 and the number of the signal
@@ -26,19 +29,7 @@ class Rows(NamedTuple):
     rows: Sequence[tuple[str, str]]
 
 
-class Table(Protocol):
-    """A table of ready-made cells."""
-
-    @property
-    def header(self) -> tuple[str, ...]:
-        """Names of the columns."""
-
-    @property
-    def rows(self) -> tuple[tuple[str, ...], ...]:
-        """Cells of each row."""
-
-
-Block = str | Rows | Table
+Block: TypeAlias = "str | Rows | TextTable"
 
 
 def json_only(enabled: bool) -> None:
@@ -132,7 +123,10 @@ def interrupt(result: Mapping[str, Any], message: str) -> int:
 
 def print_blocks(*blocks: Block) -> None:
     """Print texts, named values and tables."""
+    from rich import box
     from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
 
     console = Console(highlight=False)
     for block in blocks:
@@ -144,20 +138,12 @@ def print_blocks(*blocks: Block) -> None:
             for name, value in block.rows:
                 console.print(f"  {name.ljust(width)}  {value}", soft_wrap=True, markup=False)
         else:
-            console.print(_rich_table(block))
-
-
-def _rich_table(block: Table) -> Any:
-    from rich import box
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-    table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in block.header:
-        table.add_column(name, overflow="fold")
-    for row in block.rows:
-        table.add_row(*map(Text, row))
-    return table
+            table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+            for name in block.header:
+                table.add_column(name, overflow="fold")
+            for row in block.rows:
+                table.add_row(*map(Text, row))
+            console.print(table)
 
 
 def size_of(path: Path) -> str:

@@ -51,10 +51,15 @@ def simulate(
     simulated = Setup.from_toml(setup)
     files.check_space(out, file_size(simulated, simulated.duration if duration is None else duration))
     found, stopped = output.run(lambda: run(simulated, duration=duration, time_budget=time_budget, progress=True))
-    if stopped:
-        _keep(found, output.partial_path(out))
+    kept = output.partial_path(out) if stopped else out
+    if not found.t.size:
+        raise KeyboardInterrupt
     with deferred():  # what has taken long is written first
-        files.rescued(found.to_netcdf, out)
+        files.rescued(found.to_netcdf, kept)
+    if stopped:
+        part = {"output": kept, "status": found.status, "samples": found.t.size, "end_s": found.state.t}
+        message = f"Interrupted at t = {found.state.t:.6g} s; the part that was simulated is in {kept}."
+        output.show(part, interrupted=message)
     worked = float(np.ptp(found.motor_work) + np.ptp(found.kinetic_energy + found.potential_energy))
     result: dict[str, Any] = {
         "output": out,
@@ -87,16 +92,6 @@ def simulate(
         rows.append(("motion", "none: the rope hangs from a point at rest; give [arm] and [motion]"))
     rows.append(("written", f"{out} ({found.t.size} samples); hyperflex view plays it, hyperflex plot draws it"))
     output.show(result, Rows(f"Simulated {found.q.shape[1]} links from {found.t[0]:g} to {found.t[-1]:g} s", rows))
-
-
-def _keep(part: "Trajectory", out: Path) -> None:
-    """Write the part of a run that was simulated before an interrupt, if there is one, and end the command."""
-    if not part.t.size:
-        raise KeyboardInterrupt
-    files.rescued(part.to_netcdf, out)
-    result = {"output": out, "status": part.status, "samples": part.t.size, "end_s": part.state.t}
-    message = f"Interrupted at t = {part.state.t:.6g} s; the part that was simulated is in {out}."
-    output.show(result, interrupted=message)
 
 
 def _wound(run: "Trajectory", peg: "Peg", tug: bool) -> dict[str, Any]:

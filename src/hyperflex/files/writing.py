@@ -96,8 +96,7 @@ def check_writable(path: PathLike) -> None:
     """Refuse, before any work, a file that cannot be written now. Raises FileProblem as :func:`atomic_path` does."""
     target = _target(path)
     try:
-        with tempfile.TemporaryFile(dir=target.parent):
-            pass
+        tempfile.TemporaryFile(dir=target.parent).close()
     except OSError as error:
         raise _write_problem(target, target, error) from error
 
@@ -132,12 +131,12 @@ def _target(path: PathLike) -> Path:
     try:
         kind = target.stat().st_mode
     except FileNotFoundError:
-        kind = None
+        kind = stat.S_IFREG
     except OSError as error:
         raise FileProblem(f"{target} cannot be reached: {error.strerror}. Give another path.") from error
-    if kind is not None and stat.S_ISDIR(kind):
+    if stat.S_ISDIR(kind):
         raise FileProblem(f"{target} is a folder, not a file. Add a file name.")
-    if kind is not None and not stat.S_ISREG(kind):
+    if not stat.S_ISREG(kind):
         raise FileProblem(f"{target} is a device or pipe. Only regular files can be written; give another path.")
     if not target.parent.is_dir():
         raise FileProblem(f"The folder {target.parent} does not exist. Create it first, or give another path.")
@@ -146,11 +145,8 @@ def _target(path: PathLike) -> Path:
 
 def _replace(part: Path, target: Path) -> None:
     """Force `part` to the disk and rename it to `target`, which keeps its permissions."""
-    descriptor = os.open(part, os.O_RDWR)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    with part.open("rb+") as file:
+        os.fsync(file.fileno())
     if target.exists():
         part.chmod(stat.S_IMODE(target.stat().st_mode))
     part.replace(target)
@@ -158,17 +154,11 @@ def _replace(part: Path, target: Path) -> None:
 
 def _write_problem(target: Path, part: Path, error: OSError) -> FileProblem:
     """Turn a system error into one that says what happened to the user's file."""
-    stands = "The earlier file is unchanged" if target.exists() else "Nothing was written"
-    if getattr(error, "errno", None) in _NO_SPACE or _NO_SPACE_TEXT.search(str(error)):
-        return FileProblem(f"{target} could not be written: no space left. {stands}. Free some space and try again.")
-    if isinstance(error, PermissionError):
-        return FileProblem(f"{target} could not be written: no permission. {stands}. Give a path you may write to.")
-    ours = getattr(error, "filename", None) in (None, str(part))
-    if isinstance(error, FileNotFoundError) and (ours or part == target):
-        return FileProblem(
-            f"{target} could not be written: its folder accepts no new files. {stands}. Give another path."
-        )
-    if getattr(error, "errno", None) == errno.EROFS:
-        return FileProblem(f"{target} could not be written: the disk is read-only. {stands}. Give a path on another.")
-    reason = (ours and getattr(error, "strerror", None)) or str(error).replace(part.name, target.name)
-    return FileProblem(f"{target} could not be written: {reason}. {stands}. Give another path.")
+    unchanged = "The earlier file is unchanged" if target.exists() else "Nothing was written"
+    if error.errno in _NO_SPACE or _NO_SPACE_TEXT.search(str(error)):
+        reason, fix = "no space left", "Free some space and try again"
+    else:
+        ours = error.filename in (None, str(part))
+        reason = (ours and error.strerror) or str(error).replace(part.name, target.name)
+        fix = "Give another path"
+    return FileProblem(f"{target} could not be written: {reason}. {unchanged}. {fix}.")

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.errors import FileProblem, InvalidInput
-from hyperflex.files import PathLike, read_bytes
+from hyperflex.errors import InvalidInput
+from hyperflex.files import PathLike, not_damaged, read_bytes
 from hyperflex.recording.declare import Raw
 
 _EXPORT = "Get the file again, or export the data as CSV"
@@ -42,22 +42,21 @@ def read(path: PathLike) -> Raw:
             allowed=f"a MATLAB file with {', '.join(_KEYS)}, as the *DataForParameterEstimation.mat files have",
             fix="Parameter files and raw logs hold something else; export other data as CSV",
         )
-    times = [*_pieces(path, content, "Time_id"), *_pieces(path, content, "Time_vad")]
-    states = [*_pieces(path, content, "Y_id"), *_pieces(path, content, "Y_vad")]
+    pieces = {key: _pieces(path, content, key) for key in _KEYS}
+    times, states = (pieces[f"{name}_id"] + pieces[f"{name}_vad"] for name in ("Time", "Y"))
     rows = states[0].shape[0]
-    if len(times) != len(states) or rows % 2 or rows == 0 or any(y.shape[0] != rows for y in states):
+    sizes = [(each.size, *state.shape) for each, state in zip(times, states, strict=False)]
+    if len(times) != len(states) or rows % 2 or rows == 0 or any(size[:2] != (size[2], rows) for size in sizes):
         raise InvalidInput(
             f"{path} has pieces that do not fit together",
-            got=[y.shape for y in states][:4],
-            allowed="as many times as states, 2n rows in each: n angles, then n rates",
+            got=[each.shape for each in (*times, *states)],
+            allowed="in each piece as many times as samples, and 2n rows: n angles, then n rates",
+            fix=_EXPORT,
         )
-    for k, (t, y) in enumerate(zip(times, states, strict=True)):
-        if t.size != y.shape[1]:
-            raise InvalidInput(f"{path}: piece {k} has {t.size} times for {y.shape[1]} samples", fix=_EXPORT)
-    t = np.concatenate([piece.ravel() for piece in times])
-    joined = np.hstack(states).T
-    _check_step(path, t, _pieces(path, content, "dt")[0])
-    n = rows // 2
+    t, joined, n = np.concatenate([each.ravel() for each in times]), np.hstack(states).T, rows // 2
+    step, dt = float(np.median(np.diff(t))) if t.size > 1 else 0.0, float(np.ravel(pieces["dt"][0])[0])
+    if not 0.99 * dt < step < 1.01 * dt:  # another unit, or a damaged file
+        raise InvalidInput(f"{path}: its times do not step by its dt", got=[step, dt], fix=_EXPORT)
     return Raw(
         t=t,
         data=joined[:, :n],
@@ -76,10 +75,8 @@ def _load(path: PathLike) -> dict[str, Array]:
         raise InvalidInput(f"{path} is a MATLAB 7.3 file", allowed="MATLAB 5 files", fix="Save it with -v7 in MATLAB")
     if not raw.startswith(b"MATLAB 5.0 MAT-file"):
         raise InvalidInput(f"{path} is no MATLAB 5 file", got=raw[:20], fix="Check that the right file was given")
-    try:
+    with not_damaged("MATLAB file", path, "Get it again"):
         return _variables(raw)
-    except (ValueError, zlib.error) as error:
-        raise FileProblem(f"The MATLAB file {path} cannot be read: it is damaged or cut off. Get it again.") from error
 
 
 def _variables(raw: bytes) -> dict[str, Array]:
@@ -142,14 +139,7 @@ def _matrix(data: bytes, order: _Order, *, cells: bool) -> tuple[str, Array]:
 def _pieces(path: PathLike, content: dict[str, Array], key: str) -> list[Array]:
     """Return the number arrays of one cell array."""
     cell: npt.NDArray[Any] = content[key]
-    pieces = list(cell.ravel()) if cell.dtype == object else [cell]
-    if not pieces or any(np.asarray(p).ndim != 2 or np.asarray(p).dtype.kind not in "fiu" for p in pieces):
+    pieces = [np.asarray(each) for each in (cell.ravel() if cell.dtype == object else [cell])]
+    if not pieces or any(each.ndim != 2 or not each.size or each.dtype.kind != "f" for each in pieces):
         raise InvalidInput(f"{path}: {key} is not a cell of number arrays", got=cell.dtype, fix=_EXPORT)
-    return [np.asarray(p, dtype=np.float64) for p in pieces]
-
-
-def _check_step(path: PathLike, t: Array, dt: Array) -> None:
-    """Refuse times whose usual step is not the file's own dt (another unit, or a damaged file)."""
-    step = float(np.median(np.diff(t))) if t.size > 1 else 0.0
-    if dt.size != 1 or not 0.99 * float(dt.ravel()[0]) < step < 1.01 * float(dt.ravel()[0]):
-        raise InvalidInput(f"{path}: its times do not step by its dt", got=[step, dt.ravel()[:3].tolist()], fix=_EXPORT)
+    return pieces
