@@ -52,28 +52,8 @@ def arguments(rope, out, *more, target=("-0.83", "-1.07"), radius="0.04"):
 
 def test_a_plan_that_stands(hyperflex_json, rope_file, ready, tmp_path):
     asked = ready("winds")
-    options = (
-        "--mu",
-        "0.4",
-        "--arm-length",
-        "0.2",
-        "--speed",
-        "5",
-        "--torque",
-        "2",
-        "--time-budget",
-        "7",
-        "--seed",
-        "3",
-        "--contact",
-        "6.28",
-        "--clearance",
-        "0.01",
-        "--turns",
-        "2",
-        "--settle",
-        "1.5",
-    )
+    options = "--mu 0.4 --arm-length 0.2 --speed 5 --torque 2 --time-budget 7 --seed 3 --contact 6.28 --clearance 0.01"
+    options = (*options.split(), *["--turns", "2", "--settle", "1.5"])
     code, told = hyperflex_json(*arguments(rope_file, tmp_path / "out", *options))
     assert code == 0
     assert (asked["contact"], asked["clearance"]) == (6.28, 0.01)
