@@ -24,6 +24,7 @@ WORK = (
 )
 ARCS = ("--arc-lengths", ",".join(f"{arc:g}" for arc in twin.ARC_LENGTHS))
 TRACK = ("track", "swing.mp4", "--rope", "rope.toml", "--camera", "camera.toml", *ARCS)
+CALIBRATE = ("calibrate", "swing.mp4", "--squares", "8", "6", "--square", "0.03")
 COMMANDS = {  # each with all its inputs, and the output last
     "simulate": ("simulate", "setup.toml", "-o", "out.nc"),
     "identify": ("identify", "swing.csv", "--rope", "rope.toml", "--setup", "setup.toml", "-o", "out"),
