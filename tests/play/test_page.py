@@ -132,9 +132,9 @@ def test_everything_is_in_reach(browser, server, tmp_path, phone, dark):
 
 
 def test_a_page_that_lost_the_server_says_so_and_finds_it_again(page, server):
-    page.evaluate("socket.close()")
+    page.evaluate("source.dispatchEvent(new Event('error'))")
     wait(page, "document.getElementById('said').textContent.startsWith('The connection was lost')")
-    wait(page, "socket.readyState === 1")
+    wait(page, "source.readyState === 1")
     count = page.evaluate("play.counts.frames")
     wait(page, f"play.counts.frames > {count} + 3")
     assert page.complaints == []
