@@ -368,8 +368,7 @@ class _Loop:
     def abort(self, first: int) -> str:
         """Take the arm slowly to hanging, from move `first` on; return the action."""
         made = min(first, self.last)
-        cut = Moves(self.moves.side, self.moves.ends[:made], self.moves.rests[:made])
-        self.moves = cut.then(0.0, self.options.decision_time, SLOWLY)
+        self.moves = self.moves.first(made).then(0.0, self.options.decision_time, SLOWLY)
         return "aborted"
 
     def probabilities(

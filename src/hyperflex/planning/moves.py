@@ -1,6 +1,6 @@
-"""Moves of the arm: strokes to and fro, each after a rest, and a last move that may be slower."""
+"""Moves of the arm: strokes to and fro, each after a rest, as fast as the motor allows or slower."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,14 +25,19 @@ class Moves:
         Arm angle after each move, rad; clipped to the motor's range.
     rests : (k,) float64
         Rest before each move, s; at least MIN_REST.
-    speed : float
-        Fraction of the motor's speed that the last move uses; all others use all of it.
+    speeds : (k,) float64, optional
+        Fraction of the motor's speed that each move uses, and the square of that of its acceleration; by default all.
     """
 
     side: int
     ends: Array
     rests: Array
-    speed: float = 1.0
+    speeds: Array = field(default_factory=lambda: np.ones(0))
+
+    def __post_init__(self) -> None:
+        if self.speeds.size != self.ends.size:
+            full = np.ones(self.ends.size - self.speeds.size)
+            object.__setattr__(self, "speeds", np.append(self.speeds, full))
 
     @property
     def parameters(self) -> Array:
@@ -54,8 +59,7 @@ class Moves:
     def timing(self, limits: MotorLimits) -> tuple[Array, Array, Array]:
         """Return the rest before each move, s, its duration, s, and the fraction of that which speeds up, (k,) each."""
         ways = np.diff(self.angles(limits))
-        speed = np.append(np.ones(ways.size - 1), self.speed)
-        return np.maximum(self.rests, MIN_REST), *limits.fastest_moves(ways, speed)
+        return np.maximum(self.rests, MIN_REST), *limits.fastest_moves(ways, self.speeds)
 
     def motion(self, limits: MotorLimits) -> Motion:
         """Return the motion of the arm; it stays where the last move ends."""
@@ -74,11 +78,16 @@ class Moves:
     def cut(self, t: float, limits: MotorLimits) -> "Moves":
         """Return the moves that start before time t, s, at least one."""
         count = max(1, int((self.starts(limits) < t).sum()))
-        return self if count == self.ends.size else Moves(self.side, self.ends[:count], self.rests[:count])
+        return self.first(count)
+
+    def first(self, count: int) -> "Moves":
+        """Return the first moves, `count` of them."""
+        return Moves(self.side, self.ends[:count], self.rests[:count], self.speeds[:count])
 
     def then(self, end: float, rest: float, speed: float = 1.0) -> "Moves":
-        """Return the same moves, at full speed, and one more to arm angle `end`, rad, after a rest, s."""
-        return Moves(self.side, np.append(self.ends, end), np.append(self.rests, rest), speed)
+        """Return the same moves and one more to arm angle `end`, rad, after a rest, s, at a fraction of full speed."""
+        longer = (self.ends, end), (self.rests, rest), (self.speeds, speed)
+        return Moves(self.side, *(np.append(*each) for each in longer))
 
     def varied(self, change: Array) -> "Moves":
         """Return moves whose `parameters` differ by `change` (2 k,)."""

@@ -233,6 +233,8 @@ class SearchOptions:
     improve : float
         A plan that succeeds without a margin is improved for this fraction of the time that it took to find, one with a
         part of the margin for as much less.
+    speeds : tuple of float
+        Speeds of strokes, over the motor's, that are tried in turn: gentle ones make swings more predictable.
     width, siblings : int
         Swings from each side that are continued by a stroke, and how many of them may differ in the last stroke alone.
     rests : int
@@ -273,7 +275,8 @@ class SearchOptions:
     executor: Executor | None = None
     chunk_size: int | None = None
     improve: float = 0.25
-    width: int = 12
+    speeds: tuple[float, ...] = (1.0, 0.7, 0.5)
+    width: int = 8
     siblings: int = 2
     rests: int = 5
     longest_rest: float = 0.6
@@ -282,7 +285,7 @@ class SearchOptions:
     back: int = 3
     pieces: int = 3
     coarse: float = 2.0
-    deviation: float = 0.005
+    deviation: float = 0.02
     batch: int = 8
     finishes: int = 3
     members: int = 16

@@ -1,11 +1,12 @@
-"""Free swings, stroke by stroke: a beam search for swings that strike a target with much energy.
+"""Free swings: a beam search for predictable swings with much energy, and variations of those that strike or nearly do.
 
-Each swing is continued with several rests and strokes. Of the swings that do not strike at once, those with the most
-energy are continued in turn, if they are nearly the same with shorter links: a rope that goes slack is unpredictable.
+A swing is simulated with the links as given and, if it may be continued or strikes, with shorter links as well, each
+from its own state. Swings on which both chains agree are predictable: a rope that goes slack is not.
 """
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -13,175 +14,291 @@ import numpy as np
 
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
-from hyperflex.model import Peg, Rope, divided
-from hyperflex.motion import Motion, arm_moves
+from hyperflex.model import Peg, Rope
 from hyperflex.planning.moves import MIN_MOVE, Moves
 from hyperflex.planning.options import SearchOptions
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.rollouts import MODEL, RolloutBatch, find_strikes, mass_points
+from hyperflex.planning.rollouts import MODEL, RolloutBatch, Strikes, find_strikes, mass_points
 from hyperflex.planning.tasks.task import Candidate
 
-
-@dataclass(frozen=True, eq=False)
-class Strike(Candidate):
-    """A swing until it strikes at `t`, s, with angles q (n,), rad, and rates qd (n,), rad/s, there.
-
-    `follow` are the moves to try in contact, which agree with `moves` until the strike; empty: not drawn yet.
-    """
-
-    q: Array = field(default_factory=lambda: np.zeros(0))
-    qd: Array = field(default_factory=lambda: np.zeros(0))
-    follow: tuple[Moves, ...] = ()
+DELAY = 0.05  # s, between the strikes of two chains at most
+MIN_SPEED = 0.3  # of a move, over the motor's
 
 
-class _Swing(NamedTuple):
-    """Strokes without a strike, and samples (T, n) of the rest after them until a strike, if there is one."""
+class State(NamedTuple):
+    """Time, s, angles (n,), rad, and rates (n,), rad/s, of a chain."""
 
-    energy: float
-    moves: Moves
-    angle: float  # rad, of the arm
-    end: float  # s, of the last stroke
-    delay: float  # s from there to the first sample
+    t: float
     q: Array
     qd: Array
 
 
-class _Stroke(NamedTuple):
-    """A stroke after a rest, s, from sample `at` of a swing, to arm angle `angle`, rad, in a duration, s."""
+@dataclass(frozen=True, eq=False)
+class Swing:
+    """Strokes without a strike, their states after the last one on each chain, and the swing that they continue."""
 
-    swing: _Swing
-    rest: float
-    at: int
-    angle: float
-    duration: float
-    motion: Motion
+    moves: Moves
+    states: tuple[State, ...]
+    energy: float = 0.0
+    parent: "Swing | None" = None
+
+    def ancestor(self, strokes: int) -> "Swing":
+        """Return the swing so many strokes before, the first one at most."""
+        return self if strokes == 0 or self.parent is None else self.parent.ancestor(strokes - 1)
 
 
-class Beam:
-    """Beam search over the swings of a rope from each of some sides."""
+@dataclass(frozen=True, eq=False)
+class Strike(Candidate):
+    """A swing until it strikes at `t`, s: the states there of each chain, and the swing from which it was simulated.
+
+    `follow` are the moves to try in contact, which agree with `moves` until the strike; empty: not drawn yet. A swing
+    that misses has no states; its score is below 0.
+    """
+
+    swing: Swing | None = None
+    states: tuple[State, ...] = ()
+    follow: tuple[Moves, ...] = field(default=())
+
+
+@dataclass(eq=False)
+class _Lane:
+    """Swings with strokes of one speed, over the motor's: those of each number of strokes, and those to continue."""
+
+    speed: float
+    swings: list[Swing]
+    levels: list[list[Swing]] = field(default_factory=list)
+    first: float = math.inf  # strokes before the first strike
+    passes: int = 0
+
+    def append(self, swings: list[Swing], struck: float) -> None:
+        """Go on with swings that have one stroke more, after strikes with a number of strokes."""
+        self.levels.append(self.swings)
+        self.swings, self.first = swings, min(self.first, struck)
+
+    def restart(self, back: int) -> None:
+        """Go back to some strokes before the first strike, or to the middle."""
+        levels = [*self.levels, self.swings]
+        first = min(self.first, len(levels) // 2 + back)
+        keep = max(0, int(first) - back)
+        self.levels, self.swings, self.passes = levels[:keep], levels[keep], self.passes + 1
+
+
+class _Try(NamedTuple):
+    """Moves that continue a swing, simulated until a time, s, at most."""
+
+    swing: Swing
+    moves: Moves
+    until: float
+
+
+class SwingSearch:
+    """Search for swings that strike a peg.
+
+    Parameters
+    ----------
+    chains : sequence of Problem
+        The rope with its links as given, and with shorter ones.
+    peg : Peg
+    sides : list of int
+        Sides on which the arm may begin.
+    random : numpy.random.Generator
+    options : SearchOptions
+
+    Attributes
+    ----------
+    runs : int
+        Simulated flights so far.
+    passes : int
+        How often the beam search has begun again.
+    """
 
     def __init__(
-        self, problem: Problem, peg: Peg, sides: list[int], random: np.random.Generator, options: SearchOptions
+        self, chains: Sequence[Problem], peg: Peg, sides: list[int], random: np.random.Generator, options: SearchOptions
     ) -> None:
-        self.problem, self.peg, self.random, self.options, self.runs = problem, peg, random, options, 0
-        q, qd = (part[None] for part in problem.start)
-        none: Array = np.zeros(0)
-        begin = [
-            _Swing(0.0, Moves(side, none, none), problem.limits.start_angle(side), 0.0, 0.0, q, qd) for side in sides
-        ]
-        self._levels, self._swings, self._passes = [begin], begin, 0
-        self._first = math.inf  # strokes before the first strike
+        # Without limits of its own: a joint of the given rope bends further than one between shorter links may
+        finer = (replace(one, rope=one.rope.replace(max_bend=np.inf)) for one in chains[1:])
+        self.problem, self.chains = chains[0], (chains[0], *finer)
+        self.peg, self.random, self.options = peg, random, options
+        self.runs = self.passes = 0
+        none, states = np.zeros(0), tuple(State(0.0, *one.start) for one in self.chains)
+        self.begin = [Swing(Moves(side, none, none), states) for side in sides]
+        self._lanes = [_Lane(speed, self.begin) for speed in options.speeds]
+        self._misses: list[Strike] = []
+
+    def start(self, moves: Sequence[Moves], budget: Budget) -> list[Strike]:
+        """Return the predictable strikes of whole moves, simulated from the start."""
+        first = {swing.moves.side: swing for swing in self.begin}
+        some = [one for one in moves if one.side in first]
+        until = [max(self.problem.time, one.stops(self.problem.limits) + 0.5) for one in some]
+        tries = [_Try(first[one.side], one, end) for one, end in zip(some, until, strict=True)]
+        return self._strikes(tries, budget, whole=True)[0]
 
     def extend(self, budget: Budget) -> list[Strike]:
-        """Continue all swings by a stroke; return the strikes. After the last stroke the search begins again.
+        """Continue swings of a speed by a stroke; return predictable strikes. After the last stroke the next speed is on.
 
-        It begins again with other rests and strokes some strokes before the first strike, or in the middle.
+        Each speed begins again with other rests and strokes some strokes before its first strike, or in the middle.
         """
-        tries = [one for swing in self._swings for one in self._strokes(swing)]
+        lane = self._lanes[0]
+        tries = [one for swing in lane.swings for one in self._strokes(swing, lane)]
         if not tries:
-            first = min(self._first, len(self._levels) // 2 + self.options.back)
-            self._levels = self._levels[: max(0, int(first) - self.options.back) + 1]
-            self._swings, self._passes = self._levels[-1], self._passes + 1
-            tries = [one for swing in self._swings for one in self._strokes(swing)]
-        self.runs += len(tries)
-        arm, rope, step = self.problem.arm, self.problem.rope, MODEL.step
-        q, qd = (np.stack([getattr(one.swing, name)[one.at] for one in tries]) for name in ("q", "qd"))
-        flights = RolloutBatch([rope] * len(tries), [self.peg] * len(tries), [one.motion for one in tries], q, qd)
-        span = max(one.duration for one in tries) + self.options.watched * self.problem.period
-        t, later, rates = flights.fly(arm, span, budget)
-        t = np.append(0.0, t)
-        q, qd = (np.concatenate([a[:, None], b], axis=1) for a, b in ((q, later), (qd, rates)))
-        seen = find_strikes(self.problem, self.peg, flights, t, q, qd)
-        ended = np.array([math.ceil(one.duration / step) for one in tries])
-        until = np.where(np.isfinite(seen.t), np.round(np.nan_to_num(seen.t) / step) + 1, t.size)
-        whole = np.minimum(seen.clear, until)
-        found, onward = list[Strike](), list[tuple[int, _Swing]]()
-        for k, (swing, rest, _, angle, duration, _) in enumerate(tries):
-            moves, stop = swing.moves.then(angle, rest), swing.end + rest + duration
-            if math.isfinite(seen.t[k]):
-                at = swing.end + rest + float(seen.t[k])
-                if at < self.problem.time:
-                    found.append(Strike(moves, float(seen.score[k]), at, q=seen.q[k], qd=seen.qd[k]))
-                    self._first = min(self._first, moves.ends.size)
-            some = slice(int(ended[k]), int(whole[k]))
-            if some.start < some.stop and np.isfinite(q[k, some]).all():
-                energy = _energy(rope, _base(self.problem, angle), q[k, some.start], qd[k, some.start])
-                delay = float(t[some.start]) - duration
-                onward.append((k, _Swing(energy, moves, angle, stop, delay, q[k, some].copy(), qd[k, some].copy())))
-        likely = _best(onward, 2 * self.options.width, self.options.siblings)
-        kept = self._predictable(flights, likely, ended, q, budget)
-        self._swings = [one for _, one in _best(kept, self.options.width, self.options.siblings)]
-        self._levels.append(self._swings)
+            lane.restart(self.options.back)
+            self._lanes, self.passes = [*self._lanes[1:], lane], self.passes + 1
+            lane = self._lanes[0]
+            tries = [one for swing in lane.swings for one in self._strokes(swing, lane)]
+        found, swings = self._strikes(tries, budget)
+        lane.append(swings, min((one.moves.ends.size for one in found), default=math.inf))
         return found
 
-    def _strokes(self, swing: _Swing) -> list[_Stroke]:
-        """Return the strokes that are tried after a swing, within its samples and the time."""
-        limits, step, options, tries = self.problem.limits, MODEL.step, self.options, list[_Stroke]()
-        if swing.end >= self.problem.time:
-            return tries
-        usual = min(options.stroke * math.pi, limits.angles[1] - limits.angles[0])
-        sense = -swing.moves.side * (1 if swing.moves.ends.size % 2 == 0 else -1)
+    def vary(self, found: Sequence[Candidate], budget: Budget) -> list[Strike]:
+        """Vary the last moves of the best of `found`, or of near misses, by little and by much; return the strikes."""
+        parents = [one for one in found if isinstance(one, Strike)][: self.options.parents]
+        parents += self._misses[: self.options.parents - len(parents)]
+        tries = list[_Try]()
+        for _ in range(self.options.members if parents else 0):
+            parent = parents[self.random.integers(len(parents))]
+            swing = (parent.swing or self.begin[0]).ancestor(int(self.random.integers(self.options.back)))
+            made, k = swing.moves.ends.size, parent.moves.ends.size
+            size = self.options.spread * 10.0 ** -self.random.uniform(0.0, 1.5)
+            change = size * self.random.standard_normal((3, k)) * (np.arange(k) >= made)
+            moves = replace(
+                parent.moves,
+                ends=parent.moves.ends + math.pi * change[0],
+                rests=np.abs(parent.moves.rests + self.problem.period * change[1]),
+                speeds=(parent.moves.speeds + change[2]).clip(MIN_SPEED, 1.0),
+            )
+            until = parent.t if math.isfinite(parent.t) else parent.moves.stops(self.problem.limits)
+            tries.append(_Try(swing, moves, until + self.options.watched * self.problem.period))
+        return self._strikes(tries, budget, whole=True)[0]
+
+    def _strokes(self, swing: Swing, lane: _Lane) -> list[_Try]:
+        """Return the strokes that are tried after a swing, within the time."""
+        limits, options, found = self.problem.limits, self.options, list[_Try]()
+        if swing.states[0].t >= self.problem.time:
+            return found
+        usual, count = min(options.stroke * math.pi, limits.angles[1] - limits.angles[0]), swing.moves.ends.size
+        sense, angle = -swing.moves.side * (1 if count % 2 == 0 else -1), swing.moves.angles(limits)[-1]
         longest = options.longest_rest * self.problem.period
         rests = (np.arange(options.rests) + self.random.uniform()) * longest / options.rests
-        sizes = ((1.0, 1.0),) if self._passes == 0 else ((1.0, 1.0), (0.15, 0.9))
-        for rest in rests.tolist() if swing.moves.ends.size else [0.0]:
-            at, ends = int(rest / step), list[float]()
-            for low, high in sizes if at < len(swing.q) else ():
-                end = float(np.clip(swing.angle + sense * self.random.uniform(low, high) * usual, *limits.angles))
-                if sense * (end - swing.angle) > MIN_MOVE and end not in ends:
-                    ends.append(end)
-                    (duration,), ramp = limits.fastest_moves([end - swing.angle])
-                    motion = arm_moves([swing.angle, end], [0.0], [duration], ramp)
-                    tries.append(_Stroke(swing, swing.delay + at * step, at, end, float(duration), motion))
-        return tries
+        for rest in rests.tolist() if count else [0.0]:
+            for low, high in ((1.0, 1.0),) if lane.passes == 0 else ((1.0, 1.0), (0.15, 0.9)):
+                end = float(np.clip(angle + sense * self.random.uniform(low, high) * usual, *limits.angles))
+                if sense * (end - angle) > MIN_MOVE:
+                    moves = swing.moves.then(end, rest, lane.speed)
+                    found.append(_Try(swing, moves, moves.stops(limits) + options.watched * self.problem.period))
+        return found
 
-    def _predictable(
-        self, flights: RolloutBatch, onward: list[tuple[int, _Swing]], ended: Array, q: Array, budget: Budget
-    ) -> list[tuple[int, _Swing]]:
-        """Return the swings that are nearly at the same place after the stroke with shorter links.
+    def _strikes(self, tries: list[_Try], budget: Budget, whole: bool = False) -> tuple[list[Strike], list[Swing]]:
+        """Simulate tries; return predictable strikes, the best first, and swings that may be continued.
 
-        That is within a part of the rope's length, root mean square by mass, or the median of all.
+        `whole` moves are not continued, and are tried in contact as they are.
         """
-        if not (onward and self.options.pieces > 1):
-            return onward
-        rows, pieces, rope = [k for k, _ in onward], self.options.pieces, self.problem.rope
-        # Without limits of its own: a joint of the given rope bends further than one between shorter links may
-        finer, some, last = divided(rope.replace(max_bend=np.inf), pieces), flights.select(rows), ended[rows]
-        q0, qd0 = (np.repeat(each, pieces, axis=1) for each in (some.q, some.qd))
-        some = replace(some, ropes=[finer] * len(rows), q=q0, qd=qd0)
-        _, there, _ = some.fly(self.problem.arm, MODEL.step * float(last.max()), budget)
-        self.runs += len(rows)
-        away = _ends(finer, there[np.arange(len(rows)), last - 1])[:, pieces - 1 :: pieces] - _ends(rope, q[rows, last])
-        off = np.sqrt(((away**2).sum(axis=2) * rope.mass).sum(axis=1) / rope.mass.sum()) / rope.total_length
-        most = max(self.options.deviation, float(np.median(np.nan_to_num(off, nan=np.inf))))
-        return [each for each, one in zip(onward, off, strict=True) if one <= most]
+        if not tries:
+            return [], []
+        limits, step = self.problem.limits, MODEL.step
+        stops = np.array([one.moves.stops(limits) for one in tries])
+        since = np.array([one.swing.states[0].t for one in tries])
+        span = max(one.until - begin for one, begin in zip(tries, since.tolist(), strict=True))
+        t, q, qd, seen = self._fly(0, tries, span, budget)
+        struck, onward = list[tuple[int, Strike]](), list[tuple[int, Swing]]()
+        for k, (swing, moves, _) in enumerate(tries):
+            at, row = float(since[k] + seen.t[k]), math.ceil((stops[k] - since[k]) / step) - 1
+            begins = moves.starts(limits)[swing.moves.ends.size]
+            if since[k] < 1e-9 or begins < at < self.problem.time:
+                follow, state = (moves,) if whole else (), State(at, seen.q[k], seen.qd[k])
+                if math.isfinite(at):
+                    struck.append((k, Strike(moves, float(seen.score[k]), at, False, swing, (state,), follow)))
+            clear = min(int(seen.clear[k]), t.size if math.isnan(at) else round((at - since[k]) / step))
+            if not whole and row < clear and np.isfinite(q[k, row]).all():
+                state = State(float(since[k] + t[row]), q[k, row], qd[k, row])
+                energy = _energy(self.problem, moves, state)
+                onward.append((k, Swing(moves, (state,), energy, swing)))
+            elif math.isnan(at):
+                self._misses.append(Strike(moves, float(seen.score[k]), at, swing=swing))
+        self._misses = sorted(self._misses, key=lambda one: -one.score)[: self.options.parents]
+        width, siblings = self.options.width, self.options.siblings
+        struck = sorted(struck, key=lambda one: -one[1].score)[: 4 * width]
+        likely = _best(onward, 2 * width, 2 * siblings)
+        for chain in range(1, len(self.chains)):
+            struck, likely = self._agreed(chain, tries, struck, likely, budget)
+        strikes = sorted((one for _, one in struck), key=lambda one: -one.score)
+        return strikes, [one for _, one in _best(likely, width, siblings)]
+
+    def _agreed(
+        self,
+        chain: int,
+        tries: list[_Try],
+        struck: list[tuple[int, Strike]],
+        onward: list[tuple[int, Swing]],
+        budget: Budget,
+    ) -> tuple[list[tuple[int, Strike]], list[tuple[int, Swing]]]:
+        """Return the strikes and swings that are nearly the same on another chain, with its states.
+
+        Strikes differ by DELAY at most; swings, after the stroke, by a part of the rope's length, root mean square by
+        mass.
+        """
+        some: list[tuple[int, Strike | Swing]] = [*struck, *onward]
+        if not some:
+            return struck, onward
+        ends = [one.t + 2.0 * DELAY if isinstance(one, Strike) else one.states[0].t for _, one in some]
+        since = [tries[k].swing.states[0].t for k, _ in some]
+        span = max(end - at for end, at in zip(ends, since, strict=True))
+        _, q, qd, seen = self._fly(chain, [tries[k] for k, _ in some], span, budget)
+        strikes, swings, rope = list[tuple[int, Strike]](), list[tuple[int, Swing]](), self.problem.rope
+        for m, (k, one) in enumerate(some):
+            at = since[m] + float(seen.t[m])
+            if isinstance(one, Strike):
+                if abs(at - one.t) <= DELAY:
+                    states = *one.states, State(at, seen.q[m], seen.qd[m])
+                    strikes.append((k, replace(one, score=min(one.score, float(seen.score[m])), states=states)))
+                continue
+            row = round((one.states[0].t - since[m]) / MODEL.step) - 1
+            state = State(one.states[0].t, q[m, row], qd[m, row])
+            off = _apart(rope, one.states[0].q, self.chains[chain].rope, state.q)
+            if off <= self.options.deviation:
+                swings.append((k, replace(one, states=(*one.states, state))))
+        return strikes, swings
+
+    def _fly(self, chain: int, tries: list[_Try], span: float, budget: Budget) -> tuple[Array, Array, Array, Strikes]:
+        """Simulate tries on a chain for a span, s; return times, angles and rates of samples, and first strikes."""
+        problem, states = self.chains[chain], [one.swing.states[chain] for one in tries]
+        motions = [
+            one.moves.motion(problem.limits).shifted(-state.t) for one, state in zip(tries, states, strict=True)
+        ]
+        q, qd = np.stack([each.q for each in states]), np.stack([each.qd for each in states])
+        batch = RolloutBatch([problem.rope] * len(tries), [self.peg] * len(tries), motions, q, qd)
+        t, q, qd = batch.fly(problem.arm, span, budget)
+        self.runs += len(tries)
+        return t, q, qd, find_strikes(problem, self.peg, batch, t, q, qd)
 
 
-def _base(problem: Problem, angle: float) -> Array:
-    """Place of the rope's first joint (2,), m, at an arm angle, rad."""
-    return np.asarray(problem.arm.length * np.array([math.sin(angle), -math.cos(angle)]) + np.array(problem.arm.pivot))
-
-
-def _energy(rope: Rope, base: Array, q: Array, qd: Array) -> float:
-    """Energy, J, of a rope at angles q (n,), rad, and rates qd (n,), rad/s, that hangs from an arm at rest."""
-    places, speeds = mass_points(rope, q, qd, base, np.zeros(2))
+def _energy(problem: Problem, moves: Moves, state: State) -> float:
+    """Energy, J, of a rope that hangs from an arm at rest after moves."""
+    rope, arm, angle = problem.rope, problem.arm, moves.angles(problem.limits)[-1]
+    base = arm.length * np.array([math.sin(angle), -math.cos(angle)]) + np.array(arm.pivot)
+    places, speeds = mass_points(rope, state.q, state.qd, base, np.zeros(2))
     mass = np.append(rope.mass, rope.tip_mass)
     return float((mass * (0.5 * (speeds**2).sum(axis=1) - places @ np.array(rope.gravity))).sum())
 
 
+def _apart(rope: Rope, q: Array, finer: Rope, angles: Array) -> float:
+    """Distance of two chains of one rope with angles (n,) and (m,), rad: root mean square by mass, in rope lengths."""
+    pieces = finer.n_links // rope.n_links
+    away = _ends(finer, angles)[pieces - 1 :: pieces] - _ends(rope, q)
+    return float(np.sqrt(((away**2).sum(axis=1) * rope.mass).sum() / rope.mass.sum()) / rope.total_length)
+
+
 def _ends(rope: Rope, q: Array) -> Array:
-    """Ends of the links relative to the first joint (M, n, 2), m, of ropes at angles q (M, n)."""
-    return np.asarray(np.cumsum(np.stack([rope.length * np.sin(q), -rope.length * np.cos(q)], axis=-1), axis=1))
+    """Ends of the links relative to the first joint (n, 2), m, of a rope at angles q (n,), rad."""
+    return np.asarray(np.cumsum(np.stack([rope.length * np.sin(q), -rope.length * np.cos(q)], axis=-1), axis=0))
 
 
-def _best(swings: list[tuple[int, _Swing]], width: int, siblings: int) -> list[tuple[int, _Swing]]:
-    """Return the swings with the most energy: `width` of each side, of these few that differ in the last stroke."""
-    kept, count = list[tuple[int, _Swing]](), Counter[tuple[int, ...]]()
+def _best(swings: list[tuple[int, Swing]], width: int, siblings: int) -> list[tuple[int, Swing]]:
+    """Return the swings with the most energy: `width` of each side, of these few of the same parent."""
+    kept, count = list[tuple[int, Swing]](), Counter[object]()
     for k, one in sorted(swings, key=lambda each: -each[1].energy):
-        side = one.moves.side
-        parent = (side, hash(one.moves.ends[:-1].tobytes() + one.moves.rests[:-1].tobytes()))
-        if count[side,] < width and count[parent] < siblings:
-            count[side,] += 1
+        side, parent = f"side {one.moves.side}", id(one.parent)
+        if count[side] < width and count[parent] < siblings:
+            count[side] += 1
             count[parent] += 1
             kept.append((k, one))
     return kept

@@ -16,15 +16,13 @@ from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import (
     MODEL,
     RolloutBatch,
-    Strikes,
     WindingScores,
-    fly_to_strikes,
     free_sides,
     robust_values,
     simulate_contact,
     winding_scores,
 )
-from hyperflex.planning.swings import Beam, Strike
+from hyperflex.planning.swings import State, Strike, SwingSearch
 from hyperflex.planning.tasks.task import Candidate, Task, Verified
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
@@ -43,7 +41,6 @@ FINISHES = (
     (0, 1.0, 2.0),
     (2, -0.5, 0.0),
 )
-MIN_SPEED = 0.3  # of the last move, over the motor's
 
 
 class WindTask(Task):
@@ -82,111 +79,71 @@ class WindTask(Task):
         self.model, self._factor = viscous(problem)
         cuts = math.ceil(problem.rope.length.max() / (options.coarse * (peg.radius + problem.rope.radius)))
         self.contact, self.finer = self.model.cut(cuts), self.model.cut(max(options.pieces, cuts + 1))
-        self.random = np.random.default_rng(options.seed)
-        self.beam = Beam(self.model, peg, self.sides, self.random, options)
+        chains = self.model, self.finer
+        self.search = SwingSearch(chains, peg, self.sides, np.random.default_rng(options.seed), options)
+        self.random = np.random.default_rng([options.seed, 1])  # of the last moves
         self.scenarios: list[Scenario] = []
         if uncertainty is not None:
             self.scenarios = uncertainty.sample(options.scenarios, problem, peg, seed=[9001, options.seed])
-        self._seen: set[tuple[float, ...]] = set()
+        self._flights = 0
         self._start, self._samples = [one for one in start if one.side in self.sides], 0
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Return swings that strike: those given, then by turns of the beam search and near the best rollouts."""
-        if self._start:
-            given, self._start = self._start, []
-            return list(self._strikes(given, budget, math.inf)) or self.sample(found, budget)
-        if self.given_alone:
-            return []
-        self._samples += 1
-        if found and self.options.members and self._samples % 2 == 0:
-            return list(self._near(found, budget)) or self.sample(found, budget)
-        new = list[Candidate]()
-        while not new:  # one or more strokes until something is struck
+        new: Sequence[Candidate] = ()
+        while not new:
             budget.check()
-            before = self.beam.runs
-            for one in self.beam.extend(budget):
-                key = (
-                    one.moves.side,
-                    *np.round(one.moves.ends / 0.3).tolist(),
-                    *np.round(one.moves.rests / 0.1).tolist(),
-                )
-                if key not in self._seen:
-                    self._seen.add(key)
-                    new.append(one)
-            self.runs += self.beam.runs - before
-        return new
-
-    def _near(self, found: Sequence[Candidate], budget: Budget) -> list[Strike]:
-        """Vary the best rollouts of different swings, by little and by much; return the better half of the strikes."""
-        best = _distinct(found[: 4 * self.options.parents], self.options.parents)
-        moves = []
-        for _ in range(self.options.members):
-            parent = best[self.random.integers(len(best))].moves
-            k, size = parent.ends.size, self.options.spread * 10.0 ** -self.random.uniform(0.0, 1.5)
-            scale = np.repeat([math.pi, self.problem.period], k)
-            speed = float(np.clip(parent.speed + size * self.random.standard_normal(), MIN_SPEED, 1.0))
-            varied = parent.varied(size * scale * self.random.standard_normal(2 * k))
-            moves.append(replace(varied, rests=np.abs(varied.rests), speed=speed))
-        first = math.inf if best[0].good else 0.0  # else they wait for better swings
-        return self._strikes(moves, budget, first)[: max(1, self.options.members // 2)]
-
-    def _strikes(self, moves: Sequence[Moves], budget: Budget, score: float) -> list[Strike]:
-        """Return the strikes of whole moves, the best first, each with at least a `score`."""
-        seen = self._fly(self.model, moves, budget)
-        order = np.argsort(-seen.score)
-        return [
-            Strike(
-                moves[k],
-                max(score, float(seen.score[k])),
-                float(seen.t[k]),
-                q=seen.q[k],
-                qd=seen.qd[k],
-                follow=(moves[k],),
-            )
-            for k in order[np.isfinite(seen.t[order])].tolist()
-        ]
-
-    def _fly(self, problem: Problem, moves: Sequence[Moves], budget: Budget) -> Strikes:
-        motions, count = [one.motion(problem.limits) for one in moves], len(moves)
-        batch = RolloutBatch.from_start(problem, [problem.rope] * count, [self.peg] * count, motions)
-        self.runs += count
-        return fly_to_strikes(problem, self.peg, batch, budget)
+            if self._start:
+                given, self._start = self._start, []
+                new = [replace(one, score=math.inf) for one in self.search.start(given, budget)]
+            elif self.given_alone:
+                return []
+            else:
+                self._samples += 1
+                vary = self.options.members and self._samples % 2 == 0 and (found or self.search.passes)
+                if vary:
+                    best = _distinct(found[: 4 * self.options.parents], self.options.parents)
+                    new = self.search.vary(best, budget)[: max(1, self.options.members // 2)]
+                    if best and best[0].good:  # else they wait for better swings
+                        new = [replace(one, score=math.inf) for one in new]
+                else:
+                    new = self.search.extend(budget)
+        self.runs, self._flights = self.runs + self.search.runs - self._flights, self.search.runs
+        return list(new)
 
     def rollout(self, some: Sequence[Candidate], budget: Budget) -> list[Candidate]:
         """Simulate strikes in contact with several last moves; simulate those that wind with shorter links, too."""
         swings = [one for one in some if isinstance(one, Strike)]
         pairs = [(one, moves) for one in swings for moves in one.follow or self.finishes(one)]
-        q, qd = np.stack([one.q for one, _ in pairs]), np.stack([one.qd for one, _ in pairs])
-        t: Array = np.array([one.t for one, _ in pairs])
+        states = [one.states[0] for one, _ in pairs]
         cuts = self.contact.rope.n_links // self.model.rope.n_links
-        q, qd = np.repeat(q, cuts, axis=1), np.repeat(qd, cuts, axis=1)
-        wound = self._wind(self.contact, [moves for _, moves in pairs], t, q, qd, budget, sweeping=True)
-        found = list[Candidate]()
+        states = [State(each.t, np.repeat(each.q, cuts), np.repeat(each.qd, cuts)) for each in states]
+        wound = self._wind(self.contact, [moves for _, moves in pairs], states, budget, sweeping=True)
+        found, good = list[Strike](), list[Strike]()
         for one in swings:
             rows = [k for k, (other, _) in enumerate(pairs) if other is one]
             k = rows[int(np.argmax(wound.score[rows]))]
-            good = bool(wound.turns[k] >= self.problem.criteria.turns)
-            found.append(Candidate(pairs[k][1], float(wound.score[k]), one.t, good))
-        return self._confirmed(found, budget)
+            tried = replace(one, moves=pairs[k][1], score=float(wound.score[k]))
+            (good if wound.turns[k] >= self.problem.criteria.turns else found).append(tried)
+        return found + self._confirmed(good, budget)
 
     def _wind(
-        self, problem: Problem, moves: Sequence[Moves], t: Array, q: Array, qd: Array, budget: Budget, sweeping: bool
+        self, problem: Problem, moves: Sequence[Moves], states: Sequence[State], budget: Budget, sweeping: bool
     ) -> WindingScores:
-        motions = [one.motion(problem.limits).shifted(-at) for one, at in zip(moves, t.tolist(), strict=True)]
+        """Simulate moves in contact on a chain, each from the state of its strike."""
+        motions = [one.motion(problem.limits).shifted(-state.t) for one, state in zip(moves, states, strict=True)]
+        q, qd = np.stack([each.q for each in states]), np.stack([each.qd for each in states])
         batch = RolloutBatch([problem.rope] * len(moves), [self.peg] * len(moves), motions, q, qd)
         self.runs += len(moves)
-        return simulate_contact(problem, batch, t, budget, sweeping=sweeping)
+        return simulate_contact(problem, batch, np.array([each.t for each in states]), budget, sweeping=sweeping)
 
-    def _confirmed(self, found: list[Candidate], budget: Budget) -> list[Candidate]:
-        """Return candidates after those that wind were simulated with shorter links, and in scenarios."""
-        good = [one for one in found if one.good]
+    def _confirmed(self, good: list[Strike], budget: Budget) -> list[Candidate]:
+        """Return strikes that wind after they were simulated with shorter links as well, and in scenarios."""
         if not good:
-            return found
-        kept = [one for one in found if not one.good]
-        motions, criteria = [one.moves.motion(self.problem.limits) for one in good], self.problem.criteria
-        batch = RolloutBatch.from_start(self.finer, [self.finer.rope] * len(good), [self.peg] * len(good), motions)
-        self.runs += 2 * len(good)
-        seen = winding_scores(self.finer, batch, budget)
+            return []
+        states = [one.states[-1] for one in good]
+        seen = self._wind(self.finer, [one.moves for one in good], states, budget, sweeping=False)
+        found, criteria = list[Candidate](), self.problem.criteria
         for one, value, turns, slip in zip(
             good, *(each.tolist() for each in (seen.score, seen.turns, seen.slip)), strict=True
         ):
@@ -194,8 +151,8 @@ class WindTask(Task):
             value = min(one.score, value)
             if winds and self.scenarios:
                 value = 3.0 * float(np.mean(self._values(one.moves, self.scenarios[:8], budget)))
-            kept.append(Candidate(one.moves, value, one.t, winds))
-        return kept
+            found.append(replace(one, score=value, good=winds))
+        return found
 
     def _values(self, moves: Moves, scenarios: Sequence[Scenario], budget: Budget) -> Array:
         """Return the values of moves in scenarios; see :func:`robust_values`."""
