@@ -32,6 +32,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "as-is": {},
     "no-variation": {"members": 0},
     "no-predictability": {"deviation": math.inf},
+    "full-speed": {"speeds": (1.0,)},
     "narrow-beam": {"width": 3},
     "one-finish": {"finishes": 1},
     "coarse-contact": {"coarse": math.inf},
@@ -60,7 +61,7 @@ def cem(rope: hf.Rope, arm: hf.Arm, peg: hf.Peg, budget: Budget) -> bool:
         mean, std = 0.3 * mean + 0.7 * x[best].mean(axis=0), 0.3 * std + 0.7 * x[best].std(axis=0)
         for k in best[found.turns[best] >= problem.criteria.turns][:1]:
             one = Candidate(moves[k], float(found.score[k]), 0.0, True)
-            if not verify_members(problem, model, peg, one, 3, budget).message:
+            if not verify_members(problem, model.cut(3), peg, one, budget).message:
                 return True
     return False
 

@@ -32,6 +32,8 @@ from hyperflex.planning import (
     verify_cast,
 )
 from hyperflex.planning.ensemble import SPARE, margin, repeatable
+from hyperflex.planning.rollouts import RolloutBatch, fly_to_strikes
+from hyperflex.planning.swings import DELAY, Strike
 from hyperflex.planning.tasks.wind import WindTask, pumped, viscous
 from tests.planning.known import planned
 
@@ -237,17 +239,51 @@ def test_viscous_friction_takes_the_place_of_dry_friction_and_damps_a_swing_alik
     assert abs(modelled - left) < 0.5 * abs(without - left)  # the model is made to dissipate the same energy
 
 
-def test_swings_are_those_of_free_flight_until_the_strike() -> None:
+def test_swings_are_those_of_free_flight_until_the_strike_with_any_links() -> None:
     task = WindTask(Problem(CORD, ARM), PEG, SearchOptions(threads=1))
     budget, found = Budget(threads=1), []
     while not found:
         found = task.sample([], budget)
     for one in found[:3]:
-        flight = task._fly(task.problem, [one.moves], budget)
-        assert flight.t[0] == pytest.approx(one.t, abs=0.05)
+        motion = one.moves.motion(task.problem.limits)
+        times = []
+        for problem in (task.problem, task.problem.cut(3), task.problem.cut(5)):
+            batch = RolloutBatch.from_start(problem, [problem.rope], [PEG], [motion])
+            times.append(float(fly_to_strikes(problem, PEG, batch, budget).t[0]))
+        assert times == pytest.approx([one.t] * 3, abs=DELAY)  # the agreement that the search requires of two chains
     best = task.rollout(found[:2], budget)
     assert len(best) == 2
     assert all(each.moves.ends.size > one.moves.ends.size for each, one in zip(best, found, strict=False))
+
+
+def test_strikes_and_swings_of_a_rope_without_friction_are_those_that_chains_agree_on() -> None:
+    rope = hf.Rope.uniform(length=2.5, mass=0.2, n_links=20, radius=0.004, friction=1e-5)
+    search = WindTask(Problem(rope, hf.Arm(length=0.25)), hf.Peg(1.0, -0.3, 0.03), SearchOptions(threads=1)).search
+    found = [one for _ in range(12) for one in search.extend(Budget(threads=1))]
+    assert found
+    assert all(abs(one.states[0].t - one.states[1].t) <= DELAY for one in found)
+    for one in found:
+        coarse, fine = one.swing.states
+        apart = (
+            np.sin(coarse.q) - np.sin(fine.q).reshape(-1, 3).mean(axis=1),
+            np.cos(coarse.q) - np.cos(fine.q).reshape(-1, 3).mean(axis=1),
+        )
+        ends = rope.length * np.stack(apart)
+        assert np.sqrt((np.cumsum(ends, axis=1) ** 2).sum(axis=0).mean()) <= 0.02 * rope.total_length
+
+
+def test_variations_change_only_the_last_moves_of_a_strike() -> None:
+    search = WindTask(Problem(CORD, ARM), PEG, SearchOptions(threads=1)).search
+    budget, found, varied = Budget(threads=1), list[Strike](), list[Strike]()
+    while not varied:
+        found += search.extend(budget)
+        varied = search.vary(found, budget)
+    for one in varied:
+        kept = one.swing.moves.ends.size
+        assert any(np.array_equal(one.moves.ends[:kept], other.moves.ends[:kept]) for other in found)
+        assert not any(np.array_equal(one.moves.ends, other.moves.ends) for other in found)
+        assert len(one.states) == 2
+        assert abs(one.states[0].t - one.states[1].t) <= DELAY
 
 
 def test_a_reach_map_reads_back_equal(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ ROPE = hf.Rope.uniform(length=1.0, mass=0.1, n_links=6, radius=0.003, friction=1
 CAST_SETUP = Problem(ROPE, hf.Arm(length=0.1), MotorLimits())
 PEG = hf.Peg(0.5, -0.6, 0.03, 0.3)
 NONE = Uncertainty(length=0.0, mass=0.0, friction=0.0, mu=0.0, lag=0.0, timing=0.0)
-THROW = Moves(-1, np.array([1.43, -1.07, 1.93, 0.0]), np.array([0.1, 0.3, 0.0, 0.2]), 0.5)
+THROW = Moves(-1, np.array([1.43, -1.07, 1.93, 0.0]), np.array([0.1, 0.3, 0.0, 0.2]), np.array([1.0, 1.0, 1.0, 0.5]))
 
 
 def test_the_spread_is_the_one_asked_for_and_nothing_turns_negative() -> None:

@@ -35,9 +35,8 @@ class Moves:
     speeds: Array = field(default_factory=lambda: np.ones(0))
 
     def __post_init__(self) -> None:
-        if self.speeds.size != self.ends.size:
-            full = np.ones(self.ends.size - self.speeds.size)
-            object.__setattr__(self, "speeds", np.append(self.speeds, full))
+        if not self.speeds.size:
+            object.__setattr__(self, "speeds", np.ones(self.ends.size))
 
     @property
     def parameters(self) -> Array:

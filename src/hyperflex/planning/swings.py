@@ -134,9 +134,10 @@ class SwingSearch:
         return self._strikes(tries, budget, whole=True)[0]
 
     def extend(self, budget: Budget) -> list[Strike]:
-        """Continue swings of a speed by a stroke; return predictable strikes. After the last stroke the next speed is on.
+        """Continue the swings of a speed by a stroke; return predictable strikes.
 
-        Each speed begins again with other rests and strokes some strokes before its first strike, or in the middle.
+        When there is no time for more strokes, the next speed is on. Each speed begins again with other rests and
+        strokes some strokes before its first strike, or in the middle.
         """
         lane = self._lanes[0]
         tries = [one for swing in lane.swings for one in self._strokes(swing, lane)]
