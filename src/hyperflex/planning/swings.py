@@ -262,9 +262,7 @@ class SwingSearch:
     def _fly(self, chain: int, tries: list[_Try], span: float, budget: Budget) -> tuple[Array, Array, Array, Strikes]:
         """Simulate tries on a chain for a span, s; return times, angles and rates of samples, and first strikes."""
         problem, states = self.chains[chain], [one.swing.states[chain] for one in tries]
-        motions = [
-            one.moves.motion(problem.limits).shifted(-state.t) for one, state in zip(tries, states, strict=True)
-        ]
+        motions = [one.moves.motion(problem.limits).shifted(-state.t) for one, state in zip(tries, states, strict=True)]
         q, qd = np.stack([each.q for each in states]), np.stack([each.qd for each in states])
         batch = RolloutBatch([problem.rope] * len(tries), [self.peg] * len(tries), motions, q, qd)
         t, q, qd = batch.fly(problem.arm, span, budget)
