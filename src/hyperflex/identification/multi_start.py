@@ -2,7 +2,8 @@
 
 A start is a guess x of the parameters. Windows that fit badly may have begun in another state than was guessed:
 outliers and gaps spoil guesses, a sticking joint has no gradient, and with few markers a shape looks like its mirror
-image. So the states of windows that fit badly are searched from several starts, and all is fitted again.
+image. So the states of windows that fit badly are searched from several starts, where shapes look alike in turn with
+fits of the parameters to the windows that fit.
 """
 
 from collections.abc import Iterator, Sequence
