@@ -12,6 +12,7 @@ import argparse
 import ctypes
 import gc
 import json
+import multiprocessing
 import os
 import sys
 import tempfile
@@ -27,7 +28,7 @@ from cast import cable
 
 import hyperflex as hf
 from hyperflex.estimate import ChangeTests, FrameThread, MarkerMeasurement, RopeFilter, RopeTracker, Watch, WatchLog
-from hyperflex.estimate.live.state_source import Packet, SharedValue
+from hyperflex.estimate.live.state_source import Packet
 from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector, Renderer, RopeMotion, Scene, VideoReader
 
 RESULTS = Path(__file__).parent / "results"
@@ -95,27 +96,24 @@ def _pass(path: Path, each: RopeTracker) -> dict[str, list[float]]:
     """Track a video once; times in ms."""
     found: dict[str, list[float]] = {"clock": [], "processor": [], "packet to state": [], "seen": []}
     estimator = each.estimator
-    shared = SharedValue(8 * estimator.x.size * (1 + estimator.x.size) + 16384)
-    try:
-        with VideoReader(path) as video:
-            frames = iter(video)
-            while True:
-                begin = time.perf_counter()
-                frame = next(frames, None)
-                if frame is None:
-                    return found
-                decoded, processor = time.perf_counter(), time.process_time()
-                result = each.look(frame)
-                found["processor"].append(1e3 * (time.process_time() - processor))
-                looked = time.perf_counter()
-                found["clock"].append(1e3 * (looked - decoded))
-                state = estimator.process_noise.value, estimator.x, estimator.factor
-                shared.write(Packet(looked, result.t, result.t, True, 1, *state, ()))
-                shared.read()
-                found["packet to state"].append(1e3 * (time.perf_counter() - begin))
-                found["seen"].append(float(result.seen.mean()))
-    finally:
-        shared.close()
+    near, far = multiprocessing.Pipe()
+    with near, far, VideoReader(path) as video:
+        frames = iter(video)
+        while True:
+            begin = time.perf_counter()
+            frame = next(frames, None)
+            if frame is None:
+                return found
+            decoded, processor = time.perf_counter(), time.process_time()
+            result = each.look(frame)
+            found["processor"].append(1e3 * (time.process_time() - processor))
+            looked = time.perf_counter()
+            found["clock"].append(1e3 * (looked - decoded))
+            state = estimator.process_noise.value, estimator.x, estimator.factor
+            near.send(Packet(looked, result.t, result.t, True, 1, *state, (), 0))
+            far.recv()
+            found["packet to state"].append(1e3 * (time.perf_counter() - begin))
+            found["seen"].append(float(result.seen.mean()))
 
 
 def _quantiles(times: list[float]) -> dict[str, float]:

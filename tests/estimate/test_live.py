@@ -1,4 +1,4 @@
-"""Live: sources that stall, end, change their size or drop frames; shared memory; the process that estimates."""
+"""Live: sources that stall, end, change their size or drop frames; the process that estimates."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import replace
-from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +33,7 @@ from hyperflex.estimate import (
     open_frames,
 )
 from hyperflex.estimate.live.page import PicturePage
-from hyperflex.estimate.live.state_source import MOTION_BYTES, SharedValue, StampClock
+from hyperflex.estimate.live.state_source import StampClock
 from hyperflex.estimate.tracker import TrackedFrame
 from hyperflex.files.netcdf import read_netcdf
 from hyperflex.vision import (
@@ -298,61 +296,6 @@ def test_the_page_is_for_this_machine_alone(pictures: list[Frame]) -> None:
             PicturePage(page.port)
 
 
-def test_shared_values_are_whole_or_not_there() -> None:
-    """A writer that stops within a write leaves the value before; one that is overtaken is read again."""
-    mine = SharedValue(20000)
-    try:
-        other = SharedValue(20000, mine.name)
-        assert other.read() is None
-        mine.write(np.arange(3.0))
-        mine.write(np.arange(5.0))
-        mine._buffer[mine._starts[1] : mine._starts[1] + 3] = b"abc"  # the third write has begun and never ends
-        mine._heads[1][0] = 0
-        found = other.read()
-        assert found is not None
-        assert found[0] == 2
-        np.testing.assert_array_equal(found[1], np.arange(5.0))
-        stop, torn = threading.Event(), []
-
-        def write() -> None:
-            for k in itertools.count(1):
-                mine.write(np.full(1 + k % 1000, float(k)))
-                if stop.is_set():
-                    return
-
-        writer = threading.Thread(target=write)
-        writer.start()
-        last = 0
-        for _ in range(3000):
-            number, values = other.read() or (0, np.zeros(0))
-            torn.append(number < last or np.ptp(values) != 0.0 if number > 2 else False)
-            last = number
-        stop.set()
-        writer.join()
-        assert not any(torn)
-        assert last > 2
-        other.close()
-    finally:
-        mine.close()
-    with pytest.raises(FileNotFoundError):
-        SharedMemory(mine.name)
-
-
-def test_a_motion_of_many_pieces_is_passed_on_and_a_longer_one_refused() -> None:
-    shared = SharedValue(MOTION_BYTES)
-    try:
-        for pieces in (500, 5000):
-            long = hf.sampled_motion(np.linspace(0.0, 10.0, pieces), np.zeros(pieces))
-            if pieces == 500:
-                shared.write((long, 1.0))
-                assert shared.read() == (1, (long, 1.0))
-            else:
-                with pytest.raises(InvalidInput, match="too long"):
-                    shared.write((long, 1.0))
-    finally:
-        shared.close()
-
-
 def test_stamps_are_put_on_the_clock_of_the_quickest_frame() -> None:
     from hyperflex.estimate.live.frames import Arrival
 
@@ -480,13 +423,13 @@ if __name__ == "__main__":
     )
     source = CameraStateSource(folder + "/swing.mp4", task)
     source.__enter__()
-    print(source.pid, source._packets.name, source._motions.name, flush=True)
+    print(source.pid, flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
 def test_nothing_is_left_of_a_killed_parent(video: tuple[Path, MarkerColour], tmp_path: Path) -> None:
-    """The estimator ends by itself, and the resource tracker removes the shared memory."""
+    """The estimator ends by itself."""
     folder = video[0].parent
     rope(20).to_toml(folder / "rope.toml")
     camera().write(folder / "camera.toml")
@@ -497,12 +440,11 @@ def test_nothing_is_left_of_a_killed_parent(video: tuple[Path, MarkerColour], tm
         [sys.executable, str(program), str(folder), colour], capture_output=True, text=True, check=False, timeout=120
     )
     assert done.returncode == -signal.SIGKILL, done.stderr
-    pid, *names = done.stdout.split()
+    pid = int(done.stdout)
     until = time.monotonic() + 10.0
-    while time.monotonic() < until and (alive(int(pid)) or any(Path("/dev/shm", name).exists() for name in names)):
+    while time.monotonic() < until and alive(pid):
         time.sleep(0.05)
-    assert not alive(int(pid))
-    assert [name for name in names if Path("/dev/shm", name).exists()] == []
+    assert not alive(pid)
 
 
 def alive(pid: int) -> bool:

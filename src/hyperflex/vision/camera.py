@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
-from hyperflex.core.image import projection
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
 
@@ -21,6 +20,7 @@ LARGEST_MISFIT = 0.003  # rms reprojection error of the points that define the p
 SIDEWAYS = 45.0  # degrees: from there y does not point up in the picture
 _FLATTEST = 5.0  # degrees between the plane and the line of sight to its origin: the plane is seen edge-on
 _WIDTHS = (0.01, 100.0)  # m, limits of the picture's width in the plane: any swing lies between them
+_MISSED = 1e-6  # px between a pixel and its place in the plane projected back: with more it shows no place of the plane
 _FACING = np.diag([1.0, -1.0, -1.0])  # plane: x right, y up, z to the viewer; camera: x right, y down, z forward
 
 
@@ -149,16 +149,15 @@ class Camera:
             "image_size": (checks.count("image width", width), checks.count("image height", height)),
             "matrix": matrix,
             "distortion": distortion,
-            "exposure": checks.number("exposure", self.exposure, sign="nonnegative", unit="s"),
-            "readout": checks.number("readout", self.readout, sign="nonnegative", unit="s"),
             "readout_direction": checks.choice("readout_direction", self.readout_direction, DIRECTIONS),
             "delay": checks.number("delay", self.delay, unit="s"),
         }
+        for name in ("exposure", "readout"):
+            checked[name] = checks.number(name, getattr(self, name), sign="nonnegative", unit="s")
         if self.rotation is not None:
             checked["rotation"] = checks.array("rotation", self.rotation, (3,), unit="rad")
             checked["translation"] = checks.array("translation", self.translation, (3,), unit="m")
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(checked)
 
     @classmethod
     def pinhole(cls, image_size: tuple[int, int], focal: float | None = None, **timing: Any) -> "Camera":
@@ -228,10 +227,33 @@ class Camera:
             With fewer than four points, points on one line, an impossible scale, or if no pose fits (the rms error in
             px is reported): the points may be in another order or unit, or belong to another camera.
         """
+        import cv2
+
         known = checks.array("points", points, (-1, 2), unit="m")
         seen = checks.array("pixels", pixels, (known.shape[0], 2), unit="px")
-        rotation, translation = self._pose(known, seen)
-        found = replace(self, rotation=rotation, translation=translation)
+        if known.shape[0] < 4:
+            raise InvalidInput("too few points for the plane's pose", got=known.shape[0], allowed="at least 4")
+        spread = np.linalg.svd(known - known.mean(axis=0), compute_uv=False)
+        if spread[1] < 0.02 * spread[0]:
+            raise InvalidInput("points lie on one line", got=known.tolist(), fix="Take points that span an area")
+
+        def misfit(camera: Camera) -> float:
+            off = camera.project(known) - seen
+            return float(np.nan_to_num(np.sqrt(np.mean(np.sum(off**2, axis=1))), nan=np.inf))
+
+        # two poses fit points of a plane nearly (Collins, Bartoli 2014): both are refined by Levenberg-Marquardt
+        view = np.column_stack([known, np.zeros(len(known))]), seen, self.matrix, self.distortion
+        _, rotations, translations, _ = cv2.solvePnPGeneric(*view, flags=cv2.SOLVEPNP_IPPE)
+        refined = [cv2.solvePnPRefineLM(*view, *pose) for pose in zip(rotations, translations, strict=True)]
+        found = min((replace(self, rotation=r.ravel(), translation=t.ravel()) for r, t in refined), key=misfit)
+        limit = LARGEST_MISFIT * max(self.image_size)
+        if not misfit(found) <= limit:
+            raise InvalidInput(
+                "no pose of the swing plane fits the points: rms error in px",
+                got=round(misfit(found), 2),
+                allowed=f"at most {limit:.1f} px",
+                fix="Check the order of the points (x right, y up, in m; u right, v down) and the camera",
+            )
         found.check_visible()
         width, (least, most) = self.image_size[0] / found.pixels_per_metre, _WIDTHS
         if not least <= width <= most:
@@ -278,20 +300,6 @@ class Camera:
 
         return np.asarray(cv2.Rodrigues(self.rotation)[0], dtype=np.float64), self.translation
 
-    @cached_property
-    def _to_plane(self) -> Array:
-        """Homography (3, 3) from the ideal picture to the plane."""
-        rotation, translation = self.axes
-        return np.linalg.inv(np.column_stack([rotation[:, :2], translation]))
-
-    @cached_property
-    def _lens(self) -> Array:
-        """Pose, matrix and distortion (24,) as kernels take them."""
-        lens, (rotation, translation) = np.zeros(projection.LENS), self.axes
-        lens[:9], lens[9:12], lens[12:16] = rotation.ravel(), translation, self.matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
-        lens[16 : 16 + self.distortion.size] = self.distortion
-        return lens
-
     @property
     def pixels_per_metre(self) -> float:
         """Scale at the plane's origin, px/m: the square root of the area of a square metre there."""
@@ -323,37 +331,6 @@ class Camera:
                 fix="Calibrate the plane again",
             )
 
-    def _pose(self, points: Array, pixels: Array) -> tuple[Array, Array]:
-        """Return the pose (rvec, tvec) of the swing plane that fits known points best.
-
-        OpenCV's solvePnP for planes (Collins, Bartoli 2014) gives two poses; both are refined by Levenberg-Marquardt.
-        """
-        import cv2
-
-        if points.shape[0] < 4:
-            raise InvalidInput("too few points for the plane's pose", got=points.shape[0], allowed="at least 4")
-        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        if spread[1] < 0.02 * spread[0]:
-            raise InvalidInput("points lie on one line", got=points.tolist(), fix="Take points that span an area")
-        space, lens = np.column_stack([points, np.zeros(len(points))]), (self.matrix, self.distortion)
-        ok, rotations, translations, _ = cv2.solvePnPGeneric(space, pixels, *lens, flags=cv2.SOLVEPNP_IPPE)
-        best, least = None, math.inf
-        for r, t in zip(rotations, translations, strict=True) if ok else ():
-            r, t = cv2.solvePnPRefineLM(space, pixels, *lens, r, t)
-            seen = cv2.projectPoints(space, r, t, *lens)[0].reshape(-1, 2)
-            error = float(np.sqrt(np.mean(np.sum((seen - pixels) ** 2, axis=1))))
-            if error < least:
-                best, least = (r.ravel(), t.ravel()), error
-        limit = LARGEST_MISFIT * max(self.image_size)
-        if best is None or not least <= limit:
-            raise InvalidInput(
-                "no pose of the swing plane fits the points: rms error in px",
-                got=round(least, 2),
-                allowed=f"at most {limit:.1f} px",
-                fix="Check the order of the points (x right, y up, in m; u right, v down) and the camera",
-            )
-        return best
-
     def project(self, points: npt.ArrayLike) -> Array:
         """Return pixels (K, 2) of points (K, 2) in the plane, or (K, 3) off it, m; see :meth:`linearize`."""
         return self.linearize(points)[0]
@@ -370,17 +347,32 @@ class Camera:
         given = np.asarray(points, dtype=np.float64)
         if given.ndim != 2 or given.shape[1] not in (2, 3):
             raise InvalidInput("points have the wrong shape", got=given.shape, allowed="shape (K, 2) or (K, 3), m")
-        places, size = np.zeros((len(given), 3)), given.shape[1]
+        size, (rotation, translation) = given.shape[1], self.axes
+        if not len(given):
+            return np.empty((0, 2)), np.empty((0, 2, size))
+        import cv2
+
+        places = np.zeros((len(given), 3))
         places[:, :size] = given
-        pixels, slopes = np.empty((len(given), 2)), np.empty((len(given), 2, 3))
-        projection.project(places, self._lens, pixels, slopes)
-        return pixels, slopes[:, :, :size]
+        pixels, slopes = cv2.projectPoints(places, rotation, translation, self.matrix, self.distortion)
+        pixels[~(places @ rotation[2] + translation[2] > 0.0)] = np.nan
+        return pixels[:, 0], (slopes[:, 3:6] @ rotation[:, :size]).reshape(-1, 2, size)
 
     def locate(self, pixels: npt.ArrayLike) -> Array:
         """Return places (K, 2) in the swing plane, m, of pixels (K, 2); NaN if a pixel shows no point of the plane."""
-        seen = np.array(pixels, dtype=np.float64, order="C").reshape(-1, 2)
-        places = np.empty_like(seen)
-        projection.locate(seen, self._lens, self._to_plane, places)
+        import cv2
+
+        seen = np.array(pixels, dtype=np.float64).reshape(-1, 2)
+        if not len(seen):
+            return seen
+        rotation, translation = self.axes
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+        ideal = cv2.undistortPoints(seen[:, None], self.matrix, self.distortion, criteria=criteria)[:, 0]
+        plane = np.linalg.inv(np.column_stack([rotation[:, :2], translation]))
+        x, y, w = plane @ np.column_stack([ideal, np.ones(len(seen))]).T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            places = np.column_stack([x / w, y / w])
+            places[~(np.abs(self.project(places) - seen).max(axis=1) <= _MISSED)] = np.nan
         return places
 
     def locate_with_covariance(self, pixels: Array, covariances: Array) -> tuple[Array, Array]:

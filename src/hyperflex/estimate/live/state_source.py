@@ -2,16 +2,15 @@
 
 import math
 import multiprocessing
-import pickle
 import signal
+import threading
 import time
-import zlib
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from multiprocessing.shared_memory import SharedMemory
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from hyperflex.errors import EstimatorLost, HyperflexError, InvalidInput
 from hyperflex.estimate.changes import Change, ChangeTests
 from hyperflex.estimate.filter import RopeFilter
 from hyperflex.estimate.live.frames import Arrival, open_frames
-from hyperflex.estimate.live.watch import LiveEstimate, Watch
+from hyperflex.estimate.live.watch import Watch
 from hyperflex.estimate.markers import MarkerMeasurement
 from hyperflex.estimate.parameters import EstimatedParameter, ParameterStates
 from hyperflex.estimate.process import Process
@@ -31,94 +30,9 @@ from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion, hold_arm
 from hyperflex.vision import Camera, Frame, MarkerColour, MarkerDetector
 
-_HEAD = 3  # int64 of a slot: number of the write, checksum, length
-_ATTEMPTS = 1000
-
-
-class SharedValue:
-    """A value in shared memory that one process writes and another one reads.
-
-    Parameters
-    ----------
-    capacity : int
-        Size of the largest pickled value, bytes.
-    name : str, optional
-        Name of the memory that another process has created; by default it is created. The process that created it
-        calls :meth:`close` last.
-
-    Notes
-    -----
-    Two slots alternate, each with the number of its write and a checksum. A writer that is killed within a write leaves
-    the other slot intact; a reader that was overtaken notices that number and checksum do not match, and reads again.
-    As the arguments of a process, values are pickled: the memory is accessible to the user who created it alone.
-
-    Examples
-    --------
-    >>> shared = SharedValue(1000)
-    >>> shared.write({"t": 1.0})
-    >>> shared.read()
-    (1, {'t': 1.0})
-    >>> shared.close()
-    """
-
-    def __init__(self, capacity: int, name: str | None = None) -> None:
-        self.capacity, self._created = capacity + -capacity % 8, name is None
-        slot = 8 * _HEAD + self.capacity
-        self._memory = SharedMemory(name=name, create=self._created, size=8 + 2 * slot)
-        self._buffer: Any = self._memory.buf
-        self._last = np.ndarray((1,), np.int64, self._buffer)
-        self._heads = [np.ndarray((_HEAD,), np.int64, self._buffer, 8 + k * slot) for k in (0, 1)]
-        self._starts = [8 + k * slot + 8 * _HEAD for k in (0, 1)]
-
-    @property
-    def name(self) -> str:
-        """Name under which another process finds the memory."""
-        return self._memory.name
-
-    def write(self, value: Any) -> None:
-        """Make `value` the newest; raises InvalidInput if it is too large."""
-        data = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
-        if len(data) > self.capacity:
-            allowed = f"at most {self.capacity} bytes when pickled"
-            raise InvalidInput("the value is too long to be handed over", got=len(data), allowed=allowed)
-        number = int(self._last[0]) + 1
-        head, start = self._heads[number % 2], self._starts[number % 2]
-        head[0] = 0
-        self._buffer[start : start + len(data)] = data
-        head[1], head[2] = zlib.crc32(data, number & 0xFFFFFFFF), len(data)
-        head[0] = number
-        self._last[0] = number
-
-    def read(self) -> tuple[int, Any] | None:
-        """Return the number of the newest write (1, 2, ...) and its value; None before the first."""
-        for _ in range(_ATTEMPTS):
-            number = int(self._last[0])
-            if number == 0:
-                return None
-            head, start = self._heads[number % 2], self._starts[number % 2]
-            checksum, length = int(head[1]), min(max(int(head[2]), 0), self.capacity)
-            data = bytes(self._buffer[start : start + length])
-            if head[0] == number and zlib.crc32(data, number & 0xFFFFFFFF) == checksum:
-                return number, pickle.loads(data)
-        raise HyperflexError("Shared memory is damaged: neither slot is complete. Restart the process that writes it.")
-
-    def clear(self) -> None:
-        """Forget what was written; only while no other process writes."""
-        self._last[0] = 0
-
-    def close(self) -> None:
-        """Release the memory; the process that created it also removes it."""
-        self._last, self._heads, self._buffer = np.zeros(1, np.int64), [], None
-        self._memory.close()
-        if self._created:
-            self._created = False
-            self._memory.unlink()
-
-
 READY = "ready"
 TICK = 0.05  # s, longest time between two packets: the parent sees that the process runs
 MOST_CHANGES = 16  # that a packet carries
-MOTION_BYTES = 131072  # of a pickled motion: some 600 pieces
 _CLOCK_DRIFT = 1e-4  # s per s, by which the clocks of camera and machine may drift apart
 _PRACTICE = 3  # frames after which all kernels have been called
 
@@ -152,12 +66,6 @@ class TrackingTask:
         """The parameters that are estimated, and those that are tested for changes."""
         tested = () if self.tests is None else self.tests.parameters_for(self.rope)
         return ParameterStates(self.parameters, self.rope, tested, self.arm is not None)
-
-    @property
-    def packet_bytes(self) -> int:
-        """Largest size of a pickled :class:`Packet`."""
-        size = 2 * self.rope.n_links + len(self.states)
-        return 8 * size * (size + 1) + 16384  # state and covariance; 16 changes and all else take some kilobytes
 
     def tracker(self) -> RopeTracker:
         """Return a new tracker of the rope."""
@@ -208,6 +116,8 @@ class Packet(NamedTuple):
         State, and rows whose squares are its covariance.
     changes : tuple of Change
         The last that were noticed.
+    motions : int
+        Motions received so far.
     """
 
     written: float
@@ -219,6 +129,7 @@ class Packet(NamedTuple):
     x: Array
     rows: Array
     changes: tuple[Change, ...]
+    motions: int
 
 
 class StampClock:
@@ -246,62 +157,51 @@ class StampClock:
         return Frame(self._last, arrival.frame.image, arrival.frame.index)
 
 
-def work(source: int | str, task: TrackingTask, packets: str, motions: str, messages: Connection) -> None:
-    """Estimate until the parent ends; errors are sent as text.
+def work(source: int | str, task: TrackingTask, link: Connection) -> None:
+    """Send a :class:`Packet` for each frame, and while none comes, until the parent ends; errors are sent as text.
 
     Parameters
     ----------
     source : int or str
         Camera, stream or file.
     task : TrackingTask
-    packets, motions : str
-        Names of the shared values: of a Packet, and of a motion with the time of its t = 0, s.
-    messages : Connection
+    link : Connection
+        Receives motions, each with the time of its t = 0, s.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent
-    out, given = SharedValue(task.packet_bytes, packets), SharedValue(MOTION_BYTES, motions)
-    try:
-        _follow(source, task, out, given, messages)
-    except HyperflexError as error:
-        messages.send_bytes(str(error).encode())
-    finally:
-        out.close()
-        given.close()
+    with suppress(OSError):  # the parent has ended
+        try:
+            _follow(source, task, link)
+        except HyperflexError as error:
+            link.send(str(error))
 
 
-def _follow(source: int | str, task: TrackingTask, out: SharedValue, given: SharedValue, messages: Connection) -> None:
+def _follow(source: int | str, task: TrackingTask, link: Connection) -> None:
     from threadpoolctl import threadpool_limits
 
-    tracker, parent, number = task.tracker(), multiprocessing.parent_process(), 0
+    tracker, motions = task.tracker(), 0
     estimator = tracker.estimator
     task.rehearse()
 
     def take_motion() -> None:
-        nonlocal number
-        newest = given.read()
-        if newest is not None and newest[0] != number:
-            number, (motion, zero) = newest
+        nonlocal motions
+        while link.poll():
+            motion, zero = link.recv()
             estimator.process.set_motion(motion.shifted(zero))
+            motions += 1
 
     with open_frames(source, paced=True) as frames, threadpool_limits(1):
-        watch = Watch(frames, tracker, interval=TICK, retime=StampClock(), before=take_motion)
-        messages.send_bytes(READY.encode())
+        link.send(READY)
         count, changes = 0, deque[Change](maxlen=MOST_CHANGES)
-        for estimate in watch:
+        for estimate in Watch(frames, tracker, interval=TICK, retime=StampClock(), before=take_motion):
             count += estimate.frame is not None
             changes.extend(() if estimate.tracked is None else estimate.tracked.changes)
-            out.write(_packet(estimate, estimator, count, tuple(changes)))
-            if parent is None or not parent.is_alive():
-                return
-        messages.send_bytes(f"no more frames come: {frames.ended}".encode())
-
-
-def _packet(estimate: LiveEstimate, estimator: RopeFilter, frames: int, changes: tuple[Change, ...]) -> Packet:
-    t, x, rows, seen_at = estimate.t, estimator.x, estimator.factor, -math.inf
-    found = estimate.found and estimator.t is not None
-    if found and estimator.t is not None:
-        t, seen_at = estimator.t, estimator.t - estimator.age
-    return Packet(time.monotonic(), t, seen_at, found, frames, estimator.process_noise.value, x, rows, changes)
+            t, seen_at, found = estimate.t, -math.inf, estimate.found and estimator.t is not None
+            if found and estimator.t is not None:
+                t, seen_at = estimator.t, estimator.t - estimator.age
+            state = estimator.process_noise.value, estimator.x, estimator.factor
+            link.send(Packet(time.monotonic(), t, seen_at, found, count, *state, tuple(changes), motions))
+        link.send(f"no more frames come: {frames.ended}")
 
 
 _POLL = 0.005  # s between two checks while waiting
@@ -310,9 +210,9 @@ _POLL = 0.005  # s between two checks while waiting
 class CameraStateSource:
     """The state of a rope that a camera sees, for a controller (a :class:`hyperflex.interfaces.StateSource`).
 
-    The estimator runs in a separate process. It writes its estimate into shared memory at every frame, and while no
-    frame comes; the reader takes the newest and predicts it to now by the rope's equations. Neither waits for the
-    other. Use it as a context manager, in a program with ``if __name__ == "__main__":``, for the process starts as a
+    The estimator runs in a separate process. It sends its estimate at every frame, and while no frame comes; a thread
+    keeps the newest, which is predicted to now by the rope's equations. Neither waits for the other. Use it as a
+    context manager, in a program with ``if __name__ == "__main__":``, for the process starts as a
     new interpreter.
 
     Parameters
@@ -331,8 +231,7 @@ class CameraStateSource:
     Notes
     -----
     t = 0 is when the block is entered, or when :meth:`start_clock` is called. The process ends with the block, or when
-    its parent has ended; the shared memory is removed with the block, or by Python's resource tracker if the parent was
-    killed. :meth:`restart` replaces a process that has died or stalled.
+    its parent has ended. :meth:`restart` replaces a process that has died or stalled.
     """
 
     def __init__(
@@ -351,21 +250,18 @@ class CameraStateSource:
         self.start_timeout = checks.number("start_timeout", start_timeout, sign="positive", unit="s")
         self._model = Process(task.rope, task.states, task.motion, task.arm)
         self._motion: Motion | None = None
-        self._zero = 0.0
+        self._pending, self._sent, self._zero = False, 0, 0.0
+        self._packet: Packet | None = None
+        self._message = ""
         self._worker: multiprocessing.process.BaseProcess | None = None
 
     def __enter__(self) -> Self:
-        self._packets, self._motions = SharedValue(self.task.packet_bytes), SharedValue(MOTION_BYTES)
-        try:
-            self._start()
-        except BaseException:
-            self._close()
-            raise
+        self._start()
         self.start_clock()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._close()
+        self._end()
 
     def start_clock(self) -> None:
         """Make now t = 0."""
@@ -416,8 +312,8 @@ class CameraStateSource:
             If the rope's equations cannot be integrated from the state to `t`.
         """
         moment = checks.number("t", t, unit="s")
-        self._pass_on(motion)
         packet = self._newest()
+        self._pass_on(motion, packet)
         if packet is None or not packet.found:
             raise EstimatorLost("The rope is not found, or no longer. Call wait_until_found.")
         age = moment + self._zero - packet.seen_at
@@ -443,7 +339,7 @@ class CameraStateSource:
         return {} if packet is None or not packet.found else self._model.parameters.estimates(packet.x, packet.rows)
 
     def restart(self) -> None:
-        """End the process, if it still runs, and start another one; the shared memory and t = 0 stay.
+        """End the process, if it still runs, and start another one; t = 0 stays.
 
         Raises
         ------
@@ -451,10 +347,9 @@ class CameraStateSource:
             If the new process does not start.
         """
         self._end()
-        self._packets.clear()
         self._start()
         if self._motion is not None:
-            self._motions.write((self._motion, self._zero))
+            self._send()
 
     @property
     def pid(self) -> int | None:
@@ -463,60 +358,68 @@ class CameraStateSource:
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._messages, sender = context.Pipe(duplex=False)
-        self._message = ""
-        arguments = (self.source, self.task, self._packets.name, self._motions.name, sender)
-        self._worker = context.Process(target=work, args=arguments, name="rope estimator", daemon=True)
-        self._worker.start()
-        sender.close()
-        if not self._messages.poll(self.start_timeout):
-            self._end()
-            raise EstimatorLost(
-                f"The estimator did not start within {self.start_timeout:g} s. Allow more start_timeout."
-            )
-        message = self._last_message()
+        self._link, theirs = context.Pipe()
+        self._packet, self._message, self._sent = None, "", 0
+        arguments = (self.source, self.task, theirs)
+        worker = context.Process(target=work, args=arguments, name="rope estimator", daemon=True)
+        worker.start()
+        self._worker = worker
+        theirs.close()
+        self._receiver = threading.Thread(target=self._receive, args=(self._link,), daemon=True)
+        self._receiver.start()
+        until = time.monotonic() + self.start_timeout
+        while not self._message and self._receiver.is_alive() and time.monotonic() < until:
+            time.sleep(_POLL)
+        message, late, self._message = self._message, self._receiver.is_alive(), ""
         if message != READY:
             self._end()
+            if not message and late:
+                message = f"not within {self.start_timeout:g} s. Allow more start_timeout"
             raise EstimatorLost(f"The estimator did not start: {message or 'its process ended'}")
 
-    def _last_message(self) -> str:
-        """Return the last new message of the process; empty if there is none."""
-        message = ""
-        try:
-            while self._messages.poll():
-                message = self._messages.recv_bytes(4096).decode("utf-8", "replace")
-        except (EOFError, OSError):
-            pass
-        return message
+    def _receive(self, link: Connection) -> None:
+        """Keep what the process sends until it ends."""
+        with suppress(EOFError, OSError):
+            while True:
+                received = link.recv()
+                if isinstance(received, Packet):
+                    self._packet = received
+                else:
+                    self._message = received
 
     def _newest(self) -> Packet | None:
         """Return the newest packet, None before the first; raise if the process has ended or stalled."""
         worker = self._worker
         if worker is None:
             raise InvalidInput("the state source is closed", fix="Use it within its with block")
-        found = self._packets.read()
-        packet: Packet | None = None if found is None else found[1]
-        alive = worker.is_alive()
-        self._message = self._last_message() or self._message
-        if self._message or not alive:
+        if not worker.is_alive():
+            self._receiver.join()
+        if self._message or not worker.is_alive():
             code = worker.exitcode
             how = f"its process ended by signal {-code}" if code and code < 0 else f"its process ended with code {code}"
             raise EstimatorLost(f"The estimator has ended: {(self._message or how).rstrip('.')}. Call restart().")
-        quiet = 0.0 if packet is None else time.monotonic() - packet.written
+        quiet = 0.0 if self._packet is None else time.monotonic() - self._packet.written
         if quiet > self.stalled:
             raise EstimatorLost(
                 f"The estimator's process has given no sign of life for {quiet:.2f} s (allowed: {self.stalled:g} s). "
                 "Call restart()."
             )
-        return packet
+        return self._packet
 
-    def _pass_on(self, motion: Motion) -> None:
-        """Pass the motion to the process, if it has changed."""
-        if self.task.arm is None or motion is self._motion or motion == self._motion:
+    def _pass_on(self, motion: Motion, packet: Packet | None) -> None:
+        """Pass a new motion to the process, once it has received the one before: sending never waits."""
+        if self.task.arm is None:
             return
-        self._motions.write((motion, self._zero))
-        self._model.set_motion(motion)
-        self._motion = motion
+        if motion is not self._motion and motion != self._motion:
+            self._model.set_motion(motion)
+            self._motion, self._pending = motion, True
+        if self._pending and packet is not None and packet.motions == self._sent:
+            self._send()
+
+    def _send(self) -> None:
+        with suppress(OSError):  # the process has ended: the next call reports it
+            self._link.send((self._motion, self._zero))
+        self._pending, self._sent = False, self._sent + 1
 
     def _end(self) -> None:
         """End the process and wait for it."""
@@ -529,9 +432,5 @@ class CameraStateSource:
             worker.kill()
             worker.join()
         worker.close()
-        self._messages.close()
-
-    def _close(self) -> None:
-        self._end()
-        self._packets.close()
-        self._motions.close()
+        self._receiver.join()
+        self._link.close()

@@ -1,6 +1,5 @@
-"""Pictures of a calibration board by a synthetic camera (ray casting), to rehearse and test calibration."""
+"""Pictures of a calibration board by a synthetic camera, to rehearse and test calibration."""
 
-import functools
 from collections.abc import Iterator
 
 import numpy as np
@@ -10,13 +9,13 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.files import PathLike, as_path, write_bytes
 from hyperflex.vision.calibration import Board
+from hyperflex.vision.camera import Camera
 from hyperflex.vision.video import Image, VideoWriter
 
 SIZE = (768, 432)  # px, of the synthetic camera
 MATRIX = np.array([[720.0, 0.0, 400.0], [0.0, 724.0, 208.0], [0.0, 0.0, 1.0]])
 DISTORTION = np.array([-0.12, 0.06, 0.001, -0.0008, 0.0])
 BEFORE = np.array([-0.12, -0.09, 0.6])  # m, from the camera to the board's top left corner, as it lies in the plane
-_SAMPLES = 2  # a side of a pixel
 _SIDE = 48  # px, of a square in the board's own picture
 
 
@@ -75,17 +74,13 @@ def render_board(
     import cv2
 
     width, height = SIZE
-    turn = cv2.Rodrigues(np.asarray(rotation, dtype=np.float64))[0]
-    origin, rays = -turn.T @ translation, _rays() @ turn  # in the board's frame
-    depth = -origin[2] / rays[:, 2]
-    on_board = origin[:2] + depth[:, None] * rays[:, :2]
-    drawn = board.draw(_SIDE, legacy=legacy)
-    texture = cv2.copyMakeBorder(drawn, _SIDE, _SIDE, _SIDE, _SIDE, cv2.BORDER_CONSTANT, value=255)
-    where = (on_board / board.square * _SIDE + _SIDE - 0.5).astype(np.float32)
-    where = where.reshape(height * _SAMPLES, width * _SAMPLES, 2)
-    fine = cv2.remap(texture, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=110)
-    seen = fine.astype(np.float32).reshape(height, _SAMPLES, width, _SAMPLES).mean(axis=(1, 3))
-    seen = cv2.GaussianBlur(30.0 + 0.75 * seen, (0, 0), 0.6)
+    pixels = np.indices((height, width))[::-1].reshape(2, -1).T
+    camera = Camera(SIZE, MATRIX, DISTORTION, rotation=np.asarray(rotation), translation=translation)
+    drawn = cv2.copyMakeBorder(board.draw(_SIDE, legacy=legacy), *(_SIDE,) * 4, cv2.BORDER_CONSTANT, value=255)
+    where = (camera.locate(pixels) / board.square * _SIDE + _SIDE - 0.5).astype(np.float32)
+    texture, where = cv2.GaussianBlur(drawn, (0, 0), 0.5), where.reshape(height, width, 2)
+    seen = cv2.remap(texture, where, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=110)
+    seen = cv2.GaussianBlur(30.0 + 0.75 * seen.astype(np.float32), (0, 0), 0.6)
     seen += np.random.default_rng(seed).normal(0.0, noise, seen.shape)
     levels = np.clip(np.rint(seen), 0, 255).astype(np.uint8)
     return np.repeat(levels[..., None], 3, axis=2)
@@ -105,17 +100,3 @@ def board_poses(board: Board, count: int, *, tilt: float = 0.6, seed: int = 1) -
         rotation = tilt * np.array([np.cos(direction), np.sin(direction), 0.0]) + rng.normal(0.0, 0.05, 3) * (tilt > 0)
         place = np.array([rng.uniform(-0.09, 0.09), rng.uniform(-0.05, 0.05), rng.uniform(0.42, 0.6)])
         yield rotation, place - cv2.Rodrigues(rotation)[0] @ middle
-
-
-@functools.cache
-def _rays() -> Array:
-    """Return the undistorted rays of all samples of all pixels, (samples, 3)."""
-    import cv2
-
-    width, height = SIZE
-    fine = (np.arange(each * _SAMPLES) + 0.5 for each in (width, height))
-    u, v = np.meshgrid(*(each / _SAMPLES - 0.5 for each in fine))
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
-    pixels = np.stack([u.ravel(), v.ravel()], axis=1)[:, None]
-    rays = cv2.undistortPoints(pixels, MATRIX, DISTORTION, criteria=criteria)[:, 0]
-    return np.column_stack([rays, np.ones(len(rays))])

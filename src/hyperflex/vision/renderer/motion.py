@@ -46,16 +46,18 @@ class RopeMotion:
         base_velocity: npt.ArrayLike | None = None,
         off_plane: OffPlane | None = None,
     ) -> None:
+        from scipy.interpolate import CubicHermiteSpline
+
         self.t = checks.times("t", t, least=2)
         self.length = checks.array("length", length, (-1,), sign="positive", unit="m")
-        shape = (self.t.size, self.length.size)
         if (base is None) != (base_velocity is None):
             raise InvalidInput("one of base and base_velocity is missing", fix="Give both or none")
         still = np.zeros((self.t.size, 2))
-        places = checks.array("base", still if base is None else base, still.shape, unit="m")
-        speeds = checks.array("base_velocity", still if base_velocity is None else base_velocity, still.shape)
-        self._values = np.hstack([checks.array("q", q, shape, unit="rad"), places])
-        self._rates = np.hstack([checks.array("qd", qd, shape, unit="rad/s"), speeds])
+        base, velocity = (still, still) if base is None else (base, base_velocity)
+        links, joint = (self.t.size, self.length.size), still.shape
+        values = [checks.array("q", q, links, unit="rad"), checks.array("base", base, joint, unit="m")]
+        rates = [checks.array("qd", qd, links, unit="rad/s"), checks.array("base_velocity", velocity, joint)]
+        self._values = CubicHermiteSpline(self.t, np.hstack(values), np.hstack(rates))
         self.off_plane = off_plane
 
     @classmethod
@@ -75,8 +77,7 @@ class RopeMotion:
         Points beyond the tip lie on the last link's line.
         """
         times, arcs = np.atleast_1d(np.asarray(t, float)), np.asarray(arc_lengths, float)
-        values = self._at(times)
-        q, base = values[:, :-2], values[:, -2:]
+        q, base = np.split(self._values(np.clip(times, self.t[0], self.t[-1])), [-2], axis=1)
         along = np.stack([np.sin(q), -np.cos(q)], axis=2)  # (m, n, 2)
         joints = base[:, None] + np.pad(np.cumsum(self.length[:, None] * along, axis=1), ((0, 0), (1, 0), (0, 0)))
         ends = self.joint_arc_lengths
@@ -86,17 +87,6 @@ class RopeMotion:
         if self.off_plane is not None:
             result[:, :, 2] = self.off_plane(times, arcs)
         return result
-
-    def _at(self, times: Array) -> Array:
-        """Return angles and base (m, n + 2) at times."""
-        inside = np.clip(times, self.t[0], self.t[-1])
-        k = np.clip(np.searchsorted(self.t, inside, side="right") - 1, 0, self.t.size - 2)
-        step = (self.t[k + 1] - self.t[k])[:, None]
-        x = (inside - self.t[k])[:, None] / step
-        smooth = x * x * (3.0 - 2.0 * x)
-        values = self._values[k] + smooth * (self._values[k + 1] - self._values[k])
-        moved = step * x * (1.0 - x) * ((1.0 - x) * self._rates[k] - x * self._rates[k + 1])
-        return np.asarray(values + moved)
 
 
 def sway(amplitude: float, frequency: float, length: float, *, tilt: float = 0.0) -> OffPlane:
