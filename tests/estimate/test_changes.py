@@ -118,13 +118,11 @@ def test_the_signature_of_a_mass_and_of_a_touch() -> None:
     mass = 0.04 * cable.total_mass
     by_mass = (run(cable.replace(tip_mass=mass)) - base) / mass
     k = detector.names.index("tip_mass")
-    np.testing.assert_allclose(detector._parameters[k].states[: 2 * n, 0], by_mass, atol=2e-3 * np.abs(by_mass).max())
+    np.testing.assert_allclose(detector.effects[: 2 * n, k], by_mass, atol=2e-3 * np.abs(by_mass).max())
     by_force = (run(cable, 200, 1.0) - base) / 0.01
     place = int(np.abs(detector.places - 1.0).argmin())
     # the force of a frame is taken as two halves, at its beginning and its end: 6 % where two links bend fast
-    np.testing.assert_allclose(
-        detector._touches.states[:n, 2 * place], by_force[:n], atol=0.07 * np.abs(by_force[:n]).max()
-    )
+    np.testing.assert_allclose(detector.touches[:n, 2 * place], by_force[:n], atol=0.07 * np.abs(by_force[:n]).max())
 
 
 def test_the_kick_of_an_impulse_is_that_of_mujoco() -> None:

@@ -57,8 +57,8 @@ def rauch_tung_striebel(
     return means[::-1], covariances[::-1], likelihood
 
 
-def covariances(found: Smoothed) -> list[Array]:
-    return [rows.T @ rows for rows in found.rows]
+def covariances(found: list[Smoothed]) -> list[Array]:
+    return [each.rows.T @ each.rows for each in found]
 
 
 @pytest.mark.parametrize("noise_rows", [SIZE, 2, 0], ids=["full", "singular", "none"])
@@ -67,31 +67,31 @@ def test_linear_smoother_is_the_textbooks(noise_rows: int) -> None:
     problem = linear_problem(0, noise_rows)
     found = smooth_linear(*problem)
     means, wide, likelihood = rauch_tung_striebel(*problem)
-    np.testing.assert_allclose(found.means, means, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose([each.mean for each in found], means, rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(covariances(found), wide, rtol=1e-10, atol=1e-10)
-    assert found.log_likelihoods.sum() == pytest.approx(likelihood, rel=1e-10)
-    assert found.log_likelihoods[1] == 0.0  # nothing was seen in that frame
+    assert sum(each.log_likelihood for each in found) == pytest.approx(likelihood, rel=1e-10)
+    assert found[1].log_likelihood == 0.0  # nothing was seen in that frame
 
 
 def test_linear_smoother_with_a_singular_prior() -> None:
     """Where the prior knows some combinations of states exactly; the noise that it gives makes these states."""
     mean, rows, steps, measurements = linear_problem(1, 2)
     found = smooth_linear(mean, rows[:2], steps, measurements)
-    x = mean + rows[:2].T @ found.coordinates[0]
-    for k, (f, c, n) in enumerate(steps):
-        np.testing.assert_allclose(x, found.means[k], atol=1e-10 * np.abs(found.means).max())
-        x = f @ x + c + n.T @ found.noises[k]
-    np.testing.assert_allclose(x, found.means[-1], atol=1e-10 * np.abs(found.means).max())
+    largest, x = max(np.abs(each.mean).max() for each in found), mean + rows[:2].T @ found[0].v
+    for each, (f, c, n) in zip(found[:-1], steps, strict=True):
+        np.testing.assert_allclose(x, each.mean, atol=1e-10 * largest)
+        x = f @ x + c + n.T @ each.noise
+    np.testing.assert_allclose(x, found[-1].mean, atol=1e-10 * largest)
 
 
 def test_what_the_first_frame_told_goes_on() -> None:
     """The prior of the second frame in place of the first frame: the same smoothed states from there on."""
     mean, rows, steps, measurements = linear_problem(2, 3)
     whole = smooth_linear(mean, rows, steps, measurements)
-    part = smooth_linear(*whole.priors[1], steps[1:], measurements[1:])
-    np.testing.assert_allclose(part.means, whole.means[1:], rtol=1e-9, atol=1e-9)
+    part = smooth_linear(whole[1].prior_mean, whole[1].prior_rows, steps[1:], measurements[1:])
+    np.testing.assert_allclose([each.mean for each in part], [each.mean for each in whole[1:]], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(covariances(part), covariances(whole)[1:], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(part.coordinates[0], whole.coordinates[1], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(part[0].v, whole[1].v, rtol=1e-9, atol=1e-9)
 
 
 def swing(frames: int = 6, gap: float = 0.06, q0: float = 0.9, seed: int = 0) -> list[Observations]:
@@ -144,12 +144,12 @@ def test_gauss_newton_finds_what_scipy_does() -> None:
     """
     fitted = interval(swing())
     fitted.solve(20)
-    ours = np.concatenate([fitted.path.start, *fitted.path.noises])
+    ours = np.concatenate([fitted.start, *(node.noise for node in fitted.nodes)])
     found = least_squares(residuals, np.zeros(ours.size), args=(fitted,), xtol=1e-10, ftol=1e-12, diff_step=1e-5)
-    assert fitted.path.cost == pytest.approx(2.0 * found.cost, rel=1e-3)
+    assert fitted.cost == pytest.approx(2.0 * found.cost, rel=1e-3)
     np.testing.assert_allclose(ours, found.x, atol=0.03)  # of a standard deviation: CLOSE
     covariance = np.linalg.inv(found.jac.T @ found.jac)[:5, :5]
-    first = fitted.smoothed.rows[0]
+    first = fitted.smoothed[0].rows
     np.testing.assert_allclose(
         np.sqrt(np.diag(first.T @ first)), np.sqrt(np.diag(fitted.rows.T @ covariance @ fitted.rows)), rtol=0.02
     )
@@ -159,18 +159,18 @@ def test_a_path_has_no_defects() -> None:
     """Each state is what the process makes of the one before, and the noise."""
     fitted = interval(swing(q0=2.0))
     fitted.solve(3)
-    for k, (x, w) in enumerate(zip(fitted.path.x[:-1], fitted.path.noises, strict=True)):
-        found = fitted.process.predict(x, fitted.frames[k].seen.t, fitted.frames[k + 1].seen.t)
-        np.testing.assert_allclose(found.x + fitted.frames[k + 1].noise.T @ w, fitted.path.x[k + 1], atol=1e-9)
+    for (before, frame), (node, then) in itertools.pairwise(zip(fitted.nodes, fitted.frames, strict=True)):
+        found = fitted.process.predict(before.x, frame.seen.t, then.seen.t)
+        np.testing.assert_allclose(found.x + then.noise.T @ node.noise, node.x, atol=1e-9)
 
 
 def test_the_cost_never_grows() -> None:
     """Also far from where the linear step is right: the pendulum goes over the top, the prior is half a turn off."""
     fitted = interval(swing(frames=8, gap=0.12, q0=2.8))
-    costs = [fitted.path.cost]
+    costs = [fitted.cost]
     for _ in range(12):
         fitted.solve(1)
-        costs.append(fitted.path.cost)
+        costs.append(fitted.cost)
         assert np.isfinite(fitted.x).all()
         assert np.isfinite(fitted.factor).all()
     assert (np.diff(costs) <= 0.0).all()

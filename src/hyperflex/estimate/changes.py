@@ -151,52 +151,6 @@ class Found(NamedTuple):
     rows: Array
 
 
-class _Signatures:
-    """Effects of possible changes on the state, and the sums of their effects on the innovations.
-
-    Parameters
-    ----------
-    size : int
-        Of the state, N.
-    places, axes : int
-        At how many places a change is possible, and along how many axes: P and a. Sums over w changes of different
-        moments are kept for each place alone.
-
-    Attributes
-    ----------
-    states : (N, w P a) float64
-        Errors of the state, per unit of each change: moment by moment, in these place by place.
-    information : (P, w a, w a), score : (P, w a) float64
-    """
-
-    def __init__(self, size: int, places: int = 1, axes: int = 1) -> None:
-        self._places, self._axes = places, axes
-        self.states, self.information, self.score = np.zeros((size, 0)), np.zeros((places, 0, 0)), np.zeros((places, 0))
-
-    def add(self, columns: Array) -> None:
-        """Add changes (N, P a) that begin."""
-        more = ((0, 0), (0, self._axes))
-        self.states = np.concatenate([self.states, columns], axis=1)
-        self.information, self.score = np.pad(self.information, (*more, more[1])), np.pad(self.score, more)
-
-    def keep(self, good: npt.NDArray[np.bool_]) -> None:
-        """Keep the changes of some moments (w,)."""
-        if not good.all():
-            own = np.flatnonzero(np.repeat(good, self._axes))
-            self.states = self.states[:, np.repeat(good, self._places * self._axes)]
-            self.information, self.score = self.information[:, own[:, None], own], self.score[:, own]
-
-    def update(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
-        """Add the effects on an innovation, and correct the errors as the filter does its own."""
-        seen = jacobian @ self.states
-        shape = self.score.shape[1] // self._axes, self._places, self._axes, len(seen)
-        by_moment = sr.solved(upper, seen, transposed=True).T.reshape(shape)
-        effect = by_moment.swapaxes(0, 1).reshape(*self.score.shape, len(seen))
-        self.score = self.score + effect @ whitened
-        self.information = self.information + effect @ effect.transpose(0, 2, 1)
-        self.states = self.states - gain @ seen
-
-
 class ChangeDetector:
     """Tests the innovations of a filter for the effects of changes.
 
@@ -221,12 +175,9 @@ class ChangeDetector:
 
     MISFIT_TIME = 2.0  # s that a misfit lasts until it is reported: noise levels remember a touch for about as long
     MISFIT_LEVEL = 1.25  # times the declared noise of the markers that does not count
-    GAP, LONGER_GAP = (
-        0.25,
-        2.5,
-    )  # s without any marker, and times the usual frame interval, after which tests start anew
-    SPACING, TOUCH_SPACING = 0.1, 0.03  # s between the moments at which a parameter may change, and a touch may begin
-    PER_DOUBLING = 4  # moments until their spacing grows with their age
+    GAP, LONGER_GAP = 0.25, 2.5  # s without any marker, and usual frame intervals, after which tests start anew
+    SPACING, SHARE = 0.1, 0.25  # s, and of their age: largest spacing to which moments of changes are thinned out
+    TOUCH_SPACING = 0.03  # s between the moments at which a touch may begin
     LIKELY_MASS = 0.04  # of the rope's mass: size of a mass at the tip for which its effect is computed
     SHARED = 0.25  # s after a touch was noticed in which it may still turn out to be the change of a parameter
     CALM = 0.5  # s without a sign of a touch, after which the next one is another touch
@@ -255,16 +206,13 @@ class ChangeDetector:
 
     def begin(self, t: float) -> None:
         """Test nothing before `t`, s."""
+        p, places = len(self.names), self.places.size
         self._since = t
-        self._parameters = [_Signatures(self._size) for _ in self.names]
-        self._touches = _Signatures(self._size, len(self.places), 2)
-        self._moments, self._indices, self._begun = np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
-        self._kicks: Array | None = None
-        self._count, self._spaced = 0, -math.inf
-
-    def settle(self, t: float) -> None:
-        """Test nothing until the filter, which started at `t`, s, has settled."""
-        self.begin(t + self.tests.settle_time)
+        # of w moments: errors of the state (N, w p) per unit of each change, sums of squares and of products (w, p)
+        self._moments, self.effects, self._sums = np.zeros(0), np.zeros((self._size, 0)), np.zeros((2, 0, p))
+        # of touches that begin at w moments (N, w places 2); sums if they last one interval or until now (2, w, ...)
+        self._begun, self.touches = np.zeros(0), np.zeros((self._size, 0))
+        self._information, self._score = np.zeros((2, 0, places, 2, 2)), np.zeros((2, 0, places, 2))
 
     def predict(self, x: tuple[Array, Array], t: float, until: float, transition: Array) -> None:
         """Predict from time t, s, to `until`.
@@ -280,30 +228,27 @@ class ChangeDetector:
         if t < self._since:
             return
         self._values = x[1][self._columns]
-        for name, column, each in zip(self.names, self._columns, self._parameters, strict=True):
-            begun, moved = transition[:, [column]], transition @ each.states
-            if name == "tip_mass":
-                begun, moved = self._with_mass(x, t, until, transition, column, each.states)
-            each.states = moved
-            each.add(begun)
-        lasting = t >= self._spaced + self.SPACING * (1.0 - 1e-6)
+        moved, begun = transition @ self.effects, transition[:, self._columns]
+        if "tip_mass" in self.names:
+            k, p = self.names.index("tip_mass"), len(self.names)
+            begun[:, [k]], moved[:, k::p] = self._with_mass(x, t, until, transition, k, self.effects[:, k::p])
+        self.effects = np.concatenate([moved, begun], axis=1)
         self._moments = np.append(self._moments, t)
-        self._indices = np.append(self._indices, self._count if lasting else -1)
-        if lasting:
-            self._spaced, self._count = t, self._count + 1
-        self._touches.states = transition @ self._touches.states
+        self._sums = np.pad(self._sums, ((0, 0), (0, 1), (0, 0)))
+        self.touches = transition @ self.touches
         if not self.places.size:
             return
         dt, n = until - t, self._n
-        before = self._process.kicks(x[0][:n], self._arms) if self._kicks is None else self._kicks
-        self._kicks = after = self._process.kicks(x[1][:n], self._arms)
+        before, after = (self._process.kicks(each[:n], self._arms) for each in x)
         pushed = 0.5 * dt * (transition[:, n : 2 * n] @ before)
         pushed[n : 2 * n] += 0.5 * dt * after
         if not self._begun.size or t >= self._begun[-1] + self.TOUCH_SPACING * (1.0 - 1e-6):
-            self._touches.add(pushed)
+            self.touches = np.concatenate([self.touches, pushed], axis=1)
             self._begun = np.append(self._begun, t)
+            self._information = np.pad(self._information, ((0, 0), (0, 1), (0, 0), (0, 0), (0, 0)))
+            self._score = np.pad(self._score, ((0, 0), (0, 1), (0, 0), (0, 0)))
         else:
-            self._touches.states[:, -pushed.shape[1] :] += pushed
+            self.touches[:, -pushed.shape[1] :] += pushed
 
     def update(self, t: float, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> Found | None:
         """Add an innovation; return the change of which it is a sign, and its effect on the state.
@@ -329,21 +274,30 @@ class ChangeDetector:
         if self._interval > max(self.GAP, self.LONGER_GAP * usual):
             self.begin(t)
             return None
-        for each in (*self._parameters, self._touches):
-            each.update(jacobian, gain, upper, whitened)
-        self._kicks = None  # the state has changed
+        seen, touched = jacobian @ self.effects, jacobian @ self.touches
+        self.effects, self.touches = self.effects - gain @ seen, self.touches - gain @ touched
+        effect = sr.solved(upper, seen, transposed=True).T
+        sums = np.stack([(effect * effect).sum(axis=1), effect @ whitened])
+        self._sums = self._sums + sums.reshape(self._sums.shape)
+        one = sr.solved(upper, touched, transposed=True).T.reshape(*self._score.shape[1:], whitened.size)
+        both = np.stack([one, one[::-1].cumsum(axis=0)[::-1]])
+        self._score = self._score + both @ whitened
+        self._information = self._information + both @ both.swapaxes(-1, -2)
         found = self._evaluate(t)
-        good = self._kept_moments(t)
+        kept = self._kept_moments(t)
         if self._touched == latest:  # the touch is over
             self._shared_until = t
         if self._shared_until <= t:  # it was a touch: its effect on the innovations is not that of a parameter
-            good[:], self._shared_until = False, math.inf
-        for each in self._parameters:
-            each.keep(good)
-        self._moments, self._indices = self._moments[good], self._indices[good]
-        good = self._begun > t - self.tests.touch_history
-        self._touches.keep(good)
-        self._begun = self._begun[good]
+            kept[:], self._shared_until = False, math.inf
+        self.effects = self.effects[:, np.repeat(kept, len(self.names))]
+        self._moments, self._sums = self._moments[kept], self._sums[:, kept]
+        kept = self._begun > t - self.tests.touch_history
+        self.touches = self.touches[:, np.repeat(kept, 2 * self.places.size)]
+        self._begun, self._information, self._score = (
+            self._begun[kept],
+            self._information[:, kept],
+            self._score[:, kept],
+        )
         if found is not None and found.moved.any():
             self.begin(t)
         return found
@@ -365,42 +319,46 @@ class ChangeDetector:
         return (Change(MISFIT, t, self._fitted, noise.value, noise.value * noise.log_std, 1.0, log_p),)
 
     def _with_mass(
-        self, x: tuple[Array, Array], t: float, until: float, transition: Array, column: int, states: Array
+        self, x: tuple[Array, Array], t: float, until: float, transition: Array, k: int, effects: Array
     ) -> tuple[Array, Array]:
         """Return the effect (N, 1) of a mass at the tip, and errors (N, c) of the state as they move with it.
 
         A mass soon exceeds that of the last link many times, so that its effect is far from linear. With one, an error
         d of the state becomes ``F d`` and the effect of the mass itself, F being that of the heavier rope.
         """
-        start, others = x[0].copy(), states.T.copy()
+        start, others, column = x[0].copy(), effects.T.copy(), self._columns[k]
         start[column] += self._mass
         others[:, column] = 0.0
         try:
             end, rows = self._heavier.carry(start, others, t, until)
         except SimulationError:
-            return transition[:, [column]], transition @ states
+            return transition[:, [column]], transition @ effects
         begun = ((end - x[1]) / self._mass)[:, None]
         begun[2 * self._n :] = 0.0
         begun[column] = 1.0
-        return begun, rows.T + begun * states[column]
+        return begun, rows.T + begun * effects[column]
 
     def _kept_moments(self, t: float) -> npt.NDArray[np.bool_]:
         """Return which moments at which parameters may have changed are kept: the older, the farther apart."""
         age = t - self._moments
-        doublings = np.floor(np.log2(np.maximum(age / (self.PER_DOUBLING * self.SPACING), 1.0))).astype(int)
-        spaced = (self._indices >= 0) & (self._indices % 2**doublings == 0)
-        return np.asarray((age < self.tests.history) & (spaced | (age < self.SPACING)))
+        kept = age < self.tests.history
+        apart = self._moments[2:] - self._moments[:-2]
+        crowded = (age[1:-1] > self.SPACING) & (apart <= np.maximum(self.SPACING, self.SHARE * age[1:-1]) + 1e-6)
+        kept[1:-1][np.flatnonzero(crowded)[:1]] = False
+        return kept
 
     def _evaluate(self, t: float) -> Found | None:
         """Return the clearest sign of a change, if it is clear enough."""
-        scores, theta = self._parameter_scores()
-        touch, forces = self._touch_scores()
-        count = scores.size + 2 * touch.size
+        information, score = np.maximum(self._sums[0], 1e-300), self._sums[1]  # (w, p)
+        theta, std = score / information, 1.0 / np.sqrt(information)
+        clear = np.maximum(np.abs(theta) - self._tolerances, 0.0) / std
+        clear[self._values + theta + self.POSSIBLE * std < self._least] = 0.0
+        log_p = list((log_ndtr(-clear) + math.log(2.0)).T)
+        forces, touch = self._touch_scores()
+        log_p += [-0.5 * touch.ravel() ** 2] if touch.size else []
+        count = clear.size + 2 * touch.size
         if not count or not self._interval:
             return None
-        log_p = [log_ndtr(-each) + math.log(2.0) for each in scores.T]
-        if touch.size:
-            log_p.append(-0.5 * touch.ravel() ** 2)
         least = np.array([each.min(initial=0.0) for each in log_p])
         if not least.min() < math.log(self._interval / self.tests.false_alarm_interval / count):
             return None
@@ -409,69 +367,39 @@ class ChangeDetector:
         sure, alarm = 1.0 / float(np.exp(evidence - evidence[k]).sum()), float(least[k])
         best = int(log_p[k].argmin())
         if k < len(self.names):
-            bank, size = self._parameters[k], float(theta[best, k])
-            std, effect = self.DOUBT / math.sqrt(bank.information[0, best, best]), bank.states[:, best]
-            change = Change(self.names[k], t, float(self._moments[best]), size, std, sure, alarm)
-            return Found(change, size * effect, std * effect[None])
+            size, doubt = float(theta[best, k]), self.DOUBT * float(std[best, k])
+            effect = self.effects[:, best * len(self.names) + k]
+            change = Change(self.names[k], t, float(self._moments[best]), size, doubt, sure, alarm)
+            return Found(change, size * effect, doubt * effect[None])
+        lasting, since, place = np.unravel_index(best, touch.shape)
+        effects = self.touches.reshape(self._size, -1, self.places.size, 2)[:, :, place]
+        force = forces[lasting, since, place]
+        size = float(np.linalg.norm(force))
         again, self._touched = t - self._touched < self.CALM, t
-        if not again:
-            self._shared_until = t + self.SHARED
-        change, whole, last = self._touch(best, forces, t, sure, alarm)
-        return Found(None if again else change, np.zeros(self._size), last if again else whole)
+        if again:
+            return Found(None, np.zeros(self._size), size * effects[:, -1].T)
+        self._shared_until = t + self.SHARED
+        std = math.sqrt(force @ np.linalg.solve(self._information[lasting, since, place], force)) / size
+        begun = float(self._begun[since])
+        lasted = (t if lasting else float(self._ends[since])) - begun
+        impulse, at = (float(force[0] * lasted), float(force[1] * lasted)), float(self.places[place])
+        change = Change(TOUCH, t, begun, size * lasted, std * lasted, sure, alarm, at, impulse)
+        whole = effects[:, since:].sum(axis=1) if lasting else effects[:, since]
+        return Found(change, np.zeros(self._size), size * whole.T)
 
-    def _parameter_scores(self) -> tuple[Array, Array]:
-        """Return by how many standard deviations each parameter (p) has changed since each moment (w, p), and sizes."""
-        shape = len(self.names), self._moments.size
-        information = np.array([np.diag(each.information[0]) for each in self._parameters]).reshape(shape).T
-        information = np.maximum(information, 1e-300)
-        theta = np.array([each.score[0] for each in self._parameters]).reshape(shape).T / information
-        std = 1.0 / np.sqrt(information)
-        score = np.maximum(np.abs(theta) - self._tolerances, 0.0) / std
-        score[self._values + theta + self.POSSIBLE * std < self._least] = 0.0
-        return score, theta
-
-    def _touch_scores(self) -> tuple[Array, tuple[Array, Array]]:
-        """Return by how many standard deviations each touch (2, w, places) differs from none, and its forces.
-
-        The first of 2 lasts a single interval, the second until now. Of the forces come sizes (2, w, places, 2), N, and
-        their information (2, w, places, 2, 2), 1/N^2.
-        """
-        bank, p, w = self._touches, self.places.size, self._begun.size
-        if not w:
-            return np.zeros((2, 0, p)), (np.zeros((2, 0, p, 2)), np.zeros((2, 0, p, 2, 2)))
-        every = bank.information.reshape(p, w, 2, w, 2)
-        lasting = every[:, ::-1, :, ::-1].cumsum(axis=1).cumsum(axis=3)[:, ::-1, :, ::-1]
-        score = bank.score.reshape(p, w, 2).transpose(1, 0, 2)
-        b = np.stack([score, score[::-1].cumsum(axis=0)[::-1]])
-        a = np.stack([np.moveaxis(np.diagonal(each, axis1=1, axis2=3), -1, 0) for each in (every, lasting)])
-        a += ((1e-9 * np.trace(a, axis1=-2, axis2=-1) + 1e-300)[..., None, None]) * np.eye(2)
-        (xx, xy, yy), (x, y) = (a[..., 0, 0], a[..., 0, 1], a[..., 1, 1]), (b[..., 0], b[..., 1])
-        determinant = np.maximum(xx * yy - xy * xy, 1e-300)
-        force = np.stack([yy * x - xy * y, xx * y - xy * x], axis=-1) / determinant[..., None]
-        size = np.hypot(force[..., 0], force[..., 1])
-        clear = np.sqrt(np.maximum(force[..., 0] * x + force[..., 1] * y, 0.0))
+    def _touch_scores(self) -> tuple[Array, Array]:
+        """Return the forces (2, w, places, 2), N, of touches, and by how many standard deviations each is not none."""
+        a = self._information + (1e-9 * np.trace(self._information, axis1=-2, axis2=-1) + 1e-150)[
+            ..., None, None
+        ] * np.eye(2)
+        force = np.linalg.solve(a, self._score[..., None])[..., 0]
+        size = np.maximum(np.linalg.norm(force, axis=-1), 1e-300)
+        clear = np.sqrt(np.maximum((force * self._score).sum(axis=-1), 0.0))
         lasted = np.stack([self._ends - self._begun, self._latest - self._begun])
         allowed = self._force_tolerance * np.maximum(self.SHORT_TOUCH / lasted, 1.0)
-        return clear * np.maximum(1.0 - allowed[:, :, None] / np.maximum(size, 1e-300), 0.0), (force, a)
+        return force, clear * np.maximum(1.0 - allowed[:, :, None] / size, 0.0)
 
     @property
     def _ends(self) -> Array:
         """Ends of the intervals in which touches may be (w,), s."""
-        return np.append(self._begun[1:], self._latest)
-
-    def _touch(
-        self, best: int, forces: tuple[Array, Array], t: float, sure: float, alarm: float
-    ) -> tuple[Change, Array, Array]:
-        """Return a touch, and rows that widen the covariance: by all of it, and by its last interval."""
-        w, p = self._begun.size, self.places.size
-        lasting, since, place = np.unravel_index(best, (2, w, p))
-        force, covariance = forces[0][lasting, since, place], np.linalg.inv(forces[1][lasting, since, place])
-        begun = float(self._begun[since])
-        lasted = (t if lasting else float(self._ends[since])) - begun
-        size = float(np.linalg.norm(force))
-        std = math.sqrt(force @ covariance @ force) / size
-        impulse, at = (float(force[0] * lasted), float(force[1] * lasted)), float(self.places[place])
-        change = Change(TOUCH, t, begun, size * lasted, std * lasted, sure, alarm, at, impulse)
-        effects = self._touches.states.reshape(-1, w, p, 2)[:, :, place]
-        whole = effects[:, since:].sum(axis=1) if lasting else effects[:, since]
-        return change, size * whole.T, size * effects[:, -1].T
+        return np.append(self._begun[1:], self._latest)[: self._begun.size]

@@ -302,7 +302,7 @@ class RopeFilter:
         self._by_noise.reset()
         self._gate = ValidationGate(len(seen.places))
         if self._detector is not None:
-            self._detector.settle(seen.t)
+            self._detector.begin(seen.t + self._detector.tests.settle_time)
         self._correct(seen, first=True)
 
     def _correct(self, seen: Observations, *, first: bool) -> None:
@@ -356,8 +356,15 @@ class RopeFilter:
             self.x[first:] = self.parameters.possible(self.x[first:])
             self._least[first + k] = self.process.least(self.x)[first + k]
 
+    @property
+    def _adapts(self) -> bool:
+        """Whether noise levels are adapted."""
+        return True
+
     def _learn(self, jacobian: Array, gain: Array, upper: Array, whitened: Array) -> None:
         """Adapt the levels of process and measurement noise to the innovation."""
-        self.process_noise.see(whitened, *self._by_noise.update(jacobian, gain, upper, whitened))
-        half = sr.solved(upper, np.eye(len(upper)), transposed=True)
-        self.measurement_noise.see(whitened, (half @ half.T)[None])
+        derivatives = self._by_noise.update(jacobian, gain, upper, whitened)
+        if self._adapts:
+            half = sr.solved(upper, np.eye(len(upper)), transposed=True)
+            self.process_noise.see(whitened, *derivatives)
+            self.measurement_noise.see(whitened, (half @ half.T)[None])

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -51,47 +50,36 @@ class Measurement(NamedTuple):
 
 
 class Smoothed(NamedTuple):
-    """The posterior of all frames, given all measurements.
+    """The posterior of one frame, given all measurements.
 
     Attributes
     ----------
-    means : (T, N) float64
-    rows : list of (r, N) float64
-        Of each frame; their squares are its covariance.
-    priors : list of tuple of (N,) float64 and (r, N) float64
-        Mean and rows of each frame, given those before it alone.
-    coordinates : list of (r,) float64
-        v of each state over its prior: ``x = mean + rows^T v``.
-    noises : list of (r,) float64
-        Of the steps: w.
-    log_likelihoods : (T,) float64
-        Of each frame's measurement, given those before.
+    mean : (N,) float64
+    rows : (r, N) float64
+        Their squares are its covariance.
+    prior_mean, prior_rows : (N,), (r, N) float64
+        The same, given the frames before it alone.
+    v : (r,) float64
+        The state over its prior: ``mean = prior_mean + prior_rows^T v``.
+    noise : (r,) float64
+        Of the step to the next frame: w.
+    log_likelihood : float
+        Of the frame's measurement, given those before.
     """
-
-    means: Array
-    rows: list[Array]
-    priors: list[tuple[Array, Array]]
-    coordinates: list[Array]
-    noises: list[Array]
-    log_likelihoods: Array
-
-    def without_first(self) -> "Smoothed":
-        """Return the same of all frames but the first."""
-        priors, coordinates = self.priors[1:], self.coordinates[1:]
-        return Smoothed(self.means[1:], self.rows[1:], priors, coordinates, self.noises[1:], self.log_likelihoods[1:])
-
-
-class _Filtered(NamedTuple):
-    """The filter's pass at one frame: x = mean + rows^T v, v normal with mean `at` and rows `spread`."""
 
     mean: Array
     rows: Array
-    at: Array
-    spread: Array
+    prior_mean: Array
+    prior_rows: Array
+    v: Array
+    noise: Array
+    log_likelihood: float
 
 
-def smooth_linear(mean: Array, rows: Array, steps: Sequence[Step], measurements: Sequence[Measurement]) -> Smoothed:
-    """Return the posterior of the states of T frames.
+def smooth_linear(
+    mean: Array, rows: Array, steps: Sequence[Step], measurements: Sequence[Measurement]
+) -> list[Smoothed]:
+    """Return the posterior of the state of each of T frames.
 
     Parameters
     ----------
@@ -109,19 +97,25 @@ def smooth_linear(mean: Array, rows: Array, steps: Sequence[Step], measurements:
     of v+. No covariance is inverted. The result is that of Rauch, Tung and Striebel (1965, AIAA Journal 3(8), 1445), by
     the elimination of Paige and Saunders (1977, SIAM J. Numer. Anal. 14(2), 180); cost O(T N^3).
     """
-    passes: list[_Filtered] = []
-    turns: list[Array] = []
-    likelihoods = np.zeros(len(measurements))
+    passes, turns = [], []
     for k, seen in enumerate(measurements):
-        at, spread, likelihoods[k] = _updated(mean, rows, seen)
-        passes.append(_Filtered(mean, rows, at, spread))
+        at, spread, likelihood = _updated(mean, rows, seen)
+        passes.append((mean, rows, at, spread, likelihood))
         if k < len(steps):
             step = steps[k]
             mean = step.transition @ (mean + rows.T @ at) + step.offset
             turn, upper = np.linalg.qr(np.concatenate([spread @ rows @ step.transition.T, step.noise]), mode="complete")
             rows = upper[: min(upper.shape)]
             turns.append(turn)
-    return _backward(passes, turns, likelihoods)
+    v, wide, noise = at, spread, np.zeros(0)
+    found = [Smoothed(mean + rows.T @ v, wide @ rows, mean, rows, v, noise, likelihood)]
+    for (mean, rows, at, spread, likelihood), turn in zip(passes[-2::-1], turns[::-1], strict=True):
+        left, known = len(spread), v.size
+        noise = turn[left:, :known] @ v
+        rest = np.concatenate([wide @ turn[:left, :known].T, turn[:left, known:].T])
+        v, wide = at + spread.T @ (turn[:left, :known] @ v), sr.triangular(rest @ spread)
+        found.append(Smoothed(mean + rows.T @ v, wide @ rows, mean, rows, v, noise, likelihood))
+    return found[::-1]
 
 
 def _updated(mean: Array, rows: Array, seen: Measurement) -> tuple[Array, Array, float]:
@@ -137,66 +131,35 @@ def _updated(mean: Array, rows: Array, seen: Measurement) -> tuple[Array, Array,
     return upper[:m, m:].T @ whitened, upper[m:, m:], float(-0.5 * (whitened @ whitened + size))
 
 
-def _backward(passes: list[_Filtered], turns: list[Array], likelihoods: Array) -> Smoothed:
-    """Go back from the last frame, of which all is known, to the first."""
-    v, spread = passes[-1].at, passes[-1].spread
-    coordinates, means, rows, noises = [v], [_mean(passes[-1], v)], [spread @ passes[-1].rows], []
-    for each, turn in zip(passes[-2::-1], turns[::-1], strict=True):
-        left, known = len(each.spread), v.size
-        noises.append(turn[left:, :known] @ v)
-        rest = np.concatenate([spread @ turn[:left, :known].T, turn[:left, known:].T])
-        v, spread = each.at + each.spread.T @ (turn[:left, :known] @ v), sr.triangular(rest @ each.spread)
-        coordinates.append(v)
-        means.append(_mean(each, v))
-        rows.append(spread @ each.rows)
-    priors = [(each.mean, each.rows) for each in passes]
-    return Smoothed(np.array(means[::-1]), rows[::-1], priors, coordinates[::-1], noises[::-1], likelihoods)
-
-
-def _mean(each: _Filtered, v: Array) -> Array:
-    return each.mean + each.rows.T @ v
-
-
 SHORTEST = 1.0 / 64.0  # part of a Gauss-Newton step that is tried
 ROOM = 6  # squares that are allowed in addition to one for each measurement
 RIDGE = 1e-9  # of a covariance's diagonal, added to it when it is inverted
 
 
-@dataclass(frozen=True, eq=False)
-class Path:
-    """States that follow from a start by the process and noise, linearised.
+class Node(NamedTuple):
+    """One frame of a path of states that follow from a start by the process and noise, linearised.
 
     Attributes
     ----------
-    start : (r,) float64
-        The first state over the factor of its prior.
-    noises : list of (r,) float64
-        Of the steps, of variance 1.
-    x : list of (N,) float64
-    predictions : list of Prediction
-        To each frame from the one before.
-    measurements : list of Measurement
+    x : (N,) float64
+    noise : (r,) float64
+        Of the step from the frame before, of variance 1; empty in the first frame.
+    predicted : Prediction
+        From the frame before; of the first frame only its accelerations count.
+    measurement : Measurement
         Residuals of the observations, whitened, and their derivatives.
     """
 
-    start: Array
-    noises: list[Array] = field(default_factory=list)
-    x: list[Array] = field(default_factory=list)
-    predictions: list[Prediction] = field(default_factory=list)
-    measurements: list[Measurement] = field(default_factory=list)
+    x: Array
+    noise: Array
+    predicted: Prediction
+    measurement: Measurement
 
-    def copy(self) -> "Path":
-        """Return a copy that can be extended."""
-        return Path(self.start, [*self.noises], [*self.x], [*self.predictions], [*self.measurements])
 
-    @property
-    def cost(self) -> float:
-        """Twice the negative logarithm of the posterior's density, but for a constant."""
-        return float(
-            self.start @ self.start
-            + sum(w @ w for w in self.noises)
-            + sum(each.z @ each.z for each in self.measurements)
-        )
+def cost_of(start: Array, nodes: Sequence[Node]) -> float:
+    """Return twice the negative logarithm of the posterior's density of a path, but for a constant."""
+    terms = [start, *(node.noise for node in nodes), *(node.measurement.z for node in nodes)]
+    return float(sum(each @ each for each in terms))
 
 
 class Interval:
@@ -214,8 +177,12 @@ class Interval:
 
     Attributes
     ----------
-    smoothed : Smoothed
-        The last Gauss-Newton step: deviations from `path`, and the covariances of all frames.
+    start : (r,) float64
+        The first state over the factor of its prior.
+    nodes : list of Node
+        The path.
+    smoothed : list of Smoothed
+        The last Gauss-Newton step: deviations from the path, and the covariances of all frames.
 
     Notes
     -----
@@ -231,12 +198,9 @@ class Interval:
         self, process: Process, model: MarkerModel, mean: Array, rows: Array, first: InputFrame, qdd: Array
     ) -> None:
         self.process, self.model = process, model
-        self.mean, self.rows, self.frames, self._qdd = mean, rows, [first], qdd
-        self.smoothed: Smoothed
-        self.path = Path(np.zeros(len(rows)))
-        self.path.x.append(mean.copy())
-        self.path.measurements.append(self._measurement(first, mean, qdd))
-        self._forgotten = 0.0
+        self.mean, self.rows, self.frames = mean, rows, [first]
+        self.start, self._forgotten = np.zeros(len(rows)), 0.0
+        self.nodes = [self._node(first, Prediction(mean, np.zeros((0, 0)), qdd), np.zeros(0))]
         self._smoothe()
 
     @property
@@ -247,46 +211,50 @@ class Interval:
     @property
     def factor(self) -> Array:
         """Rows (r, N) whose squares are its covariance."""
-        return self.smoothed.rows[-1]
+        return self.smoothed[-1].rows
 
     @property
     def qdd(self) -> Array:
         """The last frame's angular accelerations (n,), rad/s^2."""
-        return self.path.predictions[-1].qdd if self.path.predictions else self._qdd
+        return self.nodes[-1].predicted.qdd
 
     @property
     def states(self) -> Array:
         """The states of all frames (T, N)."""
-        x = np.array(self.path.x)
-        return x + self.smoothed.means if self._largest(self.smoothed) < CLOSE else x
+        part = 1.0 if self._largest < CLOSE else 0.0
+        return np.array([node.x + part * each.mean for node, each in zip(self.nodes, self.smoothed, strict=True)])
 
     @property
     def rope_states(self) -> tuple[RopeState, ...]:
         """The same as states of the rope, with covariances, each at the time of its picture less an estimated delay."""
         return tuple(
-            self.process.rope_state(x, rows, frame.seen.t)
-            for frame, x, rows in zip(self.frames, self.states, self.smoothed.rows, strict=True)
+            self.process.rope_state(x, each.rows, frame.seen.t)
+            for frame, x, each in zip(self.frames, self.states, self.smoothed, strict=True)
         )
 
     @property
     def log_likelihood(self) -> float:
         """Of all that was seen since the interval began, about the best path (Laplace's approximation)."""
-        known = float(self.smoothed.log_likelihoods.sum())
+        known = sum(each.log_likelihood for each in self.smoothed)
         return self._forgotten + known + sum(frame.log_determinant for frame in self.frames)
+
+    @property
+    def cost(self) -> float:
+        """The path's :func:`cost_of`."""
+        return cost_of(self.start, self.nodes)
 
     @property
     def misfit(self) -> float:
         """The posterior's squares over those of a right model: about 1, with some room."""
-        return self.path.cost / (ROOM + sum(len(each.z) for each in self.path.measurements))
+        return self.cost / (ROOM + sum(node.measurement.z.size for node in self.nodes))
 
     def append(self, frame: InputFrame) -> bool:
         """Add a frame; its state is at first the predicted one. Return False if it cannot be predicted."""
-        path = self.path.copy()
         try:
-            self._extend(path, frame, self.frames[-1], np.zeros(len(frame.noise)))
+            node = self._next(self.nodes[-1].x, self.frames[-1], frame, np.zeros(len(frame.noise)))
         except SimulationError:
             return False
-        self.path, self.frames = path, [*self.frames, frame]
+        self.nodes, self.frames = [*self.nodes, node], [*self.frames, frame]
         self._smoothe()
         return True
 
@@ -306,105 +274,103 @@ class Interval:
         """
         start = np.asarray(np.linalg.lstsq(self.rows.T, states[0][0] - self.mean, rcond=RIDGE)[0])
         self.frames = [*self.frames[:1], *frames]
-        found = self._run(start, None, states)
-        if found is None:
+        if not self._move(start, None, states):
             raise SimulationError("No rope moves along these states.", status=Status.NOT_FINITE, time=frames[0].seen.t)
-        self.path = found
-        self._smoothe()
 
     def forget(self) -> None:
         """Drop the first of two or more frames: its information remains in the prior of the second."""
-        self._forgotten += float(self.smoothed.log_likelihoods[0]) + self.frames[0].log_determinant
-        self.smoothed, path = self.smoothed.without_first(), self.path
-        mean, rows = self.smoothed.priors[0]
-        self.mean, self.rows, self._qdd = path.x[1] + mean, rows, path.predictions[0].qdd
+        self._forgotten += self.smoothed[0].log_likelihood + self.frames[0].log_determinant
+        self.frames, self.smoothed, (node, *rest) = self.frames[1:], self.smoothed[1:], self.nodes[1:]
+        first = self.smoothed[0]
+        self.mean, self.rows = node.x + first.prior_mean, first.prior_rows
         # before convergence, the path's start is not the smoothed one
-        start = self.smoothed.coordinates[0] - np.linalg.lstsq(rows.T, self.smoothed.means[0], rcond=RIDGE)[0]
-        self.path = Path(start, path.noises[1:], path.x[1:], path.predictions[1:], path.measurements[1:])
-        self.frames = self.frames[1:]
+        self.start = first.v - np.linalg.lstsq(self.rows.T, first.mean, rcond=RIDGE)[0]
+        self.nodes = [node._replace(noise=np.zeros(0)), *rest]
 
     def solve(self, rounds: int) -> None:
         """Improve the path by at most `rounds` steps of Gauss-Newton."""
         for _ in range(rounds):
-            if self._largest(self.smoothed) < CLOSE:
+            before, part, moved = self.cost, 1.0, False
+            if self._largest < CLOSE:
                 return
-            part, found = 1.0, None
-            while found is None and part >= SHORTEST:
-                found = self._steered(part)
+            while not moved and part >= SHORTEST:
+                moved = self._steer(part)
                 part *= 0.5
-            if found is None:
-                return
-            gained = self.path.cost - found.cost
-            self.path = found
-            self._smoothe()
-            if gained < CLOSE**2:
+            if not moved or before - self.cost < CLOSE**2:
                 return
 
     def begin_at(self, start: Array) -> bool:
         """Go to the path without noise from a start (r,) over the prior's factor; return whether there is one."""
-        path = self._run(start, None, None)
-        if path is None:
-            return False
-        self.path = path
-        self._smoothe()
-        return True
+        return self._move(start, None, None)
 
     def _smoothe(self) -> None:
         """Find the next Gauss-Newton step, and the covariances about the path."""
-        path = self.path
         steps = [
-            Step(found.transition, -frame.noise.T @ w, frame.noise)
-            for found, w, frame in zip(path.predictions, path.noises, self.frames[1:], strict=True)
+            Step(node.predicted.transition, -frame.noise.T @ node.noise, frame.noise)
+            for node, frame in zip(self.nodes[1:], self.frames[1:], strict=True)
         ]
-        self.smoothed = smooth_linear(-self.rows.T @ path.start, self.rows, steps, path.measurements)
+        measurements = [node.measurement for node in self.nodes]
+        self.smoothed = smooth_linear(-self.rows.T @ self.start, self.rows, steps, measurements)
 
-    def _largest(self, step: Smoothed) -> float:
-        """Return by how many standard deviations a step moves a noise or the start at most."""
-        changes = [step.coordinates[0] - self.path.start, *map(np.subtract, step.noises, self.path.noises)]
+    @property
+    def _largest(self) -> float:
+        """By how many standard deviations the next step moves a noise or the start at most."""
+        noises = zip(self.smoothed, self.nodes[1:], strict=False)
+        changes = [self.smoothed[0].v - self.start, *(each.noise - node.noise for each, node in noises)]
         return max(float(np.abs(each).max(initial=0.0)) for each in changes)
 
-    def _steered(self, part: float) -> Path | None:
-        """Return the path a part of a Gauss-Newton step away, or None if it is none, or no better one."""
-        step, path = self.smoothed, self.path
-        noises = [w + part * (new - w) for w, new in zip(path.noises, step.noises, strict=True)]
-        states = [(x + part * change, rows) for x, change, rows in zip(path.x, step.means, step.rows, strict=True)]
-        return self._run(path.start + part * (step.coordinates[0] - path.start), noises, states, path.cost)
+    def _steer(self, part: float) -> bool:
+        """Go to the path a part of a Gauss-Newton step away; return False if there is none, or no better one."""
+        both = list(zip(self.nodes, self.smoothed, strict=True))
+        states = [(node.x + part * step.mean, step.rows) for node, step in both]
+        pairs = zip(self.nodes[1:], self.smoothed, strict=False)
+        noises = [node.noise + part * (step.noise - node.noise) for node, step in pairs]
+        return self._move(self.start + part * (self.smoothed[0].v - self.start), noises, states, self.cost)
 
-    def _run(
+    def _move(
         self,
         start: Array,
         noises: Sequence[Array] | None,
         states: Sequence[tuple[Array, Array]] | None,
         limit: float = np.inf,
-    ) -> Path | None:
-        """Return the path from a start that noises near the given ones steer along states.
+    ) -> bool:
+        """Go to the path from a start that noises near the given ones steer along states.
 
-        None if there is none, or its cost is not below the limit.
+        Return False, and stay, if there is none, or its cost is not below the limit.
         """
-        path, first = Path(start), self.frames[0]
-        path.x.append(self.mean + self.rows.T @ start)
-        path.measurements.append(self._measurement(first, path.x[0], self._qdd))
+        first = self.nodes[0].predicted._replace(x=self.mean + self.rows.T @ start)
+        nodes = [self._node(self.frames[0], first, np.zeros(0))]
         for k, frame in enumerate(self.frames[1:], start=1):
-            if not path.cost < limit:
-                return None
+            if not cost_of(start, nodes) < limit:
+                return False
             w = np.zeros(len(frame.noise)) if noises is None else noises[k - 1]
+            target = None if states is None else states[k]
             try:
-                self._extend(path, frame, self.frames[k - 1], w, None if states is None else states[k])
+                nodes.append(self._next(nodes[-1].x, self.frames[k - 1], frame, w, target))
             except SimulationError:
-                return None
-        return path if path.cost < limit else None
+                return False
+        if not cost_of(start, nodes) < limit:
+            return False
+        self.start, self.nodes = start, nodes
+        self._smoothe()
+        return True
 
-    def _extend(
-        self, path: Path, frame: InputFrame, last: InputFrame, w: Array, target: tuple[Array, Array] | None = None
-    ) -> None:
-        """Add to a path the state that follows from the last frame's with noise w, steered towards a target."""
-        found = self._predicted(path.x[-1], last.seen.t, frame.seen.t)
+    def _next(
+        self, x: Array, last: InputFrame, frame: InputFrame, w: Array, target: tuple[Array, Array] | None = None
+    ) -> Node:
+        """Return the node that follows from the last frame's state x with noise w, steered towards a target."""
+        found = self._predicted(x, last.seen.t, frame.seen.t)
         if target is not None:
             w = w + _gain(frame.noise, target[1]) @ (target[0] - found.x - frame.noise.T @ w)
-        path.predictions.append(found)
-        path.noises.append(w)
-        path.x.append(found.x + frame.noise.T @ w)
-        path.measurements.append(self._measurement(frame, path.x[-1], found.qdd))
+        return self._node(frame, found, w)
+
+    def _node(self, frame: InputFrame, found: Prediction, w: Array) -> Node:
+        """Return the node of a frame whose state is predicted up to the noise w."""
+        x, seen = found.x + frame.noise[: w.size].T @ w, frame.seen
+        residuals = np.zeros(0), np.zeros((0, x.size))
+        if frame.used.any():
+            residuals = frame.residuals(*self.model.predict(x, self.process.base(seen.t, x), seen.rows, found.qdd))
+        return Node(x, w, found, Measurement(*residuals))
 
     def _predicted(self, x: Array, t: float, until: float) -> Prediction:
         """Return the state that follows from x between the times of two frames, s."""
@@ -414,14 +380,6 @@ class Interval:
         if not (np.abs(found.x).max() < BEYOND and np.abs(found.transition).max() < BEYOND**2):
             raise SimulationError("The state is not finite.", status=Status.NOT_FINITE, time=until)
         return found._replace(x=np.concatenate([found.x[:first], x[first:]]))
-
-    def _measurement(self, frame: InputFrame, x: Array, qdd: Array) -> Measurement:
-        """Return what is left of a frame's measurements, over their standard deviation, and its derivatives."""
-        seen = frame.seen
-        if not frame.used.any():
-            return Measurement(np.zeros(0), np.zeros((0, x.size)))
-        predicted = self.model.predict(x, self.process.base(seen.t, x), seen.rows, qdd)
-        return Measurement(*frame.residuals(*predicted))
 
 
 def _gain(noise: Array, rows: Array) -> Array:

@@ -154,12 +154,9 @@ class MovingHorizon(RopeFilter):
         super()._adopt(found)
         self.changed = True
 
-    def _learn(self, *innovation: Any) -> None:
-        """Adapt the noise levels if the horizon is known to be right."""
-        before = copy(self.process_noise), copy(self.measurement_noise)
-        super()._learn(*innovation)
-        if not self._settled() and self._given_up <= self.PATIENT:
-            self.process_noise, self.measurement_noise = before
+    @property
+    def _adapts(self) -> bool:
+        return self._settled() or self._given_up > self.PATIENT
 
     def _settled(self) -> bool:
         """Return whether one explanation has been valid for a whole horizon."""
@@ -185,7 +182,7 @@ class MovingHorizon(RopeFilter):
         begun = self._beginning(last.frames[-1].seen, last.x, last.factor, last.qdd)
         if not begun.append(frame):
             return []
-        angles = last.factor @ begun.path.predictions[-1].transition[: self.n_links].T
+        angles = last.factor @ begun.nodes[-1].predicted.transition[: self.n_links].T
         ways, sizes, _ = np.linalg.svd(angles, full_matrices=False)
         ways, fresh = ways[:, sizes > self.AMBIGUOUS][:, : self.DIMENSIONS], copy(begun)
         begun.solve(self.FIRST_ROUNDS)
@@ -234,10 +231,9 @@ class MovingHorizon(RopeFilter):
 
 def _alike(one: Interval, other: Interval) -> bool:
     """Return whether two fits have converged to the same path."""
-    paths = [[each.path.start, *each.path.noises] for each in (one, other)]
-    if len(paths[0]) != len(paths[1]):
-        return False
-    return all(np.abs(a - b).max(initial=0.0) < ALIKE for a, b in zip(*paths, strict=True))
+    paths = [[each.start, *(node.noise for node in each.nodes)] for each in (one, other)]
+    alike = (np.abs(a - b).max(initial=0.0) < ALIKE for a, b in zip(*paths, strict=False))
+    return len(paths[0]) == len(paths[1]) and all(alike)
 
 
 WHOLE_ROUNDS = 30  # of Gauss-Newton
@@ -325,7 +321,9 @@ class _Collected:
         self._jumps.append([])
         self.states.append((horizon.x, horizon.factor))
         known = min(len(horizon.frames), len(self.states))
-        self.states[-known:] = zip(horizon.states[-known:], horizon.smoothed.rows[-known:], strict=True)
+        self.states[-known:] = zip(
+            horizon.states[-known:], (each.rows for each in horizon.smoothed[-known:]), strict=True
+        )
         noticed = [change for change in estimator.changes if change.name != MISFIT]
         for change in noticed:
             self._touch = change if change.name == TOUCH else self._touch
@@ -367,11 +365,11 @@ class _Collected:
 
 def _track(whole: Interval, estimator: MovingHorizon) -> SmoothedTrack:
     """Return what a fit of all frames says."""
-    n, model, process = estimator.n_links, estimator.model, estimator.process
-    qdds = [np.zeros(n), *(each.qdd for each in whole.path.predictions)]
+    model, process = estimator.model, estimator.process
+    rows = np.zeros(len(model.arc_lengths))
     places = [
-        model.predict(x, process.base(frame.seen.t, x), np.zeros(len(model.arc_lengths)), qdd)[0]
-        for x, frame, qdd in zip(whole.states, whole.frames, qdds, strict=True)
+        model.predict(x, process.base(frame.seen.t, x), rows)[0]
+        for x, frame in zip(whole.states, whole.frames, strict=True)
     ]
     values = estimator.parameters.estimates(whole.x, whole.factor)
     return SmoothedTrack(whole.rope_states, np.array(places), values, whole.log_likelihood)

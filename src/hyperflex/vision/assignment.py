@@ -262,16 +262,6 @@ class Ordering(NamedTuple):
     margin: float
 
 
-class _Paths(NamedTuple):
-    """Beginnings of B paths."""
-
-    taken: npt.NDArray[np.int64]  # (B, k) place of each marker so far, or -1
-    cost: Array  # (B,)
-    place: Array  # (B, 2) of the last marker seen
-    arc: Array  # (B,) of that
-    direction: Array  # (B, 2) of the last chord, 0 before the first
-
-
 def order_markers(
     places: Array, arc_lengths: Array, origin: Array, *, noise: float = 0.003, slack: float = 0.0
 ) -> Ordering:
@@ -296,14 +286,29 @@ def order_markers(
     cost is taken: a term log(1 + x^2) for each chord that is shorter than its arc and for each turn from chord to chord
     (heavy tails, for the few sharp bends of a rope), and fixed costs for missing markers and clutter. Beam search.
     """
-    paths = _Paths(np.zeros((1, 0), np.int64), np.zeros(1), np.asarray(origin)[None], np.zeros(1), np.zeros((1, 2)))
+    z, (first, second) = places[:, 0] + 1j * places[:, 1], origin
+    taken, costs = np.zeros((1, 0), np.int64), np.zeros(1)  # of each path
+    place, start, direction = np.array([first + 1j * second]), np.zeros(1), np.zeros(1, complex)  # its end so far
     for arc in arc_lengths:
-        paths = _extended(paths, places, float(arc), noise, slack)
-    cost = paths.cost + _CLUTTER * (len(places) - (paths.taken >= 0).sum(axis=1))
-    order = np.argsort(cost, kind="stable")
-    best = paths.taken[order[0]]
-    margin = float(cost[order[1]] - cost[order[0]]) if order.size > 1 else np.inf
-    return Ordering(best, margin > CERTAIN and bool((best >= 0).any()), margin)
+        chord, rope = z - place[:, None], (arc - start)[:, None]
+        length = np.maximum(np.abs(chord), 1e-9)
+        short = np.maximum(0.0, 1.0 - length / rope) / np.hypot(_SHORT, slack)
+        turn = np.angle(chord * direction.conj()[:, None]) / _TURN
+        dearer = np.log1p(short**2) + np.log1p(turn**2)
+        used = (taken[:, :, None] == np.arange(len(z))).any(axis=1)
+        dearer[used | (length > (1.0 + SLACK + slack) * rope + 4.0 * noise)] = np.inf
+        choices = (costs[:, None] + np.column_stack([dearer, np.full(len(costs), _MISSING)])).ravel()
+        best = np.argsort(choices, kind="stable")[:_BEAM]
+        best = best[np.isfinite(choices[best])]
+        row, column = np.divmod(best, len(z) + 1)
+        seen = column < len(z)
+        taken, costs = np.column_stack([taken[row], np.where(seen, column, -1)]), choices[best]
+        place, start, direction = place[row], start[row], direction[row]
+        place[seen], start[seen], direction[seen] = z[column[seen]], arc, chord[row[seen], column[seen]]
+    costs += _CLUTTER * (len(z) - (taken >= 0).sum(axis=1))
+    order = np.argsort(costs, kind="stable")
+    margin = float(costs[order[1]] - costs[order[0]]) if order.size > 1 else np.inf
+    return Ordering(taken[order[0]], margin > CERTAIN and bool((taken[order[0]] >= 0).any()), margin)
 
 
 def check_increasing(arc_lengths: Array) -> None:
@@ -317,35 +322,6 @@ def check_increasing(arc_lengths: Array) -> None:
             allowed="increasing ones, from the first joint to the tip, each once",
             fix="Measure each marker along the rope from where it hangs, and give them in that order",
         )
-
-
-def _extended(paths: _Paths, seen: Array, arc: float, noise: float, slack: float) -> _Paths:
-    """Return the best paths that continue to a marker at an arc length, m: to each place, or without it."""
-    chord = seen[None] - paths.place[:, None]  # (B, M, 2)
-    length = np.maximum(np.linalg.norm(chord, axis=2), 1e-9)
-    rope = (arc - paths.arc)[:, None]
-    short = np.maximum(0.0, 1.0 - length / rope)
-    direction, before = chord / length[:, :, None], paths.direction[:, None]
-    sine = before[..., 0] * direction[..., 1] - before[..., 1] * direction[..., 0]
-    turn = np.arctan2(sine, (before * direction).sum(axis=2))
-    cost = paths.cost[:, None] + np.log1p((short / np.hypot(_SHORT, slack)) ** 2) + np.log1p((turn / _TURN) ** 2)
-    used = (paths.taken[:, :, None] == np.arange(len(seen))).any(axis=1)
-    cost[used | (length > (1.0 + SLACK + slack) * rope + 4.0 * noise)] = np.inf
-    costs = np.concatenate([cost, paths.cost[:, None] + _MISSING], axis=1).ravel()
-    best = np.argsort(costs, kind="stable")[:_BEAM]
-    best = best[np.isfinite(costs[best])]
-    row, column = np.divmod(best, len(seen) + 1)
-    missing = column == len(seen)
-    # a last column for "not seen": the path stays where it is
-    ends = np.concatenate([np.broadcast_to(seen, (len(cost), *seen.shape)), paths.place[:, None]], axis=1)
-    directions = np.concatenate([direction, paths.direction[:, None]], axis=1)
-    return _Paths(
-        np.column_stack([paths.taken[row], np.where(missing, -1, column)]),
-        costs[best],
-        ends[row, column],
-        np.where(missing, paths.arc[row], arc),
-        directions[row, column],
-    )
 
 
 class ClutterMap:
@@ -369,58 +345,43 @@ class ClutterMap:
     WITHIN = 3.0  # standard deviations of a gate that were certainly searched
 
     def __init__(self, image_size: tuple[int, int]) -> None:
-        self._area = float(image_size[0] * image_size[1])
-        self._mean = 0.0
-        self._frame = 0
-        self._places = np.empty((0, 2))
-        self._sightings, self._missing, self._last = np.empty((3, 0))  # number, number, frame
+        self._area, self._mean, self._frame = float(image_size[0] * image_size[1]), 0.0, 0
+        # known places; how often something was seen there and missed there, and when last (the first one is none)
+        self._places, self._counts = np.full((1, 2), np.inf), np.array([[0.0, 0.0, np.inf]])
 
     def density(self, seen: Blobs) -> Array:
         """Return the density of clutter where each of M blobs was seen (M,), 1/px^2."""
-        result = np.full(len(seen.places), (1.0 + self._mean) / self._area)
         nearest, known = self._known(seen.places)
-        n, m = self._sightings[nearest[known]], self._missing[nearest[known]]
-        variance = np.sqrt(np.linalg.det(seen.covariances[known]))
-        result[known] += n / (n + m + 1.0) / (2.0 * np.pi * variance)
-        return result
+        n, m, _ = self._counts[nearest].T
+        at_rest = known * n / (n + m + 1.0) / (2.0 * np.pi * np.sqrt(np.linalg.det(seen.covariances)))
+        return np.asarray((1.0 + self._mean) / self._area + at_rest)
 
     def still(self, seen: Blobs) -> npt.NDArray[np.bool_]:
         """Return which of M blobs lie where something was seen in `self.STILL` frames or more (M,)."""
         nearest, known = self._known(seen.places)
-        known[known] = self._sightings[nearest[known]] >= self.STILL
-        return known
+        return np.asarray(known & (self._counts[nearest, 0] >= self.STILL))
 
     def learn(self, seen: Blobs, markers: npt.NDArray[np.bool_], gates: Sequence[Gate] | None = None) -> None:
         """Learn from a frame's blobs, of which some were `markers` (M,); searched in `gates`, or as a whole (None)."""
         self._frame += 1
         nearest, known = self._known(seen.places)
-        searched = self._searched(gates)
-        searched[nearest[known]] = False
-        self._missing[searched] += 1.0
-        again = known & ~markers
+        missed = np.ones(len(self._places), bool)
+        if gates is not None:
+            off = np.abs(self._places[:, None] - np.array([gate.centre for gate in gates]).reshape(-1, 2))
+            wide = np.array([np.diag(np.asarray(gate.covariance)) for gate in gates]).reshape(-1, 2)
+            missed = (off < self.WITHIN * np.sqrt(wide)).all(axis=2).any(axis=1)
+        missed[nearest[known]] = False
+        self._counts[missed, 1] += 1.0
+        again, new = known & ~markers, seen.places[~known & ~markers]
         self._places[nearest[again]] = seen.places[again]
-        self._sightings[nearest[again]] += 1.0
-        self._last[nearest[again]] = self._frame
-        new = ~known & ~markers
-        count = int(new.sum())
-        self._mean += (count - self._mean) / min(self.MEMORY, self._frame)
-        kept = (self._sightings >= self.STILL) | (self._frame - self._last < self.FORGOTTEN)
-        self._places = np.concatenate([self._places[kept], seen.places[new]])
-        values = np.stack([self._sightings, self._missing, self._last])[:, kept]
-        added = np.tile([[1.0], [0.0], [float(self._frame)]], count)
-        self._sightings, self._missing, self._last = np.concatenate([values, added], axis=1)
-
-    def _searched(self, gates: Sequence[Gate] | None) -> npt.NDArray[np.bool_]:
-        """Return which known places were certainly searched."""
-        if gates is None:
-            return np.ones(len(self._places), bool)
-        off = np.abs(self._places[:, None] - np.array([gate.centre for gate in gates]).reshape(-1, 2))
-        wide = np.array([gate.covariance for gate in gates]).reshape(-1, 2, 2)
-        return np.asarray((off < self.WITHIN * np.sqrt(np.diagonal(wide, axis1=1, axis2=2))).all(axis=2).any(axis=1))
+        self._counts[nearest[again], 0] += 1.0
+        self._counts[nearest[again], 2] = self._frame
+        self._mean += (len(new) - self._mean) / min(self.MEMORY, self._frame)
+        kept = (self._counts[:, 0] >= self.STILL) | (self._frame - self._counts[:, 2] < self.FORGOTTEN)
+        self._places = np.concatenate([self._places[kept], new])
+        self._counts = np.concatenate([self._counts[kept], np.tile([1.0, 0.0, float(self._frame)], (len(new), 1))])
 
     def _known(self, places: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
         """Return the nearest known place of each blob (M,), and whether the blob is there (M,)."""
-        if not len(self._places) or not len(places):
-            return np.zeros(len(places), np.intp), np.zeros(len(places), bool)
-        apart = np.linalg.norm(places[:, None] - self._places[None], axis=2)
+        apart = np.linalg.norm(places[:, None] - self._places, axis=2)
         return apart.argmin(axis=1), apart.min(axis=1) < self.NEAR

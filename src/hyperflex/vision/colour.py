@@ -163,7 +163,7 @@ class MarkerColour:
         around = last - first + 6  # px on each side: most of the region is wall
         left, top = np.maximum(first - around, 0)
         right, bottom = last + around + 1
-        found, _ = self.blobs(np.ascontiguousarray(image[top:bottom, left:right]))
+        found = self.blobs(np.ascontiguousarray(image[top:bottom, left:right]))
         off = found[:, [blobs.MEAN_U, blobs.MEAN_V]] + [left, top] - [u.mean(), v.mean()]
         return float(found[np.linalg.norm(off, axis=1).argmin(), blobs.AREA]) if len(found) else None
 
@@ -172,8 +172,8 @@ class MarkerColour:
         """Directions (2, 3) in blue, green, red that detection uses; by brightness the second one is zero."""
         return np.asarray(_GREY if self.bright else _CHROMA)
 
-    def blobs(self, region: Image) -> tuple[Array, float]:
-        """Return the blobs of this colour in a part of the picture, and the noise of a pixel's share there.
+    def blobs(self, region: Image) -> Array:
+        """Return the blobs of this colour in a part of the picture.
 
         Parameters
         ----------
@@ -182,20 +182,20 @@ class MarkerColour:
 
         Returns
         -------
-        (M, COLUMNS) float64
-            Moments of each blob, as of ``blob_moments``; px from the region's first pixel.
-        float
-            Standard deviation of the share of a pixel where no marker is; 0 if nothing can be detected here.
+        (M, COLUMNS + 1) float64
+            Moments of each blob, as of ``blob_moments``, px from the region's first pixel; and the standard deviation
+            of the share of a pixel where no marker is.
         """
-        share, found = np.empty(4), np.empty((blobs.LARGEST, blobs.COLUMNS))
+        share, table = np.empty(4), np.empty((blobs.LARGEST, blobs.COLUMNS + 1))
         contrast = np.array([0.5 * _LEAST_CONTRAST, _NOISE])
         noise = float(discriminant(region, self.axes, self.axes @ self.bgr, contrast, share))
-        if noise == 0.0:
-            return found[:0], 0.0
+        if noise == 0.0:  # nothing can be detected here
+            return table[:0]
         weights = np.empty(region.shape[:2])
         blobs.weigh(region, share, weights)
-        count = blobs.blob_moments(region, weights, max(_SIGMAS * noise, _LEAST_SHARE), found)
-        return found[:count], noise
+        table = table[: blobs.blob_moments(region, weights, max(_SIGMAS * noise, _LEAST_SHARE), table)]
+        table[:, -1] = noise
+        return table
 
 
 def surface(image: Image, place: npt.ArrayLike) -> tuple[Array, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:

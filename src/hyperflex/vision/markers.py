@@ -99,10 +99,7 @@ class MarkerDetector:
             Search only there. By default the whole frame is searched, where streaks fainter than a quarter are missed.
         """
         boxes = _joined(self._search(image) if gates is None else self._boxes(gates, image))
-        found = {box: self._measure(image, box) for box in boxes}
-        boxes = _joined([self._widened(box, rows, image) for box, rows in found.items()])
-        tables = [found[box] if box in found else self._measure(image, box) for box in boxes]
-        table = np.concatenate([np.empty((0, blobs.COLUMNS + 1)), *tables])
+        table = np.concatenate([np.empty((0, blobs.COLUMNS + 1)), *(self._measure(image, box) for box in boxes)])
         table = table[self._plausible(table)]
         if self.adapt:
             self._follow(table)
@@ -118,17 +115,9 @@ class MarkerDetector:
         left, top, right, bottom = box
         if right - left < 5 or bottom - top < 5:
             return np.empty((0, blobs.COLUMNS + 1))
-        found, noise = self.colour.blobs(np.ascontiguousarray(image[top:bottom, left:right]))
-        found[:, blobs.MEAN_U] += left
-        found[:, blobs.MEAN_V] += top
-        return np.column_stack([found, np.full(len(found), noise)])
-
-    def _widened(self, box: Box, found: Array, image: Image) -> Box:
-        """Return a box, wider if its edge cuts one of its blobs."""
-        if not (found[:, blobs.BORDER] > 0.0).any():
-            return box
-        more = int(np.ceil(2.0 * self.radius + 2.0 * self.MARGIN))
-        return _inside(np.add([box], [-more, -more, more, more]), image)[0]
+        found = self.colour.blobs(np.ascontiguousarray(image[top:bottom, left:right]))
+        found[:, [blobs.MEAN_U, blobs.MEAN_V]] += left, top
+        return found
 
     def _boxes(self, gates: Sequence[Gate], image: Image) -> list[Box]:
         """Return the boxes of gates."""
@@ -228,16 +217,14 @@ def _inside(boxes: npt.NDArray[np.generic], image: Image) -> list[Box]:
 
 def _joined(boxes: list[Box]) -> list[Box]:
     """Return boxes with those that overlap joined, so that each blob is found once; empty ones are dropped."""
-    waiting = [box for box in boxes if box[2] > box[0] and box[3] > box[1]]
     joined: list[Box] = []
-    while waiting:
-        box = waiting.pop()
-        others = [*waiting, *joined]
-        hits = [o for o in others if o[0] < box[2] and box[0] < o[2] and o[1] < box[3] and box[1] < o[3]]
-        if hits:
-            waiting, joined = ([o for o in part if o not in hits] for part in (waiting, joined))
-            left, top, right, bottom = zip(box, *hits, strict=True)
-            waiting.append((min(left), min(top), max(right), max(bottom)))
-        else:
-            joined.append(box)
+    for box in (box for box in boxes if box[2] > box[0] and box[3] > box[1]):
+        whole = box
+        while hits := [
+            o for o in joined if o[0] < whole[2] and whole[0] < o[2] and o[1] < whole[3] and whole[1] < o[3]
+        ]:
+            joined = [o for o in joined if o not in hits]
+            left, top, right, bottom = zip(whole, *hits, strict=True)
+            whole = min(left), min(top), max(right), max(bottom)
+        joined.append(whole)
     return sorted(joined)
