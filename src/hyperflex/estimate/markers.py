@@ -59,7 +59,6 @@ class MarkerMeasurement:
             blobs._replace(covariances=level**2 * blobs.covariances),
             expected.pixels,
             spread,
-            reach=self._reach(view, expected),
             clutter=clutter.density(blobs),
         )
         clutter.learn(blobs, np.isin(np.arange(len(blobs.places)), found.indices), gates)
@@ -106,15 +105,3 @@ class MarkerMeasurement:
             return None
         streaks = (expected.speeds * view.camera.exposure).tolist()
         return [Gate(*gate) for gate in zip(expected.pixels, each_covariance(spread), streaks, strict=True)]
-
-    def _reach(self, view: View, expected: Prediction) -> Array | None:
-        """Return the greatest distances of consecutive markers (K - 1,), px."""
-        if not np.isfinite(expected.pixels).all():
-            return None
-        slopes = view.camera.linearize(view.camera.locate(expected.pixels))[1]
-        (a, b), (c, d) = slopes.transpose(1, 2, 0)
-        scale = 0.5 * (np.hypot(a + d, b - c) + np.hypot(a - d, b + c))  # the greater singular value
-        relative, absolute = self.SURE * np.array(view.length_stds)
-        rope = (1.0 + relative) * np.diff(view.estimated_arcs) + absolute
-        apart = rope * np.maximum(scale[1:], scale[:-1])
-        return np.asarray(np.maximum(apart, 1.0)) if np.isfinite(apart).all() else None

@@ -28,20 +28,14 @@ class Assignment(NamedTuple):
     indices : (K,) int
         Of the blob; -1: not seen.
     places : (K, 2) float64
-        px; NaN: not seen. If two markers may be swapped, the mean of both explanations.
+        px; NaN: not seen.
     covariances : (K, 2, 2) float64
-        Of the places, px^2; they include the spread of both explanations.
-    distances : (K,) float64
-        Squared Mahalanobis distance from the prediction; NaN: not seen.
-    swappable : (K,) bool
-        Whether it may be swapped with another marker.
+        Of the places, px^2.
     """
 
     indices: Indices
     places: Array
     covariances: Array
-    distances: Array
-    swappable: npt.NDArray[np.bool_]
 
 
 def assign_markers(
@@ -50,7 +44,6 @@ def assign_markers(
     covariance: Array,
     *,
     gate: float = GATE,
-    reach: Array | None = None,
     clutter: float | Array = SPARSE,
 ) -> Assignment:
     """Assign blobs to markers that a model predicts.
@@ -66,9 +59,6 @@ def assign_markers(
         whole rope that is off by more than a gate is still recognised.
     gate : float
         Squared Mahalanobis distance beyond which a blob is not the marker's.
-    reach : (K - 1,) float64, optional
-        Greatest distance between markers k and k + 1, px: the rope between them, times the scale. Pairs that are
-        further apart than that, and 2 %, are not both taken.
     clutter : float or (M,) float64
         Density of blobs of the colour that are no markers where each was seen, 1/px^2; see :class:`ClutterMap`. A blob
         is taken if a marker there is likelier than clutter, which it is not if the prediction is wide.
@@ -77,36 +67,20 @@ def assign_markers(
     -----
     Least sum of squared Mahalanobis distances plus logarithms of determinants (scipy's linear_sum_assignment), compared
     with a marker that is not seen and a blob of clutter (a marker is seen with a probability of 0.8). The clearest
-    pairs are settled first, and the prediction of the others is conditioned on them. Two markers for which the swapped
-    pair is nearly as likely get the mean and covariance over both explanations (a joint probabilistic data association
-    of pairs; Bar-Shalom, Fortmann 1988).
+    pairs are settled first, and the prediction of the others is conditioned on them.
     """
-    problem = _Problem(seen, predicted, covariance, gate, clutter)
-    while True:
-        indices = problem.best()
-        found = np.flatnonzero(indices >= 0)
-        distances = problem.distances(indices, found)
-        if reach is None or (k := _too_far(seen, indices, found, reach, distances)) < 0:
-            break
-        problem.forbidden[k, indices[k]] = True
+    indices = _Problem(seen, predicted, covariance, gate, clutter).best()
+    found = indices >= 0
     places, covariances = np.full((len(indices), 2), np.nan), np.full((len(indices), 2, 2), np.nan)
     places[found], covariances[found] = seen.places[indices[found]], seen.covariances[indices[found]]
-    swappable = np.zeros(len(indices), bool)
-    for one, two, share in problem.swaps(indices, found):
-        step = seen.places[indices[two]] - seen.places[indices[one]]
-        spread = share * (1.0 - share) * np.outer(step, step)
-        for k, side in ((one, share), (two, -share)):
-            swappable[k] = True
-            places[k] = seen.places[indices[k]] + side * step
-            covariances[k] = seen.covariances[indices[k]] + spread
-    return Assignment(indices, places, covariances, distances, swappable)
+    return Assignment(indices, places, covariances)
 
 
 class _Problem:
     """Blobs and predictions of one frame, and the costs of assigning one to the other."""
 
     CLEAR = 12.0  # difference of squared distances from which a pair is unambiguous: odds of e^6
-    UNSURE = 6.0  # difference below which two markers may be swapped: odds of e^3
+    UNSURE = 6.0  # with less for every pair, nothing is clear at first: odds of e^3
     ODDS = math.log(0.8 / 0.2)  # prior odds that a marker is seen
 
     def __init__(self, seen: Blobs, mean: Array, prior: Array, gate: float, clutter: float | Array) -> None:
@@ -115,7 +89,7 @@ class _Problem:
         count, many = len(mean), len(self.places)
         density = np.broadcast_to(np.asarray(clutter, dtype=np.float64), many)
         self.unseen = 2.0 * np.log(density) - 2.0 * self.ODDS + 2.0 * math.log(2.0 * math.pi)
-        self.forbidden = np.zeros((count, many), bool)
+        self._count = count, many
         off = self.prior.reshape(count, 2, count, 2).copy()
         off[np.arange(count), :, np.arange(count)] = 0.0
         self._correlated = bool(off.any())
@@ -138,26 +112,6 @@ class _Problem:
             given[surest, j] = -_FORBIDDEN  # settled before all others
             attempts.append(self._settled(given))
         return min(attempts, key=self._joint_cost)
-
-    def distances(self, indices: Indices, found: Indices) -> Array:
-        """Return squared Mahalanobis distances (K,) of the markers found from their own predictions."""
-        result, count = np.full(len(indices), np.nan), len(indices)
-        off = self.places[indices[found]] - self.mean[found]
-        S = self.prior.reshape(count, 2, count, 2)[found, :, found] + self.wide[indices[found]]
-        result[found] = (off * np.linalg.solve(S, off[:, :, None])[:, :, 0]).sum(axis=1)
-        return result
-
-    def swaps(self, indices: Indices, found: Indices) -> list[tuple[int, int, float]]:
-        """Return pairs of markers that may be swapped, and the probability that they are."""
-        if found.size < 2:
-            return []
-        off, S, _ = self._innovation(self.mean, self.prior, indices, found)
-        precision, dearer = np.linalg.inv(S), np.full((found.size, found.size), np.inf)
-        pairs.swap_costs(self.places[indices[found]], precision, precision @ off, dearer)
-        return [
-            (int(found[a]), int(found[b]), 1.0 / (1.0 + math.exp(0.5 * max(float(dearer[a, b]), 0.0))))
-            for a, b in np.argwhere(dearer < self.UNSURE).tolist()
-        ]
 
     def _settled(self, cost: Array) -> Indices:
         """Return the blob (K,) of each marker, or -1; the clearest first, the others conditioned on them.
@@ -193,9 +147,8 @@ class _Problem:
 
     def _costs(self, mean: Array, prior: Array) -> Array:
         """Return the cost (K, M) of each pair relative to marker unseen and blob of clutter."""
-        cost = np.empty(self.forbidden.shape)
+        cost = np.empty(self._count)
         pairs.pair_costs(self.places, self.wide, mean, prior, self.unseen, self._gate, _FORBIDDEN, cost)
-        cost[self.forbidden] = _FORBIDDEN
         return cost
 
     def _joint_cost(self, indices: Indices) -> float:
@@ -224,18 +177,6 @@ def _margins(cost: Array) -> Array:
             least, second = np.partition(each, 1, axis=0)[:2]
             np.minimum(best, np.where(each > least, least, second), out=best)
     return np.asarray(others - cost)
-
-
-def _too_far(seen: Blobs, indices: Indices, found: Indices, reach: Array, distances: Array) -> int:
-    """Return which marker is to be given up because the rope is too short for it; -1 if none."""
-    along = np.concatenate([[0.0], np.cumsum(reach)])[found]
-    apart = np.linalg.norm(np.diff(seen.places[indices[found]], axis=0), axis=1)
-    variances = np.trace(seen.covariances[indices[found]], axis1=1, axis2=2)
-    beyond = apart > (1.0 + SLACK) * np.diff(along) + 3.0 * np.sqrt(variances[1:] + variances[:-1])
-    if not beyond.any():
-        return -1
-    one, two = found[np.argmax(beyond) :][:2]
-    return int(one if distances[one] > distances[two] else two)
 
 
 CERTAIN = 4.0  # cost by which the next best order must be worse

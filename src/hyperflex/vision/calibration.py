@@ -33,6 +33,12 @@ class BoardView(NamedTuple):
     pixels: Array
     legacy: bool = False
 
+    @property
+    def affine(self) -> Array:
+        """The affine map (3, 2) from points and 1 to pixels that fits best."""
+        design = np.column_stack([self.points, np.ones(len(self.points))])
+        return np.asarray(np.linalg.lstsq(design, self.pixels, rcond=None)[0])
+
 
 @dataclass(frozen=True)
 class Board:
@@ -198,40 +204,30 @@ class Board:
         if seen is None or names is None or len(seen) < 4:
             return None
         points = np.asarray(layout.getChessboardCorners(), dtype=np.float64)[names.ravel(), :2] * [1.0, -1.0]
-        pixels = np.asarray(seen, dtype=np.float64).reshape(-1, 2)
-        self._check_ratio(points, pixels, corners)
-        return BoardView(points, self._refined(gray, points, pixels), legacy)
-
-    def _refined(self, gray: Image, points: Array, pixels: Array) -> Array:
-        """Return corners refined in windows that stay clear of the markers (OpenCV's own are off by 0.2 px rms)."""
-        import cv2
-
-        design = np.column_stack([points, np.ones(len(points))])
-        affine = np.linalg.lstsq(design, pixels, rcond=None)[0][:2]
-        narrow = float(np.linalg.svd(affine, compute_uv=False)[1])  # px/m, where it is foreshortened most
+        view = BoardView(points, np.asarray(seen, dtype=np.float64).reshape(-1, 2), legacy)
+        self._check_ratio(view, corners)
+        # corners are refined in windows that stay clear of the markers (OpenCV's own are off by 0.2 px rms)
+        narrow = float(np.linalg.svd(view.affine[:2], compute_uv=False)[1])  # px/m, where it is foreshortened most
         half = int(np.clip(0.4 * (self.square - float(self.marker or 0.0)) * narrow, 2, 11))
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-4)
-        start = np.ascontiguousarray(pixels[:, None], dtype=np.float32)
-        return np.asarray(cv2.cornerSubPix(gray, start, (half, half), (-1, -1), stop), dtype=np.float64)[:, 0]
+        start = np.ascontiguousarray(view.pixels[:, None], dtype=np.float32)
+        refined = cv2.cornerSubPix(gray, start, (half, half), (-1, -1), stop)
+        return view._replace(pixels=np.asarray(refined, dtype=np.float64)[:, 0])
 
     def _marker_misfit(self, layout: Any, corners: Any, ids: npt.NDArray[np.int32]) -> float:
         """Return the rms error of the markers' places on a board under the best homography, over their side."""
-        places = {
-            int(name): np.asarray(place)[:, :2]
-            for name, place in zip(layout.getIds(), layout.getObjPoints(), strict=True)
-        }
-        known = [k for k, name in enumerate(ids) if int(name) in places]
-        if len(known) < max(4, 0.8 * len(ids)):
-            return float("inf")
-        board = np.concatenate([places[int(ids[k])] for k in known]).astype(np.float64)
-        seen = np.concatenate([np.reshape(corners[k], (4, 2)) for k in known]).astype(np.float64)
-        error = _mapped(seen, seen, board) - board
-        return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))) / float(self.marker or self.square)
+        import cv2
 
-    def _check_ratio(self, points: Array, pixels: Array, corners: Any) -> None:
+        known = cv2.aruco.Board(layout.getObjPoints(), self._dictionary, layout.getIds())
+        board, seen = known.matchImagePoints(corners, ids)
+        if board is None or len(board) < 4 * max(4, 0.8 * len(ids)):
+            return float("inf")
+        error = _mapped(seen, seen, board[..., :2]) - board[..., :2]
+        return float(np.sqrt(np.mean(np.sum(error**2, axis=-1)))) / float(self.marker or self.square)
+
+    def _check_ratio(self, view: BoardView, corners: Any) -> None:
         """Refuse markers that are larger or smaller in their squares than declared."""
-        seen = np.concatenate([np.reshape(c, (4, 2)) for c in corners]).astype(np.float64)
-        placed = _mapped(seen, pixels, points).reshape(-1, 4, 2)
+        placed = _mapped(np.concatenate(corners), view.pixels, view.points)
         ratio = float(np.median(np.linalg.norm(placed - np.roll(placed, 1, axis=1), axis=2))) / self.square
         declared = float(self.marker or 0.0) / self.square
         if abs(ratio - declared) > self.RATIO_TOLERANCE:
@@ -244,13 +240,14 @@ class Board:
 
 
 def _mapped(places: Array, before: Array, after: Array) -> Array:
-    """Return places (M, 2) under the best homography from points before to after; inf if there is none."""
+    """Return places (..., 2) under the best homography from points before to after; inf if there is none."""
     import cv2
 
     homography, _ = cv2.findHomography(before, after)
     if homography is None:
         return np.full(places.shape, np.inf)
-    return np.asarray(cv2.perspectiveTransform(places[:, None], homography)[:, 0])
+    mapped = cv2.perspectiveTransform(places.reshape(-1, 1, 2).astype(np.float64), homography)
+    return np.asarray(mapped.reshape(places.shape))
 
 
 MIN_VIEWS = 4
@@ -442,13 +439,8 @@ def _spread_out(views: list[BoardView]) -> list[BoardView]:
     """Return the views that differ most in how the board lies in the picture (farthest point first)."""
     if len(views) <= _MANY:
         return views
-    outlines = []
-    for view in views:  # the affine map from board to picture
-        design = np.column_stack([view.points, np.ones(len(view.points))])
-        affine = np.linalg.lstsq(design, view.pixels, rcond=None)[0]
-        extent = np.ptp(view.points, axis=0).max()
-        outlines.append(np.concatenate([extent * affine[:2].ravel(), affine[2]]))
-    shapes = np.array(outlines)
+    extents = [np.array([*np.full(2, np.ptp(view.points, axis=0).max()), 1.0]) for view in views]
+    shapes = np.array([(extent[:, None] * view.affine).ravel() for extent, view in zip(extents, views, strict=True)])
     chosen = [int(np.argmax([len(view.points) for view in views]))]
     distance = np.full(len(views), np.inf)
     while len(chosen) < _MANY:
