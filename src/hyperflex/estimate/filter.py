@@ -204,19 +204,23 @@ class RopeFilter:
         """
         return self.process.state_at(self.x, self.factor, self._now, t, self.process_noise.value)
 
+    def joints(self, state: RopeState) -> tuple[Array, Array]:
+        """Return joints and tip (n + 1, 2) in a state, m, and their derivatives (n + 1, 2, n) by the angles."""
+        lengths = self.process.rope.length * (1.0 + self.parameters.value("length", self.x[2 * self.n_links :]))
+        before = np.tril(np.ones((lengths.size + 1, lengths.size)), -1)
+        steps = lengths * np.stack([np.cos(state.q), np.sin(state.q)])
+        places = self.process.base(state.t)[0] + before @ np.stack([steps[1], -steps[0]], axis=1)
+        return places, before[:, None, :] * steps
+
     def tip(self, state: RopeState) -> tuple[Array, Array]:
         """Return the place (2,) of the tip in a state, m, and its covariance (2, 2)."""
-        lengths = self.process.rope.length * (1.0 + self.parameters.value("length", self.x[2 * self.n_links :]))
-        sin, cos = lengths * np.sin(state.q), lengths * np.cos(state.q)
-        place, slope = self.process.base(state.t)[0] + [sin.sum(), -cos.sum()], np.stack([cos, sin])
-        wide = np.zeros((2, 2)) if state.covariance is None else state.covariance[: sin.size, : sin.size]
-        return place, slope @ wide @ slope.T
+        places, slopes = self.joints(state)
+        return places[-1], spread(slopes[-1:], state)[0]
 
     def markers(self, rows: Array | None = None) -> tuple[Array, Array]:
         """Return where the markers are expected (K, 2), and the covariances (K, 2, 2), without a detector's noise."""
         places, joint, _ = self.expected(rows)
-        each = np.arange(len(places))
-        return places, joint.reshape(len(places), 2, len(places), 2)[each, :, each]
+        return places, each_covariance(joint)
 
     def expected(self, rows: Array | None = None) -> tuple[Array, Array, Array]:
         """Return where the markers are expected (K, 2), the covariance (2 K, 2 K) of all of them, and their speeds.
@@ -299,7 +303,7 @@ class RopeFilter:
         in_metres = seen.places if camera is None else camera.locate(seen.places)
         self.x[:n] = polyline_angles(rope, self.model.arc_lengths, in_metres, base[0])
         self.factor = sr.compressed(self.disturbances.starting_rows(rope, self._std), self._least)
-        self._by_noise.reset()
+        self._by_noise = NoiseDerivatives(2, self.x.size)
         self._gate = ValidationGate(len(seen.places))
         if self._detector is not None:
             self._detector.begin(seen.t + self._detector.tests.settle_time)
@@ -368,3 +372,17 @@ class RopeFilter:
             half = sr.solved(upper, np.eye(len(upper)), transposed=True)
             self.process_noise.see(whitened, *derivatives)
             self.measurement_noise.see(whitened, (half @ half.T)[None])
+
+
+def spread(slopes: Array, state: RopeState) -> Array:
+    """Return covariances (K, 2, 2) of places with derivatives (K, 2, n) by a state's angles; 0 if it has none."""
+    n = state.q.size
+    wide = np.zeros((n, n)) if state.covariance is None else state.covariance[:n, :n]
+    return np.asarray(slopes @ wide @ slopes.transpose(0, 2, 1))
+
+
+def each_covariance(joint: Array) -> Array:
+    """Return the covariance (K, 2, 2) of each of K points from that of all together (2 K, 2 K)."""
+    count = len(joint) // 2
+    each = np.arange(count)
+    return np.asarray(joint.reshape(count, 2, count, 2)[each, :, each])

@@ -3,8 +3,9 @@
 import numpy as np
 
 from hyperflex.checks import Array
+from hyperflex.estimate.filter import each_covariance
 from hyperflex.estimate.observations import MarkerModel
-from hyperflex.estimate.tracker import LEAST_STD, Measured, Prediction, View, each_covariance
+from hyperflex.estimate.tracker import LEAST_STD, Measured, Prediction, View
 from hyperflex.vision import Blobs, ClutterMap, Gate, Image, MarkerDetector, assign_markers, order_markers
 
 

@@ -119,11 +119,6 @@ class NoiseDerivatives:
         grown.flat[:: len(grown) + 1] += TINY
         return np.asarray(dposv(grown, even @ (np.concatenate(self.rows) / least).T)[1].T)
 
-    def reset(self) -> None:
-        """Start anew."""
-        kinds, size = self._x.shape
-        self._x, self._covariance = np.zeros((kinds, size)), [np.zeros((0, size))] * kinds
-
     def predict(self, carried: Sequence[Array], noises: Sequence[Array], least: Array) -> None:
         """Predict.
 

@@ -59,29 +59,25 @@ class Observations:
         found = np.array(places, dtype=np.float64)
         if found.ndim != 2 or found.shape[1] != 2:
             raise InvalidInput("places of markers have the wrong shape", got=found.shape, allowed="(K, 2)")
-        found[np.isnan(found).any(axis=1)] = np.nan
         if np.isinf(found).any():
             raise InvalidInput("places of markers are infinite", got=found, allowed="numbers, or NaN: not seen")
         if (std is None) == (covariances is None):
             raise InvalidInput("an observation needs its uncertainty", allowed="either std or covariances")
-        seen, k = ~np.isnan(found[:, 0]), len(found)
-        wide = np.zeros((k, 2, 2))
+        unseen, k = np.isnan(found).any(axis=1), len(found)
+        found[unseen] = np.nan
         if covariances is None:
             each = np.broadcast_to(np.asarray(std, dtype=np.float64), (k,))
-            if not (each[seen] > 0.0).all():
+            if not (each[~unseen] > 0.0).all():
                 raise InvalidInput("the std of an observation is not positive", got=std, allowed="> 0, in m or px")
-            wide[:] = each[:, None, None] ** 2 * np.eye(2)
-        else:
-            wide[:] = covariances
-        wide[~seen] = np.eye(2)
-        determinant = wide[:, 0, 0] * wide[:, 1, 1] - wide[:, 0, 1] * wide[:, 1, 0]
-        if not np.isfinite(wide).all() or not ((wide[:, 0, 0] > 0.0) & (determinant > 0.0)).all():
-            got = std if covariances is None else covariances
+            covariances = each[:, None, None] ** 2 * np.eye(2)
+        wide = np.array(np.broadcast_to(np.asarray(covariances, dtype=np.float64), (k, 2, 2)))
+        wide[unseen] = np.eye(2)
+        if not np.isfinite(wide).all() or not (np.linalg.eigvalsh(wide) > 0.0).all():
+            got = covariances if std is None else std
             raise InvalidInput("the uncertainty of an observation is not positive", got=got, allowed="> 0, finite")
-        late = np.zeros(k) if rows is None else np.nan_to_num(np.broadcast_to(np.asarray(rows, float), (k,)))
-        values = {"t": checks.number("time of an observation", t, unit="s"), "places": found, "covariances": wide}
-        for name, value in {**values, "rows": late.copy()}.items():
-            object.__setattr__(self, name, value)
+        late = np.nan_to_num(np.broadcast_to(0.0 if rows is None else np.asarray(rows, float), (k,)))
+        time = checks.number("time of an observation", t, unit="s")
+        vars(self).update(t=time, places=found, covariances=wide, rows=late)
 
     @property
     def seen(self) -> npt.NDArray[np.bool_]:

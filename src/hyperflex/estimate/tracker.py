@@ -9,7 +9,7 @@ import numpy.typing as npt
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.estimate.changes import Change
-from hyperflex.estimate.filter import RopeFilter
+from hyperflex.estimate.filter import RopeFilter, each_covariance, spread
 from hyperflex.estimate.observations import MarkerModel, Observations
 from hyperflex.estimate.process import swing_rate
 from hyperflex.interfaces import RopeState
@@ -244,15 +244,9 @@ class RopeTracker:
 
     def shape(self, state: RopeState) -> tuple[Array, Array]:
         """Return the rope's joints in a state in the picture (n + 1, 2), px, and their covariances (n + 1, 2, 2)."""
-        estimator, n = self.estimator, state.q.size
-        stretch = 1.0 + estimator.parameters.value("length", self.values)
-        steps = stretch * estimator.process.rope.length * np.stack([np.cos(state.q), np.sin(state.q)])
-        before = np.tril(np.ones((n + 1, n)), -1)
-        places = estimator.process.base(state.t)[0] + before @ np.stack([steps[1], -steps[0]], axis=1)
+        places, slopes = self.estimator.joints(state)
         pixels, by_place = self.adjusted_camera.linearize(places)
-        slopes = by_place @ (before[:, None, :] * steps)
-        wide = np.zeros((n, n)) if state.covariance is None else state.covariance[:n, :n]
-        return pixels, slopes @ wide @ slopes.transpose(0, 2, 1)
+        return pixels, spread(by_place @ slopes, state)
 
     def _prediction(self) -> Prediction:
         """Return where the points are expected, each in its row."""
@@ -272,10 +266,3 @@ class RopeTracker:
         declared = self.estimator.model.arc_lengths
         found = self.estimator.parameters.arc_lengths(declared, self.values)
         return found if (np.diff(found, prepend=0.0)[declared > 0.0] > 0.0).all() else declared
-
-
-def each_covariance(spread: Array) -> Array:
-    """Return the covariance (K, 2, 2) of each of K points from that of all together (2 K, 2 K)."""
-    count = len(spread) // 2
-    each = np.arange(count)
-    return np.asarray(spread.reshape(count, 2, count, 2)[each, :, each])

@@ -279,16 +279,13 @@ def link_angles(seen: BarObservations, pivot: Array, expected: Array) -> Array:
 
 
 def _drawn(image: Image, seen: BarObservations, angles: Array, t: float) -> Image:
-    """Return a frame with the axes of its bars (white) and their angles."""
+    """Return a frame with the axes of its bars (white, to their far ends) and their angles."""
     import cv2
 
     shown = image.copy()
     half = 0.5 * seen.lengths[:, None] * np.stack([np.sin(angles), np.cos(angles)], axis=1)
-    for centre, reach in zip(seen.centres, half, strict=True):
-        if np.isfinite(reach).all():
-            line = np.round(16.0 * np.stack([centre - reach, centre + reach])).astype(np.int32)
-            cv2.polylines(shown, [line], False, (255, 255, 255), 1, cv2.LINE_AA, 4)
-            cv2.circle(shown, np.round(centre + reach).astype(int).tolist(), 3, (0, 255, 255), -1, cv2.LINE_AA)
+    for bar in np.stack([seen.centres - half, seen.centres + half], axis=1)[np.isfinite(half).all(axis=1)]:
+        cv2.arrowedLine(shown, *np.round(bar).astype(int).tolist(), (255, 255, 255), 1, cv2.LINE_AA)
     text = f"{t:.2f} s  " + "  ".join("hidden" if np.isnan(a) else f"{np.degrees(a):.0f} deg" for a in angles)
     cv2.putText(shown, text, (8, shown.shape[0] - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (60, 60, 60), 1, cv2.LINE_AA)
     return shown
