@@ -53,17 +53,17 @@ def _draw_rope(image: Image, line: Array, covariances: Array) -> None:
     line, wide = line[good], covariances[good]
     if len(line) < 2:
         return
-    tinted = image.copy()
-    for place, each in zip(line, wide, strict=True):
-        _draw_region(tinted, place, each, BLUE, thickness=cv2.FILLED)
+    along = np.gradient(line, axis=0)
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.maximum(np.hypot(*along.T), 1e-9)[:, None]
+    half = LIKELY * np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", across, wide, across), 0.0))
+    side, tinted = np.minimum(half, _LARGEST * image.shape[0])[:, None] * across, image.copy()
+    cv2.fillPoly(tinted, [_fixed(np.concatenate([line + side, (line - side)[::-1]]))], BLUE, cv2.LINE_AA, _BITS)
     cv2.addWeighted(tinted, 0.35, image, 0.65, 0.0, dst=image)
     cv2.polylines(image, [_fixed(line)], False, BLUE, 1, cv2.LINE_AA, _BITS)
     _draw_region(image, line[-1], wide[-1], BLUE)
 
 
-def _draw_region(
-    image: Image, place: Array, wide: Array, colour: Colour, radius: float = 0.0, thickness: int = 1
-) -> None:
+def _draw_region(image: Image, place: Array, wide: Array, colour: Colour, radius: float = 0.0) -> None:
     """Draw the ellipse that contains a place with 90 %, `radius` (px) larger."""
     import cv2
 
@@ -74,7 +74,7 @@ def _draw_region(
     if _SMALLEST <= axes[1] <= _LARGEST * image.shape[0]:
         angle = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
         centre, size = _fixed(place).tolist(), _fixed(axes[::-1]).tolist()
-        cv2.ellipse(image, centre, size, angle, 0.0, 360.0, colour, thickness, cv2.LINE_AA, _BITS)
+        cv2.ellipse(image, centre, size, angle, 0.0, 360.0, colour, 1, cv2.LINE_AA, _BITS)
 
 
 def _write(image: Image, text: str, at: tuple[int, int], size: float, colour: Colour) -> None:

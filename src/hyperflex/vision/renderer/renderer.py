@@ -60,7 +60,7 @@ class Truth:
         files.write_netcdf(path, NetCDF(variables, {"format": "hyperflex rendered truth 1"}))
 
 
-_Layer = tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], float, npt.ArrayLike]
+_Layer = tuple[Array, float, npt.ArrayLike]
 
 
 class Renderer:
@@ -97,9 +97,6 @@ class Renderer:
         self._rng = np.random.default_rng((scene.seed, 2))
         self._noise = tiles_of_noise(scene.noise, camera.image_size, self._rng) if scene.noise else None
         self._upright = camera.readout_direction in ("down", "up")
-        joints = motion.joint_arc_lengths
-        bars = [s for bar in scene.bars for s in (bar.start, bar.end)]
-        self._arcs = np.concatenate([joints, scene.arc_lengths, bars])
 
     def image(self, stamp: float) -> Image:
         """Return the frame (height, width, 3) with a time stamp, s."""
@@ -176,43 +173,36 @@ class Renderer:
         return result
 
     def _layers(self, stamp: float) -> list[_Layer]:
-        """Return what is drawn, from the back to the front: first and second points of capsules, radius, m, colour."""
-        scene, joints = self.scene, self.motion.joint_arc_lengths.size
-        markers = scene.arc_lengths.size
-        layers: list[_Layer] = []
-        if not scene.is_black(stamp):
-            if scene.rope_width > 0.0:
-                links = np.arange(joints - 1)
-                layers.append((links, links + 1, 0.5 * scene.rope_width, scene.rope_colour))
-            for k, bar in enumerate(scene.bars):
-                first = np.array([joints + markers + 2 * k])
-                layers.append((first, first + 1, 0.5 * bar.width, bar.colour))
-            hidden = np.zeros(markers, bool) if scene.hidden is None else scene.hidden(stamp)
-            for k, colour in enumerate(np.asarray(scene.marker_colours)):
-                marker, radius = np.array([joints + k]), 0.5 * scene.marker_diameter
-                layers.append((marker, marker, radius, colour))
-                if hidden[k]:
-                    layers.append((marker, marker, self.COVER_SIZE * radius, self.COVER))
-        for k, front in enumerate(scene.occluders):
-            first = np.array([self._arcs.size + 2 * k])
-            layers.append((first, first + 1, 0.5 * front.width, front.colour))
+        """Return what is drawn on the rope, from the back to the front: ends (C, 2) of capsules, radius, m, colour."""
+        scene, joints = self.scene, self.motion.joint_arc_lengths
+        if scene.is_black(stamp):
+            return []
+        layers: list[_Layer] = [(np.array([[bar.start, bar.end]]), 0.5 * bar.width, bar.colour) for bar in scene.bars]
+        if scene.rope_width > 0.0:
+            layers.insert(0, (np.stack([joints[:-1], joints[1:]], axis=1), 0.5 * scene.rope_width, scene.rope_colour))
+        hidden = np.zeros(scene.arc_lengths.size, bool) if scene.hidden is None else scene.hidden(stamp)
+        radius = 0.5 * scene.marker_diameter
+        for arc, colour, covered in zip(scene.arc_lengths, np.asarray(scene.marker_colours), hidden, strict=True):
+            marker = np.full((1, 2), arc)
+            layers += [(marker, radius, colour), (marker, self.COVER_SIZE * radius, self.COVER)][: 2 if covered else 1]
         return layers
 
     def _capsules(self, stamp: float) -> tuple[Capsules | None, RowTimes]:
         """Return what is drawn in pixels at some instants about a frame, and when its rows are exposed."""
-        camera = self.camera
+        camera, layers, fronts = self.camera, self._layers(stamp), self.scene.occluders
         start = stamp - camera.delay - 0.5 * camera.exposure
         span = camera.exposure + camera.readout
         nodes = max(2, int(np.ceil(span / self.NODE)) + 1)
         instants = start + np.linspace(0.0, span, nodes)
-        places = self.motion.places(instants, self._arcs)
-        for bar in self.scene.occluders:
+        arcs = np.concatenate([np.zeros((0, 2)), *(ends for ends, *_ in layers)])
+        places = self.motion.places(instants, arcs.ravel())
+        for bar in fronts:
             ends = np.array([bar.start, bar.end]) + instants[:, None, None] * np.array(bar.velocity)
             places = np.concatenate([places, np.pad(ends, ((0, 0), (0, 0), (0, 1)))], axis=1)
-        pixels = camera.project(places.reshape(-1, 3)).reshape(nodes, -1, 2)
+        pixels = camera.project(places.reshape(-1, 3)).reshape(nodes, -1, 2, 2)
         scales = np.sqrt(np.abs(np.linalg.det(camera.linearize(places[nodes // 2])[1][:, :, :2])))
         if not self._upright:
-            pixels = pixels[:, :, ::-1]
+            pixels = pixels[..., ::-1]
         rows = camera.image_size[1 if self._upright else 0]
         step = (nodes - 1) / span if span > 0.0 else 0.0
         slope = camera.readout / max(rows - 1, 1) * step
@@ -221,15 +211,15 @@ class Renderer:
         fastest = np.abs(np.diff(pixels, axis=0)).max(initial=0.0) * camera.exposure * step
         samples = max(self.sub_exposures, int(fastest / 1.5)) if camera.exposure > 0.0 else 1
         times = RowTimes(first, -slope if backwards else slope, camera.exposure * step, samples)
-        layers = self._layers(stamp)
-        if not layers:
+        drawn = [(len(ends), radius, colour) for ends, radius, colour in layers]
+        drawn += [(1, 0.5 * front.width, front.colour) for front in fronts]
+        if not drawn:
             return None, times
-        one, two = (np.concatenate([layer[k] for layer in layers]) for k in (0, 1))
-        sizes = [len(layer[0]) for layer in layers]
-        radii = np.repeat([layer[2] for layer in layers], sizes) * 0.5 * (scales[one] + scales[two])
-        ends = np.ascontiguousarray(np.concatenate([pixels[:, one], pixels[:, two]], axis=2))
-        colours = np.repeat([layer[3] for layer in layers], sizes, axis=0).astype(np.float32)
-        return Capsules(ends, radii, np.repeat(np.arange(len(layers)), sizes), colours), times
+        sizes = [size for size, *_ in drawn]
+        radii = np.repeat([radius for _, radius, _ in drawn], sizes) * scales.reshape(-1, 2).mean(axis=1)
+        colours = np.repeat([colour for *_, colour in drawn], sizes, axis=0).astype(np.float32)
+        ends = np.ascontiguousarray(pixels.reshape(nodes, -1, 4))
+        return Capsules(ends, radii, np.repeat(np.arange(len(drawn)), sizes), colours), times
 
 
 def frame_times(
