@@ -354,7 +354,7 @@ class ChangeDetector:
         clear = np.maximum(np.abs(theta) - self._tolerances, 0.0) / std
         clear[self._values + theta + self.POSSIBLE * std < self._least] = 0.0
         log_p = list((log_ndtr(-clear) + math.log(2.0)).T)
-        forces, touch = self._touch_scores()
+        precisions, forces, touch = self._touch_scores()
         log_p += [-0.5 * touch.ravel() ** 2] if touch.size else []
         count = clear.size + 2 * touch.size
         if not count or not self._interval:
@@ -379,7 +379,7 @@ class ChangeDetector:
         if again:
             return Found(None, np.zeros(self._size), size * effects[:, -1].T)
         self._shared_until = t + self.SHARED
-        std = math.sqrt(force @ np.linalg.solve(self._information[lasting, since, place], force)) / size
+        std = math.sqrt(force @ np.linalg.solve(precisions[lasting, since, place], force)) / size
         begun = float(self._begun[since])
         lasted = (t if lasting else float(self._ends[since])) - begun
         impulse, at = (float(force[0] * lasted), float(force[1] * lasted)), float(self.places[place])
@@ -387,17 +387,16 @@ class ChangeDetector:
         whole = effects[:, since:].sum(axis=1) if lasting else effects[:, since]
         return Found(change, np.zeros(self._size), size * whole.T)
 
-    def _touch_scores(self) -> tuple[Array, Array]:
-        """Return the forces (2, w, places, 2), N, of touches, and by how many standard deviations each is not none."""
-        a = self._information + (1e-9 * np.trace(self._information, axis1=-2, axis2=-1) + 1e-150)[
-            ..., None, None
-        ] * np.eye(2)
-        force = np.linalg.solve(a, self._score[..., None])[..., 0]
+    def _touch_scores(self) -> tuple[Array, Array, Array]:
+        """Return information, 1/N^2, and forces (2, w, places, 2), N, of touches, and their size in deviations."""
+        ridge = 1e-9 * np.trace(self._information, axis1=-2, axis2=-1) + 1e-150
+        information = self._information + ridge[..., None, None] * np.eye(2)
+        force = np.linalg.solve(information, self._score[..., None])[..., 0]
         size = np.maximum(np.linalg.norm(force, axis=-1), 1e-300)
         clear = np.sqrt(np.maximum((force * self._score).sum(axis=-1), 0.0))
         lasted = np.stack([self._ends - self._begun, self._latest - self._begun])
         allowed = self._force_tolerance * np.maximum(self.SHORT_TOUCH / lasted, 1.0)
-        return force, clear * np.maximum(1.0 - allowed[:, :, None] / size, 0.0)
+        return information, force, clear * np.maximum(1.0 - allowed[:, :, None] / size, 0.0)
 
     @property
     def _ends(self) -> Array:

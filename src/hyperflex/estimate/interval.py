@@ -200,6 +200,7 @@ class Interval:
         self.process, self.model = process, model
         self.mean, self.rows, self.frames = mean, rows, [first]
         self.start, self._forgotten = np.zeros(len(rows)), 0.0
+        self.smoothed: list[Smoothed] = []
         self.nodes = [self._node(first, Prediction(mean, np.zeros((0, 0)), qdd), np.zeros(0))]
         self._smoothe()
 

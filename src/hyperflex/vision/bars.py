@@ -285,7 +285,8 @@ def _drawn(image: Image, seen: BarObservations, angles: Array, t: float) -> Imag
     shown = image.copy()
     half = 0.5 * seen.lengths[:, None] * np.stack([np.sin(angles), np.cos(angles)], axis=1)
     for bar in np.stack([seen.centres - half, seen.centres + half], axis=1)[np.isfinite(half).all(axis=1)]:
-        cv2.arrowedLine(shown, *np.round(bar).astype(int).tolist(), (255, 255, 255), 1, cv2.LINE_AA)
+        start, end = np.round(bar).astype(int).tolist()
+        cv2.arrowedLine(shown, start, end, (255, 255, 255), 1, cv2.LINE_AA)
     text = f"{t:.2f} s  " + "  ".join("hidden" if np.isnan(a) else f"{np.degrees(a):.0f} deg" for a in angles)
     cv2.putText(shown, text, (8, shown.shape[0] - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (60, 60, 60), 1, cv2.LINE_AA)
     return shown
