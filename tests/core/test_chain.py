@@ -111,7 +111,7 @@ def test_mass_matrix(n: int) -> None:
 def test_energies(n: int) -> None:
     links, state = random_links(n, 6), random_state(n, 6)
     point, velocity, angle, rate = np.array([0.4, -1.1]), state.base[5:7], state.base[4], state.base[3]
-    base = np.array([*point, *velocity, angle, rate])
+    base = np.array([0.0, 0.0, 0.0, rate, angle, *velocity, *point])
     got = kernels.energies(chain_of(links), state.q, state.w, base, np.empty(2 * n))
     want = dense.energies(links, state.q, state.w, point, velocity, angle)
     # Sums over n links of positions that are sums themselves; the parts of the potential energy cancel in places.

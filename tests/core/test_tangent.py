@@ -118,11 +118,11 @@ def kernel_slopes(
     base[0] -= chain.gx
     base[1] -= chain.gy
     rows[n + 1, ln.STEP], rows[n + 1, ln.EXTERNAL] = STEPS, torque
-    tg.save_trig(ln.COLUMNS, flat)
+    tg.save_trig(flat)
     ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, flat, tip, base)
-    tg.prepare(ln.COLUMNS, chain.reaction, flat)
+    tg.prepare(chain.reaction, flat)
     air = np.zeros((n + 2) * dg.ROW * K)
-    dg.begin(ln.COLUMNS, flat, base, air)
+    dg.begin(flat, base, air)
     for d, it in enumerate(pair):
         rows[1 : n + 1, tg.DQ + d], rows[1 : n + 1, tg.DW + d] = it.q[:, None], it.w[:, None]
         ax, ay, alpha, rate, angle, _, _ = it.base
@@ -132,12 +132,10 @@ def kernel_slopes(
         air.reshape(n + 2, dg.ROW, K)[0, [dg.DVX + d, dg.DVY + d]] = it.base[5:, None]
         rows[n + 1, tg.BX + d] = it.tip_mass * rows[n, ln.PX]
         rows[n + 1, tg.BY + d] = it.tip_mass * rows[n, ln.PY]
-    if simple:
-        tg.step_state(ln.COLUMNS, chain.reaction, flat)
-    else:
-        links_seeds = np.stack([seeds_of(links, it) for it in pair])
-        dg.write_torques(ln.COLUMNS, flat, air, links_seeds)
-        tg.step_all(ln.COLUMNS, chain.reaction, flat, links_seeds, np.array([it.stretch for it in pair]))
+    links_seeds, stretch = np.stack([seeds_of(links, it) for it in pair]), np.array([it.stretch for it in pair])
+    if not simple:
+        dg.write_torques(flat, air, links_seeds)
+    tg.step(chain.reaction, tg.STATE if simple else tg.ALL, flat, links_seeds, stretch)
     slots = [[tg.DQ + d, tg.DW + d, tg.ALPHA + d] for d in range(2)]
     return np.array([[rows[1 : n + 1, slot, j].T.ravel() for slot in slots] for j in range(K)])
 
@@ -205,14 +203,14 @@ def test_stuck_joints_move_as_one() -> None:
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 @pytest.mark.skipif(platform.machine() not in {"x86_64", "AMD64"}, reason="names of instructions are those of x86")
-@pytest.mark.parametrize("name", ["prepare", "step_state", "step_all"])
+@pytest.mark.parametrize("sources", [None, tg.STATE, tg.ALL], ids=["prepare", "state", "all"])
 @pytest.mark.nightly
-def test_the_compiler_makes_packed_instructions(name: str) -> None:
-    kernel = getattr(tg, name)
+def test_the_compiler_makes_packed_instructions(sources: tuple[int, ...] | None) -> None:
+    kernel = tg.prepare if sources is None else tg.step
     fresh = numba.jit(**kernel.targetoptions)(kernel.py_func)  # code from the cache cannot be looked at
-    lanes = numba.float64[::1]
-    more = (numba.float64[:, :, ::1], numba.float64[::1]) if name == "step_all" else ()
-    fresh.compile((numba.typeof(ln.COLUMNS), numba.typeof(MUTUAL), lanes, *more))
+    lanes, reaction = numba.float64[::1], numba.typeof(MUTUAL)
+    more = numba.float64[:, :, ::1], numba.float64[::1]
+    fresh.compile((reaction, lanes) if sources is None else (reaction, numba.typeof(sources), lanes, *more))
     code = next(iter(fresh.inspect_asm().values()))
     packed, single = (len(re.findall(rf"\bv?(?:mul|fn?madd\d+|fn?msub\d+){kind}\b", code)) for kind in ("pd", "sd"))
     # all arithmetic of the loops over lanes; a few single products belong to addresses and tails

@@ -6,9 +6,9 @@ import numpy as np
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.chain import motor_torque as core
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import ANGLE, Drive
+from hyperflex.core.integrate.dense_output import observe, senses
 from hyperflex.core.read_only import read_only
 from hyperflex.model import LINK_PROPERTIES, PROPERTIES, Arm, Rope, Setup
 from hyperflex.sensors.sensor import Measurement, angles_and_rates
@@ -62,7 +62,7 @@ class MotorTorque:
 
     def predict(self, chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
         """Return the torque (m,), N m, at times t (m,) and states y (m, 2n or more)."""
-        return self._torque(chain, drive, t, y, self._slip(chain, drive, t, y))
+        return self._torque(chain, drive, t, y, senses(chain, drive, t, y))
 
     def jacobian(
         self, chain: Chain, drive: Drive, parts: tuple[ParameterChange, ...], t: Array, y: Array, dy: Array
@@ -72,7 +72,7 @@ class MotorTorque:
         `parts` are P changes of the chain, or of the drive's ``breaks`` and ``coef``; y is (m, 2n or more), dy
         (m, 2n, 2n + P) the derivatives of angles and rates along the same directions.
         """
-        slip = self._slip(chain, drive, t, y)
+        slip = senses(chain, drive, t, y)
         n = chain.length.size
         by_state = np.empty((t.size, 2 * n))
         for i in range(2 * n):
@@ -103,16 +103,13 @@ class MotorTorque:
         return np.asarray(self.values[2] * (rope + shaft))
 
     @staticmethod
-    def _slip(chain: Chain, drive: Drive, t: Array, y: Array) -> Array:
-        slip = np.ones((t.size, chain.length.size))
-        core.senses(chain, drive, t, y, slip)
-        return slip
-
-    @staticmethod
     def _seen(chain: Chain, drive: Drive, t: Array, y: Array, slip: Array) -> Array:
-        result = np.empty((t.size, 4))
-        core.reactions(chain, drive, t, y, slip, result)
-        return result
+        """Load of the rope on the shaft, N m, and angle, rate and acceleration of the arm (m, 4)."""
+        base, scalars = np.empty((t.size, 9)), np.empty((t.size, 5))
+        observe(chain, drive, t, y, slip, np.empty((t.size, chain.length.size)), base, scalars)
+        acceleration, rate, angle = base[:, 2:5].T
+        pull = np.cos(angle) * scalars[:, 2] + np.sin(angle) * scalars[:, 3]
+        return np.stack([scalars[:, 4] + drive.arm_length * pull, angle, rate, acceleration], axis=1)
 
 
 def _moved(chain: Chain, part: ParameterChange, step: float) -> Chain:

@@ -110,9 +110,10 @@ def _observe(run: Rollout) -> _Seen:
     for first in range(0, done, at_once):
         rows = slice(first, min(first + at_once, done))
         raise_if_cancelled()
-        output.observe(run.chain, run.drive, run.t[rows], run.y[rows], *(each[rows] for each in seen))
-    last = (each[done:] for each in seen)
-    output.observe(run.chain, run.drive, np.array([run.time]), run.progress.y[None], *last)
+        slip = output.senses(run.chain, run.drive, run.t[rows], run.y[rows])
+        output.observe(run.chain, run.drive, run.t[rows], run.y[rows], slip, *(each[rows] for each in seen))
+    end = run.chain, run.drive, np.array([run.time]), run.progress.y[None]
+    output.observe(*end, output.senses(*end), *(each[done:] for each in seen))
     return seen
 
 

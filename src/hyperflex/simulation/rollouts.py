@@ -11,10 +11,10 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core import joint_law, status
-from hyperflex.core.chain.articulated_body import Chain, accelerations, can_stick, sticks_often
+from hyperflex.core.chain.articulated_body import Chain, accelerations, sticks_often
 from hyperflex.core.chain.drive import TORQUE, Drive, motion_at
-from hyperflex.core.chain.motor_torque import senses
 from hyperflex.core.integrate import rollout
+from hyperflex.core.integrate.dense_output import senses
 from hyperflex.core.integrate.events import NEVER, Until
 from hyperflex.core.integrate.rollout import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
@@ -116,12 +116,11 @@ def starting_clock(t: float) -> Array:
 def link_accelerations(chain: Chain, drive: Drive, t: float, q: Array, qd: Array) -> Array:
     """Return the links' accelerations (n,), rad/s^2, at time t, s; joints that dry friction holds are locked."""
     n = q.size
-    y, base, slip, alphas = np.concatenate([q, qd]), np.empty(9), np.ones((1, n)), np.empty(n)
+    y, base, alphas = np.concatenate([q, qd]), np.empty(9), np.empty(n)
     torque = motion_at(drive, t, base)
-    if can_stick(chain):
-        senses(chain, drive, np.array([t]), y[None], slip)
+    slip = senses(chain, drive, np.array([t]), y[None])
     y.setflags(write=False)  # the kernel is compiled for one kind
-    accelerations(chain, y[:n], y[n:], slip[0], base[:7], torque, 0.0, alphas, np.empty(6 * n))
+    accelerations(chain, y[:n], y[n:], slip[0], base, torque, 0.0, alphas, np.empty(6 * n))
     return alphas
 
 

@@ -11,10 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.core import status
-from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import (
-    ONE_SIDED,
     Array,
     Chain,
     can_stick,
@@ -22,10 +20,42 @@ from hyperflex.core.chain.articulated_body import (
     dry_joints,
     energies,
     sincos,
-    sticks_often,
 )
-from hyperflex.core.chain.drive import ANGLE, ROUNDING, TORQUE, X, Y, polynomial
-from hyperflex.core.integrate.events import AGAIN, EVENT, TRIES, Search, allow_lateness, assess_step, begin_search
+from hyperflex.core.chain.drive import (
+    ANGLE,
+    TORQUE,
+    Drive,
+    Segment,
+    X,
+    Y,
+    base_state,
+    motion_at,
+    polynomial,
+    segment,
+    within,
+)
+from hyperflex.core.integrate.events import (
+    AGAIN,
+    EVENT,
+    NEVER,
+    Search,
+    assess_attempt,
+    begin_search,
+    new_searches,
+    search_of,
+)
+from hyperflex.core.integrate.rollout import (
+    AFTER,
+    CHATTER,
+    LAST,
+    ORDER,
+    RESTARTED,
+    SIZE,
+    STEP,
+    UNDECIDED,
+    T,
+    restart,
+)
 from hyperflex.core.integrate.step_size import (
     LARGEST_STEP,
     SMALLEST_STEP,
@@ -37,18 +67,13 @@ from hyperflex.core.integrate.step_size import (
     longer,
     shorter,
 )
-from hyperflex.core.jit import inlined, kernel, non_allocating
+from hyperflex.core.jit import constant, inlined, kernel, non_allocating
 from hyperflex.core.stiction import (
     STICTION,
     StictionWorkspace,
     decide_modes,
-    margins,
-    midpoint_state,
     new_stiction_workspace,
-    project_stuck,
-    stop_joints,
     stuck_loss,
-    stuck_power,
     tolerance_factor,
 )
 
@@ -61,6 +86,7 @@ class Members(NamedTuple):
     start: Array  # (m, 2 n + 2) states at begin
     breaks: Array  # (sum of k + 1,), s
     coef: Array  # (sum of k + 1, 4, 6); the last row of each member is not used
+    switch: npt.NDArray[np.bool_]  # (sum of k + 1,) all True
     loop: npt.NDArray[np.int64]  # (m,) as in Drive
     first: npt.NDArray[np.int64]  # (m + 1,)
     clock: Array  # (m, 3) STEP, AFTER and CHATTER of each, changed in place: a batch that continues needs them
@@ -80,9 +106,9 @@ class Terms(NamedTuple):
 
 LENGTH, DRY, LEVER = map(Chain._fields.index, ("length", "dry", "tip_mass"))  # rows of ``links``
 TIP_MASS, GRAVITY_X, GRAVITY_Y, ARM_LENGTH, TORQUE_LIMIT = range(5)
-# a lane's clock, s: as in rollout, with the piece of the drive that holds and the step wanted next
-# RETRY: 1.0 while a step is being shortened to end at an event
-TIME, STEP, AFTER, RESTARTED, LAST, SIZE, UNDECIDED, CHATTER, ORIGIN, END, NEXT_STEP, RETRY, CLOCK = range(13)
+# a lane's clock, s: begins as in rollout; the step wanted next; RETRY: 1.0 while a step is being shortened to end at an
+# event; then the Segment of the drive, and since when its coefficients count
+NEXT_STEP, RETRY, START, END, OFFSET, FIRST_PIECE, LAST_PIECE, ORIGIN, CLOCK = range(ORDER, ORDER + 9)
 # What moves the first joints, in lanes: slot * k + lane. Coefficients of four channels, parameters that seldom change,
 # the time since the piece began; then the torque on link 0 and what ``drive.base_state`` gives, less gravity
 COEF, ARM, GX, GY, LIMIT, SINCE, EXTERNAL, BASE, PATH = 0, 24, 25, 26, 27, 28, 29, 30, 39
@@ -92,20 +118,18 @@ COEF, ARM, GX, GY, LIMIT, SINCE, EXTERNAL, BASE, PATH = 0, 24, 25, 26, 27, 28, 2
 def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore[no-untyped-def]
     """Put member m into lane j: parameters, state at the start, clock (CLOCK,) and energies (4,)."""
     k = len(ln.MEMBERS)
-    n = members.links.shape[2]
-    whole = members.whole[m]
-    ln.load_lane(ln.MEMBERS, j, chain_of(members, terms, m, whole[GRAVITY_X], whole[GRAVITY_Y]), lanes, tip)
+    n, whole, start = members.links.shape[2], members.whole[m], members.start[m]
+    ln.load_lane(ln.MEMBERS, j, chain_of(members, terms, m), lanes, tip)
     for i in range(n):
-        row = lanes[(i + 1) * ln.ROW * k : (i + 2) * ln.ROW * k]
-        row[ln.LEVER * k + j] = members.links[m, LEVER, i]
-        row[ln.Q_START * k + j] = members.start[m, i]
-        row[ln.W_START * k + j] = members.start[m, n + i]
-        row[ln.SIN_START * k + j], row[ln.COS_START * k + j] = sincos(members.start[m, i])
+        at = (i + 1) * ln.ROW * k + j
+        lanes[at + ln.LEVER * k] = members.links[m, LEVER, i]
+        lanes[at + ln.Q_START * k], lanes[at + ln.W_START * k] = start[i], start[n + i]
+        lanes[at + ln.SIN_START * k], lanes[at + ln.COS_START * k] = sincos(start[i])
     path[ARM * k + j], path[LIMIT * k + j] = whole[ARM_LENGTH], whole[TORQUE_LIMIT]
     path[GX * k + j], path[GY * k + j] = whole[GRAVITY_X], whole[GRAVITY_Y]
-    energy[0], energy[1] = members.start[m, 2 * n], members.start[m, 2 * n + 1]
+    energy[0], energy[1] = start[2 * n], start[2 * n + 1]
     lane[:] = 0.0
-    lane[TIME] = lane[END] = terms.begin
+    lane[T] = lane[END] = terms.begin
     lane[STEP], lane[AFTER], lane[CHATTER] = members.clock[m]
 
 
@@ -115,45 +139,34 @@ def save_clock(members, m, lane):  # type: ignore[no-untyped-def]
     members.clock[m, 0], members.clock[m, 1], members.clock[m, 2] = lane[STEP], lane[AFTER], lane[CHATTER]
 
 
+@inlined
+def drive_of(members, m):  # type: ignore[no-untyped-def]
+    """Drive of member m; a step in the lanes ends at each of its breaks, as if all were switches."""
+    rows, whole = slice(members.first[m], members.first[m + 1]), members.whole[m]
+    breaks, coef, switch = constant(members.breaks[rows]), constant(members.coef[rows]), constant(members.switch[rows])
+    return Drive(breaks, coef, switch, members.loop[m], whole[ARM_LENGTH], whole[TORQUE_LIMIT])
+
+
+@inlined
+def part_of(lane):  # type: ignore[no-untyped-def]
+    """Segment of the drive in which a lane with such a clock is."""
+    return Segment(lane[START], lane[END], lane[OFFSET], int(lane[FIRST_PIECE]), int(lane[LAST_PIECE]))
+
+
 @non_allocating
 def piece(members, m, t, path, j, lane):  # type: ignore[no-untyped-def]
-    """Find the piece of member m's drive that holds from t on; copies its coefficients, notes its origin and end."""
-    k = len(ln.MEMBERS)
-    which, still, lane[ORIGIN], lane[END] = find_piece(members, m, t)
+    """Find the piece of member m's drive that holds from t on; copies its coefficients, notes its start and end."""
+    k, drive = len(ln.MEMBERS), drive_of(members, m)
+    part = segment(drive, t)
+    lane[START], lane[END], lane[OFFSET], lane[FIRST_PIECE], lane[LAST_PIECE] = part
+    which, since, still = within(drive, part, t)
+    lane[ORIGIN] = t if still else part.start
     for channel in range(4):
-        coef = members.coef[which, channel]
+        coef = drive.coef[which, channel]
         for power in range(6):
-            path[(COEF + channel * 6 + power) * k + j] = 0.0 if still >= 0.0 else coef[power]
-        if still >= 0.0 and channel != TORQUE:
-            path[(COEF + channel * 6) * k + j] = polynomial(coef, still)[0]
-
-
-@non_allocating
-def find_piece(members, m, t):  # type: ignore[no-untyped-def]
-    """Row of ``members.coef`` that holds for member m from t on, time at which it is at rest there, origin and end.
-
-    The second is negative where the drive moves.
-    """
-    first = members.first[m]
-    count = members.first[m + 1] - first - 1
-    breaks = members.breaks[first : first + count + 1]
-    t += ROUNDING * (1.0 + abs(t))  # as in drive.segment
-    if t < breaks[0] or (t >= breaks[count] and members.loop[m] < 0):  # standing still
-        if t < breaks[0]:
-            return first, 0.0, t, breaks[0]
-        return first + count - 1, breaks[count] - breaks[count - 1], t, np.inf
-    offset = 0.0
-    j = 0
-    if t >= breaks[count]:
-        j = members.loop[m]
-        period = breaks[count] - breaks[j]
-        cycle = np.floor((t - breaks[j]) / period)
-        if cycle * period + breaks[count] <= t:
-            cycle += 1.0
-        offset = cycle * period
-    while j < count - 1 and offset + breaks[j + 1] <= t:
-        j += 1
-    return first + j, -1.0, offset + breaks[j], offset + breaks[j + 1]
+            path[(COEF + channel * 6 + power) * k + j] = 0.0 if still else coef[power]
+        if still and channel != TORQUE:
+            path[(COEF + channel * 6) * k + j] = polynomial(coef, since)[0]
 
 
 @inlined
@@ -190,188 +203,106 @@ def base_motion(width, path):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def chain_of(members, terms, m, gx, gy):  # type: ignore[no-untyped-def]
-    """Chain of member m in the gravity (gx, gy), m/s^2."""
-    return chain_of_rows(members.links[m], members.whole[m, TIP_MASS], gx, gy, terms.reaction)
+def chain_of(members, terms, m):  # type: ignore[no-untyped-def]
+    """Chain of member m."""
+    whole = members.whole[m]
+    return chain_of_rows(members.links[m], whole[TIP_MASS], whole[GRAVITY_X], whole[GRAVITY_Y], terms.reaction)
 
 
-@non_allocating
-def observe_block(members, terms, low, high, t, y, kinetic, potential, joint, trig):  # type: ignore[no-untyped-def]
+@kernel
+def observe_block(members, terms, low, high, t, y, kinetic, potential, joint):  # type: ignore[no-untyped-def]
     """Energies and first joints of members low..high - 1 at times t (T,) and states y (high - low, T, 2 n + 2).
 
-    Outputs: kinetic, potential (high - low, T), J; joint (high - low, T, 2), position of the first joint, m. `trig`
-    (2 n,) is scratch.
+    Outputs: kinetic, potential (high - low, T), J; joint (high - low, T, 2), position of the first joint, m.
     """
     n = members.links.shape[2]
+    base, trig = np.empty(9), np.empty(2 * n)
     for m in range(low, high):
-        whole = members.whole[m]
-        chain = chain_of(members, terms, m, whole[GRAVITY_X], whole[GRAVITY_Y])
+        chain, drive, row = chain_of(members, terms, m), drive_of(members, m), m - low
         for k in range(t.size):
-            which, still, origin, _ = find_piece(members, m, t[k])
-            since = still if still >= 0.0 else t[k] - origin
-            angle, rate, _ = polynomial(members.coef[which, ANGLE], since)
-            x, vx, _ = polynomial(members.coef[which, X], since)
-            yy, vy, _ = polynomial(members.coef[which, Y], since)
-            if still >= 0.0:
-                rate = vx = vy = 0.0
-            sin, cos = sincos(angle)
-            reach = whole[ARM_LENGTH]
-            x += reach * sin
-            yy -= reach * cos
-            joint[m - low, k, 0], joint[m - low, k, 1] = x, yy
-            state = y[m - low, k]
-            base = (x, yy, vx + reach * cos * rate, vy + reach * sin * rate, angle, rate)
-            kinetic[m - low, k], potential[m - low, k] = energies(chain, state[:n], state[n : 2 * n], base, trig)
+            motion_at(drive, t[k], base)
+            joint[row, k, 0], joint[row, k, 1] = base[7], base[8]
+            q, w = y[row, k, :n], y[row, k, n : 2 * n]
+            kinetic[row, k], potential[row, k] = energies(chain, q, w, base, trig)
 
 
 class LaneStiction(NamedTuple):
     """What is kept for each of k lanes between the attempts of a step, and working arrays."""
 
-    span: Array  # (k, 4) and so on as in events.Search
-    low: Array  # (k, 2, n + 1)
-    high: Array
-    here: Array
-    middle: Array
-    late: Array  # (k, n + 1)
-    alpha: Array  # (k, n) accelerations at the beginning of the step
-    power: Array  # (k, 3) of stuck joints
+    searches: Search  # as events.new_searches returns them
     slip: Array  # (k, n)
-    locked: Array  # (k, n + 1) as in events.assess_step
     start: Array  # (k, 2 n + 2) angles and rates at the beginning of the step, the last two not used
     out: Array  # (k, 2 n + 2) and at its end
-    before: Array  # (k, 9) motion of the first joint, less gravity, at the beginning of the step
-    after: Array  # (9,) at another time
-    workspace: StictionWorkspace
+    tools: StictionWorkspace
 
 
 @kernel
 def new_lane_stiction(n):  # type: ignore[no-untyped-def]
     """Arrays for chains of n links in all lanes."""
     k = len(ln.MEMBERS)
-    span, still = np.zeros((k, 4)), np.full((4, k, 2, n + 1), np.inf)
-    some = np.zeros((2, k, 2 * n + 2))
-    return LaneStiction(
-        span,
-        still[0],
-        still[1],
-        still[2],
-        still[3],
-        np.zeros((k, n + 1)),
-        np.zeros((k, n)),
-        np.zeros((k, 3)),
-        np.ones((k, n)),
-        np.zeros((k, n + 1)),
-        some[0],
-        some[1],
-        np.zeros((k, 9)),
-        np.zeros(9),
-        new_stiction_workspace(n),
-    )
-
-
-@inlined
-def chain_without_gravity(members, terms, m):  # type: ignore[no-untyped-def]
-    """Chain of member m without gravity, which the base's acceleration holds in a batch."""
-    return chain_of(members, terms, m, 0.0, 0.0)
+    states, searches = np.zeros((2, k, 2 * n + 2)), new_searches(k, n + 1, n)
+    return LaneStiction(searches, np.ones((k, n)), states[0], states[1], new_stiction_workspace(n))
 
 
 @non_allocating
-def base_at(path, j, since, base):  # type: ignore[no-untyped-def]
-    """Motion of lane j's first joint, less gravity, to ``base`` (9,), `since` its piece began; returns the torque."""
-    k = len(ln.MEMBERS)
-    path[SINCE * k + j] = since
-    base_motion(ln.MEMBERS, path)
-    for s in range(9):
-        base[s] = path[(BASE + s) * k + j]
-    return path[EXTERNAL * k + j]
+def read_start(lanes, j, out):  # type: ignore[no-untyped-def]
+    """Copy angles and rates at the beginning of lane j's step to ``out`` (2 n + 2,)."""
+    k, n = len(ln.MEMBERS), (out.size - 2) // 2
+    for i in range(n):
+        at = (i + 1) * ln.ROW * k + j
+        out[i], out[n + i] = lanes[at + ln.Q_START * k], lanes[at + ln.W_START * k]
 
 
 @non_allocating
-def decide_lane_modes(members, terms, m, lanes, path, j, lane, friction):  # type: ignore[no-untyped-def]
+def decide_lane_modes(members, terms, m, lanes, j, lane, friction):  # type: ignore[no-untyped-def]
     """Decide how the joints of member m in lane j slip or stick in its present state; False if they chatter."""
     k, n = len(ln.MEMBERS), members.links.shape[2]
-    start, slip, base = friction.start[j], friction.slip[j], friction.before[j]
+    start, slip, tools = friction.start[j], friction.slip[j], friction.tools
+    base, before = friction.searches.before[j], friction.out[j, :n]
+    read_start(lanes, j, start)
+    torque = base_state(drive_of(members, m), part_of(lane), lane[T], base)
+    chain, q, w = chain_of(members, terms, m), start[:n], start[n : 2 * n]
+    good, lane[CHATTER] = decide_modes(chain, q, w, base, torque, lane[CHATTER], slip, before, tools)
     for i in range(n):
-        start[i] = lanes[((i + 1) * ln.ROW + ln.Q_START) * k + j]
-        start[n + i] = lanes[((i + 1) * ln.ROW + ln.W_START) * k + j]
-    torque = base_at(path, j, lane[TIME] - lane[ORIGIN], base)
-    chain, before = chain_without_gravity(members, terms, m), friction.out[j, :n]
-    rates = start[n : 2 * n]
-    tools = friction.workspace
-    good, chatter = decide_modes(chain, start[:n], rates, base[:7], torque, lane[CHATTER], slip, before, tools)
-    lane[CHATTER] = chatter
-    for i in range(n):
-        lanes[((i + 1) * ln.ROW + ln.SLIP) * k + j] = slip[i]
-        lanes[((i + 1) * ln.ROW + ln.W_START) * k + j] = rates[i]
-        friction.locked[j, i] = 1.0 - slip[i] * slip[i]
+        at = (i + 1) * ln.ROW * k + j
+        lanes[at + ln.SLIP * k], lanes[at + ln.W_START * k] = slip[i], w[i]
     lane[UNDECIDED] = 0.0
     return good
 
 
 @non_allocating
-def assess_lane(members, terms, m, lanes, path, j, lane, friction):  # type: ignore[no-untyped-def]
-    """Assess the step of lane j as ``events.assess_step`` does; with AGAIN, NEXT_STEP is shorter."""
+def assess_lane(members, terms, m, lanes, j, lane, friction):  # type: ignore[no-untyped-def]
+    """Assess the step of lane j as ``events.assess_attempt`` does; with AGAIN, NEXT_STEP is shorter."""
     k, n = len(ln.MEMBERS), members.links.shape[2]
-    chain, tools = chain_without_gravity(members, terms, m), friction.workspace
-    start, out, slip = friction.start[j], friction.out[j], friction.slip[j]
-    before, after = friction.before[j], friction.after
-    search = Search(
-        friction.span[j], friction.low[j], friction.high[j], friction.here[j], friction.middle[j], friction.late[j]
-    )
-    since, step, widen = lane[TIME] - lane[ORIGIN], lane[NEXT_STEP], tolerance_factor(lane[CHATTER], n)
-    until = (lane[TIME] + step) - lane[ORIGIN]  # as the next step will reckon it
+    chain, drive, part = chain_of(members, terms, m), drive_of(members, m), part_of(lane)
+    start, out, slip, tools = friction.start[j], friction.out[j], friction.slip[j], friction.tools
+    search, t, step = search_of(friction.searches, j), lane[T], lane[NEXT_STEP]
+    widen = tolerance_factor(lane[CHATTER], n)
     if lane[RETRY] == 0.0:
-        for i in range(n):
-            start[i] = lanes[((i + 1) * ln.ROW + ln.Q_START) * k + j]
-            start[n + i] = lanes[((i + 1) * ln.ROW + ln.W_START) * k + j]
-        torque = base_at(path, j, since, before)
-        margins(chain, start[:n], start[n : 2 * n], slip, before[:7], torque, widen, tools, search.low)
-        assign(friction.alpha[j], tools.alpha)
-        friction.power[j, 0] = stuck_power(chain, start[n : 2 * n], slip, tools.load)
-        begin_search(search)
-        friction.late[j] = 0.0
-        if sticks_often(chain):
-            allow_lateness(search, friction.locked[j], chain, terms.tol, step)
+        read_start(lanes, j, start)
+        begin_search(chain, drive, part, t, terms.tol, step, start, slip, widen, False, search, tools)
     for i in range(n):
-        row = lanes[(i + 1) * ln.ROW * k : (i + 2) * ln.ROW * k]
-        out[i] = row[ln.Q_START * k + j] + row[ln.Q_SUM * k + j]
-        out[n + i] = row[ln.W_START * k + j] + row[ln.W_SUM * k + j]
-    torque = base_at(path, j, until, after)
-    project_stuck(chain, slip, start, before, out, after)
-    margins(chain, out[:n], out[n : 2 * n], slip, after[:7], torque, widen, tools, search.here)
-    friction.power[j, 2] = stuck_power(chain, out[n : 2 * n], slip, tools.load)
-    if search.span[TRIES] == 0.0 or (len(chain.reaction) == len(ONE_SIDED) and not slip.all()):
-        midpoint_state(step, start[:n], start[n : 2 * n], friction.alpha[j], out, tools)
-        torque = base_at(path, j, since + 0.5 * step, after)
-        margins(chain, tools.state[:n], tools.state[n:], slip, after[:7], torque, widen, tools, tools.margin)
-        assign_rows(search.middle[:, :n], tools.margin)
-        friction.power[j, 1] = stuck_power(chain, tools.state[n:], slip, tools.load)
-        base_at(path, j, until, after)
-    verdict, length = assess_step(friction.locked[j], search, step)
-    if verdict == EVENT:
-        stop_joints(chain, slip, search.here, out, after)
+        at = (i + 1) * ln.ROW * k + j
+        out[i] = lanes[at + ln.Q_START * k] + lanes[at + ln.Q_SUM * k]
+        out[n + i] = lanes[at + ln.W_START * k] + lanes[at + ln.W_SUM * k]
+    call = chain, drive, part, NEVER, 0.0, t, step, start, slip, widen, search, tools, out
+    verdict, lane[NEXT_STEP] = assess_attempt(*call)
     lane[RETRY] = 1.0 if verdict == AGAIN else 0.0
-    lane[NEXT_STEP] = length
     return verdict
 
 
 @non_allocating
 def finish_lane(lanes, n, j, lane, energy, step, event, friction):  # type: ignore[no-untyped-def]
     """Make the end of lane j's step, of the length `step`, the start of its next one."""
-    k = len(ln.MEMBERS)
+    k, out, power = len(ln.MEMBERS), friction.out[j], friction.searches.power[j]
     for i in range(n):
-        lanes[((i + 1) * ln.ROW + ln.Q_START) * k + j] = friction.out[j, i]
-        lanes[((i + 1) * ln.ROW + ln.W_START) * k + j] = friction.out[j, n + i]
-        sin, cos = sincos(friction.out[j, i])
-        lanes[((i + 1) * ln.ROW + ln.SIN_START) * k + j] = sin
-        lanes[((i + 1) * ln.ROW + ln.COS_START) * k + j] = cos
-    power = friction.power[j]
+        at = (i + 1) * ln.ROW * k + j
+        lanes[at + ln.Q_START * k], lanes[at + ln.W_START * k] = out[i], out[n + i]
+        lanes[at + ln.SIN_START * k], lanes[at + ln.COS_START * k] = sincos(out[i])
     energy[j, 1] += stuck_loss(power, step, 1.0)
     power[:] = 0.0
     if event:
-        lane[STEP] = min(lane[STEP], lane[AFTER])
-        lane[RESTARTED] = lane[UNDECIDED] = 1.0
-        lane[LAST] = 0.0
+        restart(lane)
     if event and step < STICTION.quick:
         lane[CHATTER] += 1.0
     elif step >= STICTION.quick:
@@ -458,7 +389,7 @@ def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: 
             tip[ln.STEP * k + j] = lane[j, NEXT_STEP] / col
             lanes[ln.WORK * k + j] = 0.0
             lanes[ln.LOST * k + j] = 0.0
-            path[SINCE * k + j] = lane[j, TIME] - lane[j, ORIGIN]
+            path[SINCE * k + j] = lane[j, T] - lane[j, ORIGIN]
         for s in range(col):
             base_motion(ln.MEMBERS, path)
             for j in range(k):
@@ -492,12 +423,8 @@ def accept(lanes, n, j, energy):  # type: ignore[no-untyped-def]
 @non_allocating
 def write(lanes, n, j, energy, out):  # type: ignore[no-untyped-def]
     """Copy the state of lane j to ``out`` (2 n + 2,)."""
-    k = len(ln.MEMBERS)
-    for i in range(n):
-        out[i] = lanes[((i + 1) * ln.ROW + ln.Q_START) * k + j]
-        out[n + i] = lanes[((i + 1) * ln.ROW + ln.W_START) * k + j]
-    out[2 * n] = energy[j, 0]
-    out[2 * n + 1] = energy[j, 1]
+    read_start(lanes, j, out)
+    out[2 * n], out[2 * n + 1] = energy[j, 0], energy[j, 1]
 
 
 @non_allocating
@@ -525,12 +452,10 @@ def prepare(members, terms, member, lane, index, path, t_out):  # type: ignore[n
         if member[j] < 0:
             continue
         busy += 1
-        t = lane[j, TIME]
+        t = lane[j, T]
         if t >= lane[j, END]:
             piece(members, member[j], t, path, j, lane[j])
-            lane[j, STEP] = min(lane[j, STEP], lane[j, AFTER])
-            lane[j, RESTARTED] = lane[j, UNDECIDED] = 1.0
-            lane[j, LAST] = 0.0
+            restart(lane[j])
         left = min(lane[j, END], t_out[index[j]]) - t
         if terms.fixed > 0.0:
             lane[j, NEXT_STEP] = min(terms.fixed, left)
@@ -545,7 +470,7 @@ def control_step(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def
     order = terms.best.size - 1
     step = lane[NEXT_STEP]
     if size <= 1.0:
-        lane[TIME] = end if step >= end - lane[TIME] else lane[TIME] + step
+        lane[T] = end if step >= end - lane[T] else lane[T] + step
         faint = sticks and is_rounding(size, terms.tol, step, terms.rounding)
         grown = STEP_SIZE.growth * step if faint else longer(step, size, lane[LAST], lane[SIZE], order)
         lane[STEP] = max(grown, lane[STEP]) if step < lane[STEP] else grown
@@ -598,7 +523,7 @@ def run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, st
         for j in range(k):
             if member[j] < 0 and coming < high:
                 member[j], index[j] = coming, 0
-                sticks[j] = can_stick(chain_of(members, terms, coming, 0.0, 0.0))
+                sticks[j] = can_stick(chain_of(members, terms, coming))
                 enter(members, terms, coming, lanes, tip, path, j, lane[j], energy[j])
                 coming += 1
         if prepare(members, terms, member, lane, index, path, t_out) == 0:
@@ -606,13 +531,13 @@ def run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, st
         if stop[0] != 0:
             for j in range(k):
                 if member[j] >= 0:
-                    reached[member[j] - low] = lane[j, TIME]
+                    reached[member[j] - low] = lane[j, T]
             return
         if len(dry) > 0:
             for j in range(k):
                 unsettled = sticks[j] and member[j] >= 0 and lane[j, UNDECIDED] == 1.0
-                if unsettled and not decide_lane_modes(members, terms, member[j], lanes, path, j, lane[j], friction):
-                    codes[member[j] - low], reached[member[j] - low], member[j] = status.FRICTION, lane[j, TIME], -1
+                if unsettled and not decide_lane_modes(members, terms, member[j], lanes, j, lane[j], friction):
+                    codes[member[j] - low], reached[member[j] - low], member[j] = status.FRICTION, lane[j, T], -1
         extrapolate_lanes(members, terms, lane, energy, lanes, tip, path)
         for j in range(k):
             if member[j] < 0:
@@ -624,7 +549,7 @@ def run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, st
             if lane[j, RETRY] == 1.0 and size < np.inf:
                 size = min(size, 1.0)  # its longer attempt was good
             if len(dry) > 0 and sticks[j] and size <= 1.0:
-                verdict = assess_lane(members, terms, member[j], lanes, path, j, lane[j], friction)
+                verdict = assess_lane(members, terms, member[j], lanes, j, lane[j], friction)
                 if verdict == AGAIN:
                     continue
             code = control_step(terms, lane[j], end, size, sticks[j])
@@ -632,9 +557,9 @@ def run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, st
                 accept(lanes, n, j, energy)
                 if len(dry) > 0 and sticks[j]:
                     finish_lane(lanes, n, j, lane[j], energy, step, verdict == EVENT, friction)
-                if t_out[index[j]] <= lane[j, TIME]:
+                if t_out[index[j]] <= lane[j, T]:
                     write(lanes, n, j, energy, y_out[m, index[j]])
                     index[j] += 1
             if index[j] == t_out.size or code == status.STEP_TOO_SMALL or code == status.NOT_FINITE:
                 save_clock(members, member[j], lane[j])
-                codes[m], reached[m], member[j] = code, lane[j, TIME], -1
+                codes[m], reached[m], member[j] = code, lane[j, T], -1

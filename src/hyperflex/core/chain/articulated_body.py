@@ -299,12 +299,11 @@ def lost_power(chain, w, slip, base, work):  # type: ignore[no-untyped-def]
 def energies(chain, q, w, base, trig):  # type: ignore[no-untyped-def]
     """Kinetic and potential energy (gravity and springs; zero with all at the origin), J.
 
-    `base`: (6,) position x, y of the first joint, its velocity x, y, angle and rate of the parent. `trig` (2 n,) or
-    more is scratch, which holds the links' sines and cosines then.
+    `base` (9,) is the motion of the first joint (``drive.base_state``). `trig` (2 n,) or more is scratch, which holds
+    the links' sines and cosines then.
     """
-    x, y, vx, vy, angle, _ = base
-    kinetic = 0.0
-    potential = 0.0
+    angle, vx, vy, x, y = base[4], base[5], base[6], base[7], base[8]
+    kinetic = potential = 0.0
     n = q.size
     sines(q, trig, 0)
     for i in range(n):

@@ -5,10 +5,9 @@ rollouts there (:data:`MEMBERS`). All lane data lie in one flat array of n + 2 r
 rows 1..n are the links, row n + 1 is what hangs beyond the tip. A row holds ROW quantities of one number a lane.
 
 LLVM turns the inner loops over lanes into packed instructions only where it can prove that no two accesses of a loop
-overlap. So each loop touches one slice of three neighbouring rows, at offsets that are constants: (UP + slot) * k + j
-for the parent, (AT + slot) * k + j for the link itself, (DOWN + slot) * k + j for the link beyond, with k lanes and
-lane j. The number of lanes is the length of a tuple, which the compiler knows. ``vdivpd`` in the assembly of
-:func:`sweep` shows that it worked (tests/core/test_lanes.py looks).
+overlap. So each loop touches one slice of three neighbouring rows, at offsets that are constants: of lane j of k,
+UP * k + j for the parent, AT * k + j for the link itself, DOWN * k + j for the link beyond, and a quantity is at its
+slot times k from there. The number of lanes is the length of a tuple, which the compiler knows.
 
 What is handed from link to link, the answer on the way to the motor and the acceleration on the way back, stands in
 the links' own rows for COLUMNS. In wider lanes that would be more memory than the cache gives back in time, so there
@@ -80,20 +79,13 @@ def load_lane(width, j, chain, lanes, tip):  # type: ignore[no-untyped-def]
     for slot in (DRAG, FX, FY, S):
         lanes[slot * k + j] = 0.0
     for i in range(chain.length.size):
-        ma = chain.mass[i] * chain.com[i]
-        row = lanes[(i + 1) * ROW * k : (i + 2) * ROW * k]
-        row[LENGTH * k + j] = chain.length[i]
-        row[MA * k + j] = ma
-        row[INERTIA * k + j] = chain.inertia[i] + ma * chain.com[i]
-        row[MASS * k + j] = chain.mass[i]
-        row[VISCOUS * k + j] = chain.viscous[i]
-        row[STIFFNESS * k + j] = chain.stiffness[i]
-        row[REST * k + j] = chain.rest[i]
-        row[DRY * k + j] = chain.dry[i]
-        row[DRAG * k + j] = chain.drag[i]
+        ma, at = chain.mass[i] * chain.com[i], (i + 1) * ROW * k + j
+        lanes[at + LENGTH * k], lanes[at + MA * k], lanes[at + MASS * k] = chain.length[i], ma, chain.mass[i]
+        lanes[at + INERTIA * k] = chain.inertia[i] + ma * chain.com[i]
+        lanes[at + VISCOUS * k], lanes[at + DRY * k] = chain.viscous[i], chain.dry[i]
+        lanes[at + STIFFNESS * k], lanes[at + REST * k] = chain.stiffness[i], chain.rest[i]
+        lanes[at + DRAG * k], lanes[at + EXTERNAL * k], lanes[at + SLIP * k] = chain.drag[i], 0.0, 1.0
         lanes[DRAG * k + j] += chain.drag[i]
-        row[EXTERNAL * k + j] = 0.0
-        row[SLIP * k + j] = 1.0
     tip[MASS * k + j] = chain.tip_mass
 
 
@@ -112,62 +104,67 @@ def set_lane_slip(width, j, lanes, slip):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def joint_in(row, k, j):  # type: ignore[no-untyped-def]
-    """Joint of a link as ``joint_law`` takes it."""
-    return (
-        row[(AT + VISCOUS) * k + j],
-        row[(AT + DRY) * k + j],
-        row[(AT + STIFFNESS) * k + j],
-        row[(AT + REST) * k + j],
-    )
+def set_base(j, chain, motion, base):  # type: ignore[no-untyped-def]
+    """Write the motion (9,) of the first joint to lane j of `base` (9, k), less gravity."""
+    for s in range(9):
+        base[s, j] = motion[s]
+    base[0, j] -= chain.gx
+    base[1, j] -= chain.gy
 
 
 @inlined
-def load_joint(row, k, j, h, external, reaction_factor):  # type: ignore[no-untyped-def]
+def joint_in(row, k, at):  # type: ignore[no-untyped-def]
+    """Joint of the link at the offset `at` as ``joint_law`` takes it."""
+    return row[at + VISCOUS * k], row[at + DRY * k], row[at + STIFFNESS * k], row[at + REST * k]
+
+
+@inlined
+def load_joint(row, k, up, at, h, reaction_factor):  # type: ignore[no-untyped-def]
     """Torque and slope of a link's joint as ``link_step`` takes them, and the friction work of the step."""
-    joint, slip = joint_in(row, k, j), row[(AT + SLIP) * k + j]
-    w, up = row[(AT + W) * k + j], row[(UP + W) * k + j]
-    angle = row[(AT + Q) * k + j] - row[(UP + Q) * k + j]
-    t, t_back, kappa, kappa_back = joint_law.torques(joint, reaction_factor, angle, w - up, slip, h)
-    return (t + external, t_back, kappa, kappa_back), h * joint_law.power(joint, reaction_factor, w, up, slip)
+    joint, slip = joint_in(row, k, at), row[at + SLIP * k]
+    w, w_up = row[at + W * k], row[up + W * k]
+    angle = row[at + Q * k] - row[up + Q * k]
+    t, t_back, kappa, kappa_back = joint_law.torques(joint, reaction_factor, angle, w - w_up, slip, h)
+    lost = h * joint_law.power(joint, reaction_factor, w, w_up, slip)
+    return (t + row[at + EXTERNAL * k], t_back, kappa, kappa_back), lost
 
 
 @inlined
-def load_answer(row, k, j, reaction_factor, at):  # type: ignore[no-untyped-def]
-    """Answer of the row at offset ``at``, as ``link_step`` takes the answer of the link beyond."""
+def load_answer(row, k, at, reaction_factor):  # type: ignore[no-untyped-def]
+    """Answer at the offset `at`, as ``link_step`` takes the answer of the link beyond."""
     answer = (
-        row[(at + AXX) * k + j],
-        row[(at + AXY) * k + j],
-        row[(at + AYX) * k + j],
-        row[(at + AYY) * k + j],
-        row[(at + FX) * k + j],
-        row[(at + FY) * k + j],
-        row[(at + BX) * k + j],
-        row[(at + BY) * k + j],
-        row[(at + UX) * k + j],
-        row[(at + UY) * k + j],
-        row[(at + S) * k + j],
-        row[(at + BETA) * k + j],
+        row[at + AXX * k],
+        row[at + AXY * k],
+        row[at + AYX * k],
+        row[at + AYY * k],
+        row[at + FX * k],
+        row[at + FY * k],
+        row[at + BX * k],
+        row[at + BY * k],
+        row[at + UX * k],
+        row[at + UY * k],
+        row[at + S * k],
+        row[at + BETA * k],
     )
     return mutual(answer) if reaction_factor == 1.0 else answer
 
 
 @inlined
-def store_answer(row, k, j, reaction_factor, at, answer):  # type: ignore[no-untyped-def]
-    """Keep an answer in the row at offset ``at``."""
-    row[(at + AXX) * k + j] = answer[0]
-    row[(at + AXY) * k + j] = answer[1]
-    row[(at + AYY) * k + j] = answer[3]
-    row[(at + FX) * k + j] = answer[4]
-    row[(at + FY) * k + j] = answer[5]
-    row[(at + BX) * k + j] = answer[6]
-    row[(at + BY) * k + j] = answer[7]
-    row[(at + S) * k + j] = answer[10]
-    row[(at + BETA) * k + j] = answer[11]
+def store_answer(row, k, at, reaction_factor, answer):  # type: ignore[no-untyped-def]
+    """Keep an answer at the offset `at`."""
+    row[at + AXX * k] = answer[0]
+    row[at + AXY * k] = answer[1]
+    row[at + AYY * k] = answer[3]
+    row[at + FX * k] = answer[4]
+    row[at + FY * k] = answer[5]
+    row[at + BX * k] = answer[6]
+    row[at + BY * k] = answer[7]
+    row[at + S * k] = answer[10]
+    row[at + BETA * k] = answer[11]
     if reaction_factor == 0.0:  # else they are AXY, FX and FY
-        row[(at + AYX) * k + j] = answer[2]
-        row[(at + UX) * k + j] = answer[8]
-        row[(at + UY) * k + j] = answer[9]
+        row[at + AYX * k] = answer[2]
+        row[at + UX * k] = answer[8]
+        row[at + UY * k] = answer[9]
 
 
 @non_allocating
@@ -184,24 +181,26 @@ def air(width, lanes, base):  # type: ignore[no-untyped-def]
     for i in range(1, n + 1):
         row = lanes[(i - 1) * ROW * k : (i + 1) * ROW * k]
         for j in range(k):
-            turn = row[(AT + LENGTH) * k + j] * row[(AT + W) * k + j]
-            row[(AT + PX) * k + j] = row[(UP + PX) * k + j] + turn * row[(AT + COS) * k + j]
-            row[(AT + PY) * k + j] = row[(UP + PY) * k + j] + turn * row[(AT + SIN) * k + j]
+            up, at = UP * k + j, AT * k + j
+            turn = row[at + LENGTH * k] * row[at + W * k]
+            row[at + PX * k] = row[up + PX * k] + turn * row[at + COS * k]
+            row[at + PY * k] = row[up + PY * k] + turn * row[at + SIN * k]
     for way in range(n):
         i = n - way
         first = 1.0 if i == 1 else 0.0
         row = lanes[(i - 1) * ROW * k : (i + 2) * ROW * k]
         for j in range(k):
-            sin, cos = row[(AT + SIN) * k + j], row[(AT + COS) * k + j]
-            length, w = row[(AT + LENGTH) * k + j], row[(AT + W) * k + j]
-            across = row[(UP + PX) * k + j] * cos + row[(UP + PY) * k + j] * sin
-            force, moment = link_drag(row[(AT + DRAG) * k + j], length, across, length * w)
-            fx, fy = row[(DOWN + BX) * k + j], row[(DOWN + BY) * k + j]
+            up, at, down = UP * k + j, AT * k + j, DOWN * k + j
+            sin, cos = row[at + SIN * k], row[at + COS * k]
+            length, w = row[at + LENGTH * k], row[at + W * k]
+            across = row[up + PX * k] * cos + row[up + PY * k] * sin
+            force, moment = link_drag(row[at + DRAG * k], length, across, length * w)
+            fx, fy = row[down + BX * k], row[down + BY * k]
             torque = length * (cos * fx + sin * fy) - moment
-            row[(AT + EXTERNAL) * k + j] = torque + first * row[(AT + EXTERNAL) * k + j]
-            row[(AT + BX) * k + j] = fx - force * cos
-            row[(AT + BY) * k + j] = fy - force * sin
-            row[(AT + BETA) * k + j] = row[(DOWN + BETA) * k + j] + force * across + moment * w
+            row[at + EXTERNAL * k] = torque + first * row[at + EXTERNAL * k]
+            row[at + BX * k] = fx - force * cos
+            row[at + BY * k] = fy - force * sin
+            row[at + BETA * k] = row[down + BETA * k] + force * across + moment * w
     for j in range(k):
         lanes[FX * k + j] = lanes[(ROW + BX) * k + j]
         lanes[FY * k + j] = lanes[(ROW + BY) * k + j]
@@ -220,37 +219,27 @@ def sweep(width, reaction, lanes, tip):  # type: ignore[no-untyped-def]
     n = lanes.size // (ROW * k) - 2
     for j in range(k):
         mass = tip[MASS * k + j]
-        store_answer(tip, k, j, reaction_factor, 0, (mass, 0.0, 0.0, mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        store_answer(tip, k, j, reaction_factor, (mass, 0.0, 0.0, mass, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
         tip[DISSIPATED * k + j] = 0.0
     for way in range(n):
         i = n - way
         row = lanes[(i - 1) * ROW * k : (i + (1 if one_place else 2)) * ROW * k]
         answers = tip if one_place else row
-        far, near = (0, 0) if one_place else (DOWN, AT)
         for j in range(k):
-            h = answers[(far + STEP) * k + j]
-            joint, lost = load_joint(row, k, j, h, row[(AT + EXTERNAL) * k + j], reaction_factor)
-            link = (
-                row[(AT + LENGTH) * k + j],
-                row[(AT + MA) * k + j],
-                row[(AT + INERTIA) * k + j],
-                row[(AT + MASS) * k + j],
-            )
-            slip = row[(AT + SLIP) * k + j]
-            w = row[(AT + W) * k + j]
-            sin = row[(AT + SIN) * k + j]
-            cos = row[(AT + COS) * k + j]
-            beyond = load_answer(answers, k, j, reaction_factor, far)
-            at, back = link_step(link, joint, slip * slip, reaction_factor, sin, cos, w * w, beyond)
-            store_answer(answers, k, j, reaction_factor, near, at)
-            row[(AT + RD) * k + j] = back[0]
-            row[(AT + EX) * k + j] = back[1]
-            row[(AT + EY) * k + j] = back[2]
-            row[(AT + KD) * k + j] = back[3]
-            answers[(near + DISSIPATED) * k + j] = answers[(far + DISSIPATED) * k + j] + lost
+            up, at = UP * k + j, AT * k + j
+            near, far = (j, j) if one_place else (at, DOWN * k + j)
+            h = answers[far + STEP * k]
+            joint, lost = load_joint(row, k, up, at, h, reaction_factor)
+            link = row[at + LENGTH * k], row[at + MA * k], row[at + INERTIA * k], row[at + MASS * k]
+            slip, w, sin, cos = row[at + SLIP * k], row[at + W * k], row[at + SIN * k], row[at + COS * k]
+            beyond = load_answer(answers, k, far, reaction_factor)
+            answer, back = link_step(link, joint, slip * slip, reaction_factor, sin, cos, w * w, beyond)
+            store_answer(answers, k, near, reaction_factor, answer)
+            row[at + RD * k], row[at + EX * k], row[at + EY * k], row[at + KD * k] = back[:4]
+            answers[near + DISSIPATED * k] = answers[far + DISSIPATED * k] + lost
             if not one_place:
-                row[(AT + INV) * k + j] = back[4]
-                row[(AT + STEP) * k + j] = h
+                row[at + INV * k] = back[4]
+                row[at + STEP * k] = h
 
 
 @non_allocating
@@ -262,36 +251,29 @@ def advance(width, more, lanes, tip):  # type: ignore[no-untyped-def]
     for i in range(1, n + 1):
         row = lanes[(i - 1) * ROW * k : (i + 1) * ROW * k]
         place = tip if one_place else row
-        near, far = (0, 0) if one_place else (UP, AT)
         for j in range(k):
-            px = place[(near + PX) * k + j]
-            py = place[(near + PY) * k + j]
-            h = place[(far + STEP) * k + j]
-            w = row[(AT + W) * k + j]
-            length = row[(AT + LENGTH) * k + j]
-            sin = row[(AT + SIN) * k + j]
-            cos = row[(AT + COS) * k + j]
-            alpha = (
-                row[(AT + RD) * k + j]
-                - row[(AT + EX) * k + j] * px
-                - row[(AT + EY) * k + j] * py
-                + row[(AT + KD) * k + j] * place[(near + ALPHA) * k + j]
-            )
-            place[(far + ALPHA) * k + j] = alpha
-            place[(far + PX) * k + j] = px + length * (cos * alpha - sin * w * w)
-            place[(far + PY) * k + j] = py + length * (sin * alpha + cos * w * w)
+            at = AT * k + j
+            near, far = (j, j) if one_place else (UP * k + j, at)
+            px, py, h = place[near + PX * k], place[near + PY * k], place[far + STEP * k]
+            w, length, sin, cos = row[at + W * k], row[at + LENGTH * k], row[at + SIN * k], row[at + COS * k]
+            alpha = row[at + RD * k] - row[at + EX * k] * px - row[at + EY * k] * py
+            alpha += row[at + KD * k] * place[near + ALPHA * k]
+            place[far + ALPHA * k] = alpha
+            place[far + PX * k] = px + length * (cos * alpha - sin * w * w)
+            place[far + PY * k] = py + length * (sin * alpha + cos * w * w)
             w += h * alpha
-            q = row[(AT + Q) * k + j] + h * w
-            row[(AT + W) * k + j] = w
-            row[(AT + Q) * k + j] = q
+            q = row[at + Q * k] + h * w
+            row[at + W * k] = w
+            row[at + Q * k] = q
             if len(more) > 0:
-                row[(AT + SIN) * k + j], row[(AT + COS) * k + j] = sincos(q)
+                row[at + SIN * k], row[at + COS * k] = sincos(q)
 
 
 @inlined
-def base_load(top, answers, k, j, reaction_factor, px, py, up):  # type: ignore[no-untyped-def]
-    """Force x, y on lane j's chain at its first joint, whose acceleration is p less gravity, and torque through it."""
-    axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = load_answer(answers, k, j, reaction_factor, 0)
+def base_load(top, answers, k, j, reaction_factor, base):  # type: ignore[no-untyped-def]
+    """Force x, y on lane j's chain at its first joint, which moves as `base` (9, k), and torque through it."""
+    px, py, up = base[0, j], base[1, j], base[2, j]
+    axx, axy, ayx, ayy, fx, fy, bx, by, ux, uy, s, beta = load_answer(answers, k, j, reaction_factor)
     fx = axx * px + axy * py + fx * up + bx - top[FX * k + j]
     fy = ayx * px + ayy * py + fy * up + by - top[FY * k + j]
     return fx, fy, ux * px + uy * py + s * up + beta
@@ -324,15 +306,10 @@ def euler(width, reaction, more, lanes, tip, base):  # type: ignore[no-untyped-d
     start = answers if one_place else top
     row = lanes[ROW * k : 2 * ROW * k]
     for j in range(k):
-        px = base[0, j]
-        py = base[1, j]
-        up = base[2, j]
-        fx, fy, moment = base_load(top, answers, k, j, len(reaction) - 1.0, px, py, up)
+        fx, fy, moment = base_load(top, answers, k, j, len(reaction) - 1.0, base)
         power = fx * base[5, j] + fy * base[6, j] + moment * base[3, j] + tip[EXTERNAL * k + j] * row[W * k + j]
         h = answers[STEP * k + j]
         top[WORK * k + j] += h * power
         top[LOST * k + j] += answers[DISSIPATED * k + j] + h * top[S * k + j]
-        start[PX * k + j] = px
-        start[PY * k + j] = py
-        start[ALPHA * k + j] = up
+        start[PX * k + j], start[PY * k + j], start[ALPHA * k + j] = base[0, j], base[1, j], base[2, j]
     advance(width, more, lanes, tip)

@@ -140,8 +140,7 @@ def energy(chain, y, base, trig):  # type: ignore[no-untyped-def]
     `trig` is scratch, as in ``energies``.
     """
     n = chain.length.size
-    point = (base[7], base[8], base[5], base[6], base[4], base[3])
-    kinetic, potential = energies(chain, y[:n], y[n : 2 * n], point, trig)
+    kinetic, potential = energies(chain, y[:n], y[n : 2 * n], base, trig)
     return kinetic + potential
 
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import Array, dry_joints, energies
-from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.chain.articulated_body import Array, energies
+from hyperflex.core.chain.drive import motion_at
 from hyperflex.core.jit import inlined, kernel, non_allocating
 from hyperflex.core.stiction import find_modes, new_stiction_workspace
 
@@ -80,56 +80,61 @@ def enter_state(j, chain, q, w, trig, base, torque, lanes, tip, motion):  # type
     """
     k, n = len(ln.COLUMNS), q.size
     for i in range(n):
-        lanes[((i + 1) * ln.ROW + ln.Q) * k + j] = q[i]
-        lanes[((i + 1) * ln.ROW + ln.W) * k + j] = w[i]
-        lanes[((i + 1) * ln.ROW + ln.SIN) * k + j] = trig[i]
-        lanes[((i + 1) * ln.ROW + ln.COS) * k + j] = trig[n + i]
-    tip[ln.STEP * k + j] = 0.0
-    tip[ln.EXTERNAL * k + j] = torque
-    for s in range(9):
-        motion[s, j] = base[s]
-    motion[0, j] -= chain.gx
-    motion[1, j] -= chain.gy
+        at = (i + 1) * ln.ROW * k + j
+        lanes[at + ln.Q * k], lanes[at + ln.W * k] = q[i], w[i]
+        lanes[at + ln.SIN * k], lanes[at + ln.COS * k] = trig[i], trig[n + i]
+    ln.set_base(j, chain, base, motion)
+    tip[ln.STEP * k + j], tip[ln.EXTERNAL * k + j] = 0.0, torque
 
 
-def observe(chain, drive, t, y, qdd, base_out, scalars):  # type: ignore[no-untyped-def]
+def senses(chain, drive, t, y):  # type: ignore[no-untyped-def]
+    """Sense in which each joint slips (m, n), 1.0 or -1.0, or 0.0 where it sticks, at t (m,), y (m, 2 n or more).
+
+    Without dry friction it does not matter and is 1.0.
+    """
+    slip = np.ones((t.size, chain.length.size))
+    if chain.dry.any():
+        write_senses(chain, drive, t, y, slip)
+    return slip
+
+
+@kernel
+def write_senses(chain, drive, t, y, slip):  # type: ignore[no-untyped-def]
+    """Write to `slip` what :func:`senses` returns for a chain with dry friction."""
+    n = chain.length.size
+    base, workspace = np.empty(9), new_stiction_workspace(n)
+    for m in range(t.size):
+        torque = motion_at(drive, t[m], base)
+        find_modes(chain, y[m, :n], y[m, n : 2 * n], base, torque, 1.0, slip[m], workspace)
+
+
+@kernel
+def observe(chain, drive, t, y, slip, qdd, base_out, scalars):  # type: ignore[no-untyped-def]
     """Write accelerations, base motion, energies and motor torque at given states of a run.
 
     Parameters
     ----------
-    t : (m,) times, s; y : (m, 2 n + 2) states; at each, stiction holds what it can (``stiction.find_modes``)
+    t, y, slip : (m,) times, s; (m, 2 n or more) states; (m, n) as :func:`senses` returns it
     qdd : (m, n) out, rad/s^2
     base_out : (m, 9) out, motion of the first joint (``drive.base_state``)
     scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m
     """
-    observe_states(chain, drive, dry_joints(chain.dry), t, y, qdd, base_out, scalars)
-
-
-@kernel
-def observe_states(chain, drive, dry, t, y, qdd, base_out, scalars):  # type: ignore[no-untyped-def]
-    """Do what :func:`observe` does; `dry` is SLIDING or STICKING."""
     n, k = chain.length.size, len(ln.COLUMNS)
-    slip, workspace = np.ones(n), new_stiction_workspace(n)
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
-    motion = np.zeros((9, k))
+    trig, motion = np.empty(2 * n), np.zeros((9, k))
     for first in range(0, t.size, k):
         last = min(first + k, t.size)
         for m in range(first, last):  # lanes that are left over hold what they held, or a chain at rest
-            base, q, w, trig = base_out[m], y[m, :n], y[m, n : 2 * n], workspace.work
-            torque = base_state(drive, segment(drive, t[m]), t[m], base)
-            if len(dry) > 0:
-                find_modes(chain, q, w, base[:7], torque, 1.0, slip, workspace)
-                ln.set_lane_slip(ln.COLUMNS, m - first, lanes, slip)
-            point = (base[7], base[8], base[5], base[6], base[4], base[3])
-            scalars[m, 0], scalars[m, 1] = energies(chain, q, w, point, trig)
+            base, q, w = base_out[m], y[m, :n], y[m, n : 2 * n]
+            torque = motion_at(drive, t[m], base)
+            scalars[m, 0], scalars[m, 1] = energies(chain, q, w, base, trig)
             enter_state(m - first, chain, q, w, trig, base, torque, lanes, tip, motion)
+            ln.set_lane_slip(ln.COLUMNS, m - first, lanes, slip[m])
         ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, lanes, tip, motion)
         for m in range(first, last):
             j = m - first
             for i in range(n):
                 qdd[m, i] = lanes[((i + 1) * ln.ROW + ln.ALPHA) * k + j]
-            px, py, up = motion[0, j], motion[1, j], motion[2, j]
-            top, answers, reaction_factor = lanes[: ln.ROW * k], lanes[ln.ROW * k :], len(chain.reaction) - 1.0
-            fx, fy, moment = ln.base_load(top, answers, k, j, reaction_factor, px, py, up)
+            fx, fy, moment = ln.base_load(lanes, lanes[ln.ROW * k :], k, j, len(chain.reaction) - 1.0, motion)
             scalars[m, 2], scalars[m, 3], scalars[m, 4] = fx, fy, moment + tip[ln.EXTERNAL * k + j]

@@ -10,11 +10,21 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from hyperflex.core.assign import assign_rows
-from hyperflex.core.chain.articulated_body import Array, sincos
+from hyperflex.core.assign import assign, assign_rows
+from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, can_stick, sincos, sticks_often
+from hyperflex.core.chain.drive import base_state
 from hyperflex.core.integrate.step_size import allowed, lasting
-from hyperflex.core.jit import kernel, non_allocating
-from hyperflex.core.stiction import STICTION
+from hyperflex.core.jit import inlined, kernel, non_allocating
+from hyperflex.core.stiction import (
+    STICTION,
+    constraint_torques,
+    margins,
+    margins_of,
+    midpoint_state,
+    project_stuck,
+    stop_joints,
+    stuck_power,
+)
 
 # Whether a run watches for events: tuples, whose length the compiler knows, so that it leaves out what finds events
 UNWATCHED, WATCHED = (), (0,)
@@ -139,7 +149,10 @@ LOW, HIGH, TRIES, SIDE = range(4)  # of Search.span: s, s, attempts so far, end 
 
 
 class Search(NamedTuple):
-    """Margins and their slopes (2, m) at several lengths of the same step; inf where there is nothing to watch."""
+    """Search for the first event of a step, for its margins (m,) and joints (n,), over all its attempts.
+
+    Margins come with their slopes (2, m), at several lengths of the step; inf where there is nothing to watch.
+    """
 
     span: Array  # (4,) the first event lies between LOW and HIGH
     low: Array  # at LOW, where there is no event; at first the beginning of the step
@@ -147,25 +160,100 @@ class Search(NamedTuple):
     here: Array  # of the present attempt
     middle: Array  # in the middle of the present attempt, inf where not known
     late: Array  # (m,) by how much a margin may be passed where a step ends
+    locked: Array  # (m,) 1.0 where a margin comes without slope (stuck joints), else 0.0
+    alpha: Array  # (n,) accelerations at the beginning of the step
+    power: Array  # (3,) of stuck joints, see stiction.stuck_loss
+    before: Array  # (9,) motion of the first joint at the beginning of the step, in the middle and at the end
+    between: Array
+    after: Array
 
 
 @kernel
-def new_search(m):  # type: ignore[no-untyped-def]
-    """A search over m margins."""
-    four = np.full((4, 2, m), np.inf)
-    return Search(np.array([0.0, np.inf, 0.0, 0.0]), four[0], four[1], four[2], four[3], np.zeros(m))
+def new_searches(count, m, n):  # type: ignore[no-untyped-def]
+    """Searches over m margins of chains of n links: a Search whose arrays have `count` rows, see :func:`search_of`."""
+    margins, bases = np.full((4, count, 2, m), np.inf), np.zeros((3, count, 9))
+    low, high, here, middle = margins[0], margins[1], margins[2], margins[3]
+    late, locked, alpha = np.zeros((count, m)), np.zeros((count, m)), np.zeros((count, n))
+    span, power = np.zeros((count, 4)), np.zeros((count, 3))
+    return Search(span, low, high, here, middle, late, locked, alpha, power, bases[0], bases[1], bases[2])
+
+
+@inlined
+def search_of(every, j):  # type: ignore[no-untyped-def]
+    """Return the search in row j of what :func:`new_searches` returns."""
+    margins = every.low[j], every.high[j], every.here[j], every.middle[j], every.late[j], every.locked[j]
+    return Search(
+        every.span[j], *margins, every.alpha[j], every.power[j], every.before[j], every.between[j], every.after[j]
+    )
 
 
 @non_allocating
-def begin_search(search):  # type: ignore[no-untyped-def]
-    """Forget earlier attempts; ``low`` holds the margins at the beginning of the step."""
-    span = search.span
+def begin_search(chain, drive, part, t, tol, step, y, slip, widen, decided, search, tools):  # type: ignore[no-untyped-def]
+    """Begin the search within a step from state y at time t, with the margins of the joints there.
+
+    Parameters
+    ----------
+    tol, step : error allowed, m, of a step of this length, s; 0.0: the step must end at the very event
+    slip, widen : modes (n,), factor on the tolerance of the dry friction
+    decided : modes were decided here, and the constraint torques in the StictionWorkspace `tools` are known
+    """
+    n, span = slip.size, search.span
+    torque = base_state(drive, part, t, search.before)
+    if not decided:
+        constraint_torques(chain, y[:n], y[n : 2 * n], slip, search.before, torque, tools)
+    margins_of(chain, y[n : 2 * n], slip, search.before, widen, tools, search.low)
+    assign(search.alpha, tools.alpha)
+    search.power[0] = stuck_power(chain, y[n : 2 * n], slip, tools.load)
     span[LOW], span[HIGH], span[TRIES], span[SIDE] = 0.0, np.inf, 0.0, 0.0
     search.middle[:] = np.inf
+    search.late[:] = 0.0
+    for i in range(n):
+        search.locked[i] = 1.0 - slip[i] * slip[i]
+    if tol > 0.0 and sticks_often(chain):
+        allow_lateness(search, chain, tol, step)
 
 
 @non_allocating
-def allow_lateness(search, locked, chain, tol, step):  # type: ignore[no-untyped-def]
+def end_margins(chain, until, sense, q, w, alpha, base, out):  # type: ignore[no-untyped-def]
+    """Write the margins of joint limits and, in the last column, of the end of the run to ``out`` (2, m)."""
+    last = out.shape[1] - 1
+    if sense != 0.0:
+        value, slope = event_value(until, chain, q, w, alpha, base)
+        out[0, last], out[1, last] = sense * value, sense * slope
+    if last > q.size:
+        limits(chain, q, w, base, out)
+
+
+@non_allocating
+def assess_attempt(chain, drive, part, until, sense, t, step, y, slip, widen, search, tools, out):  # type: ignore[no-untyped-def]
+    """Assess an attempt to step from y to ``out`` (2 n + 2,), as :func:`assess_step` does; holds stuck joints there.
+
+    Parameters as for :func:`begin_search`; `until`, `sense`: what ends the run, and what :func:`watched_sense` returns.
+    """
+    n, limited = slip.size, search.late.size > slip.size + 1
+    torque = base_state(drive, part, min(t + step, part.end), search.after)
+    project_stuck(chain, slip, y, search.before, out, search.after)
+    margins(chain, out[:n], out[n : 2 * n], slip, search.after, torque, widen, tools, search.here)
+    search.power[2] = stuck_power(chain, out[n : 2 * n], slip, tools.load)
+    end_margins(chain, until, sense, out[:n], out[n : 2 * n], tools.alpha, search.after, search.here)
+    peaks = sense != 0.0 and until.kind == PEAK
+    first = search.span[TRIES] == 0.0 and (can_stick(chain) or limited or peaks)
+    if first or (len(chain.reaction) == len(ONE_SIDED) and not slip.all()):
+        midpoint_state(step, y[:n], y[n : 2 * n], search.alpha, out, tools)
+        torque = base_state(drive, part, t + 0.5 * step, search.between)
+        q, w = tools.state[:n], tools.state[n:]
+        margins(chain, q, w, slip, search.between, torque, widen, tools, search.middle)
+        search.power[1] = stuck_power(chain, w, slip, tools.load)
+        if peaks or limited:
+            end_margins(chain, until, sense if peaks else 0.0, q, w, tools.alpha, search.between, search.middle)
+    verdict, length = assess_step(search, step)
+    if verdict == EVENT:
+        stop_joints(chain, slip, search.here, out, search.after)
+    return verdict, length
+
+
+@non_allocating
+def allow_lateness(search, chain, tol, step):  # type: ignore[no-untyped-def]
     """Say how much later than at its event a step of the length `step`, s, may end, by its error `tol`, m."""
     longest = reach = 0.0
     for i in range(chain.length.size):
@@ -173,7 +261,7 @@ def allow_lateness(search, locked, chain, tol, step):  # type: ignore[no-untyped
     rate = EVENTS.stopped * allowed(tol, step, 0.0) / (lasting(step) * longest)
     part = min(EVENTS.latest, EVENTS.late * tol / reach)
     for i in range(chain.length.size):
-        search.late[i] = rate if locked[i] == 0.0 else part
+        search.late[i] = rate if search.locked[i] == 0.0 else part
 
 
 @non_allocating
@@ -213,18 +301,18 @@ def stays_positive(search, i, length):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def hidden_event(locked, search, length):  # type: ignore[no-untyped-def]
+def hidden_event(search, length):  # type: ignore[no-untyped-def]
     """Part of the length, s, from LOW to the end of an attempt at which an event may hide; else 1.0.
 
     Margins with slopes by the cubics through both ends and the middle, those of stuck joints by the parabola.
     Margins with an event at the end do not count.
     """
     part = 1.0
-    for i in range(locked.size):
+    for i in range(search.locked.size):
         v0, v1, vm = search.low[0, i], search.here[0, i], search.middle[0, i]
-        if v0 == np.inf or v1 == np.inf or is_past(locked, search.here, i):
+        if v0 == np.inf or v1 == np.inf or is_past(search, search.here, i):
             continue
-        if locked[i] == 0.0 and not (vm < np.inf and stays_positive(search, i, length)):
+        if search.locked[i] == 0.0 and not (vm < np.inf and stays_positive(search, i, length)):
             for k in range(1, EVENTS.points):
                 x = k / EVENTS.points
                 if vm == np.inf:
@@ -235,9 +323,9 @@ def hidden_event(locked, search, length):  # type: ignore[no-untyped-def]
                     value = margin_polynomial(search.middle, search.here, i, 0.5 * length, 2.0 * x - 1.0)
                 if value < 0.0:
                     part = min(part, x)
-        elif locked[i] == 1.0 and vm < 0.0:
+        elif search.locked[i] == 1.0 and vm < 0.0:
             part = min(part, 0.5)
-        elif locked[i] == 1.0 and vm < np.inf:
+        elif search.locked[i] == 1.0 and vm < np.inf:
             bend, slope = 2.0 * (v0 - 2.0 * vm + v1), 4.0 * vm - 3.0 * v0 - v1
             x = -0.5 * slope / bend if bend > 0.0 else 0.0
             if 0.03 < x < 0.97 and v0 + x * (slope + x * bend) < 0.0:
@@ -246,37 +334,33 @@ def hidden_event(locked, search, length):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def is_past(locked, margin, i):  # type: ignore[no-untyped-def]
+def is_past(search, margin, i):  # type: ignore[no-untyped-def]
     """Whether the event of margin i has happened; a margin that is zero but for rounding must not be growing."""
-    if locked[i] == 0.0 and i < locked.size - 1 and margin[1, i] > 0.0:
+    if search.locked[i] == 0.0 and i < search.locked.size - 1 and margin[1, i] > 0.0:
         return margin[0, i] < -STICTION.still
-    return margin[0, i] < 0.0 or (margin[0, i] == 0.0 and locked[i] == 0.0)
+    return margin[0, i] < 0.0 or (margin[0, i] == 0.0 and search.locked[i] == 0.0)
 
 
 @non_allocating
-def fall(locked, search, i, step):  # type: ignore[no-untyped-def]
+def fall(search, i, step):  # type: ignore[no-untyped-def]
     """How fast margin i falls at the end of an attempt of the length `step`, s: by its slope, else by the secant."""
-    if locked[i] == 0.0:
+    if search.locked[i] == 0.0:
         return -search.here[1, i]
     return (search.low[0, i] - search.here[0, i]) / (step - search.span[LOW])
 
 
 @non_allocating
-def first_past(locked, margin):  # type: ignore[no-untyped-def]
+def first_past(search, margin):  # type: ignore[no-untyped-def]
     """Return the first margin whose event has happened, -1: none."""
-    for i in range(locked.size):
-        if is_past(locked, margin, i):
+    for i in range(search.locked.size):
+        if is_past(search, margin, i):
             return i
     return -1
 
 
 @non_allocating
-def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
+def assess_step(search, step):  # type: ignore[no-untyped-def]
     """Judge an attempt of the length `step`, s, whose margins are in ``search.here``.
-
-    Parameters
-    ----------
-    locked : (m,) 1.0 where a margin comes without slope (stuck joints), else 0.0
 
     Returns
     -------
@@ -295,16 +379,16 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
         search.middle[:] = np.inf  # it belongs to a whole attempt, and the search has passed its beginning
     over = False
     near = True
-    for i in range(locked.size):
-        if is_past(locked, search.here, i):
+    for i in range(search.locked.size):
+        if is_past(search, search.here, i):
             over = True
-            past = max(STICTION.instant * fall(locked, search, i, step), search.late[i])
+            past = max(STICTION.instant * fall(search, i, step), search.late[i])
             near = near and search.here[0, i] >= -past
     clear = not over and span[HIGH] == np.inf
     ends = clear or (over and (near or step - span[LOW] <= STICTION.instant or span[TRIES] > 2 * EVENTS.attempts))
     at = step
     if step > STICTION.quick and (span[TRIES] <= EVENTS.glances or (ends and over and span[TRIES] <= EVENTS.attempts)):
-        at = span[LOW] + hidden_event(locked, search, step - span[LOW]) * (step - span[LOW])
+        at = span[LOW] + hidden_event(search, step - span[LOW]) * (step - span[LOW])
     if ends and at >= step:
         return EVENT if over else DONE, step
     if clear or not over:
@@ -315,8 +399,8 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
     kept = search.low if over else search.high
     if side == span[SIDE]:
         replaced = search.high if over else search.low
-        for i in range(locked.size):
-            if locked[i] == 1.0:
+        for i in range(search.locked.size):
+            if search.locked[i] == 1.0:
                 left = 1.0 - search.here[0, i] / replaced[0, i] if abs(replaced[0, i]) > 0.0 else 0.5
                 kept[0, i] *= left if left > 0.0 else 0.5
     span[SIDE] = side
@@ -327,20 +411,20 @@ def assess_step(locked, search, step):  # type: ignore[no-untyped-def]
         span[LOW] = step
         assign_rows(search.low, search.here)
     if at >= step:
-        at = estimate_event_time(locked, search)
+        at = estimate_event_time(search)
     search.middle[:] = np.inf
     return AGAIN, at
 
 
 @non_allocating
-def first_part(locked, search, i, length, most):  # type: ignore[no-untyped-def]
+def first_part(search, i, length, most):  # type: ignore[no-untyped-def]
     """Part of the span, of the given length, s, at which margin i should be passed by half of what is allowed.
 
     At most `most`. Where the middle is known, by the cubics on both sides of it, for stuck joints by the parabola.
     """
     aim = 0.5 * search.late[i]
     low, middle, high = search.low, search.middle, search.high
-    if locked[i] == 1.0:
+    if search.locked[i] == 1.0:
         v0, vm, v1 = max(low[0, i], 0.0) + aim, middle[0, i] + aim, high[0, i] + aim
         if not (vm < np.inf):
             return min(most, v0 / (v0 - v1)) if v1 < 0.0 else most
@@ -359,16 +443,16 @@ def first_part(locked, search, i, length, most):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def estimate_event_time(locked, search):  # type: ignore[no-untyped-def]
+def estimate_event_time(search):  # type: ignore[no-untyped-def]
     """Where in the span the first event should lie, s."""
     span = search.span
     length = span[HIGH] - span[LOW]
     if length <= STICTION.instant:
         return span[HIGH]
     at = 1.0
-    for i in range(locked.size):
-        if is_past(locked, search.high, i):
-            at = first_part(locked, search, i, length, at)
+    for i in range(search.locked.size):
+        if is_past(search, search.high, i):
+            at = first_part(search, i, length, at)
     if span[TRIES] > EVENTS.attempts:
         at = 0.5
     instant = STICTION.instant

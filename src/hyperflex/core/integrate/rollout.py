@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hyperflex.core import status
-from hyperflex.core.assign import assign, assign_rows
+from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, can_stick, has_limits, sines, sticks_often
+from hyperflex.core.chain.articulated_body import Array, can_stick, has_limits, sines, sticks_often
 from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.integrate.dense_output import interpolate
 from hyperflex.core.integrate.events import (
@@ -16,20 +16,19 @@ from hyperflex.core.integrate.events import (
     EVENT,
     NOTHING,
     PEAK,
-    TRIES,
     UNWATCHED,
     WATCHED,
     Search,
     Until,
-    allow_lateness,
-    assess_step,
+    assess_attempt,
     begin_search,
+    end_margins,
     event_value,
     first_past,
     is_past,
-    limits,
-    new_search,
+    new_searches,
     on_right_side,
+    search_of,
     watched_sense,
 )
 from hyperflex.core.integrate.step_size import (
@@ -62,16 +61,10 @@ from hyperflex.core.jit import inlined, kernel, non_allocating
 from hyperflex.core.stiction import (
     STICTION,
     StictionWorkspace,
-    constraint_torques,
     decide_modes,
-    margins,
-    margins_of,
-    midpoint_state,
     new_stiction_workspace,
     project_stuck,
-    stop_joints,
     stuck_loss,
-    stuck_power,
     tolerance_factor,
 )
 
@@ -148,13 +141,7 @@ class Workspace(NamedTuple):
     lanes: Array  # ((n + 2) ROW lanes,)
     tip: Array  # (ROW lanes,)
     stiction: StictionWorkspace
-    search: Search
-    before: Array  # (9,) motion of the first joint at the beginning of a step, and at another time
-    after: Array
-    between: Array
-    alpha: Array  # (n,) accelerations at the beginning of a step
-    locked: Array  # (n + 1,) or, where a joint has limits, (2 n + 1,), as in events.assess_step
-    power: Array  # (3,) of stuck joints, see stiction.stuck_loss
+    search: Search  # over n + 1 margins or, where a joint has limits, 2 n + 1
     kept: Array  # (MOST_SUBSTEPS, 2 n + 2) substeps of a step in which there are outputs, and their weights
     weight: Array
 
@@ -177,13 +164,7 @@ def new_workspace(chain):  # type: ignore[no-untyped-def]
         lanes,
         tip,
         new_stiction_workspace(n),
-        new_search(m),
-        np.empty(9),
-        np.empty(9),
-        np.empty(9),
-        np.empty(n),
-        np.zeros(m),
-        np.zeros(3),
+        search_of(new_searches(1, m, n), 0),
         kept,
         weight,
     )
@@ -208,44 +189,13 @@ def update_modes(chain, drive, part, progress, workspace):  # type: ignore[no-un
     """Decide the modes of the joints now; False where no modes obey the law, or joints chatter."""
     y, slip, clock = progress.y, progress.slip, progress.clock
     n = slip.size
-    torque = base_state(drive, part, clock[T], workspace.before)
-    now, before = workspace.before[:7], workspace.out[:n]
+    now, before = workspace.search.before, workspace.out[:n]
+    torque = base_state(drive, part, clock[T], now)
     tools = workspace.stiction
     good, chatter = decide_modes(chain, y[:n], y[n : 2 * n], now, torque, clock[CHATTER], slip, before, tools)
     clock[CHATTER] = chatter
     ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
     return good
-
-
-@non_allocating
-def end_margins(chain, until, sense, q, w, alpha, base, last, out):  # type: ignore[no-untyped-def]
-    """Write the margins of joint limits and, in column `last`, of the end of the run to ``out`` (2, last + 1)."""
-    if sense != 0.0:
-        value, slope = event_value(until, chain, q, w, alpha, base)
-        out[0, last], out[1, last] = sense * value, sense * slope
-    if last > q.size:
-        limits(chain, q, w, base, out)
-
-
-@non_allocating
-def begin_event(chain, drive, part, terms, progress, step, workspace, decided, widen):  # type: ignore[no-untyped-def]
-    """Begin the search within a step with the margins at its start; arguments as for :func:`find_event`.
-
-    `widen`: factor on the tolerance of the dry friction.
-    """
-    y, slip, search, tools = progress.y, progress.slip, workspace.search, workspace.stiction
-    n, t = slip.size, progress.clock[T]
-    for i in range(n):
-        workspace.locked[i] = 1.0 - slip[i] * slip[i]
-    if not decided:
-        torque = base_state(drive, part, t, workspace.before)
-        constraint_torques(chain, y[:n], y[n : 2 * n], slip, workspace.before[:7], torque, tools)
-    margins_of(chain, y[n : 2 * n], slip, workspace.before, widen, tools, search.low)
-    assign(workspace.alpha, tools.alpha)
-    workspace.power[0] = stuck_power(chain, y[n : 2 * n], slip, tools.load)
-    begin_search(search)
-    if sticks_often(chain) and terms.fixed == 0.0 and progress.log.shape[0] == 0:  # derivatives need the exact event
-        allow_lateness(search, workspace.locked, chain, terms.tol, step)
 
 
 @non_allocating
@@ -260,59 +210,40 @@ def find_event(chain, drive, part, table, terms, progress, step, workspace, deci
     event : int, 0: none; 1: a joint changes its mode; 2: what ends the run has happened; 3: a joint is at its limit
     joint : int, the one that changes its mode, -1 where none does
     """
-    until = terms.until
-    y, slip, clock, search, tools = progress.y, progress.slip, progress.clock, workspace.search, workspace.stiction
-    n, last = slip.size, workspace.locked.size - 1
-    limited = last > n
-    t, widen, stuck, sticks = clock[T], tolerance_factor(clock[CHATTER], n), not slip.all(), can_stick(chain)
-    begin_event(chain, drive, part, terms, progress, step, workspace, decided, widen)
+    y, slip, clock, until = progress.y, progress.slip, progress.clock, terms.until
+    search, tools, out = workspace.search, workspace.stiction, workspace.out
+    n, last, t, widen = slip.size, search.late.size - 1, clock[T], tolerance_factor(clock[CHATTER], slip.size)
+    tol = 0.0 if terms.fixed > 0.0 or progress.log.shape[0] > 0 else terms.tol  # derivatives need the exact event
+    begin_search(chain, drive, part, t, tol, step, y, slip, widen, decided, search, tools)
     sense = 0.0
-    workspace.locked[last] = 1.0 if until.kind == PEAK else 0.0
+    search.locked[last] = 1.0 if until.kind == PEAK else 0.0
     if until.kind != NOTHING:
-        value, slope = event_value(until, chain, y[:n], y[n : 2 * n], workspace.alpha, workspace.before)
+        value, slope = event_value(until, chain, y[:n], y[n : 2 * n], search.alpha, search.before)
         sense = watched_sense(until, value, slope, t)
         if until.kind == PEAK and sense == 0.0 and clock[PENDING] > 0.0:
             return 0.0, 2, -1  # the speed grew until here, and falls from here on
         search.low[:, last] = np.inf
         search.here[:, last] = np.inf
-    end_margins(chain, until, sense, y[:n], y[n : 2 * n], workspace.alpha, workspace.before, last, search.low)
-    while True:
-        out = workspace.out
-        torque = base_state(drive, part, min(t + step, part.end), workspace.after)
-        project_stuck(chain, slip, y, workspace.before, out, workspace.after)
-        margins(chain, out[:n], out[n : 2 * n], slip, workspace.after[:7], torque, widen, tools, search.here)
-        workspace.power[2] = stuck_power(chain, out[n : 2 * n], slip, tools.load)
-        end_margins(chain, until, sense, out[:n], out[n : 2 * n], tools.alpha, workspace.after, last, search.here)
-        first = search.span[TRIES] == 0.0 and (sticks or limited or (sense != 0.0 and until.kind == PEAK))
-        if first or (stuck and len(chain.reaction) == len(ONE_SIDED)):
-            midpoint_state(step, y[:n], y[n : 2 * n], workspace.alpha, out, tools)
-            torque = base_state(drive, part, t + 0.5 * step, workspace.between)
-            bend = tools.state
-            margins(chain, bend[:n], bend[n:], slip, workspace.between[:7], torque, widen, tools, tools.margin)
-            assign_rows(search.middle[:, :n], tools.margin)
-            workspace.power[1] = stuck_power(chain, bend[n:], slip, tools.load)
-            if sense != 0.0 and until.kind == PEAK:
-                value, slope = event_value(until, chain, bend[:n], bend[n:], tools.alpha, workspace.between)
-                search.middle[0, last] = sense * value
-            if limited:
-                limits(chain, bend[:n], bend[n:], workspace.between, search.middle)
-        verdict, length = assess_step(workspace.locked, search, step)
-        if verdict == EVENT:
-            stop_joints(chain, slip, search.here, out, workspace.after)
-        if verdict != AGAIN:
-            clock[PENDING] = search.here[0, last] if sense != 0.0 else 0.0
-            joint = first_past(workspace.locked, search.here) if verdict == EVENT else -1
-            if verdict == EVENT and joint >= n and joint < last:
-                return step, 3, joint
-            if verdict == EVENT and is_past(workspace.locked, search.here, last):
-                good = on_right_side(until, chain, out[:n], out[n : 2 * n], workspace.after)
-                clock[PENDING] = 0.0
-                return step, 2 if good else 1, joint
-            return step, 1 if verdict == EVENT else 0, joint
-        step = length
-        clock[TAKEN] += 1
-        clock[REJECTED] += 1
-        advance(chain, drive, part, table, terms.fixed, t, step, y, slip, out, workspace.kept[:0], workspace)
+    end_margins(chain, until, sense, y[:n], y[n : 2 * n], search.alpha, search.before, search.low)
+    verdict = AGAIN
+    while verdict == AGAIN:
+        call = chain, drive, part, until, sense, t, step, y, slip, widen, search, tools, out
+        verdict, step = assess_attempt(*call)
+        if verdict == AGAIN:
+            clock[TAKEN] += 1
+            clock[REJECTED] += 1
+            advance(chain, drive, part, table, terms.fixed, t, step, y, slip, out, workspace.kept[:0], workspace)
+    clock[PENDING] = search.here[0, last] if sense != 0.0 else 0.0
+    if verdict != EVENT:
+        return step, 0, -1
+    joint = first_past(search, search.here)
+    if n <= joint < last:
+        return step, 3, joint
+    if is_past(search, search.here, last):
+        clock[PENDING] = 0.0
+        good = on_right_side(until, chain, out[:n], out[n : 2 * n], search.after)
+        return step, 2 if good else 1, joint
+    return step, 1, joint
 
 
 ENERGY = 10.0  # see error_norms
@@ -467,7 +398,7 @@ def write_between(chain, drive, part, table, limits, progress, step, kept, works
     `kept` are its substeps, which give the outputs if they are accurate enough; else the step is interpolated
     through its middle. Where friction settles behind a switch, outputs are the ends of steps of their own.
     """
-    y, slip, clock = progress.y, progress.slip, progress.clock
+    y, slip, clock, search = progress.y, progress.slip, progress.clock, workspace.search
     fixed, none = limits.fixed, workspace.kept[:0]
     t = clock[T]
     end = t + step
@@ -495,9 +426,9 @@ def write_between(chain, drive, part, table, limits, progress, step, kept, works
         clock[INDEX] += 1
     if not slip.all():
         for index in range(first, int(clock[INDEX])):
-            base_state(drive, part, t_out[index], workspace.after)
-            project_stuck(chain, slip, y, workspace.before, y_out[index], workspace.after)
-            y_out[index, 2 * slip.size + 1] += stuck_loss(workspace.power, step, (t_out[index] - t) / step)
+            base_state(drive, part, t_out[index], search.after)
+            project_stuck(chain, slip, y, search.before, y_out[index], search.after)
+            y_out[index, 2 * slip.size + 1] += stuck_loss(search.power, step, (t_out[index] - t) / step)
 
 
 @non_allocating
@@ -584,7 +515,7 @@ def run(chain, drive, tables, limits, events, progress, t_out, y_out):  # type: 
         log_step(progress, taken, t_new, order, event, joint)
         write_between(chain, drive, part, table, limits, progress, t_new - t, kept, workspace, t_out, y_out)
         assign(y, workspace.out)
-        y[y.size - 1] += stuck_loss(workspace.power, t_new - t, 1.0)
+        y[y.size - 1] += stuck_loss(workspace.search.power, t_new - t, 1.0)
         clock[T] = t_new
         write_until(clock, t_out, t_new, y, y_out)
         if fixed == 0.0:

@@ -201,7 +201,7 @@ def unseen(chain, before, after, step, order):  # type: ignore[no-untyped-def]
 @kernel
 def air_size(chain, drive, part, limits, table, t, step, y, workspace):  # type: ignore[no-untyped-def]
     """Error of the step from y to ``workspace.out`` that the air makes unseen, in units of what is allowed."""
-    base, trig, ends = workspace.after, workspace.stiction.work, np.empty((2, 2, chain.length.size))
+    base, trig, ends = workspace.search.after, workspace.stiction.work, np.empty((2, 2, chain.length.size))
     for k in range(2):
         base_state(drive, part, min(t + k * step, part.end), base)
         across_ends(chain, workspace.out if k == 1 else y, base, trig, ends[k])

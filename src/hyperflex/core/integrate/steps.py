@@ -189,10 +189,7 @@ def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base,
         h = step / col if col > 0 else 0.0
         tip[ln.STEP * k + j] = h
         tip[ln.EXTERNAL * k + j] = base_state(drive, part, t + done * h, motion)
-        for s in range(9):
-            base[s, j] = motion[s]
-        base[0, j] -= chain.gx
-        base[1, j] -= chain.gy
+        ln.set_base(j, chain, motion, base)
 
 
 @inlined
@@ -251,7 +248,7 @@ def rates(chain, drive, part, t, y, slip, dy, work):  # type: ignore[no-untyped-
     base = np.empty(9)
     torque = base_state(drive, part, t, base)
     w = y[n : 2 * n]
-    fx, fy, moment = accelerations(chain, y[:n], w, slip, base[:7], torque, 0.0, dy[n : 2 * n], work)
+    fx, fy, moment = accelerations(chain, y[:n], w, slip, base, torque, 0.0, dy[n : 2 * n], work)
     assign(dy[:n], w)
     dy[2 * n] = fx * base[5] + fy * base[6] + moment * base[3] + torque * w[0]
     dy[2 * n + 1] = lost_power(chain, w, slip, base, work)

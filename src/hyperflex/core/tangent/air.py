@@ -23,111 +23,115 @@ VX, VY, FX, FY = range(14, 18)
 # and all beyond it; of the torque
 DQ, DW, DVX, DVY, DFORCE, DMOMENT, DFX, DFY, TORQUE = range(18, 36, 2)
 ROW = 36
-UP, AT = 0, ROW
+K = tg.K
 
 
 @kernel
-def new_air(width, chain):  # type: ignore[no-untyped-def]
-    """Lanes ((n + 2) ROW k,) for a chain; none where it has no drag."""
-    return np.zeros((chain.length.size + 2) * ROW * len(width) if chain.drag.any() else 0)
+def new_air(chain):  # type: ignore[no-untyped-def]
+    """Lanes ((n + 2) ROW K,) for a chain; none where it has no drag."""
+    return np.zeros((chain.length.size + 2) * ROW * K if chain.drag.any() else 0)
 
 
 @non_allocating
-def begin(width, lanes, base, air):  # type: ignore[no-untyped-def]
-    """Work out what all directions share from the lanes after ``tangent.step.prepare``; `base` (9, k) as there."""
-    k = len(width)
-    n = air.size // (ROW * k) - 2
-    for j in range(k):
-        air[VX * k + j] = base[5, j]
-        air[VY * k + j] = base[6, j]
+def begin(lanes, base, air):  # type: ignore[no-untyped-def]
+    """Work out what all directions share from the lanes after ``tangent.step.prepare``; `base` (9, K) as there."""
+    n = air.size // (ROW * K) - 2
+    for j in range(K):
+        air[VX * K + j] = base[5, j]
+        air[VY * K + j] = base[6, j]
     for i in range(1, n + 1):
-        for j in range(k):
-            air[(i * ROW + SIN) * k + j] = lanes[(i * ln.ROW + tg.SIN) * k + j]
-            air[(i * ROW + COS) * k + j] = lanes[(i * ln.ROW + tg.COS) * k + j]
-            air[(i * ROW + LENGTH) * k + j] = lanes[(i * ln.ROW + ln.LENGTH) * k + j]
-            air[(i * ROW + W) * k + j] = lanes[(i * ln.ROW + tg.BEFORE) * k + j]
-            air[(i * ROW + DRAG) * k + j] = lanes[(i * ln.ROW + ln.DRAG) * k + j]
+        for j in range(K):
+            at, own = i * ROW * K + j, i * ln.ROW * K + j
+            air[at + SIN * K], air[at + COS * K] = lanes[own + tg.SIN * K], lanes[own + tg.COS * K]
+            air[at + LENGTH * K], air[at + W * K] = lanes[own + ln.LENGTH * K], lanes[own + tg.BEFORE * K]
+            air[at + DRAG * K] = lanes[own + ln.DRAG * K]
     for i in range(1, n + 1):
-        row = air[(i - 1) * ROW * k : (i + 1) * ROW * k]
-        for j in range(k):
-            sin, cos, drag = row[(AT + SIN) * k + j], row[(AT + COS) * k + j], row[(AT + DRAG) * k + j]
-            vx, vy, length = row[(UP + VX) * k + j], row[(UP + VY) * k + j], row[(AT + LENGTH) * k + j]
-            turn = length * row[(AT + W) * k + j]
+        row = air[(i - 1) * ROW * K : (i + 1) * ROW * K]
+        for up in range(K):
+            at = ROW * K + up
+            sin, cos, drag = row[at + SIN * K], row[at + COS * K], row[at + DRAG * K]
+            vx, vy, length = row[up + VX * K], row[up + VY * K], row[at + LENGTH * K]
+            turn = length * row[at + W * K]
             across = vx * cos + vy * sin
-            row[(AT + FORCE) * k + j], row[(AT + MOMENT) * k + j] = link_drag(1.0, length, across, turn)
+            row[at + FORCE * K], row[at + MOMENT * K] = link_drag(1.0, length, across, turn)
             first, second, third = drag_slopes(drag, length, across, turn)
-            row[(AT + FIRST) * k + j], row[(AT + SECOND) * k + j], row[(AT + THIRD) * k + j] = first, second, third
-            row[(AT + SIDE) * k + j] = vy * cos - vx * sin
-            row[(AT + END) * k + j] = drag * abs(across + turn) * (across + turn)
-            row[(AT + VX) * k + j] = vx + turn * cos
-            row[(AT + VY) * k + j] = vy + turn * sin
+            row[at + FIRST * K], row[at + SECOND * K], row[at + THIRD * K] = first, second, third
+            row[at + SIDE * K] = vy * cos - vx * sin
+            row[at + END * K] = drag * abs(across + turn) * (across + turn)
+            row[at + VX * K] = vx + turn * cos
+            row[at + VY * K] = vy + turn * sin
     for way in range(n):
         i = n - way
-        row = air[i * ROW * k : (i + 2) * ROW * k]
-        for j in range(k):
-            sin, cos, force = row[SIN * k + j], row[COS * k + j], row[DRAG * k + j] * row[FORCE * k + j]
-            fx, fy = row[(ROW + FX) * k + j], row[(ROW + FY) * k + j]
-            row[BEYOND * k + j], row[ASIDE * k + j] = fx * cos + fy * sin, fy * cos - fx * sin
-            row[FX * k + j], row[FY * k + j] = fx - force * cos, fy - force * sin
+        row = air[i * ROW * K : (i + 2) * ROW * K]
+        for at in range(K):
+            down = ROW * K + at
+            sin, cos, force = row[at + SIN * K], row[at + COS * K], row[at + DRAG * K] * row[at + FORCE * K]
+            fx, fy = row[down + FX * K], row[down + FY * K]
+            row[at + BEYOND * K], row[at + ASIDE * K] = fx * cos + fy * sin, fy * cos - fx * sin
+            row[at + FX * K], row[at + FY * K] = fx - force * cos, fy - force * sin
 
 
 @inlined
-def outward(row, k, j, d, longer, more):  # type: ignore[no-untyped-def]
-    """One link and direction from motor to tip, for changes of its length, m, and of its drag, kg/m^2."""
-    sin, cos, length = row[(AT + SIN) * k + j], row[(AT + COS) * k + j], row[(AT + LENGTH) * k + j]
-    w, second, end = row[(AT + W) * k + j], row[(AT + SECOND) * k + j], row[(AT + END) * k + j]
-    dq, dw = row[(AT + DQ + d) * k + j], row[(AT + DW + d) * k + j]
-    vx, vy = row[(UP + DVX + d) * k + j], row[(UP + DVY + d) * k + j]
-    across = vx * cos + vy * sin + row[(AT + SIDE) * k + j] * dq
-    force = row[(AT + FIRST) * k + j] * across + second * dw + end * longer
-    moment = second * across + row[(AT + THIRD) * k + j] * dw + length * end * longer
-    row[(AT + DFORCE + d) * k + j] = force + row[(AT + FORCE) * k + j] * more
-    row[(AT + DMOMENT + d) * k + j] = moment + row[(AT + MOMENT) * k + j] * more
+def outward(row, j, d, longer, more):  # type: ignore[no-untyped-def]
+    """One link and direction from motor to tip, for changes of its length, m, and of its drag, kg/m^2.
+
+    `d` is 0, or K for the second direction.
+    """
+    at, own, up = ROW * K + j, ROW * K + j + d, j + d
+    sin, cos, length = row[at + SIN * K], row[at + COS * K], row[at + LENGTH * K]
+    w, second, end = row[at + W * K], row[at + SECOND * K], row[at + END * K]
+    dq, dw = row[own + DQ * K], row[own + DW * K]
+    vx, vy = row[up + DVX * K], row[up + DVY * K]
+    across = vx * cos + vy * sin + row[at + SIDE * K] * dq
+    force = row[at + FIRST * K] * across + second * dw + end * longer
+    moment = second * across + row[at + THIRD * K] * dw + length * end * longer
+    row[own + DFORCE * K] = force + row[at + FORCE * K] * more
+    row[own + DMOMENT * K] = moment + row[at + MOMENT * K] * more
     turn, side = longer * w + length * dw, length * w * dq
-    row[(AT + DVX + d) * k + j] = vx + (turn * cos - side * sin)
-    row[(AT + DVY + d) * k + j] = vy + (turn * sin + side * cos)
+    row[own + DVX * K] = vx + (turn * cos - side * sin)
+    row[own + DVY * K] = vy + (turn * sin + side * cos)
 
 
 @inlined
-def inward(row, k, j, d, longer):  # type: ignore[no-untyped-def]
-    """One link and direction from tip to motor: the change of the torque on it."""
-    sin, cos, length = row[SIN * k + j], row[COS * k + j], row[LENGTH * k + j]
-    dq, change, force = row[(DQ + d) * k + j], row[(DFORCE + d) * k + j], row[DRAG * k + j] * row[FORCE * k + j]
-    fx, fy = row[(ROW + DFX + d) * k + j], row[(ROW + DFY + d) * k + j]
-    torque = length * (fx * cos + fy * sin + row[ASIDE * k + j] * dq) + longer * row[BEYOND * k + j]
-    row[(TORQUE + d) * k + j] = torque - row[(DMOMENT + d) * k + j]
-    row[(DFX + d) * k + j] = fx - (change * cos - force * dq * sin)
-    row[(DFY + d) * k + j] = fy - (change * sin + force * dq * cos)
+def inward(row, j, d, longer):  # type: ignore[no-untyped-def]
+    """One link and direction from tip to motor: the change of the torque on it; `d` as for :func:`outward`."""
+    own, down = j + d, ROW * K + j + d
+    sin, cos, length = row[j + SIN * K], row[j + COS * K], row[j + LENGTH * K]
+    dq, change, force = row[own + DQ * K], row[own + DFORCE * K], row[j + DRAG * K] * row[j + FORCE * K]
+    fx, fy = row[down + DFX * K], row[down + DFY * K]
+    torque = length * (fx * cos + fy * sin + row[j + ASIDE * K] * dq) + longer * row[j + BEYOND * K]
+    row[own + TORQUE * K] = torque - row[own + DMOMENT * K]
+    row[own + DFX * K] = fx - (change * cos - force * dq * sin)
+    row[own + DFY * K] = fy - (change * sin + force * dq * cos)
 
 
 @non_allocating
-def write_torques(width, lanes, air, links):  # type: ignore[no-untyped-def]
+def write_torques(lanes, air, links):  # type: ignore[no-untyped-def]
     """Write the changes of the torques to RHS of the links in `lanes`, for changes of their angles and rates there.
 
     Parameters
     ----------
-    width, lanes, links : as in ``tangent.step.step_all``, which adds them
-    air : ((n + 2) ROW k,) after :func:`begin`; row 0 holds the changes of the first joint's velocity, DVX and DVY
+    lanes, links : as in ``tangent.step.step``, which adds them
+    air : ((n + 2) ROW K,) after :func:`begin`; row 0 holds the changes of the first joint's velocity, DVX and DVY
     """
-    k = len(width)
-    n = air.size // (ROW * k) - 2
+    n = air.size // (ROW * K) - 2
     for i in range(1, n + 1):
-        for x in range(4 * k):  # DQ and DW, both directions
-            air[(i * ROW + DQ) * k + x] = lanes[(i * ln.ROW + tg.DQ) * k + x]
+        for x in range(4 * K):  # DQ and DW, both directions
+            air[(i * ROW + DQ) * K + x] = lanes[(i * ln.ROW + tg.DQ) * K + x]
     for i in range(1, n + 1):
-        row = air[(i - 1) * ROW * k : (i + 1) * ROW * k]
-        one_length, two_length = links[0, i - 1, tg.LENGTH], links[1, i - 1, tg.LENGTH]
-        one_drag, two_drag = links[0, i - 1, tg.DRAG], links[1, i - 1, tg.DRAG]
-        for j in range(k):
-            outward(row, k, j, 0, one_length, one_drag)
-            outward(row, k, j, 1, two_length, two_drag)
+        row = air[(i - 1) * ROW * K : (i + 1) * ROW * K]
+        longer, longer_two = links[0, i - 1, tg.LENGTH], links[1, i - 1, tg.LENGTH]
+        more, more_two = links[0, i - 1, tg.DRAG], links[1, i - 1, tg.DRAG]
+        for j in range(K):
+            outward(row, j, 0, longer, more)
+            outward(row, j, K, longer_two, more_two)
     for way in range(n):
         i = n - way
-        row = air[i * ROW * k : (i + 2) * ROW * k]
-        one_length, two_length = links[0, i - 1, tg.LENGTH], links[1, i - 1, tg.LENGTH]
-        for j in range(k):
-            inward(row, k, j, 0, one_length)
-            inward(row, k, j, 1, two_length)
+        row = air[i * ROW * K : (i + 2) * ROW * K]
+        longer, longer_two = links[0, i - 1, tg.LENGTH], links[1, i - 1, tg.LENGTH]
+        for j in range(K):
+            inward(row, j, 0, longer)
+            inward(row, j, K, longer_two)
     for i in range(1, n + 1):
-        for x in range(2 * k):
-            lanes[(i * ln.ROW + tg.RHS) * k + x] = air[(i * ROW + TORQUE) * k + x]
+        for x in range(2 * K):
+            lanes[(i * ln.ROW + tg.RHS) * K + x] = air[(i * ROW + TORQUE) * K + x]

@@ -13,12 +13,12 @@ from hyperflex.core.integrate.steps import begin_columns, end_columns
 from hyperflex.core.jit import inlined, kernel, non_allocating
 from hyperflex.core.tangent import air as dg
 from hyperflex.core.tangent import step as tg
+from hyperflex.core.tangent.step import K
 
 TIP_MASS, GRAVITY_X, GRAVITY_Y = range(3)  # columns of Directions.whole
 # what base_change writes
 ACC_X, ACC_Y, ALPHA, RATE, TURN, MOTOR, PLACE_X, PLACE_Y, SPEED_X, SPEED_Y = range(10)
 CHANGES = 10
-LINKS, ENDS = 1, 2  # links (or the torque on the first one) change; the base's motion, gravity or the tip mass do
 
 
 class Directions(NamedTuple):
@@ -26,7 +26,7 @@ class Directions(NamedTuple):
 
     links: Array  # (b, 2, n, SEEDS): of the links' parameters, see core/tangent/step.py
     whole: Array  # (b, 2, 3): of tip mass, kg, and gravity, m/s^2
-    kind: npt.NDArray[np.int64]  # (b,) sum of LINKS and ENDS, where a pair changes more than the state
+    parameters: npt.NDArray[np.bool_]  # (b,) whether links, or the torque on the first one, change
     driven: npt.NDArray[np.int64]  # (b, 2) row of the following that changes the drive, -1: none does
     breaks: Array  # (m, k + 1), s
     coef: Array  # (m, k, 4, 6)
@@ -108,7 +108,7 @@ def place_changes(drive, directions, t, out):  # type: ignore[no-untyped-def]
     moved = np.zeros(CHANGES)
     for k in range(t.size):
         part = segment(drive, t[k])
-        for b in range(directions.kind.size):
+        for b in range(directions.parameters.size):
             for d in range(2):
                 m = directions.driven[b, d]
                 if m >= 0:
@@ -117,7 +117,6 @@ def place_changes(drive, directions, t, out):  # type: ignore[no-untyped-def]
                     out[k, 1, 2 * b + d] = moved[PLACE_Y]
 
 
-K = len(ln.COLUMNS)
 CELL = 4 * K  # a pair's numbers of one link in the lanes: angle and rate, two directions each
 START, NOW, SUM = 0, CELL, 2 * CELL  # the parts of what is kept of them
 PARTS = 3
@@ -174,50 +173,35 @@ def new_tangent_workspace(chain, pairs):  # type: ignore[no-untyped-def]
         np.zeros((3, 2 * n, 2 * pairs)),
         np.zeros((3, n, 2 * pairs)),
         np.zeros(2 * n + 2),
-        dg.new_air(ln.COLUMNS, chain),
+        dg.new_air(chain),
     )
-
-
-@non_allocating
-def clear_ends(workspace):  # type: ignore[no-untyped-def]
-    """Let neither the base's motion nor the tip mass change."""
-    lanes = workspace.lanes
-    tip = lanes.size - ln.ROW * K
-    for x in range(tg.DQ * K, (tg.BETA + 2) * K):
-        lanes[x] = 0.0
-        lanes[tip + x] = 0.0
-    if workspace.air.size > 0:
-        for x in range(dg.DVX * K, (dg.DVY + 2) * K):
-            workspace.air[x] = 0.0
 
 
 @non_allocating
 def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-def]
     """Put the changes of the base's motion and of the tip mass into the first and the last row of the lanes."""
-    lanes, moved = workspace.lanes, workspace.moved
-    n = lanes.size // (ln.ROW * K) - 2
-    far = lanes[n * ln.ROW * K : (n + 1) * ln.ROW * K]
-    tip = lanes[(n + 1) * ln.ROW * K :]
+    lanes, moved, air = workspace.lanes, workspace.moved, workspace.air
+    beyond = lanes.size - ln.ROW * K
+    far = lanes[beyond - ln.ROW * K : beyond]
     for d in range(2):
         moved[:] = 0.0
         m = directions.driven[b, d]
-        gx, gy = directions.whole[b, d, GRAVITY_X], directions.whole[b, d, GRAVITY_Y]
-        heavier = directions.whole[b, d, TIP_MASS]
+        heavier, gx, gy = directions.whole[b, d]
         for j in range(K):
             if m >= 0:
                 late = workspace.shift[b, d] + workspace.into[j] * workspace.change[b, d]
                 base_change(drive, part, workspace.when[j], late, directions, m, moved)
-            lanes[(tg.DQ + d) * K + j] = moved[TURN]
-            lanes[(tg.DW + d) * K + j] = moved[RATE]
-            lanes[(tg.PX + d) * K + j] = moved[ACC_X] - gx
-            lanes[(tg.PY + d) * K + j] = moved[ACC_Y] - gy
-            lanes[(tg.ALPHA + d) * K + j] = moved[ALPHA]
-            lanes[(tg.RHS + d) * K + j] = moved[MOTOR]
-            if workspace.air.size > 0:
-                workspace.air[(dg.DVX + d) * K + j] = moved[SPEED_X]
-                workspace.air[(dg.DVY + d) * K + j] = moved[SPEED_Y]
-            tip[(tg.BX + d) * K + j] = heavier * far[ln.PX * K + j]
-            tip[(tg.BY + d) * K + j] = heavier * far[ln.PY * K + j]
+            at = d * K + j
+            lanes[at + tg.DQ * K], lanes[at + tg.DW * K], lanes[at + tg.ALPHA * K] = (
+                moved[TURN],
+                moved[RATE],
+                moved[ALPHA],
+            )
+            lanes[at + tg.PX * K], lanes[at + tg.PY * K] = moved[ACC_X] - gx, moved[ACC_Y] - gy
+            if air.size > 0:
+                air[at + dg.DVX * K], air[at + dg.DVY * K] = moved[SPEED_X], moved[SPEED_Y]
+            lanes[beyond + at + tg.BX * K] = heavier * far[ln.PX * K + j]
+            lanes[beyond + at + tg.BY * K] = heavier * far[ln.PY * K + j]
 
 
 @non_allocating
@@ -281,17 +265,17 @@ def sum_columns(store, values):  # type: ignore[no-untyped-def]
 @non_allocating
 def begin_pairs(reaction, lanes, air, base):  # type: ignore[no-untyped-def]
     """Work out what the pairs have in common, after a step of ``lanes.euler``."""
-    tg.prepare(ln.COLUMNS, reaction, lanes)
+    tg.prepare(reaction, lanes)
     if air.size > 0:
-        dg.begin(ln.COLUMNS, lanes, base, air)
+        dg.begin(lanes, base, air)
 
 
 @non_allocating
 def step_pair(reaction, lanes, air, links, stretch):  # type: ignore[no-untyped-def]
-    """Derivatives of that step for changes of everything, see ``step.step_all``."""
+    """Derivatives of that step for changes of everything, see ``step.step``."""
     if air.size > 0:
-        dg.write_torques(ln.COLUMNS, lanes, air, links)
-    tg.step_all(ln.COLUMNS, reaction, lanes, links, stretch)
+        dg.write_torques(lanes, air, links)
+    tg.step(reaction, tg.ALL, lanes, links, stretch)
 
 
 @kernel
@@ -315,11 +299,10 @@ def tangent_step(chain, drive, part, table, t, step, y, out, directions, result,
     # by name: to take an array out of a tuple within the loop over the pairs costs as much as a third of the step
     lanes, store, anew, weight = workspace.lanes, workspace.store, workspace.anew, workspace.weight
     reaction = chain.reaction
-    kind, links, stretch, air = directions.kind, directions.links, workspace.stretch, workspace.air
-    airy = air.size > 0
+    own, links, stretch, air = directions.parameters, directions.links, workspace.stretch, workspace.air
     for turn in range(table.column.shape[0]):
         begin_columns(chain, drive, part, table, turn, t, step, y, lanes, workspace.tip, workspace.base, workspace.work)
-        tg.save_trig(ln.COLUMNS, lanes)
+        tg.save_trig(lanes)
         ln.euler(ln.COLUMNS, reaction, ln.MORE, lanes, workspace.tip, workspace.base)
         begin_pairs(reaction, lanes, air, workspace.base)
         for x in range(CELL):
@@ -330,16 +313,13 @@ def tangent_step(chain, drive, part, table, t, step, y, out, directions, result,
             workspace.into[j] = table.done[turn, j] / max(table.column[turn, j], 1)
             workspace.when[j] = t + workspace.into[j] * step
         begins, ends = anew.any(), weight.any()
-        for b in range(kind.size):
+        for b in range(own.size):
             enter(lanes, store[b], anew, begins)
-            if kind[b] & ENDS:
-                set_ends(drive, part, directions, b, workspace)
-            else:
-                clear_ends(workspace)
-            if airy or kind[b] & LINKS or stretch[b, 0] != 0.0 or stretch[b, 1] != 0.0:
+            set_ends(drive, part, directions, b, workspace)
+            if air.size > 0 or own[b] or stretch[b, 0] != 0.0 or stretch[b, 1] != 0.0:
                 step_pair(reaction, lanes, air, links[b], stretch[b])
             else:
-                tg.step_state(ln.COLUMNS, reaction, lanes)
+                tg.step(reaction, tg.STATE, lanes, links[b], stretch[b])
             leave(lanes, store[b], weight, ends)
         end_columns(table, turn, y, out, workspace.errors, workspace.lanes)
     sum_columns(workspace.store, result)

@@ -36,13 +36,10 @@ from hyperflex.core.tangent.extrapolation import (
     ALPHA,
     CELL,
     CHANGES,
-    ENDS,
-    LINKS,
     PARTS,
     RATE,
     TURN,
     Directions,
-    K,
     TangentWorkspace,
     base_change,
     begin_pairs,
@@ -54,6 +51,7 @@ from hyperflex.core.tangent.extrapolation import (
     step_pair,
     tangent_step,
 )
+from hyperflex.core.tangent.step import K
 
 
 @kernel
@@ -71,7 +69,7 @@ def acceleration_derivatives(chain, drive, part, t, step, directions, workspace)
         q, w = ys[node, :n], ys[node, n : 2 * n]
         sines(q, workspace.work, 0)
         enter_state(j, chain, q, w, workspace.work, motion, torque, lanes, workspace.tip, workspace.base)
-    tg.save_trig(ln.COLUMNS, lanes)
+    tg.save_trig(lanes)
     ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, lanes, workspace.tip, workspace.base)
     begin_pairs(chain.reaction, lanes, workspace.air, workspace.base)
     for j in range(3):
@@ -79,7 +77,7 @@ def acceleration_derivatives(chain, drive, part, t, step, directions, workspace)
             dys[j, i] = ys[j, n + i]
             dys[j, n + i] = lanes[((i + 1) * ln.ROW + ln.ALPHA) * K + j]
     workspace.stretch[:] = 0.0
-    for b in range(directions.kind.size):
+    for b in range(directions.parameters.size):
         for i in range(n):
             cell = workspace.store[b, i * PARTS * CELL : (i * PARTS + 1) * CELL]
             for x in range(CELL):
@@ -179,11 +177,11 @@ class EventWorkspace(NamedTuple):
 @kernel
 def new_event_workspace(chain, drive, directions):  # type: ignore[no-untyped-def]
     """Working arrays for a chain, its drive and a number of directions."""
-    n, p, k = chain.length.size, 2 * directions.kind.size, drive.breaks.size - 1
+    n, p, k = chain.length.size, 2 * directions.parameters.size, drive.breaks.size - 1
     longer = Directions(
         np.zeros((1, 2, n, directions.links.shape[3])),
         np.zeros((1, 2, 3)),
-        np.full(1, LINKS + ENDS),
+        np.ones(1, dtype=np.bool_),
         np.zeros((1, 2), dtype=np.int64),
         np.zeros((1, k + 1)),
         np.zeros((1, k, 4, 6)),
@@ -248,7 +246,7 @@ def margin_derivatives(chain, drive, part, t, step, y, slip, joint, directions, 
     if slip[joint] == 0.0:
         out = workspace.ys[2]
         torque = base_state(drive, part, min(t + step, part.end), turn.after)
-        constraint_torques(chain, out[:n], out[n : 2 * n], slip, turn.after[:7], torque, turn.stiction)
+        constraint_torques(chain, out[:n], out[n : 2 * n], slip, turn.after, torque, turn.stiction)
         free = slip.copy()
         free[joint] = -1.0 if turn.stiction.load[joint] > 0.0 else 1.0
         for one, way in ((workspace, directions), (turn.workspace, turn.longer)):
@@ -310,7 +308,7 @@ def tangent_step_end(chain, drive, part, t, step, y, values, slip, joint, direct
     project_stuck_tangent(slip, values, turn.moved_before, turn.moved, workspace.nodes[2])
     if joint >= 0:
         margin = turn.stiction.margin
-        margins(chain, out[:n], out[n : 2 * n], slip, turn.after[:7], torque, 1.0, turn.stiction, margin)
+        margins(chain, out[:n], out[n : 2 * n], slip, turn.after, torque, 1.0, turn.stiction, margin)
         stop_joints(chain, slip, margin, out, turn.after)
         stop_joints_tangent(slip, margin, turn.moved, workspace.nodes[2])
 
@@ -347,7 +345,7 @@ def set_change(drive, part, t_new, stop, directions, workspace):  # type: ignore
 
     For events see :func:`event_sensitivity`.
     """
-    for b in range(directions.kind.size):
+    for b in range(directions.parameters.size):
         for d in range(2):
             m = directions.driven[b, d]
             workspace.change[b, d] = -workspace.shift[b, d] if t_new >= part.end or t_new >= stop else 0.0
@@ -371,7 +369,7 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
     dy_out : (T, 2 n, p) out, but for row 0
     halt : (1,) another value than 0, set from another thread, ends it at the next step
     """
-    workspace = new_tangent_workspace(chain, directions.kind.size)
+    workspace = new_tangent_workspace(chain, directions.parameters.size)
     turn = new_event_workspace(chain, drive, directions)
     sticks = steps.shape[1] > JOINT
     slip, joint = np.ones(chain.length.size), -1

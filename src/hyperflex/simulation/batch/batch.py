@@ -320,7 +320,7 @@ def _in_flight(
         core.run_block(members, terms, low, high, after, y, codes, reached, halt)
         states = np.concatenate([members.start[rows, None], y], axis=1)
         kinetic, potential, joint = *np.empty((2, count, times.size)), np.empty((count, times.size, 2))
-        observe_block(members, terms, low, high, times, states, kinetic, potential, joint, np.empty(2 * n))
+        observe_block(members, terms, low, high, times, states, kinetic, potential, joint)
         floor = np.array([least_scale(setup.rope) for setup in setups[rows]])[:, None]
         done = np.flatnonzero(codes == status.OK)
         energies = kinetic, potential, np.zeros(kinetic.shape), states[:, :, 2 * n], states[:, :, 2 * n + 1]

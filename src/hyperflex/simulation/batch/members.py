@@ -100,6 +100,7 @@ def members_of(chains: list[Chain], drives: list[Drive], starts: Array) -> Membe
         starts,
         np.concatenate([d.breaks for d in drives]),
         np.concatenate([part for d in drives for part in (d.coef, padding)]),
+        np.ones(sum(d.breaks.size for d in drives), dtype=np.bool_),
         np.array([d.loop for d in drives]),
         np.concatenate([[0], np.cumsum([d.breaks.size for d in drives])]),
         np.tile(INITIAL_CLOCK, (len(chains), 1)),

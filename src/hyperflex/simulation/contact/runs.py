@@ -206,7 +206,7 @@ class ContactRun:
         chain, n, base = run.chain, run.chain.length.size, np.empty(9)
         motion_at(run.drive, run.time, base)
         y = run.progress.y
-        kinetic, _ = energies(chain, y[:n], y[n : 2 * n], (*base[7:9], *base[5:7], base[4], base[3]), np.empty(2 * n))
+        kinetic, _ = energies(chain, y[:n], y[n : 2 * n], base, np.empty(2 * n))
         kinetic += float(spin_energy(self.setup, self.contact.spin[1]))
         lever = chain.length.sum()
         mass = chain.mass.sum() + chain.tip_mass

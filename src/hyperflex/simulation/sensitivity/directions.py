@@ -95,14 +95,11 @@ class ParameterDirections:
         for m, part in enumerate(rows):
             breaks[m], coef[m] = part.get("breaks", 0.0), part.get("coef", 0.0)
             arm[m] = part.get("arm_length", np.zeros(1))[0]
-        ends = (driven >= 0) | whole.any(axis=1)
         own = links.any(axis=(1, 2)) | ((driven >= 0) & drive.coef[:, TORQUE].any())
-        kind = np.where(own.reshape(pairs, 2).any(axis=1), dr.LINKS, 0)
-        kind += np.where(ends.reshape(pairs, 2).any(axis=1), dr.ENDS, 0)
         return Directions(
             links.reshape(pairs, 2, n, tg.SEEDS),
             whole.reshape(pairs, 2, 3),
-            kind,
+            own.reshape(pairs, 2).any(axis=1),
             driven.reshape(pairs, 2),
             breaks,
             coef,

@@ -116,5 +116,5 @@ class Propagator:
 
     def _seeds(self, pairs: int) -> Directions:
         """Return the first pairs of directions."""
-        links, whole, kind, driven, *rest = self._directions
-        return Directions(links[:pairs], whole[:pairs], kind[:pairs], driven[:pairs], *rest)
+        links, whole, parameters, driven, *rest = self._directions
+        return Directions(links[:pairs], whole[:pairs], parameters[:pairs], driven[:pairs], *rest)

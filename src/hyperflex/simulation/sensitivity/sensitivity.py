@@ -318,7 +318,7 @@ def acceleration_jacobian(
     torque = base_state(drive, part, 0.0, base)
     q, qd = (np.array(value) for value in start)
     if can_stick(chain):
-        find_modes(chain, q, qd, base[:7], torque, 1.0, slip, new_stiction_workspace(n))
+        find_modes(chain, q, qd, base, torque, 1.0, slip, new_stiction_workspace(n))
     workspace = new_tangent_workspace(chain, seeds.kind.size)
     set_slip(COLUMNS, workspace.lanes, slip)
     workspace.ys[:, :n], workspace.ys[:, n : 2 * n], workspace.nodes[:] = q, qd, values
