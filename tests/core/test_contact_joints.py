@@ -10,31 +10,34 @@ from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
 from hyperflex.core.contact.arrays import new_contact_memory, save_memory
 from hyperflex.core.contact.joints import ANY, JOINTS, joints_in_play
-from hyperflex.core.contact.step import new_contact_workspace, try_step
+from hyperflex.core.contact.step import ContactWorkspace, new_contact_workspace, try_step
 from tests.reference import dense
 from tests.reference.joint_impulses import rates_after
 
 STEP = 2e-4  # s
 
 
-def own(value: object) -> object:
-    """An array as a run has it, for which the kernels are compiled."""
-    return np.array(value) if isinstance(value, np.ndarray) else value
+def step(rope: hf.Rope, q: dense.Real, w: dense.Real, h: float, again: int = 0) -> tuple[ContactWorkspace, int]:
+    """Take a step h from q, w, and the same step `again` from its own impulses; return its workspace and the rounds."""
+    setup = hf.Setup(rope)
+    chain, drive = (  # arrays as a run has them, for which the kernels are compiled
+        kind(*(np.array(each) if isinstance(each, np.ndarray) else each for each in given))
+        for kind, given in ((Chain, setup.chain()), (Drive, setup.drive()))
+    )
+    workspace, pegs = new_contact_workspace(chain, setup.contacts(), 1e-6, STEP, 1e-5), setup.contacts()
+    y, memory = np.concatenate([q, w]), new_contact_memory(rope.n_links, 0)
+    call = chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, memory, workspace, True, 0.0, True
+    _, rounds = try_step(*call)
+    for _ in range(again):
+        save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, h)
+        _, rounds = try_step(*call)
+    return workspace, rounds
 
 
 def taken(rope: hf.Rope, q: dense.Real, w: dense.Real, h: float) -> tuple[dense.Real, int, dense.Real]:
     """Rates (n,) after a step h from q, w, whether it was solved, and its account of energies."""
-    setup, n = hf.Setup(rope), rope.n_links
-    chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
-    workspace, pegs = new_contact_workspace(chain, setup.contacts(), 1e-6, STEP, 1e-5), setup.contacts()
-    y = np.concatenate([q, w])
-    memory = new_contact_memory(n, 0)
-    call = chain, drive, segment(drive, 0.0), pegs, np.zeros(2), 0.0, h, y, memory, workspace
-    _, rounds = try_step(*call, True, 0.0, True)
-    for _ in range(5 if h > 0.0 else 0):  # the same step again, from its own impulses: what is left dies out
-        save_memory(memory, workspace.contacts, workspace.impulses, workspace.joints, h)
-        _, rounds = try_step(*call, True, 0.0, True)
-    return workspace.out[n:].copy(), rounds, workspace.account.copy()
+    workspace, rounds = step(rope, q, w, h, again=5 if h > 0.0 else 0)  # what is left dies out
+    return workspace.out[rope.n_links :].copy(), rounds, workspace.account.copy()
 
 
 def mass_matrix(rope: hf.Rope, q: dense.Real) -> dense.Real:
@@ -108,23 +111,5 @@ def test_joints_in_play_have_dry_friction_or_are_near_a_limit() -> None:
     limit = np.array([np.inf, 1.0 + 0.9 * JOINTS.near, 1.0 + 0.9 * JOINTS.near, 1.0, 1.0])
     for dry, count in ((0.0, 2), (np.array([0.0, 0.0, 0.0, 0.0, 1e-3]), 3)):
         rope = hf.Rope([0.1] * 5, [0.01] * 5, max_bend=limit, dry_friction=dry)
-        setup = hf.Setup(rope)
-        chain, drive = (kind(*map(own, given)) for kind, given in ((Chain, setup.chain()), (Drive, setup.drive())))
-        workspace, pegs = new_contact_workspace(chain, setup.contacts(), 1e-6, STEP, 1e-5), setup.contacts()
-        y = np.concatenate([np.cumsum(bend), np.zeros(5)])
-        try_step(
-            chain,
-            drive,
-            segment(drive, 0.0),
-            pegs,
-            np.zeros(2),
-            0.0,
-            STEP,
-            y,
-            new_contact_memory(5, 0),
-            workspace,
-            True,
-            0.0,
-            True,
-        )
+        workspace, _ = step(rope, np.cumsum(bend), np.zeros(5), STEP)
         assert joints_in_play(workspace.joints, STEP) == count

@@ -112,14 +112,36 @@ def test_a_joint_that_turns_slips_whatever_its_load() -> None:
     np.testing.assert_array_equal(slip, np.sign(np.diff(state.w, prepend=state.base[3])))
 
 
-Course = Callable[[float], float]
-COURSES: list[tuple[Course, Course, float, float]] = [
-    (lambda t: 1.0 - t * t, lambda t: -2.0 * t, 1.7, 1.0),
-    (lambda t: np.cos(3.0 * t) + 0.2, lambda t: -3.0 * np.sin(3.0 * t), 0.8, np.arccos(-0.2) / 3.0),
-    (lambda t: np.exp(-t) - 0.9, lambda t: -np.exp(-t), 1.0, -np.log(0.9)),
-    (lambda t: t * (0.3 - t), lambda t: 0.3 - 2.0 * t, 1.0, 0.3),  # begins at zero, as a joint that has come loose
-    (lambda t: (t - 0.5) ** 2 - 0.01, lambda t: 2.0 * t - 1.0, 1.0, 0.4),  # falls below zero and comes back
+Course = tuple[Callable[[float], float], Callable[[float], float]]  # margin and slope
+COURSES: list[tuple[Course, float, float]] = [  # and the step, and when the event is
+    ((lambda t: 1.0 - t * t, lambda t: -2.0 * t), 1.7, 1.0),
+    ((lambda t: np.cos(3.0 * t) + 0.2, lambda t: -3.0 * np.sin(3.0 * t)), 0.8, np.arccos(-0.2) / 3.0),
+    ((lambda t: np.exp(-t) - 0.9, lambda t: -np.exp(-t)), 1.0, -np.log(0.9)),
+    ((lambda t: t * (0.3 - t), lambda t: 0.3 - 2.0 * t), 1.0, 0.3),  # begins at zero, as a joint that has come loose
+    ((lambda t: (t - 0.5) ** 2 - 0.01, lambda t: 2.0 * t - 1.0), 1.0, 0.4),  # falls below zero and comes back
 ]
+
+
+def new_search(margins: int, locked: float = 0.0) -> events.Search:
+    search = events.search_of(events.new_searches(1, margins + 1, 1), 0)  # the last one: no end of the run
+    search.locked[:margins], search.span[events.HIGH] = locked, np.inf
+    return search
+
+
+def event_time(courses: list[Course], step: float, locked: float = 0.0, late: float = 0.0) -> tuple[float, int]:
+    """When a search for the first event of margins ends, and after how many attempts."""
+    search, attempts, verdict = new_search(len(courses), locked), 0, events.AGAIN
+    search.late[:] = late
+    for i, (value, slope) in enumerate(courses):
+        search.low[:, i], search.middle[:, i] = (value(0.0), slope(0.0)), (value(0.5 * step), slope(0.5 * step))
+    while verdict == events.AGAIN:
+        for i, (value, slope) in enumerate(courses):
+            search.here[:, i] = value(step), slope(step)
+        taken = step
+        verdict, step = events.assess_step(search, step)
+        attempts += 1
+    assert verdict == events.EVENT
+    return taken, attempts
 
 
 @pytest.mark.parametrize(
@@ -127,52 +149,23 @@ COURSES: list[tuple[Course, Course, float, float]] = [
     [(k, locked) for k in range(len(COURSES)) for locked in (0.0, 1.0) if (k, locked) != (3, 1.0)],
 )
 def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
-    value, slope, step, at = COURSES[case]
-    search = events.new_search(1)
-    modes = np.array([locked])
-    search.low[:, 0] = value(0.0), slope(0.0)
-    events.begin_search(search)
-    search.middle[:, 0] = value(0.5 * step), slope(0.5 * step)
-    attempts = 0
-    verdict = events.AGAIN
-    while verdict == events.AGAIN:
-        search.here[:, 0] = value(step), slope(step)
-        taken = step
-        verdict, step = events.assess_step(modes, search, step)
-        attempts += 1
-    assert verdict == events.EVENT
+    (value, slope), step, at = COURSES[case]
+    taken, attempts = event_time([(value, slope)], step, locked)
     assert at <= taken + 1e-15
     assert taken - at <= 1.01 * stick.STICTION.instant + 4e-16 / abs(slope(at))  # and the rounding of the margin itself
     assert attempts <= 11  # halving alone would take 43
-
-
-@pytest.mark.parametrize("locked", [0.0, 1.0])
-@pytest.mark.parametrize("case", [0, 1, 2])
-def test_a_step_may_end_as_much_later_as_is_allowed(case: int, locked: float) -> None:
-    """The middle of the first attempt tells where, well enough for the next or the one after it."""
-    value, slope, step, at = COURSES[case]
-    search = events.new_search(1)
-    search.late[:] = 1e-2
-    search.low[:, 0] = value(0.0), slope(0.0)
-    events.begin_search(search)
-    search.middle[:, 0] = value(0.5 * step), slope(0.5 * step)
-    attempts, verdict = 0, events.AGAIN
-    while verdict == events.AGAIN:
-        search.here[:, 0] = value(step), slope(step)
-        taken = step
-        verdict, step = events.assess_step(np.array([locked]), search, step)
-        attempts += 1
-    assert verdict == events.EVENT
-    assert -1e-2 <= value(taken) <= 0.0
-    assert taken >= at
-    assert attempts <= (4 if locked else 3)
+    if case < 3:  # as much later as is allowed: the middle of the first attempt shows where
+        late, attempts = event_time([(value, slope)], step, locked, 1e-2)
+        assert -1e-2 <= value(late) <= 0.0
+        assert late >= at
+        assert attempts <= (4 if locked else 3)
 
 
 def test_cubics_that_stay_positive_hide_nothing() -> None:
     """Where all Bernstein coefficients are positive no sixteenth of the course is below zero, for random courses."""
     rng, kept = np.random.default_rng(0), 0
     for _ in range(300):
-        search = events.new_search(1)
+        search = new_search(1)
         search.low[:, 0], search.middle[:, 0], search.here[:, 0] = rng.normal(0.5, 1.0, (3, 2))
         if events.stays_positive(search, 0, 1.0):
             kept += 1
@@ -184,35 +177,19 @@ def test_cubics_that_stay_positive_hide_nothing() -> None:
 
 def test_a_dip_before_another_joint_s_event_is_found() -> None:
     """The second margin dips below zero in the middle, which its ends do not show; the first one's event is later."""
-    courses: list[tuple[Course, Course]] = [
-        (lambda t: 0.9 - t, lambda t: -1.0),
-        (lambda t: np.cos(2.0 * np.pi * t) + 0.9, lambda t: -2.0 * np.pi * np.sin(2.0 * np.pi * t)),
-    ]
-    search = events.new_search(2)
-    locked, step, verdict = np.zeros(2), 1.0, events.AGAIN
-    for i, (value, slope) in enumerate(courses):
-        search.low[:, i] = value(0.0), slope(0.0)
-    events.begin_search(search)
-    for i, (value, slope) in enumerate(courses):
-        search.middle[:, i] = value(0.5), slope(0.5)
-    while verdict == events.AGAIN:
-        for i, (value, slope) in enumerate(courses):
-            search.here[:, i] = value(step), slope(step)
-        taken = step
-        verdict, step = events.assess_step(locked, search, step)
-    assert verdict == events.EVENT
+    line = (lambda t: 0.9 - t), (lambda t: -1.0)
+    dip = (lambda t: np.cos(2.0 * np.pi * t) + 0.9), (lambda t: -2.0 * np.pi * np.sin(2.0 * np.pi * t))
+    taken, _ = event_time([line, dip], 1.0)
     assert taken == pytest.approx(np.arccos(-0.9) / (2.0 * np.pi), abs=2 * stick.STICTION.instant)
 
 
 def test_a_search_that_has_come_further_does_not_go_back_for_a_dip_before() -> None:
     """Where friction acts on one link every attempt has a middle; it is no middle of what is left of the span."""
-    search = events.new_search(1)
-    stuck, low = np.ones(1), 0.5
+    search, low = new_search(1, 1.0), 0.5
     search.low[0] = 1.0
-    events.begin_search(search)
     for step, margin, middle in ((1.0, -1.0, np.inf), (low, 0.2, np.inf), (0.6, 0.1, 0.0)):
         search.here[0], search.middle[0] = margin, middle
-        verdict, length = events.assess_step(stuck, search, step)
+        verdict, length = events.assess_step(search, step)
         assert verdict == events.AGAIN
     assert 0.6 < length < 1.0
 
@@ -223,29 +200,18 @@ def test_a_joint_that_comes_loose_does_not_stop_for_rounding() -> None:
 
     def value(t: float) -> float:
         exact = start * t + jerk * t * t * (1.0 - t / end) / 2.0
-        return rounding * (np.floor(exact / rounding) - (2.0 if t < 1e-9 else 0.0))
+        return 0.0 if t == 0.0 else rounding * (np.floor(exact / rounding) - (2.0 if t < 1e-9 else 0.0))
 
     def slope(t: float) -> float:
         return start + jerk * t * (1.0 - 1.5 * t / end)
 
-    search = events.new_search(2)
-    locked, step, verdict, attempts = np.zeros(2), 0.1, events.AGAIN, 0
-    search.low[:, 0] = 0.0, slope(0.0)
-    events.begin_search(search)
-    search.middle[:, 0] = value(0.5 * step), slope(0.5 * step)
-    while verdict == events.AGAIN:
-        search.here[:, 0] = value(step), slope(step)
-        taken = step
-        verdict, step = events.assess_step(locked, search, step)
-        attempts += 1
-    assert verdict == events.EVENT
+    taken, attempts = event_time([(value, slope)], 0.1)
     assert taken == pytest.approx(end + 2.0 * start / jerk, abs=2 * stick.STICTION.instant)
     assert attempts <= 16
 
 
 def test_a_step_without_event_is_taken_as_it_is() -> None:
-    search = events.new_search(2)
+    search = new_search(2)
     search.low[:, 0], search.low[:, 1] = (1.0, -0.5), (np.inf, 0.0)
-    events.begin_search(search)
     search.here[:, 0], search.here[:, 1] = (0.6, -0.3), (np.inf, 0.0)
-    assert events.assess_step(np.zeros(2), search, 1.0) == (events.DONE, 1.0)
+    assert events.assess_step(search, 1.0) == (events.DONE, 1.0)

@@ -7,7 +7,9 @@ from collections.abc import Set as AbstractSet
 from typing import Any, ClassVar, TypeVar
 
 import numba
+import numpy as np
 from numba import types
+from numba.extending import overload
 
 from hyperflex.core import cache, compiler
 
@@ -80,6 +82,19 @@ def inlined(function: _F) -> _F:
 def _constant(array: Any) -> Any:
     """Return an array that a kernel has made as one of the kind that its callers give: not to be written to."""
     return array
+
+
+def zeros(*shapes: Any) -> tuple[Any, ...]:
+    """Return an array of zeros of each shape, in Python and in kernels."""
+    return tuple(map(np.zeros, shapes))
+
+
+@overload(zeros)  # type: ignore[untyped-decorator]
+def _zeros_in_kernels(*shapes):  # type: ignore[no-untyped-def]
+    made = "".join(f"np.zeros(shapes[{k}]), " for k in range(len(shapes)))
+    names = {"np": np, "__name__": __name__}
+    exec(f"def zeros(*shapes): return ({made})", names)  # kernels have no loops over arrays of different dimensions
+    return names["zeros"]
 
 
 constant = _constant if numba.config.DISABLE_JIT else compiler.read_only

@@ -13,7 +13,7 @@ from hyperflex.core import joint_law
 from hyperflex.core.assign import assign
 from hyperflex.core.chain.air import air_loads
 from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, accelerations, joint_of, with_dry
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.jit import kernel, non_allocating, zeros
 
 
 class Stiction(NamedTuple):
@@ -58,7 +58,7 @@ class StictionWorkspace(NamedTuple):
 @kernel
 def new_stiction_workspace(n):  # type: ignore[no-untyped-def]
     """Working arrays for n links."""
-    return StictionWorkspace(np.zeros(n), np.zeros(n), np.zeros(n), np.empty(6 * n), np.empty(2 * n), np.empty((2, n)))
+    return StictionWorkspace(*zeros(n, n, n, 6 * n, 2 * n, (2, n)))
 
 
 @non_allocating

@@ -67,7 +67,7 @@ from hyperflex.core.integrate.step_size import (
     longer,
     shorter,
 )
-from hyperflex.core.jit import constant, inlined, kernel, non_allocating
+from hyperflex.core.jit import constant, inlined, kernel, non_allocating, zeros
 from hyperflex.core.stiction import (
     STICTION,
     StictionWorkspace,
@@ -240,8 +240,8 @@ class LaneStiction(NamedTuple):
 def new_lane_stiction(n):  # type: ignore[no-untyped-def]
     """Arrays for chains of n links in all lanes."""
     k = len(ln.MEMBERS)
-    states, searches = np.zeros((2, k, 2 * n + 2)), new_searches(k, n + 1, n)
-    return LaneStiction(searches, np.ones((k, n)), states[0], states[1], new_stiction_workspace(n))
+    states = zeros((k, 2 * n + 2), (k, 2 * n + 2))
+    return LaneStiction(new_searches(k, n + 1, n), np.ones((k, n)), *states, new_stiction_workspace(n))
 
 
 @non_allocating

@@ -7,12 +7,13 @@ import numpy as np
 from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain.articulated_body import Array
 from hyperflex.core.contact.gaps import Index
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.jit import kernel, non_allocating, zeros
 
 # Modes. AHEAD, BACK: the rope slips along the tangent, or against it; a joint turns in the positive sense, or against
 # it. UPPER, LOWER: a joint is held at a limit.
 OPEN, STICK, AHEAD, BACK, UPPER, LOWER = range(6)
 RELAXED = 0.99  # part of the last forces and torques with which a step starts: what nothing requires dies out
+FRAME, TOUCH = 8, 12  # columns of Motion.frame and Motion.touch; core/contact/sweep.py has their names
 UNHELD = 1e9  # m/s, target of a link that nothing holds
 
 
@@ -63,9 +64,9 @@ class Motion(NamedTuple):
     trig: Array  # (2 n,) their sines and cosines
     mean: Array  # (n,) means of the angles before and after
     mean_trig: Array  # (2 n,) their sines and cosines
-    frame: Array  # (n, 8)
+    frame: Array  # (n, FRAME)
     joint: Array  # (n, 2)
-    touch: Array  # (n, 12)
+    touch: Array  # (n, TOUCH)
     weight: Array  # (n,) moment of the mass that a link bears about its motor-side joint, kg m
     damping: Array  # (n,) 1/s, rate at which friction at a joint alone ends the turning of its links against each other
     speed: Array  # (2, n + 1) velocities of the joints at the rates before, in the middle's configuration
@@ -82,26 +83,9 @@ class Motion(NamedTuple):
 @kernel
 def new_impulses(most, residual_power, loose):  # type: ignore[no-untyped-def]
     """Impulses of at most so many contacts; `residual_power` and `loose` as in Impulses."""
-    ten = np.zeros((10, most))
     modes = np.zeros((3, most), np.int64)
-    return Impulses(
-        ten[0],
-        ten[1],
-        ten[2],
-        ten[3],
-        ten[4],
-        ten[5],
-        ten[6],
-        ten[7],
-        ten[8],
-        ten[9],
-        modes[0],
-        modes[1],
-        modes[2],
-        np.zeros(1),
-        residual_power,
-        loose,
-    )
+    values = zeros(most, most, most, most, most, most, most, most, most, most)
+    return Impulses(*values, modes[0], modes[1], modes[2], np.zeros(1), residual_power, loose)
 
 
 @kernel
@@ -128,29 +112,8 @@ def new_motion(chain):  # type: ignore[no-untyped-def]
         weight[i] = chain.length[i] * beyond + chain.mass[i] * chain.com[i]
         beyond += chain.mass[i]
         damping[i] = chain.viscous[i] * (1.0 / chain.inertia[i] + (1.0 / chain.inertia[i - 1] if i > 0 else 0.0))
-    return Motion(
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros(2 * n),
-        np.zeros(n),
-        np.zeros(2 * n),
-        np.zeros((n, 8)),
-        np.zeros((n, 2)),
-        np.zeros((n, 12)),
-        weight,
-        damping,
-        np.zeros((2, n + 1)),
-        np.zeros((2, n)),
-        np.zeros((2, n + 1)),
-        np.zeros(3),
-        np.zeros(2),
-        np.zeros(3),
-        np.zeros((2, n)),
-        np.zeros(1),
-        np.zeros(12 * n),
-    )
+    before = zeros(n, n, n, n, 2 * n, n, 2 * n, (n, FRAME), (n, 2), (n, TOUCH))
+    return Motion(*before, weight, damping, *zeros((2, n + 1), (2, n), (2, n + 1), 3, 2, 3, (2, n), 1, 12 * n))
 
 
 LATEST, EARLIER, STEADY = range(3)  # of ContactWorkspace.pace
@@ -170,14 +133,8 @@ class ContactMemory(NamedTuple):
 @kernel
 def new_contact_memory(n, pegs):  # type: ignore[no-untyped-def]
     """An empty memory."""
-    return ContactMemory(
-        np.zeros((n, pegs)),
-        np.zeros((n, pegs)),
-        np.zeros((n, pegs), np.int64),
-        np.zeros(1),
-        np.zeros(n),
-        np.zeros(n, np.int64),
-    )
+    modes = np.zeros((n, pegs), np.int64)
+    return ContactMemory(*zeros((n, pegs), (n, pegs)), modes, *zeros(1, n), np.zeros(n, np.int64))
 
 
 @non_allocating

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.jit import kernel, non_allocating, zeros
 
 Index = npt.NDArray[np.int64]
 NOWHERE = 1e9  # m, gap of what cannot touch
@@ -53,16 +53,8 @@ class Contacts(NamedTuple):
 @kernel
 def new_contacts(most):  # type: ignore[no-untyped-def]
     """Contacts for at most so many pairs of a link and a peg."""
-    return Contacts(
-        np.zeros(1, np.int64),
-        np.zeros(most, np.int64),
-        np.zeros(most, np.int64),
-        np.zeros(most),
-        np.zeros(most),
-        np.zeros(most),
-        np.zeros(most),
-        np.zeros(most),
-    )
+    pairs = np.zeros((2, most), np.int64)
+    return Contacts(np.zeros(1, np.int64), pairs[0], pairs[1], *zeros(most, most, most, most, most))
 
 
 @non_allocating

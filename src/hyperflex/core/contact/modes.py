@@ -29,6 +29,7 @@ from hyperflex.core.contact.sweep import (
     add_contact_impulse,
     changes,
     clear,
+    resolved,
     velocity,
 )
 from hyperflex.core.contact.turning_pegs import turn_pegs
@@ -90,17 +91,15 @@ NONE, ALL, EVEN = range(3)  # contacts whose modes a round changes; EVEN + 1 are
 @non_allocating
 def write_modes(contacts, impulses, motion, joints, penalty):  # type: ignore[no-untyped-def]
     """Write contacts and joints, in their modes, to ``motion.touch`` and ``motion.joint``; `penalty` is M, kg."""
-    n = motion.w.size
     write_joints(motion, joints, penalty)
     for c in range(contacts.total[0]):
         if impulses.mode[c] == OPEN:
             continue
-        i, s = contacts.link[c], contacts.place[c]
-        nx, ny = contacts.nx[c], contacts.ny[c]
-        vx = motion.speed[0, i] + motion.turned[0, i] + s * motion.trig[n + i] * motion.w[i]
-        vy = motion.speed[1, i] + motion.turned[1, i] + s * motion.trig[i] * motion.w[i]
-        pn = impulses.normal0[c] - penalty * (vx * nx + vy * ny + impulses.target[c])
-        pt = impulses.tangent0[c] - penalty * (vy * nx - vx * ny + impulses.tangent_target[c])
+        i, speed, turned = contacts.link[c], motion.speed, motion.turned
+        vx, vy = speed[0, i] + turned[0, i], speed[1, i] + turned[1, i]
+        vn, vt = resolved(contacts, motion, c, vx, vy, motion.w[i])
+        pn = impulses.normal0[c] - penalty * (vn + impulses.target[c])
+        pt = impulses.tangent0[c] - penalty * (vt + impulses.tangent_target[c])
         add_contact_impulse(contacts, impulses, motion, c, penalty, pn, pt)
 
 

@@ -30,9 +30,9 @@ from hyperflex.core.contact.joints import (
     joint_losses,
 )
 from hyperflex.core.contact.modes import looseness, solve
-from hyperflex.core.contact.sweep import TX, TY
+from hyperflex.core.contact.sweep import TX, TY, resolved
 from hyperflex.core.contact.turning_pegs import Spin, lost_in_bearings, new_spin, prepare_spin
-from hyperflex.core.jit import absorbed, kernel, non_allocating
+from hyperflex.core.jit import absorbed, kernel, non_allocating, zeros
 
 
 class Air(NamedTuple):
@@ -46,7 +46,7 @@ class Air(NamedTuple):
 @kernel
 def new_air(n):  # type: ignore[no-untyped-def]
     """Working arrays for n links."""
-    return Air(np.zeros(6 * n), np.zeros(n), np.zeros(3))
+    return Air(*zeros(6 * n, n, 3))
 
 
 @non_allocating
@@ -118,11 +118,9 @@ def account_step(chain, workspace, torque, whole, h):  # type: ignore[no-untyped
         if impulses.mode[c] == OPEN:
             continue
         i, p = contacts.link[c], contacts.peg[c]
-        lever = contacts.place[c] * (motion.w[i] + 0.5 * motion.change[i])
-        vx, vy = mean[0, i] + lever * motion.trig[n + i], mean[1, i] + lever * motion.trig[i]
-        sliding = vy * contacts.nx[c] - vx * contacts.ny[c]
-        sliding -= 0.5 * spin.reach[p] * (spin.before[p] + spin.after[p])
-        taken -= impulses.normal[c] * (vx * contacts.nx[c] + vy * contacts.ny[c]) + impulses.tangent[c] * sliding
+        vn, vt = resolved(contacts, motion, c, mean[0, i], mean[1, i], motion.w[i] + 0.5 * motion.change[i])
+        vt -= 0.5 * spin.reach[p] * (spin.before[p] + spin.after[p])
+        taken -= impulses.normal[c] * vn + impulses.tangent[c] * vt
     workspace.account[CONTACT] = taken
     work = 0.5 * (motion.load[0] * (base[0, 5] + base[2, 5]) + motion.load[1] * (base[0, 6] + base[2, 6]))
     work += 0.5 * motion.load[2] * (base[0, 3] + base[2, 3])
@@ -208,26 +206,16 @@ def new_contact_workspace(chain, pegs, rate, longest, tol):  # type: ignore[no-u
     """Working arrays for a chain, the Pegs `pegs`, and `rate`, `longest` step and `tol` as in ``run.Bounds``."""
     n = chain.length.size
     most = n * pegs.reach.size
+    links = zeros((2, n + 1), (2, n + 1), n, 2 * n, (2, n + 1), n, (2, n), 3, 2 * n, (3, 9))
     return ContactWorkspace(
         new_contacts(most),
         new_impulses(most, APPROACH.residual_share * rate, looseness(tol)),
         new_motion(chain),
         new_joints(chain),
         new_spin(n, pegs),
-        np.zeros((2, n + 1)),
-        np.zeros((2, n + 1)),
-        np.zeros(n),
-        np.zeros(2 * n),
-        np.zeros((2, n + 1)),
-        np.zeros(n),
-        np.zeros((2, n)),
-        np.zeros(3),
-        np.zeros(2 * n),
-        np.zeros((3, 9)),
+        *links,
         new_air(n),
-        np.zeros(3),
-        np.zeros(1),
-        np.zeros(2),
+        *zeros(3, 1, 2),
         max(APPROACH.fast, APPROACH.fall * longest),
         JOINTS.beyond / longest,
     )
@@ -236,12 +224,8 @@ def new_contact_workspace(chain, pegs, rate, longest, tol):  # type: ignore[no-u
 @non_allocating
 def velocity_before(contacts, motion, c):  # type: ignore[no-untyped-def]
     """Velocity of the point of contact c before the step, m/s: along its normal, and along its tangent."""
-    n = motion.w.size
     i = contacts.link[c]
-    lever = contacts.place[c] * motion.w[i]
-    vx = motion.speed[0, i] + lever * motion.trig[n + i]
-    vy = motion.speed[1, i] + lever * motion.trig[i]
-    return vx * contacts.nx[c] + vy * contacts.ny[c], vy * contacts.nx[c] - vx * contacts.ny[c]
+    return resolved(contacts, motion, c, motion.speed[0, i], motion.speed[1, i], motion.w[i])
 
 
 @non_allocating

@@ -13,12 +13,10 @@ BXX, BXY, BYX, BYY = range(4)  # B, kg
 GX, GY, EX, EY = range(4, 8)  # s B n and s n B, kg m
 DD = 8  # s^2 n.B n, kg m^2
 CX, CY, RC = range(9, 12)  # C, N s, and s n.C, N m s
-TOUCH = 12
 # of a row of `frame`: where its rate changes by x, the velocity of a link's far joint less that of its other one
 # changes by its length times V x + K; T is the way, in its lengths, along which forces at the far joint turn it; TURN,
 # N m s, less SLOPE x, kg m^2, turns the link alone. At rest T = V = n, the rest is 0
 TX, TY, VX, VY, SLOPE, KX, KY, TURN = range(8)
-FRAME = 8
 
 
 @inlined
@@ -183,12 +181,20 @@ def friction_ratio(contacts, impulses, c):  # type: ignore[no-untyped-def]
     return -contacts.mu[c] if impulses.mode[c] == AHEAD else contacts.mu[c]
 
 
+@inlined
+def resolved(contacts, motion, c, vx, vy, rate):  # type: ignore[no-untyped-def]
+    """Velocity of the point of contact c, m/s: along its normal, and along its tangent.
+
+    Its link turns at a `rate`, rad/s, and the link's motor-side joint moves at (vx, vy), m/s.
+    """
+    i, lever = contacts.link[c], contacts.place[c] * rate
+    px, py = vx + lever * motion.trig[motion.w.size + i], vy + lever * motion.trig[i]
+    return px * contacts.nx[c] + py * contacts.ny[c], py * contacts.nx[c] - px * contacts.ny[c]
+
+
 @non_allocating
 def velocity(contacts, motion, c):  # type: ignore[no-untyped-def]
     """Velocity of the point of contact c after the step, m/s: along its normal, and along its tangent."""
-    n = motion.w.size
-    i = contacts.link[c]
-    lever = contacts.place[c] * (motion.w[i] + motion.change[i])
-    vx = motion.speed[0, i] + motion.turned[0, i] + motion.place[0, i] + lever * motion.trig[n + i]
-    vy = motion.speed[1, i] + motion.turned[1, i] + motion.place[1, i] + lever * motion.trig[i]
-    return vx * contacts.nx[c] + vy * contacts.ny[c], vy * contacts.nx[c] - vx * contacts.ny[c]
+    i, speed, turned, place = contacts.link[c], motion.speed, motion.turned, motion.place
+    vx, vy = speed[0, i] + turned[0, i] + place[0, i], speed[1, i] + turned[1, i] + place[1, i]
+    return resolved(contacts, motion, c, vx, vy, motion.w[i] + motion.change[i])

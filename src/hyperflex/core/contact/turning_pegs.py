@@ -13,10 +13,10 @@ import numpy as np
 
 from hyperflex.core.assign import assign
 from hyperflex.core.chain.articulated_body import Array
-from hyperflex.core.contact.arrays import OPEN, STICK
+from hyperflex.core.contact.arrays import FRAME, OPEN, STICK
 from hyperflex.core.contact.gaps import Index
-from hyperflex.core.contact.sweep import KX, TX, add_contact_impulse, changes, clear, friction_ratio, velocity
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.contact.sweep import KX, TX, add_contact_impulse, changes, clear, friction_ratio, resolved, velocity
+from hyperflex.core.jit import kernel, non_allocating, zeros
 
 
 class Spin(NamedTuple):
@@ -52,25 +52,9 @@ def new_spin(n, pegs):  # type: ignore[no-untyped-def]
             row[p], which[k] = k, p
             k += 1
     links = n if k > 0 else 0
-    return Spin(
-        which[:k].copy(),
-        row,
-        pegs.reach,
-        pegs.inertia,
-        pegs.bearing,
-        np.zeros(m),
-        np.zeros(m),
-        np.zeros(m),
-        np.zeros(m),
-        np.zeros((k, k + 1)),
-        np.zeros((k, links)),
-        np.zeros((k, 2, links)),
-        np.zeros((2, links)),
-        np.zeros((k, 3)),
-        np.zeros((links, 2)),
-        np.zeros((links, 8)),
-        np.zeros(3),
-    )
+    pegs_alone = zeros(m, m, m, m, (k, k + 1))
+    answers = zeros((k, links), (k, 2, links), (2, links), (k, 3), (links, 2), (links, FRAME), 3)
+    return Spin(which[:k].copy(), row, pegs.reach, pegs.inertia, pegs.bearing, *pegs_alone, *answers)
 
 
 @non_allocating
@@ -118,9 +102,8 @@ def add_peg_equation(contacts, impulses, motion, spin, penalty, c):  # type: ign
 
     ``motion`` holds the rope's answer to pegs at rest.
     """
-    n, last = motion.w.size, spin.which.size
+    last = spin.which.size
     i, k, lever = contacts.link[c], spin.row[contacts.peg[c]], spin.reach[contacts.peg[c]]
-    nx, ny = contacts.nx[c], contacts.ny[c]
     vn, vt = velocity(contacts, motion, c)
     sticks, ratio = impulses.mode[c] == STICK, friction_ratio(contacts, impulses, c)
     if sticks:
@@ -130,11 +113,8 @@ def add_peg_equation(contacts, impulses, motion, spin, penalty, c):  # type: ign
         pt = ratio * (impulses.normal0[c] - penalty * (vn + impulses.target[c]))
     spin.system[k, last] -= lever * pt
     for j in range(last):
-        turn = contacts.place[c] * spin.change[j, i]
-        vx = spin.place[j, 0, i] + turn * motion.trig[n + i]
-        vy = spin.place[j, 1, i] + turn * motion.trig[i]
-        along = vy * nx - vx * ny if sticks else ratio * (vx * nx + vy * ny)
-        spin.system[k, j] -= lever * penalty * along
+        vn, vt = resolved(contacts, motion, c, spin.place[j, 0, i], spin.place[j, 1, i], spin.change[j, i])
+        spin.system[k, j] -= lever * penalty * (vt if sticks else ratio * vn)
 
 
 @non_allocating

@@ -14,7 +14,7 @@ from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, can_stick, sincos, sticks_often
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.integrate.step_size import allowed, lasting
-from hyperflex.core.jit import inlined, kernel, non_allocating
+from hyperflex.core.jit import inlined, kernel, non_allocating, zeros
 from hyperflex.core.stiction import (
     STICTION,
     constraint_torques,
@@ -171,11 +171,9 @@ class Search(NamedTuple):
 @kernel
 def new_searches(count, m, n):  # type: ignore[no-untyped-def]
     """Searches over m margins of chains of n links: a Search whose arrays have `count` rows, see :func:`search_of`."""
-    margins, bases = np.full((4, count, 2, m), np.inf), np.zeros((3, count, 9))
-    low, high, here, middle = margins[0], margins[1], margins[2], margins[3]
-    late, locked, alpha = np.zeros((count, m)), np.zeros((count, m)), np.zeros((count, n))
-    span, power = np.zeros((count, 4)), np.zeros((count, 3))
-    return Search(span, low, high, here, middle, late, locked, alpha, power, bases[0], bases[1], bases[2])
+    margins = np.full((4, count, 2, m), np.inf)
+    others = zeros((count, m), (count, m), (count, n), (count, 3), (count, 9), (count, 9), (count, 9))
+    return Search(np.zeros((count, 4)), margins[0], margins[1], margins[2], margins[3], *others)
 
 
 @inlined

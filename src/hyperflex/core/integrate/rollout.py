@@ -8,9 +8,8 @@ import numpy as np
 from hyperflex.core import status
 from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
-from hyperflex.core.chain.articulated_body import Array, can_stick, has_limits, sines, sticks_often
+from hyperflex.core.chain.articulated_body import Array, can_stick, energies, has_limits, sticks_often
 from hyperflex.core.chain.drive import base_state, segment
-from hyperflex.core.integrate.dense_output import interpolate
 from hyperflex.core.integrate.events import (
     AGAIN,
     EVENT,
@@ -53,11 +52,10 @@ from hyperflex.core.integrate.steps import (
     add_substeps,
     extrapolate,
     new_substeps,
-    rates,
     runge_kutta,
     weigh_terms,
 )
-from hyperflex.core.jit import inlined, kernel, non_allocating
+from hyperflex.core.jit import inlined, kernel, non_allocating, zeros
 from hyperflex.core.stiction import (
     STICTION,
     StictionWorkspace,
@@ -134,8 +132,7 @@ class Workspace(NamedTuple):
 
     out: Array  # (2 n + 2,) state after the step
     errors: Array  # (2, 2 n + 2), as in steps.extrapolate
-    ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives
-    dys: Array
+    still: Array  # (9,) a first joint at rest
     stage: Array  # (3, 2 n + 2)
     base: Array  # (9, lanes)
     lanes: Array  # ((n + 2) ROW lanes,)
@@ -153,21 +150,9 @@ def new_workspace(chain):  # type: ignore[no-untyped-def]
     m = 2 * n + 1 if has_limits(chain) else n + 1
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
-    kept, weight = new_substeps(n)
-    return Workspace(
-        np.empty(2 * n + 2),
-        np.zeros((2, 2 * n + 2)),
-        np.empty((3, 2 * n + 2)),
-        np.empty((3, 2 * n + 2)),
-        np.empty((3, 2 * n + 2)),
-        np.zeros((9, len(ln.COLUMNS))),
-        lanes,
-        tip,
-        new_stiction_workspace(n),
-        search_of(new_searches(1, m, n), 0),
-        kept,
-        weight,
-    )
+    width, stiction, search = 2 * n + 2, new_stiction_workspace(n), search_of(new_searches(1, m, n), 0)
+    states = zeros(width, (2, width), 9, (3, width), (9, len(ln.COLUMNS)))
+    return Workspace(*states, lanes, tip, stiction, search, *new_substeps(n))
 
 
 @non_allocating
@@ -199,10 +184,11 @@ def update_modes(chain, drive, part, progress, workspace):  # type: ignore[no-un
 
 
 @non_allocating
-def find_event(chain, drive, part, table, terms, progress, step, workspace, decided):  # type: ignore[no-untyped-def]
+def find_event(chain, drive, part, table, terms, progress, step, kept, workspace, decided):  # type: ignore[no-untyped-def]
     """Shorten the step to ``workspace.out`` until it holds no event, or ends at its first one; `terms` are the Limits.
 
-    `decided`: modes were decided where it begins, and the constraint torques there are known.
+    `kept` as in ``steps.extrapolate``. `decided`: modes were decided where it begins, and the constraint torques there
+    are known.
 
     Returns
     -------
@@ -232,7 +218,7 @@ def find_event(chain, drive, part, table, terms, progress, step, workspace, deci
         if verdict == AGAIN:
             clock[TAKEN] += 1
             clock[REJECTED] += 1
-            advance(chain, drive, part, table, terms.fixed, t, step, y, slip, out, workspace.kept[:0], workspace)
+            advance(chain, drive, part, table, terms.fixed, t, step, y, slip, out, kept, workspace)
     clock[PENDING] = search.here[0, last] if sense != 0.0 else 0.0
     if verdict != EVENT:
         return step, 0, -1
@@ -246,7 +232,7 @@ def find_event(chain, drive, part, table, terms, progress, step, workspace, deci
     return step, 1, joint
 
 
-ENERGY = 10.0  # see error_norms
+ENERGY = 10.0  # see error_norm
 SETTLED = 0.3  # first part of the step after a switch, where the dense output of its substeps is inaccurate
 TINY = 1e-300  # J, keeps a chain without weight and motion from dividing by zero
 
@@ -264,38 +250,37 @@ def squared(vector):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def error_norms(chain, limits, table, y, errors, step, work):  # type: ignore[no-untyped-def]
-    """Sizes of two errors of a step, `errors` (2, 2 n + 2), in units of what is allowed; both inf if not finite.
+def error_norm(limits, trig, errors, step, energy, limit):  # type: ignore[no-untyped-def]
+    """Size of the `errors` (2 n + 2,) of a step in units of what is allowed, `limit`; inf if not finite.
 
     The greatest error of any joint's position, of its velocity and of energy. Work and dissipation may err by
-    ENERGY tol / reach of the chain's energy. Without that bound sharp friction, which barely moves a joint while it
-    changes sign, would leave the energy balance unchecked. `work` is (6 n,) scratch.
+    ENERGY tol / reach of the chain's `energy`, J. Without that bound sharp friction, which barely moves a joint while
+    it changes sign, would leave the energy balance unchecked.
     """
-    n = chain.length.size
-    sines(y[:n], work, 0)
+    n = limits.lever.size
     time = lasting(step)
-    shift = drift = shift2 = drift2 = (0.0, 0.0)  # of the joint: error of its position, and what that of its rate makes
-    velocity = (0.0, 0.0)  # of the joint, seen from the chain's first one
-    worst = worst2 = total = kinetic = 0.0
+    shift = drift = (0.0, 0.0)  # of the joint: error of its position, and what that of its rate makes
+    worst = total = 0.0
     for i in range(n):
-        sin, cos, lever, w = work[i], work[n + i], limits.lever[i], y[n + i]
-        shift = turned(shift, sin, cos, lever * errors[0, i])
-        drift = turned(drift, sin, cos, lever * errors[0, n + i] * time)
-        shift2 = turned(shift2, sin, cos, lever * errors[1, i])
-        drift2 = turned(drift2, sin, cos, lever * errors[1, n + i] * time)
+        sin, cos, lever = trig[i], trig[n + i], limits.lever[i]
+        shift = turned(shift, sin, cos, lever * errors[i])
+        drift = turned(drift, sin, cos, lever * errors[n + i] * time)
         worst = max(worst, squared(shift), squared(drift))
-        worst2 = max(worst2, squared(shift2), squared(drift2))
-        total += squared(shift) + squared(drift) + squared(shift2) + squared(drift2)
-        kinetic += chain.mass[i] * squared(turned(velocity, sin, cos, chain.com[i] * w)) + chain.inertia[i] * w * w
-        velocity = turned(velocity, sin, cos, chain.length[i] * w)
-    kinetic = 0.5 * (kinetic + chain.tip_mass * squared(velocity))
-    known = ENERGY * (limits.fall + kinetic) + TINY
-    energy = abs(errors[0, 2 * n] - errors[0, 2 * n + 1]) * limits.reach / known
-    energy2 = abs(errors[1, 2 * n] - errors[1, 2 * n + 1]) * limits.reach / known
-    if not (total + energy + energy2 < np.inf):  # also where one is not a number
-        return np.inf, np.inf
-    limit = allowed(limits.tol, step, table.rounding)
-    return max(math.sqrt(worst), energy) / limit, max(math.sqrt(worst2), energy2) / limit
+        total += squared(shift) + squared(drift)
+    off = abs(errors[2 * n] - errors[2 * n + 1]) * limits.reach / (ENERGY * energy + TINY)
+    if not (total + off < np.inf):  # also where one is not a number
+        return np.inf
+    return max(math.sqrt(worst), off) / limit
+
+
+@non_allocating
+def error_norms(chain, limits, table, step, workspace):  # type: ignore[no-untyped-def]
+    """Sizes of both rows of ``workspace.errors`` of the step to ``workspace.out``, see :func:`error_norm`."""
+    n, out, trig = chain.length.size, workspace.out, workspace.stiction.work
+    kinetic, _ = energies(chain, out[:n], out[n : 2 * n], workspace.still, trig)
+    energy, limit = limits.fall + kinetic, allowed(limits.tol, step, table.rounding)
+    size = error_norm(limits, trig, workspace.errors[0], step, energy, limit)
+    return size, error_norm(limits, trig, workspace.errors[1], step, energy, limit)
 
 
 @kernel
@@ -309,8 +294,7 @@ def error_sizes(chain, limits, table, step, cut, workspace):  # type: ignore[no-
             if not abs(x) < np.inf:
                 return np.inf, 0.0
         return 0.0, 0.0
-    work = workspace.stiction.work
-    size, lower_size = error_norms(chain, limits, table, workspace.out, workspace.errors, step, work)
+    size, lower_size = error_norms(chain, limits, table, step, workspace)
     if cut and step < SMALLEST_STEP and size < np.inf:
         size = 0.0  # an end a few rounding errors away: there is nothing to control
     return size, lower_size
@@ -344,7 +328,7 @@ def course_size(chain, limits, table, step, workspace):  # type: ignore[no-untyp
     errors[:] = 0.0
     for look in range(2):  # of LOOKS
         add_substeps(weights[look, : table.column.size], workspace.kept, errors[look])
-    return max(error_norms(chain, limits, table, workspace.out, errors, step, workspace.stiction.work))
+    return max(error_norms(chain, limits, table, step, workspace))
 
 
 @non_allocating
@@ -395,35 +379,22 @@ def write_course(table, progress, step, workspace, t_out, y_out):  # type: ignor
 def write_between(chain, drive, part, table, limits, progress, step, kept, workspace, t_out, y_out):  # type: ignore[no-untyped-def]
     """Write the outputs strictly within the step from the state in `progress` to ``workspace.out``.
 
-    `kept` are its substeps, which give the outputs if they are accurate enough; else the step is interpolated
-    through its middle. Where friction settles behind a switch, outputs are the ends of steps of their own.
+    `kept` are its substeps, which give the outputs if they are accurate enough. Else, and where friction settles behind
+    a switch, outputs are the ends of steps of their own.
     """
     y, slip, clock, search = progress.y, progress.slip, progress.clock, workspace.search
-    fixed, none = limits.fixed, workspace.kept[:0]
-    t = clock[T]
-    end = t + step
-    if not samples(clock, t_out, end):
+    t, first = clock[T], int(clock[INDEX])
+    if not samples(clock, t_out, t + step):
         return
-    ys, dys = workspace.ys, workspace.dys
-    assign(ys[0], y)
-    assign(ys[2], workspace.out)
-    first = int(clock[INDEX])
     dense = kept.shape[0] > 0 and course_size(chain, limits, table, step, workspace) <= 1.0
-    settled = t + SETTLED * step if dense else end
-    while fixed == 0.0 and clock[RESTARTED] == 1.0 and samples(clock, t_out, settled):
+    part_alone = 1.0 if not dense else SETTLED if clock[RESTARTED] == 1.0 else 0.0
+    while samples(clock, t_out, t + part_alone * step):
         index = int(clock[INDEX])
-        advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, slip, y_out[index], none, workspace)
+        after, none = t_out[index] - t, workspace.kept[:0]
+        advance(chain, drive, part, table, limits.fixed, t, after, y, slip, y_out[index], none, workspace)
         clock[INDEX] += 1
     if dense:
         write_course(table, progress, step, workspace, t_out, y_out)
-    if samples(clock, t_out, end):
-        advance(chain, drive, part, table, fixed, t, 0.5 * step, y, slip, ys[1], none, workspace)
-        for k in range(3):
-            rates(chain, drive, part, t + 0.5 * k * step, ys[k], slip, dys[k], workspace.stiction.work)
-    while samples(clock, t_out, end):
-        index = int(clock[INDEX])
-        interpolate(2.0 * (t_out[index] - t) / step - 1.0, step, ys, dys, y_out[index])
-        clock[INDEX] += 1
     if not slip.all():
         for index in range(first, int(clock[INDEX])):
             base_state(drive, part, t_out[index], search.after)
@@ -472,7 +443,6 @@ def run(chain, drive, tables, limits, events, progress, t_out, y_out):  # type: 
     fixed = limits.fixed
     sticks, often = can_stick(chain), sticks_often(chain)
     airy = fixed == 0.0 and chain.drag.any()
-    continuous = fixed == 0.0 and len(events) == 0
     ln.set_slip(ln.COLUMNS, workspace.lanes, slip)
     write_until(clock, t_out, clock[T], y, y_out)
     part = segment(drive, clock[T])
@@ -492,7 +462,7 @@ def run(chain, drive, tables, limits, events, progress, t_out, y_out):  # type: 
             save_mark(progress)
         order = min(max(int(clock[ORDER]), limits.least), limits.most)
         table = tables[order - tables[0].order]
-        kept = workspace.kept[: MOST_SUBSTEPS if continuous and samples(clock, t_out, t + step) else 0]
+        kept = workspace.kept[: MOST_SUBSTEPS if fixed == 0.0 and samples(clock, t_out, t + step) else 0]
         advance(chain, drive, part, table, fixed, t, step, y, slip, workspace.out, kept, workspace)
         clock[TAKEN] += 1
         size, lower_size = error_sizes(chain, limits, table, step, cut, workspace)
@@ -508,7 +478,9 @@ def run(chain, drive, tables, limits, events, progress, t_out, y_out):  # type: 
             continue
         taken, event, joint = step, 0, -1
         if len(events) > 0:
-            taken, event, joint = find_event(chain, drive, part, table, limits, progress, step, workspace, decided)
+            taken, event, joint = find_event(
+                chain, drive, part, table, limits, progress, step, kept, workspace, decided
+            )
             if taken == 0.0:
                 return status.REACHED
         t_new = end if cut and taken == step else t + taken

@@ -18,7 +18,7 @@ from hyperflex.core.assign import assign
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import accelerations, lost_power, sines
 from hyperflex.core.chain.drive import base_state
-from hyperflex.core.jit import inlined, kernel, non_allocating, summing
+from hyperflex.core.jit import inlined, kernel, non_allocating, summing, zeros
 
 MOST_SUBSTEPS = 40  # rounds times lanes of order 8, and a spare round
 # Parts of the step at which the error is evaluated, where friction settles and in the middle, and its weight there:
@@ -86,7 +86,7 @@ def add_substeps(weight, kept, out):  # type: ignore[no-untyped-def]
 @kernel
 def new_substeps(n):  # type: ignore[no-untyped-def]
     """Room for the substeps of a chain of n links (MOST_SUBSTEPS, 2 n + 2), and for their weights."""
-    return np.zeros((MOST_SUBSTEPS, 2 * n + 2)), np.zeros(MOST_SUBSTEPS)
+    return zeros((MOST_SUBSTEPS, 2 * n + 2), MOST_SUBSTEPS)
 
 
 ROUNDING = 3e-16  # m, of a place a metre or two away

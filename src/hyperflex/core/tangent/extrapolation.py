@@ -10,7 +10,7 @@ from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, sincos, sines
 from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y, polynomial, segment, within
 from hyperflex.core.integrate.steps import begin_columns, end_columns
-from hyperflex.core.jit import inlined, kernel, non_allocating
+from hyperflex.core.jit import inlined, kernel, non_allocating, zeros
 from hyperflex.core.tangent import air as dg
 from hyperflex.core.tangent import step as tg
 from hyperflex.core.tangent.step import K
@@ -22,12 +22,12 @@ CHANGES = 10
 
 
 class Directions(NamedTuple):
-    """Changes of everything that a run depends on but its start; b pairs of directions."""
+    """Changes of everything that a run depends on but its start; p = 2 b directions, in b pairs."""
 
     links: Array  # (b, 2, n, SEEDS): of the links' parameters, see core/tangent/step.py
-    whole: Array  # (b, 2, 3): of tip mass, kg, and gravity, m/s^2
+    whole: Array  # (p, 3): of tip mass, kg, and gravity, m/s^2
     parameters: npt.NDArray[np.bool_]  # (b,) whether links, or the torque on the first one, change
-    driven: npt.NDArray[np.int64]  # (b, 2) row of the following that changes the drive, -1: none does
+    driven: npt.NDArray[np.int64]  # (p,) row of the following that changes the drive, -1: none does
     breaks: Array  # (m, k + 1), s
     coef: Array  # (m, k, 4, 6)
     arm: Array  # (m,) of the arm's length, m
@@ -108,13 +108,10 @@ def place_changes(drive, directions, t, out):  # type: ignore[no-untyped-def]
     moved = np.zeros(CHANGES)
     for k in range(t.size):
         part = segment(drive, t[k])
-        for b in range(directions.parameters.size):
-            for d in range(2):
-                m = directions.driven[b, d]
-                if m >= 0:
-                    base_change(drive, part, t[k], 0.0, directions, m, moved)
-                    out[k, 0, 2 * b + d] = moved[PLACE_X]
-                    out[k, 1, 2 * b + d] = moved[PLACE_Y]
+        for x, m in enumerate(directions.driven):
+            if m >= 0:
+                base_change(drive, part, t[k], 0.0, directions, m, moved)
+                out[k, 0, x], out[k, 1, x] = moved[PLACE_X], moved[PLACE_Y]
 
 
 CELL = 4 * K  # a pair's numbers of one link in the lanes: angle and rate, two directions each
@@ -133,9 +130,9 @@ class TangentWorkspace(NamedTuple):
     store: Array  # (b, n PARTS CELL) derivatives in every lane: at the start of the step, now, summed over the columns
     weight: Array  # (CELL,) of each lane's column in the sum, where it is complete
     anew: Array  # (CELL,) 1.0 where a lane begins a column, else 0.0
-    shift: Array  # (b, 2) change of the time at which the step starts, s
-    change: Array  # (b, 2) change of its length, s
-    stretch: Array  # (b, 2) the same as a part of its length
+    shift: Array  # (p,) change of the time at which the step starts, s
+    change: Array  # (p,) change of its length, s
+    stretch: Array  # (p,) the same as a part of its length
     into: Array  # (K,) how far each lane is within the step, as a part of it
     when: Array  # (K,) time of each lane, s
     moved: Array  # (CHANGES,)
@@ -153,28 +150,10 @@ def new_tangent_workspace(chain, pairs):  # type: ignore[no-untyped-def]
     n = chain.length.size
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
-    return TangentWorkspace(
-        lanes,
-        tip,
-        np.zeros((9, K)),
-        np.zeros(6 * n),
-        np.zeros((2, 2 * n + 2)),
-        np.zeros((pairs, n * PARTS * CELL)),
-        np.zeros(CELL),
-        np.zeros(CELL),
-        np.zeros((pairs, 2)),
-        np.zeros((pairs, 2)),
-        np.zeros((pairs, 2)),
-        np.zeros(K),
-        np.zeros(K),
-        np.zeros(CHANGES),
-        np.zeros((3, 2 * n + 2)),
-        np.zeros((3, 2 * n + 2)),
-        np.zeros((3, 2 * n, 2 * pairs)),
-        np.zeros((3, n, 2 * pairs)),
-        np.zeros(2 * n + 2),
-        dg.new_air(chain),
-    )
+    p, width, of_pairs = 2 * pairs, 2 * n + 2, (pairs, n * PARTS * CELL)
+    step = zeros((9, K), 6 * n, (2, width), of_pairs, CELL, CELL, p, p, p, K, K, CHANGES, (3, width), (3, width))
+    nodes = zeros((3, 2 * n, p), (3, n, p), width)
+    return TangentWorkspace(lanes, tip, *step, *nodes, dg.new_air(chain))
 
 
 @non_allocating
@@ -185,11 +164,11 @@ def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-
     far = lanes[beyond - ln.ROW * K : beyond]
     for d in range(2):
         moved[:] = 0.0
-        m = directions.driven[b, d]
-        heavier, gx, gy = directions.whole[b, d]
+        x = 2 * b + d
+        m, (heavier, gx, gy) = directions.driven[x], directions.whole[x]
         for j in range(K):
             if m >= 0:
-                late = workspace.shift[b, d] + workspace.into[j] * workspace.change[b, d]
+                late = workspace.shift[x] + workspace.into[j] * workspace.change[x]
                 base_change(drive, part, workspace.when[j], late, directions, m, moved)
             at = d * K + j
             lanes[at + tg.DQ * K], lanes[at + tg.DW * K], lanes[at + tg.ALPHA * K] = (
@@ -291,9 +270,8 @@ def tangent_step(chain, drive, part, table, t, step, y, out, directions, result,
     workspace : TangentWorkspace
         ``store`` holds the derivatives before the step, ``shift`` and ``change`` those of t and `step`
     """
-    for i in range(workspace.stretch.shape[0]):
-        for j in range(workspace.stretch.shape[1]):
-            workspace.stretch[i, j] = workspace.change[i, j] / step
+    for x in range(workspace.stretch.size):
+        workspace.stretch[x] = workspace.change[x] / step
     assign(out, y)
     sines(y[: chain.length.size], workspace.work, 0)
     # by name: to take an array out of a tuple within the loop over the pairs costs as much as a third of the step
@@ -316,10 +294,11 @@ def tangent_step(chain, drive, part, table, t, step, y, out, directions, result,
         for b in range(own.size):
             enter(lanes, store[b], anew, begins)
             set_ends(drive, part, directions, b, workspace)
-            if air.size > 0 or own[b] or stretch[b, 0] != 0.0 or stretch[b, 1] != 0.0:
-                step_pair(reaction, lanes, air, links[b], stretch[b])
+            longer = stretch[2 * b : 2 * b + 2]
+            if air.size > 0 or own[b] or longer[0] != 0.0 or longer[1] != 0.0:
+                step_pair(reaction, lanes, air, links[b], longer)
             else:
-                tg.step(reaction, tg.STATE, lanes, links[b], stretch[b])
+                tg.step(reaction, tg.STATE, lanes, links[b], longer)
             leave(lanes, store[b], weight, ends)
         end_columns(table, turn, y, out, workspace.errors, workspace.lanes)
     sum_columns(workspace.store, result)

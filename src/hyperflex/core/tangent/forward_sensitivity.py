@@ -19,7 +19,7 @@ from hyperflex.core.chain.drive import base_state, segment
 from hyperflex.core.integrate.dense_output import basis, enter_state, interpolate
 from hyperflex.core.integrate.rollout import DEGREE, END, JOINT, LENGTH, MODES
 from hyperflex.core.integrate.steps import rates
-from hyperflex.core.jit import kernel, non_allocating
+from hyperflex.core.jit import kernel, non_allocating, zeros
 from hyperflex.core.stiction import (
     STICTION,
     StictionWorkspace,
@@ -85,7 +85,8 @@ def acceleration_derivatives(chain, drive, part, t, step, directions, workspace)
                 cell[x] = workspace.nodes[lane, rate * n + i, 2 * b + d]
         enter(lanes, workspace.store[b], workspace.anew, True)
         set_ends(drive, part, directions, b, workspace)
-        step_pair(chain.reaction, lanes, workspace.air, directions.links[b], workspace.stretch[b])
+        still = workspace.stretch[2 * b : 2 * b + 2]
+        step_pair(chain.reaction, lanes, workspace.air, directions.links[b], still)
         for i in range(n):
             for d in range(2):
                 for j in range(3):
@@ -100,14 +101,14 @@ def tangent_dense_output(t, step, t_out, workspace, y_out, dy_out):  # type: ign
     weights = np.empty((t_out.size, 3, 9))
     longer, moving = np.empty(p), np.empty((t_out.size, p))
     for x in range(p):
-        longer[x] = 0.5 * workspace.change[x // 2, x % 2]
+        longer[x] = 0.5 * workspace.change[x]
     for m in range(t_out.size):
         theta = (t_out[m] - t) / half - 1.0
         interpolate(theta, step, workspace.ys, workspace.dys, y_out[m])
         for order in range(3):
             basis(order, theta, weights[m, order])
         for x in range(p):
-            moving[m, x] = -(workspace.shift[x // 2, x % 2] + (theta + 1.0) * longer[x]) / half
+            moving[m, x] = -(workspace.shift[x] + (theta + 1.0) * longer[x]) / half
     late = moving.any() or longer.any()
     for i in range(n):  # all times of a link together: its nodes stay in the cache
         for m in range(t_out.size):
@@ -178,29 +179,22 @@ class EventWorkspace(NamedTuple):
 def new_event_workspace(chain, drive, directions):  # type: ignore[no-untyped-def]
     """Working arrays for a chain, its drive and a number of directions."""
     n, p, k = chain.length.size, 2 * directions.parameters.size, drive.breaks.size - 1
-    longer = Directions(
-        np.zeros((1, 2, n, directions.links.shape[3])),
-        np.zeros((1, 2, 3)),
-        np.ones(1, dtype=np.bool_),
-        np.zeros((1, 2), dtype=np.int64),
-        np.zeros((1, k + 1)),
-        np.zeros((1, k, 4, 6)),
-        np.zeros(1),
-    )
+    links, whole = zeros((1, 2, n, directions.links.shape[3]), (2, 3))
+    parameters, driven = np.ones(1, dtype=np.bool_), np.zeros(2, dtype=np.int64)
+    longer = Directions(links, whole, parameters, driven, *zeros((1, k + 1), (1, k, 4, 6), 1))
     workspace = new_tangent_workspace(chain, 1)
-    workspace.change[0, 0] = 1.0
-    moved = np.zeros((2, p, CHANGES))
-    return EventWorkspace(workspace, longer, new_stiction_workspace(n), np.zeros(9), np.zeros(9), moved[0], moved[1])
+    workspace.change[0] = 1.0
+    return EventWorkspace(workspace, longer, new_stiction_workspace(n), *zeros(9, 9, (p, CHANGES), (p, CHANGES)))
 
 
 @non_allocating
 def base_changes(drive, part, t, late, directions, moved):  # type: ignore[no-untyped-def]
-    """Write the changes (p, CHANGES) of the base's motion at a time t, s, that itself changes by `late` (b, 2)."""
+    """Write the changes (p, CHANGES) of the base's motion at a time t, s, that itself changes by `late` (p,)."""
     for x in range(moved.shape[0]):
-        m = directions.driven[x // 2, x % 2]
+        m = directions.driven[x]
         moved[x] = 0.0
         if m >= 0:
-            base_change(drive, part, t, late[x // 2, x % 2], directions, m, moved[x])
+            base_change(drive, part, t, late[x], directions, m, moved[x])
 
 
 @non_allocating
@@ -287,7 +281,7 @@ def event_sensitivity(chain, drive, part, table, t, step, y, values, slip, joint
     set_start(values, workspace.store)  # where it was before
     for x in range(margin.size):
         change = -margin[x] / slope if slope != 0.0 else 0.0
-        workspace.change[x // 2, x % 2] = change
+        workspace.change[x] = change
         for i in range(2 * slip.size):
             workspace.nodes[2, i, x] += change * extra.nodes[2, i, 0]
 
@@ -333,10 +327,9 @@ def write_end(chain, drive, part, t, y, slip, workspace, values, y_out, dy_out):
     assign_rows(dy_out, values)
     if workspace.shift.any():
         rates(chain, drive, part, t, y, slip, workspace.dys[0], workspace.work)
-        for b in range(workspace.shift.shape[0]):
-            for d in range(2):
-                for i in range(2 * slip.size):
-                    dy_out[i, 2 * b + d] -= workspace.dys[0, i] * workspace.shift[b, d]
+        for i in range(2 * slip.size):
+            for x in range(workspace.shift.size):
+                dy_out[i, x] -= workspace.dys[0, i] * workspace.shift[x]
 
 
 @non_allocating
@@ -345,12 +338,10 @@ def set_change(drive, part, t_new, stop, directions, workspace):  # type: ignore
 
     For events see :func:`event_sensitivity`.
     """
-    for b in range(directions.parameters.size):
-        for d in range(2):
-            m = directions.driven[b, d]
-            workspace.change[b, d] = -workspace.shift[b, d] if t_new >= part.end or t_new >= stop else 0.0
-            if m >= 0 and t_new >= part.end:
-                workspace.change[b, d] += end_shift(drive, part, directions.breaks[m])
+    for x, m in enumerate(directions.driven):
+        workspace.change[x] = -workspace.shift[x] if t_new >= part.end or t_new >= stop else 0.0
+        if m >= 0 and t_new >= part.end:
+            workspace.change[x] += end_shift(drive, part, directions.breaks[m])
 
 
 @kernel
@@ -406,12 +397,11 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
         times, states, slopes = t_out[index:last], y_out[index:last], dy_out[index:last]
         if last > index and fresh:
             change = workspace.change.copy()
-            for b in range(change.shape[0]):
-                for d in range(change.shape[1]):
-                    workspace.change[b, d] = -workspace.shift[b, d]
+            for x in range(change.size):
+                workspace.change[x] = -workspace.shift[x]
             for k in range(times.size):
                 tangent_step(chain, drive, part, table, t, times[k] - t, y, states[k], directions, slopes[k], workspace)
-            assign_rows(workspace.change, change)
+            assign(workspace.change, change)
         elif last > index:
             write_within_step(chain, drive, part, table, t, t_new - t, y, times, directions, workspace, states, slopes)
         if last > index and not slip.all():
@@ -419,9 +409,8 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
         index = last
         assign(y, workspace.ys[2])
         assign_rows(values, workspace.nodes[2])
-        for b in range(workspace.shift.shape[0]):
-            for d in range(workspace.shift.shape[1]):
-                workspace.shift[b, d] += workspace.change[b, d]
+        for x in range(workspace.shift.size):
+            workspace.shift[x] += workspace.change[x]
         fresh = t_new >= part.end or joint >= 0
         t = t_new
         while index < t_out.size and t_out[index] <= t:

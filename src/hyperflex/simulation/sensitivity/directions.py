@@ -98,9 +98,9 @@ class ParameterDirections:
         own = links.any(axis=(1, 2)) | ((driven >= 0) & drive.coef[:, TORQUE].any())
         return Directions(
             links.reshape(pairs, 2, n, tg.SEEDS),
-            whole.reshape(pairs, 2, 3),
+            whole,
             own.reshape(pairs, 2).any(axis=1),
-            driven.reshape(pairs, 2),
+            driven,
             breaks,
             coef,
             arm,

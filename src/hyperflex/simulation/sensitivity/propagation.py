@@ -117,4 +117,4 @@ class Propagator:
     def _seeds(self, pairs: int) -> Directions:
         """Return the first pairs of directions."""
         links, whole, parameters, driven, *rest = self._directions
-        return Directions(links[:pairs], whole[:pairs], parameters[:pairs], driven[:pairs], *rest)
+        return Directions(links[:pairs], whole[: 2 * pairs], parameters[:pairs], driven[: 2 * pairs], *rest)

@@ -319,7 +319,7 @@ def acceleration_jacobian(
     q, qd = (np.array(value) for value in start)
     if can_stick(chain):
         find_modes(chain, q, qd, base, torque, 1.0, slip, new_stiction_workspace(n))
-    workspace = new_tangent_workspace(chain, seeds.kind.size)
+    workspace = new_tangent_workspace(chain, seeds.parameters.size)
     set_slip(COLUMNS, workspace.lanes, slip)
     workspace.ys[:, :n], workspace.ys[:, n : 2 * n], workspace.nodes[:] = q, qd, values
     acceleration_derivatives(chain, drive, part, 0.0, 0.0, seeds, workspace)

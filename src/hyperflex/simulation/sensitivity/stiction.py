@@ -34,7 +34,7 @@ def stiction_projection(
     slip = turn[stuck] @ start[n:]
     if stuck[0] == 0:
         part, moved = segment(drive, t), np.zeros(dr.CHANGES)
-        for x, m in enumerate(directions.driven.ravel()):
+        for x, m in enumerate(directions.driven):
             if m >= 0:
                 dr.base_change(drive, part, t, 0.0, directions, m, moved)
                 slip[0, x] -= moved[dr.RATE]
