@@ -7,6 +7,7 @@ import pytest
 
 from hyperflex.core.contact import gaps
 from hyperflex.core.contact import sweep as sweeps
+from hyperflex.core.contact.arrays import TOUCH
 from tests.core.helpers import chain_of
 from tests.reference import dense
 from tests.reference.cases import random_links, random_state
@@ -38,7 +39,7 @@ class Case:
         """Changes of the rates, and impulse at the first joint with the angular one, by the sweep."""
         n = self.q.size
         trig = np.concatenate([np.sin(self.q), np.cos(self.q)])
-        touch, change = np.zeros((n, sweeps.TOUCH)), np.empty(n)
+        touch, change = np.zeros((n, TOUCH)), np.empty(n)
         for i, s, b, c in zip(self.at, self.place, self.b, self.c, strict=True):
             sweeps.add_contact(touch, i, s, trig[i], trig[n + i], tuple(b.ravel()), tuple(c))
         frame = np.concatenate([self.way, self.turned, self.slope[:, None], self.steady, self.own[:, None]], axis=1)
@@ -93,7 +94,7 @@ def test_changes_of_the_rates_are_those_of_the_dense_system(n: int) -> None:
 
 
 def test_contacts_are_taken_off_again() -> None:
-    touch = np.zeros((3, sweeps.TOUCH))
+    touch = np.zeros((3, TOUCH))
     sweeps.add_contact(touch, 1, 0.1, 0.6, 0.8, (1.0, 0.2, 0.3, 2.0), (0.5, -0.5))
     assert touch[1].all()
     sweeps.clear(touch, np.array([1]), 1)

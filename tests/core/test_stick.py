@@ -186,9 +186,9 @@ def test_a_dip_before_another_joint_s_event_is_found() -> None:
 def test_a_search_that_has_come_further_does_not_go_back_for_a_dip_before() -> None:
     """Where friction acts on one link every attempt has a middle; it is no middle of what is left of the span."""
     search, low = new_search(1, 1.0), 0.5
-    search.low[0] = 1.0
+    search.low[0, 0] = 1.0
     for step, margin, middle in ((1.0, -1.0, np.inf), (low, 0.2, np.inf), (0.6, 0.1, 0.0)):
-        search.here[0], search.middle[0] = margin, middle
+        search.here[0, 0], search.middle[0, 0] = margin, middle
         verdict, length = events.assess_step(search, step)
         assert verdict == events.AGAIN
     assert 0.6 < length < 1.0

@@ -8,7 +8,7 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import ANGLE, Drive
-from hyperflex.core.integrate.dense_output import observe, senses
+from hyperflex.core.integrate.observation import observe, senses
 from hyperflex.core.read_only import read_only
 from hyperflex.model import LINK_PROPERTIES, PROPERTIES, Arm, Rope, Setup
 from hyperflex.sensors.sensor import Measurement, angles_and_rates

@@ -6,7 +6,7 @@ import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.core import status
-from hyperflex.core.integrate import dense_output as output
+from hyperflex.core.integrate import observation as output
 from hyperflex.errors import SimulationError
 from hyperflex.interruption import raise_if_cancelled
 from hyperflex.model import Setup
@@ -80,7 +80,7 @@ def refuse_unbalanced(run: Rollout, setup: Setup) -> None:
 
 
 class _Seen(NamedTuple):
-    """What a run looks like at its outputs and, in the last row, where it ended; see ``dense_output.observe``."""
+    """What a run looks like at its outputs and, in the last row, where it ended; see ``observation.observe``."""
 
     qdd: Array  # (T + 1, n)
     base: Array  # (T + 1, 9)

@@ -14,8 +14,8 @@ from hyperflex.core import joint_law, status
 from hyperflex.core.chain.articulated_body import Chain, accelerations, sticks_often
 from hyperflex.core.chain.drive import TORQUE, Drive, motion_at
 from hyperflex.core.integrate import rollout
-from hyperflex.core.integrate.dense_output import senses
 from hyperflex.core.integrate.events import NEVER, Until
+from hyperflex.core.integrate.observation import senses
 from hyperflex.core.integrate.rollout import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import MOST_ORDER, scheme

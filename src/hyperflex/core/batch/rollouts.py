@@ -33,6 +33,32 @@ from hyperflex.core.chain.drive import (
     polynomial,
     segment,
     within,
+    write_base,
+)
+from hyperflex.core.chain.lanes import (
+    COS,
+    COS_START,
+    ERR_VX,
+    ERR_VY,
+    ERR_X,
+    ERR_Y,
+    LOST,
+    MEMBERS,
+    Q_GAP,
+    Q_START,
+    Q_SUM,
+    ROW,
+    SIN,
+    SIN_START,
+    SLIP,
+    W_GAP,
+    W_START,
+    W_SUM,
+    WORK,
+    WORST,
+    WORST_V,
+    Q,
+    W,
 )
 from hyperflex.core.integrate.events import (
     AGAIN,
@@ -117,14 +143,14 @@ COEF, ARM, GX, GY, LIMIT, SINCE, EXTERNAL, BASE, PATH = 0, 24, 25, 26, 27, 28, 2
 @non_allocating
 def enter(members, terms, m, lanes, tip, path, j, lane, energy):  # type: ignore[no-untyped-def]
     """Put member m into lane j: parameters, state at the start, clock (CLOCK,) and energies (4,)."""
-    k = len(ln.MEMBERS)
+    k = len(MEMBERS)
     n, whole, start = members.links.shape[2], members.whole[m], members.start[m]
-    ln.load_lane(ln.MEMBERS, j, chain_of(members, terms, m), lanes, tip)
+    ln.load_lane(MEMBERS, j, chain_of(members, terms, m), lanes, tip)
     for i in range(n):
-        at = (i + 1) * ln.ROW * k + j
+        at = (i + 1) * ROW * k + j
         lanes[at + ln.LEVER * k] = members.links[m, LEVER, i]
-        lanes[at + ln.Q_START * k], lanes[at + ln.W_START * k] = start[i], start[n + i]
-        lanes[at + ln.SIN_START * k], lanes[at + ln.COS_START * k] = sincos(start[i])
+        lanes[at + Q_START * k], lanes[at + W_START * k] = start[i], start[n + i]
+        lanes[at + SIN_START * k], lanes[at + COS_START * k] = sincos(start[i])
     path[ARM * k + j], path[LIMIT * k + j] = whole[ARM_LENGTH], whole[TORQUE_LIMIT]
     path[GX * k + j], path[GY * k + j] = whole[GRAVITY_X], whole[GRAVITY_Y]
     energy[0], energy[1] = start[2 * n], start[2 * n + 1]
@@ -156,7 +182,7 @@ def part_of(lane):  # type: ignore[no-untyped-def]
 @non_allocating
 def piece(members, m, t, path, j, lane):  # type: ignore[no-untyped-def]
     """Find the piece of member m's drive that holds from t on; copies its coefficients, notes its start and end."""
-    k, drive = len(ln.MEMBERS), drive_of(members, m)
+    k, drive = len(MEMBERS), drive_of(members, m)
     part = segment(drive, t)
     lane[START], lane[END], lane[OFFSET], lane[FIRST_PIECE], lane[LAST_PIECE] = part
     which, since, still = within(drive, part, t)
@@ -182,24 +208,18 @@ def base_motion(width, path):  # type: ignore[no-untyped-def]
     k = len(width)
     for j in range(k):
         t = path[SINCE * k + j]
-        angle, rate, alpha = lane_polynomial(path, k, j, ANGLE, t)
-        x, vx, ax = lane_polynomial(path, k, j, X, t)
-        y, vy, ay = lane_polynomial(path, k, j, Y, t)
+        arm, x, y = (
+            lane_polynomial(path, k, j, ANGLE, t),
+            lane_polynomial(path, k, j, X, t),
+            lane_polynomial(path, k, j, Y, t),
+        )
         torque, _, _ = lane_polynomial(path, k, j, TORQUE, t)
         limit = path[LIMIT * k + j]
         torque = limit if torque > limit else torque
         path[EXTERNAL * k + j] = -limit if torque < -limit else torque
-        sin, cos = sincos(angle)
-        length = path[ARM * k + j]
-        path[BASE * k + j] = ax + length * (cos * alpha - sin * rate * rate) - path[GX * k + j]
-        path[(BASE + 1) * k + j] = ay + length * (sin * alpha + cos * rate * rate) - path[GY * k + j]
-        path[(BASE + 2) * k + j] = alpha
-        path[(BASE + 3) * k + j] = rate
-        path[(BASE + 4) * k + j] = angle
-        path[(BASE + 5) * k + j] = vx + length * cos * rate
-        path[(BASE + 6) * k + j] = vy + length * sin * rate
-        path[(BASE + 7) * k + j] = x + length * sin
-        path[(BASE + 8) * k + j] = y - length * cos
+        write_base(path[ARM * k + j], arm, x, y, path, BASE * k + j, k)
+        path[BASE * k + j] -= path[GX * k + j]
+        path[(BASE + 1) * k + j] -= path[GY * k + j]
 
 
 @inlined
@@ -239,7 +259,7 @@ class LaneStiction(NamedTuple):
 @kernel
 def new_lane_stiction(n):  # type: ignore[no-untyped-def]
     """Arrays for chains of n links in all lanes."""
-    k = len(ln.MEMBERS)
+    k = len(MEMBERS)
     states = zeros((k, 2 * n + 2), (k, 2 * n + 2))
     return LaneStiction(new_searches(k, n + 1, n), np.ones((k, n)), *states, new_stiction_workspace(n))
 
@@ -247,16 +267,16 @@ def new_lane_stiction(n):  # type: ignore[no-untyped-def]
 @non_allocating
 def read_start(lanes, j, out):  # type: ignore[no-untyped-def]
     """Copy angles and rates at the beginning of lane j's step to ``out`` (2 n + 2,)."""
-    k, n = len(ln.MEMBERS), (out.size - 2) // 2
+    k, n = len(MEMBERS), (out.size - 2) // 2
     for i in range(n):
-        at = (i + 1) * ln.ROW * k + j
-        out[i], out[n + i] = lanes[at + ln.Q_START * k], lanes[at + ln.W_START * k]
+        at = (i + 1) * ROW * k + j
+        out[i], out[n + i] = lanes[at + Q_START * k], lanes[at + W_START * k]
 
 
 @non_allocating
 def decide_lane_modes(members, terms, m, lanes, j, lane, friction):  # type: ignore[no-untyped-def]
     """Decide how the joints of member m in lane j slip or stick in its present state; False if they chatter."""
-    k, n = len(ln.MEMBERS), members.links.shape[2]
+    k, n = len(MEMBERS), members.links.shape[2]
     start, slip, tools = friction.start[j], friction.slip[j], friction.tools
     base, before = friction.searches.before[j], friction.out[j, :n]
     read_start(lanes, j, start)
@@ -264,8 +284,8 @@ def decide_lane_modes(members, terms, m, lanes, j, lane, friction):  # type: ign
     chain, q, w = chain_of(members, terms, m), start[:n], start[n : 2 * n]
     good, lane[CHATTER] = decide_modes(chain, q, w, base, torque, lane[CHATTER], slip, before, tools)
     for i in range(n):
-        at = (i + 1) * ln.ROW * k + j
-        lanes[at + ln.SLIP * k], lanes[at + ln.W_START * k] = slip[i], w[i]
+        at = (i + 1) * ROW * k + j
+        lanes[at + SLIP * k], lanes[at + W_START * k] = slip[i], w[i]
     lane[UNDECIDED] = 0.0
     return good
 
@@ -273,7 +293,7 @@ def decide_lane_modes(members, terms, m, lanes, j, lane, friction):  # type: ign
 @non_allocating
 def assess_lane(members, terms, m, lanes, j, lane, friction):  # type: ignore[no-untyped-def]
     """Assess the step of lane j as ``events.assess_attempt`` does; with AGAIN, NEXT_STEP is shorter."""
-    k, n = len(ln.MEMBERS), members.links.shape[2]
+    k, n = len(MEMBERS), members.links.shape[2]
     chain, drive, part = chain_of(members, terms, m), drive_of(members, m), part_of(lane)
     start, out, slip, tools = friction.start[j], friction.out[j], friction.slip[j], friction.tools
     search, t, step = search_of(friction.searches, j), lane[T], lane[NEXT_STEP]
@@ -282,9 +302,9 @@ def assess_lane(members, terms, m, lanes, j, lane, friction):  # type: ignore[no
         read_start(lanes, j, start)
         begin_search(chain, drive, part, t, terms.tol, step, start, slip, widen, False, search, tools)
     for i in range(n):
-        at = (i + 1) * ln.ROW * k + j
-        out[i] = lanes[at + ln.Q_START * k] + lanes[at + ln.Q_SUM * k]
-        out[n + i] = lanes[at + ln.W_START * k] + lanes[at + ln.W_SUM * k]
+        at = (i + 1) * ROW * k + j
+        out[i] = lanes[at + Q_START * k] + lanes[at + Q_SUM * k]
+        out[n + i] = lanes[at + W_START * k] + lanes[at + W_SUM * k]
     call = chain, drive, part, NEVER, 0.0, t, step, start, slip, widen, search, tools, out
     verdict, lane[NEXT_STEP] = assess_attempt(*call)
     lane[RETRY] = 1.0 if verdict == AGAIN else 0.0
@@ -294,11 +314,11 @@ def assess_lane(members, terms, m, lanes, j, lane, friction):  # type: ignore[no
 @non_allocating
 def finish_lane(lanes, n, j, lane, energy, step, event, friction):  # type: ignore[no-untyped-def]
     """Make the end of lane j's step, of the length `step`, the start of its next one."""
-    k, out, power = len(ln.MEMBERS), friction.out[j], friction.searches.power[j]
+    k, out, power = len(MEMBERS), friction.out[j], friction.searches.power[j]
     for i in range(n):
-        at = (i + 1) * ln.ROW * k + j
-        lanes[at + ln.Q_START * k], lanes[at + ln.W_START * k] = out[i], out[n + i]
-        lanes[at + ln.SIN_START * k], lanes[at + ln.COS_START * k] = sincos(out[i])
+        at = (i + 1) * ROW * k + j
+        lanes[at + Q_START * k], lanes[at + W_START * k] = out[i], out[n + i]
+        lanes[at + SIN_START * k], lanes[at + COS_START * k] = sincos(out[i])
     energy[j, 1] += stuck_loss(power, step, 1.0)
     power[:] = 0.0
     if event:
@@ -313,109 +333,109 @@ def finish_lane(lanes, n, j, lane, energy, step, event, friction):  # type: igno
 def begin_column(width, lanes, sums):  # type: ignore[no-untyped-def]
     """Set every lane back to the state at the start of its step; with `sums`, also clear the extrapolated sums."""
     k = len(width)
-    n = lanes.size // (ln.ROW * k) - 2
+    n = lanes.size // (ROW * k) - 2
     for i in range(1, n + 1):
-        row = lanes[i * ln.ROW * k : (i + 1) * ln.ROW * k]
+        row = lanes[i * ROW * k : (i + 1) * ROW * k]
         for j in range(k):
-            row[ln.Q * k + j] = row[ln.Q_START * k + j]
-            row[ln.W * k + j] = row[ln.W_START * k + j]
-            row[ln.SIN * k + j] = row[ln.SIN_START * k + j]
-            row[ln.COS * k + j] = row[ln.COS_START * k + j]
+            row[Q * k + j] = row[Q_START * k + j]
+            row[W * k + j] = row[W_START * k + j]
+            row[SIN * k + j] = row[SIN_START * k + j]
+            row[COS * k + j] = row[COS_START * k + j]
         if sums:
             for j in range(k):
-                row[ln.Q_SUM * k + j] = 0.0
-                row[ln.W_SUM * k + j] = 0.0
-                row[ln.Q_GAP * k + j] = 0.0
-                row[ln.W_GAP * k + j] = 0.0
+                row[Q_SUM * k + j] = 0.0
+                row[W_SUM * k + j] = 0.0
+                row[Q_GAP * k + j] = 0.0
+                row[W_GAP * k + j] = 0.0
 
 
 @non_allocating
 def end_column(width, lanes, best, gap):  # type: ignore[no-untyped-def]
     """Add the increments of a finished column to the result and to the error estimate."""
     k = len(width)
-    n = lanes.size // (ln.ROW * k) - 2
+    n = lanes.size // (ROW * k) - 2
     for i in range(1, n + 1):
-        row = lanes[i * ln.ROW * k : (i + 1) * ln.ROW * k]
+        row = lanes[i * ROW * k : (i + 1) * ROW * k]
         for j in range(k):
-            dq = row[ln.Q * k + j] - row[ln.Q_START * k + j]
-            dw = row[ln.W * k + j] - row[ln.W_START * k + j]
-            row[ln.Q_SUM * k + j] += best * dq
-            row[ln.W_SUM * k + j] += best * dw
-            row[ln.Q_GAP * k + j] += gap * dq
-            row[ln.W_GAP * k + j] += gap * dw
+            dq = row[Q * k + j] - row[Q_START * k + j]
+            dw = row[W * k + j] - row[W_START * k + j]
+            row[Q_SUM * k + j] += best * dq
+            row[W_SUM * k + j] += best * dw
+            row[Q_GAP * k + j] += gap * dq
+            row[W_GAP * k + j] += gap * dw
 
 
 @non_allocating
 def measure(width, lanes, tip):  # type: ignore[no-untyped-def]
     """Sine and cosine of the result, and the largest squared errors of any joint's position and velocity (in `tip`)."""
     k = len(width)
-    n = lanes.size // (ln.ROW * k) - 2
-    for slot in range(ln.ERR_X, ln.WORST_V + 1):
+    n = lanes.size // (ROW * k) - 2
+    for slot in range(ERR_X, WORST_V + 1):
         tip[slot * k : (slot + 1) * k] = 0.0
     for i in range(1, n + 1):
-        row = lanes[i * ln.ROW * k : (i + 1) * ln.ROW * k]
+        row = lanes[i * ROW * k : (i + 1) * ROW * k]
         for j in range(k):
-            sin, cos = sincos(row[ln.Q_START * k + j] + row[ln.Q_SUM * k + j])
-            row[ln.SIN * k + j] = sin
-            row[ln.COS * k + j] = cos
-            a = row[ln.LEVER * k + j] * row[ln.Q_GAP * k + j]
-            b = row[ln.LEVER * k + j] * row[ln.W_GAP * k + j]
-            x = tip[ln.ERR_X * k + j] + cos * a
-            y = tip[ln.ERR_Y * k + j] + sin * a
-            vx = tip[ln.ERR_VX * k + j] + cos * b
-            vy = tip[ln.ERR_VY * k + j] + sin * b
-            tip[ln.ERR_X * k + j] = x
-            tip[ln.ERR_Y * k + j] = y
-            tip[ln.ERR_VX * k + j] = vx
-            tip[ln.ERR_VY * k + j] = vy
-            worst = tip[ln.WORST * k + j]
-            worst_v = tip[ln.WORST_V * k + j]
+            sin, cos = sincos(row[Q_START * k + j] + row[Q_SUM * k + j])
+            row[SIN * k + j] = sin
+            row[COS * k + j] = cos
+            a = row[ln.LEVER * k + j] * row[Q_GAP * k + j]
+            b = row[ln.LEVER * k + j] * row[W_GAP * k + j]
+            x = tip[ERR_X * k + j] + cos * a
+            y = tip[ERR_Y * k + j] + sin * a
+            vx = tip[ERR_VX * k + j] + cos * b
+            vy = tip[ERR_VY * k + j] + sin * b
+            tip[ERR_X * k + j] = x
+            tip[ERR_Y * k + j] = y
+            tip[ERR_VX * k + j] = vx
+            tip[ERR_VY * k + j] = vy
+            worst = tip[WORST * k + j]
+            worst_v = tip[WORST_V * k + j]
             position = x * x + y * y
             velocity = vx * vx + vy * vy
-            tip[ln.WORST * k + j] = position if position > worst else worst
-            tip[ln.WORST_V * k + j] = velocity if velocity > worst_v else worst_v
+            tip[WORST * k + j] = position if position > worst else worst
+            tip[WORST_V * k + j] = velocity if velocity > worst_v else worst_v
 
 
 @non_allocating
 def extrapolate_lanes(members, terms, lane, energy, lanes, tip, path):  # type: ignore[no-untyped-def]
     """One extrapolated step of length NEXT_STEP in every lane; the result is in the sums of `lanes` and `energy`."""
-    k = len(ln.MEMBERS)
+    k = len(MEMBERS)
     order = terms.best.size - 1
     base = path[BASE * k :].reshape(9, k)
     energy[:, 2:] = 0.0
     for col in range(1, order + 1):
-        begin_column(ln.MEMBERS, lanes, col == 1)
+        begin_column(MEMBERS, lanes, col == 1)
         for j in range(k):
             tip[ln.STEP * k + j] = lane[j, NEXT_STEP] / col
-            lanes[ln.WORK * k + j] = 0.0
-            lanes[ln.LOST * k + j] = 0.0
+            lanes[WORK * k + j] = 0.0
+            lanes[LOST * k + j] = 0.0
             path[SINCE * k + j] = lane[j, T] - lane[j, ORIGIN]
         for s in range(col):
-            base_motion(ln.MEMBERS, path)
+            base_motion(MEMBERS, path)
             for j in range(k):
                 tip[ln.EXTERNAL * k + j] = path[EXTERNAL * k + j]
                 path[SINCE * k + j] += tip[ln.STEP * k + j]
             if s < col - 1:
-                ln.euler(ln.MEMBERS, terms.reaction, ln.MORE, lanes, tip, base)
+                ln.euler(MEMBERS, terms.reaction, ln.MORE, lanes, tip, base)
             else:
-                ln.euler(ln.MEMBERS, terms.reaction, ln.LAST, lanes, tip, base)
-        end_column(ln.MEMBERS, lanes, terms.best[col], terms.gap[col])
+                ln.euler(MEMBERS, terms.reaction, ln.LAST, lanes, tip, base)
+        end_column(MEMBERS, lanes, terms.best[col], terms.gap[col])
         for j in range(k):
-            energy[j, 2] += terms.best[col] * lanes[ln.WORK * k + j]
-            energy[j, 3] += terms.best[col] * lanes[ln.LOST * k + j]
-    measure(ln.MEMBERS, lanes, tip)
+            energy[j, 2] += terms.best[col] * lanes[WORK * k + j]
+            energy[j, 3] += terms.best[col] * lanes[LOST * k + j]
+    measure(MEMBERS, lanes, tip)
 
 
 @non_allocating
 def accept(lanes, n, j, energy):  # type: ignore[no-untyped-def]
     """Make the result of lane j's step the start of its next one."""
-    k = len(ln.MEMBERS)
+    k = len(MEMBERS)
     for i in range(1, n + 1):
-        row = lanes[i * ln.ROW * k : (i + 1) * ln.ROW * k]
-        row[ln.Q_START * k + j] += row[ln.Q_SUM * k + j]
-        row[ln.W_START * k + j] += row[ln.W_SUM * k + j]
-        row[ln.SIN_START * k + j] = row[ln.SIN * k + j]
-        row[ln.COS_START * k + j] = row[ln.COS * k + j]
+        row = lanes[i * ROW * k : (i + 1) * ROW * k]
+        row[Q_START * k + j] += row[Q_SUM * k + j]
+        row[W_START * k + j] += row[W_SUM * k + j]
+        row[SIN_START * k + j] = row[SIN * k + j]
+        row[COS_START * k + j] = row[COS * k + j]
     energy[j, 0] += energy[j, 2]
     energy[j, 1] += energy[j, 3]
 
@@ -430,9 +450,9 @@ def write(lanes, n, j, energy, out):  # type: ignore[no-untyped-def]
 @non_allocating
 def lane_error(terms, tip, j, step):  # type: ignore[no-untyped-def]
     """Error of lane j's step in units of what is allowed; 0 for a fixed step, inf where it is not finite."""
-    k = len(ln.MEMBERS)
-    finite = abs(tip[ln.ERR_VX * k + j]) + abs(tip[ln.ERR_VY * k + j]) < np.inf
-    worst = max(tip[ln.WORST * k + j], lasting(step) ** 2 * tip[ln.WORST_V * k + j])
+    k = len(MEMBERS)
+    finite = abs(tip[ERR_VX * k + j]) + abs(tip[ERR_VY * k + j]) < np.inf
+    worst = max(tip[WORST * k + j], lasting(step) ** 2 * tip[WORST_V * k + j])
     if not finite or not (worst < np.inf):
         return np.inf
     if terms.fixed > 0.0 or step < SMALLEST_STEP:  # so short only where it is cut: nothing to control
@@ -505,9 +525,9 @@ def run_block(members, terms, low, high, t_out, y_out, codes, reached, stop):  #
 @kernel
 def run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, stop):  # type: ignore[no-untyped-def]
     """Do what :func:`run_block` does; `dry` is SLIDING or STICKING."""
-    k = len(ln.MEMBERS)
+    k = len(MEMBERS)
     n = members.links.shape[2]
-    lanes, tip = ln.rows(ln.MEMBERS, n)
+    lanes, tip = ln.rows(MEMBERS, n)
     path = np.zeros(PATH * k)
     lane = np.zeros((k, CLOCK))
     energy = np.zeros((k, 4))  # work and dissipation at the start of the step, and their increments
@@ -518,7 +538,7 @@ def run_members(members, terms, dry, low, high, t_out, y_out, codes, reached, st
     if len(dry) > 0:
         friction = new_lane_stiction(n)
     for i in range(1, n + 1):  # idle lanes are swept too: an inertia keeps their numbers finite
-        lanes[(i * ln.ROW + ln.INERTIA) * k : (i * ln.ROW + ln.INERTIA + 1) * k] = 1.0
+        lanes[(i * ROW + ln.INERTIA) * k : (i * ROW + ln.INERTIA + 1) * k] = 1.0
     while True:
         for j in range(k):
             if member[j] < 0 and coming < high:

@@ -98,6 +98,23 @@ def polynomial(c, t):  # type: ignore[no-untyped-def]
     return value, rate, second
 
 
+@inlined
+def write_base(length, arm, x, y, base, at, stride):  # type: ignore[no-untyped-def]
+    """Write the motion of a joint at the end of an arm to ``base[at + stride i]``, as :func:`base_state` orders it.
+
+    `length` is that of the arm, m; `arm`, `x`, `y` are angle and pivot, each with its first and second derivative.
+    """
+    angle, rate, alpha = arm
+    sin, cos = sincos(angle)
+    base[at] = x[2] + length * (cos * alpha - sin * rate * rate)
+    base[at + stride] = y[2] + length * (sin * alpha + cos * rate * rate)
+    base[at + 2 * stride], base[at + 3 * stride], base[at + 4 * stride] = alpha, rate, angle
+    base[at + 5 * stride] = x[1] + length * cos * rate
+    base[at + 6 * stride] = y[1] + length * sin * rate
+    base[at + 7 * stride] = x[0] + length * sin
+    base[at + 8 * stride] = y[0] - length * cos
+
+
 @non_allocating
 def motion_at(drive, t, base):  # type: ignore[no-untyped-def]
     """Write the motion of the first joint at time t as :func:`base_state` does; return the motor torque, N m."""
@@ -118,15 +135,5 @@ def base_state(drive, part, t, base):  # type: ignore[no-untyped-def]
     torque, _, _ = polynomial(drive.coef[j, TORQUE], s)
     if still:
         rate = alpha = vx = ax = vy = ay = torque = 0.0
-    sin, cos = sincos(angle)
-    length = drive.arm_length
-    base[0] = ax + length * (cos * alpha - sin * rate * rate)
-    base[1] = ay + length * (sin * alpha + cos * rate * rate)
-    base[2] = alpha
-    base[3] = rate
-    base[4] = angle
-    base[5] = vx + length * cos * rate
-    base[6] = vy + length * sin * rate
-    base[7] = x + length * sin
-    base[8] = y - length * cos
+    write_base(drive.arm_length, (angle, rate, alpha), (x, vx, ax), (y, vy, ay), base, 0, 1)
     return min(max(torque, -drive.torque_limit), drive.torque_limit)

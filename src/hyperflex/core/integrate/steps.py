@@ -49,17 +49,13 @@ def polynomials(order, column, done):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
-def keep(turn, y, lanes, kept):  # type: ignore[no-untyped-def]
-    """Keep what the lanes have reached in a round, less the state y (2 n + 2,) that the step began with."""
-    k = len(ln.COLUMNS)
-    n = (y.size - 2) // 2
-    for j in range(k):
-        row = kept[turn * k + j]
-        for i in range(n):
-            row[i] = lanes[((i + 1) * ln.ROW + ln.Q) * k + j] - y[i]
-            row[n + i] = lanes[((i + 1) * ln.ROW + ln.W) * k + j] - y[n + i]
-        row[2 * n] = lanes[ln.WORK * k + j] - y[2 * n]
-        row[2 * n + 1] = lanes[ln.LOST * k + j] - y[2 * n + 1]
+def write_increments(lanes, j, y, out):  # type: ignore[no-untyped-def]
+    """Write what lane j has reached, less the state y (2 n + 2,) that the step began with, to ``out`` (2 n + 2,)."""
+    k, n = len(ln.COLUMNS), (y.size - 2) // 2
+    for i in range(n):
+        at = (i + 1) * ln.ROW * k + j
+        out[i], out[n + i] = lanes[at + ln.Q * k] - y[i], lanes[at + ln.W * k] - y[n + i]
+    out[2 * n], out[2 * n + 1] = lanes[ln.WORK * k + j] - y[2 * n], lanes[ln.LOST * k + j] - y[2 * n + 1]
 
 
 @summing
@@ -172,20 +168,16 @@ def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base,
 
     Arguments as for ``extrapolate``; `trig` holds the sines and cosines of the angles in `y`.
     """
-    k = len(ln.COLUMNS)
-    n = chain.length.size
+    k, n = len(ln.COLUMNS), chain.length.size
     motion = np.empty(9)
     for j in range(k):
-        col = table.column[turn, j]
-        done = table.done[turn, j]
+        col, done = table.column[turn, j], table.done[turn, j]
         if col > 0 and done == 0:
             for i in range(n):
-                lanes[((i + 1) * ln.ROW + ln.Q) * k + j] = y[i]
-                lanes[((i + 1) * ln.ROW + ln.W) * k + j] = y[n + i]
-                lanes[((i + 1) * ln.ROW + ln.SIN) * k + j] = trig[i]
-                lanes[((i + 1) * ln.ROW + ln.COS) * k + j] = trig[n + i]
-            lanes[ln.WORK * k + j] = y[2 * n]
-            lanes[ln.LOST * k + j] = y[2 * n + 1]
+                at = (i + 1) * ln.ROW * k + j
+                lanes[at + ln.Q * k], lanes[at + ln.W * k] = y[i], y[n + i]
+                lanes[at + ln.SIN * k], lanes[at + ln.COS * k] = trig[i], trig[n + i]
+            lanes[ln.WORK * k + j], lanes[ln.LOST * k + j] = y[2 * n], y[2 * n + 1]
         h = step / col if col > 0 else 0.0
         tip[ln.STEP * k + j] = h
         tip[ln.EXTERNAL * k + j] = base_state(drive, part, t + done * h, motion)
@@ -193,32 +185,24 @@ def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base,
 
 
 @inlined
-def end_columns(table, turn, y, out, errors, lanes):  # type: ignore[no-untyped-def]
-    """Add the columns that a round has completed to the result and to the error estimates."""
-    k = len(ln.COLUMNS)
-    n = (y.size - 2) // 2
-    for j in range(k):
+def end_columns(table, turn, y, out, errors, lanes, increments):  # type: ignore[no-untyped-def]
+    """Add the columns that a round has completed to the result and to the error estimates.
+
+    `increments` (2 n + 2,) is scratch.
+    """
+    for j in range(len(ln.COLUMNS)):
         col = table.column[turn, j]
         if col > 0 and table.done[turn, j] == col - 1:
             best, gap, lower = table.best[col], table.gap[col], table.lower_gap[col]
-            for i in range(n):
-                dq = lanes[((i + 1) * ln.ROW + ln.Q) * k + j] - y[i]
-                dw = lanes[((i + 1) * ln.ROW + ln.W) * k + j] - y[n + i]
-                out[i] += best * dq
-                out[n + i] += best * dw
-                errors[0, i] += gap * dq
-                errors[0, n + i] += gap * dw
-                errors[1, i] += lower * dq
-                errors[1, n + i] += lower * dw
-            for i in range(2 * n, 2 * n + 2):
-                change = (lanes[ln.WORK * k + j] if i == 2 * n else lanes[ln.LOST * k + j]) - y[i]
-                out[i] += best * change
-                errors[0, i] += gap * change
-                errors[1, i] += lower * change
+            write_increments(lanes, j, y, increments)
+            for i in range(y.size):
+                out[i] += best * increments[i]
+                errors[0, i] += gap * increments[i]
+                errors[1, i] += lower * increments[i]
 
 
 @kernel
-def extrapolate(chain, drive, part, table, t, step, y, out, errors, kept, lanes, tip, base, trig):  # type: ignore[no-untyped-def]
+def extrapolate(chain, drive, part, table, t, step, y, out, errors, kept, lanes, tip, base, work):  # type: ignore[no-untyped-def]
     """Take one extrapolated step from y at time t; O(p^2 n / lanes).
 
     Parameters
@@ -226,19 +210,21 @@ def extrapolate(chain, drive, part, table, t, step, y, out, errors, kept, lanes,
     chain, drive, part, table : Chain, Drive, Segment that holds t..t + step, Scheme
     y, out : (2 n + 2,) state, new state (out)
     errors : (2, 2 n + 2) out, error estimates of the result, and of the one that an order less would have given
-    kept : (MOST_SUBSTEPS, 2 n + 2) out, the substeps (:func:`keep`); (0, ...) where they are not needed
+    kept : (MOST_SUBSTEPS, 2 n + 2) out, the substeps (:func:`write_increments`); (0, ...) where they are not needed
     lanes, tip : as ``lanes.rows`` makes them, loaded with the chain's parameters and the senses of slipping
-    base, trig : (9, lanes), (2 n,) scratch
+    base, work : (9, lanes), (6 n,) scratch
     """
     assign(out, y)  # the weights, up to 389 in size, multiply increments, lest their rounding scales the state itself
     errors[:] = 0.0
-    sines(y[: (y.size - 2) // 2], trig, 0)
+    n = (y.size - 2) // 2
+    sines(y[:n], work, 0)
     for turn in range(table.column.shape[0]):
-        begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base, trig)
+        begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base, work)
         ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, lanes, tip, base)
-        end_columns(table, turn, y, out, errors, lanes)
+        end_columns(table, turn, y, out, errors, lanes, work[2 * n : 4 * n + 2])
         if kept.shape[0] > 0:
-            keep(turn, y, lanes, kept)
+            for j in range(len(ln.COLUMNS)):
+                write_increments(lanes, j, y, kept[turn * len(ln.COLUMNS) + j])
 
 
 @kernel

@@ -272,8 +272,9 @@ def tangent_step(chain, drive, part, table, t, step, y, out, directions, result,
     """
     for x in range(workspace.stretch.size):
         workspace.stretch[x] = workspace.change[x] / step
+    n = chain.length.size
     assign(out, y)
-    sines(y[: chain.length.size], workspace.work, 0)
+    sines(y[:n], workspace.work, 0)
     # by name: to take an array out of a tuple within the loop over the pairs costs as much as a third of the step
     lanes, store, anew, weight = workspace.lanes, workspace.store, workspace.anew, workspace.weight
     reaction = chain.reaction
@@ -300,5 +301,5 @@ def tangent_step(chain, drive, part, table, t, step, y, out, directions, result,
             else:
                 tg.step(reaction, tg.STATE, lanes, links[b], longer)
             leave(lanes, store[b], weight, ends)
-        end_columns(table, turn, y, out, workspace.errors, workspace.lanes)
+        end_columns(table, turn, y, out, workspace.errors, lanes, workspace.work[2 * n : 4 * n + 2])
     sum_columns(workspace.store, result)

@@ -8,6 +8,7 @@ fall to zero (``integrate.events``), so its length has a derivative: minus that 
 The slope is the derivative along one more direction, in which nothing changes but the step's length.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,10 +17,10 @@ from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, sines
 from hyperflex.core.chain.drive import base_state, segment
-from hyperflex.core.integrate.dense_output import basis, enter_state, interpolate
+from hyperflex.core.integrate.observation import enter_state
 from hyperflex.core.integrate.rollout import DEGREE, END, JOINT, LENGTH, MODES
 from hyperflex.core.integrate.steps import rates
-from hyperflex.core.jit import kernel, non_allocating, zeros
+from hyperflex.core.jit import inlined, kernel, non_allocating, zeros
 from hyperflex.core.stiction import (
     STICTION,
     StictionWorkspace,
@@ -52,6 +53,32 @@ from hyperflex.core.tangent.extrapolation import (
     tangent_step,
 )
 from hyperflex.core.tangent.step import K
+
+
+def _hermite() -> Array:
+    """Coefficients (basis, power) of the polynomials through value, first and second derivative at -1, 0 and 1."""
+    rows = [
+        [math.perm(power, d) * node ** (power - d) if power >= d else 0.0 for power in range(9)]
+        for d in range(3)
+        for node in (-1.0, 0.0, 1.0)
+    ]
+    return np.linalg.inv(np.array(rows)).T.copy()
+
+
+_HERMITE = _hermite()  # (9, 9)
+
+
+@non_allocating
+def basis(order, theta, weight):  # type: ignore[no-untyped-def]
+    """Derivative of the given order of the interpolation's basis (9,) at theta; of values, rates and accelerations."""
+    for b in range(9):
+        total = 0.0
+        for k in range(order, 9):
+            factor = 1.0
+            for m in range(order):
+                factor *= k - m
+            total += _HERMITE[b, k] * factor * theta ** (k - order)
+        weight[b] = total
 
 
 @kernel
@@ -95,8 +122,12 @@ def acceleration_derivatives(chain, drive, part, t, step, directions, workspace)
 
 @kernel
 def tangent_dense_output(t, step, t_out, workspace, y_out, dy_out):  # type: ignore[no-untyped-def]
-    """States (m, 2 n + 2) and derivatives (m, 2 n, p) at times t_out (m,) in a step from t, from the nodes."""
-    n, p = workspace.bends.shape[1], workspace.bends.shape[2]
+    """Angles and rates (m, 2 n + 2) and derivatives (m, 2 n, p) at times t_out (m,) in a step from t, from the nodes.
+
+    Angles follow the polynomial of degree 8 through angles, rates and accelerations; rates are its derivative. Not for
+    the step behind a switch, where friction settles (docs/models.md).
+    """
+    n, p, ys, dys = workspace.bends.shape[1], workspace.bends.shape[2], workspace.ys, workspace.dys
     half = 0.5 * step
     weights = np.empty((t_out.size, 3, 9))
     longer, moving = np.empty(p), np.empty((t_out.size, p))
@@ -104,7 +135,6 @@ def tangent_dense_output(t, step, t_out, workspace, y_out, dy_out):  # type: ign
         longer[x] = 0.5 * workspace.change[x]
     for m in range(t_out.size):
         theta = (t_out[m] - t) / half - 1.0
-        interpolate(theta, step, workspace.ys, workspace.dys, y_out[m])
         for order in range(3):
             basis(order, theta, weights[m, order])
         for x in range(p):
@@ -112,11 +142,21 @@ def tangent_dense_output(t, step, t_out, workspace, y_out, dy_out):  # type: ign
     late = moving.any() or longer.any()
     for i in range(n):  # all times of a link together: its nodes stay in the cache
         for m in range(t_out.size):
-            combine(weights[m], half, i, workspace.nodes, workspace.bends, dy_out[m, i], dy_out[m, n + i])
+            weight, dq, dw = weights[m], dy_out[m, i], dy_out[m, n + i]
+            y_out[m, i] = weighed(weight[0], half, i, ys, dys)
+            y_out[m, n + i] = weighed(weight[1], half, i, ys, dys) / half
+            combine(weight, half, i, workspace.nodes, workspace.bends, dq, dw)
             if late:
-                add_time_shift(
-                    weights[m], half, i, workspace.ys, workspace.dys, moving[m], longer, dy_out[m, i], dy_out[m, n + i]
-                )
+                add_time_shift(weight, half, i, ys, dys, moving[m], longer, dq, dw)
+
+
+@inlined
+def weighed(weight, half, i, ys, dys):  # type: ignore[no-untyped-def]
+    """Sum of link i's angle, rate and acceleration at the nodes, in units of half the step; `weight` is (9,)."""
+    n, total = (ys.shape[1] - 2) // 2, 0.0
+    for k in range(3):
+        total += weight[k] * ys[k, i] + half * (weight[3 + k] * ys[k, n + i] + half * weight[6 + k] * dys[k, n + i])
+    return total
 
 
 @non_allocating
@@ -138,11 +178,10 @@ def combine(weight, half, i, nodes, bends, dq, dw):  # type: ignore[no-untyped-d
 def add_time_shift(weight, half, i, ys, dys, moving, longer, dq, dw):  # type: ignore[no-untyped-def]
     """Add what follows from the change of an output's place in its step, `moving` (p,), and of half the step (p,)."""
     n = (ys.shape[1] - 2) // 2
-    speed = grown = bend = grown_w = 0.0
+    speed, bend = weighed(weight[1], half, i, ys, dys), weighed(weight[2], half, i, ys, dys)
+    grown = grown_w = 0.0
     for k in range(3):
-        q, w, a = ys[k, i], ys[k, n + i], dys[k, n + i]
-        speed += weight[1, k] * q + half * (weight[1, 3 + k] * w + half * weight[1, 6 + k] * a)
-        bend += weight[2, k] * q + half * (weight[2, 3 + k] * w + half * weight[2, 6 + k] * a)
+        w, a = ys[k, n + i], dys[k, n + i]
         grown += weight[0, 3 + k] * w + 2.0 * half * weight[0, 6 + k] * a
         grown_w += weight[1, 3 + k] * w + 2.0 * half * weight[1, 6 + k] * a
     grown_w -= speed / half
@@ -356,7 +395,7 @@ def forward_sensitivities(chain, drive, tables, steps, begin, start, directions,
     begin : float, s
     start : (2 n, p) derivatives of angles and rates at `begin`
     t_out : (T,) increasing times, s
-    y_out : (T, 2 n + 2) out; row 0 holds the state at `begin` when called, and t_out[0] is `begin`
+    y_out : (T, 2 n + 2) out, angles and rates; row 0 holds the state at `begin` when called, and t_out[0] is `begin`
     dy_out : (T, 2 n, p) out, but for row 0
     halt : (1,) another value than 0, set from another thread, ends it at the next step
     """
