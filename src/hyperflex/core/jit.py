@@ -84,12 +84,12 @@ def _constant(array: Any) -> Any:
     return array
 
 
-def zeros(*shapes: Any) -> tuple[Any, ...]:
+def zeros(*shapes: Any) -> Any:
     """Return an array of zeros of each shape, in Python and in kernels."""
     return tuple(map(np.zeros, shapes))
 
 
-@overload(zeros)  # type: ignore[untyped-decorator]
+@overload(zeros)
 def _zeros_in_kernels(*shapes):  # type: ignore[no-untyped-def]
     made = "".join(f"np.zeros(shapes[{k}]), " for k in range(len(shapes)))
     names = {"np": np, "__name__": __name__}

@@ -12,7 +12,7 @@ import numpy as np
 from hyperflex.core import joint_law
 from hyperflex.core.assign import assign
 from hyperflex.core.chain.air import air_loads
-from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, accelerations, joint_of, with_dry
+from hyperflex.core.chain.articulated_body import ONE_SIDED, Array, accelerations, joint_of, relative, with_dry
 from hyperflex.core.jit import kernel, non_allocating, zeros
 
 
@@ -88,7 +88,7 @@ def constraint_torques(chain, q, w, slip, base, torque, workspace):  # type: ign
         sin, cos = work[4 * n + i], work[5 * n + i]
         px, py = work[i], work[n + i]
         mass, com, length = chain.mass[i], chain.com[i], chain.length[i]
-        spring = joint_law.spring(joint_of(chain, i), q[i] - (q[i - 1] if i > 0 else base[4]))
+        spring = joint_law.spring(joint_of(chain, i), relative(q, i, base[4]))
         external = work[2 * n + i] + (torque if i == 0 else 0.0)
         turn = (chain.inertia[i] + mass * com * com) * alpha[i]
         turn += mass * com * (cos * px + sin * py) + length * (cos * fx + sin * fy) + back
@@ -151,8 +151,8 @@ def margins_of(chain, w, slip, base, widen, workspace, out):  # type: ignore[no-
         if chain.dry[i] > 0.0 and slip[i] == 0.0:
             out[0, i] = 1.0 + (widen * workspace.slack[i] - abs(workspace.load[i])) / chain.dry[i]
         elif chain.dry[i] > 0.0:
-            out[0, i] = slip[i] * (w[i] - (w[i - 1] if i > 0 else base[3]))
-            out[1, i] = slip[i] * (workspace.alpha[i] - (workspace.alpha[i - 1] if i > 0 else base[2]))
+            out[0, i] = slip[i] * relative(w, i, base[3])
+            out[1, i] = slip[i] * relative(workspace.alpha, i, base[2])
 
 
 @non_allocating
@@ -327,8 +327,7 @@ def worst_violation(chain, q, w, base, torque, widen, slip, workspace, any_will_
         if slip[i] == 0.0:
             far = (abs(workspace.load[i]) - chain.dry[i] - widen * workspace.slack[i]) / chain.dry[i]
         else:
-            up = workspace.alpha[i - 1] if i > 0 else base[2]
-            far = -slip[i] * (workspace.alpha[i] - up) / (largest + 1e-300) - STICTION.sense
+            far = -slip[i] * relative(workspace.alpha, i, base[2]) / (largest + 1e-300) - STICTION.sense
         if far > worst and not (any_will_do and at >= 0):
             worst, at = far, i
     return at
@@ -390,7 +389,7 @@ def continuation_margins(chain, q, w, base, torque, moved, part, slip, workspace
         if moved[i] == 1.0 and slip[i] == 0.0:
             out[0, i], out[1, i] = dry[i] - workspace.load[i], dry[i] + workspace.load[i]
         elif moved[i] == 1.0:
-            out[0, i] = slip[i] * (workspace.alpha[i] - (workspace.alpha[i - 1] if i > 0 else base[2]))
+            out[0, i] = slip[i] * relative(workspace.alpha, i, base[2])
 
 
 @non_allocating

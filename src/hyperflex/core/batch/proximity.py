@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from hyperflex.core.chain.articulated_body import sincos
+from hyperflex.core.chain.articulated_body import sincos, sines
 from hyperflex.core.jit import kernel, non_allocating
 
 
@@ -28,14 +28,14 @@ def first_contacts(q, base, length, x0, y0, reach, near, at, link, least):  # ty
         peg, or overlaps it, at a sample after the first.
     """
     n = q.shape[2]
-    sin, cos, beside = np.empty(n), np.empty(n), np.empty(n)
+    trig, beside = np.empty(2 * n), np.empty(n)
+    sin, cos = trig[:n], trig[n:]
     for m in range(q.shape[0]):
         at[m], least[m] = 0, np.inf
         away = False
         beside[:] = 0.0
         for t in range(q.shape[1]):
-            for i in range(n):
-                sin[i], cos[i] = sincos(q[m, t, i])
+            sines(q[m, t], trig, 0)
             x, y = x0 - base[m, t, 0], y0 - base[m, t, 1]
             square, closest, passes = np.inf, 0, False
             for i in range(n):
@@ -77,12 +77,12 @@ def samples_apart(q, tip, length, shaft, bar, hangs, until, count):  # type: ign
         Samples to look at.
     """
     n = q.shape[2]
-    sin, cos = np.empty(n), np.empty(n)
+    trig = np.empty(2 * n)
+    sin, cos = trig[:n], trig[n:]
     for m in range(q.shape[0]):
         count[m] = q.shape[1]
         for t in range(min(until[m], q.shape[1])):
-            for i in range(n):
-                sin[i], cos[i] = sincos(q[m, t, i])
+            sines(q[m, t], trig, 0)
             near = False
             tx, ty = tip[m, t, 0], tip[m, t, 1]
             room = max(shaft, math.sqrt(tx * tx + ty * ty) + bar)

@@ -261,7 +261,7 @@ def new_lane_stiction(n):  # type: ignore[no-untyped-def]
     """Arrays for chains of n links in all lanes."""
     k = len(MEMBERS)
     states = zeros((k, 2 * n + 2), (k, 2 * n + 2))
-    return LaneStiction(new_searches(k, n + 1, n), np.ones((k, n)), *states, new_stiction_workspace(n))
+    return LaneStiction(new_searches(k, n + 1, n), np.ones((k, n)), *states, new_stiction_workspace(n))  # type: ignore[call-arg]
 
 
 @non_allocating

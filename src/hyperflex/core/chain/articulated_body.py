@@ -188,6 +188,12 @@ def with_dry(chain, dry):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def relative(values, i, parent):  # type: ignore[no-untyped-def]
+    """Difference between the value of link i and that of its parent, `parent` for the first link."""
+    return values[i] - (values[i - 1] if i > 0 else parent)
+
+
+@inlined
 def joint_of(chain, i):  # type: ignore[no-untyped-def]
     """Joint i as ``joint_law`` takes it."""
     return chain.viscous[i], chain.dry[i], chain.stiffness[i], chain.rest[i]
@@ -220,8 +226,8 @@ def accelerations(chain, q, w, slip, base, torque, h, alpha, work):  # type: ign
     at = (chain.tip_mass, zero, zero, chain.tip_mass, zero, zero, zero, zero, zero, zero, zero, zero)
     for way in range(n):
         i = n - 1 - way
-        angle = q[i] - (q[i - 1] if i > 0 else base[4])
-        rate = w[i] - (w[i - 1] if i > 0 else base[3])
+        angle = relative(q, i, base[4])
+        rate = relative(w, i, base[3])
         t, t_back, kappa, kappa_back = joint_law.torques(joint_of(chain, i), reaction_factor, angle, rate, slip[i], h)
         t += work[4 * i] + (torque if i == 0 else 0.0)
         ma = chain.mass[i] * chain.com[i]

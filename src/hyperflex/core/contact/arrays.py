@@ -85,7 +85,7 @@ def new_impulses(most, residual_power, loose):  # type: ignore[no-untyped-def]
     """Impulses of at most so many contacts; `residual_power` and `loose` as in Impulses."""
     modes = np.zeros((3, most), np.int64)
     values = zeros(most, most, most, most, most, most, most, most, most, most)
-    return Impulses(*values, modes[0], modes[1], modes[2], np.zeros(1), residual_power, loose)
+    return Impulses(*values, modes[0], modes[1], modes[2], np.zeros(1), residual_power, loose)  # type: ignore[call-arg]
 
 
 @kernel
@@ -113,7 +113,7 @@ def new_motion(chain):  # type: ignore[no-untyped-def]
         beyond += chain.mass[i]
         damping[i] = chain.viscous[i] * (1.0 / chain.inertia[i] + (1.0 / chain.inertia[i - 1] if i > 0 else 0.0))
     before = zeros(n, n, n, n, 2 * n, n, 2 * n, (n, FRAME), (n, 2), (n, TOUCH))
-    return Motion(*before, weight, damping, *zeros((2, n + 1), (2, n), (2, n + 1), 3, 2, 3, (2, n), 1, 12 * n))
+    return Motion(*before, weight, damping, *zeros((2, n + 1), (2, n), (2, n + 1), 3, 2, 3, (2, n), 1, 12 * n))  # type: ignore[call-arg]
 
 
 LATEST, EARLIER, STEADY = range(3)  # of ContactWorkspace.pace
@@ -134,7 +134,7 @@ class ContactMemory(NamedTuple):
 def new_contact_memory(n, pegs):  # type: ignore[no-untyped-def]
     """An empty memory."""
     modes = np.zeros((n, pegs), np.int64)
-    return ContactMemory(*zeros((n, pegs), (n, pegs)), modes, *zeros(1, n), np.zeros(n, np.int64))
+    return ContactMemory(*zeros((n, pegs), (n, pegs)), modes, *zeros(1, n), np.zeros(n, np.int64))  # type: ignore[call-arg]
 
 
 @non_allocating

@@ -11,7 +11,7 @@ import math
 from typing import Final, NamedTuple
 
 from hyperflex.core import joint_law
-from hyperflex.core.chain.articulated_body import joint_of
+from hyperflex.core.chain.articulated_body import joint_of, relative
 from hyperflex.core.contact.arrays import (
     AFTER,
     AHEAD,
@@ -98,8 +98,8 @@ def bound_joint_rates(chain, workspace, memory, h, struck):  # type: ignore[no-u
     """
     motion, joints, of = workspace.motion, workspace.joints, workspace.joints.of
     for i in joints.which:
-        bend = motion.q[i] - (motion.q[i - 1] if i > 0 else workspace.base[1, 4]) - chain.rest[i]
-        rate = motion.w[i] - (motion.w[i - 1] if i > 0 else workspace.base[0, 3])
+        bend = relative(motion.q, i, workspace.base[1, 4]) - chain.rest[i]
+        rate = relative(motion.w, i, workspace.base[0, 3])
         of[BEFORE, i], of[BOUND, i] = rate, h * chain.dry[i]
         of[FREE, i], of[FREE + 1, i] = motion.joint[i, 0], motion.joint[i, 1]
         of[HIGHEST, i] = allowed_rate(workspace, chain.max_bend[i] - bend, rate, h, struck)
@@ -170,7 +170,7 @@ def update_joint_modes(motion, joints, penalty, change):  # type: ignore[no-unty
     """
     of, violations = joints.of, 0
     for i in joints.which:
-        rate = of[BEFORE, i] + motion.change[i] - (motion.change[i - 1] if i > 0 else motion.base[2])
+        rate = of[BEFORE, i] + relative(motion.change, i, motion.base[2])
         mass = penalty * of[LEVER, i] * of[LEVER, i]
         of[AFTER, i] = rate
         of[IMPULSE, i], new_mode = joint_mode(
@@ -256,8 +256,8 @@ def friction_impulse(chain, motion, trend, steady, base, h, i):  # type: ignore[
     where modes were `steady`, 1.0, and from nothing else, 0.0.
     """
     theta = implicitness(motion, i, h)
-    rate = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3])
-    predicted = steady * h * (trend[0, i] - (trend[0, i - 1] if i > 0 else base[0, 2]))
+    rate = relative(motion.w, i, base[0, 3])
+    predicted = steady * h * relative(trend[0], i, base[0, 2])
     slope, _ = joint_law.jacobian(joint_of(chain, i), 1.0, theta * h, 0.0)
     return h * joint_law.friction(joint_of(chain, i), rate - (theta - 0.5) * predicted, 0.0), slope
 
@@ -270,7 +270,7 @@ def joint_impulses(chain, motion, trend, steady, base, h, torque):  # type: igno
     """
     joint, q = motion.joint, motion.q
     for i in range(q.size):
-        angle = q[i] - (q[i - 1] if i > 0 else base[1, 4])
+        angle = relative(q, i, base[1, 4])
         law = joint_of(chain, i)
         impulse, slope = friction_impulse(chain, motion, trend, steady, base, h, i)
         stiff, _ = joint_law.jacobian(law, 1.0, 0.0, 0.25 * h * h)

@@ -5,7 +5,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hyperflex.core.chain.air import air_loads
-from hyperflex.core.chain.articulated_body import Array, energies, sines
+from hyperflex.core.chain.articulated_body import Array, energies, relative, sines
 from hyperflex.core.chain.drive import base_state
 from hyperflex.core.contact.arrays import (
     OPEN,
@@ -106,8 +106,8 @@ def account_step(chain, workspace, torque, whole, h):  # type: ignore[no-untyped
     mean_velocities(chain, motion, base, mean)
     taken, steady = 0.0, workspace.pace[STEADY]
     for i in range(n):
-        change = motion.change[i] - (motion.change[i - 1] if i > 0 else motion.base[2])
-        rate = motion.w[i] - (motion.w[i - 1] if i > 0 else base[0, 3]) + 0.5 * change
+        change = relative(motion.change, i, motion.base[2])
+        rate = relative(motion.w, i, base[0, 3]) + 0.5 * change
         impulse, slope = friction_impulse(chain, motion, workspace.trend, steady, base, h, i)
         taken -= (impulse - slope * change) * rate
     taken += drag_work(workspace.air, motion, workspace.out[n:], base[0], base[2], h)
@@ -207,7 +207,7 @@ def new_contact_workspace(chain, pegs, rate, longest, tol):  # type: ignore[no-u
     n = chain.length.size
     most = n * pegs.reach.size
     links = zeros((2, n + 1), (2, n + 1), n, 2 * n, (2, n + 1), n, (2, n), 3, 2 * n, (3, 9))
-    return ContactWorkspace(
+    return ContactWorkspace(  # type: ignore[call-arg]
         new_contacts(most),
         new_impulses(most, APPROACH.residual_share * rate, looseness(tol)),
         new_motion(chain),

@@ -31,19 +31,16 @@ def pair_costs(places, covariances, mean, prior, unseen, gate, none, out):  # ty
             out[k, j] = none if squared > gate else squared + np.log(determinant) + unseen[j]
 
 
-@kernel
-def swap_costs(places, precision, pull, out):  # type: ignore[no-untyped-def]
-    """Set by how much dearer it is (F, F), above the diagonal, that two of F markers have each other's blob.
+def swap_costs(places, precision, pull):  # type: ignore[no-untyped-def]
+    """By how much dearer it is (F, F), above the diagonal, that two of F markers have each other's blob; else inf.
 
     `places` (F, 2) are the blobs', px; `precision` (2 F, 2 F) is the inverse of the innovation's covariance, `pull`
     (2 F,) that times the innovation.
     """
-    for a in range(places.shape[0]):
-        for b in range(a + 1, places.shape[0]):
-            i, j = 2 * a, 2 * b
-            u, v = places[b, 0] - places[a, 0], places[b, 1] - places[a, 1]
-            xx = precision[i, i] + precision[j, j] - 2.0 * precision[i, j]
-            xy = precision[i, i + 1] + precision[j, j + 1] - precision[i, j + 1] - precision[j, i + 1]
-            yy = precision[i + 1, i + 1] + precision[j + 1, j + 1] - 2.0 * precision[i + 1, j + 1]
-            pulled = (pull[i] - pull[j]) * u + (pull[i + 1] - pull[j + 1]) * v
-            out[a, b] = 2.0 * pulled + xx * u * u + 2.0 * xy * u * v + yy * v * v
+    count = places.shape[0]
+    blocks = precision.reshape(count, 2, count, 2).swapaxes(1, 2)
+    own, pull = blocks[np.diag_indices(count)], pull.reshape(count, 2)
+    way = places[None] - places[:, None]
+    stiff = own[:, None] + own[None] - blocks - blocks.swapaxes(0, 1)
+    dearer = ((2.0 * (pull[:, None] - pull[None]) + np.einsum("abij,abj->abi", stiff, way)) * way).sum(axis=2)
+    return np.where(np.triu(np.ones((count, count)), 1) > 0.0, dearer, np.inf)

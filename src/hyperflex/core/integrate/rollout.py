@@ -152,7 +152,7 @@ def new_workspace(chain):  # type: ignore[no-untyped-def]
     ln.load(ln.COLUMNS, chain, lanes, tip)
     width, stiction, search = 2 * n + 2, new_stiction_workspace(n), search_of(new_searches(1, m, n), 0)
     states = zeros(width, (2, width), 9, (3, width), (9, len(ln.COLUMNS)))
-    return Workspace(*states, lanes, tip, stiction, search, *new_substeps(n))
+    return Workspace(*states, lanes, tip, stiction, search, *new_substeps(n))  # type: ignore[call-arg]
 
 
 @non_allocating

@@ -153,7 +153,7 @@ def new_tangent_workspace(chain, pairs):  # type: ignore[no-untyped-def]
     p, width, of_pairs = 2 * pairs, 2 * n + 2, (pairs, n * PARTS * CELL)
     step = zeros((9, K), 6 * n, (2, width), of_pairs, CELL, CELL, p, p, p, K, K, CHANGES, (3, width), (3, width))
     nodes = zeros((3, 2 * n, p), (3, n, p), width)
-    return TangentWorkspace(lanes, tip, *step, *nodes, dg.new_air(chain))
+    return TangentWorkspace(lanes, tip, *step, *nodes, dg.new_air(chain))  # type: ignore[call-arg]
 
 
 @non_allocating

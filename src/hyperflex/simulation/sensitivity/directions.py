@@ -99,7 +99,7 @@ class ParameterDirections:
         return Directions(
             links.reshape(pairs, 2, n, tg.SEEDS),
             whole,
-            own.reshape(pairs, 2).any(axis=1),
+            np.asarray(own.reshape(pairs, 2).any(axis=1)),
             driven,
             breaks,
             coef,
