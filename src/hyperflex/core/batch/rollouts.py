@@ -75,12 +75,13 @@ from hyperflex.core.integrate.rollout import (
     CHATTER,
     LAST,
     ORDER,
-    RESTARTED,
     SIZE,
     STEP,
     UNDECIDED,
     T,
+    count_chatter,
     restart,
+    set_next_step,
 )
 from hyperflex.core.integrate.step_size import (
     LARGEST_STEP,
@@ -95,7 +96,6 @@ from hyperflex.core.integrate.step_size import (
 )
 from hyperflex.core.jit import constant, inlined, kernel, non_allocating, zeros
 from hyperflex.core.stiction import (
-    STICTION,
     StictionWorkspace,
     decide_modes,
     new_stiction_workspace,
@@ -323,10 +323,7 @@ def finish_lane(lanes, n, j, lane, energy, step, event, friction):  # type: igno
     power[:] = 0.0
     if event:
         restart(lane)
-    if event and step < STICTION.quick:
-        lane[CHATTER] += 1.0
-    elif step >= STICTION.quick:
-        lane[CHATTER] = 0.0
+    count_chatter(lane, step, event)
 
 
 @non_allocating
@@ -493,11 +490,7 @@ def control_step(terms, lane, end, size, sticks):  # type: ignore[no-untyped-def
         lane[T] = end if step >= end - lane[T] else lane[T] + step
         faint = sticks and is_rounding(size, terms.tol, step, terms.rounding)
         grown = STEP_SIZE.growth * step if faint else longer(step, size, lane[LAST], lane[SIZE], order)
-        lane[STEP] = max(grown, lane[STEP]) if step < lane[STEP] else grown
-        lane[LAST], lane[SIZE] = 0.0 if faint else step, size
-        if lane[RESTARTED] == 1.0:
-            lane[AFTER] = lane[STEP]
-            lane[RESTARTED] = 0.0
+        set_next_step(lane, step, size, grown, lane[STEP], np.inf, not faint)
         return status.OK
     if terms.fixed > 0.0:
         return status.NOT_FINITE

@@ -62,17 +62,11 @@ def joint_mode(mode, rate, lower, upper, bound, start, mass):  # type: ignore[no
 
     `bound` is that of dry friction, N m s; `lower`, `upper` are bounds of the `rate`, rad/s.
     """
-    if mode == UPPER:
-        impulse = start - mass * (rate - upper)
-        ahead = upper > 0.0
-        if impulse > (-bound if ahead else bound):
-            return impulse, OPEN if bound == 0.0 else AHEAD if ahead else BACK
-        return impulse, mode
-    if mode == LOWER:
-        impulse = start - mass * (rate - lower)
-        back = lower < 0.0
-        if impulse < (bound if back else -bound):
-            return impulse, OPEN if bound == 0.0 else BACK if back else AHEAD
+    if mode in (UPPER, LOWER):
+        side, limit = (1.0, upper) if mode == UPPER else (-1.0, lower)
+        impulse, beyond_rest = start - mass * (rate - limit), side * limit > 0.0
+        if side * impulse > (-bound if beyond_rest else bound):
+            return impulse, OPEN if bound == 0.0 else AHEAD if beyond_rest == (mode == UPPER) else BACK
         return impulse, mode
     impulse = start - mass * rate
     if mode == STICK:

@@ -118,6 +118,29 @@ def restart(clock):  # type: ignore[no-untyped-def]
 
 
 @non_allocating
+def count_chatter(clock, step, event):  # type: ignore[no-untyped-def]
+    """Count quick changes of the joints' modes; `event`: one ended the step of the length `step`, s."""
+    if event and step < STICTION.quick:
+        clock[CHATTER] += 1.0
+    elif step >= STICTION.quick:
+        clock[CHATTER] = 0.0
+
+
+@non_allocating
+def set_next_step(clock, step, size, grown, wanted, longest, alike):  # type: ignore[no-untyped-def]
+    """Set the length of the step after one of the length `step`, s, which was wanted to be `wanted` long.
+
+    `size` is its error, `grown` the length that it suggests, at most `longest`, s. `alike`: the next step is of the
+    same order, and the error is no rounding.
+    """
+    clock[STEP] = min(max(grown, clock[STEP]) if step < wanted else grown, longest)
+    clock[LAST], clock[SIZE] = step if alike else 0.0, size
+    if clock[RESTARTED] == 1.0:
+        clock[AFTER] = clock[STEP]
+        clock[RESTARTED] = 0.0
+
+
+@non_allocating
 def save_mark(progress):  # type: ignore[no-untyped-def]
     """Save the state from which an uninterrupted run would continue, unless one is saved already."""
     clock = progress.clock
@@ -311,11 +334,7 @@ def choose_next_step(clock, tables, limits, sticks, step, size, lower_size, want
     grown = STEP_SIZE.growth * step if faint else longer(step, size, clock[LAST], clock[SIZE], order)
     if not faint:
         clock[ORDER], grown = cheapest(tables, limits.least, limits.most, order, step, lower_size, grown, longest)
-    clock[STEP] = min(max(grown, clock[STEP]) if step < wanted else grown, longest)
-    clock[LAST], clock[SIZE] = step if clock[ORDER] == order and not faint else 0.0, size
-    if clock[RESTARTED] == 1.0:
-        clock[AFTER] = clock[STEP]
-        clock[RESTARTED] = 0.0
+    set_next_step(clock, step, size, grown, wanted, longest, clock[ORDER] == order and not faint)
 
 
 @non_allocating
@@ -342,10 +361,7 @@ def log_step(progress, step, end, order, event, joint):  # type: ignore[no-untyp
         if entry.size > JOINT:
             entry[JOINT] = joint
             assign(entry[MODES:], progress.slip)
-    if event == 1 and step < STICTION.quick:
-        clock[CHATTER] += 1.0
-    elif step >= STICTION.quick:
-        clock[CHATTER] = 0.0
+    count_chatter(clock, step, event == 1)
 
 
 @non_allocating
