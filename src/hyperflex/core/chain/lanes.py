@@ -104,6 +104,20 @@ def set_lane_slip(width, j, lanes, slip):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def set_state(j, q, w, trig, lanes):  # type: ignore[no-untyped-def]
+    """Write angles and rates (n,), and sines and cosines `trig` (2 n,), to lane j of COLUMNS."""
+    k, n = len(COLUMNS), q.size
+    for i in range(n):
+        at = (i + 1) * ROW * k + j
+        lanes[at + Q * k], lanes[at + W * k], lanes[at + SIN * k], lanes[at + COS * k] = (
+            q[i],
+            w[i],
+            trig[i],
+            trig[n + i],
+        )
+
+
+@inlined
 def set_base(j, chain, motion, base):  # type: ignore[no-untyped-def]
     """Write the motion (9,) of the first joint to lane j of `base` (9, k), less gravity."""
     for s in range(9):

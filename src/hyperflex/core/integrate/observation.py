@@ -15,11 +15,8 @@ def enter_state(j, chain, q, w, trig, base, torque, lanes, tip, motion):  # type
 
     `trig` (2 n,) holds sines and cosines of q; `base` (9,) goes to `motion` (9, k), and `torque` is the motor's, N m.
     """
-    k, n = len(ln.COLUMNS), q.size
-    for i in range(n):
-        at = (i + 1) * ln.ROW * k + j
-        lanes[at + ln.Q * k], lanes[at + ln.W * k] = q[i], w[i]
-        lanes[at + ln.SIN * k], lanes[at + ln.COS * k] = trig[i], trig[n + i]
+    k = len(ln.COLUMNS)
+    ln.set_state(j, q, w, trig, lanes)
     ln.set_base(j, chain, base, motion)
     tip[ln.STEP * k + j], tip[ln.EXTERNAL * k + j] = 0.0, torque
 

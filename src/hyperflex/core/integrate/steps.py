@@ -173,10 +173,7 @@ def begin_columns(chain, drive, part, table, turn, t, step, y, lanes, tip, base,
     for j in range(k):
         col, done = table.column[turn, j], table.done[turn, j]
         if col > 0 and done == 0:
-            for i in range(n):
-                at = (i + 1) * ln.ROW * k + j
-                lanes[at + ln.Q * k], lanes[at + ln.W * k] = y[i], y[n + i]
-                lanes[at + ln.SIN * k], lanes[at + ln.COS * k] = trig[i], trig[n + i]
+            ln.set_state(j, y[:n], y[n : 2 * n], trig, lanes)
             lanes[ln.WORK * k + j], lanes[ln.LOST * k + j] = y[2 * n], y[2 * n + 1]
         h = step / col if col > 0 else 0.0
         tip[ln.STEP * k + j] = h
