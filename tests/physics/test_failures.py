@@ -97,12 +97,13 @@ def test_the_arm_of_a_failed_run_is_handed_over_too() -> None:
 def test_two_errors_of_a_step_are_told_apart_and_none_that_is_not_a_number_is_taken() -> None:
     setup = hf.Setup(cable(), duration=1.0)
     chain = setup.chain()
-    limits, work, rng = rollout_limits(setup, chain, 1.0), np.empty(60), np.random.default_rng(3)
+    limits, workspace, rng = rollout_limits(setup, chain, 1.0), rollout.new_workspace(chain), np.random.default_rng(3)
     y, errors = rng.normal(size=22), 1e-6 * rng.normal(size=(2, 22))
     errors[:, 20:] *= np.array([[1.0], [1e3]])  # the second errs most in energy
 
     def sizes(*rows: Array, at: Array = y) -> tuple[float, float]:
-        return rollout.error_norms(chain, limits, TABLES[0], at, np.array(rows), 0.01, work)
+        workspace.out[:], workspace.errors[:] = at, rows
+        return rollout.error_norms(chain, limits, TABLES[0], 0.01, workspace)
 
     first, second = sizes(*errors)
     assert 0.0 < first < second < np.inf

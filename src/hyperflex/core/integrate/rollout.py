@@ -298,12 +298,13 @@ def error_norm(limits, trig, errors, step, energy, limit):  # type: ignore[no-un
 
 @non_allocating
 def error_norms(chain, limits, table, step, workspace):  # type: ignore[no-untyped-def]
-    """Sizes of both rows of ``workspace.errors`` of the step to ``workspace.out``, see :func:`error_norm`."""
+    """Sizes of both rows of ``workspace.errors``, see :func:`error_norm`; both inf if one is not finite."""
     n, out, trig = chain.length.size, workspace.out, workspace.stiction.work
     kinetic, _ = energies(chain, out[:n], out[n : 2 * n], workspace.still, trig)
     energy, limit = limits.fall + kinetic, allowed(limits.tol, step, table.rounding)
     size = error_norm(limits, trig, workspace.errors[0], step, energy, limit)
-    return size, error_norm(limits, trig, workspace.errors[1], step, energy, limit)
+    lower_size = error_norm(limits, trig, workspace.errors[1], step, energy, limit)
+    return (size, lower_size) if size + lower_size < np.inf else (np.inf, np.inf)
 
 
 @kernel
