@@ -51,13 +51,13 @@ def fixed_steps(order: int, count: int, duration: float, part_of_last: float | N
     y, out, errors = np.zeros(2 * n + 2), np.zeros(2 * n + 2), np.zeros((2, 2 * n + 2))
     y[:n] = Q0
     lanes, tip = rows(COLUMNS, n)
-    base, trig = np.zeros((9, len(COLUMNS))), np.zeros(2 * n)
+    base, work = np.zeros((9, len(COLUMNS))), np.zeros(6 * n)
     load(COLUMNS, parameters, lanes, tip)
     kept, weight = new_substeps(n)
     h = duration / count
     for k in range(count):
         part = segment(drive, k * h)
-        extrapolate(parameters, drive, part, table, k * h, h, y, out, errors, kept, lanes, tip, base, trig)
+        extrapolate(parameters, drive, part, table, k * h, h, y, out, errors, kept, lanes, tip, base, work)
         if k == count - 1 and part_of_last is not None:
             weight = weight[: table.column.size]
             weigh_terms(COURSE[order, :order], part_of_last, weight)
