@@ -30,6 +30,7 @@ from hyperflex.core.integrate.events import (
     search_of,
     watched_sense,
 )
+from hyperflex.core.integrate.interpolation import interpolate
 from hyperflex.core.integrate.step_size import (
     LARGEST_STEP,
     LONGEST_WATCHED,
@@ -52,6 +53,7 @@ from hyperflex.core.integrate.steps import (
     add_substeps,
     extrapolate,
     new_substeps,
+    rates,
     runge_kutta,
     weigh_terms,
 )
@@ -156,6 +158,8 @@ class Workspace(NamedTuple):
     out: Array  # (2 n + 2,) state after the step
     errors: Array  # (2, 2 n + 2), as in steps.extrapolate
     still: Array  # (9,) a first joint at rest
+    ys: Array  # (3, 2 n + 2) states at the beginning, middle and end of a step, and their derivatives
+    dys: Array
     stage: Array  # (3, 2 n + 2)
     base: Array  # (9, lanes)
     lanes: Array  # ((n + 2) ROW lanes,)
@@ -174,7 +178,7 @@ def new_workspace(chain):  # type: ignore[no-untyped-def]
     lanes, tip = ln.rows(ln.COLUMNS, n)
     ln.load(ln.COLUMNS, chain, lanes, tip)
     width, stiction, search = 2 * n + 2, new_stiction_workspace(n), search_of(new_searches(1, m, n), 0)
-    states = zeros(width, (2, width), 9, (3, width), (9, len(ln.COLUMNS)))
+    states = zeros(width, (2, width), 9, (3, width), (3, width), (3, width), (9, len(ln.COLUMNS)))
     return Workspace(*states, lanes, tip, stiction, search, *new_substeps(n))  # type: ignore[call-arg]
 
 
@@ -396,22 +400,32 @@ def write_course(table, progress, step, workspace, t_out, y_out):  # type: ignor
 def write_between(chain, drive, part, table, limits, progress, step, kept, workspace, t_out, y_out):  # type: ignore[no-untyped-def]
     """Write the outputs strictly within the step from the state in `progress` to ``workspace.out``.
 
-    `kept` are its substeps, which give the outputs if they are accurate enough. Else, and where friction settles behind
-    a switch, outputs are the ends of steps of their own.
+    `kept` are its substeps, which give the outputs if they are accurate enough; else the step is interpolated
+    through its middle. Where friction settles behind a switch, outputs are the ends of steps of their own.
     """
     y, slip, clock, search = progress.y, progress.slip, progress.clock, workspace.search
-    t, first = clock[T], int(clock[INDEX])
-    if not samples(clock, t_out, t + step):
+    t, first, fixed, none = clock[T], int(clock[INDEX]), limits.fixed, workspace.kept[:0]
+    end, ys, dys = t + step, workspace.ys, workspace.dys
+    if not samples(clock, t_out, end):
         return
+    assign(ys[0], y)
+    assign(ys[2], workspace.out)
     dense = kept.shape[0] > 0 and course_size(chain, limits, table, step, workspace) <= 1.0
-    part_alone = 1.0 if not dense else SETTLED if clock[RESTARTED] == 1.0 else 0.0
-    while samples(clock, t_out, t + part_alone * step):
+    settled = t + SETTLED * step if dense else end
+    while fixed == 0.0 and clock[RESTARTED] == 1.0 and samples(clock, t_out, settled):
         index = int(clock[INDEX])
-        after, none = t_out[index] - t, workspace.kept[:0]
-        advance(chain, drive, part, table, limits.fixed, t, after, y, slip, y_out[index], none, workspace)
+        advance(chain, drive, part, table, fixed, t, t_out[index] - t, y, slip, y_out[index], none, workspace)
         clock[INDEX] += 1
     if dense:
         write_course(table, progress, step, workspace, t_out, y_out)
+    if samples(clock, t_out, end):
+        advance(chain, drive, part, table, fixed, t, 0.5 * step, y, slip, ys[1], none, workspace)
+        for k in range(3):
+            rates(chain, drive, part, t + 0.5 * k * step, ys[k], slip, dys[k], workspace.stiction.work)
+    while samples(clock, t_out, end):
+        index = int(clock[INDEX])
+        interpolate(2.0 * (t_out[index] - t) / step - 1.0, step, ys, dys, y_out[index])
+        clock[INDEX] += 1
     if not slip.all():
         for index in range(first, int(clock[INDEX])):
             base_state(drive, part, t_out[index], search.after)

@@ -8,7 +8,6 @@ fall to zero (``integrate.events``), so its length has a derivative: minus that 
 The slope is the derivative along one more direction, in which nothing changes but the step's length.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from hyperflex.core.assign import assign, assign_rows
 from hyperflex.core.chain import lanes as ln
 from hyperflex.core.chain.articulated_body import Array, sines
 from hyperflex.core.chain.drive import base_state, segment
+from hyperflex.core.integrate.interpolation import basis
 from hyperflex.core.integrate.observation import enter_state
 from hyperflex.core.integrate.rollout import DEGREE, END, JOINT, LENGTH, MODES
 from hyperflex.core.integrate.steps import rates
@@ -53,32 +53,6 @@ from hyperflex.core.tangent.extrapolation import (
     tangent_step,
 )
 from hyperflex.core.tangent.step import K
-
-
-def _hermite() -> Array:
-    """Coefficients (basis, power) of the polynomials through value, first and second derivative at -1, 0 and 1."""
-    rows = [
-        [math.perm(power, d) * node ** (power - d) if power >= d else 0.0 for power in range(9)]
-        for d in range(3)
-        for node in (-1.0, 0.0, 1.0)
-    ]
-    return np.linalg.inv(np.array(rows)).T.copy()
-
-
-_HERMITE = _hermite()  # (9, 9)
-
-
-@non_allocating
-def basis(order, theta, weight):  # type: ignore[no-untyped-def]
-    """Derivative of the given order of the interpolation's basis (9,) at theta; of values, rates and accelerations."""
-    for b in range(9):
-        total = 0.0
-        for k in range(order, 9):
-            factor = 1.0
-            for m in range(order):
-                factor *= k - m
-            total += _HERMITE[b, k] * factor * theta ** (k - order)
-        weight[b] = total
 
 
 @kernel
