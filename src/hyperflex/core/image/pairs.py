@@ -1,4 +1,4 @@
-"""Costs of pairs of a marker and a blob, and of two markers that swap their blobs."""
+"""Costs of pairs of a marker and a blob."""
 
 import numpy as np
 
@@ -29,18 +29,3 @@ def pair_costs(places, covariances, mean, prior, unseen, gate, none, out):  # ty
             determinant = a * d - b * b
             squared = (d * u * u - 2.0 * b * u * v + a * v * v) / determinant
             out[k, j] = none if squared > gate else squared + np.log(determinant) + unseen[j]
-
-
-def swap_costs(places, precision, pull):  # type: ignore[no-untyped-def]
-    """By how much dearer it is (F, F), above the diagonal, that two of F markers have each other's blob; else inf.
-
-    `places` (F, 2) are the blobs', px; `precision` (2 F, 2 F) is the inverse of the innovation's covariance, `pull`
-    (2 F,) that times the innovation.
-    """
-    count = places.shape[0]
-    blocks = precision.reshape(count, 2, count, 2).swapaxes(1, 2)
-    own, pull = blocks[np.diag_indices(count)], pull.reshape(count, 2)
-    way = places[None] - places[:, None]
-    stiff = own[:, None] + own[None] - blocks - blocks.swapaxes(0, 1)
-    dearer = ((2.0 * (pull[:, None] - pull[None]) + np.einsum("abij,abj->abi", stiff, way)) * way).sum(axis=2)
-    return np.where(np.triu(np.ones((count, count)), 1) > 0.0, dearer, np.inf)
