@@ -34,6 +34,7 @@ from hyperflex.planning.tasks.insert import (
     passages,
     usual_uncertainty,
     verify_insert,
+    with_more,
 )
 from hyperflex.planning.tasks.task import Candidate
 from hyperflex.planning.tasks.tip import OPTIONS, Flights, coarse_flights
@@ -293,6 +294,20 @@ def test_out_of_reach_is_said_before_any_search() -> None:
 def test_slots_that_are_refused(change: dict[str, object], words: str) -> None:
     with pytest.raises(InvalidInput, match=words):
         plan_insert(ROPE, ARM, Slot(**{"x": 0.2, "y": -0.8, "direction": 0.0} | change))
+
+
+def test_moves_added_in_rests_leave_the_others_where_they_are() -> None:
+    few = Moves(1, np.array([-1.4, 1.0]), np.array([0.05, 0.9]))
+    more = with_more(few, 3, 1.2, LIMITS)
+    assert more.ends == pytest.approx([-1.4, -1.33, 1.0])  # the other way than the move before it
+    assert more.starts(LIMITS)[[0, 2]] == pytest.approx(few.starts(LIMITS))
+    assert more.rests[1] == pytest.approx(more.rests[2])
+    assert with_more(few, 3, few.stops(LIMITS) + 2.0, LIMITS).ends == pytest.approx([-1.4, 1.0, 0.93])
+    first = with_more(Moves(1, np.array([-1.4]), np.array([0.9])), 2, 0.0, LIMITS)
+    assert first.ends == pytest.approx([0.5 * np.pi + 0.07, -1.4])  # the other way than the move after it
+    duration = float(LIMITS.fastest_moves([0.07])[0][0])
+    short = replace(few, rests=np.array([0.05, 1.9 * duration]))
+    assert with_more(short, 9, short.stops(LIMITS), LIMITS) is short  # no time for another
 
 
 def test_residuals_are_offsets_and_what_an_entry_lacks() -> None:

@@ -6,6 +6,7 @@ rests, with differences of free flights, until the tip does what the task requir
 
 import math
 from abc import abstractmethod
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple, TypeVar
@@ -72,8 +73,9 @@ class TipOptions:
     spare : float
         Distance, m, that the rope shall keep from obstacles beyond the required clearance, where target and start
         allow it.
-    parents : int
-        Swings with the best scores, which are varied.
+    members, generations, narrow, shorter : (int, int, float, float)
+        Of an evolution of a swing, whose first step is `narrow` standard deviations of random swings; factor of a step
+        after one without gain.
     """
 
     swings: int = 512
@@ -95,7 +97,10 @@ class TipOptions:
     length_std: float = 0.002
     timing_std: float = 2e-3
     spare: float = 0.01
-    parents: int = 32
+    members: int = 16
+    generations: int = 16
+    narrow: float = 0.3
+    shorter: float = 0.7
 
 
 OPTIONS = TipOptions()
@@ -146,18 +151,21 @@ class Flights:
         return np.maximum.accumulate(depth, axis=1)
 
 
-def coarse_flights(problem: Problem, moves: Sequence[Moves], budget: Budget) -> Iterator[Flights]:
-    """Simulate swings that are only scored, in batches until the budget expires, one batch at least."""
-    t = np.arange(0.0, problem.time + 0.5 * OPTIONS.sample_time, OPTIONS.sample_time)
+def coarse_flights(
+    problem: Problem, moves: Sequence[Moves], budget: Budget, until: float = math.inf
+) -> Iterator[Flights]:
+    """Simulate swings that are only scored, in batches until the budget expires, one batch at least.
+
+    Until a time, s, at most that of the problem.
+    """
+    t = np.arange(0.0, min(until, problem.time) + 0.5 * OPTIONS.sample_time, OPTIONS.sample_time)
     for low in range(0, len(moves), OPTIONS.batch):
         if low and budget.expired:
             return
         yield Flights(problem, moves[low : low + OPTIONS.batch], t, budget=budget)
 
 
-def random_swings(
-    problem: Problem, count: int, walls: Sequence[Obstacle] = (), seed: int | np.random.Generator = 1
-) -> list[Moves]:
+def random_swings(problem: Problem, count: int, walls: Sequence[Obstacle] = (), seed: int = 1) -> list[Moves]:
     """Return moves that pump a swing up more or less well, the same ones for a seed.
 
     They begin on sides on which the rope hangs clear of obstacles and `walls`; on either side if there is none.
@@ -319,13 +327,14 @@ class TipTask(Task):
 
     Attributes
     ----------
-    close : float
-        Distance, m, at which an aim ends.
+    close, ready : float
+        Distance, m, at which an aim ends; cost, m, at which an evolution ends.
     swings : list of Candidate
         Random swings with their scores, the negative costs, m; the best first.
     """
 
     close: ClassVar[float]
+    ready: ClassVar[float]
 
     def __init__(self, problem: Problem, target: Any, places: Array, finer: Rope, seed: int = 0) -> None:
         self.problem, self.target, self.seed = problem, target, seed
@@ -335,7 +344,8 @@ class TipTask(Task):
         self._gaps = np.array([min(gap_of(each, *place) for place in places) for each in problem.obstacles])
         # Half of what the target leaves, at most
         self._spare = np.clip(0.5 * (self._gaps - self._needed), 0.0, OPTIONS.spare)
-        self._batches = 0
+        self._starts: list[Candidate] | None = None
+        self._begun = list[Candidate]()
 
     @abstractmethod
     def prepare(self, budget: Budget) -> TipFeasibility:
@@ -378,38 +388,65 @@ class TipTask(Task):
                 return f"{near}: with its radius and clearance the rope needs {1e3 * self._needed:g} mm"
         return ""
 
-    def scored(self, moves: Sequence[Moves], budget: Budget) -> list[Candidate]:
-        """Score swings until the budget expires; return the possible ones, best first."""
+    def scored(self, moves: Sequence[Moves], budget: Budget, until: float = math.inf) -> list[Candidate]:
+        """Score swings until the budget expires, each until a time, s; return the possible ones, best first."""
         found = list[Candidate]()
-        for flights in coarse_flights(self.problem, moves, budget):
+        for flights in coarse_flights(self.problem, moves, budget, until):
             scores = zip(flights.moves, self.score(flights), strict=True)
             found += [Candidate(each, -cost, t) for each, (cost, t) in scores if cost < math.inf]
         return sorted(found, key=lambda one: -one.score)
 
-    def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Return the random swings; then by turns variations of the best, by little and by much, and new ones."""
-        self._batches += 1
-        if self._batches == 1:
-            return self.swings
-        random = np.random.default_rng([1, self.seed, self._batches])
-        if self._batches % 2:
-            moves = random_swings(self.problem, OPTIONS.batch, self.target.walls, random)
-        else:
-            parents = [
-                self.swings[k] for k in random.integers(min(OPTIONS.parents, len(self.swings)), size=OPTIONS.batch)
-            ]
-            moves = [self._varied(each, random) for each in parents]
-        new = self.scored(moves, budget)
-        self.runs += OPTIONS.batch
-        self.swings = sorted([*self.swings, *new], key=lambda one: -one.score)
-        return new
+    def freed(self, one: Candidate, budget: Budget) -> Candidate:
+        """Return the swing with which an evolution of a swing begins."""
+        return one
 
-    def _varied(self, one: Candidate, random: np.random.Generator) -> Moves:
-        """Return the moves of a swing until it reaches its goal, varied by up to the spread within a random swing."""
-        moves = one.moves.cut(one.t + OPTIONS.window, self.problem.limits)
-        size = 10.0 ** -random.uniform(0.0, 1.5)
-        varied = moves.varied(size * self._scale(moves) * random.standard_normal(moves.parameters.size))
-        return replace(varied, rests=np.abs(varied.rests))
+    def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
+        """Return the random swings; then results of evolutions of one after the other.
+
+        They begin with the best swing of each side and number of moves, then the second of each, and so on. After each
+        of them the best one that gained a tenth of its cost is continued.
+        """
+        if self._starts is None:
+            limits, ranked, seen = self.problem.limits, list[tuple[int, Candidate]](), Counter[tuple[int, int]]()
+            for one in self.swings:
+                kind = one.moves.side, one.moves.cut(one.t + OPTIONS.window, limits).ends.size
+                ranked.append((seen[kind], one))
+                seen[kind] += 1
+            self._starts = [one for _, one in sorted(ranked, key=lambda pair: pair[0])]
+            return self.swings
+        self._begun.sort(key=lambda one: -one.score)
+        begin, results = [*self._starts[:1], *self._begun[:1]], list[Candidate]()
+        self._starts, self._begun = self._starts[1:], self._begun[1:]
+        for one in begin:
+            free = self.freed(one, budget)
+            results.append(self._evolved(free, budget))
+            if -self.ready > results[-1].score > 0.9 * free.score:
+                self._begun.append(results[-1])
+        return results
+
+    def _evolved(self, best: Candidate, budget: Budget) -> Candidate:
+        """Return the best swing of an evolution strategy that begins with a swing.
+
+        Of each generation the mean of the better quarter is varied; steps get shorter when it brings no gain.
+        """
+        options, size = OPTIONS, OPTIONS.narrow
+        centre, until = best.moves, best.t + options.closely
+        random = np.random.default_rng([1, self.seed, self.runs])
+        for _ in range(options.generations):
+            if best.score > -self.ready:
+                break
+            budget.check()
+            steps = size * random.standard_normal((options.members, centre.parameters.size))
+            varied = [centre.varied(each) for each in steps * self._scale(centre)]
+            found = self.scored([replace(each, rests=np.abs(each.rests)) for each in varied], budget, until)
+            self.runs += options.members
+            if not found or found[0].score <= best.score:
+                size *= options.shorter
+            if found:
+                best = max(best, found[0], key=lambda one: one.score)
+                some = np.array([one.moves.parameters for one in found[: options.members // 4]])
+                centre = centre.varied(some.mean(axis=0) - centre.parameters)
+        return best
 
     def alike(self, one: Candidate, other: Candidate) -> bool:
         """Whether two motions have as many moves from the same side, and reach their goal at about the same time."""
@@ -482,7 +519,7 @@ class TipTask(Task):
     def aims(self, flights: Flights, near: Sequence[float] | Array) -> list[Aim | None]:
         """Return what the tip does next to times `near`, s, in fine flights; their score is the negative error, m.
 
-        The rope must keep a distance from obstacles until then, and less where it begins nearer.
+        In each move the rope must keep a distance from obstacles until then, and less where it begins nearer.
         """
         obstacles, found = flights.spare_gaps(self.problem), list[Aim | None]()
         for m, (moves, t) in enumerate(zip(flights.moves, near, strict=True)):
@@ -491,9 +528,11 @@ class TipTask(Task):
                 continue
             gaps = np.column_stack([*each.gaps, obstacles[m]])[: each.end + 1]
             spare = np.append(np.full(len(each.gaps), OPTIONS.spare), self._spare)
-            least, required = gaps.min(axis=0), np.minimum(spare, np.maximum(gaps[0], 0.0))
-            residuals = np.array([*each.residuals, *np.minimum(least - required, 0.0)])
-            error = sum(max(0.0, float(lack)) for lack in (*each.lacks, -least.min(initial=0.0)))
+            begins = np.searchsorted(flights.t, np.append(0.0, moves.starts(self.problem.limits)))
+            least = np.minimum.reduceat(gaps, np.minimum(begins, each.end), axis=0)
+            required = np.minimum(spare, np.maximum(gaps[0], 0.0))
+            residuals = np.array([*each.residuals, *np.minimum(least - required, 0.0).ravel()])
+            error = sum(max(0.0, float(lack)) for lack in (*each.lacks, -gaps.min(initial=0.0)))
             found.append(Aim(moves, -error, each.t, error == 0.0, residuals=residuals, place=each.place))
         return found
 
