@@ -13,7 +13,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 
 import hyperflex as hf
 from hyperflex.checks import Array
-from hyperflex.simulation.stability import runge_kutta_limit
+from hyperflex.simulation.rollouts import runge_kutta_limit
 
 NAME = "Drake"
 ARMATURE = 1e5  # kg m^2, as for MuJoCo

@@ -11,8 +11,7 @@ import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.integrate.rollout import TAKEN
 from hyperflex.model import Setup
-from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
-from hyperflex.simulation.stability import runge_kutta_limit
+from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits, runge_kutta_limit
 
 NAME = "hyperflex"
 ARM = "prescribed exactly: the arm's end moves the first joint and its angle turns it; restart at every switch"

@@ -14,7 +14,7 @@ from cast import Cast, Contestant
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.exchange.mjcf import ROTOR
-from hyperflex.simulation.stability import runge_kutta_limit
+from hyperflex.simulation.rollouts import runge_kutta_limit
 
 NAME = "MuJoCo"
 ARM = (

@@ -17,7 +17,7 @@ from cast import Cast, Contestant, Stretch
 import hyperflex as hf
 from hyperflex.checks import Array
 from hyperflex.core.integrate.steps import scheme
-from hyperflex.simulation.stability import runge_kutta_limit
+from hyperflex.simulation.rollouts import runge_kutta_limit
 
 NAME = "Pinocchio"
 ARM = (

@@ -34,7 +34,7 @@ from hyperflex.control import swing_period
 from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.identification import identify
 from hyperflex.model import divided
-from hyperflex.model.stretch import stretched
+from hyperflex.model.refine import stretched
 from hyperflex.motion import lagged
 from hyperflex.planning import (
     MotorLimits,

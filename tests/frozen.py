@@ -18,8 +18,12 @@ from hyperflex.core.integrate.rollout import JOINT, LENGTH, MODES
 from hyperflex.core.integrate.steps import new_substeps
 from hyperflex.core.stiction import STICTION
 from hyperflex.simulation.rollouts import TABLES, Rollout, rollout_limits
-from hyperflex.simulation.sensitivity.directions import ParameterDirections, parameter_directions
-from hyperflex.simulation.sensitivity.sensitivity import forward_derivatives, record_steps
+from hyperflex.simulation.sensitivity import (
+    ParameterDirections,
+    forward_derivatives,
+    parameter_directions,
+    record_steps,
+)
 from tests.reference import dense
 
 # an eighth-order difference: its truncation is far below the rounding, which is some 1e-15 over the spacing
@@ -28,7 +32,7 @@ STENCIL = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
 
 def run_of(it: hf.Setup, ways: ParameterDirections | None = None) -> Rollout:
     chain = ways.with_faint_terms(it.chain()) if ways else it.chain()
-    return record_steps(chain, it.drive(), it.start(), rollout_limits(it, chain, it.duration))
+    return record_steps(chain, it.drive(), it.start(), rollout_limits(it, chain, it.duration), np.zeros(1))
 
 
 class Frozen:

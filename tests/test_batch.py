@@ -16,7 +16,7 @@ import hyperflex as hf
 from hyperflex.core.batch import rollouts as core
 from hyperflex.core.batch import rollouts as members
 from hyperflex.errors import InvalidInput
-from hyperflex.simulation.batch import batch as simulation_batch
+from hyperflex.simulation import batch as simulation_batch
 from tests.faults.interrupting import left_by
 
 ARM = hf.Arm(length=0.1)

@@ -14,7 +14,7 @@ import hyperflex as hf
 import hyperflex.budget
 from hyperflex.budget import Budget
 from hyperflex.errors import InvalidInput
-from hyperflex.simulation.batch.batch import run_blocks
+from hyperflex.simulation.batch import run_blocks
 from hyperflex.winding import turns
 
 ARM = hf.Arm(length=0.105)

@@ -87,17 +87,6 @@ def test_a_member_that_fails_fails_alone() -> None:
     np.testing.assert_array_equal(later.q[others], batch.step(want, 1.0, DT).q[others])
 
 
-def test_a_member_can_be_set_anew() -> None:
-    """An environment that begins anew: rows of the state are replaced."""
-    batch = hf.BatchStepper(ropes(), arm=ARM)
-    begin, end = batch.start(), walk(batch, batch.start(), given("acceleration"))
-    names = ("q", "qd", "arm_angle", "arm_rate", "memory")
-    rows = {name: np.concatenate([getattr(begin, name)[:1], getattr(end, name)[1:]]) for name in names}
-    mixed = batch.step(replace(end, **rows), 2.0, DT)
-    np.testing.assert_allclose(mixed.q[0], batch.step(begin, 2.0, DT).q[0], rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(mixed.q[1:], batch.step(end, 2.0, DT).q[1:])
-
-
 def test_bad_input_is_refused() -> None:
     each = ropes()
     with pytest.raises(InvalidInput, match="members and ropes"):
@@ -152,14 +141,6 @@ def test_tips_are_those_of_steppers() -> None:
     one = hf.State(state.t, state.q[3], state.qd[3], arm_angle=state.arm_angle[3], arm_rate=state.arm_rate[3])
     for found, want in zip(alone.tip(one), (places[3], velocities[3]), strict=True):
         np.testing.assert_allclose(found, want, rtol=0, atol=1e-12)
-
-
-def test_a_state_of_the_wrong_shape() -> None:
-    batch = hf.BatchStepper(ropes(), arm=ARM)
-    with pytest.raises(InvalidInput, match="state t is not a number"):
-        batch.step(replace(batch.start(), t=np.zeros(COUNT)), 0.0, DT)
-    with pytest.raises(InvalidInput, match="is not of this batch"):
-        batch.step(replace(batch.start(), arm_angle=np.zeros(2)), 0.0, DT)
 
 
 def test_states_that_no_member_can_begin_with_are_refused() -> None:

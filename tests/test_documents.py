@@ -24,7 +24,7 @@ from hyperflex.model.rope import TOTALS
 from hyperflex.model.setup import PLANNING
 from hyperflex.motion.tables import MAKERS
 from hyperflex.planning import MotorLimits, TipTarget
-from hyperflex.simulation.outcome import status_of
+from hyperflex.simulation.runs import status_of
 from hyperflex.status import Status
 from tests.names import code_names
 

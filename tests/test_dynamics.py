@@ -192,16 +192,6 @@ def test_linearization_over_an_interval_is_the_steppers_and_tends_to_the_continu
         hf.linearize(cable, ARM, q, qd)
 
 
-def test_joints_are_those_of_a_trajectory() -> None:
-    arm = hf.Arm(length=0.1, pivot=(0.2, -0.3))
-    run = hf.simulate(rope(), hf.arm_swings(), arm=arm, duration=0.5)
-    places = hf.forward_kinematics(rope(), run.q, arm=arm, arm_angle=run.arm_angle)
-    np.testing.assert_allclose(places, run.joints, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(hf.forward_kinematics(rope(), run.q[3]), run.joints[3] - run.joints[3, 0], atol=1e-14)
-    with pytest.raises(InvalidInput, match="q has the wrong shape"):
-        hf.forward_kinematics(rope(), np.zeros(N + 1))
-
-
 def test_joints_are_sums_of_links_at_any_angle() -> None:
     rng = np.random.default_rng(5)
     cable, base = rope(), rng.normal(size=(4, 3, 2))

@@ -25,7 +25,7 @@ LIMITED = ROPE.replace(max_bend=2.0)
 def processes(workers: int) -> ProcessPoolExecutor:
     """New processes that take hyperflex over from one that has loaded it: quick, and safe beside threads."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["hyperflex.envs.swing", "hyperflex.simulation.batch.batch", "tests.workers"])
+    context.set_forkserver_preload(["hyperflex.envs.swing", "hyperflex.simulation.batch", "tests.workers"])
     return ProcessPoolExecutor(workers, mp_context=context)
 
 
@@ -109,7 +109,7 @@ def test_a_batch_is_the_same_to_the_bit(workers: int) -> None:
 
 
 def test_members_whose_chunk_is_lost_are_named(monkeypatch: pytest.MonkeyPatch, two: Executor) -> None:
-    monkeypatch.setattr("hyperflex.simulation.batch.batch.run_chunks", lambda *given: [range(2)])
+    monkeypatch.setattr("hyperflex.simulation.batch.run_chunks", lambda *given: [range(2)])
     batch = hf.simulate_batch(ROPE, [hf.arm_swings()] * 2, arm=hf.Arm(), duration=0.1, executor=two)
     assert batch.status == ("worker lost", "worker lost")
     assert "worker lost" in batch.message
@@ -120,7 +120,7 @@ def test_interrupted_batch_keeps_the_chunks_that_are_done(monkeypatch: pytest.Mo
         done(0, work(list(items[:size])))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hyperflex.simulation.batch.batch.run_chunks", interrupted)
+    monkeypatch.setattr("hyperflex.simulation.batch.run_chunks", interrupted)
     with ThreadPoolExecutor(1) as pool, pytest.raises(hf.Interrupted) as stop:
         hf.simulate_batch(ROPE, [hf.arm_swings()] * 3, arm=hf.Arm(), duration=0.1, executor=pool, chunk_size=2)
     assert stop.value.partial.status == ("success", "success", "interrupted")

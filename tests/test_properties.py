@@ -27,7 +27,7 @@ from hyperflex.model.properties import (
 from hyperflex.model.refine import recut
 from hyperflex.report.identification.tables import numbers, parameters_table, rope_table
 from hyperflex.report.units import readable_unit
-from hyperflex.simulation.sensitivity.sensitivity import sensitivities
+from hyperflex.simulation.sensitivity import sensitivities
 
 VALUES = {
     "length": [0.2, 0.3, 0.25],

@@ -16,8 +16,7 @@ from hyperflex.checks import Array
 from hyperflex.core.chain.drive import segment
 from hyperflex.simulation import AngleJacobian
 from hyperflex.simulation.rollouts import Rollout, rollout_limits
-from hyperflex.simulation.sensitivity.directions import parameter_directions
-from hyperflex.simulation.sensitivity.sensitivity import forward_derivatives, record_steps
+from hyperflex.simulation.sensitivity import forward_derivatives, parameter_directions, record_steps
 
 N, DURATION = 6, 1.6
 # none at a switch, where the derivative is one-sided; some within the step behind one, which is sampled in its own way
@@ -50,7 +49,7 @@ def setup(**changes: Any) -> hf.Setup:
 
 
 def run_of(it: hf.Setup) -> Rollout:
-    return record_steps(it.chain(), it.drive(), it.start(), rollout_limits(it, it.chain(), it.duration))
+    return record_steps(it.chain(), it.drive(), it.start(), rollout_limits(it, it.chain(), it.duration), np.zeros(1))
 
 
 def retimed(run: Rollout, it: hf.Setup) -> Array:

@@ -9,7 +9,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.errors import InvalidInput
-from hyperflex.simulation.contact.start import SHALLOW, check_outside, depths
+from hyperflex.simulation.contact import SHALLOW, check_outside, depths
 
 RADIUS = 0.0025  # m
 ROPE = hf.Rope.uniform(0.6, 0.06, 6, RADIUS, friction=1e-3)

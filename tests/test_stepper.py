@@ -327,12 +327,6 @@ def test_gap_to_a_peg() -> None:
         hf.Stepper(rope, arm=hf.Arm(length=0.1)).gap(stepper.start())
 
 
-def test_subpackages_are_attributes() -> None:
-    assert hf.sensors.Markers is not None
-    with pytest.raises(AttributeError, match="no attribute"):
-        hf.nothing_of_this_name  # noqa: B018
-
-
 def test_a_state_changed_by_hand_is_checked_like_a_start() -> None:
     """Inside a peg or past a limit: refused, though the state comes from a step; its gap is told all the same."""
     cable = rope()

@@ -11,7 +11,6 @@ import pytest
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import arm_swings
-from hyperflex.simulation import outcome, simulate
 from hyperflex.status import Status
 from hyperflex.trajectory import State, Trajectory, read_trajectory
 
@@ -240,17 +239,3 @@ def test_a_full_disk_leaves_the_old_file(tmp_path, monkeypatch):
         made_up(seed=2).to_netcdf(path)
     assert path.read_bytes() == before
     assert [entry.name for entry in tmp_path.iterdir()] == ["run.nc"]
-
-
-def test_a_run_is_observed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Accelerations and energies at the samples, and where the run ends, serve the energy check and the trajectory."""
-    observe, rows = outcome.output.observe, []
-
-    def counted(chain: object, drive: object, t: np.ndarray, *rest: object) -> None:
-        rows.append(t.size)
-        observe(chain, drive, t, *rest)
-
-    monkeypatch.setattr(outcome.output, "observe", counted)
-    rope = Rope.uniform(length=1.0, mass=0.3, n_links=LINKS, friction=1e-3)
-    run = simulate(rope, arm_swings(), arm=Arm(length=0.1), duration=0.1, t_eval=np.linspace(0.01, 0.1, 10))
-    assert sum(rows) == 1 + run.t.size + 1  # the start, whose energy is what the balance is drawn against; the end

@@ -7,25 +7,16 @@ M [a; u] + bias = [tau; 0], where bias gathers the centrifugal, potential and fr
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain import articulated_body as core
-from hyperflex.core.chain.drive import ANGLE, TORQUE
 from hyperflex.core.read_only import read_only
 from hyperflex.core.stiction import find_modes, new_stiction_workspace
 from hyperflex.errors import InvalidInput
 from hyperflex.model import Arm, Rope, Setup
-from hyperflex.simulation import (
-    Interval,
-    Stepper,
-    acceleration_jacobian,
-    arm_polynomials,
-    set_commands,
-    setup_for,
-    state_directions,
-)
+from hyperflex.simulation import Stepper, commanded_accelerations, setup_for
 
 
 class PartialLinearization(NamedTuple):
@@ -49,7 +40,7 @@ class PartialLinearization(NamedTuple):
     arm_bias: float
 
 
-def mass_matrix(rope: Rope, q: npt.ArrayLike, *, arm: Arm | None = None, arm_angle: float = 0.0) -> Array:
+def mass_matrix(rope: Rope, q: ArrayLike, *, arm: Arm | None = None, arm_angle: float = 0.0) -> Array:
     """Return the inertia matrix M of (1) in absolute angles.
 
     Parameters
@@ -78,9 +69,7 @@ def mass_matrix(rope: Rope, q: npt.ArrayLike, *, arm: Arm | None = None, arm_ang
     return result
 
 
-def forward_kinematics(
-    rope: Rope, q: npt.ArrayLike, *, arm: Arm | None = None, arm_angle: npt.ArrayLike = 0.0
-) -> Array:
+def forward_kinematics(rope: Rope, q: ArrayLike, *, arm: Arm | None = None, arm_angle: ArrayLike = 0.0) -> Array:
     """Return where the joints and the tip are.
 
     Parameters
@@ -117,8 +106,8 @@ def forward_kinematics(
 def linearize(
     rope: Rope,
     arm: Arm,
-    q: npt.ArrayLike,
-    qd: npt.ArrayLike,
+    q: ArrayLike,
+    qd: ArrayLike,
     arm_angle: float = 0.0,
     arm_rate: float = 0.0,
     *,
@@ -169,26 +158,17 @@ def linearize(
     if command == "angle":
         raise InvalidInput("an angle is commanded over an interval", got="no dt", fix="Give dt")
     checks.choice("command", command, ("acceleration", "torque"))
-    setup = setup_for(command, Setup(rope, None, arm, q0=q, qd0=qd, arm_angle0=arm_angle, arm_rate0=arm_rate))
-    chain, interval, powers = setup.chain(), Interval(setup.drive()), arm_polynomials(command, 1.0)[0]
-    known = np.array([setup.arm_angle0, setup.arm_rate0, checks.number("u", u)])
-    interval.set(0.0, 1.0, TORQUE if command == "torque" else ANGLE, known @ powers)
-    start, seeds = state_directions(command, chain, interval.drive)
-    set_commands(command, seeds, powers)
-    slopes = acceleration_jacobian(chain, interval.drive, setup.start(), seeds, start)
-    n, size = chain.length.size, 2 * rope.n_links + 2
-    result = np.zeros((size, size + 1))
-    result[: size // 2, size // 2 : size] = np.eye(size // 2)
-    if command == "acceleration":
-        result[size // 2, size] = 1.0
-    result[-n:] = slopes[:, : size + 1]
-    return result[:, :size].copy(), result[:, size:].copy()
+    angles, rates = _joined(rope, q, "q", "rad", arm, arm_angle), _joined(rope, qd, "qd", "rad/s", arm, arm_rate)
+    setup = setup_for(command, Setup(rope, None, arm))
+    _, slopes = commanded_accelerations(command, setup, angles, rates, checks.number("u", u))
+    result = np.concatenate([np.eye(angles.size, slopes.shape[1], angles.size), slopes])
+    return result[:, :-1].copy(), result[:, -1:].copy()
 
 
 def bias(
     rope: Rope,
-    q: npt.ArrayLike,
-    qd: npt.ArrayLike,
+    q: ArrayLike,
+    qd: ArrayLike,
     *,
     arm: Arm | None = None,
     arm_angle: float = 0.0,
@@ -213,11 +193,11 @@ def bias(
     core.accelerations(chain, angles, rates, slip, np.zeros(7), 0.0, 0.0, result, np.empty(6 * angles.size))
     mass = np.empty((angles.size, angles.size))
     core.mass_matrix(chain, angles, mass)
-    return np.asarray(-mass @ result)
+    return -mass @ result
 
 
 def partial_linearization(
-    rope: Rope, arm: Arm, q: npt.ArrayLike, qd: npt.ArrayLike, arm_angle: float, arm_rate: float
+    rope: Rope, arm: Arm, q: ArrayLike, qd: ArrayLike, arm_angle: float, arm_rate: float
 ) -> PartialLinearization:
     """Return A_u and B_u of (2), and what (3) needs, by two O(n) sweeps; angles in rad, rates in rad/s.
 
@@ -248,7 +228,7 @@ def torque_from_input(linear: PartialLinearization, u: float) -> float:
     return linear.effective_inertia * checks.number("u", u, unit="rad/s^2") + linear.arm_bias
 
 
-def _joined(rope: Rope, value: npt.ArrayLike, name: str, unit: str, arm: Arm | None, own: float) -> Array:
+def _joined(rope: Rope, value: ArrayLike, name: str, unit: str, arm: Arm | None, own: float) -> Array:
     _check_rope(rope)
     links = checks.array(name, value, (rope.n_links,), unit=unit)
     if arm is not None:

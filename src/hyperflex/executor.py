@@ -35,9 +35,8 @@ def run_chunks(
 ) -> list[range]:
     """Run `work` for chunks of `size` items, in this process or on an executor.
 
-    A chunk whose worker died is run once more on the executor, or on new processes if it takes no more work: all that
-    was under way is lost with a worker of a ProcessPoolExecutor. What is lost again is run alone, so that a chunk that
-    kills its worker is found.
+    A chunk whose worker died is run once more on new processes: all that was under way is lost with a worker of a
+    ProcessPoolExecutor. What is lost again is run alone, so that a chunk that kills its worker is found.
 
     Parameters
     ----------
@@ -65,13 +64,10 @@ def run_chunks(
         for low, chunk in chunks.items():
             done(low, work(chunk))
         return []
-    lost = _round(work, chunks, executor, done)
-    if lost and not _broken(executor):
-        lost = _round(work, lost, executor, done)
-    elif lost:
+    lost, dead = _round(work, chunks, executor, done), []
+    if lost:
         with _processes(executor, getattr(executor, "_max_workers", None)) as fresh:
             lost = _round(work, lost, fresh, done)
-    dead = []
     for low, chunk in sorted(lost.items()):
         with _processes(executor, 1) as alone:
             if _round(work, {low: chunk}, alone, done):
@@ -132,15 +128,6 @@ def _not_sent(work: object, chunk: object, error: Exception) -> bool:
         pickle.dumps((work, chunk))
     except Exception as own:  # noqa: BLE001 whatever an argument raises there
         return (type(own), str(own)) == (type(error), str(error))
-    return False
-
-
-def _broken(executor: Executor) -> bool:
-    """Return whether an executor takes no more work."""
-    try:
-        executor.submit(int)
-    except BrokenExecutor:
-        return True
     return False
 
 

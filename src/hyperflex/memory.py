@@ -1,5 +1,6 @@
 """Memory: what a result will need is compared with what there is, before the work."""
 
+import math
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -18,7 +19,7 @@ _GROUPS = (
 
 def available() -> float:
     """Return the memory that can still be had, bytes: the least of the machine's, the container's and the process's."""
-    return min(_of_machine(), _of_container(), _of_process())
+    return min(_of_machine(), *(_of_container(*names) for names in _GROUPS), _of_process())
 
 
 def check(size: float, what: str, fix: str) -> None:
@@ -49,28 +50,27 @@ def in_words(size: float) -> str:
     return f"{size / 2**30:.3g} GiB" if size >= 2**30 else f"{size / 2**20:.3g} MiB"
 
 
+def _entry(path: Path, name: str) -> float:
+    """Return the number behind a name in a file of names and numbers."""
+    rows = (line.split() for line in path.read_text().splitlines())
+    return float(next(row[1] for row in rows if row[0] == name))
+
+
 def _of_machine() -> float:
     with suppress(OSError, ValueError, StopIteration):
-        line = next(line for line in _INFO.read_text().splitlines() if line.startswith("MemAvailable:"))
-        return 1024.0 * float(line.split()[1])
+        return 1024.0 * _entry(_INFO, "MemAvailable:")
     with suppress(OSError, ValueError, AttributeError):  # not Linux: all there is, in use or not
         return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
-    return float("inf")
+    return math.inf
 
 
-def _of_container() -> float:
-    for limit, used, account in _GROUPS:
-        with suppress(OSError, ValueError):  # there is no such group, or its limit is the word "max"
-            return float((_CGROUPS / limit).read_text()) - float((_CGROUPS / used).read_text()) + _cache(account)
-    return float("inf")
-
-
-def _cache(account: str) -> float:
-    """Return what a control group counts as used and gives back when asked: files that were read, bytes."""
-    with suppress(OSError, ValueError, StopIteration):
-        line = next(each for each in (_CGROUPS / account).read_text().splitlines() if "inactive_file" in each)
-        return float(line.split()[1])
-    return 0.0
+def _of_container(limit: str, used: str, account: str) -> float:
+    with suppress(OSError, ValueError):  # there is no such group, or its limit is the word "max"
+        free = float((_CGROUPS / limit).read_text()) - float((_CGROUPS / used).read_text())
+        with suppress(OSError, ValueError, StopIteration):  # files that were read count as used until asked for
+            free += _entry(_CGROUPS / account, "inactive_file")
+        return free
+    return math.inf
 
 
 def _of_process() -> float:
@@ -80,4 +80,4 @@ def _of_process() -> float:
         limit = resource.getrlimit(resource.RLIMIT_AS)[0]
         if limit != resource.RLIM_INFINITY:
             return float(limit) - float(_SIZE.read_text().split()[0]) * resource.getpagesize()
-    return float("inf")
+    return math.inf

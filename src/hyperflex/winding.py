@@ -146,7 +146,7 @@ def rope_tension(run: Trajectory) -> Array:
         step.
     """
     force = _joint_forces(checks.instance("run", run, Trajectory), np.arange(run.t.size))
-    return np.asarray(np.hypot(force[..., 0], force[..., 1]))
+    return np.hypot(force[..., 0], force[..., 1])
 
 
 def _joint_forces(run: Trajectory, rows: npt.NDArray[np.intp]) -> Array:
@@ -168,7 +168,7 @@ def _joint_forces(run: Trajectory, rows: npt.NDArray[np.intp]) -> Array:
     if run.contact_force is not None:
         needed = needed - run.contact_force[rows]
     end = rope.tip_mass * (joints[:, -1:] - rope.gravity) - np.array(run.setup.tip_force)
-    return np.asarray(np.cumsum(np.concatenate([end, needed[:, ::-1]], axis=1), axis=1)[:, ::-1])
+    return np.cumsum(np.concatenate([end, needed[:, ::-1]], axis=1), axis=1)[:, ::-1]
 
 
 def rope_slip(run: Trajectory, peg: Peg, *, since: float | None = None) -> Array:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 
 import hyperflex as hf
 from hyperflex import checks
+from hyperflex.core.chain.drive import TORQUE
 from hyperflex.simulation import rollouts
 
 ROPE = hf.Rope(length=[0.1, 0.2, 0.15], mass=[0.03, 0.02, 0.01], friction=1e-3, stiffness=1e-3, tip_mass=0.01)
@@ -50,9 +49,8 @@ def test_the_kernels_are_compiled_for_one_kind_of_arrays() -> None:
             )
             if setup.torque_driven:
                 interval = rollouts.Interval(run.drive)
+                interval.set(0.0, 0.1, TORQUE, np.zeros(6))
                 run.drive = interval.drive
-                go, applied = partial(rollouts.finish_rollout, run), rollouts.AppliedTorques()
-                rollouts.controlled(run, interval, lambda *_: 0.0, 0.05, go, lambda t: None, applied)
             parts = (*run.chain, *run.drive, *run.progress, run.t, run.y)
             arrays = [part for part in parts if isinstance(part, np.ndarray)]
             kinds.add(tuple((a.flags.writeable, a.flags.c_contiguous, a.dtype, a.ndim) for a in arrays))

@@ -16,7 +16,7 @@ from hyperflex.estimate.parameters import ParameterStates
 from hyperflex.estimate.process import Disturbances, Process
 from hyperflex.sensors import lever_arms
 from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
-from hyperflex.simulation.sensitivity.sensitivity import AngleJacobian
+from hyperflex.simulation.sensitivity import AngleJacobian
 
 LENGTH, FINE, RATE = 2.0, 100, 600.0  # m; links of the truth; samples a second
 ARM = hf.Arm(length=0.105)

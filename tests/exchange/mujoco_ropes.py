@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 import hyperflex as hf
-from hyperflex.simulation.stability import runge_kutta_limit
+from hyperflex.simulation.rollouts import runge_kutta_limit
 from tests.reference.dense import Real
 
 DURATION = 2.0  # s

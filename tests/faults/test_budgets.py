@@ -30,7 +30,7 @@ from hyperflex.demo import report as demo_report
 from hyperflex.errors import FileProblem, IdentificationError, InvalidInput, SimulationError
 from hyperflex.files import writing
 from hyperflex.identification import Kind
-from hyperflex.simulation import time_budget
+from hyperflex.simulation import rollouts
 
 ROPE = hf.Rope.uniform(length=0.4, mass=0.02, n_links=4, radius=0.002, friction=1e-4)
 LONG = hf.Rope.uniform(length=2.0, mass=0.125, n_links=5000, radius=0.0025, friction=5e-4)
@@ -125,8 +125,8 @@ def test_a_run_that_came_to_its_end_is_kept_however_long_it_took() -> None:
 
 
 def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(time_budget, "PREDICTED", 0.0)
-    monkeypatch.setattr(time_budget, "LONGEST", 0.0)
+    monkeypatch.setattr(rollouts, "PREDICTED", 0.0)
+    monkeypatch.setattr(rollouts, "LONGEST", 0.0)
     times = np.linspace(0.0, 1e4, 10_001)
     with pytest.raises(SimulationError, match=r"minutes in all\. Check units and gravity.*time_budget=inf"):
         hf.simulate(ROPE, duration=1e4, t_eval=times, q0=[1.0] * 4)
@@ -178,7 +178,7 @@ def test_half_an_hour_is_predicted_from_what_is_done(monkeypatch: pytest.MonkeyP
     def ends_after(reached: Callable[[float], float]) -> float | None:
         """Return the work, s, after which a run of 1 s ends that has come to `reached` then."""
         worked[0] = 0.0
-        watch = time_budget.Watch(None, (0.0, 1.0))
+        watch = rollouts.Watch(None, (0.0, 1.0))
         while reached(worked[0]) < 1.0:
             worked[0] += 1.0
             try:
@@ -189,7 +189,7 @@ def test_half_an_hour_is_predicted_from_what_is_done(monkeypatch: pytest.MonkeyP
 
     assert ends_after(lambda work: work / 1700.0) is None
     assert ends_after(lambda work: work / 2e4) == pytest.approx(11.0, abs=1.0)
-    assert ends_after(lambda work: min(work / 20.0, 0.99)) == pytest.approx(time_budget.LONGEST, rel=0.05)
+    assert ends_after(lambda work: min(work / 20.0, 0.99)) == pytest.approx(rollouts.LONGEST, rel=0.05)
 
 
 def test_a_fit_ends_when_its_time_budget_is_over() -> None:

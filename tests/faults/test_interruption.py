@@ -31,7 +31,7 @@ from hyperflex.identification import Kind
 from hyperflex.identification.uncertainty import covariance
 from hyperflex.interruption import deferred, handle_signals, interruptible, raise_if_cancelled, stoppable
 from hyperflex.paper import reproduce
-from hyperflex.simulation.contact import runs
+from hyperflex.simulation import contact
 from hyperflex.vision import calibrate_camera, track_bars
 from tests.faults.counting import count
 from tests.faults.interrupting import left_by
@@ -234,7 +234,7 @@ def test_a_run_is_interrupted_in_a_kernel_and_goes_on_bit_for_bit() -> None:
 
 def test_a_run_with_contact_is_interrupted_with_state_and_clock_that_fit_together(monkeypatch) -> None:
     """A signal is heard when the kernel returns, before the run knows how far it has come."""
-    kernel, calls = runs.core.run, []
+    kernel, calls = contact.at.run, []
 
     def interrupted(*given: object) -> int:
         code = kernel(*given)
@@ -244,7 +244,7 @@ def test_a_run_with_contact_is_interrupted_with_state_and_clock_that_fit_togethe
         return code
 
     how = {"arm": hf.Arm(length=0.1), "pegs": [hf.Peg(0.0, -0.5, 0.03)], "duration": 4.0, "contact_step": 1e-3}
-    monkeypatch.setattr(runs.core, "run", interrupted)
+    monkeypatch.setattr(contact.at, "run", interrupted)
     part = left_by(lambda: hf.simulate(CABLE, q0=[1.2] * 20, tol=1e-3, **how))
     assert (part.status, len(calls)) == ("interrupted", 3)
     whole = hf.simulate(CABLE, q0=[1.2] * 20, tol=1e-3, **(how | {"duration": part.state.t, "t_eval": [part.state.t]}))

@@ -24,7 +24,7 @@ from hyperflex.interruption import _USUAL
 from hyperflex.paper import casting
 from hyperflex.paper.part import Item
 from hyperflex.report.units import length
-from hyperflex.simulation import time_budget
+from hyperflex.simulation import rollouts
 from tests.faults.bounds import LEAKED, bounded, readable
 
 ROD = hf.Rope([0.3], [0.1], friction=2e-4)
@@ -150,7 +150,7 @@ def test_arguments_of_the_wrong_kind_are_refused_in_words(call, words: str) -> N
 
 
 def test_a_gravity_that_takes_for_ever_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(time_budget, "PREDICTED", 0.2)  # s, and ten outside of tests
+    monkeypatch.setattr(rollouts, "PREDICTED", 0.2)  # s, and ten outside of tests
     with bounded(), pytest.raises(SimulationError, match="Check units and gravity"):
         hf.simulate(CABLE.replace(gravity=(0.0, -1e12)), duration=100.0, q0=[0.5] * 12, t_eval=[50.0, 100.0])
 

@@ -101,28 +101,6 @@ def test_the_same_call_gives_the_same_bits() -> None:
     same(runs[0], runs[1])
 
 
-def test_output_times_do_not_touch_the_run() -> None:
-    """Samples are read off between the steps, so asking for more of them must not move the others."""
-    few = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=END, t_eval=[1.234, END])
-    many = hf.simulate(
-        cable(), hf.arm_swings(), arm=ARM, duration=END, t_eval=np.append(np.arange(0.001, 2.0, 0.001), END)
-    )
-    np.testing.assert_array_equal(few.q[-1], many.q[-1])
-    k = int(np.argmin(np.abs(many.t - 1.234)))
-    # The same step read at times that differ in the last bit.
-    np.testing.assert_allclose(few.q[0], many.q[k], rtol=0, atol=1e-12)
-
-
-def test_samples_between_steps_are_as_good_as_the_steps() -> None:
-    tight = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=2.0, t_eval=np.arange(0.01, 2.0, 0.01), tol=1e-11)
-    plain = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=2.0, t_eval=np.arange(0.01, 2.0, 0.01), tol=1e-6)
-    at_steps = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=2.0, t_eval=[2.0], tol=1e-6)
-    end = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=2.0, t_eval=[2.0], tol=1e-11)
-    own = np.abs(at_steps.tip - end.tip).max()
-    # Between steps a sample may be worse than the steps' own error by the interpolation: allow ten times, and 1e-6 m.
-    assert np.abs(plain.tip - tight.tip).max() < max(10 * own, 10 * 1e-6)
-
-
 @pytest.mark.parametrize("dry", [0.0, 2e-3], ids=["viscous", "dry"])
 def test_looking_up_between_steps_leaves_no_trace(dry: float) -> None:
     """A run may be told to return after every step; the mark to go on from must not depend on it."""

@@ -5,10 +5,16 @@ from typing import TYPE_CHECKING
 from hyperflex.lazy import attach
 
 if TYPE_CHECKING:
-    from hyperflex.control.closed_loop import ClosedLoopRun, run_closed_loop
-    from hyperflex.control.period import swing_period
-    from hyperflex.control.pumping import AmplitudeRule, PumpingRule
-    from hyperflex.control.pumping_optimizer import PumpingPlan, optimize_pumping
+    from hyperflex.control.rules import (
+        AmplitudeRule,
+        ClosedLoopRun,
+        CrossingRule,
+        PumpingPlan,
+        PumpingRule,
+        Rule,
+        optimize_pumping,
+        run_closed_loop,
+    )
     from hyperflex.control.spiral_coordinates import (
         PhasePortrait,
         Spiral,
@@ -18,7 +24,6 @@ if TYPE_CHECKING:
         spiral,
     )
     from hyperflex.control.state_source import SimulatedCamera, TrueState, hanging_state
-    from hyperflex.control.swing_model import SwingModel, arrival_time
-    from hyperflex.control.timing import CrossingRule, Rule
+    from hyperflex.control.swing_model import SwingModel, arrival_time, swing_period
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -83,7 +83,7 @@ def pseudo_energy(x: Array, velocity: Array, mass: float, c: float) -> Array:
     """
     total = checks.number("mass", mass, sign="positive", unit="kg")
     stiffness = total / checks.number("c", c, sign="positive", unit="s") ** 2
-    return np.asarray(0.5 * total * velocity**2 + 0.5 * stiffness * x**2)
+    return 0.5 * total * velocity**2 + 0.5 * stiffness * x**2
 
 
 def driving_constant(t_move: float, t_rest: float) -> float:

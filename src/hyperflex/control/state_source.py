@@ -9,9 +9,9 @@ from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState, StateSource
-from hyperflex.model import DEFAULT_TOL, Arm, Rope
+from hyperflex.model import DEFAULT_TOL, Arm, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation import simulate
+from hyperflex.simulation import AngleJacobian, simulate
 from hyperflex.trajectory import State
 
 
@@ -117,20 +117,10 @@ class SimulatedCamera:
 
     def _covariance(self, seen: RopeState, t: float, motion: Motion) -> Array:
         """Covariance (2 n, 2 n) at `t`: that of the frame, propagated by the derivatives of the prediction."""
-        from hyperflex.simulation import sensitivities
-
         of_frame = np.diag(np.repeat([self.angle_std**2, self.rate_std**2], self.rope.n_links))
         if t <= seen.t:
             return of_frame
-        run = sensitivities(
-            self.rope,
-            motion.shifted(-seen.t),
-            arm=self.arm,
-            duration=t - seen.t,
-            q0=seen.q,
-            qd0=seen.qd,
-            t_eval=[t - seen.t],
-            wrt=["q0", "qd0"],
-        )
-        step = np.concatenate([run.dq[-1], run.dqd[-1]])
+        slopes = AngleJacobian(Setup(self.rope, motion, self.arm), ["q0", "qd0"])
+        _, _, dq, dqd = slopes(np.array([seen.t, t]), seen.q, seen.qd)
+        step = np.concatenate([dq[-1], dqd[-1]])
         return np.asarray(step @ of_frame @ step.T)

@@ -5,15 +5,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.control.period import swing_period
+from hyperflex.core.chain.articulated_body import mass_matrix
+from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import Motion, Profile, arm_strokes
-from hyperflex.simulation import simulate, simulate_batch, tip_crosses
+from hyperflex.simulation import first_moment, simulate, simulate_batch, tip_crosses
 from hyperflex.trajectory import State
 
 SAMPLE_TIME = 0.02  # s, of predictions
@@ -34,7 +35,7 @@ class SwingModel:
     profile: Profile = "bang-bang"
     path: Literal["under", "over"] = "under"
 
-    def motion(self, starts: npt.ArrayLike, made: int = 0) -> Motion:
+    def motion(self, starts: ArrayLike, made: int = 0) -> Motion:
         """Return half turns that start at `starts` (k,), s, after `made` earlier ones."""
         return arm_strokes(starts, self.t_move, self.profile, self.path, made=made)
 
@@ -64,7 +65,7 @@ class SwingModel:
         )
         return math.inf if run.event is None else run.event[1]
 
-    def predict(self, now: RopeState, made: int, rests: npt.ArrayLike, horizon: float) -> tuple[Array, Array]:
+    def predict(self, now: RopeState, made: int, rests: ArrayLike, horizon: float) -> tuple[Array, Array]:
         """Predict the tip's distance from the shaft for several sequences of rests before the next half turns.
 
         Parameters
@@ -103,6 +104,19 @@ class SwingModel:
             tol=PLANNING_TOL,
         )
         return t, np.nan_to_num(np.abs(batch.tip[:, :, 0] - self.arm.pivot[0]))
+
+
+def swing_period(rope: Rope) -> float:
+    """Return the period of a small swing of a rope as a rigid rod, s; that of the rope itself is 2 % longer.
+
+    Raises InvalidInput if the rope has no weight.
+    """
+    chain, inertia = rope.chain(), np.zeros((rope.n_links, rope.n_links))
+    mass_matrix(chain, np.zeros(rope.n_links), inertia)
+    weight = float(first_moment(chain).sum()) * math.hypot(*rope.gravity)
+    if weight == 0.0:
+        raise InvalidInput("rope has no weight, so it does not swing", got=rope.gravity, allowed="gravity")
+    return 2.0 * math.pi * math.sqrt(float(inertia.sum()) / weight)
 
 
 def arrival_time(t: Array, amplitude: Array, target: float) -> Array:

@@ -17,7 +17,7 @@ from hyperflex.estimate.parameters import NEGLIGIBLE, ParameterStates
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Rope, Setup
 from hyperflex.motion import Motion
-from hyperflex.simulation import Propagator
+from hyperflex.simulation import AngleJacobian, link_accelerations
 
 PRECISION = 1e-5  # tolerance of a prediction relative to the rope's length: far below any marker's noise
 BEYOND = 1e6  # rad, rad/s: a larger state or uncertainty is not a rope's
@@ -124,12 +124,11 @@ class Process:
         disturbances: Disturbances = Disturbances(),
     ) -> None:
         self.rope, self.parameters = rope, parameters
-        self._motion, self._arm = motion, arm
-        setup = Setup(rope, motion, arm, tol=PRECISION * rope.total_length)
-        self._run = Propagator(setup, parameters.directions(), 3 * (2 * rope.n_links + len(parameters) + 1))
+        self._arm = arm
         self._rope, self._at = rope, np.zeros(len(parameters))
+        self.set_motion(motion)
         self._walk = parameters.walk
-        self._moment, self._base = np.nan, np.zeros((3, 2))  # of the last call of `base`
+        self._base = np.zeros((3, 2))  # of the last call of `base`
         kinds, spare = disturbances.of(rope), len(parameters)
         self.noise_ends = np.cumsum([2 * len(shapes) for shapes in kinds])
         self._kind = np.repeat([0, 1], [2 * len(shapes) for shapes in kinds])
@@ -173,12 +172,14 @@ class Process:
         n = self.rope.n_links
         rope, dynamic = self._rope_at(x[2 * n :]), [2 * n + k for k in self.parameters.dynamic]
         late = self.parameters.value("delay", x[2 * n :])
-        q, qd, moved, by_parameters = self._run(t - late, until - late, x[:n], x[n : 2 * n], rows[:, : 2 * n], rope)
+        times, changes = np.array([t - late, until - late]), rows[:, : 2 * n]
+        q, qd, dq, dqd = self._run(times, x[:n], x[n : 2 * n], rope, changes, until - t)
+        moved, count = np.concatenate([dq[-1], dqd[-1]]).T, len(self._run.names)
         result = rows.copy()
-        result[:, : 2 * n] = moved
+        result[:, : 2 * n] = moved[count:]
         if dynamic:
-            result[:, : 2 * n] += rows[:, dynamic] @ by_parameters
-        return np.concatenate([q, qd, x[2 * n :]]), result
+            result[:, : 2 * n] += rows[:, dynamic] @ moved[:count]
+        return np.concatenate([q[-1], qd[-1], x[2 * n :]]), result
 
     def steps(self, t: float, until: float) -> list[tuple[float, float]]:
         """Return begin and end of the steps in which a prediction from t to `until`, s, is made."""
@@ -233,12 +234,15 @@ class Process:
     def accelerations(self, x: Array, t: float) -> Array:
         """Return the links' accelerations (n,), rad/s^2, in the state x (N,) at time t, s."""
         n = self.rope.n_links
-        return self._run.accelerations(t - self.parameters.value("delay", x[2 * n :]), x[:n], x[n : 2 * n])
+        moment = t - self.parameters.value("delay", x[2 * n :])
+        return link_accelerations(self._run.chain, self._run.drive, moment, x[:n], x[n : 2 * n])
 
-    def set_motion(self, motion: Motion) -> None:
+    def set_motion(self, motion: Motion | None) -> None:
         """Change the arm's motion."""
         self._motion, self._moment = motion, np.nan
-        self._run.set_motion(motion)
+        setup = Setup(self._rope, motion, self._arm, tol=PRECISION * self.rope.total_length)
+        most = 3 * (2 * self.rope.n_links + len(self.parameters) + 1)
+        self._run = AngleJacobian(setup, self.parameters.directions(), most)
 
     def noise(self, dt: float, density: npt.ArrayLike) -> Array:
         """Return rows (r, N) whose squares are the covariance that `dt` seconds of disturbances add.

@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ET
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks, files
 from hyperflex.core.chain.drive import X, Y
@@ -163,7 +163,7 @@ def _tree(setup: Setup, timestep: float) -> ET.Element:
     return root
 
 
-def _exact(numbers: npt.ArrayLike) -> str:
+def _exact(numbers: ArrayLike) -> str:
     """Return numbers as text that is read back bit for bit."""
     return " ".join(repr(x + 0.0) for x in np.atleast_1d(np.asarray(numbers, dtype=np.float64)).tolist())
 
@@ -239,23 +239,20 @@ def _named(element: ET.Element) -> str:
 
 def _compare(got: ET.Element, expected: ET.Element) -> None:
     """Raise InvalidInput for the first element that differs from the written one."""
-    changed = {name for name in {*got.keys(), *expected.keys()} if got.get(name) != expected.get(name)}
-    for name in sorted(changed - {"data"}):
-        if _same(got.get(name), expected.get(name)):
-            continue
-        fix = "Only the rope's numbers of an edited file are read: change the set-up instead"
-        allowed = f"{expected.get(name)!r}"
-        raise InvalidInput(f"{_named(got)} has another {name}", got=got.get(name), allowed=allowed, fix=fix)
-    if [each.tag for each in got] != [each.tag for each in expected]:
-        allowed = ", ".join(each.tag for each in expected) or "nothing"
-        raise InvalidInput(f"{_named(got)} holds other parts", got=[each.tag for each in got], allowed=allowed)
-    for one, other in zip(got, expected, strict=True):
-        _compare(one, other)
+    for one, other in zip(got.iter(), expected.iter(), strict=False):
+        for name in sorted({*one.keys(), *other.keys()} - {"data"}):
+            if _values(one.get(name)) != _values(other.get(name)):
+                fix = "Only the rope's numbers of an edited file are read: change the set-up instead"
+                what, allowed = f"{_named(one)} has another {name}", f"{other.get(name)!r}"
+                raise InvalidInput(what, got=one.get(name), allowed=allowed, fix=fix)
+        parts, wanted = [each.tag for each in one], [each.tag for each in other]
+        if parts != wanted:
+            raise InvalidInput(f"{_named(one)} holds other parts", got=parts, allowed=", ".join(wanted) or "nothing")
 
 
-def _same(got: str | None, expected: str | None) -> bool:
-    """Whether two texts contain the same numbers."""
+def _values(text: str | None) -> list[float] | str | None:
+    """Return the numbers of an attribute, or else its text."""
     try:
-        return [float(word) for word in (got or "").split()] == [float(word) for word in (expected or "").split()]
+        return [float(word) for word in (text or "a text").split()]
     except ValueError:
-        return False
+        return text

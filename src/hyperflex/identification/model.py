@@ -546,7 +546,7 @@ class Plant:
             return None
         n, start = at.rope.n_links, (state[: state.size // 2], state[state.size // 2 :])
         try:
-            run = record_steps(at.chain, at.drive, start, self._limits(at, t), float(t[0]), t=t)
+            run = record_steps(at.chain, at.drive, start, self._limits(at, t), t)
             _, dy = forward_derivatives(run, at.directions, start, t, at.seeds)
         except SimulationError:
             return None

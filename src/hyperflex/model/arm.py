@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hyperflex import checks, options
 from hyperflex.checks import Array
@@ -80,6 +81,25 @@ class Arm:
     def tip(self, angle: Array) -> Array:
         """Return the position of the rope's first joint (..., 2), m, at each `angle` (...) of the arm, rad."""
         return np.array(self.pivot) + self.length * np.stack([np.sin(angle), -np.cos(angle)], axis=-1)
+
+    def rope_tip(self, length: Array, angle: ArrayLike, rate: ArrayLike, q: Array, qd: Array) -> tuple[Array, Array]:
+        """Return place (..., 2), m, and velocity (..., 2), m/s, of the tip of a rope.
+
+        Parameters
+        ----------
+        length : (n,) or (..., n) array
+            Of its links, m.
+        angle, rate : (...) array_like
+            Of the arm, rad and rad/s.
+        q, qd : (..., n) arrays
+            Link angles, rad, and rates, rad/s.
+        """
+        angle, rate = np.asarray(angle), np.asarray(rate)
+        along = np.stack([np.sin(q), -np.cos(q)], axis=-2)
+        across = np.stack([np.cos(q), np.sin(q)], axis=-2)
+        swing = (self.length * rate)[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        place, velocity = along @ length[..., None], across @ (length * qd)[..., None]
+        return self.tip(angle) + place[..., 0], swing + velocity[..., 0]
 
     def table(self) -> dict[str, Any]:
         """Return the ``[arm]`` table of a TOML file."""

@@ -12,7 +12,59 @@ from hyperflex.model.arm import Arm
 from hyperflex.model.obstacles import Obstacle, Peg, checked_obstacles
 from hyperflex.model.properties import LINK_PROPERTIES
 from hyperflex.model.rope import Rope, bend_limits, bend_ratios
-from hyperflex.model.stretch import across, uniform
+
+MIDDLE = 1e-9  # part of its length by which a uniform link's centre of mass may be off its middle
+
+
+def uniform(rope: Rope) -> npt.NDArray[np.bool_]:
+    """Return which links (n,) have their centre of mass in their middle."""
+    return np.abs(rope.com - 0.5 * rope.length) <= MIDDLE * rope.length
+
+
+def across(rope: Rope) -> Array:
+    """Return the part of each link's inertia (n,) that its radius makes and its length does not, kg m^2."""
+    return np.minimum(0.25 * rope.mass * rope.radius**2, rope.inertia)
+
+
+def stretched(rope: Rope, length: npt.ArrayLike) -> Rope:
+    """Return a rope with links of other lengths and the same masses.
+
+    Parameters
+    ----------
+    rope : Rope
+    length : (n,) array_like
+        m.
+
+    Returns
+    -------
+    Rope
+        A uniform link's centre of mass stays in its middle, and its inertia grows with the square of its length, but
+        for what the radius makes. Of other links both stay as they were: where their mass sits is not known.
+    """
+    new = np.broadcast_to(np.asarray(length, dtype=np.float64), rope.length.shape)
+    moved = uniform(rope) & (new != rope.length)
+    flat = across(rope)
+    with np.errstate(over="ignore"):  # a rope refuses what is beyond all numbers
+        grown = flat + (rope.inertia - flat) * (new / rope.length) ** 2
+    return rope.replace(
+        length=new, com=np.where(moved, 0.5 * new, rope.com), inertia=np.where(moved, grown, rope.inertia)
+    )
+
+
+def growth(rope: Rope, length: Array, change: Array) -> tuple[Array, Array]:
+    """Return how centre of mass, m, and inertia, kg m^2, of :func:`stretched` change (n,) with its lengths.
+
+    Parameters
+    ----------
+    rope : Rope
+        Before it is stretched.
+    length, change : (n,) float64
+        The new lengths, m, and their change.
+    """
+    alike = uniform(rope)
+    along = 2.0 * (rope.inertia - across(rope)) * length / rope.length**2
+    return np.where(alike, 0.5 * change, 0.0), np.where(alike, along * change, 0.0)
+
 
 _LEAST = 1e-12  # m, of a link
 FINE = 0.3  # longest link in radii of the rope's axis on the peg: slip sets in within 2 % of exp(mu theta)
@@ -60,7 +112,7 @@ def refine_rope(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None,
     >>> fine.n_links, bool(fine.length.min() <= 0.3 * 0.0325)
     (142, True)
     """
-    return _divided(rope, cuts(rope, pegs, arm=arm, ratio=ratio))
+    return divided(rope, cuts(rope, pegs, arm=arm, ratio=ratio))
 
 
 def divided(rope: Rope, pieces: npt.ArrayLike) -> Rope:
@@ -79,12 +131,9 @@ def divided(rope: Rope, pieces: npt.ArrayLike) -> Rope:
         If a link that is to be cut is not uniform, or `pieces` does not fit.
     """
     given = checks.array("pieces", pieces, (rope.n_links,), scalar=True)
-    if (given < 1.0).any() or (given != np.round(given)).any():
+    pieces = given.astype(np.int64)
+    if (given < 1.0).any() or (given != pieces).any():
         raise InvalidInput("pieces are not whole numbers from 1 on", got=given.tolist(), allowed="1, 2, ...")
-    return _divided(rope, given.astype(np.int64))
-
-
-def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
     if (pieces == 1).all():
         return rope
     uneven = (pieces > 1) & ~uniform(rope)
@@ -96,15 +145,12 @@ def _divided(rope: Rope, pieces: npt.NDArray[np.int64]) -> Rope:
             allowed="com = length / 2",
             fix="Give shorter links there",
         )
-    length, mass = np.repeat(rope.length / pieces, pieces), np.repeat(rope.mass / pieces, pieces)
-    return rope.replace(
-        length=length,
-        mass=mass,
-        com=np.repeat(rope.com / pieces, pieces),
-        inertia=np.repeat(_inertia(rope, pieces), pieces),
-        **{each.name: np.repeat(getattr(rope, each.name), pieces) for each in LINK_PROPERTIES if each.cut == "alike"},
-        **_joints(rope, length),
-    )
+    flat = across(rope)  # goes with the mass; the inertia along the link with its length squared, too
+    parts = {name: getattr(rope, name) / pieces for name in ("length", "mass", "com")}
+    parts["inertia"] = (rope.inertia - flat) / pieces**3 + flat / pieces
+    parts |= {each.name: getattr(rope, each.name) for each in LINK_PROPERTIES if each.cut == "alike"}
+    links = {name: np.repeat(value, pieces) for name, value in parts.items()}
+    return rope.replace(**links, **_joints(rope, links["length"]))
 
 
 def recut(rope: Rope, n_links: int) -> Rope:
@@ -153,15 +199,9 @@ def cuts(rope: Rope, pegs: Sequence[Obstacle], *, arm: Arm | None = None, ratio:
     return pieces
 
 
-def _inertia(rope: Rope, pieces: npt.NDArray[np.int64]) -> Array:
-    """Inertia of a piece (n,): the part across the rope goes with its mass, the part along it with length squared."""
-    flat = across(rope)
-    return np.asarray((rope.inertia - flat) / pieces**3 + flat / pieces)
-
-
 def _share(length: Array) -> Array:
     """Length of rope that each joint stands for (n,): half of both its links; the first one's means nothing."""
-    return np.asarray(0.5 * (np.append(length[0], length[:-1]) + length))
+    return 0.5 * (np.append(length[0], length[:-1]) + length)
 
 
 def _joints(rope: Rope, length: Array) -> dict[str, Array]:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks, files
 from hyperflex.checks import Array
@@ -96,18 +96,18 @@ class Rope:
 
     def __init__(
         self,
-        length: npt.ArrayLike,
-        mass: npt.ArrayLike,
-        com: npt.ArrayLike | None = None,
-        inertia: npt.ArrayLike | None = None,
-        friction: npt.ArrayLike = 0.0,
-        dry_friction: npt.ArrayLike = 0.0,
-        stiffness: npt.ArrayLike = 0.0,
-        rest_angle: npt.ArrayLike = 0.0,
-        drag: npt.ArrayLike = 0.0,
-        max_bend: npt.ArrayLike = np.inf,
+        length: ArrayLike,
+        mass: ArrayLike,
+        com: ArrayLike | None = None,
+        inertia: ArrayLike | None = None,
+        friction: ArrayLike = 0.0,
+        dry_friction: ArrayLike = 0.0,
+        stiffness: ArrayLike = 0.0,
+        rest_angle: ArrayLike = 0.0,
+        drag: ArrayLike = 0.0,
+        max_bend: ArrayLike = np.inf,
         tip_mass: float = 0.0,
-        gravity: npt.ArrayLike = GRAVITY,
+        gravity: ArrayLike = GRAVITY,
         friction_model: FrictionModel = "relative",
         radius: float = 0.0,
         name: str = "",
@@ -389,7 +389,7 @@ def check_density(length: Any, mass: Any, radius: Any) -> None:
         )
 
 
-def _number_of_links(values: Mapping[str, npt.ArrayLike | None]) -> int:
+def _number_of_links(values: Mapping[str, ArrayLike | None]) -> int:
     sizes: dict[str, int] = {}
     for name, value in values.items():
         try:

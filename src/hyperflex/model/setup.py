@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks, files, options
 from hyperflex.checks import Array
@@ -39,8 +39,8 @@ class SetupFields(TypedDict, total=False):
     torque: Motion | float | Control | None
     control_rate: float | None
     duration: float | None
-    q0: npt.ArrayLike | None
-    qd0: npt.ArrayLike | None
+    q0: ArrayLike | None
+    qd0: ArrayLike | None
     arm_angle0: float | None
     arm_rate0: float | None
     tol: float | None
@@ -48,7 +48,7 @@ class SetupFields(TypedDict, total=False):
     step: float | None
     pegs: Sequence[Obstacle]
     contact_step: float | None
-    tip_force: npt.ArrayLike | None
+    tip_force: ArrayLike | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -207,6 +207,14 @@ class Setup:
         if not self.torque_driven:
             return q, qd
         return np.append(self.arm_angle0, q), np.append(self.arm_rate0, qd)
+
+    def first_joint(self, t: Array) -> Array:
+        """Return the places (T, 2), m, of the chain's first joint at times t (T,), s."""
+        motion = self.motion or _STILL
+        place: Array = motion.point(t)
+        if self.arm is None:
+            return place
+        return place + (self.arm.pivot if self.torque_driven else self.arm.tip(motion.angle(t)))
 
     def chain(self) -> Chain:
         """Return the chain that the kernels integrate."""

@@ -1,34 +1,31 @@
-"""Ready-made motions: hold, move, the paper's swings, and measured samples."""
+"""Ready-made motions: hold, moves with rests in between, the paper's swings, and measured samples."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.core.chain.drive import ANGLE, TORQUE, X, Y
 from hyperflex.errors import InvalidInput
-from hyperflex.motion.piecewise import CHANNELS, POWERS, Motion
+from hyperflex.motion.piecewise import CHANNELS, MEET, POWERS, Motion
 
 Profile = Literal["bang-bang", "ramp", "minimum-jerk"]
 PROFILES = ("bang-bang", "ramp", "minimum-jerk")
 PATHS = ("under", "over")
-
-
-def arm_motion(breaks: Array, rows: list[list[float]], spec: dict[str, Any], loop: int = -1) -> Motion:
-    """Motion of the arm angle alone from breaks (k + 1,), s, and ascending coefficients of each piece."""
-    coef = np.zeros((len(rows), CHANNELS, POWERS))
-    for piece, row in zip(coef, rows, strict=True):
-        piece[ANGLE, : len(row)] = row
-    return Motion(breaks, coef, np.ones(breaks.size, dtype=np.bool_), loop, spec)
+BANG_BANG = 0.5 - 1e-6  # ramp beyond which no way at full speed is left
 
 
 def motion_of_pieces(durations: list[float], rows: list[list[float]], spec: dict[str, Any], loop: int = -1) -> Motion:
-    """As :func:`arm_motion`, from t = 0, from the duration of each piece, s."""
-    return arm_motion(np.concatenate([[0.0], np.cumsum(durations)]), rows, spec, loop)
+    """Motion of the arm angle alone, from t = 0, from the duration of each piece, s, and ascending coefficients."""
+    coef = np.zeros((len(rows), CHANNELS, POWERS))
+    for piece, row in zip(coef, rows, strict=True):
+        piece[ANGLE, : len(row)] = row
+    return Motion(np.append(0.0, np.cumsum(durations)), coef, np.ones(len(rows) + 1, dtype=np.bool_), loop, spec)
 
 
 def move_pieces(
@@ -147,16 +144,134 @@ def swing_pieces(
 ) -> tuple[list[float], list[list[float]]]:
     """Durations and coefficients of one cycle of :func:`arm_swings`; takes complex numbers too."""
     start, end = half_turn_ends(path)
-    durations: list[float] = []
+    return sequence_pieces([start, end, start], [0.0, t_rest, t_rest], 2 * [t_move], 2 * [(profile, ramp)])
+
+
+def sequence_pieces(
+    angles: list[float], rests: list[float], durations: list[float], shapes: list[tuple[str, float]]
+) -> tuple[list[float], list[list[float]]]:
+    """Durations and coefficients of moves through angles, of which each has a duration and a shape: profile and ramp.
+
+    There is a rest before each move and one after the last; those of 0.0 have no piece. Takes complex numbers too.
+    """
+    times: list[float] = []
     rows: list[list[float]] = []
-    for here, there in ((start, end), (end, start)):
-        stroke = move_pieces(here, there, t_move, profile, ramp)
-        durations += stroke[0] + ([t_rest] if t_rest != 0.0 else [])
-        rows += stroke[1] + ([[there]] if t_rest != 0.0 else [])
-    return durations, rows
+    for k, rest in enumerate(rests):
+        if rest != 0.0:
+            times.append(rest)
+            rows.append([angles[k]])
+        if k < len(durations):
+            moved = move_pieces(angles[k], angles[k + 1], durations[k], *shapes[k])
+            times += moved[0]
+            rows += moved[1]
+    return times, rows
 
 
-def sampled_motion(t: npt.ArrayLike, angle: npt.ArrayLike) -> Motion:
+def arm_moves(angles: ArrayLike, rests: ArrayLike, durations: ArrayLike, ramps: ArrayLike = 0.5) -> Motion:
+    """Return moves of the arm through given angles, each after a rest and in a time of its own.
+
+    It ends with the last move; the arm stays there.
+
+    Parameters
+    ----------
+    angles : (k + 1,) array_like
+        Arm angle at the start and after each move, rad.
+    rests : (k,) array_like
+        Rest before each move, s, >= 0.
+    durations : (k,) array_like
+        Time of each move, s, > 0.
+    ramps : float or (k,) array_like
+        Part of its time in which a move speeds up, and in which it slows down, above 0 and at most 0.5; at 0.5 it
+        speeds up, then slows down ("bang-bang").
+
+    Raises
+    ------
+    InvalidInput
+        If the numbers do not fit each other or their ranges.
+
+    Examples
+    --------
+    >>> motion = arm_moves([-1.5, 1.5, 0.0], rests=[0.0, 0.4], durations=[0.7, 0.5])
+    >>> [round(float(angle), 3) for angle in motion.angle([0.35, 1.0, 2.0])]
+    [0.0, 1.5, 0.0]
+    """
+    way = checks.array("angles", angles, (-1,), unit="rad")
+    count = way.size - 1
+    if count < 1:
+        raise InvalidInput("there is no move", got=way.tolist(), allowed="at least two angles")
+    rest = checks.array("rests", rests, (count,), sign="nonnegative", unit="s")
+    time = checks.array("durations", durations, (count,), sign="positive", unit="s")
+    checks.meant("angles", way, "rad")
+    checks.meant("durations", time, "s")  # rests may be long, as of a live arm that waits
+    ramp = checks.array("ramps", ramps, (count,), scalar=True)
+    if (ramp <= 0.0).any() or (ramp > 0.5).any():
+        raise InvalidInput("ramps leave their range", got=ramp.tolist(), allowed="above 0 and at most 0.5")
+    given = {"angles": way.tolist(), "rests": rest.tolist(), "durations": time.tolist(), "ramps": ramp.tolist()}
+    return motion_of_pieces(*move_rows(**given), {"kind": "moves", **given})
+
+
+def move_rows(
+    angles: list[float], rests: list[float], durations: list[float], ramps: list[float]
+) -> tuple[list[float], list[list[float]]]:
+    """Durations and coefficients of the pieces of :func:`arm_moves`; takes complex numbers too."""
+    shapes = [("bang-bang" if np.real(ramp) > BANG_BANG else "ramp", ramp) for ramp in ramps]
+    return sequence_pieces(angles, [*rests, 0.0], durations, shapes)
+
+
+def arm_strokes(
+    starts: ArrayLike,
+    t_move: float = 0.73,
+    profile: Profile = "bang-bang",
+    path: Literal["under", "over"] = "under",
+    *,
+    ramp: float = 0.1,
+    made: int = 0,
+) -> Motion:
+    """Return half turns of the arm, there and back in turn, that start at given instants; it rests in between.
+
+    It ends with the last half turn; the arm stays there.
+
+    Parameters
+    ----------
+    starts : (k,) array_like
+        When each half turn starts, s, from 0 on, at least `t_move` apart. None at all: the arm stays where it is.
+    t_move : float
+        Time of a half turn (t_a in the paper), s.
+    profile, path, ramp
+        As for :func:`hyperflex.arm_swings`, which this is with equal rests.
+    made : int
+        Half turns made before; after an even number the arm is at -pi/2, after an odd one at the other end.
+
+    Raises
+    ------
+    InvalidInput
+        A half turn that starts before the last one ends, or before 0.
+
+    Examples
+    --------
+    >>> motion = arm_strokes([0.0, 1.26, 2.4])
+    >>> [round(float(angle), 3) for angle in motion.angle([0.0, 1.0, 2.2, 9.0])]
+    [-1.571, 1.571, -1.571, 1.571]
+    """
+    begin = checks.array("starts", starts, (-1,), sign="nonnegative", unit="s")
+    turn = checked_half_turn(t_move, profile, path, ramp)
+    number, t_move = checks.count("made", made, least=0), turn["t_move"]
+    rests = np.diff(begin, prepend=0.0) - np.append(0.0, np.full(begin.size, t_move))[: begin.size]
+    if (rests < -MEET).any():
+        k = int(np.argmax(rests < -MEET))
+        raise InvalidInput(
+            f"half turn {k} starts before half turn {k - 1} ends",
+            got=begin[k - 1 : k + 1].tolist(),
+            allowed=f"starts at least {t_move:g} s apart",
+        )
+    count, ends = begin.size, half_turn_ends(turn["path"])
+    angles = [ends[(number + k) % 2] for k in range(count + 1)]
+    gaps = [*np.where(rests > MEET, rests, 0.0).tolist(), 0.0 if count else 1.0]
+    pieces = sequence_pieces(angles, gaps, count * [t_move], count * [(turn["profile"], turn["ramp"])])
+    return motion_of_pieces(*pieces, {"kind": "strokes", "starts": begin.tolist(), **turn, "made": number})
+
+
+def sampled_motion(t: ArrayLike, angle: ArrayLike) -> Motion:
     """Return a motion through measured arm angles: a cubic spline that starts and ends at rest.
 
     Parameters
@@ -171,7 +286,7 @@ def sampled_motion(t: npt.ArrayLike, angle: npt.ArrayLike) -> Motion:
     return motion
 
 
-def moving_pivot(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike) -> Motion:
+def moving_pivot(t: ArrayLike, x: ArrayLike, y: ArrayLike) -> Motion:
     """Return a motion of the pivot itself, as cubic splines that start and end at rest.
 
     Parameters
@@ -184,7 +299,7 @@ def moving_pivot(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike) -> Motion
     return _spline(t, {X: ("x", x), Y: ("y", y)}, "moving point")
 
 
-def torque_profile(t: npt.ArrayLike, torque: npt.ArrayLike) -> Motion:
+def torque_profile(t: ArrayLike, torque: ArrayLike) -> Motion:
     """Return a motor torque that runs straight between its samples and is 0 outside.
 
     Parameters
@@ -203,7 +318,7 @@ def torque_profile(t: npt.ArrayLike, torque: npt.ArrayLike) -> Motion:
     return Motion(time, coef, np.ones(time.size, dtype=np.bool_), -1, spec)
 
 
-def _spline(t: npt.ArrayLike, channels: dict[int, tuple[str, npt.ArrayLike]], kind: str) -> Motion:
+def _spline(t: ArrayLike, channels: dict[int, tuple[str, ArrayLike]], kind: str) -> Motion:
     from scipy.interpolate import CubicSpline
 
     time = checks.times("t", t, least=2)
@@ -216,3 +331,89 @@ def _spline(t: npt.ArrayLike, channels: dict[int, tuple[str, npt.ArrayLike]], ki
         spec[name] = values.tolist()
     # The third derivative jumps at every sample, and no error estimate of a step across such a jump can be believed.
     return Motion(time, coef, np.ones(time.size, dtype=np.bool_), -1, spec)
+
+
+_TINY = 1e-40  # of a complex step: no difference is formed, so nothing is lost
+
+
+# kind: (durations and coefficients of its pieces, the parameters that may vary; of a list each number)
+_FORMULAS: dict[str, tuple[Callable[..., Any], tuple[str, ...]]] = {
+    "hold": (lambda angle: ([1.0], [[angle]]), ("angle",)),
+    "move": (move_pieces, ("start", "end", "duration", "ramp")),
+    "swings": (swing_pieces, ("t_move", "t_rest", "ramp")),
+    "moves": (move_rows, ("angles", "rests", "durations", "ramps")),
+}
+# motions that depend linearly on their samples
+_SAMPLES: dict[str, tuple[Callable[..., Motion], tuple[str, ...]]] = {
+    "sampled": (sampled_motion, ("angle",)),
+    "moving point": (moving_pivot, ("x", "y")),
+    "torque": (torque_profile, ("torque",)),
+}
+
+
+def motion_parameters(motion: Motion) -> list[str]:
+    """Return the names by which a motion can vary: its times and angles, each of its samples, and its delay."""
+    names = ["delay"]
+    for name in {**_FORMULAS, **_SAMPLES}.get(motion.spec.get("kind", ""), (None, ()))[1]:
+        value = motion.spec[name]
+        names += [f"{name}[{i}]" for i in range(len(value))] if isinstance(value, list) else [name]
+    return names
+
+
+def motion_derivatives(motion: Motion, name: str) -> tuple[Array, Array]:
+    """Return the derivatives of a motion's breaks (k + 1,) and coefficients (k, 4, 6) with respect to a parameter.
+
+    Parameters
+    ----------
+    motion : Motion
+    name : str
+        One of :func:`motion_parameters`.
+
+    Raises
+    ------
+    InvalidInput
+        If the motion has no such parameter, or was not made from parameters (joined, read from pieces).
+    """
+    if name not in motion_parameters(motion):
+        raise InvalidInput(
+            f"motion of kind {motion.spec.get('kind', 'pieces')!r} has no parameter of that name",
+            got=name,
+            allowed=", ".join(motion_parameters(motion)),
+            fix="For any other change give the derivatives of breaks and coef themselves",
+        )
+    if name == "delay":
+        return np.ones_like(motion.breaks), np.zeros_like(motion.coef)
+    kind = motion.spec["kind"]
+    if kind in _SAMPLES:
+        return _of_sample(motion, kind, name)
+    durations, rows = _FORMULAS[kind][0](**_complex_step(motion, name))
+    breaks = np.concatenate([[0.0], np.cumsum(np.imag(durations))]) / _TINY
+    coef = np.zeros_like(motion.coef)
+    for piece, row in zip(coef, rows, strict=True):
+        piece[ANGLE, : len(row)] = np.imag(row) / _TINY
+    return breaks, coef
+
+
+def _of_sample(motion: Motion, kind: str, name: str) -> tuple[Array, Array]:
+    """A spline through samples depends linearly on them: its derivative is the spline through a unit sample."""
+    maker, channels = _SAMPLES[kind]
+    channel, _, index = name.rstrip("]").partition("[")
+    t = motion.spec["t"]
+    samples = {key: np.zeros(len(t)) for key in channels}
+    samples[channel][int(index)] = 1.0
+    return np.zeros_like(motion.breaks), np.array(maker(t, **samples).coef)
+
+
+def _complex_step(motion: Motion, name: str) -> dict[str, Any]:
+    """Return the parameters of a motion, of which one, such as ``rests[2]``, has a tiny imaginary part."""
+    key, _, index = name.rstrip("]").partition("[")
+    values = {key: value for key, value in motion.spec.items() if key not in ("kind", "delay")}
+    value = values[key][int(index)] if index else values[key]
+    if (key in ("rests", "t_rest") and value == 0.0) or (key == "ramps" and value > BANG_BANG):
+        raise InvalidInput(
+            f"motion without a rest or a ramp cannot vary {name}", got=value, allowed="a rest > 0, in s, a ramp < 0.5"
+        )
+    value = value + 1j * _TINY
+    if index:
+        value = [*values[key][: int(index)], value, *values[key][int(index) + 1 :]]
+    return values | {key: value}

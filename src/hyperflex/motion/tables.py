@@ -12,7 +12,6 @@ from hyperflex import checks, files
 from hyperflex.errors import InvalidInput, located
 from hyperflex.motion import profiles
 from hyperflex.motion.piecewise import CHANNELS, MEET, POWERS, Motion
-from hyperflex.motion.sequence import arm_moves, arm_strokes
 
 MOVES = "moves"  # key of the note with the arguments of ``arm_moves`` as JSON
 
@@ -42,7 +41,7 @@ def read_motion(path: str | Path) -> Motion:
     with located(str(path)):
         sampled = profiles.sampled_motion(t := table.times("t"), angle := table.values[:, 1])
     try:
-        exact = arm_moves(**json.loads(table.notes[MOVES]))
+        exact = profiles.arm_moves(**json.loads(table.notes[MOVES]))
     except (InvalidInput, KeyError, TypeError, ValueError):  # not what a plan wrote
         return sampled
     return exact if np.abs(exact.angle(t) - angle).max() <= MEET else sampled
@@ -92,8 +91,8 @@ MAKERS: dict[str, Callable[..., Motion]] = {  # of motions, by the kind of their
     "hold": profiles.hold_arm,
     "move": profiles.move_arm,
     "swings": profiles.arm_swings,
-    "strokes": arm_strokes,
-    "moves": arm_moves,
+    "strokes": profiles.arm_strokes,
+    "moves": profiles.arm_moves,
     "sampled": profiles.sampled_motion,
     "moving point": profiles.moving_pivot,
     "torque": profiles.torque_profile,

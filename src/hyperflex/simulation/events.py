@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.core.integrate.events import ANGLE, CROSSES, PEAK, PHASE, Until
@@ -53,7 +53,7 @@ class Event:
         return Until(self.kind, a, b, c, d, float(self.sense), self.after)
 
 
-def tip_crosses(point: npt.ArrayLike, direction: npt.ArrayLike, *, sense: int = 1, after: float = -math.inf) -> Event:
+def tip_crosses(point: ArrayLike, direction: ArrayLike, *, sense: int = 1, after: float = -math.inf) -> Event:
     """End a run where the tip crosses a straight line.
 
     Parameters

@@ -12,14 +12,12 @@ from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import Rope, Setup, SetupFields
 from hyperflex.motion import Motion
-from hyperflex.simulation.arguments import setup_of
-from hyperflex.simulation.outcome import refuse_failure
-from hyperflex.simulation.rollouts import finish_rollout, prepare_rollout, rollout_limits
-from hyperflex.simulation.runs import simulate
+from hyperflex.simulation.runs import setup_of
+from hyperflex.simulation.sensitivity import AngleJacobian
 
-NUDGE = 1e-5  # of the rope's length: far above the runs' own errors, far below where growth is no longer proportional
 MOST_NUDGES = 1000
-FINE = 1e-9  # of the rope's length: the tolerance of all runs
+FINE = 1e-9  # of the rope's length: the tolerance of the run
+LEAST = 1e-30  # factor by which a nudge shrinks at most between two times: of less nothing would be left
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -112,7 +110,7 @@ def predictability(
     rope, motion, **setup
         As in :func:`hyperflex.simulate`. `tol` is the initial error, m, of :meth:`Predictability.horizon`.
     nudges : int
-        Number of perturbed runs, each with random changes of all angles and rates.
+        Number of perturbations, random changes of all angles and rates.
     seed : int
         For the nudges.
     sample_time : float
@@ -123,14 +121,14 @@ def predictability(
     InvalidInput
         If an argument cannot be used.
     SimulationError
-        If one of the runs fails.
+        If the run fails.
 
     Notes
     -----
-    The tolerance of the runs is 1e-9 of the rope's length, the perturbations are 1e-5 of it. Every `sample_time` each
-    perturbation is rescaled to its initial size in its current direction (Benettin et al. 1980,
-    doi:10.1007/BF02128236), so it neither saturates nor falls below the errors of the runs. The cost is about 4 (1 +
-    nudges) runs at the default tolerance. This is an estimate: a few perturbations may miss a short growth.
+    The tolerance of the run is 1e-9 of the rope's length. The perturbations are infinitesimal: exact derivatives of the
+    computed run, as of :func:`hyperflex.sensitivities`. Every `sample_time` each is rescaled to its initial size in its
+    current direction (Benettin et al. 1980, doi:10.1007/BF02128236). This is an estimate: a few perturbations may miss
+    a short growth. The run is in free flight: obstacles are refused.
 
     Examples
     --------
@@ -142,70 +140,34 @@ def predictability(
     """
     full, _ = setup_of(rope, {**setup, "motion": motion})
     count = checks.count("nudges", nudges, most=MOST_NUDGES)
-    seed = checks.count("seed", seed, least=0)
+    rng = np.random.default_rng(checks.count("seed", seed, least=0))
     spacing = checks.number("sample_time", sample_time, sign="positive", unit="s")
-    reach = full.rope.total_length
-    fine = replace(full, tol=FINE * reach, method="extrapolation", step=None)
+    fine = replace(full, tol=FINE * full.rope.total_length, method="extrapolation", step=None)
+    run = AngleJacobian(fine, most=count)
     t = np.linspace(0.0, full.duration, max(2, math.ceil(full.duration / spacing - 1e-9) + 1))
-    q, w = _states(fine, t)
-    directions = _first_nudges(fine, count, np.random.default_rng(seed))
+    (q, qd), changes = full.start(), _first_nudges(full, count, rng)
     size, displacement = np.ones((count, t.size)), np.ones((count, t.size))
-    for m, nudge in enumerate(directions):
-        for k in range(1, t.size):
-            nudge, grown, moved = _drift(fine, t[k - 1 : k + 1], (q[k - 1], w[k - 1]), (q[k], w[k]), nudge)
-            displacement[m, k] = size[m, k - 1] * moved
-            size[m, k] = size[m, k - 1] * grown
+    for k in range(1, t.size):
+        (*_, q), (*_, qd), dq, dqd = run(t[k - 1 : k + 1], q, qd, changes=changes.reshape(count, 2 * q.size))
+        changes = np.stack([dq[-1].T, dqd[-1].T], axis=1)
+        moved, hastened = _displaced(full, q, changes).T
+        grown = np.maximum(np.maximum(moved, hastened), LEAST)
+        displacement[:, k], size[:, k] = size[:, k - 1] * moved, size[:, k - 1] * grown
+        changes /= grown[:, None, None]
     return Predictability(t, size, displacement, full.tol)
 
 
-def _states(setup: Setup, t: Array) -> tuple[Array, Array]:
-    """Angles and rates (T, n) of the whole chain, a torque-driven arm first."""
-    run = simulate(setup, t_eval=t)
-    if not setup.torque_driven:
-        return run.q, run.qd
-    return np.column_stack([run.arm_angle, run.q]), np.column_stack([run.arm_rate, run.qd])
-
-
-def _swing_time(setup: Setup) -> float:
-    """Time scale between changes of velocity and changes of position, s."""
-    pull = math.hypot(*setup.rope.gravity)
-    return math.sqrt(setup.rope.total_length / max(pull, setup.rope.total_length))
-
-
-def _measures(setup: Setup, q: Array, change: Array) -> tuple[float, float]:
-    """Size of a small change (2, n) of angles and rates, m, and how far it displaces the worst joint, m."""
+def _displaced(setup: Setup, q: Array, changes: Array) -> Array:
+    """Displacement of the worst joint (..., 2), m, by small changes (..., 2, n) of angles, and of rates in a swing."""
+    reach = setup.rope.total_length
+    swing_time = math.sqrt(reach / max(math.hypot(*setup.rope.gravity), reach))
     across = setup.chain().length[:, None] * np.stack([np.cos(q), np.sin(q)], axis=1)
-    moved, hastened = (float(np.hypot(*np.cumsum(part[:, None] * across, axis=0).T).max()) for part in change)
-    return max(moved, _swing_time(setup) * hastened), moved
+    places = np.cumsum(changes[..., None] * across, axis=-2)
+    return np.asarray(np.linalg.norm(places, axis=-1).max(axis=-1) * [1.0, swing_time])
 
 
-def _first_nudges(setup: Setup, count: int, rng: np.random.Generator) -> list[Array]:
-    """Random changes (2, n) of all angles and rates, each as large as NUDGE of the length."""
+def _first_nudges(setup: Setup, count: int, rng: np.random.Generator) -> Array:
+    """Random changes (count, 2, n) of all angles and rates, each of the size 1."""
     q = setup.start()[0]
-    reach = NUDGE * setup.rope.total_length
-    changes = []
-    for _ in range(count):
-        change = rng.normal(0.0, 1.0, (2, q.size))
-        for row, haste in ((0, 1.0), (1, _swing_time(setup))):
-            alone = np.zeros_like(change)
-            alone[0] = change[row]
-            change[row] *= reach / (haste * _measures(setup, q, alone)[1])
-        changes.append(change)
-    return changes
-
-
-def _drift(
-    setup: Setup, t: Array, start: tuple[Array, Array], end: tuple[Array, Array], nudge: Array
-) -> tuple[Array, float, float]:
-    """Run from `start` plus `nudge` over t (2,): the new nudge, as large as the first; its growth; its displacement."""
-    chain = setup.chain()
-    nudged = (start[0] + nudge[0], start[1] + nudge[1])
-    run = prepare_rollout(chain, setup.drive(), nudged, t, rollout_limits(setup, chain, float(t[1])))
-    refuse_failure(finish_rollout(run), run)
-    n = chain.length.size
-    change = np.stack([run.y[1, :n] - end[0], run.y[1, n : 2 * n] - end[1]])
-    unit = NUDGE * setup.rope.total_length
-    size, moved = _measures(setup, end[0], change)
-    if not size > 0.0:  # not a trace of the nudge is left: go on with the least that could be seen
-        return nudge, FINE / NUDGE, 0.0
-    return change * (unit / size), size / unit, moved / unit
+    changes = rng.normal(0.0, 1.0, (count, 2, q.size))
+    return np.asarray(changes / _displaced(setup, q, changes)[..., None])

@@ -1,6 +1,7 @@
 """Rollouts of a set-up: kernel arrays, step control, torque callbacks."""
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,23 +9,127 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperflex import checks
+from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.core import joint_law, status
-from hyperflex.core.chain.articulated_body import Chain, accelerations, sticks_often
-from hyperflex.core.chain.drive import TORQUE, Drive, motion_at
+from hyperflex.core.chain.articulated_body import Chain, accelerations, mass_matrix, sticks_often
+from hyperflex.core.chain.drive import Drive, motion_at
 from hyperflex.core.integrate import rollout
 from hyperflex.core.integrate.events import NEVER, Until
 from hyperflex.core.integrate.observation import senses
-from hyperflex.core.integrate.rollout import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T, restart
+from hyperflex.core.integrate.rollout import AFTER, CLOCK, INDEX, MARK, STEP, UNDECIDED, Limits, Progress, T
 from hyperflex.core.integrate.step_size import FIRST_STEP
 from hyperflex.core.integrate.steps import MOST_ORDER, scheme
 from hyperflex.core.read_only import read_only
-from hyperflex.errors import InvalidInput
-from hyperflex.interruption import defer_while_compiling, raise_if_cancelled
-from hyperflex.model import Control, Rope, Setup
-from hyperflex.motion import Motion, hold_arm
-from hyperflex.simulation.stability import first_moment, runge_kutta_limit
+from hyperflex.errors import InvalidInput, SimulationError
+from hyperflex.interruption import OutOfTime, defer_while_compiling, raise_if_cancelled
+from hyperflex.model import Rope, Setup
+from hyperflex.status import Status
+
+# s of processor time: allowed to a run without a time budget, and spent before the whole is predicted
+LONGEST, PREDICTED = 1800.0, 10.0
+
+
+class Endless(OutOfTime):
+    """Raised in a run without a time budget that would take more than LONGEST seconds."""
+
+
+class Watch:
+    """Called between the steps of a run with the time it has reached, s; ends the run by an exception.
+
+    Parameters
+    ----------
+    given : float, Budget or None
+        Time of the run, s; without one, the run ends once its progress predicts more than LONGEST s for the whole.
+    span : (float, float)
+        Simulated time at which the run begins and ends, s.
+    report : callable, optional
+        Called with the time reached, s.
+    """
+
+    def __init__(
+        self,
+        given: float | Budget | None,
+        span: tuple[float, float],
+        report: Callable[[float], None] | None = None,
+    ) -> None:
+        self.budget, (self._begin, self._end) = Budget.of(given), span
+        self.report = report or (lambda t: None)
+        self._work = Budget(clock=time.thread_time) if given is None else None  # a busy machine ends no run
+
+    def __call__(self, t: float) -> None:
+        """Report the time reached, t, s, and raise OutOfTime or KeyboardInterrupt if the run has to end there."""
+        self.report(t)
+        self.budget.check()
+        if self._work is not None and (work := self._work.elapsed) > PREDICTED:
+            done = (t - self._begin) / (self._end - self._begin)
+            if work > LONGEST * done:
+                raise Endless
+
+
+def out_of_time(t: float, cause: BaseException | None, otherwise: str = "") -> SimulationError:
+    """Return the error of a run that was ended by OutOfTime, its `cause`, at simulated time t, s."""
+    why = "its time budget is over. Allow more, or loosen tol"
+    if isinstance(cause, Endless):
+        why = f"it would take more than {LONGEST / 60.0:g} minutes in all. Check units and gravity, loosen tol, or "
+        why += f"make it shorter{otherwise}"
+    return SimulationError(
+        f"stopped at t = {t:.6g} s ({Status.OUT_OF_TIME}): {why}.", status=Status.OUT_OF_TIME, time=t
+    )
+
+
+RK4_LINKS = 1000  # beyond, eigenvalues of dense matrices take minutes
+
+
+def runge_kutta_limit(chain: Chain) -> float:
+    """Longest stable step of the classical Runge-Kutta method for a chain that hangs straight, s.
+
+    The linearised chain M qdd + C qd + K q = 0 has the eigenvalues z; a step h is stable while the method's growth
+    factor |1 + hz + (hz)^2 / 2 + (hz)^3 / 6 + (hz)^4 / 24| stays below 1 for all of them. Aligned links have the least
+    inertia against relative motion of neighbours, so no other posture has a faster friction mode. For a uniform
+    friction-bound cable this is 2.785 m l^2 / (48 eta). Infinite for a chain without gravity and joint torques.
+
+    Raises InvalidInput for more than RK4_LINKS links.
+    """
+    n = chain.length.size
+    if n > RK4_LINKS:
+        raise InvalidInput(
+            "method='rk4', a check, is not there for so many links",
+            got=n,
+            allowed=f"up to {RK4_LINKS}",
+            fix="Take method='extrapolation', whose step does not shrink with the links",
+        )
+    mass = np.empty((n, n))
+    mass_matrix(chain, np.zeros(n), mass)
+    relative = np.eye(n) - np.eye(n, k=-1)
+
+    def resistance(by_rate: float, by_angle: float) -> Array:
+        own, back = joint_law.jacobian(chain.joints, len(chain.reaction) - 1.0, by_rate, by_angle)
+        return (np.diag(own) - np.diag(back[1:], k=1)) @ relative
+
+    weight = math.hypot(chain.gx, chain.gy) * first_moment(chain)
+    damping, stiffness = resistance(1.0, 0.0), resistance(0.0, 1.0) + np.diag(weight)
+    system = np.block(
+        [[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, stiffness), -np.linalg.solve(mass, damping)]]
+    )
+    z = np.linalg.eigvals(system)
+    if not z.any():  # nothing but inertia: every step is stable
+        return math.inf
+    z = z[np.abs(z) > 1e-9 * np.abs(z).max()]
+    low, high = 0.0, 3.0 / float(np.abs(z).max())
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        hz = middle * z
+        growth = np.abs(1.0 + hz * (1.0 + hz / 2.0 * (1.0 + hz / 3.0 * (1.0 + hz / 4.0)))).max()
+        low, high = (middle, high) if growth <= 1.0 + 1e-9 else (low, middle)
+    return low
+
+
+def first_moment(chain: Chain) -> Array:
+    """Mass times lever of each link and of all beyond it about the link's motor-side joint (n,), kg m; p in (M.4)."""
+    outer = np.cumsum(chain.mass[::-1])[::-1] - chain.mass + chain.tip_mass
+    return chain.mass * chain.com + chain.length * outer
+
 
 # Orders that a run chooses from, step by step: seven fills four lanes without a gap, lower ones save no time, and eight
 # (MOST_ORDER) is worth its rounds at tight tolerances.
@@ -194,54 +299,6 @@ class Interval:
         self._coef[0, channel] = powers
 
 
-@dataclass
-class AppliedTorques:
-    """Torques of a callback, N m, each with the time when it was set, s."""
-
-    times: list[float] = field(default_factory=list)
-    torques: list[float] = field(default_factory=list)
-
-    def motion(self, end: float) -> Motion:
-        """Return the torque that keeps each value until the next one, and the last one beyond `end`, s."""
-        coef = np.zeros((len(self.times), *hold_arm().coef.shape[1:]))
-        coef[:, TORQUE, 0] = self.torques
-        breaks = np.append(self.times, max(end, self.times[-1]) + 1.0)
-        return Motion(breaks, coef, np.ones(breaks.size, dtype=np.bool_))
-
-
-def controlled(
-    run: Rollout,
-    interval: Interval,
-    control: Control,
-    period: float,
-    go: Callable[[], int],
-    watch: Callable[[float], None],
-    applied: AppliedTorques,
-) -> int:
-    """Run with a torque that `control` sets every `period`, s; return the last status code.
-
-    The interval's drive drives the run; `go` runs until ``run.limits.stop`` and returns the status code. `watch` is
-    called after each period with the time reached, s. Torques are added to `applied`, also if an exception ends the
-    run.
-    """
-    n, limit = run.chain.length.size, run.drive.torque_limit
-    begin, stop, code = run.time, run.limits.stop, status.OK
-    while run.time < stop and code == status.OK:
-        y, now = run.progress.y, run.time
-        answer = control(now, float(y[0]), float(y[n]), y[1:n].copy(), y[n + 1 : 2 * n].copy())
-        commanded = checks.number(f"torque callback at t = {now:g} s", answer, unit="N m")
-        applied.times.append(now)
-        applied.torques.append(float(np.clip(commanded, -limit, limit)))
-        until = min(begin + len(applied.times) * period, stop)
-        interval.set(now, until, TORQUE, [applied.torques[-1], 0.0, 0.0, 0.0, 0.0, 0.0])
-        run.limits = run.limits._replace(stop=until)
-        code = go()
-        restart(run.progress.clock)
-        if run.time < stop:
-            watch(run.time)
-    return code
-
-
 def stored(chain: Chain, q: Array) -> Array:
     """Return the energy (..., T) that links (..., T, n) store above hanging straight, and bent joints, J.
 
@@ -259,30 +316,31 @@ def least_scale(rope: Rope) -> float:
     return 0.01 * rope.total_mass * rope.total_length * float(np.hypot(*rope.gravity))
 
 
-def balanced(
-    floor: float | Array, kinetic: Array, potential: Array, held: float | Array, work: Array, dissipated: Array
-) -> npt.NDArray[np.int64]:
-    """Return the number of leading samples whose energy balance holds.
+def balanced(floor: Array, energies: Array, held: Callable[[int], Array]) -> npt.NDArray[np.int64]:
+    """Return the number of leading samples (M,) of each member whose energy balance holds.
 
     Parameters
     ----------
-    floor : float or (..., 1) array
+    floor : (M, 1) float64
         Scale of a run in which hardly anything happens, J (:func:`least_scale`).
-    kinetic, potential, held, work, dissipated : (..., T) float64
-        J; the first sample is what the balance is drawn against. What is held (:func:`stored`) may have been kinetic
-        between two samples, so it counts for the scale.
-
-    Returns
-    -------
-    (...,) int64
+    energies : (4, M, T) float64
+        Kinetic and potential energy, work and dissipation, J; the balance is drawn against the first sample.
+    held : callable
+        Returns what a member's links store (T,), J (:func:`stored`): it may have been kinetic between two samples, so
+        it counts for the scale. It is computed where the balance does not hold without.
     """
-    energy = kinetic + potential
-    change = energy - energy[..., :1]
-    error = change - (work - work[..., :1]) + (dissipated - dissipated[..., :1])
+    kinetic, _, work, dissipated = energies
+    gained = energies - energies[..., :1]
+    change = gained[0] + gained[1]
+    error = np.abs(change - gained[2] + gained[3])
 
-    def peak(value: Array) -> Array:
-        return np.maximum.accumulate(np.abs(value), axis=-1)
+    def good(rows: Any, more: float | Array) -> npt.NDArray[np.int64]:
+        parts = work[rows], dissipated[rows], kinetic[rows] + more, change[rows]
+        scale = sum(np.maximum.accumulate(np.abs(part), axis=1) for part in parts)
+        bad = ~(error[rows] <= ENERGY_ALLOWANCE * (scale + floor[rows]) + 1e-300)
+        return np.asarray(np.where(bad.any(axis=1), bad.argmax(axis=1), bad.shape[1]))
 
-    scale = peak(work) + peak(dissipated) + peak(kinetic + held) + peak(change)
-    bad = ~(np.abs(error) <= ENERGY_ALLOWANCE * (scale + floor) + 1e-300)
-    return np.asarray(np.where(bad.any(axis=-1), bad.argmax(axis=-1), bad.shape[-1]))
+    found = good(slice(None), 0.0)
+    for m in np.flatnonzero(found < error.shape[1]).tolist():
+        found[m] = good([m], held(m))[0]
+    return found

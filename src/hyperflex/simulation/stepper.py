@@ -1,35 +1,132 @@
 """Stepper: a run taken one interval at a time, with a command for each."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Unpack
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from hyperflex import checks
 from hyperflex.checks import Array
-from hyperflex.core.chain.articulated_body import can_stick
-from hyperflex.core.chain.drive import ANGLE, TORQUE
+from hyperflex.core.chain.articulated_body import Chain, can_stick
+from hyperflex.core.chain.drive import ANGLE, TORQUE, Drive, base_state, segment
+from hyperflex.core.chain.lanes import COLUMNS, set_slip
 from hyperflex.core.contact.run import clearance
-from hyperflex.core.integrate.rollout import JOINT, MARK, MODES, REJECTED, TAKEN
-from hyperflex.core.tangent import forward_sensitivity
-from hyperflex.core.tangent.extrapolation import Directions
+from hyperflex.core.integrate.rollout import MARK, REJECTED, TAKEN
+from hyperflex.core.stiction import find_modes, new_stiction_workspace
+from hyperflex.core.tangent.extrapolation import Directions, new_tangent_workspace
+from hyperflex.core.tangent.forward_sensitivity import acceleration_derivatives
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import Arm, Rope, Setup, SetupFields
-from hyperflex.motion import hold_arm
-from hyperflex.simulation.arguments import setup_of
-from hyperflex.simulation.commands import COMMANDS, arm_polynomials, set_commands, setup_for, state_directions
-from hyperflex.simulation.contact.runs import STEP as CONTACT_STEP
-from hyperflex.simulation.contact.runs import ContactRun
-from hyperflex.simulation.contact.start import check_start
-from hyperflex.simulation.outcome import refuse_failure
-from hyperflex.simulation.restart import check_state, resume, state_of
-from hyperflex.simulation.rollouts import TABLES, Interval, finish_rollout, prepare_rollout, rollout_limits
-from hyperflex.simulation.sensitivity.directions import check_smooth
-from hyperflex.simulation.sensitivity.sensitivity import ON
-from hyperflex.simulation.sensitivity.stiction import stiction_projection
+from hyperflex.motion import hold_arm, torque_profile
+from hyperflex.simulation.contact import STEP as CONTACT_STEP
+from hyperflex.simulation.contact import ContactRun, check_start
+from hyperflex.simulation.rollouts import Interval, finish_rollout, link_accelerations, prepare_rollout, rollout_limits
+from hyperflex.simulation.runs import check_state, refuse_failure, resume, setup_of, state_of
+from hyperflex.simulation.sensitivity import ParameterDirections, check_smooth, forward_derivatives, log_width
 from hyperflex.trajectory import State
+
+COMMANDS = {"acceleration": ANGLE, "angle": ANGLE, "torque": TORQUE}  # and the channel of the motion that each sets
+
+
+def setup_for(command: str, setup: Setup) -> Setup:
+    """Return a set-up with an arm that a stepper can command, without a motion or a torque of its own."""
+    if setup.arm is None:
+        fix = "Give Arm(length=0.0) for a rope that hangs from the motor's shaft itself"
+        fix = "" if command == "torque" else fix
+        raise InvalidInput("a stepper needs an arm to command", allowed="arm=Arm(...)", fix=fix)
+    torque = torque_profile([0.0, 1.0], [0.0, 0.0]) if command == "torque" else None
+    angle, rate = setup.arm_angle0, setup.arm_rate0
+    if setup.motion is not None:
+        angle, rate = float(setup.motion.angle(0.0)), float(setup.motion.rate(0.0))
+    return replace(setup, motion=None, torque=torque, arm_angle0=angle, arm_rate0=rate, control=None, control_rate=None)
+
+
+@lru_cache(maxsize=64)
+def arm_polynomials(command: str, dt: float) -> tuple[Array, Array]:
+    """Return what the arm does in an interval, in proportion to its angle and rate at the beginning and the command.
+
+    Returns
+    -------
+    powers : (3, 6) float64
+        Coefficients of the arm's angle, or of the motor's torque, in powers of the time since the interval began.
+    ends : (3, 2) float64
+        Angle and rate of a prescribed arm at its end.
+    """
+    powers, ends = np.zeros((3, 6)), np.zeros((3, 2))
+    if command == "torque":
+        powers[2, 0] = 1.0
+    else:
+        powers[0, 0] = powers[1, 1] = 1.0
+    if command == "acceleration":
+        powers[2, 2] = 0.5
+        ends[:] = [[1.0, 0.0], [dt, 1.0], [0.5 * dt * dt, dt]]
+    elif command == "angle":
+        powers[:, 2] = -2.0 / dt**2, -2.0 / dt, 2.0 / dt**2
+        powers[:, 3] = 1.0 / dt**3, 1.0 / dt**2, -1.0 / dt**3
+        ends[:] = [[0.0, -1.0 / dt], [0.0, 0.0], [1.0, 1.0 / dt]]
+    return powers, ends
+
+
+def command_directions(command: str, chain: Chain, drive: Drive) -> tuple[ParameterDirections, Directions]:
+    """Return the directions of x = (arm angle, q, arm rate, qd) and of the command, with seeds for the kernels.
+
+    The seeds are those of no interval until :func:`set_commands`.
+    """
+    n, by = chain.length.size, {"coef": np.ones((1, 4, 6))}
+    q, qd = ([{name: row} for row in np.eye(n)] for name in ("q0", "qd0"))
+    parts = [*q, *qd, by] if command == "torque" else [by, *q, by, *qd, by]
+    varied = ParameterDirections(tuple(map(str, range(len(parts)))), tuple(parts))
+    return varied, varied.directions(chain, drive._replace(coef=by["coef"]))  # all that may ever move
+
+
+def set_commands(command: str, seeds: Directions, powers: Array) -> None:
+    """Set directions to those of an interval, whose `powers` are as :func:`arm_polynomials` gives them."""
+    rows = powers[2:] if command == "torque" else powers
+    seeds.coef[:] = 0.0
+    seeds.coef[: len(rows), 0, COMMANDS[command]] = rows
+
+
+def commanded_accelerations(command: str, setup: Setup, q: Array, qd: Array, u: float) -> tuple[Array, Array]:
+    """Return the accelerations (n + 1,) of arm and links under a command u, rad/s^2, and their derivatives.
+
+    Parameters
+    ----------
+    command : {"acceleration", "torque"}
+    setup : Setup
+        From :func:`setup_for`.
+    q, qd : (n + 1,) float64
+        Angles, rad, and rates, rad/s, of the arm and the links; joints that stick there are locked.
+    u : float
+        rad/s^2 or N m.
+
+    Returns
+    -------
+    accelerations : (n + 1,) float64
+    slopes : (n + 1, 2 n + 3) float64
+        By q, qd and u.
+    """
+    chain, interval, powers = setup.chain(), Interval(setup.drive()), arm_polynomials(command, 1.0)[0]
+    interval.set(0.0, 1.0, COMMANDS[command], np.array([q[0], qd[0], u]) @ powers)
+    drive, n, size = interval.drive, chain.length.size, 2 * q.size + 1
+    angles, rates = q[-n:].copy(), qd[-n:].copy()
+    varied, seeds = command_directions(command, chain, drive)
+    set_commands(command, seeds, powers)
+    base, slip, part = np.empty(9), np.ones(n), segment(drive, 0.0)
+    torque = base_state(drive, part, 0.0, base)
+    if can_stick(chain):
+        find_modes(chain, angles, rates, base, torque, 1.0, slip, new_stiction_workspace(n))
+    workspace = new_tangent_workspace(chain, seeds.parameters.size)
+    set_slip(COLUMNS, workspace.lanes, slip)
+    workspace.ys[:, :n], workspace.ys[:, n : 2 * n], workspace.nodes[:] = angles, rates, varied.start(n)
+    acceleration_derivatives(chain, drive, part, 0.0, 0.0, seeds, workspace)
+    accelerations, slopes = np.full(q.size, u), np.eye(1, size, size - 1).repeat(q.size, axis=0)  # those of the arm
+    accelerations[-n:] = link_accelerations(chain, drive, 0.0, angles, rates)
+    slopes[-n:] = workspace.bends[0][:, :size]
+    return accelerations, slopes
+
 
 STEPS = 64  # noted at first for a derivative; an interval with more of them is run again with room for all
 
@@ -106,24 +203,21 @@ class Stepper:
         refine: bool = True,
         **setup: Unpack[SetupFields],
     ) -> None:
-        self.command = checks.choice("command", command, COMMANDS)
+        self.command = checks.choice("command", command, tuple(COMMANDS))
         full, _ = setup_of(rope, {"duration": 1.0, **setup} if isinstance(rope, Rope) else setup, refine=refine)
         self.setup = setup_for(command, full)
         chain, self._interval = self.setup.chain(), Interval(self.setup.drive())
-        run = prepare_rollout(
-            chain, self._interval.drive, self.setup.start(), np.zeros(1), rollout_limits(self.setup, chain, 0.0)
-        )
+        bounds = rollout_limits(self.setup, chain, 0.0)
+        run = prepare_rollout(chain, self._interval.drive, self.setup.start(), np.zeros(1), bounds)
         run.t, run.y = run.t[1:], run.y[1:]  # no outputs: a step shows its end
-        self._run, self._log = run, np.empty((STEPS, MODES + chain.length.size if can_stick(chain) else JOINT))
+        self._run, self._log = run, np.empty((STEPS, log_width(chain)))
         self._contact_run = ContactRun(run, self.setup, None) if self.setup.touches else None
-        self._channel = TORQUE if command == "torque" else ANGLE
-        self._polynomials = (0.0, np.zeros((3, 6)), np.zeros((3, 2)))
-        self._seeds: tuple[Array, Directions] | None = None
+        self._directions: tuple[ParameterDirections, Directions] | None = None
 
     def start(
         self,
-        q0: npt.ArrayLike | None = None,
-        qd0: npt.ArrayLike | None = None,
+        q0: ArrayLike | None = None,
+        qd0: ArrayLike | None = None,
         *,
         arm_angle: float | None = None,
         arm_rate: float | None = None,
@@ -183,35 +277,40 @@ class Stepper:
         if self.setup.touches:
             got = "a stepper with pegs or joint limits"
             raise InvalidInput("derivatives are of free flight", got=got, fix="Make one without")
-        arm, steps, begin = self._recorded(state, command, dt)
         run, n = self._run, self._run.chain.length.size
-        if self._seeds is None:
-            self._seeds = state_directions(self.command, run.chain, run.drive)
-        start, seeds = self._seeds
-        set_commands(self.command, seeds, self._polynomials[1])
-        y, jacobian = np.zeros((2, 2 * n + 2)), np.zeros((2, *start.shape))
-        y[0] = begin
-        times = np.array([run.drive.breaks[0], run.time])
-        begins = stiction_projection(run.chain, run.drive, times[0], begin[:n], steps[0, MODES:], seeds, start)
-        forward_sensitivity.forward_sensitivities(
-            run.chain, run.drive, TABLES, steps, times[0], begins, seeds, times, y, jacobian, ON
-        )
-        moved = jacobian[1]
+        if self._directions is None:
+            self._directions = command_directions(self.command, run.chain, run.drive)
+        varied, seeds = self._directions
+        powers, ends = arm_polynomials(self.command, dt)
+        set_commands(self.command, seeds, powers)
+        plain = run.progress
+        try:
+            while True:
+                run.progress = plain._replace(log=self._log)
+                arm = self._begin(state, command, dt)
+                start = plain.y[:n].copy(), plain.y[n : 2 * n].copy()
+                self._finish()
+                count = int(plain.clock[TAKEN] - plain.clock[REJECTED])
+                if count <= len(self._log):
+                    break
+                self._log = np.empty((2 * count, self._log.shape[1]))
+            run.progress = plain._replace(log=self._log[:count])
+            times = np.array([run.drive.breaks[0], run.time])
+            moved = forward_derivatives(run, varied, start, times, seeds)[1][1]
+        finally:
+            run.progress = plain
         if self.command != "torque":  # the arm is no link of the chain: what it does follows from the command alone
             rows = np.zeros((2, moved.shape[1]))
-            rows[:, [0, n + 1, 2 * n + 2]] = self._polynomials[2].T
+            rows[:, [0, n + 1, 2 * n + 2]] = ends.T
             moved = np.concatenate([rows[:1], moved[:n], rows[1:], moved[n:]])
         size = len(moved)
         return Linearization(self._state(arm), moved[:, :size].copy(), moved[:, size : size + 1].copy())
 
     def tip(self, state: State) -> tuple[Array, Array]:
         """Return place (2,), m, and velocity (2,), m/s, of the tip in a `state`."""
-        arm, rope = self.setup.arm or Arm(), self.setup.rope  # a stepper has an arm
-        q = np.asarray(check_state(state, rope.n_links).q)
-        angle, rate = self._arm_of(state)
-        place = rope.joints(q, arm.tip(np.array([angle]))[0])[-1]
-        turn = arm.length * rate * np.array([np.cos(angle), np.sin(angle)])
-        return place, turn + np.array([np.cos(q), np.sin(q)]) @ (rope.length * state.qd)
+        check_state(state, self.setup.rope.n_links)
+        arm = self.setup.arm or Arm()  # a stepper has an arm
+        return arm.rope_tip(self.setup.rope.length, *self._arm_of(state), state.q, state.qd)
 
     def gap(self, state: State) -> float:
         """Return the smallest gap between rope and obstacles in a `state`, m.
@@ -223,7 +322,7 @@ class Stepper:
         """
         if self._contact_run is None or not self.setup.pegs:
             raise InvalidInput("there is nothing to touch", fix="Make the stepper with pegs=[...]")
-        self._enter(state, 0.0, 1.0, arm_polynomials(self.command, 1.0)[0])
+        self._enter(state, 0.0, 1.0)
         run = self._run
         return float(clearance(run.chain, run.drive, self._contact_run.contacts, run.time, run.progress.y, np.inf)[0])
 
@@ -240,9 +339,7 @@ class Stepper:
     def _begin(self, state: State, command: float, dt: float) -> tuple[float, float]:
         """Set the run to a state and a command; returns angle and rate of a prescribed arm at the end."""
         u, span = checks.number("command", command), checks.number("dt", dt, sign="positive", unit="s")
-        if span != self._polynomials[0]:
-            self._polynomials = (span, *arm_polynomials(self.command, span))
-        as_saved, known = self._enter(state, u, span, self._polynomials[1])
+        as_saved, known = self._enter(state, u, span)
         run = self._run
         run.limits = run.limits._replace(stop=run.time + span)
         if self._contact_run is not None:
@@ -250,35 +347,19 @@ class Stepper:
                 still = self.setup if self.command == "torque" else replace(self.setup, motion=hold_arm(known[0]))
                 check_start(still, run.time, run.progress.y[: run.chain.length.size])
             self._contact_run.enter(state)
-        angle, rate = (known @ self._polynomials[2]).tolist()
+        angle, rate = (known @ arm_polynomials(self.command, span)[1]).tolist()
         return angle, rate
 
-    def _enter(self, state: State, command: float, span: float, powers: Array) -> tuple[bool, Array]:
+    def _enter(self, state: State, command: float, span: float) -> tuple[bool, Array]:
         """Set the run to a state and the arm's motion; returns whether it is as saved, and (angle, rate, command)."""
         run = self._run
         as_saved = resume(run, state, self.setup)
         run.progress.clock[MARK:] = 0.0
         known = np.array([*self._arm_of(state), command])
-        self._interval.set(run.time, run.time + span, self._channel, known @ powers)
+        powers, _ = arm_polynomials(self.command, span)
+        self._interval.set(run.time, run.time + span, COMMANDS[self.command], known @ powers)
         return as_saved, known
 
     def _finish(self) -> None:
-        refuse_failure(
-            finish_rollout(self._run) if self._contact_run is None else self._contact_run.finish(), self._run
-        )
-
-    def _recorded(self, state: State, command: float, dt: float) -> tuple[tuple[float, float], Array, Array]:
-        """Take a step; returns what :meth:`_begin` does, the steps (m, ...) taken and the start (2 N + 2,)."""
-        run, plain = self._run, self._run.progress
-        try:
-            while True:
-                run.progress = plain._replace(log=self._log)
-                arm = self._begin(state, command, dt)
-                begin = plain.y.copy()
-                self._finish()
-                count = int(plain.clock[TAKEN] - plain.clock[REJECTED])
-                if count <= len(self._log):
-                    return arm, self._log[:count], begin
-                self._log = np.empty((2 * count, self._log.shape[1]))
-        finally:
-            run.progress = plain
+        code = finish_rollout(self._run) if self._contact_run is None else self._contact_run.finish()
+        refuse_failure(code, self._run)

@@ -1,5 +1,6 @@
 """The result of a rollout: labelled arrays, energies, the set-up that made them and the state to go on from."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hyperflex import extras, files
+from hyperflex import checks, extras, files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import NetCDF, Variable
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
+__all__ = ["State", "Trajectory", "interpolated", "read_trajectory", "swept"]
 FORMAT = "hyperflex trajectory 1"
 
 # field of Trajectory and variable of the dataset: (dimensions after time, units, long name)
@@ -225,7 +227,7 @@ class Trajectory:
         """Energy that appeared from nowhere (T,), J: E - E[0] - motor work + dissipation, zero in an exact run."""
         energy = self.kinetic_energy + self.potential_energy
         gained = self.motor_work - self.dissipated_energy
-        return np.asarray(energy - energy[:1] - (gained - gained[:1]))
+        return energy - energy[:1] - (gained - gained[:1])
 
     @cached_property
     def dataset(self) -> "xr.Dataset":
@@ -341,12 +343,73 @@ def interpolated(t: Array, value: Array, rate: Array, times: Array) -> Array:
     wide = [slice(None), *(value.ndim - 1) * [None]]
     span, part = (each[tuple(wide)] for each in (t[k + 1] - t[k], (times - t[k]) / (t[k + 1] - t[k])))
     rest = 1.0 - part
-    return np.asarray(
-        rest**2 * ((1.0 + 2.0 * part) * value[k] + part * span * rate[k])
-        + part**2 * ((1.0 + 2.0 * rest) * value[k + 1] - rest * span * rate[k + 1])
+    return rest**2 * ((1.0 + 2.0 * part) * value[k] + part * span * rate[k]) + part**2 * (
+        (1.0 + 2.0 * rest) * value[k + 1] - rest * span * rate[k + 1]
     )
 
 
 def _read_only(value: Array) -> Array:
     value.setflags(write=False)
     return value
+
+
+_NEEDED = ("t", "q", "qd", "step", "work", "dissipated")  # of a state
+
+
+def read_trajectory(path: str | Path) -> Trajectory:
+    """Read a run that :meth:`Trajectory.to_netcdf` wrote.
+
+    Parameters
+    ----------
+    path : str or Path
+        The NetCDF file.
+
+    Returns
+    -------
+    Trajectory
+
+    Raises
+    ------
+    FileProblem
+        There is no such file, or it is cut off or damaged.
+    InvalidInput
+        It is no NetCDF-4 file, or not a hyperflex trajectory.
+    """
+    content = files.read_netcdf(path)
+    attributes, main, state = content.attributes, content.variables, content.groups.get("state", {})
+    if attributes.get("format") != FORMAT:
+        raise InvalidInput(
+            f"{path} is not a hyperflex trajectory",
+            got=attributes.get("format", "no attribute 'format'"),
+            allowed=f"a file written by Trajectory.to_netcdf (format {FORMAT!r})",
+            fix="Measured data are read by hyperflex.read_recording",
+        )
+    missing = [name for name in ("time", *VARIABLES) if name not in main]
+    missing += [f"state/{name}" for name in _NEEDED if name not in state]
+    missing += [f"attribute {name!r}" for name in ("setup", "status") if name not in attributes]
+    if missing:
+        raise InvalidInput(f"{path} lacks parts of a trajectory", got=missing, fix="Simulate it again")
+    return Trajectory(
+        t=main["time"].numbers("time"),
+        setup=Setup.loads(str(attributes["setup"]), f"the set-up in {path}"),
+        state=_state(state),
+        status=Status(checks.choice(f"status in {path}", str(attributes["status"]), list(Status))),
+        message=str(attributes.get("message", "")),
+        event=(str(attributes["event"]), float(attributes["event_time"])) if "event" in attributes else None,
+        attrs={key: value for key, value in attributes.items() if key not in OWN_ATTRIBUTES},
+        **{name: main[name].numbers(name) for name in (*VARIABLES, *OPTIONAL) if name in main},
+    )
+
+
+def _state(variables: Mapping[str, Variable]) -> State:
+    checkpoint: dict[str, Any] = {
+        name.removeprefix(CHECKPOINT): _number_or_array(each.values)
+        for name, each in variables.items()
+        if name.startswith(CHECKPOINT)
+    }
+    given = {name: _number_or_array(variables[name].numbers(name)) for name in STATE if name in variables}
+    return State(**given, checkpoint=checkpoint)
+
+
+def _number_or_array(values: Any) -> Any:
+    return values.item() if np.ndim(values) == 0 else values

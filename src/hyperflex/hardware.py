@@ -9,6 +9,7 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.motion import Motion, sampled_motion
 
+__all__ = ["SAMPLE_TIME", "SimulatedMotor"]
 SAMPLE_TIME = 2e-3  # s, between samples of what it has done
 
 

@@ -1,1 +1,0 @@
-"""Batch rollouts: in SIMD lanes, or with contact on threads."""

@@ -1,1 +1,0 @@
-"""Runs with contact: free flight, contact steps, and checks of the start."""

@@ -1,0 +1,609 @@
+"""Exact derivatives of rollouts by the start, the rope, the arm and the motion."""
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+import numpy.typing as npt
+from numpy.typing import ArrayLike
+
+from hyperflex import checks, extras, memory
+from hyperflex.budget import Budget
+from hyperflex.checks import Array
+from hyperflex.core.chain.articulated_body import Chain, can_stick, mass_matrix
+from hyperflex.core.chain.drive import TORQUE, Drive, segment
+from hyperflex.core.integrate.rollout import JOINT, MODES, REJECTED, STEP, TAKEN, Limits
+from hyperflex.core.integrate.step_size import FIRST_STEP
+from hyperflex.core.read_only import read_only
+from hyperflex.core.tangent import extrapolation as dr
+from hyperflex.core.tangent import forward_sensitivity as core
+from hyperflex.core.tangent import step as tg
+from hyperflex.core.tangent.extrapolation import CHANGES, RATE, Directions, base_change, place_changes
+from hyperflex.errors import InvalidInput
+from hyperflex.interruption import OutOfTime, interruptible
+from hyperflex.model import LINK_PROPERTIES, Arm, Rope, Setup, SetupFields
+from hyperflex.motion import Motion, motion_derivatives, motion_parameters
+from hyperflex.simulation.rollouts import (
+    TABLES,
+    Rollout,
+    Watch,
+    finish_rollout,
+    out_of_time,
+    prepare_rollout,
+    rollout_limits,
+)
+from hyperflex.simulation.runs import output_times, refuse_failure, refuse_unbalanced, setup_of
+
+DIFFERENTIABLE = tuple(each.name for each in LINK_PROPERTIES if each.form)
+STATE_NAMES = ("q0", "qd0")
+# parts of a direction that the user makes himself: how often it is told
+PARTS = (*STATE_NAMES, *DIFFERENTIABLE, "tip_mass", "gravity", "arm_length", "breaks", "coef")
+# of a torque-driven arm, the chain's first link: its own names, and those of the links
+ARM_NAMES = {
+    **{f"arm.{each.name}": each.name for each in fields(Arm) if each.name in DIFFERENTIABLE},
+    "arm_angle0": "q0",
+    "arm_rate0": "qd0",
+}
+ParameterChange = dict[str, Array]
+Wrt = Iterable[str | Mapping[str, Mapping[str, ArrayLike]]] | str
+_MOMENTS = ("mass", "com", "inertia")  # they come in as moments about the joint
+_SEED_OF = {
+    each.name: getattr(tg, each.field.upper()) for each in LINK_PROPERTIES if each.form and each.name not in _MOMENTS
+}
+FAINT = 1e-300  # N m, kg/m^2: dry friction and drag that change no run, and are felt by its derivatives alone
+
+
+@dataclass(frozen=True)
+class ParameterDirections:
+    """Directions of a derivative by name; each is a dict of changes per unit of its parameter, see PARTS."""
+
+    names: tuple[str, ...]
+    parts: tuple[ParameterChange, ...]
+
+    def start(self, n: int) -> Array:
+        """Derivatives of the start, angles above rates: (2 n, p), p even."""
+        result = np.zeros((2 * n, self.width))
+        for p, part in enumerate(self.parts):
+            for row, name in enumerate(STATE_NAMES):
+                if name in part:
+                    result[row * n : (row + 1) * n, p] = part[name]
+        return result
+
+    @property
+    def width(self) -> int:
+        """Number of directions, padded to an even number."""
+        return len(self.parts) + len(self.parts) % 2
+
+    def lengths(self, n: int) -> Array:
+        """Derivatives of the links' lengths (n, P), m."""
+        return np.stack([part.get("length", np.zeros(n)) for part in self.parts], axis=1)
+
+    def with_faint_terms(self, chain: Chain) -> Chain:
+        """The chain, with FAINT dry friction or drag where a direction changes one that is zero."""
+        for each in (each for each in LINK_PROPERTIES if each.least):
+            now, faint = getattr(chain, each.field), np.zeros(chain.length.size)
+            for part in self.parts:
+                faint[part.get(each.name, faint) != 0.0] = FAINT
+            if (faint > now).any():
+                chain = chain._replace(**{each.field: np.maximum(now, faint)})
+        return read_only(chain)
+
+    def directions(self, chain: Chain, drive: Drive) -> Directions:
+        """The same for the kernels, at the parameters of `chain` and for a drive."""
+        n, pairs, pieces = chain.length.size, self.width // 2, drive.coef.shape[0]
+        links, whole = np.zeros((self.width, n, tg.SEEDS)), np.zeros((self.width, 3))
+        driven = np.full(self.width, -1, dtype=np.int64)
+        rows: list[ParameterChange] = []
+        for p, part in enumerate(self.parts):
+            _link_seeds(part, chain, links[p])
+            whole[p, dr.TIP_MASS] = part.get("tip_mass", np.zeros(1))[0]
+            whole[p, dr.GRAVITY_X : dr.GRAVITY_Y + 1] = part.get("gravity", np.zeros(2))
+            if part.keys() & {"breaks", "coef", "arm_length"}:
+                driven[p] = len(rows)
+                rows.append(part)
+        if (
+            can_stick(chain) and drive.coef[..., 1:].any()
+        ):  # events move in every direction, and then the base with them
+            driven[driven < 0] = len(rows)
+            rows.append({})
+        breaks, coef, arm = np.zeros((len(rows), pieces + 1)), np.zeros((len(rows), pieces, 4, 6)), np.zeros(len(rows))
+        for m, part in enumerate(rows):
+            breaks[m], coef[m] = part.get("breaks", 0.0), part.get("coef", 0.0)
+            arm[m] = part.get("arm_length", np.zeros(1))[0]
+        own = links.any(axis=(1, 2)) | ((driven >= 0) & drive.coef[:, TORQUE].any())
+        return Directions(
+            links.reshape(pairs, 2, n, tg.SEEDS),
+            whole,
+            np.asarray(own.reshape(pairs, 2).any(axis=1)),
+            driven,
+            breaks,
+            coef,
+            arm,
+        )
+
+
+def _link_seeds(part: ParameterChange, chain: Chain, out: Array) -> None:
+    """Write a direction's changes of a chain's links, in the kernels' own parameters, to out (n, SEEDS)."""
+    for name, slot in _SEED_OF.items():
+        if name in part:
+            out[:, slot] = part[name]
+    mass, com, inertia = (part.get(name, 0.0) for name in _MOMENTS)
+    out[:, tg.MASS] = mass
+    out[:, tg.MA] = chain.com * mass + chain.mass * com
+    out[:, tg.INERTIA] = inertia + chain.com**2 * mass + 2.0 * chain.mass * chain.com * com
+
+
+def parameter_directions(setup: Setup, wrt: Wrt) -> ParameterDirections:
+    """Check what a user wants derivatives with respect to; see :func:`hyperflex.sensitivities`."""
+    entries = list(wrt) if isinstance(wrt, Iterable) and not isinstance(wrt, (str, Mapping)) else [wrt]
+    names: list[str] = []
+    parts: list[ParameterChange] = []
+    for entry in entries:
+        if isinstance(entry, str):
+            found = _by_name(setup, entry)
+        elif isinstance(entry, Mapping):
+            found = {name: _own(setup, name, part) for name, part in entry.items()}
+        else:
+            raise InvalidInput("wrt holds neither a name nor a mapping", got=entry, allowed=_allowed(setup))
+        names += found
+        parts += found.values()
+    if not names:
+        fix = "Say what to differentiate by, as wrt='friction' or wrt=['q0', 'tip_mass']"
+        raise InvalidInput("wrt is empty", allowed=_allowed(setup), fix=fix)
+    if len(set(names)) != len(names):
+        raise InvalidInput("wrt names something twice", got=names, allowed="each name once")
+    if setup.torque_driven:
+        parts = [_with_arm(part, setup.rope.n_links) for part in parts]
+    return ParameterDirections(tuple(names), tuple(parts))
+
+
+def _with_arm(part: ParameterChange, n: int) -> ParameterChange:
+    """A direction of the rope's n links, and of the arm, as one of a chain that begins with the arm."""
+    joined = {name: value for name, value in part.items() if name not in (*STATE_NAMES, *DIFFERENTIABLE, *ARM_NAMES)}
+    if "arm_length" in joined:
+        part = {**part, "arm.length": joined.pop("arm_length")}
+    arm = {name: part[own] for own, name in ARM_NAMES.items() if own in part}
+    for name in (*STATE_NAMES, *DIFFERENTIABLE):
+        if name in part or name in arm:
+            joined[name] = np.append(arm.get(name, 0.0), part.get(name, np.zeros(n)))
+    return joined
+
+
+def _allowed(setup: Setup) -> str:
+    links = ", ".join((*STATE_NAMES, *DIFFERENTIABLE))
+    moving = ", ".join(f"motion.{name}" for name in motion_parameters(setup.motion)[:8]) if setup.motion else ""
+    if setup.torque is not None:
+        moving = ", ".join(f"torque.{name}" for name in motion_parameters(setup.torque)[:8])
+    arm = ", arm.length" if setup.arm is not None else ""
+    if setup.torque_driven:
+        arm = "".join(f", {name}" for name in ARM_NAMES)
+    return (
+        f"{links} (of all links as one, name[3] of one, name[:] of each; q0 and qd0 are always of each), tip_mass, "
+        f"gravity[0], gravity[1]{arm}{moving and ', ' + moving}, or a mapping {{name: {{property: change}}}}"
+    )
+
+
+def _by_name(setup: Setup, name: str) -> dict[str, ParameterChange]:
+    n = setup.rope.n_links
+    match = re.fullmatch(r"([a-z_0-9]+)(?:\[(\d+|:)\])?", name)
+    base, index = match.groups() if match else (name, None)
+    if base in DIFFERENTIABLE or base in STATE_NAMES:
+        if index is None and base in DIFFERENTIABLE:
+            return {name: {base: np.ones(n)}}
+        if index is None or index == ":":
+            return {f"{base}[{i}]": {base: row} for i, row in enumerate(np.eye(n))}
+        if int(index) < n:
+            return {name: {base: np.eye(n)[int(index)]}}
+    if name == "tip_mass":
+        return {name: {"tip_mass": np.ones(1)}}
+    if base == "gravity" and index in ("0", "1"):
+        return {name: _gravity(setup, np.eye(2)[int(index)])}
+    if name in ARM_NAMES and setup.torque_driven:
+        return {name: {name: np.ones(1)}}
+    if name == "arm.length" and setup.arm is not None:
+        return {name: {"arm_length": np.ones(1)}}
+    for prefix, source in (("motion.", setup.motion), ("torque.", setup.torque)):
+        if name.startswith(prefix) and source is not None:
+            breaks, coef = motion_derivatives(source, name.removeprefix(prefix))
+            return {name: {"breaks": breaks, "coef": coef}}
+    raise InvalidInput("wrt names what is not there", got=name, allowed=_allowed(setup))
+
+
+def _gravity(setup: Setup, change: Array) -> ParameterChange:
+    """Direction of a change of gravity; it also changes the start where that is the rope at rest."""
+    part = {"gravity": change}
+    gx, gy = setup.rope.gravity
+    if setup.q0 is None and (gx or gy):
+        part["q0"] = np.full(setup.rope.n_links, (gx * change[1] - gy * change[0]) / (gx * gx + gy * gy))
+    return part
+
+
+def _own(setup: Setup, name: str, given: Mapping[str, ArrayLike]) -> ParameterChange:
+    """Direction that the user gives as a mapping, checked."""
+    n = setup.rope.n_links
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys((*STATE_NAMES, *DIFFERENTIABLE), (n,))
+    shapes |= {"tip_mass": (1,), "gravity": (2,), "arm_length": (1,)}
+    if setup.torque_driven:
+        shapes |= dict.fromkeys(ARM_NAMES, (1,))
+    source = setup.motion or setup.torque
+    if source is not None:
+        shapes |= {"breaks": source.breaks.shape, "coef": source.coef.shape}
+    if not isinstance(given, Mapping) or not given or set(given) - set(shapes):
+        got = sorted(given) if isinstance(given, Mapping) else given
+        raise InvalidInput(f"direction {name!r} cannot be used", got=got, allowed=", ".join(shapes))
+    return {key: checks.array(f"{name}: {key}", value, shapes[key], scalar=True) for key, value in given.items()}
+
+
+def check_smooth(setup: Setup) -> None:
+    """Refuse set-ups whose runs have no derivative that the kernels know."""
+    if setup.method != "extrapolation":
+        raise InvalidInput("sensitivities follow the extrapolation", got=setup.method, allowed="method='extrapolation'")
+    if setup.pegs:
+        raise InvalidInput("derivatives are of free flight", got="a set-up with obstacles", fix="Make one without")
+
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_NAMED = 4  # parameters that are printed
+LARGE = 1_000_000  # steps x links x directions, some tenths of a second's work, from which Ctrl-C is heard meanwhile
+ON = np.zeros(1, dtype=np.int64)  # nothing halts what is short
+STEPS = 10_000  # noted in one go; a run with more of them is done again with room for all
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sensitivities:
+    """A rollout and its derivatives (made by :func:`hyperflex.sensitivities`).
+
+    Attributes
+    ----------
+    t : (T,) float64
+        Output times, s.
+    q, qd : (T, n) float64
+        Angles, rad, and rates, rad/s.
+    tip : (T, 2) float64
+        Position of the tip, m.
+    names : tuple of str
+        Names of the parameters of the derivatives, (P,).
+    dq, dqd : (T, n, P) float64
+        Derivatives of angles and rates at fixed times, in rad and rad/s per SI unit of the parameter.
+    dtip : (T, 2, P) float64
+        Derivatives of the tip's position, m per SI unit.
+    arm_angle, arm_rate : (T,) float64, or None
+        Of a torque-driven arm, rad and rad/s.
+    darm_angle, darm_rate : (T, P) float64, or None
+        Their derivatives.
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    tip: Array
+    names: tuple[str, ...]
+    dq: Array
+    dqd: Array
+    dtip: Array
+    arm_angle: Array | None = None
+    arm_rate: Array | None = None
+    darm_angle: Array | None = None
+    darm_rate: Array | None = None
+
+    def __repr__(self) -> str:
+        more = len(self.names) - _NAMED
+        names = ", ".join(self.names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+        return f"Sensitivities({self.q.shape[1]} links, {self.t.size} samples, by {names})"
+
+    @property
+    def dataset(self) -> "xr.Dataset":
+        """The same as an ``xarray.Dataset`` with the dimensions time, link, axis and parameter."""
+        extras.require(("xarray",), "xarray", "Datasets")
+        import xarray as xr
+
+        shapes = {"q": ("link",), "qd": ("link",), "tip": ("axis",), "arm_angle": (), "arm_rate": ()}
+        variables: dict[str, Any] = {}
+        for name, shape in shapes.items():
+            unit = {"qd": "rad/s", "arm_rate": "rad/s", "tip": "m"}.get(name, "rad")
+            if getattr(self, name) is not None:
+                about = {"long_name": f"derivative of {name}", "units": f"{unit} per unit"}
+                variables[name] = (("time", *shape), getattr(self, name), {"units": unit})
+                variables[f"d{name}"] = (("time", *shape, "parameter"), getattr(self, f"d{name}"), about)
+        coords = {
+            "time": ("time", self.t, {"units": "s"}),
+            "axis": ("axis", np.array(["x", "y"])),
+            "parameter": ("parameter", np.array(self.names)),
+        }
+        return xr.Dataset(variables, coords, attrs={"source": "simulated"})
+
+
+@interruptible()
+def sensitivities(
+    rope: Rope | Setup,
+    motion: Motion | None = None,
+    *,
+    wrt: Wrt,
+    t_eval: npt.ArrayLike | None = None,
+    time_budget: float | Budget | None = None,
+    **setup: Unpack[SetupFields],
+) -> Sensitivities:
+    """Simulate a rope, and differentiate angles, rates and the tip's position.
+
+    The computed run itself is differentiated, step by step, so the derivatives are exact to rounding. They differ from
+    those of the true motion by about as much as the run itself.
+
+    Parameters
+    ----------
+    rope, motion, t_eval, time_budget, **setup
+        As in :func:`hyperflex.simulate`.
+    wrt : str, mapping, or sequence of them
+        Parameters of the derivatives; at least one.
+
+        ``"q0"``, ``"qd0"``: the start of every link; ``"q0[3]"`` of one.
+        ``"friction"``, and likewise dry_friction, length, mass, com, inertia, stiffness, rest_angle, drag: one number
+        added to that of every link; ``"friction[3]"`` of one link; ``"friction[:]"`` of each. The others stay as they
+        are: more ``"mass"`` does not change the inertia.
+        ``"tip_mass"``, ``"gravity[0]"``, ``"gravity[1]"``, ``"arm.length"``. Without `q0` the rope hangs along gravity
+        at the start, and turns with it.
+        ``"motion.t_rest"`` and whatever else the motion was made from; ``"motion.delay"`` of any motion.
+        ``{"radius": {"inertia": 0.5 * mass * radius}}``: a parameter of your own, by how much each property changes
+        with it: (n,) arrays or numbers for q0, qd0 and the properties of links, and tip_mass, gravity (2,), arm_length,
+        and ``breaks`` (k + 1,) and ``coef`` (k, 4, 6) of the motion.
+
+        With a torque-driven arm also ``"arm_angle0"``, ``"arm_rate0"``, ``"arm.inertia"``, and likewise mass, com,
+        friction and dry_friction, and ``"torque.torque[3]"``, ``"torque.delay"`` of its torque.
+
+    Raises
+    ------
+    InvalidInput
+        If an argument cannot be used.
+    SimulationError
+        If the run fails, or would take more than half an hour.
+
+    Notes
+    -----
+    Derivatives hold at fixed times, also where a switch of the motion moves with its parameter. At the very instant of
+    such a switch they are those from before it. Equations (M.19)-(M.25) of docs/models.md; cost about as much as the
+    run for two parameters, and a third of it for each further initial angle or rate.
+
+    With dry friction they go through each instant at which a joint sticks or comes loose, which moves with the
+    parameter, too. Where two sides differ they are one-sided, for the modes that the run has: for a joint at rest
+    exactly at its limit, or at rest at the start and slipping from there; for joints that change at the same instant;
+    for ``"dry_friction"`` of a joint that has none, towards more. A joint that sticks at the start stops a change of
+    its rate at once, so behind the start ``"qd0"`` moves both of its links alike.
+
+    Examples
+    --------
+    >>> import hyperflex as hf
+    >>> cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
+    >>> cast = hf.sensitivities(cable, hf.arm_swings(), arm=hf.Arm(), duration=2.0, wrt=["friction", "motion.t_rest"])
+    >>> cast.dtip.shape
+    (201, 2, 2)
+    """
+    full, _ = setup_of(rope, {**setup, "motion": motion})
+    check_smooth(full)
+    directions = parameter_directions(full, wrt)
+    t = output_times(t_eval, 0.0, full.duration)
+    chain, drive = directions.with_faint_terms(full.chain()), full.drive()
+    links, count = chain.length.size, len(directions.names)
+    memory.check(
+        8.0 * 5 * (links + 1) * (count + 1) * t.size,
+        f"derivatives of {links} links by {count} parameters at {t.size} outputs",
+        "Ask for fewer outputs (t_eval=[...]) or parameters (wrt=[...])",
+    )
+    watch = Watch(time_budget, (0.0, full.duration))
+    times = np.append([] if t[0] == 0.0 else 0.0, t)
+    bounds = rollout_limits(full, chain, full.duration)
+    run = record_steps(chain, drive, full.start(), bounds, times, watch=watch)
+    refuse_unbalanced(run, full)
+    _, dy = forward_derivatives(run, directions, full.start(), times)
+    return _labelled(full, chain, directions, t, run.y[-t.size :], dy[-t.size :])
+
+
+class AngleJacobian:
+    """Rollouts with derivatives for callers that need thousands: everything is checked once, here.
+
+    Parameters
+    ----------
+    setup : Setup
+        Rope, start and duration may be replaced in each call.
+    wrt : str, mapping, or sequence of them
+        As in :func:`sensitivities`; may be empty.
+    most : int
+        Number of changes of the start that a call may have.
+
+    Notes
+    -----
+    The derivative of the computed run along each change of the start: what a matrix of all derivatives would make of
+    it, without the matrix. A change costs as much as a column of that matrix, so a few of them are cheaper than all.
+    """
+
+    def __init__(self, setup: Setup, wrt: Wrt = (), most: int = 0) -> None:
+        check_smooth(setup)
+        self.setup, self.drive = setup, setup.drive()
+        wanted = parameter_directions(setup, wrt) if wrt else ParameterDirections((), ())
+        self.names = wanted.names
+        self.wrt = ParameterDirections((*self.names, *most * ("change",)), (*wanted.parts, *most * ({},)))
+        self._begin(setup.rope)
+
+    def _begin(self, rope: Rope) -> None:
+        """Make what follows from the rope alone."""
+        arm = self.setup.arm
+        self.rope = rope
+        self.chain = self.wrt.with_faint_terms(arm.chain(rope) if arm and self.setup.torque_driven else rope.chain())
+        self._limits = rollout_limits(self.setup, self.chain, 0.0)
+        self._seeds, self._start = self.wrt.directions(self.chain, self.drive), self.wrt.start(self.chain.length.size)
+
+    def __call__(
+        self,
+        t: Array,
+        q0: Array,
+        qd0: Array,
+        rope: Rope | None = None,
+        changes: Array | None = None,
+        first_step: float = FIRST_STEP,
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return angles and rates (T, n) and their derivatives (T, n, P + r) at times t (T,).
+
+        Parameters
+        ----------
+        t : (T,) array
+            Increasing times, s; the run starts at t[0].
+        q0, qd0 : (n,) array
+            Angles, rad, and rates, rad/s, at t[0]; a torque-driven arm is the first of n links, here and in the answer.
+        rope : Rope, optional
+            Another rope with as many links.
+        changes : (r, 2 n) array, optional
+            Changes of angles and rates at t[0], r <= most; the answer has what becomes of them after the derivatives.
+        first_step : float
+            Tried first, s.
+        """
+        if (rope or self.setup.rope) is not self.rope:
+            self._begin(rope or self.setup.rope)
+        n, used, pairs = self.chain.length.size, len(self.names), self.wrt.width // 2
+        begin, seeds = self._start, self._seeds
+        if changes is not None:
+            first, used = used, used + len(changes)
+            pairs = -(-used // 2)
+            begin = begin[:, : 2 * pairs].copy()
+            begin[:, first:used] = changes.T
+            links, whole, parameters, driven, *rest = seeds
+            seeds = Directions(links[:pairs], whole[: 2 * pairs], parameters[:pairs], driven[: 2 * pairs], *rest)
+        bounds = self._limits._replace(stop=float(t[-1]))
+        run = record_steps(self.chain, self.drive, (q0, qd0), bounds, t, first_step)
+        _, dy = forward_derivatives(run, self.wrt, (q0, qd0), t, seeds, begin)
+        y = run.y
+        return y[:, :n], y[:, n : 2 * n], dy[:, :n, :used], dy[:, n:, :used]
+
+
+def record_steps(
+    chain: Chain,
+    drive: Drive,
+    start: tuple[Array, Array],
+    bounds: Limits,
+    t: Array,
+    first_step: float = FIRST_STEP,
+    watch: Watch | None = None,
+) -> Rollout:
+    """Run from t[0] to the end and record every step; outputs are at t (T,), s.
+
+    `first_step`, s, is tried first; `watch` may end the run.
+    """
+    count, width = STEPS, log_width(chain)
+    while True:
+        memory.check(8.0 * count * width, f"a run of {count} steps", "Make it shorter, or loosen tol")
+        run = prepare_rollout(chain, drive, start, t, bounds, log=np.empty((count, width)))
+        run.progress.clock[STEP] = first_step
+        try:
+            code = finish_rollout(run, watch or Watch(None, (float(t[0]), bounds.stop)))
+        except OutOfTime as cause:
+            raise out_of_time(run.time, cause) from None
+        refuse_failure(code, run)
+        steps = int(run.progress.clock[TAKEN] - run.progress.clock[REJECTED])
+        if steps <= count:
+            run.progress = run.progress._replace(log=run.progress.log[:steps])
+            return run
+        count = steps
+
+
+def log_width(chain: Chain) -> int:
+    """Return the numbers that a run notes of each step."""
+    return MODES + chain.length.size if can_stick(chain) else JOINT
+
+
+def forward_derivatives(
+    run: Rollout,
+    directions: ParameterDirections,
+    start: tuple[Array, Array],
+    t: Array,
+    seeds: Directions | None = None,
+    changes: Array | None = None,
+) -> tuple[Array, Array]:
+    """Go through a recorded run again: states (T, 2 n + 2) and their derivatives (T, 2 n, p) at times t (T,).
+
+    The run began at t[0]. Within steps they are read off a polynomial; the run's own outputs differ from them by less
+    than steps may err. `seeds` are the directions as the kernels take them, `changes` (2 n, p) those of the start,
+    where they are at hand.
+    """
+    n, steps, times = run.chain.length.size, run.progress.log, np.array(t)
+    given = directions.start(n) if changes is None else changes
+    y, dy = np.zeros((times.size, 2 * n + 2)), np.zeros((times.size, *given.shape))
+    y[0, :n], y[0, n : 2 * n] = start
+    dy[:] = given
+    if steps.size:
+        seeds = seeds or directions.directions(run.chain, run.drive)
+        begins = stiction_projection(run.chain, run.drive, times[0], y[0, :n], steps[0, MODES:], seeds, given)
+        arguments = run.chain, run.drive, TABLES, steps, times[0], begins, seeds, times, y, dy
+        _stoppable(lambda halt: core.forward_sensitivities(*arguments, halt), steps.shape[0] * given.size)
+    return y, dy
+
+
+def _stoppable(kernel: Callable[[npt.NDArray[np.int64]], None], size: int) -> None:
+    """Call a kernel that can be halted; one of a large `size` on a thread, so that Ctrl-C is heard meanwhile."""
+    if size < LARGE:
+        kernel(ON)
+        return
+    halt = np.zeros(1, dtype=np.int64)
+    with ThreadPoolExecutor(1) as pool:
+        work = pool.submit(kernel, halt)
+        try:
+            work.result()
+        except KeyboardInterrupt:
+            halt[0] = 1
+            raise
+
+
+def _labelled(
+    setup: Setup, chain: Chain, directions: ParameterDirections, t: Array, y: Array, dy: Array
+) -> Sensitivities:
+    """Add the tip to a run's states and derivatives, and name a torque-driven arm, the chain's first link."""
+    n, p, own, drive = chain.length.size, len(directions.names), int(setup.torque_driven), setup.drive()
+    q, qd, dq, dqd = y[:, :n], y[:, n : 2 * n], dy[:, :n, :p], dy[:, n:, :p]
+    along, across = np.stack([np.sin(q), -np.cos(q)], axis=1), np.stack([np.cos(q), np.sin(q)], axis=1)
+    dtip = np.zeros((t.size, 2, directions.width))
+    place_changes(drive, directions.directions(chain, drive), np.array(t), dtip)  # compiled for arrays of one kind
+    dtip = dtip[:, :, :p] + chain.length * across @ dq + along @ directions.lengths(n)
+    arm = (q[:, 0], qd[:, 0], dq[:, 0], dqd[:, 0]) if own else ()
+    tip = setup.first_joint(t) + along @ chain.length
+    return Sensitivities(t, q[:, own:], qd[:, own:], tip, directions.names, dq[:, own:], dqd[:, own:], dtip, *arm)
+
+
+def stiction_projection(
+    chain: Chain, drive: Drive, t: float, q: Array, modes: Array, directions: Directions, start: Array
+) -> Array:
+    """Derivatives of the state just after the start, where stuck joints turn with their parents.
+
+    A joint within its limit that is given a little rate stops after a time in proportion to it. To first order that is
+    an impulse on both links, whichever the sense: momenta are kept but for it.
+
+    Parameters
+    ----------
+    t, q : float, (n,) float64
+        Time, s, and angles, rad, at the start.
+    modes : (n,) or (0,) float64
+        Of the joints in the first step, 0.0 where one sticks; (0,): none may stick.
+    start : (2 n, p) float64
+        Derivatives of angles and rates as they are given.
+    """
+    n = q.size
+    stuck = np.flatnonzero(modes == 0.0)
+    if not stuck.size:
+        return start
+    turn = np.eye(n) - np.eye(n, k=-1)  # of each joint, by the rates of the links
+    slip = turn[stuck] @ start[n:]
+    if stuck[0] == 0:
+        part, moved = segment(drive, t), np.zeros(CHANGES)
+        for x, m in enumerate(directions.driven):
+            if m >= 0:
+                base_change(drive, part, t, 0.0, directions, m, moved)
+                slip[0, x] -= moved[RATE]
+    if not slip.any():
+        return start
+    mass = np.zeros((n, n))
+    mass_matrix(chain, q, mass)
+    reaction_factor = len(chain.reaction) - 1.0
+    impulse = np.linalg.solve(mass, (np.eye(n) - reaction_factor * np.eye(n, k=-1))[stuck].T)
+    result = start.copy()
+    result[n:] -= impulse @ np.linalg.solve(turn[stuck] @ impulse, slip)
+    return result

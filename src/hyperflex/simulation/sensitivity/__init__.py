@@ -1,1 +1,0 @@
-"""Exact derivatives of rollouts."""
