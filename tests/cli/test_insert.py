@@ -46,7 +46,9 @@ def test_file_and_options_say_the_same(hyperflex_json, ready, setup_file, tmp_pa
     assert (asked["rope"], asked["arm"], asked["slot"]) == (ROPE, hf.Arm(length=0.15), SLOT)
     assert (asked["time_budget"], asked["seed"]) == (7.0, 3)
     assert (told["success"], told["outcome"]["depth"]) == (True, planned_insert().outcome.depth)
-    assert told["success_probability"] == {"successes": 45, "samples": 50}
+    chance = told["success_probability"]
+    assert (chance["successes"], chance["samples"]) == (45, 50)
+    assert chance["interval"] == pytest.approx([0.786, 0.957], abs=1e-3)  # Wilson's, by hand
     assert {path.name for path in (tmp_path / "out").iterdir()} == NAMES
     options = [word for name in ("direction", "width", "depth", "wall") for word in (f"--{name}", getattr(SLOT, name))]
     place = ("--slot", SLOT.x, SLOT.y)

@@ -177,6 +177,7 @@ def set_ends(drive, part, directions, b, workspace):  # type: ignore[no-untyped-
                 moved[ALPHA],
             )
             lanes[at + tg.PX * K], lanes[at + tg.PY * K] = moved[ACC_X] - gx, moved[ACC_Y] - gy
+            lanes[at + tg.RHS * K] = moved[MOTOR]
             if air.size > 0:
                 air[at + dg.DVX * K], air[at + dg.DVY * K] = moved[SPEED_X], moved[SPEED_Y]
             lanes[beyond + at + tg.BX * K] = heavier * far[ln.PX * K + j]

@@ -105,8 +105,7 @@ def link_sources(row, up, at, down, seed, bend, rate, external, reaction_factor)
     """Right-hand sides that stem from a change of parameters and of the step's length, (M.22).
 
     `seed` holds the link's SEEDS and the relative change of the step, `external` is the change of the torque on the
-    link. Returns (moment, joint torque, the same back on
-    the parent, force x, y).
+    link. Returns (moment, joint torque, the same back on the parent, force x, y).
     """
     length, mass, ma, inertia, viscous, stiffness, rest, dry, stretch = seed
     sin, cos, alpha, h = row[at + SIN * K], row[at + COS * K], row[at + ln.ALPHA * K], row[at + ln.STEP * K]
