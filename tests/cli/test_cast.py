@@ -336,7 +336,7 @@ def test_a_target_that_cannot_be_wound_is_told_at_once(hyperflex, rope_file, tmp
     [
         ({"target": ("nan", "0")}, (), "peg x is not finite"),
         ({"target": ("0", "inf")}, (), "peg y is not finite"),
-        ({"radius": "0"}, (), "--radius"),
+        ({"radius": "0"}, (), "peg radius"),
         ({}, ("--mu", "-1"), "peg mu"),
         ({}, ("--speed", "0"), "motor speed"),
         ({}, ("--acceleration", "0"), "motor acceleration"),
