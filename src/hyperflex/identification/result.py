@@ -76,6 +76,8 @@ class Identification:
         Round by round: window length, stage (of how many stages), round, cost, gain, damping.
     torque_residuals : (m,) N m, or None
         Measured less fitted motor torque; NaN in gaps.
+    _basis : Basis or None
+        The fit itself, see `basis`.
 
     Notes
     -----

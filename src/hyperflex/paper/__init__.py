@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     )
     from hyperflex.paper.part import Claim, Table, claims_table, verdicts
     from hyperflex.paper.regression import LeastSquares, Regression, fit_regression
-    from hyperflex.paper.reproduce import reproduce
+    from hyperflex.paper.reproduction import reproduce
     from hyperflex.paper.revision import (
         IterativeRevision,
         RevisionProfile,

@@ -1,4 +1,4 @@
-"""Autoregressive model of the residuals as noise, its order chosen by BIC, and a test of whether they are white."""
+"""Autoregressive model of the residuals as noise, its order chosen by BIC."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,22 +15,27 @@ class NoiseOptions:
 
     # of the autoregression
     most_terms: int = 8
-    # further terms in a row that do not improve BIC before the search ends
+    # further terms in a row that BIC does not ask for before the search ends
     max_worse_terms: int = 2
     # greatest size of a partial autocorrelation: beyond it noise would hardly ever return to 0
     near_one: float = 0.995
     # greatest size of all partial autocorrelations but the first: tones that hardly die away are no noise
     later: float = 0.95
-    # largest difference from the autocorrelations of the residuals for which a process explains them
+    # by which autocorrelations may miss those of the residuals before no process is said to leave them
     agrees: float = 0.05
-    # relative change of the sum of squared differences at which the search for a process ends
-    settled: float = 0.01
+    # of Gauss and Newton's steps
+    rounds: int = 20
+    # sum of squared misses of autocorrelations below which nothing is left to gain
+    settled: float = 1e-09
+    # part of that sum which a step must gain for another to be worth its while
+    hardly: float = 0.01
     # autocorrelation of neighbours from which a line bridges a gap well
     smooth: float = 0.8
+    # of differences
+    step: float = 1e-06
 
 
 NOISE = NoiseOptions()
-NEGLIGIBLE = 0.05  # an autocorrelation below it, and all at longer lags, do not count
 
 
 @dataclass(frozen=True)
@@ -47,76 +52,82 @@ class Piece:
 
 
 def autoregression(pieces: Sequence[Piece]) -> tuple[Array, bool]:
-    """Return the partial autocorrelations (k,) of the residuals' noise, and whether it explains the residuals.
+    """Return the a_j (k,) of r_t = sum of a_j r_(t - j) + white noise for the residuals, and whether it explains them.
 
-    The noise is an autoregression, stationary, one for all channels and windows; k, often 0, is chosen by BIC. The
-    partial autocorrelations, bounded, are those with which the process, less what the fit absorbs, comes nearest to the
-    residuals' autocorrelations. If none comes near, they are those of the residuals as they are. Times are taken as
-    even. Cost: a few Fourier transforms (m, C K) a window.
+    The process is stationary, one for all channels and windows; k, often 0, is chosen by BIC. Partial autocorrelations,
+    bounded, are found by damped Gauss-Newton steps, so that the process, less what the fit absorbs, has the residuals'
+    autocorrelations. If none has, the terms are those of Yule and Walker for the residuals as they are. Times are taken
+    as even. Cost: a few Fourier transforms (m, C K) a window.
     """
     longest = _longest(pieces)
+    observed = _lagged_products(pieces, min(longest - 1, NOISE.most_terms))
     most = min(NOISE.most_terms, longest // 4)
-    observed = np.array([_lagged_products(pieces, lag) for lag in range(most + 1)])
     if observed[0] <= 0.0 or most == 0:
         return np.zeros(0), True
     target = observed / observed[0]
     count = max(2.0, float(sum(piece.seen.sum() - piece.basis.shape[2] for piece in pieces)))
-    parts, agrees = _nearest_process(expected_products(pieces, most), target, count)
-    return (parts if agrees else _nearest_process(np.eye(most + 1, longest), target, count)[0]), agrees
-
-
-def _nearest_process(response: Array, target: Array, count: float) -> tuple[Array, bool]:
-    """Return the process whose autocorrelations, times `response`, are nearest to a target (L,), and whether near.
-
-    `count`: of the values that the target comes from.
-    """
-    from scipy.optimize import least_squares
-
-    def differences(parts: Array) -> Array:
-        sums = response[: parts.size + 1] @ correlations(parts, response.shape[1])
-        return np.asarray(sums[1:] / max(float(sums[0]), 1e-300) - target[1 : parts.size + 1])
-
-    parts, least, worse, chosen, gap = np.zeros(0), 0.0, 0, np.zeros(0), 0.0
-    for k in range(1, target.size):
-        bound = np.append(NOISE.near_one, np.full(k - 1, NOISE.later))
-        found = least_squares(differences, np.append(parts, 0.0), bounds=(-bound, bound), ftol=NOISE.settled)
-        parts = found.x
-        bic = count * float(np.log(1.0 - parts**2).sum()) + k * float(np.log(count))
-        worse = 0 if bic < least else worse + 1
-        if worse == 0:
-            least, chosen, gap = bic, parts, float(np.abs(found.fun).max())
-        if worse == NOISE.max_worse_terms:
+    response = expected_products(pieces, most)
+    plain = partial_correlations(target[: most + 1] * _of_pairs(pieces, most))
+    parts, least, passed, chosen, gap = np.zeros(0), 0.0, 0, np.zeros(0), 0.0
+    for k in range(1, most + 1):
+        parts, misfit = _fit_correlations(response[: k + 1], target[1 : k + 1], np.append(parts, plain[k - 1]))
+        asked = _bic(parts, count)
+        passed = 0 if asked < least else passed + 1
+        if passed == 0:
+            least, chosen, gap = asked, parts, misfit
+        if passed == NOISE.max_worse_terms:
             break
-    return chosen, gap <= NOISE.agrees
+    if gap <= NOISE.agrees:
+        return ar_coefficients(chosen), True
+    return ar_coefficients(plain[: chosen.size]), False
 
 
-def correlations(parts: Array, count: int) -> Array:
-    """Return the first autocorrelations (count,) of an autoregression with partial autocorrelations (k,).
+def partial_correlations(correlation: Array) -> Array:
+    """Return the partial autocorrelations (k,) of autocorrelations (k + 1,), by Levinson's recursion."""
+    parts, left = np.zeros(0), 1.0
+    for k in range(1, correlation.size):
+        terms = ar_coefficients(parts)
+        part = (correlation[k] - terms @ correlation[k - 1 : 0 : -1]) / left
+        parts = np.append(parts, np.clip(part, -NOISE.near_one, NOISE.near_one))
+        left *= 1.0 - float(parts[-1]) ** 2
+    return parts
 
-    By Levinson's recursion; the process is stationary if all of them are smaller than 1.
-    """
-    terms, left, result = np.zeros(0), 1.0, np.ones(count)
-    for lag in range(1, count):
-        result[lag] = terms @ result[lag - terms.size : lag][::-1]
-        if lag <= parts.size:
-            part = parts[lag - 1]
-            result[lag] += part * left
-            terms = np.append(terms - part * terms[::-1], part)
-            left *= 1.0 - part**2
+
+def ar_coefficients(parts: Array) -> Array:
+    """Return the autoregression (k,) of partial autocorrelations (k,); stationary if all are smaller than 1."""
+    terms = np.zeros(0)
+    for part in parts:
+        terms = np.append(terms - part * terms[::-1], part)
+    return terms
+
+
+def correlations(terms: Array, count: int) -> Array:
+    """Return the first autocorrelations (count,) of an autoregression (k,)."""
+    k = terms.size
+    result = np.zeros(count)
+    result[0] = 1.0
+    if k:
+        matrix, right = np.eye(k), terms.copy()
+        row, other = np.nonzero(~np.eye(k, dtype=bool))
+        np.subtract.at(matrix, (row, np.abs(row - other) - 1), terms[other])
+        first = np.linalg.solve(matrix, right)
+        result[1 : k + 1] = first[: count - 1]
+        for lag in range(k + 1, count):
+            result[lag] = terms @ result[lag - k : lag][::-1]
     return result
 
 
 def noise_memory(pieces: Sequence[Piece]) -> tuple[Array, bool]:
     """Return the autocorrelations (longest,) of the residuals' noise by lag, and whether they explain the residuals.
 
-    Those of an autoregression. Gaps of smooth residuals are bridged for it by straight lines: its many terms follow
-    from differences of neighbours, which gaps blur.
+    Those of an autoregression. Gaps of smooth residuals are bridged for it by straight lines: what its many terms tell
+    of such residuals hangs on differences of neighbours, which gaps blur.
     """
-    gaps = min(piece.seen.min() for piece in pieces) == 0.0
-    if gaps and _longest(pieces) > 1 and _autocorrelations(pieces)[1] > NOISE.smooth:
+    longest = _longest(pieces)
+    if longest > 1 and min(piece.seen.min() for piece in pieces) == 0.0 and _autocorrelations(pieces)[1] > NOISE.smooth:
         pieces = [_bridged(piece) for piece in pieces]
-    parts, agrees = autoregression(pieces)
-    return correlations(parts, _longest(pieces)), agrees
+    terms, agrees = autoregression(pieces)
+    return correlations(terms, longest), agrees
 
 
 def _bridged(piece: Piece) -> Piece:
@@ -124,16 +135,19 @@ def _bridged(piece: Piece) -> Piece:
 
     The fit's directions are bridged as well, each then scaled to the length it had: they absorb no more than before.
     """
-    from scipy.interpolate import make_interp_spline
-
-    both, seen = np.concatenate([piece.residual[:, :, None], piece.basis], axis=2), piece.seen.copy()
-    for c, known in enumerate(map(np.flatnonzero, piece.seen.T)):
+    both = np.concatenate([piece.residual[:, :, None], piece.basis], axis=2)
+    seen = piece.seen.copy()
+    for c in range(seen.shape[1]):
+        known = np.flatnonzero(piece.seen[:, c])
         if known.size > 1:
             inside = np.arange(known[0], known[-1] + 1)
-            both[inside, c] = make_interp_spline(known, both[known, c], k=1)(inside)
+            after = np.maximum(np.searchsorted(known, inside), 1)
+            low, high = known[after - 1], known[after]
+            part = ((inside - low) / (high - low))[:, None]
+            both[inside, c] = (1.0 - part) * both[low, c] + part * both[high, c]
             seen[inside, c] = 1.0
     basis = both[:, :, 1:]
-    before, now = (np.sqrt((each**2).sum(axis=(0, 1))) for each in (piece.basis, basis))
+    before, now = np.sqrt((piece.basis**2).sum(axis=(0, 1))), np.sqrt((basis**2).sum(axis=(0, 1)))
     return Piece(both[:, :, 0], seen, basis * np.divide(before, now, out=np.zeros_like(now), where=now > 0.0))
 
 
@@ -152,94 +166,181 @@ def autocorrelation(pieces: Sequence[Piece]) -> float:
     1 + 2 sum of the autocorrelations up to the first below 0.05, each of the pairs of samples that are there.
     """
     part = _autocorrelations(pieces)
-    low = np.flatnonzero(part < NEGLIGIBLE)
-    return max(1.0, float(1.0 + 2.0 * part[1 : low[0] if low.size else None].sum()))
+    low = np.flatnonzero(part < 0.05)
+    end = int(low[0]) if low.size else part.size
+    return max(1.0, float(1.0 + 2.0 * part[1:end].sum()))
 
 
 def _autocorrelations(pieces: Sequence[Piece]) -> Array:
-    """Return the residuals' own autocorrelations (longest,) over the pairs of samples that there are.
+    """Return the residuals' own autocorrelations (longest,) over the pairs of samples that there are."""
+    sums = _lagged_products(pieces, _longest(pieces) - 1)
+    if sums[0] <= 0.0:
+        return np.asarray(np.eye(1, sums.size)[0])
+    found: Array = sums / sums[0] * _of_pairs(pieces, sums.size - 1)
+    return found
 
-    Sums of products lack some pairs where there are gaps: they are scaled to the pairs there would be without any.
-    """
-    sums, pairs, every = np.zeros((3, _longest(pieces)))
+
+def _of_pairs(pieces: Sequence[Piece], most: int) -> Array:
+    """Return what sums of products (most + 1,) miss for gaps: the pairs there would be without any, over those seen."""
+    seen, every = np.zeros((2, most + 1))
     for piece in pieces:
         raise_if_cancelled()
-        m = len(piece.seen)
-        sums[:m] += [_lagged_product(piece.residual, lag) for lag in range(m)]
-        pairs[:m] += [_lagged_product(piece.seen, lag) for lag in range(m)]
-        every[:m] += piece.seen.mean() * (m - np.arange(m)) * piece.seen.shape[1]
-    return np.asarray(sums / max(sums[0], 1e-300) * every / np.maximum(pairs, 1.0))
+        m, part = piece.seen.shape[0], piece.seen.mean()
+        lags = np.arange(min(most + 1, m))
+        seen[lags] += [_lagged_product(piece.seen, int(lag)) for lag in lags]
+        every[lags] += part * (m - lags) * piece.seen.shape[1]
+    return np.asarray(every / np.maximum(seen, 1.0))
 
 
 def expected_products(pieces: Sequence[Piece], most: int) -> Array:
-    """Return the matrix (most + 1, m) from autocorrelations (m,) to expected products of residuals (most + 1,).
+    """Return the matrix (most + 1, m) from autocorrelations (m,) to expected `_lagged_products` (most + 1,).
 
     For noise of variance 1: the trace over lags of (1 - Q Q^T) R (1 - Q Q^T), Q the basis. R holds each autocorrelation
     on two diagonals, whose sums are products of Fourier transforms.
     """
-    result = np.zeros((most + 1, max(most + 1, _longest(pieces))))
+    longest = max(most + 1, _longest(pieces))
+    result = np.zeros((most + 1, longest))
     for piece in pieces:
         raise_if_cancelled()
         basis, seen, m = piece.basis, piece.seen, piece.residual.shape[0]
         spectrum = np.fft.rfft(basis, 2 * m, axis=0)
         crossed = spectrum.conj().swapaxes(1, 2) @ spectrum
         for lag in range(min(most + 1, m)):
-            near = _neighbours(basis, lag)
-            total = np.einsum("fkl,kl->f", crossed, np.einsum("tck,tcl->kl", basis, near))
-            seen_near = np.fft.rfft(seen[:, :, None] * near, 2 * m, axis=0)
-            sums = np.fft.irfft(total - 2.0 * np.einsum("fck,fck->f", seen_near.conj(), spectrum), 2 * m)
+            inner = np.einsum("tck,tcl->kl", basis[: m - lag], basis[lag:])
+            near = np.zeros_like(basis)
+            near[: m - lag] += seen[: m - lag, :, None] * basis[lag:]
+            near[lag:] += seen[lag:, :, None] * basis[: m - lag]
+            total = np.einsum("fkl,kl->f", crossed, inner)
+            total -= np.einsum("fck,fck->f", np.fft.rfft(near, 2 * m, axis=0).conj(), spectrum)
+            sums = np.fft.irfft(total, 2 * m)
             result[lag, 0] += sums[0]
             result[lag, 1:m] += sums[1:m] + sums[:m:-1]
             result[lag, lag] += _lagged_product(seen, lag)
     return result
 
 
+def _bic(parts: Array, count: float) -> float:
+    return count * float(np.log(1.0 - parts**2).sum()) + parts.size * float(np.log(count))
+
+
+def _fit_correlations(response: Array, target: Array, start: Array) -> tuple[Array, float]:
+    """Return partial autocorrelations (k,) whose residuals show those target (k,), and the greatest miss."""
+    bound = np.append(NOISE.near_one, np.full(start.size - 1, NOISE.later))
+    z = np.arctanh(np.clip(start / bound, -0.99, 0.99))
+
+    def miss(at: Array) -> Array:
+        sums = response @ correlations(ar_coefficients(bound * np.tanh(at)), response.shape[1])
+        return np.asarray(sums[1:] / max(float(sums[0]), 1e-300) - target)
+
+    away, damping = miss(z), 1e-3
+    for _ in range(NOISE.rounds):
+        slope = np.stack([(miss(z + NOISE.step * one) - away) / NOISE.step for one in np.eye(z.size)], axis=1)
+        normal = slope.T @ slope
+        scale = np.diag(np.diag(normal) + 1e-12)
+        move = -np.linalg.solve(normal + damping * scale, slope.T @ away)
+        tried = miss(z + move)
+        before, after = float(away @ away), float(tried @ tried)
+        if after < before:
+            z, away, damping = z + move, tried, max(0.1 * damping, 1e-9)
+        else:
+            damping *= 10.0
+        if after < NOISE.settled or (1.0 - NOISE.hardly) * before < after < before:
+            break
+    return bound * np.tanh(z), float(np.abs(away).max())
+
+
 def _longest(pieces: Sequence[Piece]) -> int:
     return max(len(piece.residual) for piece in pieces)
 
 
-def _lagged_products(pieces: Sequence[Piece], lag: int) -> float:
-    """Return the sum of products of all residuals `lag` samples apart."""
-    return sum(_lagged_product(piece.residual, lag) for piece in pieces)
+def _lagged_products(pieces: Sequence[Piece], most: int) -> Array:
+    """Return the sums (most + 1,) of products of residuals so many samples apart."""
+    sums = np.zeros(most + 1)
+    for piece in pieces:
+        raise_if_cancelled()
+        for lag in range(min(sums.size, piece.residual.shape[0])):
+            sums[lag] += _lagged_product(piece.residual, lag)
+    return sums
 
 
 def _lagged_product(values: Array, lag: int) -> float:
     """Return the sum of products of values (m, C) `lag` samples apart."""
-    return float((values[lag:] * values[: max(values.shape[0] - lag, 0)]).sum())
-
-
-def _neighbours(values: Array, lag: int) -> Array:
-    """Return half the sum of the values `lag` samples before and after each (m, ...), 0 beyond the ends."""
-    result, m = np.zeros_like(values), values.shape[0]
-    result[lag:] += 0.5 * values[: m - lag]
-    result[: m - lag] += 0.5 * values[lag:]
-    return result
+    return float((values[lag:] * values[: values.shape[0] - lag]).sum())
 
 
 CHANCE = 1e-3  # of residuals so coloured if noise were white: one false alarm in a thousand fits
 LAGS = 10  # samples, or a quarter of the shortest window
 
 
-def whiteness(pieces: Sequence[Piece]) -> float:
+def whiteness(parts: Sequence[Piece]) -> float:
     """Return the p-value of the residuals' autocorrelation under white noise; 1 where they are too few to tell.
 
     Portmanteau test: products of residuals k samples apart, k = 1..10, summed over channels and windows, are compared
-    with their mean and variance under white noise (Ljung and Box 1978, doi:10.1093/biomet/65.2.297; for several
-    channels Hosking 1980, doi:10.1080/01621459.1980.10477520). Channels may be correlated with each other. The mean is
-    that of noise projected as the fit projects it, since that alone makes residuals negatively correlated.
+    with their mean and covariance under white noise (Ljung and Box 1978, doi:10.1093/biomet/65.2.297; for several
+    channels Hosking 1980, doi:10.1080/01621459.1980.10477520). Channels may be correlated with each other. The moments
+    are those of noise projected as the fit projects it, since that alone makes residuals negatively correlated.
     """
     from scipy.special import gammaincc
 
-    shortest = min(len(piece.residual) for piece in pieces)
-    if shortest < 2 or not any(piece.residual.any() for piece in pieces):
+    shortest = min(part.residual.shape[0] for part in parts)
+    if shortest < 2 or not any(part.residual.any() for part in parts):
         return 1.0
-    lags = range(max(1, min(LAGS, shortest // 4)) + 1)
-    products = np.array([_lagged_products(pieces, k) for k in lags])
-    expected = expected_products(pieces, lags[-1])[:, 0]
-    pairs = np.array([sum(piece.seen[k:].T @ piece.seen[: len(piece.seen) - k] for piece in pieces) for k in lags])
-    channels = sum(piece.residual.T @ piece.residual for piece in pieces) / np.maximum(pairs[0], 1.0)
-    away, variance = products - products[0] * expected / expected[0], (channels**2 * pairs).sum(axis=(1, 2))
-    return float(gammaincc(0.5 * lags[-1], 0.5 * float((away[1:] ** 2 / variance[1:]).sum())))
+    lags = np.arange(1, max(1, min(LAGS, shortest // 4)) + 1)
+    spread = _channel_covariance(parts)
+    away, covariance = np.zeros(lags.size), np.zeros((lags.size, lags.size))
+    for part in parts:
+        raise_if_cancelled()
+        mean, varies = _moments(part, spread, lags)
+        away += np.array([float((part.residual[k:] * part.residual[:-k]).sum()) for k in lags]) - mean
+        covariance += varies
+    statistic = float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
+    return float(gammaincc(0.5 * lags.size, 0.5 * statistic))
+
+
+def _channel_covariance(parts: Sequence[Piece]) -> Array:
+    """Return the covariance (C, C) of the channels' noise."""
+    products = sum(part.residual.T @ part.residual for part in parts)
+    pairs = sum(part.seen.T @ part.seen for part in parts)
+    taken = sum(float((part.basis**2).sum()) for part in parts)
+    values = sum(float(part.seen.sum()) for part in parts)
+    return np.asarray(products / np.maximum(pairs, 1.0) * values / max(1.0, values - taken))
+
+
+def _moments(part: Piece, spread: Array, lags: Array) -> tuple[Array, Array]:
+    """Return mean (K,) and covariance (K, K) of a window's sums of products, were its noise white.
+
+    The residuals' covariance is M B M with M = 1 - Q Q^T, and B the channels' covariance at each instant:
+    B + U D U^T with U = [Q, B Q].
+    """
+    basis = part.basis
+    moved = part.seen[:, :, None] * np.einsum("cd,mdk->mck", spread, part.seen[:, :, None] * basis)
+    both = np.concatenate([basis, moved], axis=2)
+    count = basis.shape[2]
+    inner = np.einsum("mck,mcl->kl", basis, moved)
+    one = np.eye(count)
+    middle = np.block([[inner, -one], [-one, np.zeros((count, count))]])
+    flat = both.reshape(part.residual.size, -1)
+    shifted = [_neighbours(both, int(k)) for k in lags]
+    through = [flat.T @ each.reshape(flat.shape) for each in shifted]  # U^T A U
+    mean = np.array([float((middle * each).sum()) for each in through])
+    covariance = np.zeros((lags.size, lags.size))
+    for a, k in enumerate(lags):
+        together = part.seen[k:] * part.seen[:-k]
+        covariance[a, a] += float((spread**2 * (together.T @ together)).sum())
+        turned = part.seen[:, :, None] * np.einsum("cd,mdk->mck", spread, part.seen[:, :, None] * shifted[a])
+        for b in range(lags.size):
+            cross = turned.reshape(flat.shape).T @ shifted[b].reshape(flat.shape)
+            covariance[a, b] += 4.0 * float((middle * cross).sum())
+            covariance[a, b] += 2.0 * float(((middle @ through[a]) * (middle @ through[b]).T).sum())
+    return mean, 0.5 * (covariance + covariance.T)
+
+
+def _neighbours(values: Array, lag: int) -> Array:
+    """Return half the sum of the values `lag` samples before and after each (m, ...), 0 beyond the ends."""
+    result = np.zeros_like(values)
+    result[lag:] += 0.5 * values[:-lag]
+    result[:-lag] += 0.5 * values[lag:]
+    return result
 
 
 FILLED = 20  # a clock with more ticks than this for each sample would be nearly empty: neighbours are counted instead
@@ -268,11 +369,13 @@ def correlogram(t: Array, residuals: Array, lags: int) -> tuple[Array, Array, Ar
         tick = np.arange(t.size)
     laid = np.full((tick[-1] + 1, residuals.shape[1]), np.nan)
     laid[tick] = residuals
-    known, filled = (~np.isnan(laid)).astype(np.float64), np.nan_to_num(laid - np.nanmean(laid, axis=0))
+    known = ~np.isnan(laid)
+    filled = np.where(known, laid - np.nanmean(laid, axis=0), 0.0)
+    variance = (filled**2).sum(axis=0) / known.sum(axis=0)
     number = np.arange(1, min(lags, tick[-1] // 2) + 1)
-    shape = (number.size, residuals.shape[1])
-    pairs, sums = (np.reshape([(e[k:] * e[:-k]).sum(axis=0) for k in number], shape) for e in (known, filled))
+    pairs = np.array([(known[k:] & known[:-k]).sum(axis=0) for k in number]).reshape(number.size, -1)
+    sums = np.array([(filled[k:] * filled[:-k]).sum(axis=0) for k in number]).reshape(number.size, -1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = sums / pairs / (filled**2).sum(axis=0) * known.sum(axis=0)
+        correlation = sums / pairs / variance
         band = 1.96 / np.sqrt(pairs)
     return step * number, np.where(pairs > 0, correlation, np.nan), np.where(pairs > 0, band, np.nan)
