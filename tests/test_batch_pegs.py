@@ -106,8 +106,8 @@ def test_a_member_that_takes_too_long_has_failed() -> None:
 @pytest.mark.parametrize("threads", [1, 2])
 def test_members_that_never_end_leave_time_to_the_others(threads: int) -> None:
     rope, aside = hf.Rope.uniform(0.7, 0.05, 10, 0.0025, friction=1e-3), [hf.Peg(1.5, -0.5, 0.04, 0.3)]
-    motions = [hf.arm_swings(0.15, 0.05)] * threads + [hf.hold_arm()] * 2
-    how = HOW | {"duration": 1e3, "time_budget": 3.0, "threads": threads}
+    motions = [hf.arm_swings(0.3, 0.05)] * threads + [hf.hold_arm()] * 2
+    how = HOW | {"duration": 5e3, "time_budget": 6.0, "threads": threads}
     batch = hf.simulate_batch(rope, motions, pegs=aside, **how)
     assert batch.status == ("out of time",) * threads + ("success",) * 2
     assert np.isfinite(batch.tip[threads:]).all()

@@ -107,8 +107,9 @@ def test_a_rod_on_a_wheel_comes_loose_when_its_inertia_is_too_much(how: str) -> 
     else:
         batch = hf.simulate_batch([rope] * 2, wheel, keep=("q", "dissipated_energy"), **kept)
         got, lost = batch.q[1, :, 0], batch.dissipated_energy[1, -1]
-    # The scheme is exact for these polynomials; a millisecond's error in the instant would show as 1e-9 rad already.
-    np.testing.assert_allclose(got, want, rtol=0, atol=1e-12)
+    # The scheme is exact for these polynomials, and outputs within a step are as accurate as the run's tolerance; a
+    # millisecond's error in the instant would show as 1e-9 rad already.
+    np.testing.assert_allclose(got, want, rtol=0, atol=kept["tol"])
     assert lost == pytest.approx(DRY * (c * end**3 - want[-1]), rel=1e-9)  # friction times the way that it slipped
 
 
