@@ -67,8 +67,8 @@ def test_the_prediction_is_near_the_noise(demo_report):
     off = demo.recording.angles().data - true
     noise = float(np.sqrt(np.nanmean((off - 2.0 * np.pi * np.round(off / (2.0 * np.pi))) ** 2)))
     # The tracked angles scatter by their errors themselves, so the prediction's cannot be much less. The upper limit is
-    # 1.3 times the errors of the first tracker, 8.2 mrad: it leaves room for the state, which is fitted on 15 frames, and
-    # for the coarse chain, and neither shrinks with the tracker's errors.
+    # 1.3 times the errors of the first tracker, 8.2 mrad: it leaves room for the state, which is fitted on 15 frames,
+    # and for the coarse chain, and neither shrinks with the tracker's errors.
     assert 0.9 * noise < demo.held_out_rms < 1.3 * 8.2e-3
     assert demo.angle_noise.mean() == pytest.approx(noise, rel=0.5)  # what the tracker says of itself
 
