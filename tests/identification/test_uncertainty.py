@@ -13,11 +13,13 @@ from hyperflex.identification import FitOptions, identify
 from hyperflex.identification.fit import LossName
 from hyperflex.identification.uncertainty.noise import (
     Piece,
+    ar_coefficients,
     autoregression,
     correlated,
     correlations,
     expected_products,
     noise_memory,
+    partial_correlations,
     whiteness,
 )
 from hyperflex.identification.uncertainty.threshold import quantile
@@ -40,13 +42,17 @@ def band(total: int, chance: float, level: float = 0.95) -> tuple[int, int]:
 # ---- noise
 
 
-def test_autocorrelations_of_an_autoregression() -> None:
+def test_autocorrelations_of_an_autoregression_and_back() -> None:
     a, b = 1.2, -0.5
+    found = correlations(np.array([a, b]), 5)
     first = a / (1.0 - b)  # Yule and Walker's equations by hand
     second = a * first + b
     third = a * second + b * first
-    expected = [1.0, first, second, third, a * third + b * second]
-    np.testing.assert_allclose(correlations(np.array([first, b]), 5), expected, rtol=1e-12)  # rounding
+    np.testing.assert_allclose(found, [1.0, first, second, third, a * third + b * second], rtol=1e-12)  # rounding
+    parts = partial_correlations(found[:3])
+    np.testing.assert_allclose(ar_coefficients(parts), [a, b], rtol=1e-12)
+    # variance of what is new at each sample
+    assert np.prod(1.0 - parts**2) == pytest.approx(1.0 - a * first - b * second)
     values = np.random.default_rng(0).standard_normal((6, 2))
     matrix = np.array([[0.7 ** abs(i - j) for j in range(6)] for i in range(6)])
     np.testing.assert_allclose(correlated(0.7 ** np.arange(len(values)), values), matrix @ values, rtol=1e-12)
@@ -77,7 +83,7 @@ def test_what_a_fit_leaves_of_noise_on_average() -> None:
         left = np.diag(seen.ravel()) - basis @ basis.T
         matrices.append((left, m))
         pieces.append(Piece(random.standard_normal((m, 2)), seen, basis.reshape(m, 2, 3)))
-    own = correlations(np.array([0.8, -0.5]), 9)
+    own = correlations(np.array([1.2, -0.5]), 9)
     wanted = np.zeros(most + 1)
     for left, m in matrices:
         noise = np.kron(own[np.abs(np.subtract.outer(np.arange(m), np.arange(m)))], np.eye(2))
@@ -145,7 +151,7 @@ def test_errors_of_the_model_that_the_fit_nearly_absorbs_do_not_run_away() -> No
     for part in (pieces, pieces[:-1], pieces[1:], pieces[:-8]):
         terms, agrees = autoregression(part)
         assert agrees
-        assert (np.abs(terms) < 1.0).all()  # stationary
+        assert (np.abs(np.roots(np.append(1.0, -terms))) < 1.0).all()  # stationary
         line = np.linspace(-1.0, 1.0, 150)[:, None]  # a parameter that acts slowly
         own = correlations(terms, 150)
         left = (expected_products(part, 1) @ own)[0]
@@ -160,10 +166,10 @@ def test_errors_of_the_model_that_the_fit_nearly_absorbs_do_not_run_away() -> No
 
 
 def test_a_noise_model_that_does_not_hold_is_said() -> None:
-    # one curve of fifth degree is left of sixteen samples, and the fit has absorbed all that are smoother
-    curves = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, 16), 5))[0]
-    terms, agrees = autoregression([piece(curves[:, 5:], curves[:, None, :5])])
-    assert (np.abs(terms) < 1.0).all()
+    # one curve of fourth degree is left of sixteen samples, and the fit has absorbed all that are smoother
+    curves = np.linalg.qr(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, 16), 4))[0]
+    terms, agrees = autoregression([piece(curves[:, 4:], curves[:, None, :4])])
+    assert (np.abs(np.roots(np.append(1.0, -terms))) < 1.0).all()
     assert not agrees
 
 
