@@ -24,10 +24,11 @@ def enter_state(j, chain, q, w, trig, base, torque, lanes, tip, motion):  # type
 def senses(chain, drive, t, y):  # type: ignore[no-untyped-def]
     """Sense in which each joint slips (m, n), 1.0 or -1.0, or 0.0 where it sticks, at t (m,), y (m, 2 n or more).
 
-    Without dry friction it does not matter and is 1.0.
+    Without dry friction it does not matter: one row of 1.0.
     """
-    slip = np.ones((t.size, chain.length.size))
-    if chain.dry.any():
+    dry = chain.dry.any()
+    slip = np.ones((t.size if dry else 1, chain.length.size))
+    if dry:
         write_senses(chain, drive, t, y, slip)
     return slip
 
@@ -48,7 +49,7 @@ def observe(chain, drive, t, y, slip, qdd, base_out, scalars):  # type: ignore[n
 
     Parameters
     ----------
-    t, y, slip : (m,) times, s; (m, 2 n or more) states; (m, n) as :func:`senses` returns it
+    t, y, slip : (m,) times, s; (m, 2 n or more) states; (m, n) or (1, n) as :func:`senses` returns it
     qdd : (m, n) out, rad/s^2
     base_out : (m, 9) out, motion of the first joint (``drive.base_state``)
     scalars : (m, 5) out: kinetic and potential energy, J; force x, y on the rope, N, and torque through joint 0, N m
@@ -64,7 +65,8 @@ def observe(chain, drive, t, y, slip, qdd, base_out, scalars):  # type: ignore[n
             torque = motion_at(drive, t[m], base)
             scalars[m, 0], scalars[m, 1] = energies(chain, q, w, base, trig)
             enter_state(m - first, chain, q, w, trig, base, torque, lanes, tip, motion)
-            ln.set_lane_slip(ln.COLUMNS, m - first, lanes, slip[m])
+            if slip.shape[0] == t.size:  # else all slip, as in the lanes
+                ln.set_lane_slip(ln.COLUMNS, m - first, lanes, slip[m])
         ln.euler(ln.COLUMNS, chain.reaction, ln.MORE, lanes, tip, motion)
         for m in range(first, last):
             j = m - first
