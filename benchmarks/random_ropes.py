@@ -25,15 +25,18 @@ import numpy as np
 
 import hyperflex as hf
 from hyperflex.budget import Budget
-from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, recut
+from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL
 from hyperflex.planning import MotorLimits, Problem, check_feasibility, plan_cast, verify_cast
 
 SECONDS = 40.0  # s of processor time for a plan
 FINER = 2.5  # times the links in the independent run
 
 
-def rope_and_arm(seed: int, number: int) -> tuple[hf.Rope, hf.Arm]:
-    """Draw rope `number` of a seed, and its arm."""
+def rope_and_arm(seed: int, number: int, finer: float = 1.0) -> tuple[hf.Rope, hf.Arm]:
+    """Draw rope `number` of a seed, and its arm; the same rope as `finer` times as many links.
+
+    Damping and stiffness are those of a length of rope; dry friction is a bending moment, the same at each joint.
+    """
     rng = np.random.default_rng([seed, number])
 
     def log_uniform(low: float, high: float) -> float:
@@ -43,6 +46,7 @@ def rope_and_arm(seed: int, number: int) -> tuple[hf.Rope, hf.Arm]:
     n, tip = int(rng.integers(25, 61)), rng.uniform(0.0, 0.4)
     bending, damping = log_uniform(1e-6, 3e-4) * rng.integers(2), log_uniform(3e-6, 3e-5)  # N m^2, N m^2 s
     dry, arm = rng.uniform(0.0, 5e-4), rng.uniform(0.05, 0.15)
+    n = round(finer * n)
     link, mass = length / n, length * density
     share = np.linspace(1.0, 1.0 / taper, n)
     share *= n / share.sum()
@@ -72,9 +76,9 @@ def targets(seed: int, number: int, rope: hf.Rope, arm: hf.Arm, count: int) -> I
             return
 
 
-def held(problem: Problem, peg: hf.Peg, plan: hf.CastPlan) -> bool:
+def held(seed: int, number: int, peg: hf.Peg, plan: hf.CastPlan) -> bool:
     """Whether a plan succeeds in the independent run."""
-    finer = Problem(recut(problem.rope, round(FINER * problem.rope.n_links)), problem.arm, problem.limits)
+    finer = Problem(*rope_and_arm(seed, number, FINER), MotorLimits())
     motion = plan.required(plan.motion, "motion")
     outcome = verify_cast(finer, peg, motion, tol=0.2 * DEFAULT_TOL, contact_step=0.5 * DEFAULT_CONTACT_STEP)
     return outcome.success
@@ -86,7 +90,7 @@ def row(seed: int, number: int, k: int, rope: hf.Rope, arm: hf.Arm, peg: hf.Peg,
     plan = plan_cast(rope, arm, peg, time_budget=Budget(seconds, threads=1, clock=time.process_time))
     spent = time.process_time() - begin
     about = {"seed": seed, "rope": number, "target": k, "x": peg.x, "y": peg.y, "radius": peg.radius}
-    good = plan.success and held(Problem(rope, arm, MotorLimits()), peg, plan)
+    good = plan.success and held(seed, number, peg, plan)
     return about | {"planned": plan.success, "held": good, "seconds": spent, "runs": plan.runs, "reason": plan.message}
 
 
