@@ -272,6 +272,16 @@ def test_strikes_and_swings_of_a_rope_without_friction_are_those_that_chains_agr
         assert np.sqrt((np.cumsum(ends, axis=1) ** 2).sum(axis=0).mean()) <= 0.02 * rope.total_length
 
 
+def test_a_strike_after_the_time_limit_does_not_count() -> None:
+    problem, budget, found = Problem(CORD, ARM), Budget(threads=1), list[Strike]()
+    search = WindTask(problem, PEG, SearchOptions(threads=1)).search
+    while not found:
+        found = search.extend(budget)
+    for limit, count in ((found[0].t + 0.2, 1), (found[0].t - 0.2, 0)):
+        limited = WindTask(replace(problem, time=limit), PEG, SearchOptions(threads=1)).search
+        assert len(limited.start([found[0].moves], budget)) == count
+
+
 def test_variations_change_only_the_last_moves_of_a_strike() -> None:
     search = WindTask(Problem(CORD, ARM), PEG, SearchOptions(threads=1)).search
     budget, found, varied = Budget(threads=1), list[Strike](), list[Strike]()

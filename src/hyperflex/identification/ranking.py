@@ -1,5 +1,6 @@
 """What rankings of candidates have in common: how they ended, their file, and their table as text."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from itertools import zip_longest
 from typing import Any
@@ -9,16 +10,16 @@ from hyperflex.files import PathLike
 from hyperflex.status import Status
 
 
-class Ranking:
+class Ranking(ABC):
     """Candidates that were tried and ranked; a result adds its table and which candidate is `best`."""
 
     recommendation: str
     ended: Status | None
 
     @property
+    @abstractmethod
     def best(self) -> Any:
         """The best candidate, or None."""
-        raise NotImplementedError
 
     def summary(self) -> dict[str, Any]:
         """Return status, message and recommendation; a result adds its table."""

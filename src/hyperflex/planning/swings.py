@@ -129,9 +129,7 @@ class SwingSearch:
         """Return the predictable strikes of whole moves, simulated from the start."""
         first = {swing.moves.side: swing for swing in self.begin}
         some = [one for one in moves if one.side in first]
-        until = [max(self.problem.time, one.stops(self.problem.limits) + 0.5) for one in some]
-        tries = [_Try(first[one.side], one, end) for one, end in zip(some, until, strict=True)]
-        return self._strikes(tries, budget, whole=True)[0]
+        return self._strikes([_Try(first[one.side], one, self.problem.time) for one in some], budget, whole=True)[0]
 
     def extend(self, budget: Budget) -> list[Strike]:
         """Continue the swings of a speed by a stroke; return predictable strikes.
@@ -204,10 +202,9 @@ class SwingSearch:
         for k, (swing, moves, _) in enumerate(tries):
             at, row = float(since[k] + seen.t[k]), math.ceil((stops[k] - since[k]) / step) - 1
             begins = moves.starts(limits)[swing.moves.ends.size]
-            if since[k] < 1e-9 or begins < at < self.problem.time:
+            if at < self.problem.time and (swing.parent is None or begins < at):
                 follow, state = (moves,) if whole else (), State(at, seen.q[k], seen.qd[k])
-                if math.isfinite(at):
-                    struck.append((k, Strike(moves, float(seen.score[k]), at, False, swing, (state,), follow)))
+                struck.append((k, Strike(moves, float(seen.score[k]), at, False, swing, (state,), follow)))
             clear = min(int(seen.clear[k]), t.size if math.isnan(at) else round((at - since[k]) / step))
             if not whole and row < clear and np.isfinite(q[k, row]).all():
                 state = State(float(since[k] + t[row]), q[k, row], qd[k, row])
