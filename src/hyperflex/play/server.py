@@ -146,7 +146,7 @@ class PlayServer(LocalServer):
 
 
 def page() -> str:
-    """Return the page: one HTML document that requires only the websocket."""
+    """Return the page: one HTML document that needs no other file."""
     groups: dict[str, list[tuple[str, dict[str, object]]]] = {}
     for name, each in CONTROLS.items():
         groups.setdefault(each.group, []).append((name, each._asdict()))
