@@ -6,8 +6,6 @@ python -m benchmarks.ablation --seed 1 --ropes 4 --only as-is,no-variation
 ``cem`` is a baseline without any of them: the cross-entropy method over five parameters of a swing.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -1,7 +1,5 @@
 """Cost of one evaluation of the accelerations against the number of links, checked before it is timed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path

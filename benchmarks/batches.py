@@ -1,7 +1,5 @@
 """Many ropes at once: simulated seconds per second, at settings for which every single member was checked."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from dataclasses import dataclass

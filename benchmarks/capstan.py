@@ -13,8 +13,6 @@ where the first and the last corner happen to lie.
 MuJoCo's rope (--peers) is in capstan_mujoco.py.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import json

@@ -14,8 +14,6 @@ before it held anything near the limit, and they make the settings below:
 It is given no factor for the corners of its polygon; links of 0.3 and 0.6 radii cost 1.1 and 4.0 % for half a turn.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

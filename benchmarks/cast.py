@@ -1,7 +1,5 @@
 """What every contestant runs: the paper's cast of a cable by a prescribed arm."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

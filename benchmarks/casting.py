@@ -21,8 +21,6 @@ which need nothing but numpy's generator; the judge is ``hyperflex.planning.veri
 ``problem(rope, FINER)``. The time of the first plan that stood is told beside that of the search.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -17,8 +17,6 @@ turns differ by less than 0.25. Where they do not, MuJoCo's step is halved once.
 that those of an interrupted run are a fair sample; it goes on where it ended. All simulated.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

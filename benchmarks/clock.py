@@ -5,8 +5,6 @@ time, and on a busy one it leaves out the waiting, which would hit long runs and
 of the scheduler. The clock's time is kept beside it. Contestants take turns, so that a slow minute hits all of them.
 """
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable, Sequence

@@ -7,8 +7,6 @@ The paper's cable, let go from 24 directions above a peg of 30 mm, 1.5 s each: c
 tolerance and at the one for a search, on one and two threads. Kernels are compiled before the clock runs.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

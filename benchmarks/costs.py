@@ -1,7 +1,5 @@
 """What a run costs and how far it errs: against tolerance, friction, springs, dry friction, motion and outputs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any

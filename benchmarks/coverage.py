@@ -10,8 +10,6 @@ exit code is 1 if where the model is right one of the parameters is held more or
 wrong model's intervals miss in more than 12 % of the results that are not graded "do not use".
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import multiprocessing

@@ -3,8 +3,6 @@
 python benchmarks/exchange.py
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import resource
 import sys

@@ -8,8 +8,6 @@ processor time: that of one process over that of this one and of the busier work
 quiet processors. The clock's is told beside it. Results are compared bit by bit.
 """
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import os

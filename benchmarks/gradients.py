@@ -1,7 +1,5 @@
 """Cost of exact derivatives of the paper's cast, in plain rollouts of the same tolerance and outputs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any

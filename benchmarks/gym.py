@@ -10,8 +10,6 @@ command goes on where it stopped. Times of learning and of planning are the proc
 programs do not matter. All simulated.
 """
 
-from __future__ import annotations
-
 import argparse
 import copy
 import functools

@@ -10,8 +10,6 @@ be out of reach makes no search, and could hardly be late: those that search are
 before, for kernels to be compiled; an error that is not for users ends the benchmark. All simulated.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import multiprocessing

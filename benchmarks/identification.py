@@ -1,7 +1,5 @@
 """How long an identification takes: the paper's problem from many starts, beside the paper's method; a 50-link rope."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from types import ModuleType

@@ -13,8 +13,6 @@ of what is observed in fresh scenarios. The judge has 2.5 times the links, a fif
 contact. All simulated.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

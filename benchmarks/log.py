@@ -4,8 +4,6 @@ A process that is killed while it writes leaves half a line. It is cut off befor
 do not run together; a line that is no row all the same is left out.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

@@ -4,8 +4,6 @@ Each module peers_*.py drives one simulator and has ``NAME``, ``ARM`` (how its a
 a few words) and ``contestants``.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import platform

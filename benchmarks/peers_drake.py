@@ -1,7 +1,5 @@
 """Drake: a MultibodyPlant of revolute joints in continuous time, integrated by its Simulator."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """hyperflex itself, as a user calls it: checks, output, energies and the energy guard are part of the time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """MuJoCo: plain hinges in relative angles, contacts and constraints off."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ diagonal of the mass matrix in relative angles, and an armature of step times fr
 tells how much of hyperflex's lead is the method and how much the kernel.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 

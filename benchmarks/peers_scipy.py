@@ -1,7 +1,5 @@
 """scipy's integrators on hyperflex's own compiled accelerations: what the method alone is worth."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 

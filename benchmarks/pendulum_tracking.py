@@ -12,8 +12,6 @@ pivot, lengths and places of the markers are estimated along with the state. The
 not known then.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

@@ -7,8 +7,6 @@ The server is a process of its own, as the command starts it; the page is in a c
 without a graphics card. All on this machine.
 """
 
-from __future__ import annotations
-
 import argparse
 import http.client
 import json

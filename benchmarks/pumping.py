@@ -7,8 +7,6 @@ All with the same half turn of the arm: stroke pi, 0.73 s, bang-bang. The first 
 at rest. Physical friction, through the bottom and over the top. Simulated.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

@@ -10,8 +10,6 @@ after the first half turn; the first starts at t = 0, and waiting there only shi
 farther. Each adds a line to benchmarks/results/pumping-bound.jsonl. On one core, minutes each. Simulated.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

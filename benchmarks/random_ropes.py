@@ -10,8 +10,6 @@ Each plan gets 40 s of processor time. A cast is held if it succeeds in a run wi
 contact step and a fifth of the tolerance, which no planner saw.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

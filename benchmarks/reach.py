@@ -12,8 +12,6 @@ thread, so that other programs do not matter. Rows are kept in reach.jsonl: the 
 All simulated.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import time

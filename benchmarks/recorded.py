@@ -4,8 +4,6 @@ The recordings are those that the tests use: in the folder that ``HYPERFLEX_DATA
 them their rows are left out.
 """
 
-from __future__ import annotations
-
 import os
 import statistics
 from collections.abc import Callable, Iterator

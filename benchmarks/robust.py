@@ -17,8 +17,6 @@ All simulated. What was planned and judged is kept line by line in robust.jsonl:
 stopped. A change of the planner is not noticed there: remove the file then.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """The page of benchmarks.robust: stated and observed success, their difference, and what the closed loop adds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

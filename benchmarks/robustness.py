@@ -10,8 +10,6 @@ Each row is kept in robustness.jsonl at once: the same command goes on where an 
 is 1 if a run was silently wrong, or errors were more than allowed.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -6,8 +6,6 @@ python benchmarks/run.py --quick a look in less than a minute; nothing is writte
 python benchmarks/run.py --only work-precision accelerations
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json

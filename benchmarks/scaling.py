@@ -1,7 +1,5 @@
 """Cost of a simulated second against the number of links."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

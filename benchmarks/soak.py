@@ -4,8 +4,6 @@ python benchmarks/soak.py                          ten minutes; the page goes to
 python benchmarks/soak.py --calls 200 --minutes 0  a shorter one, printed alone
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import os

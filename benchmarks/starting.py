@@ -1,7 +1,5 @@
 """What a user waits for before the first result: imports, compilation cold and cached, the command line."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

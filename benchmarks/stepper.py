@@ -1,7 +1,5 @@
 """Runs taken interval by interval: what a step costs beyond its part of one long run, and whether it is the same."""
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Callable
 from dataclasses import dataclass

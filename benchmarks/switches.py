@@ -13,8 +13,6 @@ as in that swing, less a fifth. A switch is struck if, with 2.5 times the links 
 touches nothing before, and the tip comes within 10 mm and is the first to touch a peg of 10 mm there. All simulated.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from dataclasses import replace

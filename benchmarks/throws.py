@@ -12,8 +12,6 @@ Half of the throws have joint friction from 1e-4 to 5e-3 N m s/rad, half from 0 
 limit by more than 1e-3 rad.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

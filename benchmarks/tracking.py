@@ -11,8 +11,6 @@ Markers in metres (10, 1.5 mm off), 30 frames/s, and which is which is known; th
 simulated. Each run adds a line to benchmarks/results/tracking.jsonl (--out); on one core a run takes 5 to 15 s.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable, Iterator

@@ -6,8 +6,6 @@ python benchmarks/tracking_latency.py --quick  a look in a minute; nothing is wr
 One thread: it begins itself anew with 1 for the numbers of BLAS threads, which count when numpy is loaded.
 """
 
-from __future__ import annotations
-
 import argparse
 import ctypes
 import gc

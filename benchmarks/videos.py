@@ -9,8 +9,6 @@ Ropes of 100 links, rendered; trackers have 50. Each run adds a line to benchmar
 core a hard video takes a minute, most of it to be rendered and written as MP4.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from collections.abc import Callable

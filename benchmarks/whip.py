@@ -14,8 +14,6 @@ greatest within 0.15 s of the planned time. On an identified rope the true motor
 late and follows with a lag that the plan does not know. All simulated.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

@@ -15,8 +15,6 @@ pairs agree, or if more than a quarter of a recording's parts are refused ("do n
 told as well. A friction that fails so is let pass where all parts call it a model error, and by how much is told.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -1,7 +1,5 @@
 """Work against precision: error of the tip beside time, every simulator on the same cast in the same run."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from types import ModuleType

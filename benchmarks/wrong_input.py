@@ -10,8 +10,6 @@ listed in CAUSES; or the recording is exactly that of another rope, and the reas
 counts. The exit code is 1 where one is called usable and is wrong or says nearly nothing.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time
@@ -86,7 +84,7 @@ class Case:
     error: dict[str, Array] = field(default_factory=dict)  # standard deviations of a truth that was measured
     undetectable: bool = False  # another rope makes exactly this recording
     widest: float = NARROW  # half of an interval over its value, at most
-    right: Case | None = None  # the same, declared as it is
+    right: "Case | None" = None  # the same, declared as it is
 
     @property
     def wrong(self) -> str:

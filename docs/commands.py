@@ -1,7 +1,5 @@
 """What a page of the documentation tells its reader to do: files to write and commands to run."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -4,8 +4,6 @@ The fit uses the same swing without a camera: the best approximation of a rope o
 rope divided into 10 links, because coarse links need more inertia and friction for the same motion.
 """
 
-from __future__ import annotations
-
 from hyperflex import files
 from hyperflex.demo import twin
 

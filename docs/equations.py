@@ -1,7 +1,5 @@
 """MkDocs hook: turn the pages' LaTeX into MathML while they are built, so that they need no script and no network."""
 
-from __future__ import annotations
-
 import html
 import re
 

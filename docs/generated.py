@@ -1,7 +1,5 @@
 """MkDocs hook: pages that are made while the site is built, from the commands' help and from a benchmark's results."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """MkDocs hook: the page on all modules, made from the first sentences of their docstrings while the site is built."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """MkDocs hook: roles of docstrings become names, empty descriptions lose their dash, options stay in one line."""
 
-from __future__ import annotations
-
 import re
 
 ROLE = re.compile(r":(?:class|func|meth|mod|attr|exc|data):<code>~?(?:[\w.]*\.)?(\w+)</code>")

@@ -3,8 +3,6 @@
 Griffe gives all of them what the first one has, and takes the first of some choices for the default.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import groupby
 from typing import Any

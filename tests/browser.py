@@ -1,7 +1,5 @@
 """A chromium without a window, driven by its DevTools protocol over two pipes: what tests of pages share."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -1,7 +1,5 @@
 """What every test shares: the real recordings, the hypothesis profiles, a Matplotlib without a screen."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Iterator
@@ -66,7 +64,7 @@ def data_dir(pytestconfig: pytest.Config) -> Path:
 
 
 @pytest.fixture(scope="session")
-def browser(pytestconfig: pytest.Config) -> Iterator[Browser]:
+def browser(pytestconfig: pytest.Config) -> "Iterator[Browser]":
     """A browser without a window; without one the test skips, or fails under --require-data and in CI."""
     from tests.browser import NAMES, Browser, found  # the suite's options are tried without the other files
 

@@ -1,7 +1,5 @@
 """Runs with dry friction along the frozen steps of another, and the differences that they give."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Find tests that never run: what looks like a test, or helps one, and yet is never called by anything."""
 
-from __future__ import annotations
-
 import ast
 from collections import Counter
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The names that the sources use."""
 
-from __future__ import annotations
-
 import functools
 import io
 import re

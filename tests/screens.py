@@ -1,7 +1,5 @@
 """Pictures of pages, compared with those that were looked at: what browser tests share."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

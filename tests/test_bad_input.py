@@ -1,9 +1,6 @@
 """Bad arguments to rope, arm, motion, set-up and simulate: the right class, the argument's name, and the value got."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -188,27 +185,27 @@ def refuses(call: Callable[[], object], words: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize(("call", "words"), ROPES)
-def test_rope_refuses(call: Callable[[], object], words: tuple[str, ...]) -> None:
+def test_rope_refuses(call, words):
     refuses(call, words)
 
 
 @pytest.mark.parametrize(("call", "words"), ARMS)
-def test_arm_refuses(call: Callable[[], object], words: tuple[str, ...]) -> None:
+def test_arm_refuses(call, words):
     refuses(call, words)
 
 
 @pytest.mark.parametrize(("call", "words"), MOTIONS)
-def test_motion_refuses(call: Callable[[], object], words: tuple[str, ...]) -> None:
+def test_motion_refuses(call, words):
     refuses(call, words)
 
 
 @pytest.mark.parametrize(("call", "words"), SETUPS)
-def test_setup_refuses(call: Callable[[], object], words: tuple[str, ...]) -> None:
+def test_setup_refuses(call, words):
     refuses(call, words)
 
 
 @pytest.mark.parametrize(("call", "words"), RUNS)
-def test_simulate_refuses(call: Callable[[], object], words: tuple[str, ...]) -> None:
+def test_simulate_refuses(call, words):
     refuses(call, words)
 
 
@@ -227,7 +224,7 @@ BAD_TABLES = {
 
 
 @pytest.mark.parametrize(("text", "word"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
-def test_motion_file_is_refused(tmp_path: Path, text: str, word: str) -> None:
+def test_motion_file_is_refused(tmp_path, text, word):
     path = tmp_path / "arm.csv"
     path.write_text(text)
     with pytest.raises(HyperflexError) as caught:
@@ -259,7 +256,7 @@ BAD_SETUPS = {
 
 
 @pytest.mark.parametrize(("text", "word"), BAD_SETUPS.values(), ids=BAD_SETUPS.keys())
-def test_setup_file_is_refused(tmp_path: Path, text: str, word: str) -> None:
+def test_setup_file_is_refused(tmp_path, text, word):
     path = tmp_path / "setup.toml"
     path.write_text(text)
     with pytest.raises(HyperflexError) as caught:
@@ -268,7 +265,7 @@ def test_setup_file_is_refused(tmp_path: Path, text: str, word: str) -> None:
 
 
 @pytest.mark.parametrize("read", [hf.read_motion, hf.Setup.from_toml, hf.Rope.from_toml])
-def test_missing_file_is_named(tmp_path: Path, read: Callable[[Path], object]) -> None:
+def test_missing_file_is_named(tmp_path, read):
     path = tmp_path / "nowhere.x"
     with pytest.raises(FileProblem, match=r"nowhere\.x"):
         read(path)
@@ -288,19 +285,19 @@ def test_missing_file_is_named(tmp_path: Path, read: Callable[[Path], object]) -
         (lambda: hf.sensitivities(ROD, duration=0.1, wrt=None), "neither a name nor a mapping"),
     ],
 )
-def test_what_would_be_ignored_is_refused(call: Callable[[], object], words: str) -> None:
+def test_what_would_be_ignored_is_refused(call, words):
     with pytest.raises(InvalidInput, match=words):
         call()
 
 
-def test_a_stepper_begins_where_the_motion_of_its_setup_does() -> None:
+def test_a_stepper_begins_where_the_motion_of_its_setup_does():
     motion = hf.arm_swings(t_move=0.7, t_rest=0.5)
     start = hf.Stepper(hf.Setup(ROD, motion, hf.Arm())).start()
     assert start.arm_angle == motion.angle(0.0) != 0.0
     assert start.arm_rate == motion.rate(0.0)
 
 
-def test_results_say_whether_they_succeeded() -> None:
+def test_results_say_whether_they_succeeded():
     assert hf.simulate(ROD, duration=0.1).success
     batch = hf.simulate_batch([ROD, ROD], duration=0.1)
     assert batch.success

@@ -1,7 +1,5 @@
 """Batches: equal to single runs, the same for any number of threads, whole when a member fails or the user stops."""
 
-from __future__ import annotations
-
 import _thread
 import copy
 import pickle
@@ -14,7 +12,6 @@ import pytest
 
 import hyperflex as hf
 from hyperflex.core.batch import rollouts as core
-from hyperflex.core.batch import rollouts as members
 from hyperflex.errors import InvalidInput
 from hyperflex.simulation import batch as simulation_batch
 from tests.faults.interrupting import left_by
@@ -35,7 +32,7 @@ def family(count: int, n: int = 8, seed: int = 0, **others: object) -> tuple[lis
                 friction=2e-4 * u[2],
                 stiffness=1e-3 * u[3],
                 tip_mass=0.01 * u[4],
-                **others,  # type: ignore[arg-type]
+                **others,
             )
         )
         motions.append(hf.arm_swings(0.6 * u[5], 0.4 * u[0]))
@@ -43,11 +40,9 @@ def family(count: int, n: int = 8, seed: int = 0, **others: object) -> tuple[lis
 
 
 @pytest.mark.parametrize(
-    "others",
-    [{}, {"friction_model": "printed"}, {"dry_friction": 1e-4}],
-    ids=["relative", "printed", "dry"],
+    "others", [{}, {"friction_model": "printed"}, {"dry_friction": 1e-4}], ids=["relative", "printed", "dry"]
 )
-def test_members_equal_single_runs(others: dict[str, object]) -> None:
+def test_members_equal_single_runs(others):
     ropes, motions = family(19, **others)  # more than the lanes, and not a multiple of them
     t = np.array([0.4, 1.0])
     batch = hf.simulate_batch(
@@ -71,7 +66,7 @@ def test_members_equal_single_runs(others: dict[str, object]) -> None:
         np.testing.assert_allclose(batch.dissipated_energy[m], run.dissipated_energy, rtol=0, atol=1e-5)
 
 
-def test_results_do_not_depend_on_threads_or_neighbours() -> None:
+def test_results_do_not_depend_on_threads_or_neighbours():
     ropes, motions = family(70)
     one = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.5, threads=1)
     three = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.5, threads=3)
@@ -80,7 +75,7 @@ def test_results_do_not_depend_on_threads_or_neighbours() -> None:
     np.testing.assert_array_equal(one.tip[41], alone.tip[0])
 
 
-def test_a_dry_neighbour_changes_nothing() -> None:
+def test_a_dry_neighbour_changes_nothing():
     ropes, motions = family(60, n=3)
     ropes[-1] = ropes[-1].replace(dry_friction=1e-4)
     ropes[7] = ropes[7].replace(dry_friction=1e-4)
@@ -97,7 +92,7 @@ def test_a_dry_neighbour_changes_nothing() -> None:
         np.testing.assert_array_equal(run(threads), one)
 
 
-def test_one_rope_from_many_starts() -> None:
+def test_one_rope_from_many_starts():
     rope = family(1, n=2)[0][0]
     q0 = np.array([[0.0, 0.0], [1.0, 1.0], [0.3, -0.2]])
     t = [0.0, 0.5, 1.0]
@@ -111,7 +106,7 @@ def test_one_rope_from_many_starts() -> None:
     assert len(rates.status) == 4
 
 
-def test_start_states_and_sampled_motions() -> None:
+def test_start_states_and_sampled_motions():
     rope = family(1)[0][0]
     motion = hf.sampled_motion([0.0, 0.2, 0.5, 0.8], [0.0, 0.3, -0.2, 0.1])
     q0 = np.random.default_rng(1).normal(size=(3, 8))
@@ -122,7 +117,7 @@ def test_start_states_and_sampled_motions() -> None:
         np.testing.assert_allclose(batch.tip[m], run.tip, rtol=0, atol=1e-4)
 
 
-def test_a_chosen_step_is_taken() -> None:
+def test_a_chosen_step_is_taken():
     ropes, motions = family(3)
     coarse = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.5, step=0.02)
     fine = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.5, step=0.01)
@@ -131,7 +126,7 @@ def test_a_chosen_step_is_taken() -> None:
     assert errors[1] < errors[0] / 8  # order 5 would give 32; half its logarithm shows that the step counts
 
 
-def test_a_failing_member_fails_alone() -> None:
+def test_a_failing_member_fails_alone():
     ropes, motions = family(20)
     qd0 = np.zeros((20, 8))
     qd0[7] = 1e99  # its square is not a number any more
@@ -146,13 +141,11 @@ def test_a_failing_member_fails_alone() -> None:
     np.testing.assert_array_equal(batch.tip[keep], good.tip[keep])
 
 
-def test_an_energy_balance_that_fails_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_energy_balance_that_fails_is_reported(monkeypatch):
     ropes, motions = family(20)
     run = core.run_block
 
-    def falsified(
-        every: members.Members, terms: members.Terms, low: int, high: int, t: object, y: np.ndarray, *rest: object
-    ) -> None:
+    def falsified(every, terms, low, high, t, y, *rest):
         run(every, terms, low, high, t, y, *rest)
         if low <= 5 < high:
             y[5 - low, :, -2] += 1.0  # J of motor work that was never done
@@ -164,11 +157,11 @@ def test_an_energy_balance_that_fails_is_reported(monkeypatch: pytest.MonkeyPatc
     assert np.isnan(batch.tip[5]).all()
 
 
-def test_memory_is_that_of_what_is_kept() -> None:
+def test_memory_is_that_of_what_is_kept():
     ropes, motions = family(512)
     t = np.linspace(0.01, 0.2, 400)
 
-    def peak(count: int) -> int:
+    def peak(count):
         tracemalloc.start()
         batch = hf.simulate_batch(ropes[:count], motions[:count], arm=ARM, duration=0.2, t_eval=t, threads=1)
         used = tracemalloc.get_traced_memory()[1]
@@ -182,12 +175,12 @@ def test_memory_is_that_of_what_is_kept() -> None:
     assert peak(512) - peak(256) < 0.3 * states
 
 
-def test_ctrl_c_keeps_finished_members(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_keeps_finished_members(monkeypatch):
     ropes, motions = family(64)
     whole = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.3, threads=1)
     run = simulation_batch.core.run_block
 
-    def interrupted(members: object, terms: object, low: int, *rest: object) -> None:
+    def interrupted(members, terms, low, *rest):
         if low >= 32:
             _thread.interrupt_main()
         else:
@@ -201,7 +194,7 @@ def test_ctrl_c_keeps_finished_members(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.isnan(batch.tip[32:]).all()
 
 
-def test_ctrl_c_ends_a_block_at_work() -> None:
+def test_ctrl_c_ends_a_block_at_work():
     soft = hf.Rope.uniform(length=0.6, mass=0.3, n_links=20, friction=1e-3)
     stiff = soft.replace(friction=0.0, stiffness=1e5)  # minutes of work
     q0 = np.linspace(0.0, 0.3, 20)
@@ -226,7 +219,7 @@ def test_ctrl_c_ends_a_block_at_work() -> None:
         batch.why(99)
 
 
-def test_dataset_is_labelled() -> None:
+def test_dataset_is_labelled():
     ropes, motions = family(2)
     data = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.2, keep=("tip", "q")).dataset
     assert data.tip.dims == ("member", "time", "axis")
@@ -253,21 +246,21 @@ def test_dataset_is_labelled() -> None:
         ({"duration": -1.0}, "duration"),
     ],
 )
-def test_bad_input(change: dict[str, object], words: str) -> None:
+def test_bad_input(change, words):
     ropes, motions = family(2)
     arguments: dict[str, object] = {"ropes": ropes, "motions": motions, "arm": ARM, "duration": 0.3} | change
     with pytest.raises(InvalidInput, match=words):
-        hf.simulate_batch(**arguments)  # type: ignore[arg-type]
+        hf.simulate_batch(**arguments)
 
 
-def test_what_was_not_kept_is_named() -> None:
+def test_what_was_not_kept_is_named():
     ropes, motions = family(1)
     batch = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.1)
     with pytest.raises(AttributeError, match="kept: tip"):
         _ = batch.q
 
 
-def test_a_batch_can_be_copied_and_sent() -> None:
+def test_a_batch_can_be_copied_and_sent():
     ropes, motions = family(2)
     batch = hf.simulate_batch(ropes, motions, arm=ARM, duration=0.1)
     for other in (copy.deepcopy(batch), pickle.loads(pickle.dumps(batch))):

@@ -1,7 +1,5 @@
 """Batches with pegs: each member as a run of its own, whatever the threads, and clear answers."""
 
-from __future__ import annotations
-
 import itertools
 import threading
 import time
@@ -29,7 +27,7 @@ def family() -> tuple[list[hf.Rope], list[hf.Motion]]:
     return ropes, [hf.arm_swings(0.5, rest) for rest in (0.1, 0.2, 0.3)]
 
 
-def test_members_are_runs_of_their_own() -> None:
+def test_members_are_runs_of_their_own():
     ropes, motions = family()
     q0 = np.linspace(1.0, 1.3, 3)[:, None] + np.zeros(10)
     t = np.array([0.4, 0.8, DURATION])
@@ -54,14 +52,14 @@ def test_members_are_runs_of_their_own() -> None:
     assert set(batch.dataset.dims) >= {"member", "time", "peg"}
 
 
-def test_pegs_for_all_members() -> None:
+def test_pegs_for_all_members():
     ropes, motions = family()
     batch = hf.simulate_batch(ropes[0], motions, pegs=PEGS[0], **HOW)
     alone = hf.simulate(ropes[0], motions[2], pegs=PEGS[0], t_eval=[DURATION], **HOW)
     np.testing.assert_array_equal(batch.tip[2], alone.tip)
 
 
-def test_one_rope_from_many_starts() -> None:
+def test_one_rope_from_many_starts():
     ropes, _ = family()
     q0 = np.linspace(1.0, 1.3, 3)[:, None] + np.zeros(10)
     batch = hf.simulate_batch(ropes[0], pegs=PEGS[0], q0=q0, **HOW)
@@ -82,13 +80,13 @@ def test_one_rope_from_many_starts() -> None:
         ({"pegs": PEGS, "keep": ("temperature",)}, "keep"),
     ],
 )
-def test_what_does_not_fit_is_refused(what: dict[str, object], words: str) -> None:
+def test_what_does_not_fit_is_refused(what, words):
     ropes, motions = family()
     with pytest.raises(InvalidInput, match=words):
-        hf.simulate_batch(ropes, motions, **{**HOW, **what})  # type: ignore[arg-type]
+        hf.simulate_batch(ropes, motions, **{**HOW, **what})
 
 
-def test_a_member_that_takes_too_long_has_failed() -> None:
+def test_a_member_that_takes_too_long_has_failed():
     ropes, motions = family()
     how = {"pegs": PEGS, "q0": np.full(10, 1.2), "t_eval": [0.1, DURATION], "keep": ("tip",), **HOW}
     batch = hf.simulate_batch(ropes, motions, time_budget=1e-6, **how)
@@ -104,7 +102,7 @@ def test_a_member_that_takes_too_long_has_failed() -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_members_that_never_end_leave_time_to_the_others(threads: int) -> None:
+def test_members_that_never_end_leave_time_to_the_others(threads):
     rope, aside = hf.Rope.uniform(0.7, 0.05, 10, 0.0025, friction=1e-3), [hf.Peg(1.5, -0.5, 0.04, 0.3)]
     motions = [hf.arm_swings(0.3, 0.05)] * threads + [hf.hold_arm()] * 2
     how = HOW | {"duration": 5e3, "time_budget": 6.0, "threads": threads}
@@ -114,21 +112,21 @@ def test_members_that_never_end_leave_time_to_the_others(threads: int) -> None:
 
 
 @pytest.mark.parametrize("pegs", [PEGS, []])
-def test_a_budget_ends_all_members_those_that_have_not_begun_at_once(pegs: list[list[hf.Peg]]) -> None:
+def test_a_budget_ends_all_members_those_that_have_not_begun_at_once(pegs):
     """Many members for a long time on one thread, and time for a few of them: by a clock that each check advances."""
     ropes, motions = family()
     ticks = itertools.count()
     budget = Budget(0.02, clock=lambda: 0.01 * next(ticks))
     how = {"pegs": pegs * 100, "time_budget": budget, **HOW, "duration": 1e4, "threads": 1}
-    batch = hf.simulate_batch(ropes * 100, motions * 100, **how)  # type: ignore[arg-type]
+    batch = hf.simulate_batch(ropes * 100, motions * 100, **how)
     assert set(batch.status) == {"out of time"}
     assert (batch.reached[-10:] == 0.0).all()
     assert "out of time" in batch.message
     how = {"pegs": pegs, "time_budget": 1e3, **HOW}
-    assert set(hf.simulate_batch(ropes, motions, **how).status) == {"success"}  # type: ignore[arg-type]
+    assert set(hf.simulate_batch(ropes, motions, **how).status) == {"success"}
 
 
-def test_no_block_of_a_batch_begins_when_the_time_is_over() -> None:
+def test_no_block_of_a_batch_begins_when_the_time_is_over():
     begun: list[int] = []
     over = Budget()
     over.cancel()
@@ -136,15 +134,15 @@ def test_no_block_of_a_batch_begins_when_the_time_is_over() -> None:
     assert begun == []
 
 
-def test_blocks_that_a_thread_waits_for_end_at_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_that_a_thread_waits_for_end_at_an_interrupt(monkeypatch):
     """The main thread alone receives signals; others poll for them."""
     halt = np.zeros(1, dtype=np.int64)
 
-    def interrupted() -> None:
+    def interrupted():
         if threading.current_thread() is not threading.main_thread():
             raise KeyboardInterrupt
 
-    def block(_low: int, _high: int) -> None:
+    def block(_low, _high):
         began = time.monotonic()
         while not halt[0] and time.monotonic() < began + 20.0:
             time.sleep(0.01)

@@ -1,7 +1,5 @@
 """Members in lanes, taken interval by interval: each as a stepper of its own takes it, whatever its neighbours do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +31,7 @@ def walk(stepper: hf.BatchStepper, state: hf.BatchState, commands: Array) -> hf.
 
 @pytest.mark.parametrize("command", SIZES)
 @pytest.mark.parametrize("dry", [0.0, 1e-3], ids=["viscous", "dry"])
-def test_each_member_is_a_stepper(command: str, dry: float) -> None:
+def test_each_member_is_a_stepper(command, dry):
     """Two tolerances, and two methods: 1e-5 m a step, so some 1e-4 m after a dozen; the reference is at 1e-9 m."""
     each, commands = ropes(dry), given(command)
     batch = hf.BatchStepper(each, arm=ARM, command=command)
@@ -55,7 +53,7 @@ def test_each_member_is_a_stepper(command: str, dry: float) -> None:
 
 
 @pytest.mark.parametrize("command", SIZES)
-def test_a_step_depends_on_nothing_but_the_member(command: str) -> None:
+def test_a_step_depends_on_nothing_but_the_member(command):
     """Not on threads, neighbours, or what was stepped in between."""
     each, commands = ropes(1e-3), given(command)
     batch = hf.BatchStepper(each, arm=ARM, command=command, threads=2)
@@ -71,7 +69,7 @@ def test_a_step_depends_on_nothing_but_the_member(command: str) -> None:
         np.testing.assert_array_equal(getattr(part, name), getattr(end, name)[3:5])
 
 
-def test_a_member_that_fails_fails_alone() -> None:
+def test_a_member_that_fails_fails_alone():
     batch = hf.BatchStepper(ropes(), arm=ARM, threads=1)  # so that errstate holds in it
     start = walk(batch, batch.start(), given("acceleration", 2))
     wild = np.full(COUNT, 1.0)
@@ -87,7 +85,7 @@ def test_a_member_that_fails_fails_alone() -> None:
     np.testing.assert_array_equal(later.q[others], batch.step(want, 1.0, DT).q[others])
 
 
-def test_bad_input_is_refused() -> None:
+def test_bad_input_is_refused():
     each = ropes()
     with pytest.raises(InvalidInput, match="members and ropes"):
         hf.BatchStepper(each, members=3, arm=ARM)
@@ -108,7 +106,7 @@ def test_bad_input_is_refused() -> None:
         batch.start(np.zeros((2, N)))
 
 
-def test_restarted_members_are_as_in_a_batch_of_their_own() -> None:
+def test_restarted_members_are_as_in_a_batch_of_their_own():
     each, others = ropes(1e-3), [rope.replace(friction=6e-4) for rope in ropes(1e-3)]
     batch = hf.BatchStepper(each, arm=ARM)
     state = walk(batch, batch.start(), given("acceleration", 4))
@@ -130,7 +128,7 @@ def test_restarted_members_are_as_in_a_batch_of_their_own() -> None:
         batch.restart(state, [1], hf.Rope.uniform(1.0, 0.06, N + 1, radius=0.003))
 
 
-def test_tips_are_those_of_steppers() -> None:
+def test_tips_are_those_of_steppers():
     each = ropes()
     batch = hf.BatchStepper(each, arm=ARM)
     state = walk(batch, batch.start(np.full(N, 0.4)), given("acceleration", 5))
@@ -143,7 +141,7 @@ def test_tips_are_those_of_steppers() -> None:
         np.testing.assert_allclose(found, want, rtol=0, atol=1e-12)
 
 
-def test_states_that_no_member_can_begin_with_are_refused() -> None:
+def test_states_that_no_member_can_begin_with_are_refused():
     stepper = hf.BatchStepper(ropes()[0], members=3, arm=ARM)
     state = stepper.step(stepper.start(), 1.0, 0.02)
     for name, value in (
@@ -158,12 +156,12 @@ def test_states_that_no_member_can_begin_with_are_refused() -> None:
         with pytest.raises(InvalidInput, match=f"state {name}"):
             stepper.step(replace(state, **{name: value}), 0.0, 0.02)
     with pytest.raises(InvalidInput, match="not a BatchState"):
-        stepper.tips(None)  # type: ignore[arg-type]
+        stepper.tips(None)
     with pytest.raises(ValueError, match="read-only"):
         state.q[0] = 0.0
 
 
-def test_a_restart_that_is_refused_changes_nothing() -> None:
+def test_a_restart_that_is_refused_changes_nothing():
     first, other = ropes()[0], ropes()[1]
     stepper = hf.BatchStepper(first, members=3, arm=ARM)
     state = stepper.start()

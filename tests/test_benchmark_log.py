@@ -1,9 +1,6 @@
 """Rows of long benchmarks: what a killed run leaves is read, gone on with, and not mixed up."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 from benchmarks import log, throws
@@ -21,7 +18,7 @@ from hyperflex.core.cache import SOURCE_HASH
         ('{"n": 3}', [1, 2, 3]),  # lacks nothing but the end of its line
     ],
 )
-def test_half_a_line_is_cut_off_before_the_next(tmp_path: Path, tail: str, kept: list[int]) -> None:
+def test_half_a_line_is_cut_off_before_the_next(tmp_path, tail, kept):
     path = tmp_path / "rows.jsonl"
     path.write_text('{"n": 1}\n{"n": 2}\n' + tail)
     assert [row["n"] for row in log.read(path)] == kept
@@ -29,27 +26,27 @@ def test_half_a_line_is_cut_off_before_the_next(tmp_path: Path, tail: str, kept:
     assert [json.loads(line)["n"] for line in path.read_text().splitlines()] == [*kept, 9]
 
 
-def test_a_first_row_makes_the_file(tmp_path: Path) -> None:
+def test_a_first_row_makes_the_file(tmp_path):
     path = tmp_path / "new" / "rows.jsonl"
     assert log.read(path) == log.read(None) == []
     log.append(path, {"n": 1})
     assert log.read(path) == [{"n": 1}]
 
 
-def test_rows_that_ran_together_are_left_out(tmp_path: Path) -> None:
+def test_rows_that_ran_together_are_left_out(tmp_path):
     path = tmp_path / "rows.jsonl"
     path.write_text('{"n": 1}\n{"n": 2, "na{"n": 3}\n\n{"n": 4}\n')
     assert [row["n"] for row in log.read(path)] == [1, 4]
 
 
-def test_rows_of_other_kernels_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_of_other_kernels_are_told(capsys):
     log.told([{"kernels": SOURCE_HASH}])
     assert capsys.readouterr().err == ""
     log.told([{"kernels": SOURCE_HASH}, {"kernels": "0ld"}, {"kernels": "0ld"}])
     assert capsys.readouterr().err == "2 of 3 rows used again come from other kernels: 0ld\n"
 
 
-def test_rows_of_another_planner_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rows_of_another_planner_are_told(capsys):
     rows = [{"kernels": SOURCE_HASH, "planner": log.planner()}, {"kernels": SOURCE_HASH}]
     log.told(rows)
     assert capsys.readouterr().err == ""
@@ -58,7 +55,7 @@ def test_rows_of_another_planner_are_told(capsys: pytest.CaptureFixture[str]) ->
     assert log.made(rows, "planner") == f"Rows by planner: {log.planner()} 1, not recorded 1."
 
 
-def test_throws_with_other_links_are_not_used_again(tmp_path: Path) -> None:
+def test_throws_with_other_links_are_not_used_again(tmp_path):
     path = tmp_path / "throws.jsonl"
     log.append(path, {"index": 0, "kernels": "0ld"})  # as rows were before they said it
     log.append(path, {"index": 1, "fine": True, "kernels": SOURCE_HASH})

@@ -1,7 +1,5 @@
 """Budgets: time by the clock, shares, cancelling, and what is not counted."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -21,7 +19,7 @@ class Clock:
         return self.t
 
 
-def test_time_passes_by_the_clock() -> None:
+def test_time_passes_by_the_clock():
     clock = Clock()
     budget = Budget(10.0, clock=clock)
     clock.t += 4.0
@@ -33,7 +31,7 @@ def test_time_passes_by_the_clock() -> None:
         budget.check()
 
 
-def test_a_part_never_outlives_the_whole() -> None:
+def test_a_part_never_outlives_the_whole():
     clock = Clock()
     whole = Budget(10.0, clock=clock)
     clock.t += 2.0
@@ -43,7 +41,7 @@ def test_a_part_never_outlives_the_whole() -> None:
     assert (part.expired, whole.expired, long.remaining) == (True, False, 3.0)
 
 
-def test_cancelling_ends_a_part_and_its_parts_alone() -> None:
+def test_cancelling_ends_a_part_and_its_parts_alone():
     whole = Budget()
     part = whole.limit(5.0)
     inner = part.share(0.5)
@@ -53,7 +51,7 @@ def test_cancelling_ends_a_part_and_its_parts_alone() -> None:
         inner.check()
 
 
-def test_compiling_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiling_does_not_count(monkeypatch):
     clock = Clock()
     budget = Budget(10.0, clock=clock)
     clock.t += 60.0
@@ -62,18 +60,18 @@ def test_compiling_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, math.nan, "soon"])
-def test_seconds_are_checked(wrong: object) -> None:
+def test_seconds_are_checked(wrong):
     with pytest.raises(InvalidInput, match="time_budget"):
-        Budget.of(wrong)  # type: ignore[arg-type]
+        Budget.of(wrong)
 
 
-def test_a_budget_is_handed_down_as_it_is() -> None:
+def test_a_budget_is_handed_down_as_it_is():
     budget = Budget(3.0)
     assert Budget.of(budget) is budget
     assert Budget.of(None).remaining == math.inf
 
 
-def test_progress_is_reported_to_the_bar_of_the_block(capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_is_reported_to_the_bar_of_the_block(capsys):
     seen: list[float] = []
     budget = Budget(10.0)
     with budget.progress(False, "planning"):

@@ -1,7 +1,5 @@
 """What the documents and docstrings show is true: their Python runs as it stands, and their links lead somewhere."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import os
@@ -45,7 +43,7 @@ def python_blocks(page: Path) -> list[str]:
 
 @pytest.mark.parametrize("page", [p for p in PAGES if python_blocks(p)], ids=named)
 @pytest.mark.nightly
-def test_python_of_a_page_runs_as_it_stands(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_of_a_page_runs_as_it_stands(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     scope: dict[str, object] = {}
     for block in python_blocks(page):
@@ -54,21 +52,21 @@ def test_python_of_a_page_runs_as_it_stands(page: Path, tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("page", PAGES, ids=named)
-def test_local_links_of_a_page_lead_somewhere(page: Path) -> None:
+def test_local_links_of_a_page_lead_somewhere(page):
     targets = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", page.read_text("utf-8"))
     made = {ROOT / "docs" / name for name in GENERATED}
     assert [t for t in targets if not (page.parent / t).exists() and (page.parent / t).resolve() not in made] == []
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_examples_in_docstrings(name: str) -> None:
+def test_examples_in_docstrings(name):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of doctest itself, under numba's wrappers
         result = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS)
     assert result.failed == 0
 
 
-def test_equations_that_the_code_names_are_in_the_models_page() -> None:
+def test_equations_that_the_code_names_are_in_the_models_page():
     known = set(re.findall(r"\\tag\{(M\.\d+)\}", (ROOT / "docs" / "models.md").read_text("utf-8")))
     sources = "\n".join(path.read_text("utf-8") for path in (ROOT / "src").rglob("*.py"))
     named_there = set(re.findall(r"\(?(M\.\d+)\b", sources))
@@ -77,7 +75,7 @@ def test_equations_that_the_code_names_are_in_the_models_page() -> None:
 
 
 @pytest.mark.nightly
-def test_site_builds_and_needs_no_network(tmp_path: Path) -> None:
+def test_site_builds_and_needs_no_network(tmp_path):
     run = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],
         cwd=ROOT,
@@ -94,7 +92,7 @@ def test_site_builds_and_needs_no_network(tmp_path: Path) -> None:
         assert not re.search(r'<(script|img|link|iframe)[^>]*(src|href)="?(https?:)?//', text), page.name
 
 
-def test_python_reference_has_every_public_name_once() -> None:
+def test_python_reference_has_every_public_name_once():
     pages = "\n".join(page.read_text("utf-8") for page in (ROOT / "docs" / "api").glob("*.md"))
     named_there = re.findall(r"^::: hyperflex\.([\w.]+)$", pages, re.M)
     assert sorted(n for n in named_there if "." not in n) == sorted(set(hyperflex.__all__) - {"__version__"})
@@ -108,7 +106,7 @@ def rows_of(page: str, key: str) -> str:
     return "\n".join(re.findall(rf"^\| `{re.escape(key)}` \|.*$", page, re.M))
 
 
-def test_page_on_files_names_every_table_and_key_of_a_set_up() -> None:
+def test_page_on_files_names_every_table_and_key_of_a_set_up():
     page = (ROOT / "docs" / "how-to" / "files.md").read_text("utf-8")
     words = set(re.findall(r"`(\w+)`", page)) | set(re.findall(r"\[(\w+)\]", page))
     keys = {each.name for kind in (Setup, Arm, MotorLimits, TipTarget) for each in fields(kind)}
@@ -123,7 +121,7 @@ def test_page_on_files_names_every_table_and_key_of_a_set_up() -> None:
         assert {each.name for each in fields(obstacle) if f"`{each.name}`" not in row} == set(), table
 
 
-def test_set_ups_on_the_page_on_files_can_be_read() -> None:
+def test_set_ups_on_the_page_on_files_can_be_read():
     page = (ROOT / "docs" / "how-to" / "files.md").read_text("utf-8")
     first, *others = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
     for other in others:
@@ -131,7 +129,7 @@ def test_set_ups_on_the_page_on_files_can_be_read() -> None:
         assert ("[pegs]" in other) == bool(setup.pegs)
 
 
-def test_page_on_accuracy_has_a_row_for_every_status_of_a_run() -> None:
+def test_page_on_accuracy_has_a_row_for_every_status_of_a_run():
     page = (ROOT / "docs" / "how-to" / "accuracy.md").read_text("utf-8")
     table = page[page.index("| status | what happened") :].split("\n\n")[0]
     ends = {status_of(code) for code in status.NAMES if code != status.RUNNING}  # a run never ends as running
@@ -140,7 +138,7 @@ def test_page_on_accuracy_has_a_row_for_every_status_of_a_run() -> None:
 
 
 @pytest.mark.parametrize("page", ["README.md", "CHANGELOG.md", "ARCHITECTURE.md"])
-def test_front_pages_use_names_of_the_code(page: str) -> None:
+def test_front_pages_use_names_of_the_code(page):
     quoted = re.findall(r"`(\w+)(?:\([^`]*\))?`", (ROOT / page).read_text("utf-8"))
     known = code_names() | {part for module in MODULES for part in module.split(".")}
     assert {name for name in quoted if "_" in name} - known == set()
@@ -153,10 +151,10 @@ def glossary_names() -> set[str]:
 
 
 @pytest.mark.parametrize("room", ["", ".sensors", ".estimate", ".vision", ".control", ".hardware"])
-def test_every_public_name_is_in_the_glossary(room: str) -> None:
+def test_every_public_name_is_in_the_glossary(room):
     names = {name for name in importlib.import_module(f"hyperflex{room}").__all__ if not name.isupper()}
     assert names - glossary_names() - {"__version__"} == set()
 
 
-def test_every_name_in_the_glossary_is_in_the_code() -> None:
+def test_every_name_in_the_glossary_is_in_the_code():
     assert glossary_names() - code_names() == set()

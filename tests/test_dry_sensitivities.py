@@ -1,7 +1,5 @@
 """Derivatives of rollouts whose joints stick and slip: against differences along frozen steps, and closed forms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -60,7 +58,7 @@ LINKS = ("length", "mass", "com", "inertia", "friction", "dry_friction", "stiffn
     + [(5, name, 1) for name in LINKS]
     + [(5, "dry_friction", link) for link in (0, 4)],
 )
-def test_rope_parameter_of_one_link(n: int, name: str, link: int) -> None:
+def test_rope_parameter_of_one_link(n, name, link):
     run = check(changed(n, name, link)[0], f"{name}[{link}]", changed(n, name, link)[1])
     log = run.progress.log
     ends = log[log[:, JOINT] >= 0.0]
@@ -71,7 +69,7 @@ def test_rope_parameter_of_one_link(n: int, name: str, link: int) -> None:
 
 
 @pytest.mark.parametrize(("name", "link"), [("q0", 0), ("q0", 2), ("qd0", 0), ("qd0", 2)])
-def test_start(name: str, link: int) -> None:
+def test_start(name, link):
     it, unit = setup(3), np.eye(3)[link]
     check(lambda x: replace(it, **{name: getattr(it, name) + x * unit}), f"{name}[{link}]", 2e-4)
 
@@ -86,12 +84,12 @@ WHOLE: dict[str, tuple[Callable[[float], hf.Setup], float]] = {
 
 
 @pytest.mark.parametrize("name", WHOLE)
-def test_what_belongs_to_no_link(name: str) -> None:
+def test_what_belongs_to_no_link(name):
     check(*WHOLE[name][:1], name, WHOLE[name][1])
 
 
 @pytest.mark.parametrize("name", ["start", "end", "duration"])
-def test_motion(name: str) -> None:
+def test_motion(name):
     check(lambda x: setup(3, motion=hf.move_arm(**{**MOVE, name: MOVE[name] + x})), f"motion.{name}", 2e-4)
 
 
@@ -104,13 +102,13 @@ def differences(make: Callable[[float], hf.Setup], times: Array, size: float) ->
     return (more - here) / size, (here - less) / size
 
 
-def test_a_stuck_joint_takes_a_little_rate_as_a_blow() -> None:
+def test_a_stuck_joint_takes_a_little_rate_as_a_blow():
     """Two links at rest whose second joint sticks: to either side, a little rate of one moves both."""
     base = rope(2, dry_friction=[1e-4, 5e-3], stiffness=0.0, rest_angle=0.0)
     times = np.array([0.0, 0.02, 0.05, 0.1, 0.15])
     for link in range(2):
 
-        def make(x: float, link: int = link) -> hf.Setup:
+        def make(x, link=link):
             return hf.Setup(base, duration=0.15, q0=[0.6, 0.7], qd0=[2.0, 2.0] + x * np.eye(2)[link])
 
         got = hf.sensitivities(replace(make(0.0), tol=1e-12), t_eval=times, wrt=f"qd0[{link}]")
@@ -124,7 +122,7 @@ def test_a_stuck_joint_takes_a_little_rate_as_a_blow() -> None:
             np.testing.assert_allclose(dy, want[1:], rtol=0.0, atol=3e-5)
 
 
-def test_a_stuck_first_joint_turns_with_the_arm() -> None:
+def test_a_stuck_first_joint_turns_with_the_arm():
     """Where the motion's parameter changes the arm's rate, that of a stuck link changes by as much."""
     base = rope(2, dry_friction=0.5)
     motion = hf.move_arm(start=0.0, end=0.3, duration=1.0, profile="minimum-jerk")
@@ -138,7 +136,7 @@ def test_a_stuck_first_joint_turns_with_the_arm() -> None:
     np.testing.assert_array_equal(got.dq[:, :, 1], 0.0)
 
 
-def test_block_that_slips_until_it_rests() -> None:
+def test_block_that_slips_until_it_rests():
     """One link without gravity: w = w0 - (mu / I) t until it rests at w0 I / mu, having turned w0^2 I / (2 mu)."""
     inertia, mu, w0 = 2e-3, 5e-3, 1.5
     block = hf.Rope(length=[0.3], mass=[0.1], com=[0.0], inertia=[inertia], dry_friction=[mu], gravity=(0.0, 0.0))
@@ -159,7 +157,7 @@ def test_block_that_slips_until_it_rests() -> None:
         np.testing.assert_allclose(ours, want, rtol=0.0, atol=1e-10 * np.abs(want).max())
 
 
-def test_no_dry_friction_yet_is_differentiated_towards_more() -> None:
+def test_no_dry_friction_yet_is_differentiated_towards_more():
     """Each time that a joint turns back its torque changes sign: a difference to one side, of runs with a little."""
     base, times = rope(3, dry_friction=0.0), np.array([0.2, 0.5, 0.9, 1.3])
     it = setup(3, rope=base, tol=1e-12)
@@ -173,7 +171,7 @@ def test_no_dry_friction_yet_is_differentiated_towards_more() -> None:
         np.testing.assert_allclose(got.dq[:, :, link], want[:, :3], rtol=0.0, atol=2e-3 * size)
 
 
-def test_prepared_slopes_take_another_dry_friction_each_time() -> None:
+def test_prepared_slopes_take_another_dry_friction_each_time():
     it, times = setup(5), np.linspace(0.0, 1.0, 21)
     slopes = AngleJacobian(it, ["dry_friction", "friction[2]", "q0[0]"])
     for values in (rope(5).dry_friction, 0.3 * rope(5).dry_friction, np.zeros(5)):
@@ -185,7 +183,7 @@ def test_prepared_slopes_take_another_dry_friction_each_time() -> None:
         assert np.abs(dq[:, :, 0]).max() > 0.0
 
 
-def test_states_are_those_of_the_run() -> None:
+def test_states_are_those_of_the_run():
     it = setup(5)
     times = np.linspace(0.0, it.duration, 101)
     got, run = hf.sensitivities(it, t_eval=times, wrt="friction"), hf.simulate(it, t_eval=times)

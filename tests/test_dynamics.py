@@ -1,7 +1,5 @@
 """Equations (1)-(3): mass matrix, bias and partial linearisation of arm and rope, against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -61,7 +59,7 @@ seeds = pytest.mark.parametrize("seed", range(3))
 
 
 @seeds
-def test_mass_matrix_of_arm_and_rope(seed: int) -> None:
+def test_mass_matrix_of_arm_and_rope(seed):
     q, _ = state(seed)
     want = dense.mass_matrix(with_arm(rope()), q)
     got = mass_matrix(rope(), q[1:], arm=ARM, arm_angle=q[0])
@@ -72,7 +70,7 @@ def test_mass_matrix_of_arm_and_rope(seed: int) -> None:
 
 @both
 @seeds
-def test_bias_is_what_the_accelerations_owe_to(seed: int, friction_model: str) -> None:
+def test_bias_is_what_the_accelerations_owe_to(seed, friction_model):
     q, w = state(seed)
     links = with_arm(rope(friction_model))
     free = np.asarray(dense.accelerations(links, q, w, np.zeros(7)).alpha, float)
@@ -83,7 +81,7 @@ def test_bias_is_what_the_accelerations_owe_to(seed: int, friction_model: str) -
 
 @both
 @seeds
-def test_bias_of_a_rope_alone_hangs_on_a_wall(seed: int, friction_model: str) -> None:
+def test_bias_of_a_rope_alone_hangs_on_a_wall(seed, friction_model):
     q, w = state(seed)
     links = links_of(rope(friction_model))
     free = np.asarray(dense.accelerations(links, q[1:], w[1:], np.zeros(7)).alpha, float)
@@ -93,7 +91,7 @@ def test_bias_of_a_rope_alone_hangs_on_a_wall(seed: int, friction_model: str) ->
 
 @both
 @seeds
-def test_equations_2_and_3_are_the_partitioned_equation_1(seed: int, friction_model: str) -> None:
+def test_equations_2_and_3_are_the_partitioned_equation_1(seed, friction_model):
     """Form A_u, B_u and the rest from the reference's M and bias, as the paper writes them."""
     q, w = state(seed)
     links = with_arm(rope(friction_model))
@@ -110,7 +108,7 @@ def test_equations_2_and_3_are_the_partitioned_equation_1(seed: int, friction_mo
 
 @both
 @seeds
-def test_the_arm_obeys_the_input(seed: int, friction_model: str) -> None:
+def test_the_arm_obeys_the_input(seed, friction_model):
     """C1, at a state: tau from u, put on the whole chain, gives the arm the acceleration u and the rope A_u + B_u u."""
     q, w = state(seed)
     linear = partial_linearization(rope(friction_model), ARM, q[1:], w[1:], q[0], w[0])
@@ -123,7 +121,7 @@ def test_the_arm_obeys_the_input(seed: int, friction_model: str) -> None:
     assert input_from_torque(linear, tau) == pytest.approx(u, rel=1e-13)
 
 
-def test_the_torque_of_a_led_arm_is_that_of_equation_3() -> None:
+def test_the_torque_of_a_led_arm_is_that_of_equation_3():
     """`motor_torque` of a run counts all of the arm: inertia, weight, viscous and dry friction."""
     motion = hf.arm_swings(0.4, 0.3)
     t = np.array([0.05, 0.15, 0.3, 0.55])
@@ -134,7 +132,7 @@ def test_the_torque_of_a_led_arm_is_that_of_equation_3() -> None:
         assert run.motor_torque[k] == pytest.approx(want, rel=1e-9)
 
 
-def test_bad_arguments_are_named() -> None:
+def test_bad_arguments_are_named():
     for call, word in (
         (lambda: mass_matrix(rope(), np.zeros(5)), "q has the wrong shape"),
         (lambda: bias(rope(), np.zeros(N), np.full(N, np.nan)), r"qd\[0\]"),
@@ -159,7 +157,7 @@ def slopes(command: str, friction_model: str, x: np.ndarray, u: float) -> np.nda
 
 @both
 @pytest.mark.parametrize("command", ["acceleration", "torque"])
-def test_linearization_is_that_of_dense_algebra(command: str, friction_model: str) -> None:
+def test_linearization_is_that_of_dense_algebra(command, friction_model):
     """Differences of 1e-6 in long doubles err by 1e-12 of third derivatives, and by 1e-13 of rounding."""
     (q, qd), u = state(4), 0.7
     x = np.concatenate([q, qd]).astype(np.longdouble)
@@ -175,7 +173,7 @@ def test_linearization_is_that_of_dense_algebra(command: str, friction_model: st
     np.testing.assert_array_equal(b[: N + 1], 0.0)
 
 
-def test_linearization_over_an_interval_is_the_steppers_and_tends_to_the_continuous_one() -> None:
+def test_linearization_over_an_interval_is_the_steppers_and_tends_to_the_continuous_one():
     cable = rope().replace(dry_friction=0.0)
     q, qd = state(5)
     about = (cable, ARM, q[1:], qd[1:], q[0], qd[0])
@@ -192,7 +190,7 @@ def test_linearization_over_an_interval_is_the_steppers_and_tends_to_the_continu
         hf.linearize(cable, ARM, q, qd)
 
 
-def test_joints_are_sums_of_links_at_any_angle() -> None:
+def test_joints_are_sums_of_links_at_any_angle():
     rng = np.random.default_rng(5)
     cable, base = rope(), rng.normal(size=(4, 3, 2))
     q = rng.normal(size=(4, 3, N)) * np.array([1.0, 1e3, 1e7])[:, None]

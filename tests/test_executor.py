@@ -1,12 +1,9 @@
 """Work on executors: the same to the bit however it is cut and who does it; workers that die lose nothing."""
 
-from __future__ import annotations
-
 import multiprocessing
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,18 +39,18 @@ def results(work: Any, count: int, executor: Executor | None, size: int) -> tupl
 
 
 @pytest.mark.parametrize("size", [1, 4, 100])
-def test_chunks_come_back_in_order(size: int) -> None:
+def test_chunks_come_back_in_order(size):
     with ThreadPoolExecutor(3) as threads:
         for executor in (None, threads):
             assert results(squares, 10, executor, size) == ([k**2 for k in range(10)], [])
 
 
-def test_errors_of_the_work_are_raised() -> None:
+def test_errors_of_the_work_are_raised():
     with ThreadPoolExecutor(2) as threads, pytest.raises(ZeroDivisionError):
         results(fails, 10, threads, 3)
 
 
-def test_what_cannot_be_sent_to_processes_is_refused_with_the_reason(two: Executor) -> None:
+def test_what_cannot_be_sent_to_processes_is_refused_with_the_reason(two):
     with pytest.raises(InvalidInput, match=r"cannot be given the work.*lambda"):
         results(partial(squares, on_plan=lambda _: True), 4, two, 2)
     targets = [hf.Peg(2.5, 0.0, 0.03)]
@@ -63,13 +60,13 @@ def test_what_cannot_be_sent_to_processes_is_refused_with_the_reason(two: Execut
         results(fails, 10, two, 3)
 
 
-def test_a_worker_that_dies_loses_nothing(tmp_path: Path) -> None:
+def test_a_worker_that_dies_loses_nothing(tmp_path):
     with processes(2) as pool:
         assert results(DiesOnce(tmp_path, 3), 12, pool, 2) == ([k**2 for k in range(12)], [])
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_a_chunk_that_kills_each_worker_is_named(tmp_path: Path) -> None:
+def test_a_chunk_that_kills_each_worker_is_named(tmp_path):
     with processes(2) as pool:
         found, lost = results(DiesOnce(tmp_path, 3, times=99), 6, pool, 2)
     assert (found, lost) == ([0, 1, 16, 25], [range(2, 4)])
@@ -86,7 +83,7 @@ def same(left: hf.Batch, right: hf.Batch) -> None:
 
 
 @pytest.mark.parametrize("workers", [1, 2, 4])
-def test_a_batch_is_the_same_to_the_bit(workers: int) -> None:
+def test_a_batch_is_the_same_to_the_bit(workers):
     """In free flight; with one member that fails; with a rope in eleven that has joint limits; and about pegs."""
     motions = [hf.arm_swings(t_rest=0.3 + 0.02 * k) for k in range(11)]
     given: dict[str, Any] = {"arm": hf.Arm(), "duration": 0.4, "t_eval": [0.2, 0.4], "keep": ("tip", "q", "qd")}
@@ -108,15 +105,15 @@ def test_a_batch_is_the_same_to_the_bit(workers: int) -> None:
                     same(run(executor=pool, chunk_size=size), expected)
 
 
-def test_members_whose_chunk_is_lost_are_named(monkeypatch: pytest.MonkeyPatch, two: Executor) -> None:
+def test_members_whose_chunk_is_lost_are_named(monkeypatch, two):
     monkeypatch.setattr("hyperflex.simulation.batch.run_chunks", lambda *given: [range(2)])
     batch = hf.simulate_batch(ROPE, [hf.arm_swings()] * 2, arm=hf.Arm(), duration=0.1, executor=two)
     assert batch.status == ("worker lost", "worker lost")
     assert "worker lost" in batch.message
 
 
-def test_interrupted_batch_keeps_the_chunks_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(work: Any, items: Any, executor: Any, size: int, done: Any) -> list[range]:
+def test_interrupted_batch_keeps_the_chunks_that_are_done(monkeypatch):
+    def interrupted(work, items, executor, size, done):
         done(0, work(list(items[:size])))
         raise KeyboardInterrupt
 
@@ -127,7 +124,7 @@ def test_interrupted_batch_keeps_the_chunks_that_are_done(monkeypatch: pytest.Mo
     assert np.isnan(stop.value.partial.tip[2]).all()
 
 
-def test_bootstrap_and_scores_are_the_same(two: Executor) -> None:
+def test_bootstrap_and_scores_are_the_same(two):
     from hyperflex.identification import bootstrap, identify
 
     t = np.arange(30) / 15.0
@@ -135,10 +132,7 @@ def test_bootstrap_and_scores_are_the_same(two: Executor) -> None:
     run = hf.simulate(one, duration=float(t[-1]), t_eval=t, q0=[0.9])
     noisy = run.q + 0.01 * np.random.default_rng(0).standard_normal(run.q.shape)
     found = identify(
-        hf.Recording(t, noisy),
-        one,
-        ["friction"],
-        options=hf.FitOptions(window=np.inf, train=np.inf, intervals=None),
+        hf.Recording(t, noisy), one, ["friction"], options=hf.FitOptions(window=np.inf, train=np.inf, intervals=None)
     )
     want = bootstrap(found, 4)
     for size in (None, 3):
@@ -148,14 +142,14 @@ def test_bootstrap_and_scores_are_the_same(two: Executor) -> None:
     np.testing.assert_array_equal(scores.returns, score_policy(CrossingPolicy, "hyperflex/Swing-v0", **given).returns)
 
 
-def test_what_is_no_executor_is_refused() -> None:
+def test_what_is_no_executor_is_refused():
     for wrong in ({"executor": 4}, {"chunk_size": 0}):
         with pytest.raises(InvalidInput, match=next(iter(wrong))):
-            hf.simulate_batch(ROPE, arm=hf.Arm(), duration=0.1, **wrong)  # type: ignore[arg-type]
+            hf.simulate_batch(ROPE, arm=hf.Arm(), duration=0.1, **wrong)
 
 
 @pytest.mark.nightly
-def test_dask_runs_on_when_a_worker_is_killed(tmp_path: Path) -> None:
+def test_dask_runs_on_when_a_worker_is_killed(tmp_path):
     """A cluster of processes on this machine."""
     distributed = pytest.importorskip("distributed", reason="Dask comes with hyperflex[test]")
     motions = [hf.arm_swings(t_rest=0.3 + 0.02 * k) for k in range(8)]

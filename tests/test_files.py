@@ -1,7 +1,5 @@
 """files: whole-or-nothing writing, CSV tables, TOML."""
 
-from __future__ import annotations
-
 import errno
 import io
 import math
@@ -18,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hyperflex import files
-from hyperflex.errors import FileProblem, HyperflexError, InvalidInput
+from hyperflex.errors import FileProblem, InvalidInput
 
 
 def listing(folder: Path) -> set[str]:
@@ -28,7 +26,7 @@ def listing(folder: Path) -> set[str]:
 # ---- writing
 
 
-def test_atomic_writes_text_and_bytes(tmp_path: Path) -> None:
+def test_atomic_writes_text_and_bytes(tmp_path):
     with files.atomic(tmp_path / "a.txt") as file:
         file.write("güte\n")
     with files.atomic(tmp_path / "b.bin", "wb") as file:
@@ -40,12 +38,12 @@ def test_atomic_writes_text_and_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("raised", [KeyboardInterrupt, SystemExit, ValueError, MemoryError])
 @pytest.mark.parametrize("before", [None, "earlier"])
-def test_nothing_changes_when_the_block_raises(tmp_path: Path, raised: type[BaseException], before: str | None) -> None:
+def test_nothing_changes_when_the_block_raises(tmp_path, raised, before):
     path = tmp_path / "out.txt"
     if before:
         path.write_text(before)
 
-    def spoil() -> None:
+    def spoil():
         with files.atomic(path) as file:
             file.write("half of it")
             file.flush()
@@ -57,7 +55,7 @@ def test_nothing_changes_when_the_block_raises(tmp_path: Path, raised: type[Base
     assert not before or path.read_text() == before
 
 
-def test_nobody_sees_a_part_while_it_is_written(tmp_path: Path) -> None:
+def test_nobody_sees_a_part_while_it_is_written(tmp_path):
     path = tmp_path / "out.txt"
     path.write_text("earlier")
     with files.atomic(path) as file:
@@ -67,7 +65,7 @@ def test_nobody_sees_a_part_while_it_is_written(tmp_path: Path) -> None:
     assert path.read_text() == "later"
 
 
-def test_permissions_and_links_stay(tmp_path: Path) -> None:
+def test_permissions_and_links_stay(tmp_path):
     path, link = tmp_path / "out.txt", tmp_path / "link.txt"
     path.write_text("earlier")
     path.chmod(0o640)
@@ -78,7 +76,7 @@ def test_permissions_and_links_stay(tmp_path: Path) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
 
 
-def test_a_new_file_gets_the_usual_permissions(tmp_path: Path) -> None:
+def test_a_new_file_gets_the_usual_permissions(tmp_path):
     (tmp_path / "plain").write_text("")
     files.write_text(tmp_path / "ours", "")
     assert (tmp_path / "ours").stat().st_mode == (tmp_path / "plain").stat().st_mode
@@ -90,9 +88,7 @@ class FullDisk(io.StringIO):
 
 
 @pytest.mark.parametrize(("before", "words"), [("earlier", "is unchanged"), (None, "Nothing was written")])
-def test_full_disk_says_what_became_of_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str | None, words: str
-) -> None:
+def test_full_disk_says_what_became_of_the_file(tmp_path, monkeypatch, before, words):
     path = tmp_path / "out.txt"
     if before:
         path.write_text(before)
@@ -104,8 +100,8 @@ def test_full_disk_says_what_became_of_the_file(
     assert not before or path.read_text() == before
 
 
-def test_a_failing_flush_to_the_disk_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fsync(_: int) -> None:
+def test_a_failing_flush_to_the_disk_is_noticed(tmp_path, monkeypatch):
+    def fsync(_):
         raise OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(os, "fsync", fsync)
@@ -115,7 +111,7 @@ def test_a_failing_flush_to_the_disk_is_noticed(tmp_path: Path, monkeypatch: pyt
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a file size limit")
-def test_a_real_limit_on_file_size_leaves_the_earlier_file(tmp_path: Path) -> None:
+def test_a_real_limit_on_file_size_leaves_the_earlier_file(tmp_path):
     path = tmp_path / "out.txt"
     path.write_text("earlier")
     script = textwrap.dedent(f"""
@@ -135,7 +131,7 @@ def test_a_real_limit_on_file_size_leaves_the_earlier_file(tmp_path: Path) -> No
     assert listing(tmp_path) == {"out.txt"}
 
 
-def test_targets_that_cannot_be_written_are_named(tmp_path: Path) -> None:
+def test_targets_that_cannot_be_written_are_named(tmp_path):
     with pytest.raises(FileProblem, match="is a folder"):
         files.write_text(tmp_path, "")
     with pytest.raises(FileProblem, match=r"does not exist\. Create it"):
@@ -147,10 +143,8 @@ def test_targets_that_cannot_be_written_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [FileNotFoundError(errno.ENOENT, "No such file"), OSError(errno.EIO, "I/O error")])
-def test_a_folder_that_takes_no_files_is_told_by_the_users_path(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: OSError
-) -> None:
-    def refuse(path: object, *_: object) -> int:
+def test_a_folder_that_takes_no_files_is_told_by_the_users_path(tmp_path, monkeypatch, error):
+    def refuse(path, *_):
         error.filename = str(path)
         raise error
 
@@ -162,8 +156,8 @@ def test_a_folder_that_takes_no_files_is_told_by_the_users_path(
     assert "Errno" not in str(caught.value)
 
 
-def test_reasons_that_name_the_temporary_file_name_the_users(tmp_path: Path) -> None:
-    def lock() -> None:
+def test_reasons_that_name_the_temporary_file_name_the_users(tmp_path):
+    def lock():
         with files.atomic_path(tmp_path / "out.nc") as part:
             raise OSError(f"cannot lock {part.name}")  # as HDF5 puts it
 
@@ -171,7 +165,7 @@ def test_reasons_that_name_the_temporary_file_name_the_users(tmp_path: Path) -> 
         lock()
 
 
-def test_another_file_missing_within_the_block_is_named(tmp_path: Path) -> None:
+def test_another_file_missing_within_the_block_is_named(tmp_path):
     with (
         pytest.raises(FileProblem, match=r"out\.txt could not be written.*other\.txt"),
         files.atomic(tmp_path / "out.txt"),
@@ -180,13 +174,13 @@ def test_another_file_missing_within_the_block_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", [None, 3, b"out.txt", "out\0.txt"])
-def test_what_is_no_path_is_refused(path: object) -> None:
+def test_what_is_no_path_is_refused(path):
     for use in (files.read_text, lambda path: files.write_text(path, "text")):
         with pytest.raises(InvalidInput, match="is no path"):
-            use(path)  # type: ignore[operator]
+            use(path)
 
 
-def test_other_errors_pass_through_unchanged(tmp_path: Path) -> None:
+def test_other_errors_pass_through_unchanged(tmp_path):
     with pytest.raises(InvalidInput, match="mass"), files.atomic(tmp_path / "out.txt"):
         raise InvalidInput("mass is negative")
 
@@ -202,7 +196,7 @@ def table(tmp_path: Path, text: str | bytes) -> Path:
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", ""])
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-def test_reads_a_table(tmp_path: Path, end: str, mark: bytes) -> None:
+def test_reads_a_table(tmp_path, end, mark):
     text = (end or "\n").join(["# unit: rad", 't, "th1"', "0.0,1e-3", "", "0.5,", "1.0,nan"]) + end
     names, values, _, notes, _ = files.read_table(table(tmp_path, mark + text.encode()))
     assert names == ["t", "th1"]
@@ -229,9 +223,7 @@ BAD_TABLES = {
 
 
 @pytest.mark.parametrize(("text", "error", "match"), BAD_TABLES.values(), ids=BAD_TABLES.keys())
-def test_bad_tables_are_refused_with_their_place(
-    tmp_path: Path, text: str | bytes, error: type[HyperflexError], match: str
-) -> None:
+def test_bad_tables_are_refused_with_their_place(tmp_path, text, error, match):
     with pytest.raises(error, match=match):
         files.read_table(table(tmp_path, text))
 
@@ -247,7 +239,7 @@ FULL = {
 
 
 @pytest.mark.parametrize("cells", FULL.values(), ids=FULL.keys())
-def test_a_full_last_cell_needs_no_line_feed(tmp_path: Path, cells: list[str]) -> None:
+def test_a_full_last_cell_needs_no_line_feed(tmp_path, cells):
     text = "t,th1\n" + "\n".join(f"{k},{cell}" for k, cell in enumerate(cells))
     _, values, *_ = files.read_table(table(tmp_path, text))
     np.testing.assert_array_equal(values[:, 1], [float(cell or "nan") for cell in cells])
@@ -261,7 +253,7 @@ CUT = {
 
 
 @pytest.mark.parametrize(("cells", "last"), CUT.values(), ids=CUT.keys())
-def test_a_number_cut_off_anywhere_is_refused(tmp_path: Path, cells: list[str], last: str) -> None:
+def test_a_number_cut_off_anywhere_is_refused(tmp_path, cells, last):
     text = "t,th1\n" + "".join(f"{k},{cell}\n" for k, cell in enumerate(cells)) + "9,"
     for length in range(1, len(last)):
         with pytest.raises(InvalidInput, match=f"line {len(cells) + 2}.*cut off"):
@@ -272,14 +264,14 @@ def test_a_number_cut_off_anywhere_is_refused(tmp_path: Path, cells: list[str], 
     assert files.read_table(table(tmp_path, text + last))[1][-1, 1] == float(last)
 
 
-def test_a_long_number_cut_off_in_a_column_of_shortest_forms_is_refused(tmp_path: Path) -> None:
+def test_a_long_number_cut_off_in_a_column_of_shortest_forms_is_refused(tmp_path):
     text = "t,th1\n" + "".join(f"{k},{math.sin(k)!r}\n" for k in range(200))  # sin(0) is written 0.0
     with pytest.raises(InvalidInput, match=r"line 202.*add a line feed if it is whole"):
         files.read_table(table(tmp_path, text + f"200,{math.sin(200)!r}"[:12]))
     assert files.read_table(table(tmp_path, text + f"200,{math.sin(200)!r}"))[1][-1, 1] == math.sin(200)
 
 
-def test_missing_files_and_folders_are_named(tmp_path: Path) -> None:
+def test_missing_files_and_folders_are_named(tmp_path):
     with pytest.raises(FileProblem, match=r"no table .*gone\.csv"):
         files.read_table(tmp_path / "gone.csv")
     with pytest.raises(FileProblem, match="is a folder"):
@@ -287,7 +279,7 @@ def test_missing_files_and_folders_are_named(tmp_path: Path) -> None:
 
 
 @given(st.lists(st.lists(st.floats(-1e100, 1e100) | st.just(math.nan), min_size=2, max_size=2), min_size=1, max_size=5))
-def test_tables_come_back_bit_for_bit(tmp_path_factory: pytest.TempPathFactory, rows: list[list[float]]) -> None:
+def test_tables_come_back_bit_for_bit(tmp_path_factory, rows):
     path = tmp_path_factory.mktemp("t") / "table.csv"
     files.write_table(path, ["t", "x, y"], rows, notes={"unit": "m"})
     names, values, *_ = files.read_table(path)
@@ -296,7 +288,7 @@ def test_tables_come_back_bit_for_bit(tmp_path_factory: pytest.TempPathFactory, 
     np.testing.assert_array_equal(np.signbit(values[values == 0.0]), np.signbit(np.array(rows)[values == 0.0]))
 
 
-def test_table_that_does_not_fit_its_names_is_refused(tmp_path: Path) -> None:
+def test_table_that_does_not_fit_its_names_is_refused(tmp_path):
     with pytest.raises(InvalidInput, match="any x 2"):
         files.write_table(tmp_path / "t.csv", ["a", "b"], [[1.0, 2.0, 3.0]])
     with pytest.raises(InvalidInput, match="same name"):
@@ -324,17 +316,17 @@ TABLES = st.recursive(
 
 
 @given(TABLES)
-def test_toml_comes_back_equal(content: dict[str, object]) -> None:
+def test_toml_comes_back_equal(content):
     assert files.loads_toml(files.dumps_toml(content)) == content  # floats equal, not close: repr is exact
 
 
-def test_toml_takes_numpy_and_odd_numbers(tmp_path: Path) -> None:
+def test_toml_takes_numpy_and_odd_numbers(tmp_path):
     path = tmp_path / "rope.toml"
     files.write_toml(path, {"rope": {"mass": np.array([0.1, 1e-16]), "n": np.int64(3), "limit": math.inf}})
     assert files.read_toml(path) == {"rope": {"mass": [0.1, 1e-16], "n": 3, "limit": math.inf}}
 
 
-def test_toml_refuses_what_it_cannot_hold(tmp_path: Path) -> None:
+def test_toml_refuses_what_it_cannot_hold(tmp_path):
     with pytest.raises(InvalidInput, match=r"rope\.mass cannot be written"):
         files.write_toml(tmp_path / "a.toml", {"rope": {"mass": None}})
     assert listing(tmp_path) == set()
@@ -344,7 +336,7 @@ def test_toml_refuses_what_it_cannot_hold(tmp_path: Path) -> None:
     ("text", "error", "match"),
     [("", FileProblem, "empty"), ("mass = \n", InvalidInput, "line 1"), ("[rope\n", InvalidInput, "rope.toml")],
 )
-def test_bad_toml_is_refused(tmp_path: Path, text: str, error: type[HyperflexError], match: str) -> None:
+def test_bad_toml_is_refused(tmp_path, text, error, match):
     path = tmp_path / "rope.toml"
     path.write_text(text)
     with pytest.raises(error, match=match):

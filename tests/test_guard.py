@@ -1,7 +1,5 @@
 """No test of this suite is one that never runs; and the guard that says so sees each way of not running."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys
@@ -38,17 +36,17 @@ BAD = {
 }
 
 
-def test_every_test_of_the_suite_can_run_and_can_fail() -> None:
+def test_every_test_of_the_suite_can_run_and_can_fail():
     assert guard.faults(guard.modules(HERE)) == []
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_guard_sees(case: str) -> None:
+def test_guard_sees(case):
     name, source = BAD[case]
     assert len(guard.faults({Path(name): ast.parse(source)})) >= 1
 
 
-def test_guard_is_content_with_a_test_that_asserts_through_a_helper() -> None:
+def test_guard_is_content_with_a_test_that_asserts_through_a_helper():
     assert guard.faults({Path("test_x.py"): ast.parse(GOOD)}) == []
 
 
@@ -62,7 +60,7 @@ def collected(session: pytest.Session) -> list[str]:
     return [line for line in run.stdout.splitlines() if "::" in line]
 
 
-def test_pytest_collects_every_test_that_the_sources_hold(request: pytest.FixtureRequest) -> None:
+def test_pytest_collects_every_test_that_the_sources_hold(request):
     found = collected(request.session)
     seen = {tuple(name.partition("[")[0].split("::")) for name in found}
     names = {(parts[0], parts[-1]) for parts in seen}

@@ -1,7 +1,5 @@
 """Rules of the project that no linter knows: documented names, light imports, few parameters, one-way imports."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect
@@ -60,7 +58,7 @@ def arguments(obj: object) -> set[str]:
     """Return what a function, or a class when it is made, can be given; of a protocol nothing is made."""
     if getattr(obj, "_is_protocol", False):
         return set()
-    return {name for name in inspect.signature(obj).parameters if name not in {"self", "cls"}}  # type: ignore[arg-type]
+    return {name for name in inspect.signature(obj).parameters if name not in {"self", "cls"}}
 
 
 def public_callables() -> dict[str, object]:
@@ -86,7 +84,7 @@ def tracked() -> list[Path]:
 
 
 @pytest.mark.parametrize("name", hyperflex.__all__)
-def test_public_name_is_there_and_has_a_docstring(name: str) -> None:
+def test_public_name_is_there_and_has_a_docstring(name):
     obj = getattr(hyperflex, name)
     assert name in dir(hyperflex)
     assert isinstance(obj, str) or (obj.__doc__ or "").strip(), name
@@ -95,18 +93,18 @@ def test_public_name_is_there_and_has_a_docstring(name: str) -> None:
 @pytest.mark.parametrize(
     "package", sorted(p.parent for p in SOURCES if p.stem == "__init__" and "attach(" in p.read_text("utf-8")), ids=str
 )
-def test_every_name_that_a_package_offers_can_be_loaded(package: Path) -> None:
+def test_every_name_that_a_package_offers_can_be_loaded(package):
     offering = importlib.import_module(".".join(package.relative_to(ROOT / "src").parts))
     assert [name for name in offering.__all__ if not hasattr(offering, name)] == []
 
 
-def test_every_argument_of_a_public_callable_is_documented() -> None:
+def test_every_argument_of_a_public_callable_is_documented():
     missing = {name: undocumented(name, obj) for name, obj in public_callables().items()}
     assert {name: names for name, names in missing.items() if names} == {}
 
 
-def test_an_argument_without_a_word_is_seen() -> None:
-    def scale(first: float, second: float) -> float:
+def test_an_argument_without_a_word_is_seen():
+    def scale(first, second):
         """Scale.
 
         Parameters
@@ -120,21 +118,21 @@ def test_an_argument_without_a_word_is_seen() -> None:
     assert undocumented("Class.scale", scale) == ["second"]
 
 
-def test_unknown_names_are_refused() -> None:
+def test_unknown_names_are_refused():
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = hyperflex.no_such_name
 
 
-def test_importing_hyperflex_loads_nothing_heavy() -> None:
+def test_importing_hyperflex_loads_nothing_heavy():
     assert loaded_by("import hyperflex") == set()
 
 
-def test_building_a_rope_and_a_motion_loads_nothing_heavy() -> None:
+def test_building_a_rope_and_a_motion_loads_nothing_heavy():
     code = "import hyperflex as hf; hf.Rope.uniform(length=2.0, mass=0.1, n_links=5); hf.arm_swings(); hf.simulate"
     assert loaded_by(code) == set()
 
 
-def test_tracked_files_name_no_machine_and_no_registry() -> None:
+def test_tracked_files_name_no_machine_and_no_registry():
     found = []
     for path in tracked():
         for number, line in enumerate(path.read_bytes().decode("utf-8", "ignore").splitlines(), 1):
@@ -144,7 +142,7 @@ def test_tracked_files_name_no_machine_and_no_registry() -> None:
 
 
 @pytest.mark.parametrize("text", ["/work" + "/main", "/home" + "/me", "https://files" + ".pythonhosted.org/a"])
-def test_pattern_for_private_names_sees(text: str) -> None:
+def test_pattern_for_private_names_sees(text):
     assert PRIVATE.search(f"see {text} for it")
 
 
@@ -159,7 +157,7 @@ def imports_of(path: Path) -> set[str]:
     return found
 
 
-def test_imports_have_no_circle() -> None:
+def test_imports_have_no_circle():
     """Packages' own ``__init__`` files, which only offer names, are left out."""
     modules = {".".join(p.relative_to(ROOT / "src").with_suffix("").parts): p for p in SOURCES if p.stem != "__init__"}
     graph = {name: imports_of(path) & modules.keys() for name, path in modules.items()}
@@ -169,7 +167,7 @@ def test_imports_have_no_circle() -> None:
         pytest.fail(f"imports go in a circle: {' -> '.join(circle.args[1])}")
 
 
-def test_no_module_hides_a_function_of_its_package() -> None:
+def test_no_module_hides_a_function_of_its_package():
     """``import package.name`` binds the module to the name under which the package offers something else."""
     hidden = []
     for path in SOURCES:
@@ -180,7 +178,7 @@ def test_no_module_hides_a_function_of_its_package() -> None:
     assert hidden == []
 
 
-def test_every_dependency_is_pinned_once() -> None:
+def test_every_dependency_is_pinned_once():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = project["optional-dependencies"]
     wanted = list(project["dependencies"])
@@ -201,7 +199,7 @@ def cross_room_imports(path: Path, source: str) -> list[str]:
     return [".".join(parts) for parts in inner if parts[0] not in {home, "core"}]
 
 
-def test_other_rooms_are_entered_by_their_init() -> None:
+def test_other_rooms_are_entered_by_their_init():
     others = [path for path in SOURCES if path != PACKAGE / "__init__.py"]  # which lists where each public name is
     found = {path.relative_to(PACKAGE).as_posix(): cross_room_imports(path, path.read_text("utf-8")) for path in others}
     assert {name: inside for name, inside in found.items() if inside} == {}
@@ -216,18 +214,18 @@ def too_many_parameters(callables: dict[str, object]) -> dict[str, int]:
     return {name: count for name, count in found.items() if count > 10}
 
 
-def test_public_functions_take_at_most_ten_parameters() -> None:
+def test_public_functions_take_at_most_ten_parameters():
     assert too_many_parameters(public_callables()) == {}
 
 
-def test_many_parameters_are_seen() -> None:
-    def plan(a: int, b: int, c: int, d: int, e: int, f: int, g: int, h: int, i: int, j: int, k: int) -> None:
+def test_many_parameters_are_seen():
+    def plan(a, b, c, d, e, f, g, h, i, j, k):
         """Plan."""
 
     assert too_many_parameters({"plan": plan}) == {"plan": 11}
 
 
-def test_an_import_from_inside_another_room_is_seen() -> None:
+def test_an_import_from_inside_another_room_is_seen():
     source = "from hyperflex.model.rope import Rope\nfrom hyperflex.core.chain.chain import Chain\nimport math\n"
     assert cross_room_imports(PACKAGE / "report" / "page.py", source) == ["model.rope"]
     assert cross_room_imports(PACKAGE / "model" / "arm.py", source) == []
@@ -240,7 +238,7 @@ def stale_names(source: str, known: set[str]) -> list[str]:
     return sorted({name for name in quoted if not set(name.split(".")) <= known})
 
 
-def test_docstrings_name_what_is_there() -> None:
+def test_docstrings_name_what_is_there():
     known = code_names() | {p.stem for p in SOURCES} | {p.parent.name for p in SOURCES}
     known |= {"vdivpd", "numba", "njit"}  # an instruction; numba's decorator
     known |= {"link_length", "link_mass"}  # keys that are put together from two words
@@ -255,7 +253,7 @@ def types_of(annotation: object) -> set[type]:
     return own.union(*(types_of(part) for part in get_args(annotation)))
 
 
-def test_types_that_public_calls_take_and_return_are_public() -> None:
+def test_types_that_public_calls_take_and_return_are_public():
     """Each is offered by `hyperflex` itself or by its room, as ``hyperflex.planning.CastOutcome`` is."""
     hidden: dict[str, list[str]] = {}
     for name, obj in public_callables().items():

@@ -1,12 +1,9 @@
 """identification: twins whose truth is known, what cannot be known, bad input, interruption, files."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
 from contextlib import nullcontext
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -81,7 +78,7 @@ def within(found: dict[str, Array], std: dict[str, Array], truth: dict[str, Arra
 # ---- twins
 
 
-def test_ratios_of_a_free_swing_cover_the_truth(fitted: Identification) -> None:
+def test_ratios_of_a_free_swing_cover_the_truth(fitted):
     within(fitted.ratios, fitted.ratio_std, ratios(DOUBLE))
     assert fitted.success
     # The noise itself, of which 2n states a window of some 100 samples take 2 %, and sampling (1 / sqrt(1600) = 2.5 %).
@@ -93,7 +90,7 @@ def test_ratios_of_a_free_swing_cover_the_truth(fitted: Identification) -> None:
     assert (total < 8e-3 * fitted.ratios["J/p1"]).all()
 
 
-def test_the_common_factor_is_reported_as_unknown(fitted: Identification) -> None:
+def test_the_common_factor_is_reported_as_unknown(fitted):
     assert not fitted.identifiable
     for name in ("inertia", "com", "friction"):
         assert np.isinf(fitted.std[name]).all()
@@ -107,7 +104,7 @@ def test_the_common_factor_is_reported_as_unknown(fitted: Identification) -> Non
     assert fitted.singular_values[-2] > 1e-3 * fitted.singular_values[0]
 
 
-def test_masses_free_as_well_hide_more_but_no_ratio(free_swing: Recording, fitted: Identification) -> None:
+def test_masses_free_as_well_hide_more_but_no_ratio(free_swing, fitted):
     result = identify(free_swing, GUESS, ["inertia", "com", "mass", "friction"])
     # n splits of mass between com and inertia, and the common factor
     (unknown,) = (each.values for each in result.findings if each.kind is Kind.COMBINATION)
@@ -136,9 +133,7 @@ HIDDEN: dict[str, tuple[list[str], dict[Kind, list[str]]]] = {
 
 
 @pytest.mark.parametrize(("free", "unknown"), HIDDEN.values(), ids=HIDDEN.keys())
-def test_what_cannot_be_known_is_named_for_what_it_is(
-    single_swing: Recording, free: list[str], unknown: dict[Kind, list[str]]
-) -> None:
+def test_what_cannot_be_known_is_named_for_what_it_is(single_swing, free, unknown):
     result = identify(single_swing, SINGLE.replace(inertia=1.5e-3), free)
     assert not result.identifiable
     found = {
@@ -147,18 +142,18 @@ def test_what_cannot_be_known_is_named_for_what_it_is(
     assert found == unknown
 
 
-def test_a_mass_that_alone_sets_the_common_factor_is_not_called_idle() -> None:
+def test_a_mass_that_alone_sets_the_common_factor_is_not_called_idle():
     parameters = freed(SINGLE.replace(inertia=0.0, friction=0.0), ["mass", "com"])
     known, unknown = np.array([[0.0], [1.0]]), np.array([[1.0], [0.0]])
     x, widths, covariance = parameters.start, parameters.widths, np.diag([0.0, 1e-6])
     information = Information(x, widths, np.array([1.0, 0.0]), known, unknown, covariance, 1.0)
     fit = SimpleNamespace(x=x)
     basis = SimpleNamespace(plant=SimpleNamespace(parameters=parameters), information=information, fit=fit)
-    found = list(_identifiable(basis))  # type: ignore[arg-type]
+    found = list(_identifiable(basis))
     assert (found[0].kind, found[0].values["names"]) == (Kind.COMBINATION, ["mass"])
 
 
-def test_scaling_multiplies_all_moments_and_torques_by_one_factor() -> None:
+def test_scaling_multiplies_all_moments_and_torques_by_one_factor():
     rope = DOUBLE.replace(tip_mass=0.01, dry_friction=[2e-3, 5e-4], stiffness=0.01)
     free = ["inertia", "com", "tip_mass", "friction", "dry_friction", "stiffness", "length", "gravity_angle"]
     parameters = freed(rope, free)
@@ -174,7 +169,7 @@ def test_scaling_multiplies_all_moments_and_torques_by_one_factor() -> None:
     assert scaling(freed(rope, ["friction", "inertia"]), parameters.start[[4, 5, 0, 1]]) is None  # p is held
 
 
-def test_a_value_at_its_bound_does_not_hide_what_is_known() -> None:
+def test_a_value_at_its_bound_does_not_hide_what_is_known():
     rope = Rope(length=[0.09, 0.07], mass=[0.05, 0.03], com=[0.09, 0.025], inertia=[0.0, 3e-5], friction=[2e-5, 7e-6])
     t = np.arange(1001) / 500.0
     run = simulate(rope, duration=t[-1], t_eval=t, tol=1e-9, q0=[1.5, 2.0], qd0=[0.0, 0.0])
@@ -193,7 +188,7 @@ def test_a_value_at_its_bound_does_not_hide_what_is_known() -> None:
         assert np.isfinite(spread).all()
 
 
-def test_known_masses_and_centres_give_the_values(free_swing: Recording) -> None:
+def test_known_masses_and_centres_give_the_values(free_swing):
     guess = DOUBLE.replace(inertia=5e-4, friction=1e-3)
     result = identify(
         free_swing, guess, ["inertia", "friction[1]", "friction[0]"], options=FitOptions(length_std=0.0, clock_std=0.0)
@@ -205,7 +200,7 @@ def test_known_masses_and_centres_give_the_values(free_swing: Recording) -> None
     np.testing.assert_array_equal(result.rope.friction, result.values["friction"])
 
 
-def test_a_single_link_and_a_shared_value(free_swing: Recording) -> None:
+def test_a_single_link_and_a_shared_value(free_swing):
     one = identify(free_swing, DOUBLE.replace(friction=[3e-4, 1e-3]), ["friction[1]"])
     assert (one.values["friction"][0], one.std["friction"][0]) == (3e-4, 0.0)  # held
     within(one.values, one.std, {"friction": DOUBLE.friction})
@@ -216,7 +211,7 @@ def test_a_single_link_and_a_shared_value(free_swing: Recording) -> None:
     within(both.values, both.std, {"friction": even.friction})
 
 
-def test_dry_friction_stiffness_tip_mass_and_a_tilted_camera() -> None:
+def test_dry_friction_stiffness_tip_mass_and_a_tilted_camera():
     true = DOUBLE.replace(dry_friction=[2e-3, 5e-4], stiffness=[0.0, 0.02], tip_mass=0.01)
     lean = 0.02  # rad: the camera is turned, so gravity is seen turned
     recording = swing(true.replace(gravity=(9.81 * np.sin(lean), -9.81 * np.cos(lean))))
@@ -234,13 +229,13 @@ def test_dry_friction_stiffness_tip_mass_and_a_tilted_camera() -> None:
     assert result.values["gravity_angle"].shape == ()
 
 
-def test_what_is_not_there_goes_to_zero_or_stays_within_its_uncertainty(free_swing: Recording) -> None:
+def test_what_is_not_there_goes_to_zero_or_stays_within_its_uncertainty(free_swing):
     result = identify(free_swing, DOUBLE, ["friction", "dry_friction"])
     assert (result.values["dry_friction"] <= 3.0 * result.std["dry_friction"]).all()
     assert (result.values["dry_friction"] >= 0.0).all()
 
 
-def test_a_led_first_joint() -> None:
+def test_a_led_first_joint():
     cable = Rope.uniform(0.6, 0.05, 3, friction=2e-4)
     arm, motion = Arm(0.1), arm_swings(t_move=0.5, t_rest=0.4)
     t = np.linspace(0.0, 5.0, 301)
@@ -255,7 +250,7 @@ def test_a_led_first_joint() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_gaps_uneven_times_and_markers(seed: int) -> None:
+def test_gaps_uneven_times_and_markers(seed):
     recording = swing(DOUBLE)
     random = np.random.default_rng(seed)
     kept = np.sort(random.permutation(recording.t.size)[:600])
@@ -286,7 +281,7 @@ POOR_GUESSES = {
 
 
 @pytest.mark.parametrize("guess", POOR_GUESSES.values(), ids=POOR_GUESSES.keys())
-def test_a_poor_guess_arrives_at_the_same_place(free_swing: Recording, fitted: Identification, guess: Rope) -> None:
+def test_a_poor_guess_arrives_at_the_same_place(free_swing, fitted, guess):
     window = fitted.settings["window"]
     result = identify(free_swing, guess, ["inertia", "com", "mass", "friction"], options=FitOptions(window=window))
     assert result.success
@@ -294,7 +289,7 @@ def test_a_poor_guess_arrives_at_the_same_place(free_swing: Recording, fitted: I
         np.testing.assert_allclose(result.ratios[name], value, atol=0.2 * float(fitted.ratio_std[name].max()))
 
 
-def test_twins_by_a_finer_chain_are_told_apart_by_their_residuals() -> None:
+def test_twins_by_a_finer_chain_are_told_apart_by_their_residuals():
     fine = Rope.uniform(0.8, 0.04, 16, friction=4e-4)
     t = np.linspace(0.0, 4.0, 201)
     run = simulate(fine, duration=4.0, t_eval=t, q0=np.full(16, 1.0), qd0=np.zeros(16), tol=1e-9)
@@ -307,19 +302,14 @@ def test_twins_by_a_finer_chain_are_told_apart_by_their_residuals() -> None:
     assert result.settings["autocorrelation"] > 3.0  # model error is smooth in time, and std allows for it
 
 
-def test_correlated_noise_widens_the_uncertainty(free_swing: Recording) -> None:
+def test_correlated_noise_widens_the_uncertainty(free_swing):
     clean = simulate(DOUBLE, duration=8.0, t_eval=free_swing.t, tol=1e-9, **START).q
     noise = np.random.default_rng(2).standard_normal(clean.shape)
     for k in range(1, clean.shape[0]):
         noise[k] = 0.9 * noise[k - 1] + np.sqrt(1.0 - 0.9**2) * noise[k]
     free = ["inertia", "com", "friction"]
     white, result = (
-        identify(
-            each,
-            GUESS,
-            free,
-            options=FitOptions(window=2.0, length_std=0.0, clock_std=0.0),
-        )
+        identify(each, GUESS, free, options=FitOptions(window=2.0, length_std=0.0, clock_std=0.0))
         for each in (free_swing, Recording(free_swing.t, clean + NOISE * noise))
     )
     within(result.ratios, result.ratio_std, ratios(DOUBLE))
@@ -329,7 +319,7 @@ def test_correlated_noise_widens_the_uncertainty(free_swing: Recording) -> None:
     assert (wider < 5.0).all()
 
 
-def test_declared_noise_weighs_the_samples() -> None:
+def test_declared_noise_weighs_the_samples():
     clean, random = swing(DOUBLE, noise=0.0), np.random.default_rng(4)
     noise = np.where(np.arange(clean.t.size)[:, None] % 2, 0.1, NOISE) * np.ones((1, 2))  # every second one is bad
     data = clean.data + noise * random.standard_normal(noise.shape)
@@ -345,7 +335,7 @@ def test_declared_noise_weighs_the_samples() -> None:
 # ---- the pieces
 
 
-def test_lumped_moments_are_those_of_the_equations() -> None:
+def test_lumped_moments_are_those_of_the_equations():
     rope = DOUBLE.replace(tip_mass=0.02)
     p, inertia = lumped(rope)
     # by hand: beyond link 0 are link 1 and the tip mass
@@ -353,7 +343,7 @@ def test_lumped_moments_are_those_of_the_equations() -> None:
     np.testing.assert_allclose(inertia, [8e-4 + 0.1 * 0.14**2 + 0.09 * 0.08, 3.5e-4 + 0.06 * 0.13**2 + 0.25**2 * 0.02])
 
 
-def test_only_the_ratios_move_the_chain() -> None:
+def test_only_the_ratios_move_the_chain():
     """Another split of mass, com and inertia, and a common factor, with the same ratios: the same motion."""
     p, inertia = lumped(DOUBLE)
     mass = np.array([0.25, 0.12])
@@ -368,7 +358,7 @@ def test_only_the_ratios_move_the_chain() -> None:
     np.testing.assert_allclose(ours, theirs, atol=1e-8)  # both within the tolerance, grown over 2 s
 
 
-def test_a_window_fit_finds_its_state() -> None:
+def test_a_window_fit_finds_its_state():
     recording = swing(DOUBLE, duration=2.0, noise=0.0)
     windows, dropped = cut_windows(recording, 1.0)
     assert (len(windows), dropped) == (2, 1)  # the last sample alone makes no window
@@ -381,7 +371,7 @@ def test_a_window_fit_finds_its_state() -> None:
     )  # noise-free, rollouts at 5e-8 m a step
 
 
-def test_windows_keep_to_their_span_and_thinning_to_its_limit() -> None:
+def test_windows_keep_to_their_span_and_thinning_to_its_limit():
     recording = swing(DOUBLE, duration=4.0, rate=1000.0, noise=0.0)
     assert decimation_step(recording, 1.0) == 5
     windows, _ = cut_windows(recording.decimate(5), 0.5)
@@ -398,7 +388,7 @@ def test_windows_keep_to_their_span_and_thinning_to_its_limit() -> None:
     assert usual_length(Recording(t, 40.0 * t[:, None]), rod) == pytest.approx(8.0 / 40.0)  # no more than 8 rad
 
 
-def test_states_are_eliminated_exactly() -> None:
+def test_states_are_eliminated_exactly():
     random = np.random.default_rng(0)
     slope, shared, residual = (random.standard_normal(s) for s in ((30, 4), (30, 3), (30,)))
     linear = Linear(slope, shared, residual)
@@ -427,7 +417,7 @@ class Brittle(Plant):
 
 # The fit wants to go down by 4e-4 kg m^2.
 @pytest.mark.parametrize("reach", [0.0, 1e-9], ids=["no step", "the shortest only"])
-def test_a_fit_that_cannot_move_has_not_converged(free_swing: Recording, reach: float) -> None:
+def test_a_fit_that_cannot_move_has_not_converged(free_swing, reach):
     parameters = freed(HEAVY, ["inertia[0]"])
     plant = Brittle(parameters)
     plant.reach = reach
@@ -447,7 +437,7 @@ class Stuck(Plant):
         return super().predict(x, t, state) if np.array_equal(x, self.only) else None
 
 
-def test_a_fit_that_stalls_at_its_best_has_converged(free_swing: Recording) -> None:
+def test_a_fit_that_stalls_at_its_best_has_converged(free_swing):
     parameters = freed(GUESS, ["inertia", "friction"])
     windows, _ = cut_windows(free_swing, 1.0)
     best = fit(Plant(parameters), windows, parameters.start, [window.guess for window in windows])
@@ -458,7 +448,7 @@ def test_a_fit_that_stalls_at_its_best_has_converged(free_swing: Recording) -> N
     assert again.converged  # derivatives are there, and promise no gain
 
 
-def test_autocorrelation_of_known_processes() -> None:
+def test_autocorrelation_of_known_processes():
     random = np.random.default_rng(0)
     white = random.standard_normal((20000, 1))
     coloured = white.copy()
@@ -467,7 +457,7 @@ def test_autocorrelation_of_known_processes() -> None:
     gaps = np.ones_like(white)
     gaps[random.random(white.size) < 0.3] = 0.0
 
-    def time(values: Array, seen: Array) -> float:
+    def time(values, seen):
         return autocorrelation([Piece(values * seen, seen, np.zeros((*values.shape, 0)))])
 
     whole = np.ones_like(white)
@@ -477,7 +467,7 @@ def test_autocorrelation_of_known_processes() -> None:
     assert time(coloured, gaps) == pytest.approx(time(coloured, whole), rel=0.1)  # gaps are no whiter
 
 
-def test_every_parameter_goes_into_the_rope_and_comes_back() -> None:
+def test_every_parameter_goes_into_the_rope_and_comes_back():
     names = ["inertia", "com", "mass", "length", "friction", "dry_friction", "stiffness", "tip_mass", "gravity_angle"]
     parameters = freed(DOUBLE, names)
     x = parameters.start
@@ -501,7 +491,7 @@ def test_every_parameter_goes_into_the_rope_and_comes_back() -> None:
 # ---- held-out prediction
 
 
-def test_prediction_with_the_true_rope_has_the_noise_of_the_state_only(free_swing: Recording) -> None:
+def test_prediction_with_the_true_rope_has_the_noise_of_the_state_only(free_swing):
     held = held_out(plain(DOUBLE), free_swing.window(4.0, np.inf))
     assert held is not None
     np.testing.assert_allclose(held.starts, [4.5, 5.5, 6.5])  # each after 0.5 s, 1 s apart, whole seconds only
@@ -512,7 +502,7 @@ def test_prediction_with_the_true_rope_has_the_noise_of_the_state_only(free_swin
     np.testing.assert_allclose(held.window_rms[2], np.sqrt(((held.predicted - held.measured)[late] ** 2).mean(axis=0)))
 
 
-def test_prediction_uses_no_data_of_the_predicted_second(free_swing: Recording) -> None:
+def test_prediction_uses_no_data_of_the_predicted_second(free_swing):
     part = free_swing.window(4.0, 5.6)
     spoilt = part.data.copy()
     spoilt[part.t > 4.5 + 1e-9] += 1.0
@@ -533,7 +523,7 @@ class Wild(Plant):
         return q
 
 
-def test_a_prediction_that_diverges_counts_as_infinitely_wrong(free_swing: Recording) -> None:
+def test_a_prediction_that_diverges_counts_as_infinitely_wrong(free_swing):
     data = free_swing.data.copy()
     data[460:480, 0] = np.nan  # a gap in the data of the first stretch is just left out
     held = held_out(Wild(freed(DOUBLE, ["friction"])), Recording(free_swing.t, data).window(4.0, np.inf))
@@ -549,14 +539,14 @@ def test_a_prediction_that_diverges_counts_as_infinitely_wrong(free_swing: Recor
     assert list(_of_prediction(good)) == []
 
 
-def test_failed_predictions_are_in_the_grade(free_swing: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_predictions_are_in_the_grade(free_swing, monkeypatch):
     monkeypatch.setattr("hyperflex.identification.measurements.Plant", Wild)
     result = identify(free_swing, DOUBLE, ["friction"], options=FitOptions(train=4.0))
     assert result.findings[0].kind is Kind.PREDICTION_FAILED
     assert result.summary()["held_out"]["rms"] == [None, None]  # JSON has no infinity
 
 
-def test_held_out_part_is_not_fitted(free_swing: Recording) -> None:
+def test_held_out_part_is_not_fitted(free_swing):
     spoilt = free_swing.data.copy()
     spoilt[free_swing.t >= 5.0] *= 0.5
     other = Recording(free_swing.t, spoilt)
@@ -599,7 +589,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("change", "match"), BAD.values(), ids=BAD.keys())
-def test_bad_input_is_refused_with_advice(change: dict[str, Any], match: str) -> None:
+def test_bad_input_is_refused_with_advice(change, match):
     arguments: dict[str, Any] = {"recording": RECORDING, "rope_guess": PENDULUM, "free": ["friction"]} | change
     of_fit = {name: arguments.pop(name) for name in ("window", "train", "lead") if name in arguments}
     of_setup = {name: arguments.pop(name) for name in ("motion", "arm", "arc_lengths", "origin") if name in arguments}
@@ -607,20 +597,20 @@ def test_bad_input_is_refused_with_advice(change: dict[str, Any], match: str) ->
         identify(**arguments, setup=RecordingSetup(**of_setup), options=FitOptions(**of_fit))
 
 
-def test_markers_in_another_unit_are_noticed() -> None:
+def test_markers_in_another_unit_are_noticed():
     places = np.zeros((RECORDING.t.size, 4))
     places[:, 2], places[:, 3] = 300.0 * np.sin(RECORDING.data[:, 0]), -300.0 * np.cos(RECORDING.data[:, 0])
     with pytest.raises(InvalidInput, match="do not fit the rope's link lengths"):
         identify(Recording(RECORDING.t, places, kind="markers"), PENDULUM, ["friction"])
 
 
-def test_angles_from_upright_are_called_a_poor_fit() -> None:
+def test_angles_from_upright_are_called_a_poor_fit():
     recording = swing(DOUBLE, duration=4.0)
     result = identify(Recording(recording.t, recording.data + np.pi), DOUBLE, ["inertia", "friction"])
     assert result.has(Kind.POOR_FIT)
 
 
-def test_a_rope_that_cannot_be_simulated_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rope_that_cannot_be_simulated_is_an_error(monkeypatch):
     monkeypatch.setattr(Plant, "predict", lambda *_, **__: None)
     with pytest.raises(IdentificationError, match="Not one window"):
         identify(RECORDING, PENDULUM, ["friction"])
@@ -630,9 +620,7 @@ def test_a_rope_that_cannot_be_simulated_is_an_error(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.nightly
-def test_progress_is_told_and_printed(
-    free_swing: Recording, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_is_told_and_printed(free_swing, capsys, monkeypatch):
     told: list[dict[str, float]] = []
     result = identify(free_swing, GUESS, ["friction"], progress=told.append)
     fitted = [e for e in told if "phase" not in e]
@@ -649,10 +637,10 @@ def test_progress_is_told_and_printed(
 
 
 @pytest.mark.parametrize("after", [1, 3])
-def test_ctrl_c_keeps_the_best_so_far(free_swing: Recording, after: int) -> None:
+def test_ctrl_c_keeps_the_best_so_far(free_swing, after):
     count = 0
 
-    def interrupt(_: dict[str, float]) -> None:
+    def interrupt(_):
         nonlocal count
         count += 1
         if count == after:
@@ -666,8 +654,8 @@ def test_ctrl_c_keeps_the_best_so_far(free_swing: Recording, after: int) -> None
     assert (np.abs(result.ratios["J/p1"] / truth - 1.0) < np.abs(ratios(GUESS)["J/p1"] / truth - 1.0)).all()
 
 
-def test_ctrl_c_before_anything_is_fitted_goes_on(free_swing: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object, **__: object) -> None:
+def test_ctrl_c_before_anything_is_fitted_goes_on(free_swing, monkeypatch):
+    def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Plant, "predict", interrupted)
@@ -677,12 +665,12 @@ def test_ctrl_c_before_anything_is_fitted_goes_on(free_swing: Recording, monkeyp
 # ---- files
 
 
-def test_results_are_written_and_read(fitted: Identification, tmp_path: Path) -> None:
+def test_results_are_written_and_read(fitted, tmp_path):
     fitted.to_json(tmp_path / "fit.json")
     content = json.loads((tmp_path / "fit.json").read_text())
     assert content["ratios"]["J/p1"] == fitted.ratios["J/p1"].tolist()
     assert content["std"]["inertia"] == [None, None]  # unknown, and JSON has no infinity
-    assert content["held_out"]["rms"] == fitted.held_out.rms.tolist()  # type: ignore[union-attr]
+    assert content["held_out"]["rms"] == fitted.held_out.rms.tolist()
     fitted.to_toml(tmp_path / "fit.toml")
     assert Rope.from_toml(tmp_path / "fit.toml") == fitted.rope
     assert files.read_toml(tmp_path / "fit.toml")["identification"]["std"]["com"] == ["unknown", "unknown"]
@@ -694,7 +682,7 @@ def test_results_are_written_and_read(fitted: Identification, tmp_path: Path) ->
     assert text.startswith("Usable for ratios.")
 
 
-def test_windows_drop_links_that_cannot_be_seen() -> None:
+def test_windows_drop_links_that_cannot_be_seen():
     data = np.tile(RECORDING.data, (1, 2))
     data[50:100, 1] = np.nan
     windows, dropped = cut_windows(Recording(RECORDING.t, data), 1.0)
@@ -703,13 +691,13 @@ def test_windows_drop_links_that_cannot_be_seen() -> None:
     assert len(windows) == 3
 
 
-def test_importing_the_package_leaves_scipy_alone() -> None:
+def test_importing_the_package_leaves_scipy_alone():
     script = "import sys, hyperflex.recording, hyperflex.files; print('scipy' in sys.modules, 'h5py' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["False", "False"]
 
 
-def test_the_window_does_not_depend_on_the_guess() -> None:
+def test_the_window_does_not_depend_on_the_guess():
     t = np.linspace(0.0, 10.0, 501)
     recording = Recording(t, 0.1 * np.cos(5.0 * t)[:, None])
     guess = Rope(length=[0.3], mass=[0.1])
@@ -717,7 +705,7 @@ def test_the_window_does_not_depend_on_the_guess() -> None:
     assert usual_length(recording, guess) == usual_length(recording, other)
 
 
-def test_a_wrong_scale_of_the_markers_is_noticed() -> None:
+def test_a_wrong_scale_of_the_markers_is_noticed():
     places = np.array([[0.0, 0.0, 0.0, -0.3], [0.0, 0.0, 0.1, -0.28]])
     markers = Recording([0.0, 0.1], places, kind="markers")
     assert other_lengths(markers, Rope(length=[0.3], mass=[0.1])) == []

@@ -1,7 +1,5 @@
 """A motion behind a first-order lag, against the filter's own equation integrated by another solver."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -29,7 +27,7 @@ def filtered(t: np.ndarray, lag: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("lag", [0.002, 0.01, 0.05])
-def test_it_is_the_filters_answer(lag: float):
+def test_it_is_the_filters_answer(lag):
     t = np.linspace(0.0, 2.5, 1001)
     true = filtered(t, lag)
     slow = lagged(MOTION, lag)

@@ -1,7 +1,5 @@
 """The grammar of error messages: what was wrong, the value got, what is allowed, what to do; each part a sentence."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,7 +29,7 @@ def literal(node: ast.expr) -> str:
     return ""
 
 
-def test_a_message_is_joined_of_its_parts() -> None:
+def test_a_message_is_joined_of_its_parts():
     error = InvalidInput("mass is negative", got=-1.0, allowed="numbers >= 0", fix="Weigh it again")
     assert str(error) == "mass is negative: got -1.0. Allowed: numbers >= 0. Weigh it again."
     assert str(InvalidInput("mass is negative")) == "mass is negative."
@@ -43,7 +41,7 @@ def test_a_message_is_joined_of_its_parts() -> None:
     assert long.endswith("c and look.")
 
 
-def test_parts_of_messages_have_no_full_stop_and_advice_is_a_sentence() -> None:
+def test_parts_of_messages_have_no_full_stop_and_advice_is_a_sentence():
     wrong = []
     made = list(calls("InvalidInput"))
     assert len(made) > 400
@@ -56,6 +54,6 @@ def test_parts_of_messages_have_no_full_stop_and_advice_is_a_sentence() -> None:
     assert not wrong
 
 
-def test_whole_messages_are_sentences() -> None:
+def test_whole_messages_are_sentences():
     texts = [(where, literal(node.args[0])) for where, node in calls(*WHOLE) if node.args]
     assert [each for each in texts if each[1][:1].islower() or (each[1] and each[1][-1] not in ".}4")] == []

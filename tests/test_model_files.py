@@ -1,7 +1,5 @@
 """Ropes and set-ups in TOML files, and back: equal bit for bit, files beside them found."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -28,7 +26,7 @@ TABLE = "[rope]\nn_links = 10\ntotal_length = 1.0\ntotal_mass = 0.05\n"
     ],
     ids=["hold", "move", "swings", "sampled", "joined"],
 )
-def test_setup_round_trip(motion: hf.Motion, tmp_path: Path) -> None:
+def test_setup_round_trip(motion, tmp_path):
     setup = hf.Setup(ROPE, motion, hf.Arm(0.1, pivot=(0.5, 1.0)), duration=1.5, q0=[0.1, 0.2, 1 / 3])
     setup.to_toml(tmp_path / "setup.toml")
     again = hf.Setup.from_toml(tmp_path / "setup.toml")
@@ -40,30 +38,30 @@ def test_setup_round_trip(motion: hf.Motion, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rope", [ROPE, AIRY])
-def test_rope_round_trip(rope: hf.Rope, tmp_path: Path) -> None:
+def test_rope_round_trip(rope, tmp_path):
     rope.to_toml(tmp_path / "rope.toml")
     assert hf.Rope.from_toml(tmp_path / "rope.toml") == rope
 
 
-def test_totals_are_shared_out(tmp_path: Path) -> None:
+def test_totals_are_shared_out(tmp_path):
     (tmp_path / "rope.toml").write_text(TABLE)
     rope = hf.Rope.from_toml(tmp_path / "rope.toml")
     assert rope == hf.Rope.uniform(length=1.0, mass=0.05, n_links=10)
 
 
-def test_arrays_tell_the_number_of_links() -> None:
+def test_arrays_tell_the_number_of_links():
     setup = hf.Setup.loads("[rope]\nlength = [0.1, 0.2]\nmass = [0.01, 0.02]\n")
     assert setup.rope == hf.Rope(length=[0.1, 0.2], mass=[0.01, 0.02])
 
 
-def test_tables_of_a_planner_are_left_out() -> None:
+def test_tables_of_a_planner_are_left_out():
     planned = "[target]\nx = 0.6\ny = -1.1\nradius = 0.05\n[limits]\nspeed = 8.0\n[plan]\nseed = 1\n"
     assert hf.Setup.loads(TABLE + planned).dumps() == hf.Setup.loads(TABLE).dumps()
     with pytest.raises(InvalidInput, match="does not know this key: got 'aim'"):
         hf.Setup.loads(TABLE + "[aim]\nx = 0.6\n")
 
 
-def test_motion_file_is_found_beside_the_setup(tmp_path: Path) -> None:
+def test_motion_file_is_found_beside_the_setup(tmp_path):
     (tmp_path / "arm.csv").write_text("t,angle\n0.0,0.0\n0.5,1.0\n")
     (tmp_path / "setup.toml").write_text(
         "duration = 1.0\n" + TABLE + '[arm]\nlength = 0.1\n[motion]\nkind = "file"\npath = "arm.csv"\n'
@@ -97,12 +95,12 @@ def test_motion_file_is_found_beside_the_setup(tmp_path: Path) -> None:
         (TABLE + "[arm]\nlenght = 0.3\n", "lenght"),
     ],
 )
-def test_bad_tables(text: str, words: str) -> None:
+def test_bad_tables(text, words):
     with pytest.raises(InvalidInput, match=words):
         hf.Setup.loads(text)
 
 
-def test_the_files_of_the_documentation_are_read(tmp_path: Path) -> None:
+def test_the_files_of_the_documentation_are_read(tmp_path):
     page = (Path(__file__).parents[1] / "docs" / "how-to" / "files.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```toml\n(.*?)```", page, re.S)
     setup = hf.Setup.loads(blocks[0])

@@ -1,7 +1,5 @@
 """The suite's own options: real recordings that are missing are skipped, counted, or on demand a failure."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -35,26 +33,26 @@ def run_suite(folder: Path, *options: str, data: Path | None = None) -> tuple[in
 
 
 @pytest.mark.parametrize("options", [(), ("-n", "2")], ids=["one process", "two processes"])
-def test_missing_recordings_are_skipped_and_counted(tmp_path: Path, options: tuple[str, ...]) -> None:
+def test_missing_recordings_are_skipped_and_counted(tmp_path, options):
     code, said = run_suite(tmp_path / "suite", *options)
     assert code == 0
     assert "skipped for want of data: 1" in said
     assert "set HYPERFLEX_DATA" in said
 
 
-def test_missing_recordings_fail_on_demand(tmp_path: Path) -> None:
+def test_missing_recordings_fail_on_demand(tmp_path):
     code, said = run_suite(tmp_path / "suite", "--require-data")
     assert code == 1
     assert "real recordings not found" in said
     assert "skipped for want of data: 0" in said
 
 
-def test_named_folder_that_is_not_there_fails(tmp_path: Path) -> None:
+def test_named_folder_that_is_not_there_fails(tmp_path):
     code, _ = run_suite(tmp_path / "suite", data=tmp_path / "nowhere")
     assert code == 1
 
 
-def test_recordings_are_found(tmp_path: Path) -> None:
+def test_recordings_are_found(tmp_path):
     beside = tmp_path / "shared" / "data"
     beside.mkdir(parents=True)
     code, said = run_suite(tmp_path / "suite", "--require-data")
@@ -64,7 +62,7 @@ def test_recordings_are_found(tmp_path: Path) -> None:
     assert "1 passed, 1 skipped" in said
 
 
-def test_tests_that_ask_for_recordings_are_marked(tmp_path: Path) -> None:
+def test_tests_that_ask_for_recordings_are_marked(tmp_path):
     _, said = run_suite(tmp_path / "suite", "-m", "data", "--collect-only", "-q")
     assert "test_with_recordings" in said
     assert "test_skipped_for_another_reason" not in said

@@ -1,7 +1,5 @@
 """What is built holds what it should and nothing else, and asks for what a run needs."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tarfile
@@ -28,7 +26,7 @@ def built(kind: str, folder: Path) -> Path:
     return file
 
 
-def test_the_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
+def test_the_wheel_holds_the_package_and_nothing_else(tmp_path):
     with zipfile.ZipFile(built("wheel", tmp_path)) as wheel:
         names = {name for name in wheel.namelist() if ".dist-info/" not in name}
         (metadata,) = (name for name in wheel.namelist() if name.endswith(".dist-info/METADATA"))
@@ -39,19 +37,11 @@ def test_the_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
     assert {Path(name).suffix for name in names} >= {".py", ".html", ".mp4", ".toml", ".typed"}
     assert "hyperflex = hyperflex.cli:main" in entries
     needed = {line.split(">")[0] for line in told.get_all("Requires-Dist") if "extra" not in line}
-    assert not needed & {
-        "opencv-python-headless",
-        "av",
-        "xarray",
-        "mcap",
-        "rosbags",
-        "gymnasium",
-        "pytest",
-    }
+    assert not needed & {"opencv-python-headless", "av", "xarray", "mcap", "rosbags", "gymnasium", "pytest"}
     assert {"vision", "xarray", "gym", "mcap", "ros", "all"} <= set(told.get_all("Provides-Extra"))
 
 
-def test_the_sdist_can_be_built_and_tested(tmp_path: Path) -> None:
+def test_the_sdist_can_be_built_and_tested(tmp_path):
     with tarfile.open(built("sdist", tmp_path)) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     wanted = {"pyproject.toml", "LICENSE", "README.md", "Makefile", "constraints.txt", "tests/conftest.py"}
@@ -59,7 +49,7 @@ def test_the_sdist_can_be_built_and_tested(tmp_path: Path) -> None:
     assert not [name for name in names if name.startswith(("benchmarks/results", ".venv")) or "__pycache__" in name]
 
 
-def test_each_extra_is_named_as_it_is_called() -> None:
+def test_each_extra_is_named_as_it_is_called():
     """By what loads its packages; `pip` installs nothing for an extra that is not there, and only warns."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     text = "".join(path.read_text("utf-8") for path in SOURCE.rglob("*.py"))
@@ -68,7 +58,7 @@ def test_each_extra_is_named_as_it_is_called() -> None:
         assert f'"{extra}", "' in text
 
 
-def test_a_package_that_lacks_is_refused_with_its_command(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_package_that_lacks_is_refused_with_its_command(monkeypatch):
     with pytest.raises(MissingPackage, match=r"Films need no_such_a, not installed.*pip install 'hyperflex\[vision\]'"):
         extras.require(("numpy", "no_such_a"), "vision", "Films")
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
@@ -78,7 +68,7 @@ def test_a_package_that_lacks_is_refused_with_its_command(monkeypatch: pytest.Mo
     extras.require(("numpy",), "vision", "Films")
 
 
-def test_nothing_but_the_extras_needs_their_packages(tmp_path: Path) -> None:
+def test_nothing_but_the_extras_needs_their_packages(tmp_path):
     """Set-ups, runs, fits and casts load where the extras' packages are hidden, and so do their pictures."""
     code = (
         "import sys\n"

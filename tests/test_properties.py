@@ -1,7 +1,5 @@
 """The table of properties: whatever stands in it is in files, fits, derivatives, reports and the notation."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +19,6 @@ from hyperflex.model.properties import (
     PROPERTIES,
     RATIOS,
     RESISTANCES,
-    Property,
     parse_label,
 )
 from hyperflex.model.refine import recut
@@ -41,7 +38,7 @@ VALUES = {
     "drag": [3e-3, 4e-3, 2e-3],
     "max_bend": [np.inf, 1.5, 2.0],
 }
-ROPE = hf.Rope(**VALUES, tip_mass=0.005, radius=0.004)  # type: ignore[arg-type]
+ROPE = hf.Rope(**VALUES, tip_mass=0.005, radius=0.004)
 EACH = pytest.mark.parametrize("each", LINK_PROPERTIES, ids=[each.name for each in LINK_PROPERTIES])
 FREE_LINKS = [each for each in LINK_PROPERTIES if each.form]
 
@@ -53,7 +50,7 @@ def one(name: str) -> hf.Rope:
 
 
 @EACH
-def test_it_is_a_field_of_the_rope_and_of_the_chain(each: Property) -> None:
+def test_it_is_a_field_of_the_rope_and_of_the_chain(each):
     assert each.name in {field.name for field in fields(hf.Rope)}
     np.testing.assert_array_equal(getattr(ROPE.chain(), each.field), VALUES[each.name])
     assert Chain._fields.index(each.field) == LINK_PROPERTIES.index(
@@ -65,7 +62,7 @@ def test_it_is_a_field_of_the_rope_and_of_the_chain(each: Property) -> None:
 
 
 @EACH
-def test_it_goes_through_files(each: Property, tmp_path: Path) -> None:
+def test_it_goes_through_files(each, tmp_path):
     for rope in (ROPE, one(each.name), one(each.name).replace(**{each.name: VALUES[each.name][2]})):
         rope.to_toml(tmp_path / "rope.toml")
         assert hf.Rope.from_toml(tmp_path / "rope.toml") == rope
@@ -75,7 +72,7 @@ def test_it_goes_through_files(each: Property, tmp_path: Path) -> None:
 
 
 @EACH
-def test_its_bounds_are_kept(each: Property) -> None:
+def test_its_bounds_are_kept(each):
     bad = {"any": [np.nan, np.inf], "nonnegative": [-1.0, np.nan], "positive": [0.0, -1.0]}[each.sign]
     for value in bad:
         with pytest.raises(InvalidInput, match=each.name):
@@ -83,7 +80,7 @@ def test_its_bounds_are_kept(each: Property) -> None:
 
 
 @pytest.mark.parametrize("each", FREE_LINKS, ids=[each.name for each in FREE_LINKS])
-def test_it_can_be_free(each: Property) -> None:
+def test_it_can_be_free(each):
     """x to the value and back, and the derivative of the rope with x by differences."""
     parameters = Parameters(ROPE, parse(ROPE, [each.name]))
     x = parameters.start
@@ -97,7 +94,7 @@ def test_it_can_be_free(each: Property) -> None:
         assert len(parse(ROPE, [f"{each.name}:{law}"])) == 1
 
 
-def test_what_cannot_be_free_is_refused() -> None:
+def test_what_cannot_be_free_is_refused():
     for name in PROPERTIES.keys() - FREE_PROPERTIES.keys():
         with pytest.raises(InvalidInput, match="unknown name"):
             parse(ROPE, [name])
@@ -106,14 +103,14 @@ def test_what_cannot_be_free_is_refused() -> None:
 
 
 @pytest.mark.parametrize("each", FREE_LINKS, ids=[each.name for each in FREE_LINKS])
-def test_a_run_has_derivatives_by_it(each: Property) -> None:
+def test_a_run_has_derivatives_by_it(each):
     rope = ROPE.replace(max_bend=np.inf)
     found = sensitivities(rope, duration=0.1, q0=[0.5, 0.9, 0.2], qd0=[1.0, -2.0, 3.0], wrt=f"{each.name}[1]")
     assert np.abs(found.dq[-1]).max() > 0.0
 
 
 @EACH
-def test_people_read_it_with_its_unit(each: Property) -> None:
+def test_people_read_it_with_its_unit(each):
     free = {each.name} if each.form else set()
     labels = tuple(f"{name}[{k}]" for name in free for k in range(3))
     spread = {name: np.abs(np.array(VALUES[name])) * 0.01 for name in free}
@@ -121,17 +118,17 @@ def test_people_read_it_with_its_unit(each: Property) -> None:
     found = SimpleNamespace(parameters=labels, values=values, std=spread, intervals={}, settings={})
     (column,) = [
         k for k, name in enumerate(rope_table(ROPE, found).header) if name.startswith(each.name.replace("_", " "))
-    ]  # type: ignore[arg-type]
+    ]
     unit = readable_unit(each.name, VALUES[each.name])
-    assert rope_table(ROPE, found).header[column].endswith(f", {unit.name}")  # type: ignore[arg-type]
-    assert float(rope_table(ROPE, found).rows[2][column]) * unit.size == pytest.approx(VALUES[each.name][2], rel=1e-3)  # type: ignore[arg-type]
-    for number, row in zip(numbers(found), parameters_table(found, ROPE).rows, strict=True):  # type: ignore[arg-type]
+    assert rope_table(ROPE, found).header[column].endswith(f", {unit.name}")
+    assert float(rope_table(ROPE, found).rows[2][column]) * unit.size == pytest.approx(VALUES[each.name][2], rel=1e-3)
+    for number, row in zip(numbers(found), parameters_table(found, ROPE).rows, strict=True):
         assert row[1] == f"{each.words}, link {number.place}"
         assert row[2].endswith(unit.name.replace(" ", "\u00a0"))
 
 
 @pytest.mark.parametrize("each", RESISTANCES, ids=[each.name for each in RESISTANCES])
-def test_it_goes_with_the_common_factor(each: Property) -> None:
+def test_it_goes_with_the_common_factor(each):
     """Everything free, nothing known: all that resists grows with the moments, and its ratio stays."""
     words = ["mass:factor", "inertia:factor", "tip_mass", f"{each.name}:factor"]
     rope = one(each.name)
@@ -146,7 +143,7 @@ def test_it_goes_with_the_common_factor(each: Property) -> None:
     assert readable_unit(name, 1.0).name == RATIOS[name].unit.replace("^2", "²").replace("^3", "³")
 
 
-def test_pieces_of_a_link_are_the_same_rope() -> None:
+def test_pieces_of_a_link_are_the_same_rope():
     """Each way to cut: what is shared out keeps its sum, what is alike its mean, joints what they are per length."""
     rope = ROPE.replace(com=0.5 * ROPE.length)
     for fine in (divided(rope, 4), recut(rope, 15)):
@@ -172,13 +169,13 @@ def test_pieces_of_a_link_are_the_same_rope() -> None:
                     assert now * short**stands == pytest.approx(was * long**stands, rel=1e-9)
 
 
-def test_the_notation_tells_each_with_its_unit() -> None:
+def test_the_notation_tells_each_with_its_unit():
     text = (Path(__file__).parents[1] / "docs" / "notation.md").read_text("utf-8")
     for each in (*LINK_PROPERTIES, PROPERTIES["tip_mass"]):
         assert f"| `{each.name}` | {each.unit.replace('^2', '²')} |" in text
 
 
-def test_drag_from_a_diameter_and_a_coefficient() -> None:
+def test_drag_from_a_diameter_and_a_coefficient():
     """Half of the air's density x coefficient x diameter."""
     rope = hf.Rope.uniform(1.0, 0.1, 4, radius=0.003, drag_coefficient=1.1, air_density=1.3)
     np.testing.assert_allclose(rope.drag, 0.5 * 1.3 * 1.1 * 0.006, rtol=1e-14)

@@ -3,8 +3,6 @@
 The guesses know the link lengths and nothing else: uniform rods of equal mass, some friction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -43,7 +41,7 @@ def test_triple_pendulum_ratios(triple: Identification) -> None:
     assert triple.settings["fitted_to"] < 33.858
 
 
-def test_triple_pendulum_prediction(triple: Identification, record_property: Note) -> None:
+def test_triple_pendulum_prediction(triple, record_property):
     held = triple.held_out
     assert held is not None
     assert (held.lead, held.ahead, held.starts.size) == (0.5, 1.0, 5)  # 6.142 s held out, half a second to start
@@ -53,7 +51,7 @@ def test_triple_pendulum_prediction(triple: Identification, record_property: Not
 
 
 @pytest.mark.nightly
-def test_dry_friction_predicts_better_than_viscous_alone(triple: Identification, data_dir: Path) -> None:
+def test_dry_friction_predicts_better_than_viscous_alone(triple, data_dir):
     recording = read_recording(data_dir / "multiarm_triple" / "TriplePendulumDataForParameterEstimation.mat")
     viscous = identify(recording, TRIPLE, ["inertia", "com", "friction"], options=FitOptions(train=33.858))
     np.testing.assert_allclose(viscous.ratios["J/p1"], J, rtol=0.02)  # as above: ratios do not hang on friction
@@ -64,7 +62,7 @@ def test_dry_friction_predicts_better_than_viscous_alone(triple: Identification,
 
 
 @pytest.mark.nightly
-def test_the_air_brakes_the_triple_pendulum(data_dir: Path) -> None:
+def test_the_air_brakes_the_triple_pendulum(data_dir):
     """Drag explains what friction of the joints does not: fit and prediction err by half as much as without it.
 
     When this was written: 0.85 for 1.95 mrad, predicted 1.00 for 1.99 mrad, and BIC lower by 990. The viscous friction
@@ -87,7 +85,7 @@ def test_the_air_brakes_the_triple_pendulum(data_dir: Path) -> None:
 
 
 @pytest.mark.nightly
-def test_triple_pendulum_from_markers(data_dir: Path) -> None:
+def test_triple_pendulum_from_markers(data_dir):
     path = data_dir / "multiarm_triple" / "markers_200Hz_from_angles.csv"
     recording = read_recording(path, time_unit="s", unit="m", y_axis="up")
     result = identify(recording, TRIPLE, ["inertia", "com", "friction"], options=FitOptions(train=33.858))
@@ -95,7 +93,7 @@ def test_triple_pendulum_from_markers(data_dir: Path) -> None:
     np.testing.assert_allclose(result.ratios["p/p1"], P, rtol=0.02)
 
 
-def test_single_pendulum(data_dir: Path) -> None:
+def test_single_pendulum(data_dir):
     recording = read_recording(data_dir / "multiarm_single" / "SinglePendulumDataForParameterEstimation.mat")
     guess = Rope(length=[0.3], mass=[0.1], friction=1e-4)  # its length is not known, nor does a single link need it
     result = identify(recording, guess, FREE, options=FitOptions(train=36.668))
@@ -120,7 +118,7 @@ def figures(found: Identification) -> tuple[list[float], list[float]]:
 
 
 @pytest.mark.nightly
-def test_double_pendulum_from_video_markers(data_dir: Path) -> None:
+def test_double_pendulum_from_video_markers(data_dir):
     first, other, second = double(data_dir, 16), double(data_dir, 16, (0.05, 0.03)), double(data_dir, 6)
     for result in (first, other, second):
         assert result.success  # the bottom is rough: dry friction at its bound, and too little to gain
@@ -135,7 +133,7 @@ def test_double_pendulum_from_video_markers(data_dir: Path) -> None:
     np.testing.assert_allclose(figures(other)[0], one, atol=0.2 * max(one_std))
 
 
-def test_a_pendulum_is_found_from_its_two_markers_and_a_known_first_joint(data_dir: Path) -> None:
+def test_a_pendulum_is_found_from_its_two_markers_and_a_known_first_joint(data_dir):
     """The first link's angle shows; when it was taken for the second one's, a fit from the best guess ended at 6 mm."""
     path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"
     every = read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 16.0)
@@ -152,7 +150,7 @@ def test_a_pendulum_is_found_from_its_two_markers_and_a_known_first_joint(data_d
     np.testing.assert_allclose(figures(found)[0], [0.0905, 0.00686, 0.1019], rtol=0.02)
 
 
-def test_a_pendulum_is_found_from_its_tip_alone(data_dir: Path) -> None:
+def test_a_pendulum_is_found_from_its_tip_alone(data_dir):
     """A guess up to 2.5 times off; windows whose shape was taken for its mirror image led to 12 mm and wrong ratios."""
     path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"
     every = read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 15.0)
@@ -173,7 +171,7 @@ def test_a_pendulum_is_found_from_its_tip_alone(data_dir: Path) -> None:
     np.testing.assert_allclose(figures(found)[0], [0.0906, 0.00694, 0.1033], rtol=0.02)
 
 
-def test_a_little_more_data_hardly_moves_standard_deviations(data_dir: Path) -> None:
+def test_a_little_more_data_hardly_moves_standard_deviations(data_dir):
     """What is left of run 16 wanders slowly, and each window's state absorbs most of that."""
     path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"
     recording = read_recording(path, time_unit="s", unit="m", y_axis="up").window(0.0, 15.0)
@@ -191,7 +189,7 @@ def test_a_little_more_data_hardly_moves_standard_deviations(data_dir: Path) -> 
     assert short.has(Kind.COLOURED)
 
 
-def test_an_identified_pendulum_can_be_cast(triple: Identification, data_dir: Path) -> None:
+def test_an_identified_pendulum_can_be_cast(triple, data_dir):
     """The line's end: the identified chain, started like the recording, swings like it for a second."""
     recording = read_recording(data_dir / "multiarm_triple" / "TriplePendulumDataForParameterEstimation.mat")
     start: Recording = recording.window(10.0, 11.0)

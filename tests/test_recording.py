@@ -1,7 +1,5 @@
 """recording: what a Recording refuses, conversions that must be declared, and each reader on good and bad files."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys
@@ -40,7 +38,7 @@ def places(angles: Array, lengths: Array) -> Array:
 # ---- the Recording
 
 
-def test_arrays_are_read_only_copies() -> None:
+def test_arrays_are_read_only_copies():
     data = np.array([[0.1], [0.2]])
     recording = Recording([0.0, 0.1], data)
     data[0] = 9.0
@@ -48,7 +46,7 @@ def test_arrays_are_read_only_copies() -> None:
     with pytest.raises(ValueError, match="read-only"):
         recording.data[0] = 1.0
     with pytest.raises(AttributeError):
-        recording.t = np.zeros(2)  # type: ignore[misc]
+        recording.t = np.zeros(2)
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
@@ -75,12 +73,12 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("change", "match"), BAD.values(), ids=BAD.keys())
-def test_what_cannot_be_used_is_refused(change: dict[str, Any], match: str) -> None:
+def test_what_cannot_be_used_is_refused(change, match):
     with pytest.raises(InvalidInput, match=match):
         Recording(**({"t": [0.0, 0.1], "data": [[0.1], [0.2]]} | change))
 
 
-def test_uneven_times_gaps_and_noise_are_fine() -> None:
+def test_uneven_times_gaps_and_noise_are_fine():
     recording = Recording([0.0, 0.1, 0.5], [[0.1, 1.0], [NAN, 1.1], [0.3, 1.2]], noise=[1e-3, 2e-3])
     assert (recording.n_links, recording.gaps, recording.duration) == (2, 1, 0.5)
     assert recording.noise is not None
@@ -88,7 +86,7 @@ def test_uneven_times_gaps_and_noise_are_fine() -> None:
     assert "1 gaps" in repr(recording)
 
 
-def test_window_split_decimate_keep_all_arrays_together() -> None:
+def test_window_split_decimate_keep_all_arrays_together():
     t, data, rates = swing()
     recording = Recording(t, data, rates=rates, noise=np.arange(1.0, 801.0).reshape(400, 2), name="swing")
     before, after = recording.split(0.5)
@@ -104,7 +102,7 @@ def test_window_split_decimate_keep_all_arrays_together() -> None:
         recording.decimate(0)
 
 
-def test_markers_give_back_the_angles_through_whole_turns() -> None:
+def test_markers_give_back_the_angles_through_whole_turns():
     t = np.linspace(0.0, 2.0, 201)
     angles = np.stack([5.0 * t, 0.3 - 9.0 * t], axis=1)
     markers = places(angles, np.array([0.2, 0.1]))
@@ -120,7 +118,7 @@ def test_markers_give_back_the_angles_through_whole_turns() -> None:
         found.link_lengths()
 
 
-def test_a_missing_or_doubled_marker_is_a_gap_of_its_links() -> None:
+def test_a_missing_or_doubled_marker_is_a_gap_of_its_links():
     t, angles, _ = swing(samples=50)
     markers = places(angles, np.array([0.2, 0.1]))
     markers[10, 4] = NAN  # end of link 1
@@ -141,7 +139,7 @@ def csv(tmp_path: Path, header: str, rows: Array, notes: str = "") -> Path:
     return path
 
 
-def test_csv_angles_with_rates_and_a_gap(tmp_path: Path) -> None:
+def test_csv_angles_with_rates_and_a_gap(tmp_path):
     t, data, rates = swing()
     data[3, 1] = NAN
     path = csv(tmp_path, "t,th1,th2,w1,w2", np.column_stack([t, data, rates]))
@@ -151,7 +149,7 @@ def test_csv_angles_with_rates_and_a_gap(tmp_path: Path) -> None:
     assert (recording.name, recording.gaps, recording.noise is not None) == ("swing", 1, True)
 
 
-def test_csv_conversions(tmp_path: Path) -> None:
+def test_csv_conversions(tmp_path):
     t, data, rates = swing()
     relative = np.diff(data, axis=1, prepend=0.0)
     degrees = -np.degrees(relative + np.array([math.pi, 0.0]))  # upright zero, other sense
@@ -169,7 +167,7 @@ def test_csv_conversions(tmp_path: Path) -> None:
     assert "relative angles in deg" in recording.convention
 
 
-def test_csv_declares_itself_in_header_or_notes(tmp_path: Path) -> None:
+def test_csv_declares_itself_in_header_or_notes(tmp_path):
     t, data, _ = swing(n=1)
     table = np.column_stack([1e3 * t, np.degrees(data)])
     in_header = read_recording(csv(tmp_path, "t [ms],th1 [deg]", table))
@@ -186,7 +184,7 @@ def test_csv_declares_itself_in_header_or_notes(tmp_path: Path) -> None:
         read_recording(csv(tmp_path, "t [ms],th1 [deg],th2", np.column_stack([table, data])))
 
 
-def test_csv_notes_declare_wrapping_and_noise(tmp_path: Path) -> None:
+def test_csv_notes_declare_wrapping_and_noise(tmp_path):
     t = np.linspace(0.0, 2.0, 201)
     angle = 8.0 * t
     table = np.column_stack([t, (angle + math.pi) % (2 * math.pi) - math.pi])
@@ -199,7 +197,7 @@ def test_csv_notes_declare_wrapping_and_noise(tmp_path: Path) -> None:
     assert read_recording(path, noise=0.01, wrapped=True).noise is not None
     for argument in ({"noise": 0.02}, {"wrapped": False}):
         with pytest.raises(InvalidInput, match=f"declares {next(iter(argument))} = .*argument something else"):
-            read_recording(path, **argument)  # type: ignore[arg-type]
+            read_recording(path, **argument)
     with pytest.raises(InvalidInput, match="noise twice"):
         read_recording(csv(tmp_path, "t,th1,std_th1", np.column_stack([table, t + 1.0]), notes))
     two = csv(tmp_path, "t,th1,th2", np.column_stack([t, angle, angle]), notes.replace("0.01", "0.01, 0.02"))
@@ -223,21 +221,21 @@ BAD_NOTES = {
 
 
 @pytest.mark.parametrize(("note", "match"), BAD_NOTES.items(), ids=BAD_NOTES.keys())
-def test_csv_notes_that_would_be_lost_are_refused(tmp_path: Path, note: str, match: str) -> None:
+def test_csv_notes_that_would_be_lost_are_refused(tmp_path, note, match):
     t, data, _ = swing(n=1)
     path = csv(tmp_path, "t [s],th1 [rad]", np.column_stack([t, data]), f"# {note}\n")
     with pytest.raises(InvalidInput, match=match):
         read_recording(path)
 
 
-def test_csv_comments_are_no_declarations(tmp_path: Path) -> None:
+def test_csv_comments_are_no_declarations(tmp_path):
     t, data, _ = swing(n=1)
     notes = "# swing of Tuesday\n# name: lab\n# source: own\n# time: 12:30\n# date: 1 May\n# camera: 200 Hz\n"
     path = csv(tmp_path, "t [s],th1 [rad]", np.column_stack([t, data]), notes)
     np.testing.assert_array_equal(read_recording(path).data, data)
 
 
-def test_csv_markers_in_pixels_and_frames(tmp_path: Path) -> None:
+def test_csv_markers_in_pixels_and_frames(tmp_path):
     t, angles, _ = swing()
     markers = places(angles, np.array([0.2, 0.1]))
     pixels = markers / 5e-4 * np.array([1.0, -1.0] * 3)
@@ -251,7 +249,7 @@ def test_csv_markers_in_pixels_and_frames(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.noise, 5e-4)
 
 
-def test_csv_columns_by_name_and_noise_columns(tmp_path: Path) -> None:
+def test_csv_columns_by_name_and_noise_columns(tmp_path):
     t, data, _ = swing()
     path = csv(tmp_path, "clock,upper,lower,humidity", np.column_stack([t, data, t]))
     named = read_recording(
@@ -265,7 +263,7 @@ def test_csv_columns_by_name_and_noise_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(noisy.noise, 2e-3)
 
 
-def test_what_is_not_declared_is_refused_by_name(tmp_path: Path) -> None:
+def test_what_is_not_declared_is_refused_by_name(tmp_path):
     t, data, _ = swing(n=1)
     angles = csv(tmp_path, "t,th1", np.column_stack([t, data]))
     with pytest.raises(
@@ -300,7 +298,7 @@ CONTRADICTIONS: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("change", "match"), CONTRADICTIONS.values(), ids=CONTRADICTIONS.keys())
-def test_contradictions_are_refused(tmp_path: Path, change: dict[str, Any], match: str) -> None:
+def test_contradictions_are_refused(tmp_path, change, match):
     t, data, _ = swing(n=1)
     path = csv(tmp_path, "t,th1", np.column_stack([t, data]))
     with pytest.raises(InvalidInput, match=match):
@@ -320,13 +318,13 @@ HEADERS = {
 
 
 @pytest.mark.parametrize(("header", "match"), HEADERS.values(), ids=HEADERS.keys())
-def test_wrong_columns_are_refused(tmp_path: Path, header: str, match: str) -> None:
+def test_wrong_columns_are_refused(tmp_path, header, match):
     rows = np.tile(np.linspace(0.0, 1.0, 5)[:, None], (1, header.count(",") + 1))
     with pytest.raises(InvalidInput, match=match):
         read_recording(csv(tmp_path, header, rows), time_unit="s", unit="rad")
 
 
-def test_wrong_units_are_noticed_where_they_can_be(tmp_path: Path) -> None:
+def test_wrong_units_are_noticed_where_they_can_be(tmp_path):
     t, data, rates = swing(n=1)
     fast = csv(tmp_path, "t,th1", np.column_stack([t, np.degrees(5.0 * data)]))
     with pytest.raises(InvalidInput, match=r"max_rate.*unit='deg'"):
@@ -340,7 +338,7 @@ def test_wrong_units_are_noticed_where_they_can_be(tmp_path: Path) -> None:
         read_recording(slow, time_unit="s", unit="rad")
 
 
-def test_missing_rows_do_not_look_like_wrong_units(tmp_path: Path) -> None:
+def test_missing_rows_do_not_look_like_wrong_units(tmp_path):
     t, data, rates = swing(n=1, samples=1000)
     kept = np.r_[0:100, 500:600]  # 2 s are missing, in which the link swings to and fro
     holed = csv(tmp_path, "t,th1,w1", np.column_stack([t, data, rates])[kept])
@@ -350,7 +348,7 @@ def test_missing_rows_do_not_look_like_wrong_units(tmp_path: Path) -> None:
         read_recording(mixed, time_unit="s", unit="rad")
 
 
-def test_wrapped_angles_are_unwrapped_only_when_declared(tmp_path: Path) -> None:
+def test_wrapped_angles_are_unwrapped_only_when_declared(tmp_path):
     t = np.linspace(0.0, 2.0, 201)
     angle = 8.0 * t
     path = csv(tmp_path, "t,th1", np.column_stack([t, (angle + math.pi) % (2 * math.pi) - math.pi]))
@@ -360,7 +358,7 @@ def test_wrapped_angles_are_unwrapped_only_when_declared(tmp_path: Path) -> None
     np.testing.assert_allclose(found.data[:, 0], angle, atol=1e-12)  # rounding
 
 
-def test_unsorted_and_infinite_samples_are_named(tmp_path: Path) -> None:
+def test_unsorted_and_infinite_samples_are_named(tmp_path):
     t, data, _ = swing(n=1)
     for row, column, value, match in (
         (7, 0, t[6], r"line 9, column 't' repeats a time: got 0\.03"),
@@ -374,7 +372,7 @@ def test_unsorted_and_infinite_samples_are_named(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("name", ["t", "th1", "w1", "std_th1"])
-def test_huge_numbers_are_named_without_warnings(tmp_path: Path, name: str) -> None:
+def test_huge_numbers_are_named_without_warnings(tmp_path, name):
     t, data, rates = swing(n=1)
     table = np.column_stack([t, data, rates, np.full(t.size, 1e-3)])
     table[-2:, ["t", "th1", "w1", "std_th1"].index(name)] = -1e308, 1e308
@@ -384,7 +382,7 @@ def test_huge_numbers_are_named_without_warnings(tmp_path: Path, name: str) -> N
 
 
 @pytest.mark.filterwarnings("error")
-def test_huge_numbers_of_other_files_are_named_without_warnings(tmp_path: Path) -> None:
+def test_huge_numbers_of_other_files_are_named_without_warnings(tmp_path):
     path = altered(tmp_path, lambda file: file.variables["angle"].attrs.update({"units": "turn"}))
     with h5netcdf.File(path, "a") as file:
         del file.variables["rate"].attrs["units"], file.variables["angle"].attrs["units"]
@@ -395,12 +393,12 @@ def test_huge_numbers_of_other_files_are_named_without_warnings(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("path", [None, 3, b"swing.csv", "swing\0.csv"])
-def test_what_is_no_path_is_refused(path: Any) -> None:
+def test_what_is_no_path_is_refused(path):
     with pytest.raises(InvalidInput, match="path of the recording is no path"):
         read_recording(path)
 
 
-def test_other_suffixes_and_missing_files(tmp_path: Path) -> None:
+def test_other_suffixes_and_missing_files(tmp_path):
     (tmp_path / "swing.xlsx").write_bytes(b"PK")
     with pytest.raises(InvalidInput, match="no known suffix"):
         read_recording(tmp_path / "swing.xlsx")
@@ -426,7 +424,7 @@ def recordings() -> dict[str, Recording]:
 
 
 @pytest.mark.parametrize("which", recordings())
-def test_netcdf_comes_back_bit_for_bit(tmp_path: Path, which: str) -> None:
+def test_netcdf_comes_back_bit_for_bit(tmp_path, which):
     recording = recordings()[which]
     recording.to_netcdf(tmp_path / "r.nc")
     back = read_recording(tmp_path / "r.nc")
@@ -438,7 +436,7 @@ def test_netcdf_comes_back_bit_for_bit(tmp_path: Path, which: str) -> None:
     assert (back.kind, back.convention, back.name) == (recording.kind, recording.convention, recording.name or "r")
 
 
-def test_netcdf_says_its_units(tmp_path: Path) -> None:
+def test_netcdf_says_its_units(tmp_path):
     for which, variable, unit in (("angles", "angle", "rad"), ("markers", "position", "m")):
         recordings()[which].to_netcdf(tmp_path / "r.nc")
         with h5netcdf.File(tmp_path / "r.nc") as file:
@@ -456,7 +454,7 @@ def altered(tmp_path: Path, change: Callable[[Any], None]) -> Path:
     return path
 
 
-def test_netcdf_units_come_from_the_file(tmp_path: Path) -> None:
+def test_netcdf_units_come_from_the_file(tmp_path):
     path = altered(tmp_path, lambda file: file.variables["angle"].attrs.update({"units": "mrad"}))
     with pytest.raises(InvalidInput, match="'mrad/s'"):  # the rates are still in rad/s
         read_recording(path)
@@ -472,7 +470,7 @@ def test_netcdf_units_come_from_the_file(tmp_path: Path) -> None:
         read_recording(path, columns=["angle"])
 
 
-def test_other_netcdf_is_refused(tmp_path: Path) -> None:
+def test_other_netcdf_is_refused(tmp_path):
     path = tmp_path / "o.nc"
     with h5netcdf.File(path, "w") as file:
         file.dimensions = {"time": 3}
@@ -493,7 +491,7 @@ def test_other_netcdf_is_refused(tmp_path: Path) -> None:
         read_recording(path)
 
 
-def test_cut_netcdf_is_named_as_damaged(tmp_path: Path) -> None:
+def test_cut_netcdf_is_named_as_damaged(tmp_path):
     recordings()["angles"].to_netcdf(tmp_path / "r.nc")
     content = (tmp_path / "r.nc").read_bytes()
     for share in np.linspace(0.01, 0.99, 25):
@@ -503,7 +501,7 @@ def test_cut_netcdf_is_named_as_damaged(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a file size limit")
-def test_a_full_disk_leaves_the_earlier_netcdf(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_the_earlier_netcdf(tmp_path):
     path = tmp_path / "r.nc"
     recordings()["angles"].to_netcdf(path)
     before = path.read_bytes()
@@ -557,7 +555,7 @@ def mat(tmp_path: Path, content: dict[str, Any]) -> Path:
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_mat_pieces_are_joined(tmp_path: Path, n: int) -> None:
+def test_mat_pieces_are_joined(tmp_path, n):
     t, data, rates = swing(n, 403)
     recording = read_recording(mat(tmp_path, mat_content(n)))
     assert recording.rates is not None
@@ -571,7 +569,7 @@ def test_mat_pieces_are_joined(tmp_path: Path, n: int) -> None:
         read_recording(tmp_path / "p.mat", unit="deg")
 
 
-def test_mat_files_that_are_not_packed_hold_the_same(tmp_path: Path) -> None:
+def test_mat_files_that_are_not_packed_hold_the_same(tmp_path):
     packed = read_recording(mat(tmp_path, mat_content(2)))
     others = {"name": "swing", "gains": np.array([1.0 + 2.0j]), "n": np.int16([[2]]), "empty": np.zeros((0, 0))}
     scipy.io.savemat(tmp_path / "plain.mat", others | mat_content(2) | {"log": {"a": 1.0}}, do_compression=False)
@@ -600,7 +598,7 @@ BAD_MATS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-def test_mat_pieces_may_lie_apart(tmp_path: Path) -> None:
+def test_mat_pieces_may_lie_apart(tmp_path):
     content = mat_content(2)
     for piece in content["Time_vad"].ravel():
         piece += 2.0
@@ -609,12 +607,12 @@ def test_mat_pieces_may_lie_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("content", "match"), BAD_MATS.values(), ids=BAD_MATS.keys())
-def test_other_mat_files_are_refused(tmp_path: Path, content: dict[str, Any], match: str) -> None:
+def test_other_mat_files_are_refused(tmp_path, content, match):
     with pytest.raises(InvalidInput, match=match):
         read_recording(mat(tmp_path, content))
 
 
-def test_cut_and_altered_mat_files_are_named_as_damaged(tmp_path: Path) -> None:
+def test_cut_and_altered_mat_files_are_named_as_damaged(tmp_path):
     content = mat(tmp_path, mat_content(3)).read_bytes()
     bad = tmp_path / "bad.mat"
     for share in np.linspace(0.001, 0.999, 60):
@@ -638,7 +636,7 @@ def test_cut_and_altered_mat_files_are_named_as_damaged(tmp_path: Path) -> None:
     [((9, 176), (10, 176)), ((9, 176), (9, 8)), ((9, 176), (9, 1 << 31)), ((5, 8, 2, 11), (5, 8, 2, 1 << 30))],
     ids=["kind of numbers", "too few", "too many", "sizes"],
 )
-def test_elements_of_mat_files_are_checked(tmp_path: Path, old: tuple[int, ...], new: tuple[int, ...]) -> None:
+def test_elements_of_mat_files_are_checked(tmp_path, old, new):
     """A kind of numbers that there is not, which scipy's reader crashes the interpreter over, and wrong sizes."""
     content = mat_content(1) | {"Y_id": cell([np.zeros((2, 11))])}
     scipy.io.savemat(tmp_path / "bad.mat", content)
@@ -653,7 +651,7 @@ def test_elements_of_mat_files_are_checked(tmp_path: Path, old: tuple[int, ...],
 # ---- the real files
 
 
-def test_real_mat_files_agree_with_their_csv_copies(data_dir: Path) -> None:
+def test_real_mat_files_agree_with_their_csv_copies(data_dir):
     for folder, name in (("multiarm_triple", "Triple"), ("multiarm_single", "Single")):
         original = read_recording(data_dir / folder / f"{name}PendulumDataForParameterEstimation.mat")
         copy = read_recording(data_dir / folder / "angles_1kHz.csv", time_unit="s", unit="rad")
@@ -661,7 +659,7 @@ def test_real_mat_files_agree_with_their_csv_copies(data_dir: Path) -> None:
         np.testing.assert_allclose(original.data, copy.data, atol=5.1e-7)  # the copy is rounded to 1e-6 rad
 
 
-def test_a_real_recording_may_lack_two_seconds(data_dir: Path, tmp_path: Path) -> None:
+def test_a_real_recording_may_lack_two_seconds(data_dir, tmp_path):
     lines = (data_dir / "multiarm_triple" / "angles_1kHz.csv").read_text().splitlines(keepends=True)
     path = tmp_path / "holed.csv"
     path.write_text("".join([*lines[:8001], *lines[10001:]]))
@@ -670,7 +668,7 @@ def test_a_real_recording_may_lack_two_seconds(data_dir: Path, tmp_path: Path) -
     np.testing.assert_allclose(np.diff(recording.t).max(), 2.001, rtol=1e-9)  # times are written to 1 ms
 
 
-def test_real_markers_agree_with_the_angles_they_came_from(data_dir: Path) -> None:
+def test_real_markers_agree_with_the_angles_they_came_from(data_dir):
     folder = data_dir / "multiarm_triple"
     markers = read_recording(folder / "markers_200Hz_from_angles.csv", time_unit="s", unit="m", y_axis="up")
     angles = read_recording(folder / "angles_1kHz.csv", time_unit="s", unit="rad").decimate(5)

@@ -1,7 +1,5 @@
 """Regression (4)-(6): the columns against the mass matrix and bias of `hyperflex.dynamics`, least squares, refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -79,7 +77,7 @@ def test_columns_are_what_the_torques_change_by():
     names = ["mass[2]", "inertia[0]", "tip_mass", "friction[1]", "dry_friction[3]", "stiffness[2]"]
     made = hf.fit_regression(rope, q, qd, qdd, names)
 
-    def torque(each: hf.Rope) -> np.ndarray:
+    def torque(each):
         return mass_matrix(each, q[0]) @ qdd[0] + bias(each, q[0], qd[0])
 
     for k, name in enumerate(names):
@@ -229,7 +227,7 @@ def test_too_few_samples_are_refused():
         hf.fit_regression(rough_rope(), *states(1), ["p[1]", "J", "friction"]).solve()
 
 
-def test_air_drag_is_the_virtual_work_of_the_wind_along_the_links() -> None:
+def test_air_drag_is_the_virtual_work_of_the_wind_along_the_links():
     """Its columns against 4000 strips a link, each with its own velocity across the link and lever dx/dq.
 
     Midpoints err by the square of a strip's part of a link times the curvature of v |v|, 1e-7 of the torque.

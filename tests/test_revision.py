@@ -1,19 +1,11 @@
 """The paper's method: initial state by downhill simplex (7), revision in turn (Fig. 4), and NF and CM beside it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 import hyperflex as hf
 from hyperflex.errors import IdentificationError, InvalidInput
-from hyperflex.paper import (
-    cylinder_inertia,
-    natural_frequency_inertia,
-    natural_period,
-    squared_error,
-    swing_period,
-)
+from hyperflex.paper import cylinder_inertia, natural_frequency_inertia, natural_period, squared_error, swing_period
 from hyperflex.paper import simplex as _simplex
 from tests.faults.interrupting import left_by
 

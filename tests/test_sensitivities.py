@@ -1,7 +1,5 @@
 """Derivatives of whole rollouts: against differences along a frozen step sequence, closed forms, and refusals."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable
@@ -88,7 +86,7 @@ def check(make: Callable[[float], hf.Setup], wrt: Any, size: float) -> None:
 
 @pytest.mark.parametrize("name", ["q0", "qd0"])
 @pytest.mark.parametrize("link", [0, N - 1])
-def test_start(name: str, link: int) -> None:
+def test_start(name, link):
     it, unit = setup(), np.eye(N)[link]
     check(lambda x: replace(it, **{name: getattr(it, name) + x * unit}), f"{name}[{link}]", 1e-3)
 
@@ -97,14 +95,14 @@ LINKS = ("length", "mass", "com", "inertia", "friction", "stiffness", "rest_angl
 
 
 @pytest.mark.parametrize("name", LINKS)
-def test_rope_parameter_of_one_link(name: str) -> None:
+def test_rope_parameter_of_one_link(name):
     base, unit = rope(), np.eye(N)[2]
     values = getattr(base, name)
     size = 0.02 * (1.0 if name == "rest_angle" else abs(values[2]))
     check(lambda x: setup(rope=base.replace(**{name: values + x * unit})), f"{name}[2]", size)
 
 
-def test_rope_parameter_of_all_links_is_the_sum_over_links() -> None:
+def test_rope_parameter_of_all_links_is_the_sum_over_links():
     it = hf.sensitivities(setup(), t_eval=TIMES, wrt=["friction", "friction[:]", "length", "length[:]"])
     assert it.names == (
         "friction",
@@ -119,18 +117,18 @@ def test_rope_parameter_of_all_links_is_the_sum_over_links() -> None:
             np.testing.assert_allclose(values[:, :, shared], total, rtol=1e-9, atol=1e-9 * np.abs(total).max())
 
 
-def test_tip_mass() -> None:
+def test_tip_mass():
     check(lambda x: setup(rope=rope(tip_mass=0.01 + x)), "tip_mass", 2e-4)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_gravity_turns_the_start_where_that_is_the_rope_at_rest(axis: int) -> None:
+def test_gravity_turns_the_start_where_that_is_the_rope_at_rest(axis):
     unit = np.eye(2)[axis]
     check(lambda x: setup(rope=rope(gravity=rope().gravity + x * unit)), f"gravity[{axis}]", 0.02)
     check(lambda x: setup(rope=rope(gravity=rope().gravity + x * unit), q0=None), f"gravity[{axis}]", 0.02)
 
 
-def test_arm_length() -> None:
+def test_arm_length():
     check(lambda x: setup(arm=hf.Arm(length=0.105 + x)), "arm.length", 1e-3)
 
 
@@ -150,33 +148,33 @@ MOTIONS: dict[str, tuple[Callable[..., hf.Motion], dict[str, Any], tuple[str, ..
 
 
 @pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind, (_, _, names) in MOTIONS.items() for name in names])
-def test_motion_parameter_through_its_switches(kind: str, name: str) -> None:
+def test_motion_parameter_through_its_switches(kind, name):
     maker, values, _ = MOTIONS[kind]
     # A switch, which moves by some tens of spacings, must stay far from outputs and neighbours.
     size = 1e-3 if name in ("start", "end") else 2e-5
     check(lambda x: setup(motion=maker(**{**values, name: values[name] + x})), f"motion.{name}", size)
 
 
-def test_delay() -> None:
+def test_delay():
     swings = hf.arm_swings()
     check(lambda x: setup(motion=swings.shifted(0.1 + x)), "motion.delay", 2e-5)
 
 
-def test_sample_of_a_moving_point() -> None:
+def test_sample_of_a_moving_point():
     t, x = np.linspace(0.0, 1.1, 6), np.array([0.0, 0.1, 0.3, 0.2, 0.0, 0.1])
     unit = np.eye(6)[2]
     check(lambda s: setup(motion=hf.moving_pivot(t, x, x + s * unit), arm=None), "motion.y[2]", 1e-3)
 
 
-def test_own_direction() -> None:
-    def cable(radius: float) -> hf.Rope:
+def test_own_direction():
+    def cable(radius):
         return rope(inertia=rope().mass * (3.0 * radius**2 + rope().length ** 2) / 12.0)
 
     way = {"radius": {"inertia": 0.5 * rope().mass * 0.05}}
     check(lambda x: setup(rope=cable(0.05 + x)), way, 1e-3)
 
 
-def test_tip_and_states_are_those_of_the_run() -> None:
+def test_tip_and_states_are_those_of_the_run():
     it = setup()
     whole = hf.sensitivities(it, t_eval=TIMES, wrt="motion.t_rest")
     run = hf.simulate(it, t_eval=TIMES)
@@ -185,8 +183,8 @@ def test_tip_and_states_are_those_of_the_run() -> None:
 
 
 @pytest.mark.parametrize("name", ["length[1]", "motion.t_move", "arm.length", "q0[0]"])
-def test_tip(name: str) -> None:
-    def make(x: float) -> hf.Setup:
+def test_tip(name):
+    def make(x):
         base, unit = rope(), np.eye(N)[1]
         if name == "length[1]":
             return setup(rope=base.replace(length=base.length + x * unit))
@@ -204,7 +202,7 @@ def test_tip(name: str) -> None:
     np.testing.assert_allclose(got, want, rtol=0.0, atol=2e-5 * np.abs(want).max())
 
 
-def test_period_of_a_pendulum_against_its_length() -> None:
+def test_period_of_a_pendulum_against_its_length():
     """Small swings: q = q0 cos(t sqrt(g / l)), so dq / dl = q0 sin(w t) w t / (2 l)."""
     length, q0, t = 0.7, 1e-4, np.linspace(0.1, 5.0, 9)
     pendulum = hf.Rope(length=[length], mass=[0.2], com=[length], inertia=[0.0])
@@ -217,7 +215,7 @@ def test_period_of_a_pendulum_against_its_length() -> None:
     np.testing.assert_allclose(got.dq[:, 0, 1], want * length / 9.81, rtol=0.0, atol=1e-7 * np.abs(want).max())
 
 
-def test_prepared_slopes_equal_the_whole_and_take_another_rope() -> None:
+def test_prepared_slopes_equal_the_whole_and_take_another_rope():
     it = setup()
     names = ["friction", "q0[0]", "motion.t_rest"]
     slopes = AngleJacobian(it, names)
@@ -229,7 +227,7 @@ def test_prepared_slopes_equal_the_whole_and_take_another_rope() -> None:
             np.testing.assert_array_equal(one, two)
 
 
-def test_dataset_is_labelled() -> None:
+def test_dataset_is_labelled():
     data = hf.sensitivities(setup(), t_eval=[1.0], wrt=["friction", "q0"]).dataset
     assert dict(data.sizes) == {"time": 1, "link": N, "axis": 2, "parameter": N + 1}
     assert data.dq.sel(parameter="q0[3]").dims == ("time", "link")
@@ -248,12 +246,12 @@ BAD: dict[str, tuple[Any, str]] = {
 
 
 @pytest.mark.parametrize(("wrt", "word"), BAD.values(), ids=BAD.keys())
-def test_what_cannot_be_used_is_refused_with_what_can(wrt: Any, word: str) -> None:
+def test_what_cannot_be_used_is_refused_with_what_can(wrt, word):
     with pytest.raises(hf.errors.InvalidInput, match=word):
         hf.sensitivities(setup(), wrt=wrt)
 
 
-def test_what_has_no_derivative_is_refused() -> None:
+def test_what_has_no_derivative_is_refused():
     with pytest.raises(hf.errors.InvalidInput, match=r"wrt is empty.*Say what.*wrt='friction'"):
         hf.sensitivities(setup(), wrt=[])
     with pytest.raises(hf.errors.InvalidInput, match="extrapolation"):

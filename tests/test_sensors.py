@@ -1,7 +1,5 @@
 """What sensors would show, and its derivatives, against the simulator's own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,7 +10,7 @@ import hyperflex as hf
 from hyperflex import dynamics
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.sensors import Accelerometer, Angles, Markers, Measurement, MotorTorque, Sensor
+from hyperflex.sensors import Accelerometer, Angles, Markers, Measurement, MotorTorque
 
 ROPE = hf.Rope(
     length=[0.2, 0.25, 0.15],
@@ -37,14 +35,14 @@ def check_differences(measure: Callable[[Array], Measurement], atol: float) -> N
         np.testing.assert_allclose(found.H[:, k], change, rtol=0, atol=atol)
 
 
-def test_angles_are_the_states() -> None:
+def test_angles_are_the_states():
     found = Angles().measure(ROPE, ARM, state(X))
     np.testing.assert_array_equal(found.y, X[1:4])
     check_differences(lambda x: Angles().measure(ROPE, ARM, state(x)), 1e-10)
     assert found.D.shape == (3, 1)
 
 
-def test_markers_are_where_the_rope_is() -> None:
+def test_markers_are_where_the_rope_is():
     """At the joints, a third along a link and beyond the tip; the camera sees the origin elsewhere."""
     joints = hf.forward_kinematics(ROPE, X[1:4], arm=ARM, arm_angle=X[0])
     seen = Markers([0.0, 0.2, 0.2 + 0.25 / 3, 0.6, 0.63], origin=(0.02, 0.01))
@@ -57,7 +55,7 @@ def test_markers_are_where_the_rope_is() -> None:
         Markers([])
 
 
-def test_torque_is_the_simulators() -> None:
+def test_torque_is_the_simulators():
     motion = hf.move_arm(0.4, 1.4, 0.5)
     run = hf.simulate(ROPE, motion, arm=ARM, duration=0.2, q0=X[1:4], qd0=X[5:])
     for k in (0, 7, 15):
@@ -66,14 +64,14 @@ def test_torque_is_the_simulators() -> None:
         assert found.y[0] == pytest.approx(run.motor_torque[k], abs=1e-10)
 
 
-def test_torques_derivatives_are_those_of_differences() -> None:
+def test_torques_derivatives_are_those_of_differences():
     """Both are central differences, of 1e-5, or chained from them: 1e-10 of third derivatives of some hundreds."""
     check_differences(lambda x: MotorTorque(ARM).measure(ROPE, ARM, state(x), 3.0), 1e-6)
     ends = [MotorTorque(ARM).measure(ROPE, ARM, state(X), u) for u in (3.0, 5.0)]
     assert ends[0].D[0, 0] == pytest.approx((ends[1].y[0] - ends[0].y[0]) / 2.0, rel=1e-8)  # linear in it
 
 
-def test_torque_and_acceleration_are_inverse() -> None:
+def test_torque_and_acceleration_are_inverse():
     """The torque that a prescribed arm asks for drives a free one with the same acceleration."""
     found = MotorTorque(ARM).measure(ROPE, ARM, state(X), 3.0)
     stepper, dt = hf.Stepper(ROPE, arm=ARM, command="torque", tol=1e-10), 1e-5
@@ -90,7 +88,7 @@ def dry(rope: hf.Rope) -> hf.Rope:
     return rope.replace(dry_friction=[1e-3, 1.0, 1e-3])
 
 
-def test_pendulum_at_rest_reads_g_along_the_link() -> None:
+def test_pendulum_at_rest_reads_g_along_the_link():
     """Gravity from the side: the rope hangs askew, and its accelerometers with it. A bias adds to what is read."""
     for gravity in ((0.0, -9.81), (3.0, -4.0)):
         rope = ROPE.replace(gravity=gravity)
@@ -100,7 +98,7 @@ def test_pendulum_at_rest_reads_g_along_the_link() -> None:
             np.testing.assert_allclose(found.y, [0.1, np.hypot(*gravity) - 0.2], rtol=0, atol=1e-12)
 
 
-def test_swinging_pendulum_reads_the_closed_form() -> None:
+def test_swinging_pendulum_reads_the_closed_form():
     """One rigid link on a fixed hinge, alpha = -m a g sin q / I: (g sin q + s alpha, g cos q + s w^2)."""
     rod = hf.Rope(length=[0.5], mass=[0.2], com=[0.25], inertia=[0.01], gravity=(0.0, -9.81))
     q, w, s = 0.7, -3.0, 0.4
@@ -111,7 +109,7 @@ def test_swinging_pendulum_reads_the_closed_form() -> None:
     np.testing.assert_allclose(found.y, expected, rtol=1e-13)
 
 
-def test_at_its_centre_of_percussion_a_free_pendulum_reads_nothing_across() -> None:
+def test_at_its_centre_of_percussion_a_free_pendulum_reads_nothing_across():
     """s = I / (m a), known since Huygens; also while it swings."""
     rod = hf.Rope(length=[0.5], mass=[0.2], com=[0.25], inertia=[0.01])
     s = (0.01 + 0.2 * 0.25**2) / (0.2 * 0.25)
@@ -119,7 +117,7 @@ def test_at_its_centre_of_percussion_a_free_pendulum_reads_nothing_across() -> N
     assert Accelerometer(0, s).measure(rod, hf.Arm(0.1), at).y[0] == pytest.approx(0.0, abs=1e-13)
 
 
-def test_acceleration_is_that_of_a_marker_in_a_run() -> None:
+def test_acceleration_is_that_of_a_marker_in_a_run():
     """Second differences of the places in a run, 1 ms apart: h^2 / 12 of the fourth derivative, some 1e5 m/s^4."""
     h, motion = 1e-3, hf.move_arm(0.4, 1.4, 0.5)
     t = 0.1 + h * np.arange(-1, 2)
@@ -136,7 +134,7 @@ def test_acceleration_is_that_of_a_marker_in_a_run() -> None:
 
 
 @pytest.mark.parametrize("rope", [ROPE, dry(ROPE)], ids=["viscous", "dry"])
-def test_accelerations_derivatives_are_those_of_differences(rope: hf.Rope) -> None:
+def test_accelerations_derivatives_are_those_of_differences(rope):
     """Central differences of 1e-5 of values to some hundreds: rounding and third derivatives leave some 1e-7."""
     for link, s in PLACES:
         sensor = Accelerometer(link, s, bias=(0.1, 0.2))
@@ -145,7 +143,7 @@ def test_accelerations_derivatives_are_those_of_differences(rope: hf.Rope) -> No
         np.testing.assert_allclose(ends[0].D[:, 0], (ends[1].y - ends[0].y) / 2.0, rtol=0, atol=1e-11)  # linear in it
 
 
-def test_accelerations_derivatives_by_the_sensors_values() -> None:
+def test_accelerations_derivatives_by_the_sensors_values():
     sensor, step = Accelerometer(1, 0.3, bias=(0.1, 0.2)), 1e-4
     found = sensor.value_jacobian(ROPE, ARM, state(X), 3.0)
     for k, e in enumerate(step * np.eye(3)):
@@ -153,7 +151,7 @@ def test_accelerations_derivatives_by_the_sensors_values() -> None:
         np.testing.assert_allclose(found[:, k], (ends[0] - ends[1]) / (2.0 * step), rtol=0, atol=1e-9)  # linear in them
 
 
-def test_stuck_joint_makes_two_links_one() -> None:
+def test_stuck_joint_makes_two_links_one():
     """Links that dry friction holds together read what one rigid link of both reads."""
     stuck = dry(ROPE).replace(stiffness=[0.0, 0.0, 0.0])
     at = hf.State(0.0, np.array([0.3, 0.3, 0.9]), np.array([1.0, 1.0, 0.5]), arm_angle=0.4, arm_rate=1.5)
@@ -167,11 +165,11 @@ def test_stuck_joint_makes_two_links_one() -> None:
     assert np.abs(ends[False]).max() > 1.0
 
 
-def test_acceleration_under_a_torque_follows_by_the_chain_rule() -> None:
+def test_acceleration_under_a_torque_follows_by_the_chain_rule():
     """As the docstring says: H + D A[n + 1] and D B[n + 1]."""
     sensor, tau = Accelerometer(2, 0.5), 0.2
 
-    def seen(x: Array, u: float) -> Measurement:
+    def seen(x, u):
         a, b = hf.linearize(ROPE, ARM, x[1:4], x[5:], x[0], x[4], command="torque", u=u)
         linear = dynamics.partial_linearization(ROPE, ARM, x[1:4], x[5:], x[0], x[4])
         found = sensor.measure(ROPE, ARM, state(x), dynamics.input_from_torque(linear, u))
@@ -182,7 +180,7 @@ def test_acceleration_under_a_torque_follows_by_the_chain_rule() -> None:
     np.testing.assert_allclose(seen(X, tau).D[:, 0], change, rtol=1e-8, atol=1e-8)
 
 
-def test_accelerometer_beside_markers_in_a_filter() -> None:
+def test_accelerometer_beside_markers_in_a_filter():
     """A twin whose rates are off by half a rad/s: with the accelerometer the filter knows its state better."""
     stepper, dt, rng = hf.Stepper(ROPE, arm=ARM, command="acceleration"), 0.01, np.random.default_rng(5)
     camera, imu = Markers([0.2, 0.6]), Accelerometer(2, 0.6)
@@ -228,7 +226,7 @@ def test_accelerometer_beside_markers_in_a_filter() -> None:
         (2, 0.61, "on link 2"),
     ],
 )
-def test_accelerometer_refuses_places_that_are_not_on_its_link(link: int, s: float, match: str) -> None:
+def test_accelerometer_refuses_places_that_are_not_on_its_link(link, s, match):
     with pytest.raises(InvalidInput, match=match):
         Accelerometer(link, s).measure(ROPE, ARM, state(X))
 
@@ -236,7 +234,7 @@ def test_accelerometer_refuses_places_that_are_not_on_its_link(link: int, s: flo
 @pytest.mark.parametrize(
     "sensor", [Angles(), Markers([0.5]), Accelerometer(0, 0.5 * float(ROPE.length[0])), MotorTorque(ARM)]
 )
-def test_every_sensor_measures_by_the_same_call_and_refuses_what_cannot_be(sensor: Sensor) -> None:
+def test_every_sensor_measures_by_the_same_call_and_refuses_what_cannot_be(sensor):
     found = sensor.measure(ROPE, ARM, state(X), acceleration=0.5)
     assert found.H.shape == (found.y.size, 2 * ROPE.n_links + 2)
     assert found.D.shape == (found.y.size, 1)
@@ -246,6 +244,6 @@ def test_every_sensor_measures_by_the_same_call_and_refuses_what_cannot_be(senso
     with pytest.raises(hf.InvalidInput, match="acceleration"):
         sensor.measure(ROPE, ARM, state(X), np.nan)
     with pytest.raises(hf.InvalidInput, match="a rope on an arm"):
-        sensor.measure(ARM, ROPE, state(X))  # type: ignore[arg-type]
+        sensor.measure(ARM, ROPE, state(X))
     with pytest.raises(hf.InvalidInput, match="a rope on an arm"):
-        sensor.measure(ROPE, ARM, None)  # type: ignore[arg-type]
+        sensor.measure(ROPE, ARM, None)

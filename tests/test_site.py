@@ -1,7 +1,5 @@
 """The documentation's site: what its hook and its extension of Griffe make of docstrings."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from types import ModuleType
@@ -35,7 +33,7 @@ def load(name: str) -> ModuleType:
     return module
 
 
-def test_parameters_of_one_line_have_types_and_defaults_of_their_own(tmp_path: Path) -> None:
+def test_parameters_of_one_line_have_types_and_defaults_of_their_own(tmp_path):
     (tmp_path / "planner.py").write_text(MODULE)
     extensions = griffe.load_extensions(load("signatures").Signatures())
     loader = griffe.GriffeLoader(search_paths=[tmp_path], extensions=extensions, docstring_parser="numpy")
@@ -50,7 +48,7 @@ def test_parameters_of_one_line_have_types_and_defaults_of_their_own(tmp_path: P
     ]
 
 
-def test_pages_lose_roles_and_empty_dashes_and_keep_options_whole() -> None:
+def test_pages_lose_roles_and_empty_dashes_and_keep_options_whole():
     made = load("roles").on_page_content
     assert made(":func:<code>~hyperflex.plan_cast</code>") == "<code>plan_cast</code>"
     assert (

@@ -1,7 +1,5 @@
 """A rope that starts inside an obstacle is refused, and one that touches it is not."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -25,7 +23,7 @@ ROPE = hf.Rope.uniform(0.6, 0.06, 6, RADIUS, friction=1e-3)
         (hf.Wall(0.001, -0.5, 0.2, -0.5), r"mm deep in it: got Wall"),  # its joint on the end of a wall
     ],
 )
-def test_a_start_inside_is_refused(obstacle: hf.Peg | hf.Wall | hf.Ground, words: str) -> None:
+def test_a_start_inside_is_refused(obstacle, words):
     with pytest.raises(InvalidInput, match=words):
         hf.simulate(ROPE, duration=0.1, pegs=[hf.Peg(5.0, 5.0, 0.03), obstacle], refine=False)
 
@@ -40,13 +38,13 @@ def test_a_start_inside_is_refused(obstacle: hf.Peg | hf.Wall | hf.Ground, words
         hf.Ground(0.0, -0.7),
     ],
 )
-def test_a_start_that_touches_is_not(obstacle: hf.Peg | hf.Wall | hf.Ground) -> None:
+def test_a_start_that_touches_is_not(obstacle):
     setup = hf.Setup(ROPE, pegs=[obstacle])
     check_outside(setup)  # raises nothing
     assert depths(setup.contacts(), hf.simulate(ROPE, duration=1e-3).joints[0]).max() < SHALLOW
 
 
-def test_an_arm_carries_the_rope_clear_of_a_peg() -> None:
+def test_an_arm_carries_the_rope_clear_of_a_peg():
     """Where the arm stands at the start counts; of a driven arm no link does, and links count from the rope's first."""
     peg = hf.Peg(0.0, -0.4, 0.03)
     with pytest.raises(InvalidInput, match="starts inside"):
@@ -60,13 +58,13 @@ def test_an_arm_carries_the_rope_clear_of_a_peg() -> None:
         check_outside(hf.Setup(ROPE, arm=hf.Arm(length=0.3, inertia=1e-3), pegs=[beside], **driven))
 
 
-def test_a_batch_names_the_member() -> None:
+def test_a_batch_names_the_member():
     q0 = np.array([1.5, 0.0])[:, None] + np.zeros(6)
     with pytest.raises(InvalidInput, match="the rope of member 1 starts inside an obstacle: link 5"):
         hf.simulate_batch(ROPE, q0=q0, duration=0.1, pegs=[hf.Ground(0.0, -0.5)], refine=False)
 
 
-def test_depths_are_those_of_a_fine_sampling() -> None:
+def test_depths_are_those_of_a_fine_sampling():
     rng = np.random.default_rng(3)
     joints = np.cumsum(rng.normal(0.0, 0.1, (20, 2)), axis=0)
     pegs = hf.Setup(ROPE, pegs=[hf.Peg(0.1, 0.05, 0.04), hf.Peg(-0.2, 0.1, 0.06)]).contacts()

@@ -1,7 +1,5 @@
 """A run taken interval by interval: the same as in one go, its derivatives those of dense algebra, no hidden state."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from collections.abc import Callable
@@ -69,7 +67,7 @@ def vector(state: hf.State) -> Array:
 
 @EACH
 @pytest.mark.parametrize("dry", [0.0, 2e-3], ids=["viscous", "dry"])
-def test_steps_are_those_of_a_single_run(command: str, dry: float) -> None:
+def test_steps_are_those_of_a_single_run(command, dry):
     """It takes the very steps that a run with these switches takes: only rounding differs."""
     cable, given = rope(dry_friction=dry), commands(command, 30)
     states = walk(stepper := hf.Stepper(cable, arm=ARM, command=command), stepper.start(), given)
@@ -87,7 +85,7 @@ def test_steps_are_those_of_a_single_run(command: str, dry: float) -> None:
 
 
 @pytest.mark.parametrize("command", ["acceleration", "torque"])
-def test_beside_a_peg_a_run_in_steps_is_a_run(command: str) -> None:
+def test_beside_a_peg_a_run_in_steps_is_a_run(command):
     """Contact steps are cut elsewhere: the two agree far within the accuracy of such steps, here 0.02 and 3 mm."""
     cable = rope(12, friction=2e-3)
     peg = hf.Peg(0.05, -0.5, 0.03, mu=0.3)
@@ -108,7 +106,7 @@ def test_beside_a_peg_a_run_in_steps_is_a_run(command: str) -> None:
         np.testing.assert_array_equal(again[-1].q, states[-1].q)
 
 
-def test_joints_keep_their_limits_in_steps_as_in_a_run() -> None:
+def test_joints_keep_their_limits_in_steps_as_in_a_run():
     """As with a peg: steps at a limit are cut elsewhere."""
     cable, given = rope(6, friction=1e-3, max_bend=0.25), np.repeat([40.0, -40.0, 20.0], 5)
     stepper = hf.Stepper(cable, arm=ARM)
@@ -128,10 +126,10 @@ def test_joints_keep_their_limits_in_steps_as_in_a_run() -> None:
 
 
 @pytest.mark.parametrize("pegs", [(), (hf.Peg(0.05, -0.5, 0.03, mu=0.3),)], ids=["free", "peg"])
-def test_a_torque_callback_is_a_stepper(pegs: tuple[hf.Peg, ...]) -> None:
+def test_a_torque_callback_is_a_stepper(pegs):
     cable, q0 = rope(12, friction=2e-3), np.full(12, 0.6)
 
-    def control(t: float, angle: float, rate: float, q: Array, qd: Array) -> float:
+    def control(t, angle, rate, q, qd):
         return 0.3 - 0.1 * angle - 0.02 * rate + 0.05 * q[-1]
 
     run = hf.simulate(
@@ -176,7 +174,7 @@ def differences(step: Callable[[Array, float], Array], x: Array, u: float, size:
 
 
 @pytest.mark.parametrize(("command", "dry"), [("acceleration", 0.0), ("acceleration", 1e-3), ("torque", 0.0)])
-def test_derivatives_are_those_of_dense_algebra(command: str, dry: float) -> None:
+def test_derivatives_are_those_of_dense_algebra(command, dry):
     """Central differences of 1e-4 err by some 1e-8 of third derivatives that are a hundred times as large."""
     cable = rope(3, dry_friction=dry, stiffness=2e-3)
     rng = np.random.default_rng(1)
@@ -191,7 +189,7 @@ def test_derivatives_are_those_of_dense_algebra(command: str, dry: float) -> Non
     np.testing.assert_array_equal(found.state.q, stepper.step(state, u, DT).q)
 
 
-def test_derivatives_go_through_a_joint_that_comes_to_rest() -> None:
+def test_derivatives_go_through_a_joint_that_comes_to_rest():
     cable, u = rope(3, dry_friction=[0.0, 0.01, 0.0], friction=1e-3), 3.0
     q, qd = np.array([0.3, 0.5, 0.4]), np.array([0.5, 1.2, 0.2])
     x = np.concatenate([[0.2], q, [0.4], qd])
@@ -207,7 +205,7 @@ def test_derivatives_go_through_a_joint_that_comes_to_rest() -> None:
     np.testing.assert_allclose(found.B, b, rtol=0, atol=1e-5)
 
 
-def test_derivatives_from_a_state_in_which_a_joint_sticks() -> None:
+def test_derivatives_from_a_state_in_which_a_joint_sticks():
     """A little rate given to a joint that sticks is stopped at once, and momentum is kept."""
     cable, u = rope(3, dry_friction=[0.0, 0.05, 0.0], friction=1e-3), 3.0
     q, qd = np.array([0.3, 0.5, 0.4]), np.array([0.5, 0.5, 0.2])
@@ -221,12 +219,12 @@ def test_derivatives_from_a_state_in_which_a_joint_sticks() -> None:
     np.testing.assert_allclose(found.B, b, rtol=0, atol=1e-5)
 
 
-def test_derivatives_of_an_angle_command_are_those_of_differences() -> None:
+def test_derivatives_of_an_angle_command_are_those_of_differences():
     stepper = hf.Stepper(rope(4), arm=ARM, command="angle", tol=1e-11)
     rng = np.random.default_rng(2)
     x = np.concatenate([rng.uniform(-1.0, 1.0, 5), rng.uniform(-4.0, 4.0, 5)])
 
-    def step(x: Array, u: float) -> Array:
+    def step(x, u):
         return vector(stepper.step(stepper.start(x[1:5], x[6:], arm_angle=x[0], arm_rate=x[5]), u, DT))
 
     found = stepper.linearize(stepper.start(x[1:5], x[6:], arm_angle=x[0], arm_rate=x[5]), x[0] + 0.1, DT)
@@ -237,7 +235,7 @@ def test_derivatives_of_an_angle_command_are_those_of_differences() -> None:
 
 @EACH
 @pytest.mark.parametrize("dry", [0.0, 2e-3], ids=["viscous", "dry"])
-def test_a_step_depends_on_its_arguments_alone(command: str, dry: float) -> None:
+def test_a_step_depends_on_its_arguments_alone(command, dry):
     cable, given = rope(dry_friction=dry), commands(command, 12)
     stepper = hf.Stepper(cable, arm=ARM, command=command)
     states = walk(stepper, stepper.start(), given)
@@ -252,7 +250,7 @@ def test_a_step_depends_on_its_arguments_alone(command: str, dry: float) -> None
         )
 
 
-def test_a_run_goes_on_in_steps_and_steps_in_a_run() -> None:
+def test_a_run_goes_on_in_steps_and_steps_in_a_run():
     cable, given = rope(), commands("acceleration", 12)
     whole = motion("acceleration", given)["motion"]
     run = hf.simulate(cable, whole, arm=ARM, duration=6 * DT, t_eval=[6 * DT])
@@ -268,7 +266,7 @@ def test_a_run_goes_on_in_steps_and_steps_in_a_run() -> None:
 
 
 @EACH
-def test_a_state_that_was_changed_counts_as_it_is(command: str) -> None:
+def test_a_state_that_was_changed_counts_as_it_is(command):
     """A filter corrects angles and rates: what was saved with the old ones is forgotten."""
     stepper = hf.Stepper(rope(), arm=ARM, command=command)
     state = walk(stepper, stepper.start(), commands(command, 5))[-1]
@@ -281,7 +279,7 @@ def test_a_state_that_was_changed_counts_as_it_is(command: str) -> None:
         assert "t" in change or np.abs(vector(one) - vector(stepper.step(state, 0.1, DT))).max() > 1e-3
 
 
-def test_bad_input_is_refused() -> None:
+def test_bad_input_is_refused():
     cable = rope()
     with pytest.raises(InvalidInput, match="command is not known"):
         hf.Stepper(cable, arm=ARM, command="speed")
@@ -298,7 +296,7 @@ def test_bad_input_is_refused() -> None:
         ((replace(state, qd=np.full(6, np.nan)), 1.0, DT), "state qd"),
     ):
         with pytest.raises(InvalidInput, match=words):
-            stepper.step(*arguments)  # type: ignore[arg-type]
+            stepper.step(*arguments)
     with pytest.raises(InvalidInput, match="state q has the wrong shape"):
         stepper.step(hf.Stepper(rope(4), arm=ARM).step(hf.Stepper(rope(4), arm=ARM).start(), 0.0, DT), 0.0, DT)
     beside = hf.Stepper(cable, arm=ARM, pegs=[hf.Peg(0.05, -0.5, 0.03)], refine=False)
@@ -308,7 +306,7 @@ def test_bad_input_is_refused() -> None:
         beside.linearize(beside.start(np.full(6, 1.2)), 0.0, DT)
 
 
-def test_a_step_that_fails_says_so_and_leaves_nothing_behind() -> None:
+def test_a_step_that_fails_says_so_and_leaves_nothing_behind():
     stepper = hf.Stepper(rope(), arm=ARM)
     state = stepper.step(stepper.start(), 5.0, DT)
     want = stepper.step(state, 5.0, DT)
@@ -317,7 +315,7 @@ def test_a_step_that_fails_says_so_and_leaves_nothing_behind() -> None:
     np.testing.assert_array_equal(vector(stepper.step(state, 5.0, DT)), vector(want))
 
 
-def test_gap_to_a_peg() -> None:
+def test_gap_to_a_peg():
     rope = hf.Rope.uniform(1.0, 0.06, 8, radius=0.003, friction=3e-4)
     peg = hf.Peg(0.1, -0.9, 0.05)
     stepper = hf.Stepper(rope, arm=hf.Arm(length=0.1), pegs=[peg], refine=False)
@@ -327,7 +325,7 @@ def test_gap_to_a_peg() -> None:
         hf.Stepper(rope, arm=hf.Arm(length=0.1)).gap(stepper.start())
 
 
-def test_a_state_changed_by_hand_is_checked_like_a_start() -> None:
+def test_a_state_changed_by_hand_is_checked_like_a_start():
     """Inside a peg or past a limit: refused, though the state comes from a step; its gap is told all the same."""
     cable = rope()
     stepper = hf.Stepper(cable, arm=ARM, pegs=[hf.Peg(0.267, -0.65, 0.03)], refine=False)
@@ -343,7 +341,7 @@ def test_a_state_changed_by_hand_is_checked_like_a_start() -> None:
         limited.step(replace(state, q=np.array([0.0, 0.0, 0.8, 0.8, 0.8, 0.8])), 0.0, DT)
 
 
-def test_energies_and_steps_of_a_state_count_when_they_are_replaced() -> None:
+def test_energies_and_steps_of_a_state_count_when_they_are_replaced():
     stepper = hf.Stepper(rope(), arm=ARM)
     state = stepper.step(stepper.start(), 1.0, DT)
     after = stepper.step(state, 0.0, DT)
@@ -352,13 +350,13 @@ def test_energies_and_steps_of_a_state_count_when_they_are_replaced() -> None:
         with pytest.raises(InvalidInput, match=f"state {name}"):
             stepper.step(replace(state, **{name: value}), 0.0, DT)
     with pytest.raises(InvalidInput, match="not a State"):
-        stepper.tip(None)  # type: ignore[arg-type]
+        stepper.tip(None)
     with pytest.raises(ValueError, match="read-only"):
         state.q[0] = 1.0
 
 
 @pytest.mark.parametrize("command", ["torque", "acceleration", "angle"])
-def test_a_state_goes_from_one_kind_of_command_to_another(command: str) -> None:
+def test_a_state_goes_from_one_kind_of_command_to_another(command):
     """Angles, rates and the arm's go along; what the integrator remembered of the other chain does not."""
     run = hf.simulate(rope(), hf.hold_arm(0.3), arm=ARM, duration=0.2, q0=np.full(6, 0.3))
     stepper = hf.Stepper(rope(), arm=ARM, command=command)

@@ -1,7 +1,5 @@
 """Derivatives of rollouts whose arm is driven by a torque, with dry friction in the shaft and in the rope."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -56,14 +54,14 @@ WAYS: dict[str, tuple[Callable[[float], hf.Setup], float]] = {
     "torque.torque[2]": (lambda x: setup(torque=hf.torque_profile(TIMES, raised(TORQUES, x, 2))), 1e-5),
     "torque.delay": (lambda x: setup(torque=hf.torque_profile(TIMES, TORQUES).shifted(0.05 + x)), 3e-5),
     **{
-        f"arm.{name}": (lambda x, name=name: setup(arm=hf.Arm(**{**ARM, name: ARM[name] + x})), 3e-3 * ARM[name])  # type: ignore[misc]
+        f"arm.{name}": (lambda x, name=name: setup(arm=hf.Arm(**{**ARM, name: ARM[name] + x})), 3e-3 * ARM[name])
         for name in ARM
     },
 }
 
 
 @pytest.mark.parametrize("name", WAYS)
-def test_each_name(name: str) -> None:
+def test_each_name(name):
     log = check(*WAYS[name][:1], name, WAYS[name][1]).progress.log
     joints = log[log[:, JOINT] >= 0.0]
     modes = np.array([row[MODES + int(row[JOINT])] for row in joints])
@@ -72,7 +70,7 @@ def test_each_name(name: str) -> None:
     assert (joints[:, JOINT] == 0.0).any()  # the shaft, too
 
 
-def test_arm_and_tip() -> None:
+def test_arm_and_tip():
     """A free pendulum of arm and rope that never move against each other: the arm's derivatives are the rope's."""
     stuck = setup(rope=rope(dry_friction=1.0), torque=hf.torque_profile([0.0, 1.0], [0.0, 0.0]), arm_rate0=0.3)
     stuck = replace(stuck, q0=[0.2, 0.2], qd0=[0.3, 0.3], arm=hf.Arm(**{**ARM, "dry_friction": 0.0}))
@@ -96,7 +94,7 @@ def test_arm_and_tip() -> None:
     np.testing.assert_array_equal(got.dataset.darm_angle.sel(parameter="arm.length"), got.darm_angle[:, 1])
 
 
-def test_states_are_those_of_the_run_and_prepared_slopes_have_the_arm_first() -> None:
+def test_states_are_those_of_the_run_and_prepared_slopes_have_the_arm_first():
     it, times = setup(), np.linspace(0.0, 1.4, 57)
     names = ["arm.inertia", "dry_friction"]
     whole, run = hf.sensitivities(it, t_eval=times, wrt=names), hf.simulate(it, t_eval=times)
@@ -110,12 +108,12 @@ def test_states_are_those_of_the_run_and_prepared_slopes_have_the_arm_first() ->
 
 
 @pytest.mark.parametrize("name", ["motion.delay", "arm.stiffness", "torque.torque[9]"])
-def test_what_a_torque_driven_arm_has_not(name: str) -> None:
+def test_what_a_torque_driven_arm_has_not(name):
     with pytest.raises(hf.errors.InvalidInput, match=r"arm_angle0|no parameter"):
         hf.sensitivities(setup(), wrt=name)
 
 
-def test_names_of_a_torque_driven_arm_are_refused_where_a_motion_turns_it() -> None:
+def test_names_of_a_torque_driven_arm_are_refused_where_a_motion_turns_it():
     prescribed = replace(setup(), torque=None, motion=hf.arm_swings())
     with pytest.raises(hf.errors.InvalidInput, match=r"arm\.length"):
         hf.sensitivities(prescribed, wrt="arm.inertia")

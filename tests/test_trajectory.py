@@ -1,7 +1,5 @@
 """Trajectory: kinematics, energies, and NetCDF files that are whole, lossless and refused when they are not ours."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 

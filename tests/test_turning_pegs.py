@@ -1,7 +1,5 @@
 """Pegs that turn at the doors: files, batches, states to go on from, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,7 @@ def fallen(**how: object) -> hf.Trajectory:
     return hf.simulate(CABLE, **{"duration": 0.6, "q0": np.full(18, 1.2), "pegs": pegs, **HOW, **how})
 
 
-def test_a_run_shows_the_round_pegs_and_survives_its_file(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_a_run_shows_the_round_pegs_and_survives_its_file(tmp_path):
     run = fallen()
     assert run.peg_angle.shape == run.peg_rate.shape == (run.t.size, 2)
     assert np.abs(run.peg_rate[:, 1]).max() > 1.0
@@ -38,7 +36,7 @@ def test_a_run_shows_the_round_pegs_and_survives_its_file(tmp_path) -> None:  # 
     np.testing.assert_array_equal(onwards[0].peg_angle[0], run.peg_angle[-1])
 
 
-def test_a_run_that_goes_on_agrees_with_one_that_was_not_stopped() -> None:
+def test_a_run_that_goes_on_agrees_with_one_that_was_not_stopped():
     whole = fallen(duration=0.5, t_eval=[0.44, 0.5], tol=1e-5, contact_step=2e-4)
     first = fallen(duration=0.44, tol=1e-5, contact_step=2e-4)
     then = fallen(duration=0.06, state=first.state, q0=None, t_eval=[0.5], tol=1e-5, contact_step=2e-4)
@@ -48,7 +46,7 @@ def test_a_run_that_goes_on_agrees_with_one_that_was_not_stopped() -> None:
     np.testing.assert_allclose(then.tip[-1], whole.tip[-1], rtol=0, atol=1e-4)
 
 
-def test_members_of_a_batch_are_runs_of_their_own() -> None:
+def test_members_of_a_batch_are_runs_of_their_own():
     pegs = [[PULLEY], [hf.Peg(0.0, -0.35, 0.03, 0.5)], [hf.Peg(0.01, -0.35, 0.03, 0.5, inertia=1e-6)]]
     t, q0 = [0.3, 0.6], np.full(18, 1.2)
     keep = ("q", "peg_angle", "peg_rate", "dissipated_energy")
@@ -63,7 +61,7 @@ def test_members_of_a_batch_are_runs_of_their_own() -> None:
     assert (np.abs(batch.peg_angle[[0, 2], -1, 0]) > 1e-3).all()
 
 
-def test_pegs_survive_their_file() -> None:
+def test_pegs_survive_their_file():
     pegs = (POST, PULLEY)
     assert hf.Setup.loads(hf.Setup(CABLE, pegs=pegs).dumps()).pegs == pegs
     assert "bearing" not in hf.Setup(CABLE, pegs=[POST]).dumps()
@@ -86,7 +84,7 @@ def test_pegs_survive_their_file() -> None:
         ({"bearing": 1e-6}, "a fixed peg has no bearing"),
     ],
 )
-def test_a_bad_axle_is_refused(axle: dict[str, float], words: str) -> None:
+def test_a_bad_axle_is_refused(axle, words):
     with pytest.raises(InvalidInput, match=words):
         hf.Peg(0.0, -0.35, 0.03, **axle)
 
@@ -99,13 +97,13 @@ def test_a_bad_axle_is_refused(axle: dict[str, float], words: str) -> None:
         ({"peg_angle": [0.0, float("nan")]}, "cannot be used"),
     ],
 )
-def test_a_state_that_does_not_fit_is_refused(spin: dict[str, list[float]], words: str) -> None:
+def test_a_state_that_does_not_fit_is_refused(spin, words):
     state = hf.State(0.0, np.full(18, 1.2), np.zeros(18), **spin)
     with pytest.raises(InvalidInput, match=words):
         fallen(state=state, q0=None)
 
 
-def test_no_cast_is_planned_for_a_target_that_turns() -> None:
+def test_no_cast_is_planned_for_a_target_that_turns():
     with pytest.raises(InvalidInput, match="fixed targets"):
         hf.plan_cast(CABLE, hf.Arm(length=0.1), PULLEY)
     with pytest.raises(InvalidInput, match="there are none"):

@@ -1,11 +1,8 @@
 """Values that are off by a unit, as millimetres for metres: what names the unit, and what is let pass."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,42 +34,42 @@ SLIPS: list[tuple[Callable[[], object], str]] = [
 
 
 @pytest.mark.parametrize(("call", "words"), SLIPS, ids=[words.split(":")[0] for _, words in SLIPS])
-def test_a_value_off_by_a_unit_is_named_with_it(call: Callable[[], object], words: str) -> None:
+def test_a_value_off_by_a_unit_is_named_with_it(call, words):
     with pytest.warns(UserWarning, match=words) as told:
         call()
     assert told[0].filename == __file__
 
 
-def test_density_of_a_rope_in_grams_is_refused() -> None:
+def test_density_of_a_rope_in_grams_is_refused():
     with pytest.raises(InvalidInput, match=r"3.18e.06 kg/m.*125 g are 0.125"):
         hf.Rope.uniform(length=2.0, mass=125.0, n_links=10, radius=0.0025)
 
 
-def test_real_large_ropes_and_arms_pass() -> None:
+def test_real_large_ropes_and_arms_pass():
     """Warnings are errors in these tests."""
     assert hf.Rope.uniform(length=30.0, mass=60.0, n_links=30, radius=0.02).total_length == pytest.approx(30.0)
     assert hf.Arm(length=3.0).length == 3.0
     assert hf.move_arm(-4.0 * np.pi, 4.0 * np.pi, 60.0).breaks[-1] == 60.0
 
 
-def test_limits_of_the_motor_belong_to_its_limits() -> None:
+def test_limits_of_the_motor_belong_to_its_limits():
     for plan, name in ((hf.plan_cast, "torque"), (hf.plan_whip, "speed"), (hf.plan_insert, "acceleration")):
         with pytest.raises(InvalidInput, match=rf"{name}.* belongs to limits=MotorLimits\(\.\.\.\)"):
             plan(ROPE, hf.Arm(), None, **{name: 2.0})
 
 
-def test_a_run_goes_on_from_many_turns() -> None:
+def test_a_run_goes_on_from_many_turns():
     """As it ends after a long whirl; a start at rest is asked for its unit."""
     setup = hf.Setup(ROPE, arm=hf.Arm(), q0=np.full(10, 90.3), qd0=np.full(10, 12.0))
     assert setup.replace(duration=0.1).q0 is not None
 
 
-def test_ropes_whose_scale_no_motion_tells_pass() -> None:
+def test_ropes_whose_scale_no_motion_tells_pass():
     """Identification from angles alone leaves masses in proportion, as heavy as may be."""
     assert hf.Rope(length=[0.3], mass=[60.0]).mass[0] == 60.0
 
 
-def test_the_command_line_says_it_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_says_it_in_a_line(tmp_path, capsys):
     path = tmp_path / "long.toml"
     hf.Setup(ROPE, duration=0.1).to_toml(path)
     path.write_text(path.read_text().replace("link_length = 0.09", "link_length = 90.0"))
@@ -84,7 +81,7 @@ def test_the_command_line_says_it_in_a_line(tmp_path: Path, capsys: pytest.Captu
     assert json.loads(told.out)
 
 
-def test_the_command_line_says_it_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_says_it_once(capsys):
     show = output.warner()
     for text in ("a", "b", "a"):
         show(UserWarning(text), UserWarning, __file__, 1)

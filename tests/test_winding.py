@@ -1,7 +1,5 @@
 """Pegs and finer ropes, and the measures on a wound rope."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -33,7 +31,7 @@ def cable(**changes: object) -> hf.Rope:
         ({"y": "low"}, "peg y is not a number"),
     ],
 )
-def test_bad_pegs_are_refused(change: dict[str, object], words: str) -> None:
+def test_bad_pegs_are_refused(change, words):
     with pytest.raises(InvalidInput, match=words):
         hf.Peg(**{"x": 0.0, "y": 0.0, "radius": 0.02, "mu": 0.3, **change})
 
@@ -49,14 +47,14 @@ def test_bad_pegs_are_refused(change: dict[str, object], words: str) -> None:
         ({"until": hf.tip_speed_peak()}, "not available with pegs"),
     ],
 )
-def test_what_contact_cannot_do_is_refused(what: dict[str, object], words: str) -> None:
+def test_what_contact_cannot_do_is_refused(what, words):
     how = dict(what)
-    rope = cable(**how.pop("rope", {}))  # type: ignore[arg-type]
+    rope = cable(**how.pop("rope", {}))
     with pytest.raises(InvalidInput, match=words):
         hf.simulate(rope, **{"duration": 0.1, "pegs": [PEG], **how})
 
 
-def test_a_set_up_with_pegs_survives_its_file(tmp_path: object) -> None:
+def test_a_set_up_with_pegs_survives_its_file(tmp_path):
     setup = hf.Setup(cable(), pegs=[PEG, hf.Peg(-0.5, -0.2, 0.05)], contact_step=1e-4, tip_force=(0.1, -0.2))
     again = hf.Setup.loads(setup.dumps())
     assert (again.pegs, again.contact_step, again.tip_force) == (setup.pegs, 1e-4, (0.1, -0.2))
@@ -65,7 +63,7 @@ def test_a_set_up_with_pegs_survives_its_file(tmp_path: object) -> None:
         hf.Setup.loads(one)
 
 
-def test_a_run_survives_its_file_and_goes_on(tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_a_run_survives_its_file_and_goes_on(tmp_path):
     run = hf.simulate(cable(n_links=20), duration=0.6, q0=np.full(20, 1.4), pegs=[PEG])
     run.to_netcdf(tmp_path / "run.nc")
     again = hf.read_trajectory(tmp_path / "run.nc")
@@ -77,7 +75,7 @@ def test_a_run_survives_its_file_and_goes_on(tmp_path) -> None:  # type: ignore[
     np.testing.assert_array_equal(*onwards)
 
 
-def test_a_finer_rope_is_the_same_rope() -> None:
+def test_a_finer_rope_is_the_same_rope():
     rope = cable(n_links=10, stiffness=1e-3, tip_mass=0.01)
     fine = hf.refine_rope(rope, [PEG])
     pieces = cuts(rope, [PEG])
@@ -103,7 +101,7 @@ def test_a_finer_rope_is_the_same_rope() -> None:
         assert powers[1] == pytest.approx(powers[0], rel=0.11)
 
 
-def test_a_fine_rope_is_left_alone_and_an_uneven_link_is_not_cut() -> None:
+def test_a_fine_rope_is_left_alone_and_an_uneven_link_is_not_cut():
     rope = cable(n_links=300)
     assert hf.refine_rope(rope, [PEG]) is rope
     uneven = cable(n_links=10).replace(com=np.full(10, 0.05))
@@ -111,7 +109,7 @@ def test_a_fine_rope_is_left_alone_and_an_uneven_link_is_not_cut() -> None:
         hf.refine_rope(uneven, [PEG])
 
 
-def test_a_coarse_rope_is_refined_by_itself() -> None:
+def test_a_coarse_rope_is_refined_by_itself():
     run = hf.simulate(cable(), duration=0.05, q0=np.full(50, 0.3), pegs=[PEG])
     assert run.setup.rope == hf.refine_rope(cable(), [PEG])
 
@@ -124,7 +122,7 @@ def wound_up(mu: float = 0.3) -> hf.Trajectory:
     return hf.simulate(capstan(rope, peg, swept, np.array([0.0, 3.0]), np.array([2.0, 2.0])))
 
 
-def test_measures_of_a_wound_rope() -> None:
+def test_measures_of_a_wound_rope():
     run = wound_up()
     peg = run.setup.pegs[0]
     state = hf.measure_winding(run, peg)
@@ -142,7 +140,7 @@ def test_measures_of_a_wound_rope() -> None:
         hf.measure_winding(run, hf.Peg(1.0, 0.0, 0.1))
 
 
-def test_forces_at_some_samples_are_those_of_all() -> None:
+def test_forces_at_some_samples_are_those_of_all():
     """Of a rope that falls on a peg, and is looked at where it may touch."""
     run = hf.simulate(cable(n_links=20), duration=0.6, q0=np.full(20, 1.4), pegs=[PEG])
     whole = _joint_forces(run, np.arange(run.t.size))
@@ -159,14 +157,14 @@ def test_forces_at_some_samples_are_those_of_all() -> None:
     assert np.array_equal(_joint_forces(driven, rows), whole[rows])
 
 
-def test_tension_of_a_hanging_rope_is_its_weight() -> None:
+def test_tension_of_a_hanging_rope_is_its_weight():
     rope = cable(n_links=7, tip_mass=0.02)
     run = hf.simulate(rope, duration=0.1, pegs=[hf.Peg(1.0, 1.0, 0.1)], refine=False)
     weight = 9.81 * (0.02 + np.append(np.cumsum(rope.mass[::-1])[::-1], 0.0))
     np.testing.assert_allclose(hf.rope_tension(run)[-1], weight, rtol=1e-12)
 
 
-def test_a_tug_tells_what_a_wound_rope_holds() -> None:
+def test_a_tug_tells_what_a_wound_rope_holds():
     """Pulled off, a rope that hangs over a peg half a turn gives way at exp(mu pi) times the weight of its tail."""
     rope = hf.Rope.uniform(1.0, 0.02, 60, 0.0025, friction=1e-3, tip_mass=0.2)
     peg = hf.Peg(0.0, 0.0, 0.03, 0.2)
@@ -188,7 +186,7 @@ def test_a_tug_tells_what_a_wound_rope_holds() -> None:
         pull.holds(-1.0)
 
 
-def test_a_tug_takes_up_the_slack_before_it_pulls() -> None:
+def test_a_tug_takes_up_the_slack_before_it_pulls():
     """As above on a rough peg, with the end 8 cm nearer: the rope there hangs in a bight at first, which holds it."""
     rope = hf.Rope.uniform(1.0, 0.02, 60, 0.0025, friction=1e-4, tip_mass=0.01)
     peg = hf.Peg(0.0, 0.0, 0.03, 1.0)
@@ -205,7 +203,7 @@ def test_a_tug_takes_up_the_slack_before_it_pulls() -> None:
     assert pull.hold == pytest.approx(limit, rel=0.06)
 
 
-def test_a_link_that_rolls_does_not_slip() -> None:
+def test_a_link_that_rolls_does_not_slip():
     """A rod that rolls over a peg under its own weight: its contact goes along it and round the peg alike."""
     peg, rod = hf.Peg(0.0, 0.0, 0.05, 1.0), hf.Rope(length=[1.0], mass=[0.1], radius=0.0025)
     angle = np.linspace(0.5 * math.pi, 0.7 * math.pi, 50)
@@ -228,7 +226,7 @@ def placed(run: hf.Trajectory, q: np.ndarray, base: np.ndarray) -> hf.Trajectory
     return replace(run, q=np.stack([run.q[-1], *q])[rows], base=np.stack([run.base[-1], *base])[rows])
 
 
-def test_a_rope_is_held_as_long_as_one_of_its_links_is() -> None:
+def test_a_rope_is_held_as_long_as_one_of_its_links_is():
     run = wound_up()
     peg, q, base = run.setup.pegs[0], run.q[-1], run.base[-1]
     # A loose tail that falls away and slides is no slip of the rope: the rest of it stays where it is.
@@ -252,7 +250,7 @@ def test_a_rope_is_held_as_long_as_one_of_its_links_is() -> None:
 
 
 @pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])
-def test_what_a_rope_covers_does_not_depend_on_its_size(scale: float) -> None:
+def test_what_a_rope_covers_does_not_depend_on_its_size(scale):
     """Of a wound rope one link stands off by a part of its length: a tenth counts as contact, more does not."""
     peg, length = hf.Peg(0.0, 0.0, 0.05 * scale, 0.3), 0.01 * scale
     rope = hf.Rope.uniform(60 * length, 0.1 * scale**3, 60, 0.002 * scale, friction=1e-4 * scale**4.5)

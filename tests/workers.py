@@ -1,7 +1,5 @@
 """What workers of an executor do in tests. Loads nothing but Python's own, so that new processes start quickly."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Claim C1 of the source paper: partial linearisation by equations (2) and (3), on the paper's own cast."""
 
-from __future__ import annotations
-
 import pytest
 
 from hyperflex.paper import READINGS

@@ -1,7 +1,5 @@
 """Claim C1, as a motion: an arm driven by the torque that (3) recovers moves as the arm that was led; rope and all."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -35,7 +33,7 @@ def smooth_torque(t: np.ndarray, torque: np.ndarray, bend: float) -> hf.Motion:
 
 
 @pytest.mark.parametrize("friction_model", ["relative", "printed"])
-def test_replaying_the_recovered_torque_gives_the_same_motion(friction_model: str) -> None:
+def test_replaying_the_recovered_torque_gives_the_same_motion(friction_model):
     rope = cable(friction_model)
     motion = hf.move_arm(-1.2, 1.3, 0.9, "minimum-jerk")  # no jump of the acceleration, so the torque is smooth
     t = np.linspace(0.0, END, 3001)
@@ -66,12 +64,12 @@ def test_replaying_the_recovered_torque_gives_the_same_motion(friction_model: st
     np.testing.assert_allclose(whole - own, (led.kinetic_energy + led.potential_energy)[::300], rtol=0, atol=1e-6)
 
 
-def test_the_acceleration_of_a_driven_arm_is_the_input_at_every_instant() -> None:
+def test_the_acceleration_of_a_driven_arm_is_the_input_at_every_instant():
     """A callback that wants a given acceleration and asks (3) for the torque gets it, to first order in its period."""
     rope = cable("relative").replace(friction=2e-3)
     wanted = 20.0
 
-    def control(_t: float, angle: float, rate: float, q: np.ndarray, qd: np.ndarray) -> float:
+    def control(_t, angle, rate, q, qd):
         return torque_from_input(partial_linearization(rope, ARM, q, qd, angle, rate), wanted)
 
     errors = []

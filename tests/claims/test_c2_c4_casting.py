@@ -1,7 +1,5 @@
 """Claims C2, C3 and C4 of the source paper, section IV: casting by swinging, open loop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

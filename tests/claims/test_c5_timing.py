@@ -1,7 +1,5 @@
 """Claim C5 of the source paper, Fig. 13: the four t_b of its timing control."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

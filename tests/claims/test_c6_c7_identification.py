@@ -1,7 +1,5 @@
 """Claims C6 and C7 of the source paper, section III: iterative revision, on the twin of its experiment."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

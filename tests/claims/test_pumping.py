@@ -1,7 +1,5 @@
 """Pumping the paper's cable to |x| = 1.8 m, all with the same half turn of the arm: ours against constant rests."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from benchmarks.pumping_cases import BEST, arrival, closed_loop, constant_arrivals, motion_of

@@ -1,7 +1,5 @@
 """Files and folders that cannot be used: each command says so by name, before any work, and writes nothing."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 

@@ -1,7 +1,5 @@
 """``hyperflex cast``: what it plans, what it writes, and what it says when it cannot."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import io
@@ -131,7 +129,7 @@ def test_what_a_set_up_file_holds_beside_its_first_peg_are_obstacles(hyperflex, 
     )
 
 
-def test_a_torque_limit_of_the_arm_is_one_of_the_motor() -> None:
+def test_a_torque_limit_of_the_arm_is_one_of_the_motor():
     weak = hf.Arm(length=0.105, torque_limit=0.5)
     assert hf.Problem(CABLE, weak, hf.MotorLimits()).limits == hf.MotorLimits(torque=0.5)
     assert hf.Problem(CABLE, weak, hf.MotorLimits(torque=0.2)).limits == hf.MotorLimits(torque=0.2)

@@ -1,7 +1,5 @@
 """What all commands share: help with an example, exit codes, clean standard output, light start."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

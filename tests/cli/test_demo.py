@@ -1,7 +1,5 @@
 """``hyperflex demo``: says that it is simulated, shows intervals and names what to look at."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace

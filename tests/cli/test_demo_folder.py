@@ -1,7 +1,5 @@
 """The demo from end to end: intervals that cover, predictions near the noise, a cast like the rope's, a folder."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 

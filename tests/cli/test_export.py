@@ -1,7 +1,5 @@
 """``hyperflex export``: set-ups to MJCF and back, runs and recordings to MCAP; and a bag that identify reads."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

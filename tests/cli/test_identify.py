@@ -1,7 +1,5 @@
 """``hyperflex identify``: a recording and a guess in, a rope out; what is not declared is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import json

@@ -1,7 +1,5 @@
 """``hyperflex insert``: what it plans, what it writes, and what it says when it cannot."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

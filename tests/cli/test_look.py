@@ -1,7 +1,5 @@
 """``hyperflex plot`` and ``view``: a saved run as a picture, a film, a page, a table; and what they refuse."""
 
-from __future__ import annotations
-
 import webbrowser
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``hyperflex play``: it says where it is, begins with a set-up, and refuses what it cannot do."""
 
-from __future__ import annotations
-
 import pytest
 
 import hyperflex as hf

@@ -1,7 +1,5 @@
 """``hyperflex reach-map``: what it reads of a set-up file, what it writes, and what Ctrl-C leaves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

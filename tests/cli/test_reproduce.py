@@ -1,7 +1,5 @@
 """``hyperflex reproduce``: files, verdicts, and errors as JSON."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from hyperflex.paper import casting

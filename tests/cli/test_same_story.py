@@ -1,7 +1,5 @@
 """What is printed, the JSON, the page and the exit code of ``hyperflex identify`` tell the same."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

@@ -1,7 +1,5 @@
 """``hyperflex simulate``: set-up in, NetCDF out, and what it says when that cannot be."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

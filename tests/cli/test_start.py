@@ -1,13 +1,10 @@
 """``hyperflex init`` and ``doctor``, and what a shell is told of commands and options."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 import typer
@@ -126,7 +123,7 @@ def test_doctor_names_what_is_wrong(hyperflex, monkeypatch, tmp_path):
 @pytest.mark.parametrize(
     ("line", "completed"), [("hyperflex sim", ["simulate"]), ("hyperflex cast --ta", ["--target"])], ids=str
 )
-def test_bash_completes_commands_and_options(line: str, completed: list[str], tmp_path: Path):
+def test_bash_completes_commands_and_options(line, completed, tmp_path):
     program = tmp_path / "hyperflex"
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m hyperflex "$@"\n')
     program.chmod(0o755)

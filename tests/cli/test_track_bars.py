@@ -1,7 +1,5 @@
 """``hyperflex track --bar``: a rendered pendulum's video in, a file for identify out; what is missing is said."""
 
-from __future__ import annotations
-
 import json
 import re
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The tutorials: their commands run as they stand, and find what the pages say."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

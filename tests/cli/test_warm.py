@@ -1,13 +1,10 @@
 """``hyperflex warm``: after it, typical calls compile nothing."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numba
 import pytest
@@ -88,7 +85,7 @@ def warmed() -> None:
 
 @needs_compiler
 @pytest.mark.nightly
-def test_typical_calls_compile_nothing(warmed: None) -> None:
+def test_typical_calls_compile_nothing(warmed):
     done = subprocess.run([sys.executable, "-c", CALLS], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert float(done.stdout) == 0.0
@@ -96,7 +93,7 @@ def test_typical_calls_compile_nothing(warmed: None) -> None:
 
 @needs_compiler
 @pytest.mark.nightly
-def test_second_time_there_is_nothing_to_do(warmed: None, capsys: pytest.CaptureFixture[str]) -> None:
+def test_second_time_there_is_nothing_to_do(warmed, capsys):
     capsys.readouterr()
     assert run(["warm", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -105,9 +102,7 @@ def test_second_time_there_is_nothing_to_do(warmed: None, capsys: pytest.Capture
 
 
 @needs_compiler
-def test_a_folder_that_cannot_be_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_that_cannot_be_used(tmp_path, monkeypatch, capsys):
     blocked = tmp_path / "file"
     blocked.touch()
     monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(blocked / "cache"))
@@ -116,16 +111,14 @@ def test_a_folder_that_cannot_be_used(
 
 
 @needs_compiler
-def test_a_process_that_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_process_that_fails(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(warm, "LANES", (("nothing of this name",),))
     assert run(["warm", "--workers", "1", "--json"]) == 2
     assert "KeyError" in json.loads(capsys.readouterr().out)["error"]
 
 
-def test_without_the_compiler() -> None:
+def test_without_the_compiler():
     done = subprocess.run(
         [sys.executable, "-m", "hyperflex", "warm"],
         env={**os.environ, "NUMBA_DISABLE_JIT": "1"},

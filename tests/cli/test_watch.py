@@ -1,7 +1,5 @@
 """``hyperflex watch`` and ``track``: what programs get from them, and videos as bad as they come."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
@@ -58,7 +56,7 @@ def lines(text: str) -> list[dict[str, Any]]:
     return [json.loads(each) for each in text.splitlines()]
 
 
-def test_a_line_for_each_frame_and_a_summary(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+def test_a_line_for_each_frame_and_a_summary(hyperflex, folder, tmp_path):
     arguments = words("watch", folder / "swing.mp4", folder, tmp_path / "log.nc", "--preview", tmp_path / "seen.mp4")
     code, out, err = hyperflex(*arguments, "--estimate", "scale=0.01", "--json")
     assert (code, err) == (0, "")
@@ -77,7 +75,7 @@ def test_a_line_for_each_frame_and_a_summary(hyperflex: Run, folder: Path, tmp_p
         assert sum(1 for _ in seen) == COUNT
 
 
-def test_it_says_how_it_went(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+def test_it_says_how_it_went(hyperflex, folder, tmp_path):
     code, out, _ = hyperflex(*words("watch", folder / "swing.mp4", folder, tmp_path / "log.nc"))
     assert code == 0
     assert f"Watched {COUNT} frames" in out
@@ -85,7 +83,7 @@ def test_it_says_how_it_went(hyperflex: Run, folder: Path, tmp_path: Path) -> No
     assert "the source ended" in out
 
 
-def test_it_stops_in_time(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+def test_it_stops_in_time(hyperflex, folder, tmp_path):
     arguments = words("watch", folder / "swing.mp4", folder, tmp_path / "log.nc", "--page", 0, "--duration", 0.4)
     code, out, err = hyperflex(*arguments, "--json")
     assert code == 0
@@ -97,7 +95,7 @@ def test_it_stops_in_time(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.skipif(sys.platform == "win32", reason="signals cannot be sent to one process")
-def test_an_interrupted_run_is_kept(folder: Path, tmp_path: Path, number: signal.Signals) -> None:
+def test_an_interrupted_run_is_kept(folder, tmp_path, number):
     code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     code += "from hyperflex.cli import main; main()"
     more = ["--page", "0", "--preview", str(tmp_path / "seen.mp4"), "--json"]
@@ -138,7 +136,7 @@ def damaged(folder: Path, path: Path, kind: str) -> Path:
 
 @pytest.mark.parametrize("command", ["track", "watch"])
 @pytest.mark.parametrize("kind", ["cut off", "empty", "noise", "words"])
-def test_what_is_no_video_is_refused(hyperflex: Run, folder: Path, tmp_path: Path, command: str, kind: str) -> None:
+def test_what_is_no_video_is_refused(hyperflex, folder, tmp_path, command, kind):
     video = damaged(folder, tmp_path / "bad.mp4", kind)
     code, out, err = hyperflex(*words(command, video, folder, tmp_path / "out.nc"))
     assert (code, out) == (2, "")
@@ -149,9 +147,7 @@ def test_what_is_no_video_is_refused(hyperflex: Run, folder: Path, tmp_path: Pat
 
 @pytest.mark.parametrize("command", ["track", "watch"])
 @pytest.mark.parametrize("kind", ["cut off", "noise"])
-def test_a_video_that_is_damaged_within_is_followed(
-    hyperflex: Run, folder: Path, tmp_path: Path, command: str, kind: str
-) -> None:
+def test_a_video_that_is_damaged_within_is_followed(hyperflex, folder, tmp_path, command, kind):
     """The pictures' data end early, or are noise for a while: what can be decoded is followed, and that is said."""
     whole = bytearray((folder / "swing.mp4").read_bytes())
     begin = whole.find(b"mdat")
@@ -175,7 +171,7 @@ def test_a_video_that_is_damaged_within_is_followed(
     assert f"the file lists {COUNT} frames" in said or "cannot be decoded" in said
 
 
-def test_another_size_than_the_cameras(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+def test_another_size_than_the_cameras(hyperflex, folder, tmp_path):
     facing((1280, 960)).write(folder / "large.toml")
     video = folder / "swing.mp4"
     code, _, err = hyperflex(*words("track", video, folder, tmp_path / "out.nc", camera="large.toml"))
@@ -187,7 +183,7 @@ def test_another_size_than_the_cameras(hyperflex: Run, folder: Path, tmp_path: P
 
 
 @pytest.mark.parametrize("command", ["track", "watch"])
-def test_the_colour_is_taken_where_there_is_one(hyperflex: Run, folder: Path, tmp_path: Path, command: str) -> None:
+def test_the_colour_is_taken_where_there_is_one(hyperflex, folder, tmp_path, command):
     """The first frames are dark; a pixel of a marker is of a frame that is named by its time."""
     with VideoReader(folder / "swing.mp4") as bright, VideoWriter(tmp_path / "dark.mp4", (640, 480)) as video:
         for frame in bright:
@@ -203,7 +199,7 @@ def test_the_colour_is_taken_where_there_is_one(hyperflex: Run, folder: Path, tm
 
 
 @pytest.mark.parametrize("command", ["track", "watch"])
-def test_a_raw_stream_is_refused(hyperflex: Run, folder: Path, tmp_path: Path, command: str) -> None:
+def test_a_raw_stream_is_refused(hyperflex, folder, tmp_path, command):
     """Without a container there are no time stamps."""
     with av.open(str(folder / "swing.mp4")) as video, av.open(str(tmp_path / "raw.h264"), "w", format="h264") as raw:
         copy = raw.add_stream_from_template(video.streams.video[0])
@@ -228,9 +224,7 @@ def test_a_raw_stream_is_refused(hyperflex: Run, folder: Path, tmp_path: Path, c
     ],
 )
 @pytest.mark.parametrize("command", ["track", "watch"])
-def test_options_that_cannot_be(
-    hyperflex: Run, folder: Path, tmp_path: Path, command: str, options: tuple[str, ...], message: str
-) -> None:
+def test_options_that_cannot_be(hyperflex, folder, tmp_path, command, options, message):
     arguments = words(command, folder / "swing.mp4", folder, tmp_path / "out.nc")
     if options[0] == "--arc-lengths":
         arguments[arguments.index("--arc-lengths") + 1] = options[1]
@@ -241,7 +235,7 @@ def test_options_that_cannot_be(
     assert not (tmp_path / "out.nc").exists()
 
 
-def test_what_was_never_seen_and_what_was_estimated_is_said(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+def test_what_was_never_seen_and_what_was_estimated_is_said(hyperflex, folder, tmp_path):
     arguments = words(
         "track", folder / "swing.mp4", folder, tmp_path / "out.nc", "--estimate", "scale=0.02,length=0.02"
     )
@@ -255,7 +249,7 @@ def test_what_was_never_seen_and_what_was_estimated_is_said(hyperflex: Run, fold
 
 
 @pytest.mark.parametrize("scale", [150.0, 260.0])
-def test_a_wrong_scale_is_refused_or_admitted(hyperflex: Run, folder: Path, tmp_path: Path, scale: float) -> None:
+def test_a_wrong_scale_is_refused_or_admitted(hyperflex, folder, tmp_path, scale):
     """A third off: markers further apart than the rope between them, or a rope that is bent where none is.
 
     The first is refused. The second cannot be told from one picture; then what is seen and what the rope can do are far
@@ -275,7 +269,7 @@ def test_a_wrong_scale_is_refused_or_admitted(hyperflex: Run, folder: Path, tmp_
         assert "check the camera's scale" in " ".join(result["notes"])
 
 
-def test_markers_out_of_view(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+def test_markers_out_of_view(hyperflex, folder, tmp_path):
     """The picture ends above the lower half of the rope: what is below is known less well, and that is said."""
     cut = facing((640, 240))
     cut.write(folder / "cut.toml")
@@ -294,7 +288,7 @@ def test_markers_out_of_view(hyperflex: Run, folder: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("command", ["track", "watch"])
-def test_two_ropes(hyperflex: Run, folder: Path, tmp_path: Path, command: str) -> None:
+def test_two_ropes(hyperflex, folder, tmp_path, command):
     """Another rope with the same markers hangs half a metre beside: ours, which hangs from the origin, is followed."""
     other = render(tmp_path / "other.mp4", seed=3)
     with VideoReader(folder / "swing.mp4") as ours, VideoWriter(tmp_path / "two.mp4", (640, 480)) as both:
@@ -321,7 +315,7 @@ def test_two_ropes(hyperflex: Run, folder: Path, tmp_path: Path, command: str) -
 
 
 @pytest.mark.parametrize("command", ["track", "watch"])
-def test_no_markers(hyperflex: Run, folder: Path, tmp_path: Path, command: str) -> None:
+def test_no_markers(hyperflex, folder, tmp_path, command):
     with VideoWriter(tmp_path / "wall.mp4", (640, 480)) as video:
         rng = np.random.default_rng(0)
         for k in range(5):
@@ -335,7 +329,7 @@ def test_no_markers(hyperflex: Run, folder: Path, tmp_path: Path, command: str) 
     assert not (tmp_path / "out.nc").exists()
 
 
-def test_markers_that_are_no_ropes(hyperflex: Run, folder: Path, tmp_path: Path) -> None:
+def test_markers_that_are_no_ropes(hyperflex, folder, tmp_path):
     """Things of the markers' colour lie about at random: nothing is found, or what is stated is unsure."""
     rng = np.random.default_rng(2)
     with VideoWriter(tmp_path / "litter.mp4", (640, 480)) as video:

@@ -1,7 +1,5 @@
 """Half turns of the arm at chosen instants."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -47,6 +45,6 @@ def test_round_trip_through_a_table():
 
 
 @pytest.mark.parametrize("ramp", [0.0, 0.5])
-def test_a_ramp_outside_its_range_is_refused(ramp: float) -> None:
+def test_a_ramp_outside_its_range_is_refused(ramp):
     with pytest.raises(InvalidInput, match="ramp"):
         hf.arm_strokes([0.0], profile="ramp", ramp=ramp)

@@ -1,7 +1,5 @@
 """Pseudo-energy, spiral coordinates and the phase portrait of the tip: paper eqs. (9)-(11)."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The search for rests that pump soonest, on a short rope of few links."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -41,7 +39,7 @@ def test_the_best_constant_rest_is_the_best_of_all(plan: PumpingPlan) -> None:
     assert min(swept) > plan.constant_arrival_time - 5e-3
 
 
-def test_free_rests_are_sooner_and_arrive_when_they_say(plan: PumpingPlan) -> None:
+def test_free_rests_are_sooner_and_arrive_when_they_say(plan):
     assert plan.arrival_time < plan.constant_arrival_time - 0.04  # LEAST_GAIN
     # What follows the plan's rests are usual ones, after it has arrived.
     assert arrives(plan.rests) == pytest.approx(plan.arrival_time, abs=5e-3)
@@ -49,22 +47,22 @@ def test_free_rests_are_sooner_and_arrive_when_they_say(plan: PumpingPlan) -> No
     assert (plan.rests >= 0.0).all()
 
 
-def test_the_same_seed_finds_the_same_plan() -> None:
+def test_the_same_seed_finds_the_same_plan():
     one, same, other = (optimize_pumping(MODEL, WANTED, longest=8.0, rounds=2, seed=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one.rests, same.rests)
     assert not np.array_equal(one.rests, other.rests)
 
 
-def test_no_rounds_keep_the_constant_rest() -> None:
+def test_no_rounds_keep_the_constant_rest():
     plan = optimize_pumping(MODEL, WANTED, longest=8.0, rounds=0)
     assert plan.arrival_time == plan.constant_arrival_time
     np.testing.assert_array_equal(plan.rests, plan.constant_rest)
 
 
-def test_ctrl_c_leaves_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_leaves_the_best_so_far(monkeypatch):
     looks = []
 
-    def predict(self: SwingModel, *arguments: object) -> tuple[np.ndarray, np.ndarray]:
+    def predict(self, *arguments):
         looks.append(0)
         if len(looks) == 4:
             raise KeyboardInterrupt
@@ -77,6 +75,6 @@ def test_ctrl_c_leaves_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     assert plan.interrupted
 
 
-def test_what_no_constant_rest_reaches_is_refused() -> None:
+def test_what_no_constant_rest_reaches_is_refused():
     with pytest.raises(InvalidInput, match="no constant rest pumps the rope up so far"):
         optimize_pumping(MODEL, 1.07, longest=3.0)

@@ -1,7 +1,5 @@
 """The timing rule, pumping, regulating and the loop, on a short rope of few links."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where a controller gets its state from: the truth, or a stand-in for a camera with noise, delay, a wrong model."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

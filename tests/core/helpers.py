@@ -1,7 +1,5 @@
 """Calls of the kernels with what the tests have: links, a state and a base."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numba

@@ -1,13 +1,10 @@
 """Where compiled kernels are kept: what an edit makes stale, and a cache that is not as it should be."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numba
@@ -76,7 +73,7 @@ def run(package: Path, root: Path, code: str = ASK) -> tuple[list[float], set[st
 
 
 @pytest.mark.nightly
-def test_an_edit_recompiles_also_what_calls_the_edited_kernel(package: Path, tmp_path: Path) -> None:
+def test_an_edit_recompiles_also_what_calls_the_edited_kernel(package, tmp_path):
     root, leaf = tmp_path / "cache", package / "part" / "leaf.py"
     assert run(package, root) == ALL
     assert run(package, root) == NONE
@@ -87,8 +84,8 @@ def test_an_edit_recompiles_also_what_calls_the_edited_kernel(package: Path, tmp
 
 
 @pytest.mark.nightly
-def test_what_is_said_on_compiling_goes_by_what_is_there(package: Path, tmp_path: Path) -> None:
-    def told() -> list[str]:
+def test_what_is_said_on_compiling_goes_by_what_is_there(package, tmp_path):
+    def told():
         err = start(package, tmp_path / "cache").communicate()[1]
         return [line for line in err.splitlines() if line.startswith("hyperflex: compiling")]
 
@@ -112,7 +109,7 @@ Path.replace = full
 
 @pytest.mark.parametrize("spoil", [lambda b: b[:-100], lambda b: b[:10], lambda _: b"", lambda b: b[:-1] + b"\0\0"])
 @pytest.mark.nightly
-def test_damaged_files_are_compiled_again(package: Path, tmp_path: Path, spoil: Callable[[bytes], bytes]) -> None:
+def test_damaged_files_are_compiled_again(package, tmp_path, spoil):
     root = tmp_path / "cache"
     assert run(package, root) == ALL
     for file in root.rglob("*.nbc"):
@@ -124,7 +121,7 @@ def test_damaged_files_are_compiled_again(package: Path, tmp_path: Path, spoil: 
     assert run(package, root) == NONE
 
 
-def test_a_bit_that_flipped_anywhere_is_noticed(package: Path, tmp_path: Path) -> None:
+def test_a_bit_that_flipped_anywhere_is_noticed(package, tmp_path):
     root = tmp_path / "cache"
     assert run(package, root) == ALL
     places = itertools.cycle([0.0, 0.001, 0.005, 0.5, 1.0])  # in the checksum, the key, what was compiled
@@ -138,7 +135,7 @@ def test_a_bit_that_flipped_anywhere_is_noticed(package: Path, tmp_path: Path) -
 
 
 @pytest.mark.nightly
-def test_files_that_are_missing_are_made_again_and_it_is_said(package: Path, tmp_path: Path) -> None:
+def test_files_that_are_missing_are_made_again_and_it_is_said(package, tmp_path):
     root = tmp_path / "cache"
     assert run(package, root) == ALL
     for file in root.rglob("*scaled-*.nbc"):
@@ -164,7 +161,7 @@ os.mkdir, os.open = mkdir, low_open
 
 
 @pytest.mark.nightly
-def test_a_filled_cache_on_a_read_only_disk_is_used(package: Path, tmp_path: Path, monkeypatch) -> None:
+def test_a_filled_cache_on_a_read_only_disk_is_used(package, tmp_path, monkeypatch):
     root, temporary = tmp_path / "cache", tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setenv("TMPDIR", str(temporary))
@@ -180,7 +177,7 @@ def test_a_filled_cache_on_a_read_only_disk_is_used(package: Path, tmp_path: Pat
     assert list(temporary.iterdir()) == []
 
 
-def test_a_file_of_another_kernel_is_not_taken(package: Path, tmp_path: Path) -> None:
+def test_a_file_of_another_kernel_is_not_taken(package, tmp_path):
     root = tmp_path / "cache"
     run(package, root)
     wrong, right = (next(root.rglob(f"*.{name}-door*.nbc")) for name in ("squared", "scaled"))
@@ -188,7 +185,7 @@ def test_a_file_of_another_kernel_is_not_taken(package: Path, tmp_path: Path) ->
     assert run(package, root) == (ALL[0], {"scaled"})
 
 
-def test_a_cache_that_is_removed_at_work_is_made_again(package: Path, tmp_path: Path) -> None:
+def test_a_cache_that_is_removed_at_work_is_made_again(package, tmp_path):
     root = tmp_path / "cache"
     remove = f"import shutil; shutil.rmtree({str(root)!r})"
     lines = ASK.replace("\nprint", f"\ncaller.shifted(3.0); {remove}\nprint", 1)
@@ -197,7 +194,7 @@ def test_a_cache_that_is_removed_at_work_is_made_again(package: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("what", ["a file where a folder should be", "full"])
-def test_where_nothing_can_be_kept_it_is_said_once(package: Path, tmp_path: Path, what: str) -> None:
+def test_where_nothing_can_be_kept_it_is_said_once(package, tmp_path, what):
     root = tmp_path / "cache"
     if what == "full":
         root.mkdir()
@@ -211,14 +208,14 @@ def test_where_nothing_can_be_kept_it_is_said_once(package: Path, tmp_path: Path
 
 
 @pytest.mark.nightly
-def test_several_processes_may_fill_one_cache(package: Path, tmp_path: Path) -> None:
+def test_several_processes_may_fill_one_cache(package, tmp_path):
     root = tmp_path / "cache"
     for process in [start(package, root) for _ in range(4)]:
         assert end(process)[0] == ALL[0]
     assert run(package, root) == NONE
 
 
-def test_importing_makes_no_folder(tmp_path: Path) -> None:
+def test_importing_makes_no_folder(tmp_path):
     code = "import hyperflex, hyperflex.simulation, hyperflex.planning, hyperflex.identification"
     found = {"HYPERFLEX_CACHE_DIR": str(tmp_path / "cache")}
     subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | found)
@@ -235,7 +232,7 @@ def test_a_home_is_written_out_and_a_relative_cache_folder_is_none(monkeypatch, 
 
 
 def test_a_user_without_a_home_compiles_each_time(monkeypatch, capsys, tmp_path):
-    def no_home() -> Path:
+    def no_home():
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.delenv("HYPERFLEX_CACHE_DIR", raising=False)

@@ -1,7 +1,5 @@
 """The O(n) sweep and its neighbours against dense matrices, at every size and with everything switched on."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -19,7 +17,7 @@ AGREEMENT = 1e-10
 @pytest.mark.parametrize("h", [0.0, 1e-4, 0.01], ids=["explicit", "short-step", "long-step"])
 @pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
 @pytest.mark.parametrize("n", SIZES)
-def test_accelerations_are_those_of_the_dense_reference(n: int, reaction: float, h: float) -> None:
+def test_accelerations_are_those_of_the_dense_reference(n, reaction, h):
     for seed in range(3):
         links, state = random_links(n, seed, reaction=reaction, air=True), random_state(n, seed)
         got = sweep(links, state, torque=0.03, h=h)
@@ -35,7 +33,7 @@ def test_accelerations_are_those_of_the_dense_reference(n: int, reaction: float,
 @pytest.mark.parametrize("h", [0.0, 0.01], ids=["explicit", "long-step"])
 @pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
 @pytest.mark.parametrize("n", SIZES)
-def test_stuck_joints_are_those_of_a_constrained_chain(n: int, reaction: float, h: float) -> None:
+def test_stuck_joints_are_those_of_a_constrained_chain(n, reaction, h):
     for seed in range(3):
         links, state = random_links(n, seed, reaction=reaction, air=True), random_state(n, seed)
         grip = random_grip(n, seed)
@@ -53,7 +51,7 @@ def test_stuck_joints_are_those_of_a_constrained_chain(n: int, reaction: float, 
 
 
 @pytest.mark.parametrize("n", SIZES)
-def test_bare_chain_without_tip_mass_or_joint_torques(n: int) -> None:
+def test_bare_chain_without_tip_mass_or_joint_torques(n):
     links, state = random_links(n, 7, joints=False, tip=False), random_state(n, 7)
     want = dense.accelerations(links, *state)
     got = sweep(links, state)
@@ -63,7 +61,7 @@ def test_bare_chain_without_tip_mass_or_joint_torques(n: int) -> None:
 
 @pytest.mark.parametrize("field", ["viscous", "dry", "stiffness", "drag", "tip_mass", "gx", "gy"])
 @pytest.mark.parametrize("h", [0.0, 0.01])
-def test_each_term_alone(field: str, h: float) -> None:
+def test_each_term_alone(field, h):
     """One term at a time on a chain of five: two wrong terms cannot hide behind each other."""
     n = 5
     full, state = random_links(n, 11, air=True), random_state(n, 11)
@@ -75,7 +73,7 @@ def test_each_term_alone(field: str, h: float) -> None:
     )
 
 
-def test_the_papers_cable_at_rest_and_whirling() -> None:
+def test_the_papers_cable_at_rest_and_whirling():
     """The cable that the project is about: very light inertias (m l^2 / 12) make the worst-conditioned sweep."""
     n = 50
     one = np.ones(n)
@@ -98,7 +96,7 @@ def test_the_papers_cable_at_rest_and_whirling() -> None:
 
 
 @pytest.mark.parametrize("n", SIZES)
-def test_mass_matrix(n: int) -> None:
+def test_mass_matrix(n):
     links, state = random_links(n, 4), random_state(n, 4)
     out = np.full((n, n), np.nan)
     kernels.mass_matrix(chain_of(links), state.q, out)
@@ -108,7 +106,7 @@ def test_mass_matrix(n: int) -> None:
 
 
 @pytest.mark.parametrize("n", SIZES)
-def test_energies(n: int) -> None:
+def test_energies(n):
     links, state = random_links(n, 6), random_state(n, 6)
     point, velocity, angle, rate = np.array([0.4, -1.1]), state.base[5:7], state.base[4], state.base[3]
     base = np.array([0.0, 0.0, 0.0, rate, angle, *velocity, *point])
@@ -121,7 +119,7 @@ def test_energies(n: int) -> None:
 
 @pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
 @pytest.mark.parametrize("n", SIZES)
-def test_lost_power(n: int, reaction: float) -> None:
+def test_lost_power(n, reaction):
     links, state = random_links(n, 9, reaction=reaction, air=True), random_state(n, 9)
     got = lost_power(links, state)
     want = dense.dissipation(links, state.q, state.w, (state.base[4], state.base[3]), velocity=state.base[5:7])
@@ -131,13 +129,13 @@ def test_lost_power(n: int, reaction: float) -> None:
     assert got == pytest.approx(want, abs=1e-15 * (n + 10) * scale)
 
 
-def test_relative_friction_and_air_never_give_energy() -> None:
+def test_relative_friction_and_air_never_give_energy():
     for seed in range(20):
         links, state = random_links(6, seed, air=True), random_state(6, seed)
         assert lost_power(links, state) > 0.0
 
 
-def test_sine_and_cosine_against_extended_precision() -> None:
+def test_sine_and_cosine_against_extended_precision():
     """As written 1.5e-16 for |x| < 1e6; the compiler's leave to contract and to use reciprocals makes it 2.5e-16."""
     rng = np.random.default_rng(0)
     near = np.concatenate([k * np.pi / 4 + rng.normal(0.0, 1e-9, 5) for k in range(-40, 41)])

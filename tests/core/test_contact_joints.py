@@ -1,7 +1,5 @@
 """Joints of the contact stepper in one step or impact, against dense matrices and one joint at a time projected."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -50,7 +48,7 @@ def mass_matrix(rope: hf.Rope, q: dense.Real) -> dense.Real:
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6, 12])
 @pytest.mark.parametrize("seed", range(6))
-def test_an_impact_on_limits_is_that_of_the_dense_complementarity_problem(n: int, seed: int) -> None:
+def test_an_impact_on_limits_is_that_of_the_dense_complementarity_problem(n, seed):
     rng = np.random.default_rng([n, seed])
     q, w = np.cumsum(rng.normal(0.0, 0.5, n)), np.cumsum(rng.normal(0.0, 4.0, n))
     rest = rng.normal(0.0, 0.1, n)
@@ -75,7 +73,7 @@ def test_an_impact_on_limits_is_that_of_the_dense_complementarity_problem(n: int
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6, 12])
 @pytest.mark.parametrize("seed", range(6))
-def test_a_step_with_dry_friction_is_that_of_dense_projections(n: int, seed: int) -> None:
+def test_a_step_with_dry_friction_is_that_of_dense_projections(n, seed):
     """From rest or in motion, no gravity and slow, so that centrifugal terms are below what is compared."""
     rng = np.random.default_rng([n, seed, 1])
     q = np.cumsum(rng.normal(0.0, 0.5, n))
@@ -105,7 +103,7 @@ def test_a_step_with_dry_friction_is_that_of_dense_projections(n: int, seed: int
     assert account[0] == pytest.approx(-impulses @ mean + STEP * (rope.friction * mean) @ mean, rel=1e-3, abs=1e-12)
 
 
-def test_joints_in_play_have_dry_friction_or_are_near_a_limit() -> None:
+def test_joints_in_play_have_dry_friction_or_are_near_a_limit():
     """A search for modes takes one more round for each of them, and no more for a limit that is far."""
     bend = np.array([0.0, 1.0, -1.0, 0.4, 0.0])
     limit = np.array([np.inf, 1.0 + 0.9 * JOINTS.near, 1.0 + 0.9 * JOINTS.near, 1.0, 1.0])

@@ -1,7 +1,5 @@
 """The sweep with contacts against dense matrices, and the search for closest points against a fine sampling."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -83,7 +81,7 @@ class Case:
 
 
 @pytest.mark.parametrize("n", SIZES)
-def test_changes_of_the_rates_are_those_of_the_dense_system(n: int) -> None:
+def test_changes_of_the_rates_are_those_of_the_dense_system(n):
     for seed in range(5):
         case = Case(n, seed)
         (change, load), (want, wanted_load, pull) = case.kernel(), case.dense()
@@ -93,7 +91,7 @@ def test_changes_of_the_rates_are_those_of_the_dense_system(n: int) -> None:
         np.testing.assert_allclose(case.pull.T, pull, rtol=0, atol=1e-8 * (np.abs(pull).max() + 1.0))
 
 
-def test_contacts_are_taken_off_again() -> None:
+def test_contacts_are_taken_off_again():
     touch = np.zeros((3, TOUCH))
     sweeps.add_contact(touch, 1, 0.1, 0.6, 0.8, (1.0, 0.2, 0.3, 2.0), (0.5, -0.5))
     assert touch[1].all()
@@ -102,7 +100,7 @@ def test_contacts_are_taken_off_again() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_closest_points_are_those_of_a_fine_sampling(seed: int) -> None:
+def test_closest_points_are_those_of_a_fine_sampling(seed):
     n, rng = 12, np.random.default_rng(seed)
     links, q = random_links(n, seed), random_state(n, seed).q
     chain, trig = chain_of(links), np.concatenate([np.sin(q), np.cos(q)])
@@ -140,7 +138,7 @@ def test_closest_points_are_those_of_a_fine_sampling(seed: int) -> None:
         np.testing.assert_allclose(centre + (found.gap[c] + 0.05) * np.array(normal), point, rtol=0, atol=1e-3)
 
 
-def test_a_link_through_the_centre_of_a_peg_has_a_normal_of_length_one() -> None:
+def test_a_link_through_the_centre_of_a_peg_has_a_normal_of_length_one():
     links = random_links(1, 0)
     trig = np.array([np.sin(0.4), np.cos(0.4)])
     xy = np.empty((2, 2))

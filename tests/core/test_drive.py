@@ -1,7 +1,5 @@
 """The compiled drive against the motion that it was packed from, and against the arm worked out anew."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -41,7 +39,7 @@ def compiled(motion: hf.Motion, t: float) -> np.ndarray:
 @each
 @given(t=st.floats(-1.0, 30.0))
 @settings(max_examples=max(EXAMPLES // 4, 10))
-def test_kernel_and_motion_agree_at_any_time(name: str, t: float) -> None:
+def test_kernel_and_motion_agree_at_any_time(name, t):
     motion = MOTIONS[name]
     switches = motion.switches(-2.0, 31.0)
     if switches.size and np.abs(switches - t).min() < 1e-9:
@@ -54,7 +52,7 @@ def test_kernel_and_motion_agree_at_any_time(name: str, t: float) -> None:
 
 
 @each
-def test_rates_and_accelerations_are_derivatives(name: str) -> None:
+def test_rates_and_accelerations_are_derivatives(name):
     """Of the angle and of the joint's position; central differences where nothing jumps within the step."""
     motion, h = MOTIONS[name], 1e-5
     times = np.linspace(0.013, 4.0, 97)
@@ -71,7 +69,7 @@ def test_rates_and_accelerations_are_derivatives(name: str) -> None:
 
 
 @pytest.mark.parametrize("over", [False, True], ids=["under", "over"])
-def test_bang_bang_swings_are_those_of_the_reference(over: bool) -> None:
+def test_bang_bang_swings_are_those_of_the_reference(over):
     motion = hf.arm_swings(0.73, 0.53, path="over" if over else "under")
     stretches = list(bang_bang_swings(0.73, 0.53, 20.0, over=over))
     for stretch in stretches:
@@ -90,7 +88,7 @@ def test_bang_bang_swings_are_those_of_the_reference(over: bool) -> None:
 
 
 @each
-def test_segments_follow_each_other_without_gap_or_overlap(name: str) -> None:
+def test_segments_follow_each_other_without_gap_or_overlap(name):
     drive = hf.Setup(ROPE, MOTIONS[name], ARM).drive()
     t, ends = -1.0, []
     while t < 20.0 and len(ends) < 500:
@@ -107,7 +105,7 @@ def test_segments_follow_each_other_without_gap_or_overlap(name: str) -> None:
         assert np.abs(np.array(inside) - switch).min() < 1e-9
 
 
-def test_a_moving_point_moves_the_joint() -> None:
+def test_a_moving_point_moves_the_joint():
     path = hf.moving_pivot(GRID, 0.1 * np.cos(GRID), 0.2 * GRID**2)
     drive = hf.Setup(ROPE, path).drive()
     base = np.zeros(9)

@@ -1,7 +1,5 @@
 """Kernels of pictures against brute force: cover of capsules, moments of blobs, the discriminant."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

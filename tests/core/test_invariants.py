@@ -1,7 +1,5 @@
 """What must hold whatever the chain and the state: symmetries, power balance, cuts, a positive definite mass matrix."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -35,7 +33,7 @@ def assert_same(got: Real, want: Real, among: Real | None = None) -> None:
 
 @given(cases)
 @settings(max_examples=EXAMPLES)
-def test_the_mass_matrix_is_symmetric_and_positive_definite(case: tuple[int, int, float]) -> None:
+def test_the_mass_matrix_is_symmetric_and_positive_definite(case):
     links, state = drawn(case)
     n = len(state.q)
     matrix = np.full((n, n), np.nan)
@@ -53,7 +51,7 @@ def test_the_mass_matrix_is_symmetric_and_positive_definite(case: tuple[int, int
 
 @given(cases, st.floats(-1.0, 1.0))
 @settings(max_examples=EXAMPLES)
-def test_power_balance_at_a_state(case: tuple[int, int, float], torque: float) -> None:
+def test_power_balance_at_a_state(case, torque):
     """Rate of change of the energy = power of the base and of the torque, less what friction takes; both readings."""
     links, state = drawn(case, air=True)
     got = sweep(links, state, torque)
@@ -83,7 +81,7 @@ def energy_rate(links: Links, state: State, alpha: Real) -> float:
 
 @given(cases, steps, st.floats(-7.0, 7.0))
 @settings(max_examples=EXAMPLES)
-def test_turning_everything_turns_only_the_force(case: tuple[int, int, float], h: float, turn: float) -> None:
+def test_turning_everything_turns_only_the_force(case, h, turn):
     links, state = drawn(case)
     c, s = np.cos(turn), np.sin(turn)
     rotation = np.array([[c, -s], [s, c]])
@@ -100,7 +98,7 @@ def test_turning_everything_turns_only_the_force(case: tuple[int, int, float], h
 
 @given(cases, steps)
 @settings(max_examples=EXAMPLES)
-def test_mirrored_left_to_right(case: tuple[int, int, float], h: float) -> None:
+def test_mirrored_left_to_right(case, h):
     links, state = drawn(case)
     mirror = np.array([-1.0, 1.0, -1.0, -1.0, -1.0, -1.0, 1.0])
     mirrored = links._replace(gx=-links.gx, rest=-links.rest)
@@ -112,7 +110,7 @@ def test_mirrored_left_to_right(case: tuple[int, int, float], h: float) -> None:
 
 @given(cases)
 @settings(max_examples=EXAMPLES)
-def test_without_friction_time_runs_both_ways(case: tuple[int, int, float]) -> None:
+def test_without_friction_time_runs_both_ways(case):
     links, state = drawn(case)
     links = links._replace(viscous=0 * links.viscous, dry=0 * links.dry)
     backward = state.base * np.array([1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0])
@@ -122,7 +120,7 @@ def test_without_friction_time_runs_both_ways(case: tuple[int, int, float]) -> N
 
 @given(cases.filter(lambda case: case[0] > 1), steps)
 @settings(max_examples=EXAMPLES)
-def test_the_outer_part_of_a_cut_chain_moves_as_before(case: tuple[int, int, float], h: float) -> None:
+def test_the_outer_part_of_a_cut_chain_moves_as_before(case, h):
     """Cut at a joint and lead the outer part along the path that the joint had: nothing beyond the cut changes."""
     links, state = drawn(case)
     n = len(state.q)
@@ -145,9 +143,7 @@ def tail(links: Links, cut: int) -> Links:
 
 @given(cases, st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 @settings(max_examples=EXAMPLES)
-def test_a_moving_frame_feels_no_speed_and_takes_acceleration_for_gravity(
-    case: tuple[int, int, float], x: float, y: float
-) -> None:
+def test_a_moving_frame_feels_no_speed_and_takes_acceleration_for_gravity(case, x, y):
     links, state = drawn(case)
     want = sweep(links, state)
     base = state.base + np.array([x, y, 0.0, 0.0, 0.0, 3 * x, y])
@@ -158,9 +154,7 @@ def test_a_moving_frame_feels_no_speed_and_takes_acceleration_for_gravity(
 
 @given(cases, steps, st.tuples(*[st.floats(0.2, 5.0)] * 3))
 @settings(max_examples=EXAMPLES)
-def test_other_units_give_the_same_motion(
-    case: tuple[int, int, float], h: float, units: tuple[float, float, float]
-) -> None:
+def test_other_units_give_the_same_motion(case, h, units):
     """Metres, kilogrammes and seconds may be changed: every term must have the dimension that it claims."""
     links, state = drawn(case)
     metre, kilo, second = units
@@ -187,7 +181,7 @@ def test_other_units_give_the_same_motion(
 
 @given(st.integers(0, 10**6), steps)
 @settings(max_examples=EXAMPLES)
-def test_one_link_cannot_tell_the_friction_readings_apart(seed: int, h: float) -> None:
+def test_one_link_cannot_tell_the_friction_readings_apart(seed, h):
     links, state = random_links(1, seed), random_state(1, seed)
     got, want = (sweep(links._replace(reaction=reaction), state, 0.1, h) for reaction in (0.0, 1.0))
     # The same arithmetic, in kernels of their own: the compiler may join other products and sums. Where terms of about
@@ -196,7 +190,7 @@ def test_one_link_cannot_tell_the_friction_readings_apart(seed: int, h: float) -
     np.testing.assert_allclose(got.force, want.force, rtol=0, atol=1e-13 * np.abs(want.force).max())
 
 
-def test_two_links_can() -> None:
+def test_two_links_can():
     links, state = random_links(2, 0), random_state(2, 0)
     got, want = (sweep(links._replace(reaction=reaction), state) for reaction in (0.0, 1.0))
     assert np.abs(got.alpha - want.alpha).min() > 1e-4 * np.abs(want.alpha).max()

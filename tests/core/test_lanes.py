@@ -1,7 +1,5 @@
 """One linearly implicit Euler step in SIMD lanes against the dense solve: states side by side."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,9 +13,7 @@ from tests.reference.cases import random_grip, random_links, random_state
 @pytest.mark.parametrize("air", [False, True], ids=["no-air", "air"])
 @pytest.mark.parametrize("n", [1, 2, 5, 50])
 @pytest.mark.parametrize("width", [ln.COLUMNS, ln.MEMBERS], ids=["columns", "members"])
-def test_a_step_in_every_lane_is_the_dense_implicit_step(
-    width: tuple[int, ...], n: int, air: bool, reaction: float
-) -> None:
+def test_a_step_in_every_lane_is_the_dense_implicit_step(width, n, air, reaction):
     links = random_links(n, 2, reaction=reaction, air=air)
     k = len(width)
     states = [random_state(n, seed) for seed in range(k)]

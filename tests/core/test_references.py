@@ -1,7 +1,5 @@
 """Kernels give back the memory that they take: nothing that numba allocated is left after a call."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numba
@@ -34,7 +32,7 @@ def living() -> int:
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_nothing_is_left_of_a_call(name: str) -> None:
+def test_nothing_is_left_of_a_call(name):
     _nrt_python.memsys_enable_stats()
     results = [CALLS[name]()]  # what is compiled may stay
     del results[:]

@@ -1,7 +1,5 @@
 """Short rollouts and batches through every kernel of the run loop; without the compiler too, to check bounds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,7 @@ T = np.array([0.01, 0.1004, 0.15, 0.2, 0.23, 0.3])
 
 
 @pytest.mark.parametrize("rope", [ROPE, DRY, ROPE.replace(friction_model="printed")], ids=["viscous", "dry", "printed"])
-def test_both_integrators_agree(rope: hf.Rope) -> None:
+def test_both_integrators_agree(rope):
     kept = {"arm": ARM, "duration": 0.3, "t_eval": T}
     run = hf.simulate(rope, MOTION, tol=1e-8, **kept)
     check = hf.simulate(rope, MOTION, method="rk4", step=1e-4, **kept)
@@ -28,7 +26,7 @@ def test_both_integrators_agree(rope: hf.Rope) -> None:
     assert np.abs(run.energy_error).max() < 1e-7
 
 
-def test_members_agree_with_the_single_run() -> None:
+def test_members_agree_with_the_single_run():
     batch = hf.simulate_batch([ROPE] * 3, MOTION, arm=ARM, duration=0.3, t_eval=T, tol=1e-8, keep=("q",))
     run = hf.simulate(ROPE, MOTION, arm=ARM, duration=0.3, t_eval=T, tol=1e-8)
     assert batch.failed == []
@@ -36,7 +34,7 @@ def test_members_agree_with_the_single_run() -> None:
         np.testing.assert_allclose(q, run.q, rtol=0, atol=1e-6)  # as above
 
 
-def test_the_kernels_are_compiled_for_one_kind_of_arrays() -> None:
+def test_the_kernels_are_compiled_for_one_kind_of_arrays():
     """Whether an array may be written to is part of its type; each new type would cost half a minute of compiling."""
     rope, arm = hf.Rope.uniform(length=1.0, mass=0.1, n_links=3), hf.Arm(0.1, 1e-3, pivot=(0.1, 0.0))
     torque = hf.torque_profile([0.0, 1.0], [1.0, 0.0])

@@ -1,7 +1,5 @@
 """Modes of joints with dry friction, and the search for the instant at which one changes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -18,7 +16,7 @@ from tests.reference.stick import lawful
 
 @pytest.mark.parametrize("reaction", [1.0, 0.0], ids=["relative", "printed"])
 @pytest.mark.parametrize("n", [1, 2, 5, 20])
-def test_what_stuck_joints_bear_is_the_multiplier_of_the_constraint(n: int, reaction: float) -> None:
+def test_what_stuck_joints_bear_is_the_multiplier_of_the_constraint(n, reaction):
     links, state, slip = random_links(n, 3, reaction=reaction, air=True), random_state(n, 3), random_grip(n, 4)
     workspace = stick.new_stiction_workspace(n)
     stick.constraint_torques(chain_of(links), state.q, state.w, slip, state.base, 0.03, workspace)
@@ -33,7 +31,7 @@ def test_what_stuck_joints_bear_is_the_multiplier_of_the_constraint(n: int, reac
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
-def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n: int) -> None:
+def test_modes_at_rest_are_those_that_trying_all_of_them_finds(n):
     """Whole chains at rest beside their base, with limits about as large as the loads: some hold, some give way."""
     kinds = set()
     for seed in range(12):
@@ -59,7 +57,7 @@ def obeys_the_law(links: Links, state: State, slip: Real) -> bool:
 
 
 @pytest.mark.parametrize(("n", "seeds"), [(1, 20), (2, 60), (5, 40), (12, 20)])
-def test_friction_without_reaction_leaves_lawful_modes_as_well(n: int, seeds: int) -> None:
+def test_friction_without_reaction_leaves_lawful_modes_as_well(n, seeds):
     """A crumpled chain may have several. Letting the worst joint go need not find one; following them does."""
     stubborn = 0
     for seed in range(seeds):
@@ -80,7 +78,7 @@ def test_friction_without_reaction_leaves_lawful_modes_as_well(n: int, seeds: in
     assert stubborn > 0 or n == 1
 
 
-def test_events_that_change_nothing_are_rounding_and_chatter_has_an_end() -> None:
+def test_events_that_change_nothing_are_rounding_and_chatter_has_an_end():
     n = 3
     links, state = random_links(n, 1), random_state(n, 1)
     state = State(state.q, np.full(n, state.base[3]), state.base)
@@ -88,7 +86,7 @@ def test_events_that_change_nothing_are_rounding_and_chatter_has_an_end() -> Non
     known = (chain_of(links), state.q, state.w, state.base, 0.0)
     assert stick.find_modes(*known, 1.0, slip, workspace)
 
-    def settled(chatter: float, before: Real) -> tuple[bool, float]:
+    def settled(chatter, before):
         answer: tuple[bool, float] = stick.decide_modes(*known, chatter, before.copy(), np.zeros(n), workspace)
         return answer
 
@@ -105,7 +103,7 @@ def test_events_that_change_nothing_are_rounding_and_chatter_has_an_end() -> Non
     np.testing.assert_array_equal(state.w, state.base[3])
 
 
-def test_a_joint_that_turns_slips_whatever_its_load() -> None:
+def test_a_joint_that_turns_slips_whatever_its_load():
     links, state = random_links(5, 1), random_state(5, 1)
     slip, workspace = np.zeros(5), stick.new_stiction_workspace(5)
     assert stick.find_modes(chain_of(links), state.q, state.w, state.base, 0.0, 1.0, slip, workspace)
@@ -148,7 +146,7 @@ def event_time(courses: list[Course], step: float, locked: float = 0.0, late: fl
     ("case", "locked"),  # a stuck joint does not begin at its limit
     [(k, locked) for k in range(len(COURSES)) for locked in (0.0, 1.0) if (k, locked) != (3, 1.0)],
 )
-def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
+def test_the_search_ends_at_the_first_event(case, locked):
     (value, slope), step, at = COURSES[case]
     taken, attempts = event_time([(value, slope)], step, locked)
     assert at <= taken + 1e-15
@@ -161,7 +159,7 @@ def test_the_search_ends_at_the_first_event(case: int, locked: float) -> None:
         assert attempts <= (4 if locked else 3)
 
 
-def test_cubics_that_stay_positive_hide_nothing() -> None:
+def test_cubics_that_stay_positive_hide_nothing():
     """Where all Bernstein coefficients are positive no sixteenth of the course is below zero, for random courses."""
     rng, kept = np.random.default_rng(0), 0
     for _ in range(300):
@@ -175,7 +173,7 @@ def test_cubics_that_stay_positive_hide_nothing() -> None:
     assert kept > 20
 
 
-def test_a_dip_before_another_joint_s_event_is_found() -> None:
+def test_a_dip_before_another_joint_s_event_is_found():
     """The second margin dips below zero in the middle, which its ends do not show; the first one's event is later."""
     line = (lambda t: 0.9 - t), (lambda t: -1.0)
     dip = (lambda t: np.cos(2.0 * np.pi * t) + 0.9), (lambda t: -2.0 * np.pi * np.sin(2.0 * np.pi * t))
@@ -183,7 +181,7 @@ def test_a_dip_before_another_joint_s_event_is_found() -> None:
     assert taken == pytest.approx(np.arccos(-0.9) / (2.0 * np.pi), abs=2 * stick.STICTION.instant)
 
 
-def test_a_search_that_has_come_further_does_not_go_back_for_a_dip_before() -> None:
+def test_a_search_that_has_come_further_does_not_go_back_for_a_dip_before():
     """Where friction acts on one link every attempt has a middle; it is no middle of what is left of the span."""
     search, low = new_search(1, 1.0), 0.5
     search.low[0, 0] = 1.0
@@ -194,15 +192,15 @@ def test_a_search_that_has_come_further_does_not_go_back_for_a_dip_before() -> N
     assert 0.6 < length < 1.0
 
 
-def test_a_joint_that_comes_loose_does_not_stop_for_rounding() -> None:
+def test_a_joint_that_comes_loose_does_not_stop_for_rounding():
     """It hardly accelerates at first, so that its rate is rounding for long; then it slips, and stops much later."""
     start, jerk, end, rounding = 3e-10, 1e3, 0.04, 4e-16
 
-    def value(t: float) -> float:
+    def value(t):
         exact = start * t + jerk * t * t * (1.0 - t / end) / 2.0
         return 0.0 if t == 0.0 else rounding * (np.floor(exact / rounding) - (2.0 if t < 1e-9 else 0.0))
 
-    def slope(t: float) -> float:
+    def slope(t):
         return start + jerk * t * (1.0 - 1.5 * t / end)
 
     taken, attempts = event_time([(value, slope)], 0.1)
@@ -210,7 +208,7 @@ def test_a_joint_that_comes_loose_does_not_stop_for_rounding() -> None:
     assert attempts <= 16
 
 
-def test_a_step_without_event_is_taken_as_it_is() -> None:
+def test_a_step_without_event_is_taken_as_it_is():
     search = new_search(2)
     search.low[:, 0], search.low[:, 1] = (1.0, -0.5), (np.inf, 0.0)
     search.here[:, 0], search.here[:, 1] = (0.6, -0.3), (np.inf, 0.0)

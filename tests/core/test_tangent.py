@@ -1,7 +1,5 @@
 """The tangent of one Euler step against differences of the dense step in extended precision; packed instructions."""
 
-from __future__ import annotations
-
 import platform
 import re
 from typing import Any
@@ -153,7 +151,7 @@ def compare(got: Real, links: Any, state: State, torque: float, pair: list[Direc
 
 @pytest.mark.parametrize(("reaction", "bears"), [(1.0, MUTUAL), (0.0, ONE_SIDED)], ids=["relative", "printed"])
 @pytest.mark.parametrize("n", [1, 2, 7])
-def test_tangent_is_the_derivative_of_the_dense_step(n: int, reaction: float, bears: tuple[int, ...]) -> None:
+def test_tangent_is_the_derivative_of_the_dense_step(n, reaction, bears):
     state, grip = random_state(n, 5), np.ones(n)
     for parameters in (False, True):
         links = random_links(n, 4, reaction=reaction, air=parameters)._replace(dry=np.zeros(n))
@@ -164,7 +162,7 @@ def test_tangent_is_the_derivative_of_the_dense_step(n: int, reaction: float, be
 
 
 @pytest.mark.parametrize("name", [*LINKS, "tip_mass", "gx", "gy", "torque", "stretch"])
-def test_each_parameter_by_itself(name: str) -> None:
+def test_each_parameter_by_itself(name):
     n = 3
     links = random_links(n, 6, air=True)._replace(dry=np.zeros(n))
     state, chain = random_state(n, 7), chain_of(links, MUTUAL)
@@ -179,7 +177,7 @@ def test_each_parameter_by_itself(name: str) -> None:
         compare(got, links, state, 0.01, [it, it], what=f"{name}[{i}]")
 
 
-def test_stuck_joints_move_as_one() -> None:
+def test_stuck_joints_move_as_one():
     """A joint locked by the kernels against one whose viscous friction is beyond all bounds."""
     n, stuck = 5, [0, 3]
     links = random_links(n, 8, air=True)._replace(dry=np.full(n, 1e-3))
@@ -205,7 +203,7 @@ def test_stuck_joints_move_as_one() -> None:
 @pytest.mark.skipif(platform.machine() not in {"x86_64", "AMD64"}, reason="names of instructions are those of x86")
 @pytest.mark.parametrize("sources", [None, tg.STATE, tg.ALL], ids=["prepare", "state", "all"])
 @pytest.mark.nightly
-def test_the_compiler_makes_packed_instructions(sources: tuple[int, ...] | None) -> None:
+def test_the_compiler_makes_packed_instructions(sources):
     kernel = tg.prepare if sources is None else tg.step
     fresh = numba.jit(**kernel.targetoptions)(kernel.py_func)  # code from the cache cannot be looked at
     lanes, reaction = numba.float64[::1], numba.typeof(MUTUAL)

@@ -1,7 +1,5 @@
 """Sliding windows of the motor's torque against integrals over all windows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,7 @@ def watched(begins: list[float], steps: list[float], impulses: list[float]) -> n
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_peak_is_that_of_all_windows(seed: int) -> None:
+def test_the_peak_is_that_of_all_windows(seed):
     """Up to what the ends of a window make: within a cell nobody knows what comes when."""
     rng = np.random.default_rng(seed)
     h = 10.0 ** rng.uniform(-7.0, -3.3, 400) * (rng.random(400) < 0.9)  # some are impacts
@@ -39,7 +37,7 @@ def test_the_peak_is_that_of_all_windows(seed: int) -> None:
 
 
 @pytest.mark.parametrize("begin", [0.0, 0.25 * WINDOW, 0.5 * WINDOW, 0.75 * WINDOW])
-def test_a_blow_counts_in_full_wherever_it_falls(begin: float) -> None:
+def test_a_blow_counts_in_full_wherever_it_falls(begin):
     """Windows that follow each other would cut it in two."""
     h = WINDOW / 50
     begins = list(np.arange(200) * h)
@@ -47,7 +45,7 @@ def test_a_blow_counts_in_full_wherever_it_falls(begin: float) -> None:
     assert row[PEAK] == pytest.approx(0.8, rel=0.03)
 
 
-def test_free_flight_is_forgotten() -> None:
+def test_free_flight_is_forgotten():
     row = watched([0.0, 1e-3], [1e-4, 1e-4], [1e-4, 1e-4])
     assert row[SUM] == pytest.approx(1e-4, rel=1e-12)
     assert row[PEAK] == pytest.approx(0.2, rel=1e-9)

@@ -1,11 +1,8 @@
 """Environments: Gymnasium's own checks, members and single ones alike, episodes, limits, what is drawn."""
 
-from __future__ import annotations
-
 import inspect
 import subprocess
 import sys
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -30,7 +27,7 @@ SECTIONS = ["Description", "Action Space", "Observation Space", "Rewards", "Star
 @pytest.mark.parametrize("action", ["acceleration", "timing"])
 @pytest.mark.parametrize("observation", ["state", "markers"])
 @pytest.mark.parametrize("drawn", [{}, DRAWN], ids=["model", "drawn"])
-def test_gymnasium_finds_nothing(name: str, action: str, observation: str, drawn: dict[str, Any]) -> None:
+def test_gymnasium_finds_nothing(name, action, observation, drawn):
     """Its warnings are errors here."""
     env = gymnasium.make(name, action=action, observation=observation, **drawn).unwrapped
     check_env(env)
@@ -40,7 +37,7 @@ def test_gymnasium_finds_nothing(name: str, action: str, observation: str, drawn
 @pytest.mark.parametrize("name", IDS)
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 @pytest.mark.parametrize("action", ["acceleration", "timing"])
-def test_members_are_single_environments(name: str, mode: str, action: str) -> None:
+def test_members_are_single_environments(name, mode, action):
     """Three episodes, beside Gymnasium's own way to make many of one: values, ends and information."""
     arguments = {"max_episode_steps": 25, "action": action, "observation": "markers", **DRAWN}
     many = gymnasium.make_vec(name, num_envs=2, autoreset_mode=mode, **arguments)
@@ -64,7 +61,7 @@ def test_members_are_single_environments(name: str, mode: str, action: str) -> N
     assert ends == 3
 
 
-def test_members_that_ended_wait_for_their_reset() -> None:
+def test_members_that_ended_wait_for_their_reset():
     envs = gymnasium.make_vec(IDS[0], num_envs=3, autoreset_mode="Disabled", max_episode_steps=2)
     with pytest.raises(InvalidInput, match="has not begun"):
         envs.step(np.zeros((3, 1)))
@@ -84,7 +81,7 @@ def test_members_that_ended_wait_for_their_reset() -> None:
         envs.reset(seed=[1])
 
 
-def test_arms_keep_to_the_motors_limits() -> None:
+def test_arms_keep_to_the_motors_limits():
     limits = hf.MotorLimits(speed=5.0, acceleration=30.0, angles=(-1.8, 1.0))
     envs = hyperflex.envs.SwingVectorEnv(4, limits=limits)
     envs.reset(seed=0)
@@ -102,7 +99,7 @@ def test_arms_keep_to_the_motors_limits() -> None:
         hyperflex.envs.SwingEnv(action="timing", limits=limits)
 
 
-def test_half_turns_begin_when_asked_and_end_on_the_other_side() -> None:
+def test_half_turns_begin_when_asked_and_end_on_the_other_side():
     env = hyperflex.envs.SwingEnv(action="timing")
     env.reset(seed=0)
     half = env.members.actuator.half
@@ -115,7 +112,7 @@ def test_half_turns_begin_when_asked_and_end_on_the_other_side() -> None:
     assert env.members.world.arm_rate[0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_what_is_drawn() -> None:
+def test_what_is_drawn():
     env = gymnasium.make(IDS[1], **DRAWN)
     true = []
     for seed in (1, 2, 1):
@@ -134,7 +131,7 @@ def test_what_is_drawn() -> None:
         gymnasium.make(IDS[0], mismatch={"mass": -1.0})
 
 
-def test_targets_are_in_reach_of_the_rope_that_is_given() -> None:
+def test_targets_are_in_reach_of_the_rope_that_is_given():
     cord, arm, limits = hf.Rope.uniform(length=1.2, mass=0.05, n_links=15), hf.Arm(length=0.15), hf.MotorLimits()
     for rope in (default_rope(40), cord):
         env = gymnasium.make(IDS[1], rope=rope, arm=arm)
@@ -155,7 +152,7 @@ def wound(turns: float, peg: hf.Peg, count: int) -> Array:
     return np.array([[peg.x, peg.y] + 0.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1)])
 
 
-def test_a_cast_succeeds_when_the_rope_stays_wound() -> None:
+def test_a_cast_succeeds_when_the_rope_stays_wound():
     peg = hf.Peg(0.9, -0.8, 0.05)
     envs = hyperflex.envs.CastVectorEnv(target=peg)
     seen, _ = envs.reset(seed=0)
@@ -168,7 +165,7 @@ def test_a_cast_succeeds_when_the_rope_stays_wound() -> None:
     assert begin + sum(rewards) + sum(reward[0] for reward, _ in ends) == pytest.approx(2.0)
 
 
-def test_a_member_that_cannot_be_simulated_ends_alone() -> None:
+def test_a_member_that_cannot_be_simulated_ends_alone():
     envs = hyperflex.envs.SwingVectorEnv(2, autoreset_mode="SameStep")
     envs.reset(seed=0)
     state = envs.world._state
@@ -185,7 +182,7 @@ def test_a_member_that_cannot_be_simulated_ends_alone() -> None:
 
 
 @pytest.mark.parametrize("kind", [hyperflex.envs.SwingEnv, hyperflex.envs.CastEnv])
-def test_docstrings_have_gymnasiums_sections(kind: type) -> None:
+def test_docstrings_have_gymnasiums_sections(kind):
     text = inspect.getdoc(kind) or ""
     assert [line[3:] for line in text.splitlines() if line[:3] == "## "] == [*SECTIONS, "Version history"]
     seen = kind().observation_space.shape
@@ -193,13 +190,13 @@ def test_docstrings_have_gymnasiums_sections(kind: type) -> None:
     assert f"({kind(observation='markers').observation_space.shape[0]},)" in text
 
 
-def test_the_package_registers_what_gymnasium_makes() -> None:
+def test_the_package_registers_what_gymnasium_makes():
     code = "import gymnasium; print(gymnasium.make('hyperflex.envs:hyperflex/Swing-v0').spec.max_episode_steps)"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["500"]
 
 
-def test_without_gymnasium_its_command_is_named() -> None:
+def test_without_gymnasium_its_command_is_named():
     code = "import sys; sys.modules['gymnasium'] = None\nimport hyperflex.envs"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "pip install 'hyperflex[gym]'" in run.stderr

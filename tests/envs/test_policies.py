@@ -1,11 +1,8 @@
 """Scripted policies, their scores, and the adapter for Stable-Baselines3."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import replace
 from types import ModuleType
 from typing import Any
@@ -24,7 +21,7 @@ from hyperflex.planning import Moves, check_feasibility
 SWING, CAST = "hyperflex/Swing-v0", "hyperflex/Cast-v0"
 
 
-def test_rules_swing_better_than_chance_and_with_either_action() -> None:
+def test_rules_swing_better_than_chance_and_with_either_action():
     chance = score_policy(lambda env: lambda _: env.action_space.sample(), SWING, seeds=[0, 1])
     again = score_policy(lambda env: lambda _: env.action_space.sample(), SWING, seeds=[0, 1])
     np.testing.assert_array_equal(chance.returns, again.returns)
@@ -34,7 +31,7 @@ def test_rules_swing_better_than_chance_and_with_either_action() -> None:
     assert pumping[1] == pytest.approx(pumping[0], rel=1e-3)
 
 
-def test_a_plan_is_carried_out() -> None:
+def test_a_plan_is_carried_out():
     """The arm follows the motion that was planned; whether the rope winds is up to the planner."""
     target = hf.Peg(0.9, -0.8, 0.05)
     env = gymnasium.make(CAST, target=target)
@@ -53,13 +50,8 @@ def test_a_plan_is_carried_out() -> None:
         PlannedCast(gymnasium.make("CartPole-v1"))
 
 
-def test_a_plan_is_for_the_start_of_the_episode_and_the_first_that_winds_in_a_rehearsal_is_carried_out(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    target, problem = (
-        hf.Peg(0.78453362, -0.91275162, 0.05),
-        hf.Problem(default_rope(40), hf.Arm(), hf.MotorLimits()),
-    )
+def test_a_plan_is_for_the_start_of_the_episode_and_the_first_that_winds_in_a_rehearsal_is_carried_out(monkeypatch):
+    target, problem = (hf.Peg(0.78453362, -0.91275162, 0.05), hf.Problem(default_rope(40), hf.Arm(), hf.MotorLimits()))
     rests = np.array([0.0, 0.50848401, 0.40848401, 0.52848401, 0.50848401, 0.70848401, 0.30848401])
     ends = -0.5 * np.pi + 2.98451302 * (np.arange(7) % 2 == 0)
     winds = Moves(-1, np.append(ends, 0.5 * np.pi), np.append(rests, 0.36848401))
@@ -68,13 +60,7 @@ def test_a_plan_is_for_the_start_of_the_episode_and_the_first_that_winds_in_a_re
     misses = replace(plans[1], moves=replace(winds, rests=np.full(8, 0.2)))
     seen: list[tuple[int, bool]] = []
 
-    def plan_cast(
-        *_: Any,
-        conditions: hf.Conditions,
-        options: hf.SearchOptions,
-        on_plan: Callable[[hf.CastPlan], bool],
-        **given: Any,
-    ) -> hf.CastPlan:
+    def plan_cast(*_, conditions, options, on_plan, **given):
         np.testing.assert_array_equal(conditions.state0.q, world.q[0])
         assert conditions.side == -1
         found = (plans[0], misses, plans[1])[options.seed]
@@ -94,7 +80,7 @@ def test_a_plan_is_for_the_start_of_the_episode_and_the_first_that_winds_in_a_re
     assert info["is_success"]
 
 
-def test_scores_have_an_interval() -> None:
+def test_scores_have_an_interval():
     scores = Scores(np.random.default_rng(0).normal(5.0, 2.0, 200), np.zeros(200, dtype=np.bool_))
     low, high = scores.interval
     assert low < scores.mean < high
@@ -102,12 +88,12 @@ def test_scores_have_an_interval() -> None:
     assert "200 episodes" in str(scores)
 
 
-def test_adapter_does_what_stable_baselines_asks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_adapter_does_what_stable_baselines_asks(monkeypatch):
     """Against the package where it is there, else against the part of its VecEnv that it calls."""
     if importlib.util.find_spec("stable_baselines3") is None:
         for name in ("stable_baselines3", "stable_baselines3.common", "stable_baselines3.common.vec_env"):
             monkeypatch.setitem(sys.modules, name, ModuleType(name))
-        sys.modules["stable_baselines3.common.vec_env"].VecEnv = VecEnv  # type: ignore[attr-defined]
+        sys.modules["stable_baselines3.common.vec_env"].VecEnv = VecEnv
     make = {"num_envs": 2, "autoreset_mode": "SameStep", "max_episode_steps": 3}
     envs = stable_baselines_env(gymnasium.make_vec(SWING, **make))
     plain = gymnasium.make_vec(SWING, **make)
@@ -134,7 +120,7 @@ def test_adapter_does_what_stable_baselines_asks(monkeypatch: pytest.MonkeyPatch
         stable_baselines_env(gymnasium.make_vec(SWING, num_envs=2))
 
 
-def test_without_stable_baselines_its_command_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_stable_baselines_its_command_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
     monkeypatch.setitem(sys.modules, "stable_baselines3.common", None)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)

@@ -1,7 +1,5 @@
 """Simulated runs of a finer rope, seen by its markers, and how far a filter is off."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Links that are coloured bars, without markers: a rendered pendulum against its truth, and the real one's video."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

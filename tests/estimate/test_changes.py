@@ -1,7 +1,5 @@
 """Tests for changes: what they notice, when and as what; finer truths, places in metres. All data are simulated."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -23,7 +21,7 @@ def noticed(changes: list[Change], name: str) -> float:
 
 
 @pytest.mark.parametrize(("moved", "allowed"), [(True, 0.5), (False, 2.0)], ids=["cast", "free swing"])
-def test_a_mass_at_the_tip(moved: bool, allowed: float) -> None:
+def test_a_mass_at_the_tip(moved, allowed):
     """5 g of 125 g. It is noticed, from then on it is estimated, and 2 s later known to 10 %."""
     truth = disturbed(moved=moved, duration=AT + 2.3, at=AT, tip_mass=5e-3)
     found = track(truth, frames=30.0, moved=moved, tests=ChangeTests())
@@ -40,7 +38,7 @@ def test_a_mass_at_the_tip(moved: bool, allowed: float) -> None:
 
 @pytest.mark.parametrize("moved", [True, False], ids=["cast", "free swing"])
 @pytest.mark.parametrize(("force", "allowed"), [(0.2, 0.1), (0.02, 0.3)])
-def test_a_touch(moved: bool, force: float, allowed: float) -> None:
+def test_a_touch(moved, force, allowed):
     """For 0.1 s, across the rope, between two of the places where touches are tried."""
     angle = float(disturbed(moved=moved, duration=AT, at=AT).q[-1, 65])
     touch = (1.3, force * np.cos(angle), force * np.sin(angle), 0.1)
@@ -58,14 +56,14 @@ def test_a_touch(moved: bool, force: float, allowed: float) -> None:
     assert found.rms("tip", AT + 0.5) < 3e-3
 
 
-def test_nothing_has_changed() -> None:
+def test_nothing_has_changed():
     """A finer rope, swinging freely and pumped: no alarm in 15 s, where one in 600 s is allowed."""
     for moved, duration in ((False, 10.0), (True, 7.0)):
         found = track(disturbed(moved=moved, duration=duration, at=1.0), frames=30.0, moved=moved, tests=ChangeTests())
         assert found.changes == []
 
 
-def test_the_rate_of_false_alarms_is_what_was_asked_for() -> None:
+def test_the_rate_of_false_alarms_is_what_was_asked_for():
     """White innovations, 1.5 s between alarms asked for: at most as many, by Bonferroni's bound, but not none."""
     cable, rng = rope(6), np.random.default_rng(0)
     interval, dt, frames, count = 1.5, 1 / 30, 3000, 0
@@ -90,7 +88,7 @@ def test_the_rate_of_false_alarms_is_what_was_asked_for() -> None:
     assert count >= 1
 
 
-def test_the_signature_of_a_mass_and_of_a_touch() -> None:
+def test_the_signature_of_a_mass_and_of_a_touch():
     """What the tests expect in the next picture, against runs with and without the change (differences)."""
     cable, dt, n = rope(10), 1 / 30, 10
     rng = np.random.default_rng(1)
@@ -103,7 +101,7 @@ def test_the_signature_of_a_mass_and_of_a_touch() -> None:
     detector.begin(0.0)
     detector.predict((x, found.x), 0.0, dt, found.transition)
 
-    def run(cable: hf.Rope, pushes: int = 0, arc: float = 0.0) -> Array:
+    def run(cable, pushes=0, arc=0.0):
         """State after a frame; a force of 0.01 N along x in so many small kicks."""
         state = hf.State(t=0.0, q=q, qd=qd)
         for _ in range(max(pushes, 1)):
@@ -125,7 +123,7 @@ def test_the_signature_of_a_mass_and_of_a_touch() -> None:
     np.testing.assert_allclose(detector.touches[:n, 2 * place], by_force[:n], atol=0.07 * np.abs(by_force[:n]).max())
 
 
-def test_the_kick_of_an_impulse_is_that_of_mujoco() -> None:
+def test_the_kick_of_an_impulse_is_that_of_mujoco():
     """M^-1 J' by MuJoCo's mass matrix and its Jacobian of a point on a link, in relative angles."""
     import mujoco
 
@@ -161,14 +159,14 @@ def swaying(t: float, places: Array) -> Array:
 @pytest.mark.parametrize("view", [tilted, swaying])
 @pytest.mark.parametrize("moved", [False, True], ids=["free swing", "cast"])
 @pytest.mark.nightly
-def test_motion_out_of_the_plane_is_told(view: object, moved: bool) -> None:
+def test_motion_out_of_the_plane_is_told(view, moved):
     """Within 5 s; runs in their plane say nothing (above)."""
     truth = disturbed(moved=moved, duration=5.5, at=1.0)
-    found = track(truth, frames=30.0, moved=moved, view=view, tests=ChangeTests())  # type: ignore[arg-type]
+    found = track(truth, frames=30.0, moved=moved, view=view, tests=ChangeTests())
     assert any(each.name == "misfit" and each.size > 1.25 for each in found.changes)
 
 
-def test_only_touches() -> None:
+def test_only_touches():
     """No parameter is tested; frames without a marker, or at the same time, or after half a second, are no matter."""
     quick = RopeFilter(rope(5), [1.0, 2.0], tests=ChangeTests(("touch",)))
     run = hf.simulate(rope(5), duration=3.0, q0=np.full(5, 0.3), t_eval=np.arange(0.0, 3.0, 0.05))
@@ -181,14 +179,14 @@ def test_only_touches() -> None:
     assert quick.values == {}
 
 
-def test_what_is_estimated_is_tested_too() -> None:
+def test_what_is_estimated_is_tested_too():
     tests = ChangeTests(("scale", "touch"))
     tracker = RopeFilter(rope(5), [1.0, 2.0], parameters=[EstimatedParameter("scale", 0.01)], tests=tests)
     assert list(tracker.values) == ["scale"]
     assert tracker.parameters.names == ("scale",)
 
 
-def test_words() -> None:
+def test_words():
     mass = Change("tip_mass", 3.2, 3.0, 5e-3, 1e-3, 0.9, -20.0)
     assert str(mass) == "tip_mass: +0.005 ± 0.001 kg, since 3.00 s, noticed at 3.20 s, 90 % sure"
     touch = Change("touch", 3.2, 3.0, 0.02, 1e-3, 1.0, -20.0, 1.25, (0.02, 0.0))
@@ -196,7 +194,7 @@ def test_words() -> None:
     assert "errors of the markers are 1.5 times" in str(Change("misfit", 3.2, 3.2, 1.5, 0.1, 1.0, -20.0))
 
 
-def test_bad_input() -> None:
+def test_bad_input():
     with pytest.raises(InvalidInput, match="no test for a change of this"):
         ChangeTests(("colour",))
     with pytest.raises(InvalidInput, match="no test for a change of this"):
@@ -210,7 +208,7 @@ def test_bad_input() -> None:
     assert ChangeTests().names_for(rope(5)) == ("length", "friction", "tip_mass", "touch")
 
 
-def test_a_slow_camera_is_tested_too() -> None:
+def test_a_slow_camera_is_tested_too():
     """3.3 frames/s: a mass at the tip is told, as it is at 10."""
     cable, gap = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, radius=0.002, friction=1e-4), 0.3
     heavy, rng = cable.replace(tip_mass=0.02), np.random.default_rng(0)

@@ -1,7 +1,5 @@
 """Is the filter as sure as it says? Short runs; 100 of each kind are in benchmarks/tracking.py."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from benchmarks import tracking
@@ -23,7 +21,7 @@ def nees(found: Tracked, name: str, floor: float) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("moved", [False, True], ids=["free swings", "casts"])
-def test_where_the_model_is_right(moved: bool) -> None:
+def test_where_the_model_is_right(moved):
     """Disturbances as the filter assumes them, of a size that it does not know: chi squares, and white innovations.
 
     Frames close together are alike, so that the mean of NEES over two runs of 6 s still varies by some 10 %.
@@ -52,7 +50,7 @@ def test_where_the_model_is_right(moved: bool) -> None:
 
 
 @pytest.mark.parametrize("moved", [False, True], ids=["free swings", "casts"])
-def test_with_a_finer_truth(moved: bool) -> None:
+def test_with_a_finer_truth(moved):
     """100 links for 50, undisturbed, whose differences come in bursts: single runs hold 67 to 99 %, 86 % on average."""
     runs = [
         track(disturbed(moved=moved, seed=seed, duration=6.0), frames=30.0, moved=moved, seed=seed, seen=True)
@@ -65,7 +63,7 @@ def test_with_a_finer_truth(moved: bool) -> None:
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.06])
-def test_a_delay(delay: float) -> None:
+def test_a_delay(delay):
     """Found within 1 ms in 3 s of arm motion, whatever it is."""
     found = track(pumped(4.0), frames=30.0, moved=True, delay=delay, parameters=[EstimatedParameter("delay", 0.03)])
     assert found.tracker.values["delay"][0] == pytest.approx(delay, abs=1e-3)
@@ -73,7 +71,7 @@ def test_a_delay(delay: float) -> None:
 
 
 @pytest.mark.parametrize("frames", [7.5, 30.0])
-def test_starts_with_a_wrong_length(frames: float) -> None:
+def test_starts_with_a_wrong_length(frames):
     """1 % off, from random shapes, at 7.5 frames/s too: always finite, and the tip is right a second later."""
     for seed in range(10):
         found = track(
@@ -91,7 +89,7 @@ def test_starts_with_a_wrong_length(frames: float) -> None:
 
 
 @pytest.mark.parametrize("moved", [False, True], ids=["free swing", "cast"])
-def test_joint_friction_beside_its_bound(moved: bool) -> None:
+def test_joint_friction_beside_its_bound(moved):
     """No estimate is surer than the Cramer-Rao bound; this one, which has to allow for disturbances, nearly so."""
     truth = disturbed(moved=moved, n=25, duration=5.2, at=0.1)
     bound = friction_bound(truth, moved, 1.5e-3)
@@ -102,7 +100,7 @@ def test_joint_friction_beside_its_bound(moved: bool) -> None:
     assert abs(error) < 3.0 * min(std, 1.5 * bound)
 
 
-def test_the_bound_that_the_benchmark_states() -> None:
+def test_the_bound_that_the_benchmark_states():
     """Places are known better than they are seen, by up to the frames since the start, and velocities better later."""
     truth = disturbed(n=20, noise=tracking.DENSITY, duration=2.0)
     bound = tracking.bounds(truth, False, tracking.DENSITY)

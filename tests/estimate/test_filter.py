@@ -1,7 +1,5 @@
 """The Kalman filter of a rope: finer truths, hard views, wrong set-ups. All data are simulated; places in metres."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ from tests.estimate.runs import LENGTH, free_swing, pumped, rope, track
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_free_swing_at_7_frames_a_second(seed: int) -> None:
+def test_free_swing_at_7_frames_a_second(seed):
     """The paper's camera: 10 markers, 7.5 frames/s. What is asked: 3 mm, 5 mm foretold, 2 % of speeds, 5 % of rates."""
     found = track(free_swing(seed), seed=seed)
     assert found.rms("tip") < 3e-3
@@ -23,11 +21,11 @@ def test_free_swing_at_7_frames_a_second(seed: int) -> None:
     assert found.rms("rates") < 0.05 * found.rms("true_rates")
 
 
-def test_without_a_marker_on_the_tip() -> None:
+def test_without_a_marker_on_the_tip():
     assert track(free_swing(0), on_tip=False).rms("tip") < 0.010
 
 
-def test_pumped_with_occlusion_and_a_blackout() -> None:
+def test_pumped_with_occlusion_and_a_blackout():
     run = pumped(11.0)
     assert np.linalg.norm(run.tip_velocity, axis=1).max() > 12.0
     found = track(run, frames=30.0, occluded=0.3, blackout=(6.0, 6.5), moved=True)
@@ -38,7 +36,7 @@ def test_pumped_with_occlusion_and_a_blackout() -> None:
     assert found.nees[last] < 4.6 / 2.0  # within 90 % of chi square with 2 degrees of freedom
 
 
-def test_half_occluded_without_a_marker_on_the_tip() -> None:
+def test_half_occluded_without_a_marker_on_the_tip():
     assert track(pumped(), frames=30.0, occluded=0.5, on_tip=False, moved=True).rms("tip") < 0.040
 
 
@@ -52,23 +50,21 @@ def test_half_occluded_without_a_marker_on_the_tip() -> None:
     ],
     ids=["length", "delay", "roll", "readout"],
 )
-def test_what_is_wrong_by_a_little_is_found(
-    wrong: dict[str, float], name: str, std: float, truth: float, allowed: float
-) -> None:
-    found = track(pumped(6.0), frames=30.0, moved=True, parameters=[EstimatedParameter(name, std)], **wrong)  # type: ignore[arg-type]
+def test_what_is_wrong_by_a_little_is_found(wrong, name, std, truth, allowed):
+    found = track(pumped(6.0), frames=30.0, moved=True, parameters=[EstimatedParameter(name, std)], **wrong)
     value, spread = found.tracker.values[name]
     assert value == pytest.approx(truth, abs=allowed)
     assert spread < std / 5.0
     assert found.rms("tip", 4.0) < 5e-3
 
 
-def test_a_known_readout_costs_little() -> None:
+def test_a_known_readout_costs_little():
     at_once = track(pumped(6.0), frames=30.0, moved=True).rms("tip")
     by_rows = track(pumped(6.0), frames=30.0, moved=True, readout=0.03, known_readout=0.03).rms("tip")
     assert by_rows < 1.2 * at_once
 
 
-def test_noise_is_found() -> None:
+def test_noise_is_found():
     """Declared as 1.5 mm, and it is that, or three times as much: the filter's own level says so."""
     run = hf.simulate(rope(25), duration=6.0, q0=np.full(25, 0.5), t_eval=np.arange(0.0, 6.0, 0.04))
     at, level = [6, 12, 19, 25], []
@@ -81,7 +77,7 @@ def test_noise_is_found() -> None:
     assert level[1] == pytest.approx(3.0, rel=0.25)
 
 
-def test_derivatives_of_what_is_seen() -> None:
+def test_derivatives_of_what_is_seen():
     names = ("length", "scale", "roll", "offset_x", "offset_y", "delay", "readout", "arc[1]")
     tracker = RopeFilter(rope(8), [0.6, 1.3, 2.0], parameters=[EstimatedParameter(name, 0.01) for name in names])
     rng = np.random.default_rng(2)
@@ -97,7 +93,7 @@ def test_derivatives_of_what_is_seen() -> None:
         np.testing.assert_allclose((high - low) / 2e-6, slope[:, :, k], atol=1e-7)
 
 
-def test_a_first_frame_with_few_markers() -> None:
+def test_a_first_frame_with_few_markers():
     run = free_swing(0)
     tracker = RopeFilter(rope(20), [0.5, 1.0, 1.5, 2.0])
     places = np.full((4, 2), np.nan)
@@ -107,7 +103,7 @@ def test_a_first_frame_with_few_markers() -> None:
     np.testing.assert_allclose(tracker.markers()[0][2], run.joints[0, 75], atol=3e-3)
 
 
-def test_an_outlier_changes_nothing() -> None:
+def test_an_outlier_changes_nothing():
     run = free_swing(1)
     near = [RopeFilter(rope(25), [0.5, 1.0, 1.5, 2.0]) for _ in range(2)]
     for i in range(0, 1200, 20):
@@ -120,7 +116,7 @@ def test_an_outlier_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize(("seen", "false"), [((3,), (3,)), ((2, 3), (3,)), ((0, 1, 2, 3), (2, 3))])
-def test_what_half_of_a_frame_says_is_not_believed_at_once(seen: tuple[int, ...], false: tuple[int, ...]) -> None:
+def test_what_half_of_a_frame_says_is_not_believed_at_once(seen, false):
     """A lone place, or as many false as right ones: an outlier until the next frame says the same."""
     run = free_swing(1)
     tracker = RopeFilter(rope(25), [0.5, 1.0, 1.5, 2.0])
@@ -134,7 +130,7 @@ def test_what_half_of_a_frame_says_is_not_believed_at_once(seen: tuple[int, ...]
     np.testing.assert_array_equal(np.flatnonzero(tracker.used), [k for k in seen if k not in false])
 
 
-def test_a_wrong_state_is_told_from_wrong_places() -> None:
+def test_a_wrong_state_is_told_from_wrong_places():
     """Where most of three places and more are off, it is the state; one or two are believed when they stay."""
     wide, near, far = np.tile(np.eye(2), (4, 1, 1)), [0.5, 0.5], [30.0, 0.0]
     hidden = [np.nan, np.nan]
@@ -149,7 +145,7 @@ def test_a_wrong_state_is_told_from_wrong_places() -> None:
     assert gate.accepted(lone, wide)[3]
 
 
-def test_bad_input() -> None:
+def test_bad_input():
     tracker = RopeFilter(rope(5), [1.0, 2.0])
     with pytest.raises(InvalidInput, match="nothing has been seen"):
         _ = tracker.state
@@ -170,7 +166,7 @@ def test_bad_input() -> None:
         horizon.update(Observations(1.0, [[0.0, -1.0], [0.0, -2.0]], 1e-3))
 
 
-def test_places_where_no_rope_is_are_left_out() -> None:
+def test_places_where_no_rope_is_are_left_out():
     tracker = swinging(0.5)
     assert tracker.t is not None
     for k in range(1, 4):
@@ -188,7 +184,7 @@ def test_places_where_no_rope_is_are_left_out() -> None:
 
 
 @pytest.mark.nightly
-def test_nonsense_is_survived() -> None:
+def test_nonsense_is_survived():
     """Places that no rope can have: an estimate all the same, and a right one soon after they have stopped."""
     run, rng = free_swing(0), np.random.default_rng(3)
     tracker = RopeFilter(rope(25), [0.5, 1.0, 1.5, 2.0])
@@ -199,7 +195,7 @@ def test_nonsense_is_survived() -> None:
     np.testing.assert_allclose(tracker.markers()[0][-1], run.joints[i, 100], atol=0.02)
 
 
-def test_nothing_seen_yet() -> None:
+def test_nothing_seen_yet():
     tracker = RopeFilter(rope(5), [1.0])
     tracker.update(Observations(0.0, [[np.nan, np.nan]], 1e-3))
     assert tracker.t is None
@@ -209,13 +205,13 @@ def swinging(seconds: float, **options: object) -> RopeFilter:
     """A filter of 20 links after a while of a swing, seen 25 times a second."""
     cable = hf.Rope.uniform(length=1.2, mass=0.06, n_links=20, radius=0.002, friction=1e-4)
     run = hf.simulate(cable, duration=seconds, q0=np.ones(20), t_eval=np.arange(0.0, seconds, 0.04))
-    tracker, rng = RopeFilter(cable, np.linspace(0.12, 1.2, 10), **options), np.random.default_rng(0)  # type: ignore[arg-type]
+    tracker, rng = RopeFilter(cable, np.linspace(0.12, 1.2, 10), **options), np.random.default_rng(0)
     for t, joints in zip(run.t, np.asarray(run.joints), strict=True):
         tracker.update(Observations(float(t), joints[2::2] + 2e-3 * rng.normal(size=(10, 2)), std=2e-3))
     return tracker
 
 
-def test_what_is_foretold_does_not_depend_on_its_steps() -> None:
+def test_what_is_foretold_does_not_depend_on_its_steps():
     """Two seconds at once, by `predict` and by `state_at`, and in steps of a frame: the same, and as sure."""
     one, many = swinging(1.5), swinging(1.5)
     assert one.t is not None
@@ -230,7 +226,7 @@ def test_what_is_foretold_does_not_depend_on_its_steps() -> None:
     assert np.linalg.eigvalsh(ahead.covariance)[0] > 0.0
 
 
-def test_what_a_covariance_leaves_out_is_stated() -> None:
+def test_what_a_covariance_leaves_out_is_stated():
     """The state now and the one foretold for now are one; a parameter that is known well is still there."""
     tracker = swinging(1.5, parameters=[EstimatedParameter("offset_x", 100.0)])
     assert tracker.t is not None
@@ -241,7 +237,7 @@ def test_what_a_covariance_leaves_out_is_stated() -> None:
     assert 0.004 < std < 0.01
 
 
-def test_a_whole_run_is_the_textbooks_filter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_whole_run_is_the_textbooks_filter(monkeypatch):
     """An iterated extended Kalman filter with whole matrices (Bell, Cathey 1993), noise levels held, beside ours.
 
     What a covariance leaves out and when an iteration ends differ: ours is done at 0.03 of a standard deviation. Stone

@@ -1,7 +1,5 @@
 """The fast part of a pumped cast, rendered: 30 % occluded, clutter, a blackout. `benchmarks.videos` runs ten whole."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.estimate.videos import Followed, HardVideo, follow, rendered
@@ -16,12 +14,12 @@ def fast() -> Followed:
     return follow(video, motion, renderer.truth(video.stamps), rendered(video, renderer))
 
 
-def test_the_tip_outside_the_blackout(fast: Followed) -> None:
+def test_the_tip_outside_the_blackout(fast):
     """Asked: 10 mm. Measured 1 mm."""
     assert fast.summary()["tip"] < 0.010
 
 
-def test_the_blackout(fast: Followed) -> None:
+def test_the_blackout(fast):
     """Asked: 60 mm at its end and inside the stated 90 %, 15 mm 0.1 s later."""
     found = fast.summary()
     assert found["end of blackout"] < 0.060
@@ -29,14 +27,14 @@ def test_the_blackout(fast: Followed) -> None:
     assert found["0.1 s later"] < 0.015
 
 
-def test_identities(fast: Followed) -> None:
+def test_identities(fast):
     found = fast.summary()
     assert found["right at the end"]
     assert found["wrong"] < 1e-3
     assert found["captured"] > 0.9
 
 
-def test_half_occluded_without_a_marker_on_the_tip() -> None:
+def test_half_occluded_without_a_marker_on_the_tip():
     """Asked: 40 mm. Measured 2 mm."""
     video = HardVideo(1, start=9.0, end=11.2, occluded=0.5, on_tip=False)
     motion = video.motion()

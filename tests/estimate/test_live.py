@@ -1,7 +1,5 @@
 """Live: sources that stall, end, change their size or drop frames; the process that estimates."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import signal
@@ -34,7 +32,6 @@ from hyperflex.estimate import (
 )
 from hyperflex.estimate.live.page import PicturePage
 from hyperflex.estimate.live.state_source import StampClock
-from hyperflex.estimate.tracker import TrackedFrame
 from hyperflex.files.netcdf import read_netcdf
 from hyperflex.vision import (
     Camera,
@@ -99,7 +96,7 @@ class Scripted:
         self.closed = True
 
 
-def test_every_frame_has_an_estimate(video: tuple[Path, MarkerColour], pictures: list[Frame]) -> None:
+def test_every_frame_has_an_estimate(video, pictures):
     with open_frames(str(video[0])) as frames:
         found = list(itertools.islice(Watch(frames, tracker(video), interval=30.0), FRAMES))
     assert [each.frame.time for each in found if each.frame] == [each.time for each in pictures]
@@ -111,7 +108,7 @@ def test_every_frame_has_an_estimate(video: tuple[Path, MarkerColour], pictures:
     assert all(0.0 < each.tip_std < 0.02 for each in found[10:])
 
 
-def test_a_stall_is_said_and_bridged(video: tuple[Path, MarkerColour], pictures: list[Frame]) -> None:
+def test_a_stall_is_said_and_bridged(video, pictures):
     """Half a second and more without a frame: estimates go on, older and less sure; then frames come again."""
     source = Scripted(*pictures[:10], 0.8, *[Frame(f.time + 0.8, f.image, f.index) for f in pictures[33:36]])
     with FrameThread(lambda: source, live=False) as frames:
@@ -128,7 +125,7 @@ def test_a_stall_is_said_and_bridged(video: tuple[Path, MarkerColour], pictures:
     assert source.closed
 
 
-def test_dropped_frames_and_another_size_are_said(video: tuple[Path, MarkerColour], pictures: list[Frame]) -> None:
+def test_dropped_frames_and_another_size_are_said(video, pictures):
     small = [Frame(each.time, np.zeros((240, 320, 3), np.uint8), each.index) for each in pictures]
     source = Scripted(*pictures[:8], *pictures[11:14], *small[14:17], *pictures[17:20])
     with FrameThread(lambda: source, live=False) as frames:
@@ -144,7 +141,7 @@ def test_dropped_frames_and_another_size_are_said(video: tuple[Path, MarkerColou
     assert found[-1].age == 0.0
 
 
-def test_a_long_gap_is_not_bridged(video: tuple[Path, MarkerColour], pictures: list[Frame]) -> None:
+def test_a_long_gap_is_not_bridged(video, pictures):
     dark = np.zeros((480, 640, 3), np.uint8)
     later = [Frame(each.time + 600.0, each.image if k else dark, each.index) for k, each in enumerate(pictures[:3])]
     source = Scripted(*pictures[:5], *later)
@@ -159,10 +156,10 @@ def test_a_long_gap_is_not_bridged(video: tuple[Path, MarkerColour], pictures: l
     assert found[-1].found
 
 
-def test_a_live_source_is_opened_again(video: tuple[Path, MarkerColour], pictures: list[Frame]) -> None:
+def test_a_live_source_is_opened_again(video, pictures):
     sources = iter([Scripted(*pictures[:3]), FileProblem("busy"), Scripted(*pictures[3:6])])
 
-    def open_source() -> Scripted:
+    def open_source():
         each = next(sources, FileProblem("gone"))
         if isinstance(each, Exception):
             raise each
@@ -179,13 +176,11 @@ def test_a_live_source_is_opened_again(video: tuple[Path, MarkerColour], picture
     assert "could not be opened again within 1 s" in str(frames.ended)
 
 
-def test_time_goes_on_where_a_source_begins_its_stamps_anew(
-    video: tuple[Path, MarkerColour], pictures: list[Frame]
-) -> None:
+def test_time_goes_on_where_a_source_begins_its_stamps_anew(video, pictures):
     """A camera that was opened again: its stamps begin at 0, the estimates' times go on, and the rope is found anew."""
     opened = 0
 
-    def open_source() -> Scripted:
+    def open_source():
         nonlocal opened
         opened += 1
         script = [each for frame in pictures[:6] for each in (frame, 0.03)]
@@ -214,7 +209,7 @@ def test_time_goes_on_where_a_source_begins_its_stamps_anew(
             assert found[told[1]].t > begin + 12 * 0.03
 
 
-def test_a_live_source_gives_the_newest(pictures: list[Frame]) -> None:
+def test_a_live_source_gives_the_newest(pictures):
     """Nobody takes frames for a while: the newest is kept, and how many were left out is told."""
     with FrameThread(lambda: Scripted(*pictures[:6], 30.0), live=True) as frames:
         time.sleep(0.5)
@@ -226,26 +221,24 @@ def test_a_live_source_gives_the_newest(pictures: list[Frame]) -> None:
         assert time.monotonic() - begin < 5.0  # the source sleeps on; nobody waits for it
 
 
-def test_a_driver_that_fails_is_told(pictures: list[Frame]) -> None:
+def test_a_driver_that_fails_is_told(pictures):
     with FrameThread(lambda: Scripted(pictures[0], RuntimeError("cable")), live=False) as frames:
         assert frames.take(5.0) is not None
         assert frames.take(5.0) is None
         assert frames.ended == "the source failed: RuntimeError: cable"
 
 
-def test_a_source_that_is_not_there(tmp_path: Path) -> None:
+def test_a_source_that_is_not_there(tmp_path):
     with pytest.raises(FileProblem, match="There is no video"):
         open_frames(str(tmp_path / "none.mp4"))
 
 
-def test_the_log_of_an_interrupted_run_is_kept(
-    video: tuple[Path, MarkerColour], pictures: list[Frame], tmp_path: Path
-) -> None:
+def test_the_log_of_an_interrupted_run_is_kept(video, pictures, tmp_path):
     path = tmp_path / "watch.nc"
     with FrameThread(lambda: Scripted(*pictures[:6]), live=False) as frames:
         estimates = list(Watch(frames, tracker(video), interval=30.0))
 
-    def interrupted() -> None:
+    def interrupted():
         with WatchLog(path, 20, 8, "a test") as log:
             for each in estimates[:4]:
                 log.note(each)
@@ -267,7 +260,7 @@ def test_the_log_of_an_interrupted_run_is_kept(
         pass
 
 
-def test_the_page_is_for_this_machine_alone(pictures: list[Frame]) -> None:
+def test_the_page_is_for_this_machine_alone(pictures):
     with PicturePage() as page:
         assert page.address.startswith("http://127.0.0.1:")
         with urllib.request.urlopen(page.address, timeout=5.0) as answer:
@@ -296,7 +289,7 @@ def test_the_page_is_for_this_machine_alone(pictures: list[Frame]) -> None:
             PicturePage(page.port)
 
 
-def test_stamps_are_put_on_the_clock_of_the_quickest_frame() -> None:
+def test_stamps_are_put_on_the_clock_of_the_quickest_frame():
     from hyperflex.estimate.live.frames import Arrival
 
     clock, image = StampClock(), np.zeros((2, 2, 3), np.uint8)
@@ -306,7 +299,7 @@ def test_stamps_are_put_on_the_clock_of_the_quickest_frame() -> None:
 
 
 def task(video: tuple[Path, MarkerColour], **more: object) -> TrackingTask:
-    return TrackingTask(rope(20), ARCS, camera(), video[1], **more)  # type: ignore[arg-type]
+    return TrackingTask(rope(20), ARCS, camera(), video[1], **more)
 
 
 @pytest.fixture
@@ -323,7 +316,7 @@ def ask(source: CameraStateSource, seconds: float) -> None:
         time.sleep(0.005)
 
 
-def test_a_state_source_predicts_to_now(source: CameraStateSource) -> None:
+def test_a_state_source_predicts_to_now(source):
     """The video plays at its own speed; the state asked for now is that of the rope now, and says how sure it is."""
     source.wait_until_found(30.0)
     swing, motion = free_swing(0, 4.0), hf.hold_arm(0.0)
@@ -345,7 +338,7 @@ def test_a_state_source_predicts_to_now(source: CameraStateSource) -> None:
     assert np.linalg.norm(tip - true) < 0.05  # the tip moves at 3 m/s: 17 ms
 
 
-def test_a_change_reaches_the_reader(video: tuple[Path, MarkerColour], tmp_path: Path) -> None:
+def test_a_change_reaches_the_reader(video, tmp_path):
     """Somebody bumps into the camera after 2.5 s: all moves by 6 px, 30 mm."""
     with VideoReader(video[0]) as frames, VideoWriter(tmp_path / "bumped.mp4", (640, 480)) as bumped:
         for frame in frames:
@@ -365,7 +358,7 @@ def test_a_change_reaches_the_reader(video: tuple[Path, MarkerColour], tmp_path:
 
 
 @pytest.mark.nightly
-def test_a_killed_estimator_is_told_and_replaced(source: CameraStateSource) -> None:
+def test_a_killed_estimator_is_told_and_replaced(source):
     source.wait_until_found(30.0)
     first = source.pid
     assert first is not None
@@ -380,7 +373,7 @@ def test_a_killed_estimator_is_told_and_replaced(source: CameraStateSource) -> N
 
 
 @pytest.mark.nightly
-def test_a_stopped_estimator_is_told(source: CameraStateSource) -> None:
+def test_a_stopped_estimator_is_told(source):
     source.wait_until_found(30.0)
     assert source.pid is not None
     os.kill(source.pid, signal.SIGSTOP)
@@ -391,14 +384,14 @@ def test_a_stopped_estimator_is_told(source: CameraStateSource) -> None:
     source.wait_until_found(30.0)
 
 
-def test_a_video_that_ends_is_told(video: tuple[Path, MarkerColour]) -> None:
+def test_a_video_that_ends_is_told(video):
     with CameraStateSource(str(video[0]), task(video), longest=20.0, stalled=20.0) as source:  # busy machines are slow
         source.wait_until_found(30.0)
         with pytest.raises(EstimatorLost, match="has ended: no more frames come: the source ended"):
             ask(source, 20.0)
 
 
-def test_an_estimator_that_cannot_begin_says_why(video: tuple[Path, MarkerColour], tmp_path: Path) -> None:
+def test_an_estimator_that_cannot_begin_says_why(video, tmp_path):
     source = CameraStateSource(str(tmp_path / "none.mp4"), task(video))
     with pytest.raises(EstimatorLost, match="did not start: There is no video"), source:
         pass
@@ -428,7 +421,7 @@ if __name__ == "__main__":
 """
 
 
-def test_nothing_is_left_of_a_killed_parent(video: tuple[Path, MarkerColour], tmp_path: Path) -> None:
+def test_nothing_is_left_of_a_killed_parent(video, tmp_path):
     """The estimator ends by itself."""
     folder = video[0].parent
     rope(20).to_toml(folder / "rope.toml")
@@ -454,7 +447,7 @@ def alive(pid: int) -> bool:
         return False
 
 
-def test_the_motion_reaches_the_estimator() -> None:
+def test_the_motion_reaches_the_estimator():
     """A motion that is handed over on the way gives what one known from the start does."""
     from hyperflex.estimate.parameters import ParameterStates
     from hyperflex.estimate.process import Process
@@ -470,12 +463,12 @@ def test_the_motion_reaches_the_estimator() -> None:
 
 
 @pytest.mark.parametrize("area", [None, 15.0, 40.0, 120.0, 400.0])
-def test_the_rehearsal_finds_its_rope(area: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rehearsal_finds_its_rope(area, monkeypatch):
     """Or else nothing of the filter would be compiled by it; discs that are drawn too large are taken for two."""
     seen: list[int] = []
     look = RopeTracker.look
 
-    def noted(self: RopeTracker, frame: Frame) -> TrackedFrame:
+    def noted(self, frame):
         result = look(self, frame)
         seen.append(int(result.seen.sum()))
         return result

@@ -1,9 +1,6 @@
 """The moving horizon: several starts, blackouts, wrong explanations, and a real double pendulum's withheld markers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,7 +43,7 @@ def errors(tracker: RopeFilter, run: hf.Trajectory, observations: list[Observati
     return np.array(result)
 
 
-def test_several_starts_find_the_rates_that_one_does_not() -> None:
+def test_several_starts_find_the_rates_that_one_does_not():
     """Two frames leave each rate open by whole turns, 79 rad/s; the third and fourth tell which it was."""
     right = {1: 0, 16: 0}
     for seed in range(6):
@@ -58,7 +55,7 @@ def test_several_starts_find_the_rates_that_one_does_not() -> None:
     assert right[1] <= 2
 
 
-def test_explanations_are_weighed_and_dropped() -> None:
+def test_explanations_are_weighed_and_dropped():
     run, tracker = spin(1), horizon()
     counts, wide = [], []
     for each in seen(run):
@@ -75,7 +72,7 @@ def test_explanations_are_weighed_and_dropped() -> None:
     assert wide[-1] < 1.0
 
 
-def test_after_a_blackout() -> None:
+def test_after_a_blackout():
     """Four frames without a marker while both links turn round and round."""
     run = spin(3, 26)
     found = errors(horizon(), run, seen(run, slice(12, 16)))
@@ -83,7 +80,7 @@ def test_after_a_blackout() -> None:
     assert (found[20:] < 5.0).all()
 
 
-def test_a_wrong_explanation_is_given_up() -> None:
+def test_a_wrong_explanation_is_given_up():
     """Nonsense, then the pendulum: a new beginning, with a level of noise that nonsense did not raise."""
     run, tracker = spin(2, 30), horizon()
     rng = np.random.default_rng(1)
@@ -96,7 +93,7 @@ def test_a_wrong_explanation_is_given_up() -> None:
     assert tracker.measurement_noise.value < 3.0
 
 
-def test_the_horizon_is_as_long_as_asked() -> None:
+def test_the_horizon_is_as_long_as_asked():
     run, tracker = spin(1), horizon()
     assert tracker.smoothed == ()
     assert tracker.horizon is None
@@ -115,7 +112,7 @@ def test_the_horizon_is_as_long_as_asked() -> None:
     assert tracker.horizon is None
 
 
-def test_bad_input() -> None:
+def test_bad_input():
     with pytest.raises(InvalidInput, match="frames"):
         MovingHorizon(pendulum.pendulum(), [0.09], frames=1)
     with pytest.raises(InvalidInput, match="starts"):
@@ -127,9 +124,7 @@ def test_bad_input() -> None:
 @pytest.mark.parametrize("run", pendulum.RUNS)
 @pytest.mark.parametrize(("rate", "duration"), [(50.0, 3.0), (25.0, 5.0), (12.5, 10.0)])
 @pytest.mark.nightly
-def test_withheld_markers_of_the_real_pendulum(
-    run: int, rate: float, duration: float, data_dir: Path, record_property: Note
-) -> None:
+def test_withheld_markers_of_the_real_pendulum(run, rate, duration, data_dir, record_property):
     """The first seconds, when it turns over most; ``benchmarks/pendulum_tracking.py`` does the whole of both runs."""
     recording = pendulum.read(data_dir / "ibm_double_pendulum", run, rate, duration, seed=1)
     angles = np.unwrap(np.arctan2(*(recording.places[:, 1] - recording.places[:, 0]).T))

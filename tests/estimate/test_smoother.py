@@ -1,9 +1,6 @@
 """The linear smoother against the textbook's, and Gauss-Newton over frames against scipy's least squares."""
 
-from __future__ import annotations
-
 import itertools
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -62,7 +59,7 @@ def covariances(found: list[Smoothed]) -> list[Array]:
 
 
 @pytest.mark.parametrize("noise_rows", [SIZE, 2, 0], ids=["full", "singular", "none"])
-def test_linear_smoother_is_the_textbooks(noise_rows: int) -> None:
+def test_linear_smoother_is_the_textbooks(noise_rows):
     """The same to rounding, which the textbook's inverses multiply by the condition of its matrices."""
     problem = linear_problem(0, noise_rows)
     found = smooth_linear(*problem)
@@ -73,7 +70,7 @@ def test_linear_smoother_is_the_textbooks(noise_rows: int) -> None:
     assert found[1].log_likelihood == 0.0  # nothing was seen in that frame
 
 
-def test_linear_smoother_with_a_singular_prior() -> None:
+def test_linear_smoother_with_a_singular_prior():
     """Where the prior knows some combinations of states exactly; the noise that it gives makes these states."""
     mean, rows, steps, measurements = linear_problem(1, 2)
     found = smooth_linear(mean, rows[:2], steps, measurements)
@@ -84,7 +81,7 @@ def test_linear_smoother_with_a_singular_prior() -> None:
     np.testing.assert_allclose(x, found[-1].mean, atol=1e-10 * largest)
 
 
-def test_what_the_first_frame_told_goes_on() -> None:
+def test_what_the_first_frame_told_goes_on():
     """The prior of the second frame in place of the first frame: the same smoothed states from there on."""
     mean, rows, steps, measurements = linear_problem(2, 3)
     whole = smooth_linear(mean, rows, steps, measurements)
@@ -137,7 +134,7 @@ def residuals(variables: Array, fitted: Interval) -> Array:
     return np.concatenate(terms)
 
 
-def test_gauss_newton_finds_what_scipy_does() -> None:
+def test_gauss_newton_finds_what_scipy_does():
     """Least squares by another code, over the start and all noises, with derivatives by differences.
 
     The two integrations differ by 5e-6 m at most, 0.25 % of a marker's deviation.
@@ -155,7 +152,7 @@ def test_gauss_newton_finds_what_scipy_does() -> None:
     )
 
 
-def test_a_path_has_no_defects() -> None:
+def test_a_path_has_no_defects():
     """Each state is what the process makes of the one before, and the noise."""
     fitted = interval(swing(q0=2.0))
     fitted.solve(3)
@@ -164,7 +161,7 @@ def test_a_path_has_no_defects() -> None:
         np.testing.assert_allclose(found.x + then.noise.T @ node.noise, node.x, atol=1e-9)
 
 
-def test_the_cost_never_grows() -> None:
+def test_the_cost_never_grows():
     """Also far from where the linear step is right: the pendulum goes over the top, the prior is half a turn off."""
     fitted = interval(swing(frames=8, gap=0.12, q0=2.8))
     costs = [fitted.cost]
@@ -177,7 +174,7 @@ def test_the_cost_never_grows() -> None:
     assert costs[-1] < 0.1 * costs[0]
 
 
-def test_a_long_horizon_is_the_smoother() -> None:
+def test_a_long_horizon_is_the_smoother():
     """A moving horizon that never moved, and a smoother over all frames, with the same noise: the same posterior."""
     observations = swing(frames=8)
     horizon = MovingHorizon(PENDULUM, ARCS, frames=20, starts=1)
@@ -190,7 +187,7 @@ def test_a_long_horizon_is_the_smoother() -> None:
     assert (np.abs(gap) < 0.5 * std).all()  # noise levels were learnt meanwhile, so not the same quite
 
 
-def test_a_horizon_tells_what_a_filter_does_where_motion_is_nearly_linear(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_horizon_tells_what_a_filter_does_where_motion_is_nearly_linear(monkeypatch):
     """Small swings, seen often, levels of noise known: both are the Kalman filter but for the first frames, when rates
     are not known at all, and derivatives are taken at other places."""
     monkeypatch.setattr(RopeFilter, "_learn", lambda *_: None)
@@ -208,7 +205,7 @@ def test_a_horizon_tells_what_a_filter_does_where_motion_is_nearly_linear(monkey
     assert both[0].log_likelihood == pytest.approx(both[1].log_likelihood, abs=1.0)
 
 
-def test_smoothed_states_are_nearer_than_filtered() -> None:
+def test_smoothed_states_are_nearer_than_filtered():
     """Through a gap of 0.4 s, too; 90 % regions hold."""
     gap = 0.05
     run = hf.simulate(PENDULUM, duration=4.0, q0=[2.0, 2.5], t_eval=np.arange(0.0, 4.0, gap))
@@ -231,7 +228,7 @@ def test_smoothed_states_are_nearer_than_filtered() -> None:
     np.testing.assert_allclose(found.places[50:58], np.asarray(run.joints)[50:58, 1:], atol=5e-3)
 
 
-def test_the_likelihood_of_all_is_the_filters_where_motion_is_linear(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_likelihood_of_all_is_the_filters_where_motion_is_linear(monkeypatch):
     """Small swings, levels of noise known: the same number, so that the noise that is true is ranked best."""
     monkeypatch.setattr(RopeFilter, "_learn", lambda *_: None)
     run = hf.simulate(PENDULUM, duration=0.6, q0=[0.02, 0.02], t_eval=np.arange(0.0, 0.6, 0.02))
@@ -248,7 +245,7 @@ def test_the_likelihood_of_all_is_the_filters_where_motion_is_linear(monkeypatch
 
 
 @pytest.mark.parametrize("what", ["tip_mass", "touch"])
-def test_a_change_does_not_spoil_the_states_before_and_after(what: str) -> None:
+def test_a_change_does_not_spoil_the_states_before_and_after(what):
     """A mass sticks to the tip, or the tip is pushed for 0.1 s: all is smoothed, and errors are as large as stated."""
     cable, gap, at = hf.Rope.uniform(length=1.0, mass=0.05, n_links=5, radius=0.002, friction=2e-4), 0.04, 2.0
     first = hf.simulate(cable, duration=at, q0=np.full(5, 0.8), t_eval=np.arange(0.0, at + 1e-9, gap))
@@ -262,7 +259,7 @@ def test_a_change_does_not_spoil_the_states_before_and_after(what: str) -> None:
     tracker = MovingHorizon(cable, np.linspace(0.2, 1.0, 5), starts=1, tests=ChangeTests((what,)))
     told = []
 
-    def observed() -> Iterator[Observations]:
+    def observed():
         for k, each in enumerate(joints):
             yield Observations(gap * k, each, std=1e-3)
             told.extend(tracker.changes)

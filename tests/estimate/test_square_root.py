@@ -1,12 +1,9 @@
 """Covariances by their square roots against the textbook's formulas, and changes carried without a matrix."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.checks import Array
 from hyperflex.estimate import EstimatedParameter
 from hyperflex.estimate import square_root as sr
 from hyperflex.estimate.parameters import ParameterStates
@@ -15,7 +12,7 @@ from tests.estimate.runs import ARM, SWINGS, rope
 
 
 @pytest.mark.parametrize("rank", [3, 12])
-def test_update_is_the_kalman_filters(rank: int) -> None:
+def test_update_is_the_kalman_filters(rank):
     rng = np.random.default_rng(0)
     S, H = rng.normal(size=(rank, 12)), rng.normal(size=(5, 12))
     P = S.T @ S
@@ -27,7 +24,7 @@ def test_update_is_the_kalman_filters(rank: int) -> None:
     np.testing.assert_allclose(after.T @ after, P - P @ H.T @ inverse @ H @ P, atol=1e-10)
 
 
-def test_update_keeps_what_is_left_of_a_wide_prior() -> None:
+def test_update_keeps_what_is_left_of_a_wide_prior():
     """Deviations of 1e6 before and about 1 after: a difference of covariances would lose all its digits."""
     S, H = 1e6 * np.eye(3), np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0]])
     _, across, upper = sr.whitened_gain(S, H)
@@ -35,7 +32,7 @@ def test_update_keeps_what_is_left_of_a_wide_prior() -> None:
     np.testing.assert_allclose(after.T @ after, np.linalg.inv(H.T @ H), rtol=1e-6)
 
 
-def test_what_is_left_out_is_below_what_may_be() -> None:
+def test_what_is_left_out_is_below_what_may_be():
     rng = np.random.default_rng(1)
     least = np.array([1e-3] * 20 + [1e-1] * 20)
     sizes = np.logspace(0.0, -9.0, 40)
@@ -49,7 +46,7 @@ def test_what_is_left_out_is_below_what_may_be() -> None:
     np.testing.assert_allclose(whole.T @ whole, rows.T @ rows, atol=1e-12)
 
 
-def test_changes_are_carried_as_the_derivatives_say() -> None:
+def test_changes_are_carried_as_the_derivatives_say():
     """Against `sensitivities` at a tight tolerance: steps differ, and with them derivatives by some 1e-5."""
     cable, n = rope(10), 10
     states = ParameterStates([EstimatedParameter("friction", 0.1), EstimatedParameter("scale", 0.1)], cable, (), True)
@@ -75,13 +72,13 @@ def test_changes_are_carried_as_the_derivatives_say() -> None:
     np.testing.assert_array_equal(moved[:, 2 * n :], rows[:, 2 * n :])
 
 
-def test_an_update_is_never_worse_than_the_state_before() -> None:
+def test_an_update_is_never_worse_than_the_state_before():
     """What is seen is steep where the state is expected and flat elsewhere: the whole first step goes far too far."""
 
-    def compared(x: Array) -> tuple[Array, Array]:
+    def compared(x):
         return 3.0 - 10.0 * np.arctan(5.0 * x), 50.0 / (1.0 + 25.0 * x[:, None] ** 2)
 
-    def cost(x: Array) -> float:
+    def cost(x):
         return float(((x - 0.5) ** 2).sum() / 4.0 + (compared(x)[0] ** 2).sum())
 
     before, factor = np.array([0.5]), np.array([[2.0]])
@@ -90,7 +87,7 @@ def test_an_update_is_never_worse_than_the_state_before() -> None:
         assert cost(after) < cost(before)
     assert cost(after) < 0.1
 
-    def wrong(x: Array) -> tuple[Array, Array]:
+    def wrong(x):
         """Derivatives of the wrong sign: no step helps."""
         return x, np.array([[1.0]])
 

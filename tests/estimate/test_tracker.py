@@ -1,7 +1,5 @@
 """From a rendered video of a finer rope to its markers, and to the rope (simulated throughout)."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -58,8 +56,8 @@ def tracker(path: Path, truth: Truth, kind: type[RopeFilter] = RopeFilter, links
     return RopeTracker(estimator, MarkerMeasurement(MarkerDetector(MarkerColour.from_click(first, truth.pixels[0, 3]))))
 
 
-def test_ctrl_c_carries_what_was_tracked(video: tuple[Path, Truth], tmp_path: Path) -> None:
-    def hit(count: int) -> None:
+def test_ctrl_c_carries_what_was_tracked(video, tmp_path):
+    def hit(count):
         if count == 12:
             raise KeyboardInterrupt
 
@@ -77,7 +75,7 @@ def test_ctrl_c_carries_what_was_tracked(video: tuple[Path, Truth], tmp_path: Pa
     assert early.value.partial is None
 
 
-def test_markers_are_followed_through_clutter_and_a_blackout(video: tuple[Path, Truth], tmp_path: Path) -> None:
+def test_markers_are_followed_through_clutter_and_a_blackout(video, tmp_path):
     """A pixel is 5 mm; its noise after compression some 0.25 px, so 2 mm in both coordinates."""
     path, truth = video
     found = track_video(path, tracker(path, truth), preview=tmp_path / "seen.mp4")
@@ -100,7 +98,7 @@ def test_markers_are_followed_through_clutter_and_a_blackout(video: tuple[Path, 
         assert sum(1 for _ in seen) == found.frames == stamps().size
 
 
-def test_a_tracker_on_a_moving_horizon(video: tuple[Path, Truth]) -> None:
+def test_a_tracker_on_a_moving_horizon(video):
     """In place of the filter: the markers seen, and where they must be in the blackout."""
     path, truth = video
     follower, ends = tracker(path, truth, MovingHorizon, 20), np.linspace(0.0, 2.0, 101)
@@ -113,7 +111,7 @@ def test_a_tracker_on_a_moving_horizon(video: tuple[Path, Truth]) -> None:
     assert np.linalg.norm(places - true, axis=1).max() < 0.01
 
 
-def test_a_video_becomes_a_rope(video: tuple[Path, Truth], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_video_becomes_a_rope(video, tmp_path, capsys):
     """track, then identify: friction and inertia of the rope that was filmed, from a guess that is 30 % off."""
     path, truth = video
     rope(12).to_toml(tmp_path / "rope.toml")
@@ -134,7 +132,7 @@ def test_a_video_becomes_a_rope(video: tuple[Path, Truth], tmp_path: Path, capsy
     assert result.rope.friction[3] == pytest.approx(rope(12).friction[3], rel=0.2)
 
 
-def test_no_rope_in_the_video(tmp_path: Path, video: tuple[Path, Truth]) -> None:
+def test_no_rope_in_the_video(tmp_path, video):
     path, truth = video
     with VideoWriter(tmp_path / "dark.mp4", (640, 480)) as writer:
         for time in (0.0, 0.1, 0.2):
@@ -151,7 +149,7 @@ def test_no_rope_in_the_video(tmp_path: Path, video: tuple[Path, Truth]) -> None
     assert not (tmp_path / "seen.mp4").exists()
 
 
-def test_a_camera_without_a_plane() -> None:
+def test_a_camera_without_a_plane():
     lens = Camera.pinhole((640, 480))
     with pytest.raises(InvalidInput, match="knows the swing plane"):
         RopeTracker(
@@ -161,7 +159,7 @@ def test_a_camera_without_a_plane() -> None:
 
 
 @pytest.mark.parametrize(("slower", "said"), [(1.0, None), (4.0, "time stamps")])
-def test_slow_motion_is_doubted(slower: float, said: str | None) -> None:
+def test_slow_motion_is_doubted(slower, said):
     """A clip of 120 frames/s whose stamps say 30: nothing else alarms, but the rope moves as if it were pushed."""
     cable = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10, radius=0.002, friction=2e-4)
     run = hf.simulate(cable, duration=4.0 / slower, q0=np.full(10, 0.9), t_eval=np.arange(0.0, 4.0, 1 / 30) / slower)

@@ -1,7 +1,5 @@
 """A video tracked as a whole: what was estimated is in what is written, what was never seen is said, and threads."""
 
-from __future__ import annotations
-
 import struct
 import weakref
 from collections.abc import Sequence
@@ -18,7 +16,6 @@ from hyperflex.estimate import (
     MarkerMeasurement,
     RopeFilter,
     RopeTracker,
-    TrackedFrame,
     VideoTrack,
     markers,
     track_video,
@@ -88,9 +85,7 @@ def errors(found: VideoTrack, arcs: np.ndarray = ARCS) -> np.ndarray:
     ],
     ids=["scale", "scale too great", "scale too small", "roll", "offset"],
 )
-def test_what_is_estimated_of_the_plane_is_in_all_places(
-    swing: Path, tmp_path: Path, camera: Camera, name: str, prior: float, truth: float, bound: float
-) -> None:
+def test_what_is_estimated_of_the_plane_is_in_all_places(swing, tmp_path, camera, name, prior, truth, bound):
     """A pixel is 5 mm; from the first frame on places are as good as with the right camera, and the file says so.
 
     Without the estimate they are 20 mm off with the least of these errors, 120 mm with the greatest.
@@ -107,10 +102,10 @@ def test_what_is_estimated_of_the_plane_is_in_all_places(
     np.testing.assert_array_equal(kept["arc_lengths"], ARCS)
 
 
-def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back(tmp_path: Path) -> None:
+def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back(tmp_path):
     """Threads wait for each other at small matrices: two of them on two busy cores take ten times as long as one."""
 
-    def threads() -> set[int]:
+    def threads():
         return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
     with VideoWriter(tmp_path / "dark.mp4", (320, 240)) as writer:
@@ -127,7 +122,7 @@ def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back(tmp_path: 
     assert inside == [{1}] * 3
 
 
-def test_times_are_earlier_by_the_delay_that_is_found(swing: Path) -> None:
+def test_times_are_earlier_by_the_delay_that_is_found(swing):
     """A swing from a fixed point does not tell it: the value declared stays, is applied, and said to be untold."""
     plain, late = tracked(swing, facing()), tracked(swing, facing(), [EstimatedParameter("delay", 0.01, value=0.02)])
     np.testing.assert_allclose(late.recording.t, plain.recording.t - 0.02, atol=1e-9)
@@ -135,7 +130,7 @@ def test_times_are_earlier_by_the_delay_that_is_found(swing: Path) -> None:
     assert "does not determine delay" in " ".join(late.notes)
 
 
-def test_lengths_are_said_for_the_rope_and_leave_places_alone(swing: Path) -> None:
+def test_lengths_are_said_for_the_rope_and_leave_places_alone(swing):
     """The rope is 2 % longer than declared, and its third marker 2 cm further up."""
     arcs = ARCS / 1.02
     arcs[2] += 0.02
@@ -147,7 +142,7 @@ def test_lengths_are_said_for_the_rope_and_leave_places_alone(swing: Path) -> No
     assert f"arc_lengths {found.arc_lengths[0]:.5g},{found.arc_lengths[1]:.5g}" in said
 
 
-def test_a_marker_that_is_never_seen_is_left_out_and_named(swing: Path) -> None:
+def test_a_marker_that_is_never_seen_is_left_out_and_named(swing):
     found = tracked(swing, facing(), arcs=np.insert(ARCS, 0, 0.1))
     assert "the marker at 0.1 m was never seen: check its arc length, or omit it from arc_lengths" in found.notes[0]
     np.testing.assert_array_equal(found.arc_lengths, ARCS)
@@ -156,7 +151,7 @@ def test_a_marker_that_is_never_seen_is_left_out_and_named(swing: Path) -> None:
 
 
 @pytest.mark.parametrize("arcs", [[0.2, 0.2, 0.4], [1.0, 0.8, 0.6]])
-def test_arc_lengths_that_do_not_increase_are_refused(arcs: list[float]) -> None:
+def test_arc_lengths_that_do_not_increase_are_refused(arcs):
     with pytest.raises(InvalidInput, match=f"do not increase: {arcs[1]:g} m comes after {arcs[0]:g} m"):
         RopeTracker(
             RopeFilter(rope(5), arcs, camera=facing()),
@@ -165,14 +160,14 @@ def test_arc_lengths_that_do_not_increase_are_refused(arcs: list[float]) -> None
 
 
 @pytest.mark.parametrize("timing", [{"exposure": 30.0}, {"readout": 0.04}])
-def test_times_longer_than_the_frame_interval_are_refused(swing: Path, timing: dict[str, float]) -> None:
+def test_times_longer_than_the_frame_interval_are_refused(swing, timing):
     name = next(iter(timing))
     with pytest.raises(InvalidInput, match=f"{name} is longer than the time from frame to frame.*at most 0.033"):
         tracked(swing, replace(facing(), **timing))
     tracked(swing, replace(facing(), **{name: 0.0334}))
 
 
-def test_rows_that_contradict_a_turned_file_are_noted(swing: Path, tmp_path: Path) -> None:
+def test_rows_that_contradict_a_turned_file_are_noted(swing, tmp_path):
     """A phone held upside down: the file says so, and its rows follow each other upwards."""
     path = tmp_path / "turned.mp4"
     with VideoReader(swing) as upright, VideoWriter(path, (640, 480)) as video:
@@ -192,9 +187,7 @@ def test_rows_that_contradict_a_turned_file_are_noted(swing: Path, tmp_path: Pat
     [(facing(188.0), ("scale", 0.1), ARCS), (facing(), ("length", 0.1), ARCS / 1.05)],
     ids=["scale", "length"],
 )
-def test_the_rope_is_drawn_as_it_is_estimated(
-    swing: Path, camera: Camera, wanted: tuple[str, float], arcs: np.ndarray
-) -> None:
+def test_the_rope_is_drawn_as_it_is_estimated(swing, camera, wanted, arcs):
     """Its joints end at the tip's marker, by what was found of scale and lengths; 20 px off without that."""
     if wanted[0] == "length":
         short = rope(20).replace(length=rope(20).length / 1.05, com=rope(20).com / 1.05)
@@ -211,7 +204,7 @@ def test_the_rope_is_drawn_as_it_is_estimated(
     assert np.linalg.norm(tracker.shape(result.state)[0][-1] - result.pixels[-1]) < 1.0
 
 
-def test_an_order_that_is_not_certain_is_waited_for_again(swing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_order_that_is_not_certain_is_waited_for_again(swing, monkeypatch):
     """After 30 frames the best one is taken; once the rope is lost, another 30 have to pass."""
     sure = markers.order_markers
     monkeypatch.setattr(markers, "order_markers", lambda *a, **b: sure(*a, **b)._replace(certain=False))
@@ -224,12 +217,12 @@ def test_an_order_that_is_not_certain_is_waited_for_again(swing: Path, monkeypat
     assert tracker.look(Frame(1.0, image, 30)).state is None
 
 
-def test_frames_are_let_go(swing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_let_go(swing, monkeypatch):
     """With 50 links, the covariance of a frame's state has 80 kB: not one of them is kept for the recording."""
     tracker, results = follower(swing, facing()), []
     look = tracker.look
 
-    def noted(frame: Frame) -> TrackedFrame:
+    def noted(frame):
         result = look(frame)
         results.append(weakref.ref(result))
         return result

@@ -1,7 +1,5 @@
 """Rendered videos of a finer rope in a pumped cast, hard to look at, and how a tracker with 50 links fares in them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 

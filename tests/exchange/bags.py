@@ -1,7 +1,5 @@
 """ROS 2 bags as the rosbags package writes them: joint states, poses and points."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path

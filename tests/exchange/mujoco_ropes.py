@@ -1,7 +1,5 @@
 """Random set-ups that MuJoCo can say, and their tips there: for the test of MJCF files and its benchmark."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """MCAP files: ours come back bit for bit, those of others by what is declared, and the mcap package reads both."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -31,7 +29,7 @@ def messages(path: Path) -> list[tuple[str, str, int, Any]]:
         return [(s.name, c.topic, m.log_time, json.loads(m.data)) for s, c, m in found if s is not None]
 
 
-def test_a_run_is_read_as_angles_and_as_places(run: hf.Trajectory, tmp_path: Path) -> None:
+def test_a_run_is_read_as_angles_and_as_places(run, tmp_path):
     path = tmp_path / "run.mcap"
     hf.write_mcap(run, path)
     angles, places = hf.read_recording(path), hf.read_recording(path, kind="markers")
@@ -55,7 +53,7 @@ def test_a_run_is_read_as_angles_and_as_places(run: hf.Trajectory, tmp_path: Pat
 
 @pytest.mark.parametrize("kind", ["angles", "markers"])
 @pytest.mark.parametrize("extra", [False, True], ids=["plain", "with noise and rates"])
-def test_a_recording_comes_back_bit_for_bit(kind: Any, extra: bool, tmp_path: Path) -> None:
+def test_a_recording_comes_back_bit_for_bit(kind, extra, tmp_path):
     rng = np.random.default_rng(0)
     data = np.tile(ODD[:4] if kind == "angles" else ODD, (7, 1)) * rng.uniform(0.5, 1.0, (7, 1))
     data[3, 1] = data[5, 2] = np.nan
@@ -95,7 +93,7 @@ def stamped(**parts: Any) -> list[dict[str, Any]]:
     return [{"timestamp": {"sec": 1_700_000_000, "nsec": k * 10**7}, **parts} for k in range(3)]
 
 
-def test_joint_states_of_others(tmp_path: Path) -> None:
+def test_joint_states_of_others(tmp_path):
     """Joint coordinates are relative; joints are picked by name, and one that a message lacks is a gap."""
     contents = stamped(joints=[{"name": "b", "position": 0.2}, {"name": "gripper"}, {"name": "a", "position": 0.1}])
     contents[1] = contents[1] | {"joints": contents[1]["joints"][2:]}
@@ -109,7 +107,7 @@ def test_joint_states_of_others(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("schema", ["foxglove.PosesInFrame", "foxglove.PoseInFrame"])
-def test_poses_of_others_need_a_plane(schema: str, tmp_path: Path) -> None:
+def test_poses_of_others_need_a_plane(schema, tmp_path):
     pose = {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}
     held = {"poses": [pose]} if schema.endswith("PosesInFrame") else {"pose": pose}
     path = foreign(tmp_path / "a.mcap", schema, stamped(frame_id="world", **held))
@@ -120,7 +118,7 @@ def test_poses_of_others_need_a_plane(schema: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(hf.read_recording(path, plane="xy", y_axis="down").data[0], [1.0, -2.0])
 
 
-def test_what_cannot_be_meant_is_refused(run: hf.Trajectory, tmp_path: Path) -> None:
+def test_what_cannot_be_meant_is_refused(run, tmp_path):
     two = foreign(tmp_path / "a.mcap", "foxglove.JointStates", stamped(joints=[]), ("/left", "/right"))
     with pytest.raises(InvalidInput, match=r"several topics.*/left.*topic="):
         hf.read_recording(two)
@@ -139,11 +137,11 @@ def test_what_cannot_be_meant_is_refused(run: hf.Trajectory, tmp_path: Path) -> 
     with pytest.raises(InvalidInput, match="topic and plane"):
         hf.read_recording(tmp_path / "a.csv", plane="xz", time_unit="s", unit="rad")
     with pytest.raises(InvalidInput, match="neither a run nor a recording"):
-        hf.write_mcap(run.setup, tmp_path / "c.mcap")  # type: ignore[arg-type]
+        hf.write_mcap(run.setup, tmp_path / "c.mcap")
     assert not (tmp_path / "c.mcap").exists()
 
 
-def test_a_flipped_bit_is_noticed(run: hf.Trajectory, tmp_path: Path) -> None:
+def test_a_flipped_bit_is_noticed(run, tmp_path):
     path = tmp_path / "run.mcap"
     hf.write_mcap(run, path)
     content = bytearray(path.read_bytes())
@@ -153,7 +151,7 @@ def test_a_flipped_bit_is_noticed(run: hf.Trajectory, tmp_path: Path) -> None:
         hf.read_recording(path)
 
 
-def test_without_the_package_the_command_is_named(run: hf.Trajectory, monkeypatch: Any, tmp_path: Path) -> None:
+def test_without_the_package_the_command_is_named(run, monkeypatch, tmp_path):
     for name in ("mcap.writer", "mcap.reader", "mcap"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "mcap", None)

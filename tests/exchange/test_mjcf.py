@@ -1,11 +1,8 @@
 """MJCF files: MuJoCo compiles what the set-up says and moves alike, and the set-up comes back bit for bit."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -26,7 +23,7 @@ def written(setup: hf.Setup, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(("index", "links"), list(enumerate(LINKS)))
-def test_compiled_masses_inertias_and_accelerations(index: int, links: int, tmp_path: Path) -> None:
+def test_compiled_masses_inertias_and_accelerations(index, links, tmp_path):
     """Numbers to the last bits; accelerations at the start to 1e-8, the part that the rope moves a heavy rotor."""
     setup = mujoco_ropes.draw(index, links)
     path, rope = written(setup, tmp_path), setup.rope
@@ -50,14 +47,14 @@ def arm_mass(setup: hf.Setup) -> float:
 
 
 @pytest.mark.parametrize(("index", "links"), [*enumerate(LINKS[:3]), (6, 53), (9, 7), (12, 20), (15, 91)])
-def test_tip_is_where_mujoco_has_it_after_two_seconds(index: int, links: int, tmp_path: Path) -> None:
+def test_tip_is_where_mujoco_has_it_after_two_seconds(index, links, tmp_path):
     """To half a millimetre with 100 links, whose rotor and light links lie far apart; a wrong sign is off by cm."""
     setup = mujoco_ropes.draw(index, links)
     tip = mujoco_ropes.tip(setup, written(setup, tmp_path))
     np.testing.assert_allclose(tip, hf.simulate(setup).tip[-1], atol=5e-4 if links > 60 else 1e-6)
 
 
-def test_edited_rope_is_read(tmp_path: Path) -> None:
+def test_edited_rope_is_read(tmp_path):
     path = written(MOVED, tmp_path)
     root = ET.parse(path).getroot()
     for each in root.iter("joint"):
@@ -81,7 +78,7 @@ def test_edited_rope_is_read(tmp_path: Path) -> None:
         ("</mujoco>", "", "no XML"),
     ],
 )
-def test_what_is_not_read_back_is_refused_by_name(old: str, new: str, named: str, tmp_path: Path) -> None:
+def test_what_is_not_read_back_is_refused_by_name(old, new, named, tmp_path):
     path = written(MOVED, tmp_path)
     text = path.read_text("utf-8")
     assert old in text
@@ -90,7 +87,7 @@ def test_what_is_not_read_back_is_refused_by_name(old: str, new: str, named: str
         hf.read_mjcf(path)
 
 
-def test_a_file_that_mujoco_has_saved_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_mujoco_has_saved_is_refused(tmp_path):
     """It has six digits, and other parts."""
     path = tmp_path / "saved.xml"
     path.write_text(mujoco.MjSpec.from_file(str(written(MOVED, tmp_path))).to_xml(), "utf-8")
@@ -114,15 +111,13 @@ def test_a_file_that_mujoco_has_saved_is_refused(tmp_path: Path) -> None:
         ({}, {"arm": hf.Arm(), "torque": hf.torque_profile([0.0, 1.0], [0.0, 0.0])}, "cannot move the arm"),
     ],
 )
-def test_what_mujoco_cannot_say_is_refused_by_name(
-    rope: dict[str, Any], others: dict[str, Any], named: str, tmp_path: Path
-) -> None:
+def test_what_mujoco_cannot_say_is_refused_by_name(rope, others, named, tmp_path):
     with pytest.raises(InvalidInput, match=named):
         hf.write_mjcf(hf.Setup(ROPE.replace(**rope), **others), tmp_path / "rope.xml")
     assert not (tmp_path / "rope.xml").exists()
 
 
-def test_what_is_softer_in_mujoco_is_told(tmp_path: Path) -> None:
+def test_what_is_softer_in_mujoco_is_told(tmp_path):
     pegs = [hf.Peg(0.02, -0.5, 0.05, mu=0.4), hf.Ground(0.0, -0.9, mu=0.2)]
     setup = hf.Setup(ROPE.replace(dry_friction=1e-4, max_bend=[np.inf, 0.5, 0.6, 0.7], rest_angle=0.1), pegs=pegs)
     with pytest.warns(UserWarning, match="soft") as told:

@@ -1,11 +1,7 @@
 """ROS 2 bags of both storages, as their own package writes them."""
 
-from __future__ import annotations
-
 import sqlite3
 from contextlib import closing
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +18,7 @@ ANGLES = np.cumsum(np.random.default_rng(2).normal(size=(9, 3)) * 1e-3, axis=0)
 
 @pytest.mark.parametrize("storage", bags.SUFFIX)
 @pytest.mark.parametrize("whole", [True, False], ids=["the folder", "its file"])
-def test_joint_states_bit_for_bit(storage: str, whole: bool, tmp_path: Path) -> None:
+def test_joint_states_bit_for_bit(storage, whole, tmp_path):
     rows = [
         (int(2 * t - START), bags.joint_state(t, ["a", "b", "c"], x, x[::-1]))
         for t, x in zip(STAMPS, ANGLES, strict=True)
@@ -38,8 +34,8 @@ def test_joint_states_bit_for_bit(storage: str, whole: bool, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("kind", [bags.POSE_ARRAY, bags.POSE, bags.POINT])
-def test_places_bit_for_bit(kind: str, tmp_path: Path) -> None:
-    def message(stamp: int, place: Any) -> Any:
+def test_places_bit_for_bit(kind, tmp_path):
+    def message(stamp, place):
         if kind == bags.POINT:
             return bags.make(kind, bags.header(stamp), bags.point(place))
         held = bags.pose(place)
@@ -58,7 +54,7 @@ def test_places_bit_for_bit(kind: str, tmp_path: Path) -> None:
         hf.read_recording(bag, topic="/seen", columns=["a"], plane="xz")
 
 
-def test_a_bag_that_does_not_say_what_its_messages_are(tmp_path: Path) -> None:
+def test_a_bag_that_does_not_say_what_its_messages_are(tmp_path):
     """As ROS 2 wrote them until 2023: the types are those of Humble, which later ones share."""
     bags.content_of("sqlite3")(tmp_path)
     with closing(sqlite3.connect(next((tmp_path / "sqlite3").glob("*.db3")))) as held:
@@ -67,7 +63,7 @@ def test_a_bag_that_does_not_say_what_its_messages_are(tmp_path: Path) -> None:
     assert hf.read_recording(tmp_path / "sqlite3").n_links == 2
 
 
-def test_an_incomplete_bag_is_refused(tmp_path: Path) -> None:
+def test_an_incomplete_bag_is_refused(tmp_path):
     bag = bags.write(tmp_path / "bag", {"/joint_states": (bags.JOINT_STATE, [])})
     with pytest.raises(InvalidInput, match="has no messages"):
         hf.read_recording(bag)
@@ -79,7 +75,7 @@ def test_an_incomplete_bag_is_refused(tmp_path: Path) -> None:
         hf.read_recording(bag)
 
 
-def test_brackets_nested_too_deep_in_a_bag_are_damage(tmp_path: Path) -> None:
+def test_brackets_nested_too_deep_in_a_bag_are_damage(tmp_path):
     """The YAML reader takes 2.5 s of processor time until it gives up, at any depth."""
     bag = bags.write(tmp_path / "bag", {"/joint_states": (bags.JOINT_STATE, [])})
     (bag / "metadata.yaml").write_bytes(b"[" * 3000)

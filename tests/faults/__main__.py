@@ -4,8 +4,6 @@ python -m tests.faults                         the nightly form; its table goes 
 python -m tests.faults --examples 0 --seeds 0  what the ordinary suite tries, printed alone
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """What every fault must end in: an error of ours with all its parts, or a result, within 5 s and 1 GB."""
 
-from __future__ import annotations
-
 import os
 import re
 import resource

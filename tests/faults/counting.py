@@ -1,7 +1,5 @@
 """How many faults the tests try: one a test, or as many as a test counts itself."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import ClassVar
 

@@ -4,8 +4,6 @@
 object a trial, with what is wrong in ``faults``; without ``--calls`` and ``--commands`` it tries all of them.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

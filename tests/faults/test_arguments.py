@@ -1,7 +1,5 @@
 """Odd values for every argument of every public function and class: refused in words, or a right answer."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 from collections.abc import Callable
@@ -243,10 +241,7 @@ CALLS: dict[str, tuple[Callable[..., Any], Callable[[], dict[str, Any]]]] = {
             | {"markers": 2, "noise": 1e-3, "torque_noise": None}
         ),
     ),
-    "MotorLimits": (
-        hf.MotorLimits,
-        lambda: {"speed": 8.0, "acceleration": 20.0, "torque": 2.0, "angles": (-3.0, 3.0)},
-    ),
+    "MotorLimits": (hf.MotorLimits, lambda: {"speed": 8.0, "acceleration": 20.0, "torque": 2.0, "angles": (-3.0, 3.0)}),
     "TipTarget": (
         hf.TipTarget,
         lambda: {"x": 0.1, "y": 0.2, "direction": 0.1, "least_speed": 1.0, "angle_tolerance": 0.1},
@@ -352,11 +347,11 @@ def odd_call(name: str, argument: str, odd: str) -> None:
 @pytest.mark.filterwarnings("default")
 @examples(60)
 @given(st.sampled_from(CASES), st.sampled_from(sorted(ODD)))
-def test_odd_arguments_are_refused_in_words(case: tuple[str, str], odd: str) -> None:
+def test_odd_arguments_are_refused_in_words(case, odd):
     odd_call(*case, odd)
 
 
-def test_sound_arguments_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sound_arguments_pass(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, (call, sound) in CALLS.items():
         parameters = inspect.signature(call).parameters

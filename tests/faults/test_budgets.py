@@ -1,7 +1,5 @@
 """Memory, time and places of results are looked at before the work; what cannot be written is kept elsewhere."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json
@@ -14,7 +12,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -45,7 +42,7 @@ def one_gibibyte(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("one_gibibyte")
-def test_what_would_fill_the_memory_is_refused_before_it_is_begun() -> None:
+def test_what_would_fill_the_memory_is_refused_before_it_is_begun():
     with pytest.raises(InvalidInput, match=r"5000 links with 1000001 outputs would fill.*GiB.*1 GiB here.*t_eval"):
         hf.simulate(LONG, duration=1e4)
     with pytest.raises(InvalidInput, match=r"1000 members with 20000 outputs of q, qd.*take fewer members"):
@@ -55,7 +52,7 @@ def test_what_would_fill_the_memory_is_refused_before_it_is_begun() -> None:
     assert hf.simulate(ROPE, duration=0.1).success
 
 
-def test_the_least_of_machine_container_and_process_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_least_of_machine_container_and_process_counts(tmp_path, monkeypatch):
     info, groups = tmp_path / "meminfo", tmp_path / "cgroup"
     monkeypatch.setattr(memory, "_INFO", info)
     monkeypatch.setattr(memory, "_CGROUPS", groups)
@@ -76,7 +73,7 @@ def test_the_least_of_machine_container_and_process_counts(tmp_path: Path, monke
     assert memory.available() > 2.0**28  # another system: all that the machine has
 
 
-def test_memory_that_a_process_may_not_have_is_not_there() -> None:
+def test_memory_that_a_process_may_not_have_is_not_there():
     script = """
 import resource
 import hyperflex as hf
@@ -101,8 +98,8 @@ FAILURES = [
 
 @pytest.mark.parametrize(("error", "words"), FAILURES)
 @pytest.mark.parametrize("option", [(), ("--json",)])
-def test_what_fails_all_the_same_is_a_message(tmp_path, monkeypatch, capsys, error, words, option) -> None:
-    def fail(*_: object, **__: object) -> None:
+def test_what_fails_all_the_same_is_a_message(tmp_path, monkeypatch, capsys, error, words, option):
+    def fail(*_, **__):
         raise error
 
     hf.Setup(ROPE, duration=0.1).to_toml(tmp_path / "setup.toml")
@@ -118,13 +115,13 @@ def test_what_fails_all_the_same_is_a_message(tmp_path, monkeypatch, capsys, err
 # ---- time
 
 
-def test_a_run_that_came_to_its_end_is_kept_however_long_it_took() -> None:
+def test_a_run_that_came_to_its_end_is_kept_however_long_it_took():
     ticks = iter([0.0, 0.5, *[2.0] * 100])
     short = hf.simulate(hf.Rope.uniform(1.0, 0.1, 3), duration=0.01, time_budget=Budget(1.0, clock=lambda: next(ticks)))
     assert (short.status, short.t[-1]) == ("success", 0.01)
 
 
-def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch):
     monkeypatch.setattr(rollouts, "PREDICTED", 0.0)
     monkeypatch.setattr(rollouts, "LONGEST", 0.0)
     times = np.linspace(0.0, 1e4, 10_001)
@@ -139,11 +136,11 @@ def test_a_run_without_end_ends_early_unless_it_may_go_on(monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("throw", [True, False])
-def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, throw: bool) -> None:
+def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, throw):
     monkeypatch.setattr(progress, "EVERY", 0.05)
     how = {"arm": hf.Arm(0.1, mass=0.1, inertia=1e-3), "duration": 100.0, "control_rate": 50.0, "progress": True}
 
-    def torque(*_: object) -> float:
+    def torque(*_):
         end = time.thread_time() + 0.02
         while time.thread_time() < end:
             pass
@@ -161,7 +158,7 @@ def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, t
     assert re.search("simulating: [01] of 100 s; begun", capsys.readouterr().err)
 
 
-def test_progress_is_told_to_a_hundredth_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_is_told_to_a_hundredth_of_the_whole(monkeypatch):
     said: list[str] = []
     monkeypatch.setattr(progress, "lines", lambda: contextlib.nullcontext(said.append))
     for whole, part in ((60.0, 0.9467), (0.005, 0.00123456), (400.0, 17.0)):
@@ -170,12 +167,12 @@ def test_progress_is_told_to_a_hundredth_of_the_whole(monkeypatch: pytest.Monkey
     assert said == ["simulating: 0.9 of 60 s", "simulating: 0.00123 of 0.005 s", "simulating: 17 of 400 s"]
 
 
-def test_half_an_hour_is_predicted_from_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_half_an_hour_is_predicted_from_what_is_done(monkeypatch):
     """A run that stalls near its end does not continue for days."""
     worked = [0.0]
     monkeypatch.setattr(time, "thread_time", lambda: worked[0])
 
-    def ends_after(reached: Callable[[float], float]) -> float | None:
+    def ends_after(reached):
         """Return the work, s, after which a run of 1 s ends that has come to `reached` then."""
         worked[0] = 0.0
         watch = rollouts.Watch(None, (0.0, 1.0))
@@ -192,14 +189,14 @@ def test_half_an_hour_is_predicted_from_what_is_done(monkeypatch: pytest.MonkeyP
     assert ends_after(lambda work: min(work / 20.0, 0.99)) == pytest.approx(rollouts.LONGEST, rel=0.05)
 
 
-def test_a_fit_ends_when_its_time_budget_is_over() -> None:
+def test_a_fit_ends_when_its_time_budget_is_over():
     t = np.arange(2000) / 100.0
     noise = hf.Recording(t, np.random.default_rng(1).normal(0.0, 1.0, (t.size, 1)))
     rod, heard = hf.Rope([0.3], [0.1], friction=2e-4), []
     with pytest.raises(IdentificationError, match=r"over before anything was fitted to 1600 samples\. Allow more"):
         hf.identify(noise, rod, ["friction"], time_budget=1e-6)
 
-    def work(entry: dict[str, float]) -> None:
+    def work(entry):
         heard.append(entry)
         end = time.thread_time() + 0.15
         while time.thread_time() < end:
@@ -213,7 +210,7 @@ def test_a_fit_ends_when_its_time_budget_is_over() -> None:
 
 
 @pytest.mark.usefixtures("one_gibibyte")
-def test_a_fit_that_would_fill_the_memory_is_refused_before_it_is_begun() -> None:
+def test_a_fit_that_would_fill_the_memory_is_refused_before_it_is_begun():
     t = np.arange(300_000) / 100.0
     many = hf.Recording(t, np.random.default_rng(1).normal(0.0, 0.1, (t.size, 10)))
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=10)
@@ -223,12 +220,12 @@ def test_a_fit_that_would_fill_the_memory_is_refused_before_it_is_begun() -> Non
         hf.identify(many, rope, ["friction", "inertia"])
 
 
-def test_runge_kutta_with_thousands_of_links_is_refused() -> None:
+def test_runge_kutta_with_thousands_of_links_is_refused():
     with pytest.raises(InvalidInput, match=r"'rk4'.*got 5000. Allowed: up to 1000. Take method='extrapolation'"):
         hf.simulate(LONG, duration=1.0, method="rk4", step=1e-3)
 
 
-def test_a_peg_that_no_links_can_follow_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_peg_that_no_links_can_follow_is_refused(tmp_path, capsys):
     thin, peg = ROPE.replace(radius=0.0), hf.Peg(0.3, -0.2, 1e-9)
     for call in (
         lambda: hf.refine_rope(thin, [peg]),
@@ -243,7 +240,7 @@ def test_a_peg_that_no_links_can_follow_is_refused(tmp_path: Path, capsys: pytes
     assert "too many links" in capsys.readouterr().err
 
 
-def test_a_cast_may_not_swing_for_ever() -> None:
+def test_a_cast_may_not_swing_for_ever():
     with pytest.raises(InvalidInput, match=r"time is longer than anybody swings.*got 10000000000\.0.*100 periods"):
         hf.plan_cast(ROPE, hf.Arm(length=0.1), hf.Peg(0.3, -0.2, 0.03), conditions=hf.Conditions(time_limit=1e10))
 
@@ -251,7 +248,7 @@ def test_a_cast_may_not_swing_for_ever() -> None:
 # ---- progress where nobody watches
 
 
-def test_a_line_now_and_then_where_nobody_watches(monkeypatch, capsys) -> None:
+def test_a_line_now_and_then_where_nobody_watches(monkeypatch, capsys):
     monkeypatch.setattr(progress, "EVERY", 0.01)
     before, said = threading.active_count(), ""
     with progress.progress_bar(1.0, 5.0, True, "fitting", "models") as report:
@@ -265,11 +262,11 @@ def test_a_line_now_and_then_where_nobody_watches(monkeypatch, capsys) -> None:
         assert report is None
 
 
-def test_the_commands_tell_how_far_they_are(tmp_path, monkeypatch) -> None:
+def test_the_commands_tell_how_far_they_are(tmp_path, monkeypatch):
     heard: list[str] = []
 
     @contextmanager
-    def lines() -> Iterator[object]:
+    def lines():
         yield heard.append
 
     monkeypatch.setattr(progress, "lines", lines)
@@ -306,7 +303,7 @@ def full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_a_run_that_cannot_be_written_is_kept_elsewhere(tmp_path, full_disk, capsys) -> None:
+def test_a_run_that_cannot_be_written_is_kept_elsewhere(tmp_path, full_disk, capsys):
     hf.Setup(ROPE, duration=0.1).to_toml(tmp_path / "setup.toml")
     assert run(["simulate", str(tmp_path / "setup.toml"), "-o", str(full_disk / "run.nc"), "--json"]) == 2
     [kept] = (tmp_path / "state" / "hyperflex").rglob("*.nc")
@@ -317,7 +314,7 @@ def test_a_run_that_cannot_be_written_is_kept_elsewhere(tmp_path, full_disk, cap
     assert list(full_disk.iterdir()) == []
 
 
-def test_a_folder_of_results_is_kept_elsewhere_too(tmp_path, full_disk, capsys) -> None:
+def test_a_folder_of_results_is_kept_elsewhere_too(tmp_path, full_disk, capsys):
     ROPE.to_toml(tmp_path / "rope.toml")
     swing = hf.simulate(ROPE.replace(friction=2e-4), duration=3.0, q0=[0.5] * 4)
     hf.Recording(swing.t, swing.q).to_netcdf(tmp_path / "swing.nc")
@@ -328,21 +325,21 @@ def test_a_folder_of_results_is_kept_elsewhere_too(tmp_path, full_disk, capsys) 
     assert hf.Rope.from_toml(kept).friction[0] == pytest.approx(2e-4, rel=0.1)
 
 
-def test_a_figure_that_cannot_be_written_is_kept_elsewhere(tmp_path, full_disk, capsys) -> None:
+def test_a_figure_that_cannot_be_written_is_kept_elsewhere(tmp_path, full_disk, capsys):
     assert run(["reproduce", "fig10", "-o", str(full_disk / "paper"), "--json"]) == 2
     [kept] = (tmp_path / "state" / "hyperflex").rglob("fig10.png")
     assert f"The result is in {kept.parent} instead." in json.loads(capsys.readouterr().out)["error"]
     assert kept.with_suffix(".csv").exists()
 
 
-def test_a_demo_that_cannot_be_written_is_kept_elsewhere_and_not_run_again(tmp_path, full_disk, monkeypatch) -> None:
+def test_a_demo_that_cannot_be_written_is_kept_elsewhere_and_not_run_again(tmp_path, full_disk, monkeypatch):
     runs = []
 
-    def demo(_: object, video: Path) -> SimpleNamespace:
+    def demo(_, video):
         runs.append(video.write_bytes(b"film"))
         return SimpleNamespace(plan=SimpleNamespace(success=True), held=None)
 
-    def write(folder: Path, *_: object) -> dict[str, str]:
+    def write(folder, *_):
         files.write_text(folder / "report.html", "page")
         return {"page": "report.html"}
 
@@ -358,7 +355,7 @@ def test_a_demo_that_cannot_be_written_is_kept_elsewhere_and_not_run_again(tmp_p
     assert (kept.read_bytes(), kept.with_name("report.html").exists(), runs) == (b"film", True, [4])
 
 
-def test_where_the_users_state_takes_nothing_temporary_files_do(tmp_path: Path, full_disk: Path) -> None:
+def test_where_the_users_state_takes_nothing_temporary_files_do(tmp_path, full_disk):
     (tmp_path / "state").write_text("a file, not a folder")
     with pytest.raises(FileProblem, match="The result is in") as caught:
         files.rescued(lambda path: files.write_text(path, "text"), full_disk / "out.txt")
@@ -366,8 +363,8 @@ def test_where_the_users_state_takes_nothing_temporary_files_do(tmp_path: Path, 
     assert str(kept) in str(caught.value)
 
 
-def test_where_nothing_takes_it_the_first_reason_is_told_and_nothing_is_left(tmp_path: Path, full_disk: Path) -> None:
-    def fail(path: Path) -> None:
+def test_where_nothing_takes_it_the_first_reason_is_told_and_nothing_is_left(tmp_path, full_disk):
+    def fail(path):
         raise FileProblem(f"{path} could not be written.")
 
     with pytest.raises(FileProblem, match=r"out\.txt could not be written\.$"):
@@ -384,8 +381,8 @@ def test_where_nothing_takes_it_the_first_reason_is_told_and_nothing_is_left(tmp
         (["simulate"], "hyperflex.simulation.simulate", "are free there"),
     ],
 )
-def test_rates_and_space_are_looked_at_before_the_work(tmp_path, monkeypatch, capsys, command, work, words) -> None:
-    def begun(*_: object, **__: object) -> None:
+def test_rates_and_space_are_looked_at_before_the_work(tmp_path, monkeypatch, capsys, command, work, words):
+    def begun(*_, **__):
         pytest.fail("the work was begun")
 
     monkeypatch.setattr(work, begun)

@@ -1,7 +1,5 @@
 """Interruption: the rule of ``hyperflex.interruption``, and calls and commands that signals end at random times."""
 
-from __future__ import annotations
-
 import _thread
 import contextlib
 import inspect
@@ -15,7 +13,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
 
 import numpy as np
 import pytest
@@ -81,8 +78,8 @@ def work(result: list[int]) -> list[int]:
     return result
 
 
-def test_a_signal_at_the_very_end_of_a_call_leaves_the_next_one_alone() -> None:
-    def trace(frame: FrameType, *_: object) -> None:
+def test_a_signal_at_the_very_end_of_a_call_leaves_the_next_one_alone():
+    def trace(frame, *_):
         if frame.f_code is handle_signals.__exit__.__code__:
             sys.settrace(before)
             signal.raise_signal(signal.SIGINT)
@@ -101,7 +98,7 @@ def test_a_signal_at_the_very_end_of_a_call_leaves_the_next_one_alone() -> None:
 
 def test_another_error_that_hides_an_interrupt_comes_out_as_one() -> None:
     @interruptible()
-    def fails() -> None:
+    def fails():
         swallowed()
         raise ValueError
 
@@ -110,10 +107,10 @@ def test_another_error_that_hides_an_interrupt_comes_out_as_one() -> None:
     assert stop.value.partial is None
 
 
-def test_what_a_library_swallows_comes_out_at_the_end_of_the_call() -> None:
+def test_what_a_library_swallows_comes_out_at_the_end_of_the_call():
     calls = []
 
-    def loop() -> None:
+    def loop():
         for _ in range(3):
             calls.append(1)
             work([1])
@@ -123,16 +120,16 @@ def test_what_a_library_swallows_comes_out_at_the_end_of_the_call() -> None:
     raise_if_cancelled()  # it is not pending any more
 
 
-def test_what_a_library_swallows_is_raised_by_the_next_look_in_any_thread() -> None:
+def test_what_a_library_swallows_is_raised_by_the_next_look_in_any_thread():
     heard = []
 
-    def listen() -> None:
+    def listen():
         try:
             raise_if_cancelled()
         except KeyboardInterrupt:
             heard.append(True)
 
-    def work() -> None:
+    def work():
         with handle_signals():
             swallowed()
             thread = threading.Thread(target=listen)
@@ -144,8 +141,8 @@ def test_what_a_library_swallows_is_raised_by_the_next_look_in_any_thread() -> N
     assert heard
 
 
-def test_what_a_library_makes_another_error_of_is_an_interrupt() -> None:
-    def convert(interrupt: bool) -> None:
+def test_what_a_library_makes_another_error_of_is_an_interrupt():
+    def convert(interrupt):
         with handle_signals():
             if interrupt:
                 swallowed()
@@ -162,17 +159,17 @@ def test_what_a_library_makes_another_error_of_is_an_interrupt() -> None:
 
 def test_the_partial_result_of_a_call_within_is_not_that_of_the_call() -> None:
     @interruptible(dict)
-    def outer() -> dict[str, int]:
+    def outer():
         return {"of": work([1])[0]}
 
     assert left_by(outer) is None
 
 
-def test_a_partial_result_may_be_made_when_it_is_asked_for() -> None:
+def test_a_partial_result_may_be_made_when_it_is_asked_for():
     made = []
 
     @interruptible(str)
-    def late() -> str:
+    def late():
         raise hf.Interrupted(lambda: made.append(1) or "made")
 
     with pytest.raises(hf.Interrupted) as stop:
@@ -181,7 +178,7 @@ def test_a_partial_result_may_be_made_when_it_is_asked_for() -> None:
     assert (stop.value.partial, stop.value.partial, made) == ("made", "made", [1])
 
 
-def test_what_follows_a_caught_interrupt_may_take_long_until_the_second_one() -> None:
+def test_what_follows_a_caught_interrupt_may_take_long_until_the_second_one():
     with handle_signals():
         with stoppable() as stop:
             signal.raise_signal(signal.SIGINT)
@@ -193,10 +190,10 @@ def test_what_follows_a_caught_interrupt_may_take_long_until_the_second_one() ->
             raise_if_cancelled()
 
 
-def test_a_short_block_comes_to_its_end_first() -> None:
+def test_a_short_block_comes_to_its_end_first():
     done = []
 
-    def move() -> None:
+    def move():
         with deferred():
             signal.raise_signal(signal.SIGINT)
             done.append(1)
@@ -206,7 +203,7 @@ def test_a_short_block_comes_to_its_end_first() -> None:
     assert done
 
 
-def test_a_handler_of_somebody_else_stays() -> None:
+def test_a_handler_of_somebody_else_stays():
     heard = []
     signal.signal(signal.SIGINT, lambda *_: heard.append(1))
     try:
@@ -218,7 +215,7 @@ def test_a_handler_of_somebody_else_stays() -> None:
     assert heard
 
 
-def test_a_run_is_interrupted_in_a_kernel_and_goes_on_bit_for_bit() -> None:
+def test_a_run_is_interrupted_in_a_kernel_and_goes_on_bit_for_bit():
     how = {"arm": hf.Arm(length=0.105), "t_eval": np.arange(0.0, 1e4, 100.0)}
     hf.simulate(CABLE, hf.arm_swings(), arm=how["arm"], duration=0.1)
     clock = threading.Timer(0.3, _thread.interrupt_main)
@@ -232,11 +229,11 @@ def test_a_run_is_interrupted_in_a_kernel_and_goes_on_bit_for_bit() -> None:
     np.testing.assert_array_equal(rest.q, whole.q)
 
 
-def test_a_run_with_contact_is_interrupted_with_state_and_clock_that_fit_together(monkeypatch) -> None:
+def test_a_run_with_contact_is_interrupted_with_state_and_clock_that_fit_together(monkeypatch):
     """A signal is heard when the kernel returns, before the run knows how far it has come."""
     kernel, calls = contact.at.run, []
 
-    def interrupted(*given: object) -> int:
+    def interrupted(*given):
         code = kernel(*given)
         calls.append(code)
         if len(calls) == 3:
@@ -251,11 +248,11 @@ def test_a_run_with_contact_is_interrupted_with_state_and_clock_that_fit_togethe
     np.testing.assert_allclose(part.state.q, whole.q[-1], atol=1e-3)
 
 
-def test_derivatives_of_a_long_run_are_interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_derivatives_of_a_long_run_are_interrupted(monkeypatch):
     """In the midst of the kernel that goes through the run's steps again."""
     kernel, states = forward_sensitivity.forward_sensitivities, []
 
-    def interrupted(*given: np.ndarray) -> None:
+    def interrupted(*given):
         with soon(0.02):
             kernel(*given)
         states.append(given[-3][-1])
@@ -267,7 +264,7 @@ def test_derivatives_of_a_long_run_are_interrupted(monkeypatch: pytest.MonkeyPat
     assert not states[0].any()  # it did not come to its end
 
 
-def test_each_public_call_that_takes_long_leaves_as_interrupted() -> None:
+def test_each_public_call_that_takes_long_leaves_as_interrupted():
     calls = (reproduce, write_demo, calibrate_camera, track_video, track_bars, optimize_pumping, hf.Stepper.step)
     assert all(hasattr(call, "__wrapped__") for call in (*calls, hf.BatchStepper.step, hf.Stepper.linearize))
     short = {"measure_winding", "refine_rope", "forward_kinematics", "mass_matrix", "linearize", "fit_regression"}
@@ -280,7 +277,7 @@ def test_each_public_call_that_takes_long_leaves_as_interrupted() -> None:
 
 
 @pytest.mark.parametrize("kind", [hf.Stepper, hf.BatchStepper])
-def test_steps_are_interrupted_and_go_on(monkeypatch: pytest.MonkeyPatch, kind: type) -> None:
+def test_steps_are_interrupted_and_go_on(monkeypatch, kind):
     stepper = kind(CABLE if kind is hf.Stepper else [CABLE] * 40, arm=hf.Arm(length=0.1))
     begin = stepper.start()
     after = stepper.step(begin, 1.0, 0.1)
@@ -290,11 +287,11 @@ def test_steps_are_interrupted_and_go_on(monkeypatch: pytest.MonkeyPatch, kind: 
 
 
 @pytest.mark.parametrize(("grace", "known"), [(60.0, True), (0.0, False)])
-def test_a_fit_is_kept_when_its_covariance_is_interrupted(monkeypatch, grace: float, known: bool) -> None:
+def test_a_fit_is_kept_when_its_covariance_is_interrupted(monkeypatch, grace, known):
     """With deviations where they are found at once, and without any where they would take long."""
     derivatives, begun = covariance._models, []
 
-    def interrupted(*given: object) -> object:
+    def interrupted(*given):
         begun.append(True)
         if len(begun) == 1:
             signal.raise_signal(signal.SIGINT)
@@ -312,10 +309,10 @@ def test_a_fit_is_kept_when_its_covariance_is_interrupted(monkeypatch, grace: fl
     assert found.has(Kind.NOT_ESTIMATED) != known
 
 
-def test_an_interrupt_while_files_are_put_in_place_leaves_no_part(tmp_path, monkeypatch) -> None:
+def test_an_interrupt_while_files_are_put_in_place_leaves_no_part(tmp_path, monkeypatch):
     replace = os.fsync
 
-    def interrupted(descriptor: int) -> None:
+    def interrupted(descriptor):
         signal.raise_signal(signal.SIGINT)
         replace(descriptor)
 
@@ -326,7 +323,7 @@ def test_an_interrupt_while_files_are_put_in_place_leaves_no_part(tmp_path, monk
     assert (tmp_path / "a.txt").read_text() == "whole"
 
 
-def test_what_a_killed_process_left_is_removed_by_the_next_write(tmp_path) -> None:
+def test_what_a_killed_process_left_is_removed_by_the_next_write(tmp_path):
     names = [".a.0123abcd.part.txt", ".a.4567abcd.part.txt", ".b.0123abcd.part.txt"]
     for name in names:
         (tmp_path / name).write_text("half")
@@ -339,7 +336,7 @@ def test_what_a_killed_process_left_is_removed_by_the_next_write(tmp_path) -> No
 
 
 @pytest.mark.nightly
-def test_calls_and_commands_that_signals_end_at_random_times() -> None:
+def test_calls_and_commands_that_signals_end_at_random_times():
     """Each ends as undisturbed, with the same result, or as interrupted, and what is kept says so."""
     calls, commands = ["simulate batch", "identify", "bootstrap"], ["simulate", "identify"]
     ask = ["--seeds", str(SEEDS), "--calls", *calls, "--commands", *commands]
@@ -355,7 +352,7 @@ def test_calls_and_commands_that_signals_end_at_random_times() -> None:
 @pytest.mark.parametrize(
     "how", ["os.kill(os.getpid(), signal.SIGTERM)", "exec('os.kill(os.getpid(), signal.SIGTERM)')"]
 )
-def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code(tmp_path: Path, how: str) -> None:
+def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code(tmp_path, how):
     """Also where Python keeps a mark of it, as for code in a string (as of namedtuple) below ``python -m``."""
     code = "import os, signal; from hyperflex import demo; from hyperflex.cli import main\n"
     (tmp_path / "stopped.py").write_text(f"{code}def work(*_): {how}\ndemo.write_demo = work\nmain()")
@@ -367,7 +364,7 @@ def test_sigterm_is_ctrl_c_on_the_command_line_with_its_own_code(tmp_path: Path,
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_the_command_line_is_loaded_is_told_with_its_code(number: signal.Signals) -> None:
+def test_a_signal_while_the_command_line_is_loaded_is_told_with_its_code(number):
     code = "import os, signal, sys; from hyperflex.cli import main\nclass Finder:\n"
     code += f"    def find_spec(name, *_): return os.kill(os.getpid(), {int(number)}) if name == 'typer' else None\n"
     code += "sys.meta_path.insert(0, Finder)\nmain()"
@@ -377,14 +374,14 @@ def test_a_signal_while_the_command_line_is_loaded_is_told_with_its_code(number:
     assert json.loads(done.stdout) == {"error": "interrupted", "type": "Interrupted"}
 
 
-def test_an_interrupt_waits_for_the_compiler() -> None:
+def test_an_interrupt_waits_for_the_compiler():
     """In the middle of its work numba would be broken for the rest of the process."""
     from numba.core.compiler_lock import global_compiler_lock
 
     assert hf.simulate  # listens from its import on
     done = []
 
-    def compile_something() -> None:
+    def compile_something():
         with global_compiler_lock, global_compiler_lock:
             signal.raise_signal(signal.SIGINT)
             done.append(1)

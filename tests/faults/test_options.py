@@ -1,7 +1,5 @@
 """Odd values for every option of every command: one line that says what is wrong and exit code 2, or a result."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import shutil
@@ -74,12 +72,12 @@ def called(command: str, words: list[str]) -> tuple[int, str]:
 
 
 @pytest.mark.filterwarnings("default")
-def test_odd_options_are_refused_in_one_line(folder: Path) -> None:
+def test_odd_options_are_refused_in_one_line(folder):
     before = sorted(path.name for path in folder.iterdir())
 
     @examples(25)
     @given(st.sampled_from(options()), st.sampled_from(ODD))
-    def odd(option: tuple[str, str], value: str) -> None:
+    def odd(option, value):
         command, name = option
         words = list(SOUND[command])
         if name and name in words:

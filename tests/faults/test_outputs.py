@@ -1,7 +1,5 @@
 """Writing that fails at any of its calls: FileProblem, nothing half written, an earlier file is unchanged."""
 
-from __future__ import annotations
-
 import errno
 import itertools
 import os
@@ -102,7 +100,7 @@ def fail_everywhere(write: Callable[[], object], folder: Path) -> int:
 
 @pytest.mark.parametrize("earlier", [False, True])
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, run: hf.Trajectory, name: str, earlier: bool) -> None:
+def test_a_file_is_written_whole_or_not_at_all(tmp_path, run, name, earlier):
     path = tmp_path / name
     WRITERS[name](path, run)  # what is imported then writes, too
     path.unlink()
@@ -120,7 +118,7 @@ def folder_of_two(path: Path) -> None:
 
 
 @pytest.mark.parametrize("earlier", [False, True])
-def test_a_folder_is_filled_whole_or_not_at_all(tmp_path: Path, monkeypatch, earlier: bool) -> None:
+def test_a_folder_is_filled_whole_or_not_at_all(tmp_path, monkeypatch, earlier):
     monkeypatch.setattr("tests.faults.test_outputs.KINDS", KINDS[: len(CODES)])  # what is lost for good: see below
     folder = tmp_path / "report"
     if earlier:
@@ -132,7 +130,7 @@ def test_a_folder_is_filled_whole_or_not_at_all(tmp_path: Path, monkeypatch, ear
     assert content(folder) == {"a.txt": b"new", "b.txt": b"new", **kept}
 
 
-def test_earlier_files_that_cannot_be_put_back_are_kept_and_named(tmp_path: Path) -> None:
+def test_earlier_files_that_cannot_be_put_back_are_kept_and_named(tmp_path):
     """A disk that fails for good while a folder is filled takes nothing away."""
     for call in range(1, 60):
         folder = tmp_path / str(call)
@@ -156,7 +154,7 @@ def test_earlier_files_that_cannot_be_put_back_are_kept_and_named(tmp_path: Path
     raise AssertionError
 
 
-def test_a_plan_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_plan_is_written_whole_or_not_at_all(tmp_path):
     """A cast that cannot be: its page and its map."""
     rope = hf.Rope.uniform(length=0.4, mass=0.02, n_links=4, radius=0.002, friction=1e-4)
     report = CastReport(hf.plan_cast(rope, hf.Arm(length=0.1), hf.Peg(2.0, 0.0, 0.03)), None)
@@ -188,7 +186,7 @@ for write in (lambda: run.to_netcdf("run.nc"), film):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a file size limit")
-def test_native_writers_end_with_a_message_where_the_disk_is_full(tmp_path: Path) -> None:
+def test_native_writers_end_with_a_message_where_the_disk_is_full(tmp_path):
     """HDF5 and FFmpeg, in a process of their own: the one crashed when the process ended."""
     (tmp_path / "run.nc").write_bytes(EARLIER)
     child = subprocess.run([sys.executable, "-c", LIMITED], cwd=tmp_path, capture_output=True, text=True, check=False)
@@ -210,7 +208,7 @@ for _ in range(40):
 """
 
 
-def test_two_processes_at_once_leave_a_whole_file(tmp_path: Path) -> None:
+def test_two_processes_at_once_leave_a_whole_file(tmp_path):
     rivals = [subprocess.Popen([sys.executable, "-c", RIVAL, str(k)], cwd=tmp_path) for k in (1, 2)]
     seen = set()
     while any(rival.poll() is None for rival in rivals):
@@ -243,7 +241,7 @@ for _ in range(10):
 
 
 @pytest.mark.parametrize("kind", ["run", "folder"])
-def test_several_processes_at_once_leave_a_whole_run_and_folder(tmp_path: Path, kind: str) -> None:
+def test_several_processes_at_once_leave_a_whole_run_and_folder(tmp_path, kind):
     words = [[sys.executable, "-c", SAME, str(k), kind] for k in (1, 2, 3)]
     rivals = [subprocess.Popen(each, cwd=tmp_path, stderr=subprocess.PIPE, text=True) for each in words]
     told = [rival.communicate()[1] for rival in rivals]
@@ -258,10 +256,10 @@ def test_several_processes_at_once_leave_a_whole_run_and_folder(tmp_path: Path, 
             assert files.read_toml(path)["x"] in {1.0, 2.0, 3.0}
 
 
-def test_a_read_only_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_read_only_disk_is_told(tmp_path, monkeypatch):
     """Such a disk refuses to remove what is not there, too."""
 
-    def refused(*_: object, **__: object) -> None:
+    def refused(*_, **__):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
     for name in ("open", "unlink"):

@@ -1,7 +1,5 @@
 """Damaged files of every kind: bytes altered, cut, repeated, added. They are refused by name, or read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -144,7 +142,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[byt
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_damage_is_told_or_harmless(kind: str, sound: Callable[[str], tuple[bytes, Path]]) -> None:
+def test_damage_is_told_or_harmless(kind, sound):
     content, path = sound(kind)
     read = KINDS[kind][2]
     path.write_bytes(content)
@@ -152,7 +150,7 @@ def test_damage_is_told_or_harmless(kind: str, sound: Callable[[str], tuple[byte
 
     @examples(15 if kind.endswith((".mcap", ".db3", ".yaml", ".xml")) else 8)
     @given(st.lists(CHANGE, min_size=1, max_size=3))
-    def damage(changes: list[tuple[str, float, Any]]) -> None:
+    def damage(changes):
         count()
         path.write_bytes(changed(content, changes))
         refused_or_done(lambda: read(path))

@@ -1,7 +1,5 @@
 """Faults that once ended badly, each as a user meets it, where no other test has it."""
 
-from __future__ import annotations
-
 import _thread
 import contextlib
 import json
@@ -10,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -54,8 +51,8 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_ctrl_c_that_a_library_swallows_in_reproduce_is_no_result(monkeypatch, capsys, times: int) -> None:
-    def fails_to_hear(*_: object) -> None:
+def test_ctrl_c_that_a_library_swallows_in_reproduce_is_no_result(monkeypatch, capsys, times):
+    def fails_to_hear(*_):
         for _ in range(times):
             with contextlib.suppress(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
@@ -69,7 +66,7 @@ def test_ctrl_c_that_a_library_swallows_in_reproduce_is_no_result(monkeypatch, c
 
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.nightly
-def test_a_signal_while_a_run_is_written_leaves_no_part(folder: Path, sent: signal.Signals) -> None:
+def test_a_signal_while_a_run_is_written_leaves_no_part(folder, sent):
     code = "import os, signal; from hyperflex.cli import main\nforced = os.fsync\n"
     code += "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     code += f"def fsync(it):\n    os.kill(os.getpid(), {int(sent)})\n    forced(it)\nos.fsync = fsync\nmain()"
@@ -96,20 +93,20 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_an_output_without_a_name_is_refused(capsys, command: str) -> None:
+def test_an_output_without_a_name_is_refused(capsys, command):
     assert "-o has no value: got ''" in refused(capsys, *COMMANDS[command], "-o", "")
 
 
 @pytest.mark.parametrize(
     "words", [("simulate", "setup.toml", "-o", "no/x.nc"), ("identify", "no.csv", "-o", "no/x.toml")]
 )
-def test_an_output_in_a_folder_that_is_not_there_is_refused(capsys, words: tuple[str, ...]) -> None:
+def test_an_output_in_a_folder_that_is_not_there_is_refused(capsys, words):
     more = ("--rope", "rope.toml") if words[0] == "identify" else ()
     assert "no" in refused(capsys, *words, *more)
 
 
 @pytest.mark.parametrize("name", ["/dev/zero", "pipe.toml", "pipe.csv"])
-def test_a_command_refuses_devices_and_pipes(capsys, name: str) -> None:
+def test_a_command_refuses_devices_and_pipes(capsys, name):
     for pipe in ("pipe.toml", "pipe.csv"):
         os.mkfifo(pipe)
     words = (
@@ -118,7 +115,7 @@ def test_a_command_refuses_devices_and_pipes(capsys, name: str) -> None:
     assert f"{name} is a device, pipe or socket" in refused(capsys, *words)
 
 
-def test_that_an_arm_is_missing_is_said_in_the_words_of_the_file(capsys) -> None:
+def test_that_an_arm_is_missing_is_said_in_the_words_of_the_file(capsys):
     Path("swings.toml").write_text(
         "[rope]\nn_links = 3\nlink_length = 0.1\nlink_mass = 0.1\n[motion]\nkind = 'swings'\n"
     )
@@ -128,7 +125,7 @@ def test_that_an_arm_is_missing_is_said_in_the_words_of_the_file(capsys) -> None
 
 
 @pytest.mark.parametrize(("more", "said"), [((), True), (("--arm-length", "0.105"), False)])
-def test_a_cast_says_that_it_takes_the_arm_of_the_paper(capsys, more: tuple[str, ...], said: bool) -> None:
+def test_a_cast_says_that_it_takes_the_arm_of_the_paper(capsys, more, said):
     out_of_reach = ("cast", "--rope", "rope.toml", "--target", "9", "-1", "--radius", "0.04", "-o", "out")
     assert run([*out_of_reach, *more]) == 4
     assert ("no arm is given, so the paper's is used, 0.105 m long" in capsys.readouterr().err) == said
@@ -143,28 +140,28 @@ WORDS = {
 
 
 @pytest.mark.parametrize(("call", "words"), WORDS.values(), ids=WORDS.keys())
-def test_arguments_of_the_wrong_kind_are_refused_in_words(call, words: str) -> None:
+def test_arguments_of_the_wrong_kind_are_refused_in_words(call, words):
     with pytest.raises(InvalidInput, match=words) as caught:
         call()
     readable(caught.value)
 
 
-def test_a_gravity_that_takes_for_ever_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gravity_that_takes_for_ever_is_given_up(monkeypatch):
     monkeypatch.setattr(rollouts, "PREDICTED", 0.2)  # s, and ten outside of tests
     with bounded(), pytest.raises(SimulationError, match="Check units and gravity"):
         hf.simulate(CABLE.replace(gravity=(0.0, -1e12)), duration=100.0, q0=[0.5] * 12, t_eval=[50.0, 100.0])
 
 
-def test_random_samples_are_fitted_with_a_word_until_they_are_interrupted(monkeypatch, capsys) -> None:
+def test_random_samples_are_fitted_with_a_word_until_they_are_interrupted(monkeypatch, capsys):
     heard: list[str] = []
 
-    def hear(words: str) -> None:
+    def hear(words):
         if not heard:
             threading.Timer(0.5, _thread.interrupt_main).start()
         heard.append(words)
 
     @contextlib.contextmanager
-    def lines() -> Iterator[object]:
+    def lines():
         yield hear
 
     t = np.arange(300_000) / 100.0
@@ -178,7 +175,7 @@ def test_random_samples_are_fitted_with_a_word_until_they_are_interrupted(monkey
     assert heard
 
 
-def test_lengths_are_told_in_a_unit_of_their_size() -> None:
+def test_lengths_are_told_in_a_unit_of_their_size():
     words = [length(each) for each in (40.0, 0.1324, 1e-5)] + [length(6.618, small="cm"), length(0.661, 2)]
     assert words == ["40 m", "132 mm", "0.01 mm", "6.62 m", "660 mm"]
     assert [length(each, 2, least=1e-5) for each in (4e-9, 1e-5)] == ["less than 0.01 mm", "0.01 mm"]

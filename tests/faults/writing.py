@@ -1,7 +1,5 @@
 """A writer that fails: the k-th call to the system that writing makes raises an error, once or from then on."""
 
-from __future__ import annotations
-
 import errno
 import os
 from collections.abc import Callable, Iterator
@@ -50,7 +48,7 @@ class _File:
         finally:
             self._file.close()
 
-    def __enter__(self) -> _File:
+    def __enter__(self) -> "_File":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,7 +1,5 @@
 """The simulated servo: its lag, its delay, its torque and its encoder, each against what its equation says."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -86,7 +84,7 @@ def test_times_do_not_go_back_and_limits_are_checked():
     with pytest.raises(InvalidInput, match="time goes back"):
         motor.set_motion(RAMP, 0.1)
     with pytest.raises(InvalidInput, match="not a Motion"):
-        motor.set_motion("now", 1.0)  # type: ignore[arg-type]
+        motor.set_motion("now", 1.0)
     for wrong in ({"lag": 0.0}, {"torque": -1.0}, {"counts": 0}, {"inertia": math.nan}, {"latency": -0.1}):
         with pytest.raises(InvalidInput):
             SimulatedMotor(**wrong)

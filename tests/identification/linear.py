@@ -1,7 +1,5 @@
 """A plant whose measurements are linear in parameters and state: least squares has closed forms there."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.checks import Array

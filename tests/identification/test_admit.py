@@ -1,7 +1,5 @@
 """What is refused before anything is fitted: noise without motion, and times that do not suit the rope."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -32,7 +30,7 @@ def noise(shape: tuple[int, ...], seed: int = 0) -> Array:
 
 @pytest.mark.parametrize("declared", [None, NOISE])
 @pytest.mark.parametrize(("size", "frames"), [(0.0, 81), (0.003, 20)])
-def test_noise_is_no_motion(size: float, frames: int, declared: float | None) -> None:
+def test_noise_is_no_motion(size, frames, declared):
     t, q, _ = swing(size, frames)
     recording = Recording(t, q + noise(q.shape), noise=declared)
     for each in (recording, Recording(t, 0.3 + recording.data, noise=declared)):  # a camera that is not level
@@ -42,7 +40,7 @@ def test_noise_is_no_motion(size: float, frames: int, declared: float | None) ->
             iterative_revision(each, ROPE)
 
 
-def test_noise_of_markers_is_no_motion() -> None:
+def test_noise_of_markers_is_no_motion():
     t, _, places = swing(0.0, 81)
     recording = Recording(t, places + 0.2 * noise(places.shape), kind="markers", noise=0.2 * NOISE)
     with pytest.raises(InvalidInput, match="no motion beyond noise"):
@@ -58,12 +56,12 @@ def moves(*recordings: Recording) -> bool:
     return True
 
 
-def test_white_noise_hardly_ever_passes() -> None:
+def test_white_noise_hardly_ever_passes():
     passed = sum(moves(Recording(np.arange(81) / 7.5, noise((81, 3), seed))) for seed in range(200))
     assert passed <= 3  # one in a thousand is meant; four of 200 come by chance once in 18000
 
 
-def test_small_swings_above_their_noise_pass() -> None:
+def test_small_swings_above_their_noise_pass():
     for seed in range(5):
         t, q, places = swing(0.03, 81)
         assert moves(Recording(t, q + noise(q.shape, seed)))
@@ -74,20 +72,20 @@ def test_small_swings_above_their_noise_pass() -> None:
 
 
 @pytest.mark.parametrize("length", [0.1, 0.2, 0.4])  # periods of 3.9 to 7.8 samples, their bends of two to four
-def test_a_swing_that_is_sampled_slowly_passes(length: float) -> None:
+def test_a_swing_that_is_sampled_slowly_passes(length):
     pair = Rope(length=[length / 2] * 2, mass=[0.1] * 2, friction=1e-6)
     t, q, _ = swing(0.1, 81, rope=pair)
     assert moves(Recording(t, q + 0.3 * noise(q.shape)))
 
 
-def test_one_gross_outlier_hides_no_motion() -> None:
+def test_one_gross_outlier_hides_no_motion():
     t, q, _ = swing(0.05, 81)
     data = q + 0.1 * noise(q.shape)
     data[40, 2] = 100.0
     assert moves(Recording(t, data))
 
 
-def test_stiff_ropes_may_be_short_and_weightless_ones_slow() -> None:
+def test_stiff_ropes_may_be_short_and_weightless_ones_slow():
     t, q, _ = swing(0.3, 5, rate=100.0)
     with pytest.raises(InvalidInput, match="too short"):
         check_times(Recording(t, q), ROPE)
@@ -95,7 +93,7 @@ def test_stiff_ropes_may_be_short_and_weightless_ones_slow() -> None:
     check_times(Recording(1e3 * t, q), ROPE.replace(gravity=(0.0, 0.0)))
 
 
-def test_revise_asks_for_motion_and_time_too() -> None:
+def test_revise_asks_for_motion_and_time_too():
     t, q, _ = swing(0.3, 81)
     with pytest.raises(InvalidInput, match="nothing moves"):
         iterative_revision(Recording(t, 0.0 * q), ROPE)
@@ -104,7 +102,7 @@ def test_revise_asks_for_motion_and_time_too() -> None:
 
 
 @pytest.mark.parametrize("links", [1, 2])
-def test_the_tip_alone_identifies_a_rope(links: int) -> None:
+def test_the_tip_alone_identifies_a_rope(links):
     rope = Rope(length=[0.4 / links] * links, mass=[0.1, 0.06][:links], friction=3e-4)
     t = np.arange(0.0, 8.0, 0.02)
     tip = simulate(rope, duration=8.0, t_eval=t, q0=[0.8] * links).tip + np.array([0.3, 0.1])

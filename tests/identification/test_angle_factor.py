@@ -1,7 +1,5 @@
 """Angles that are read too large or too small: named as that, and not as a clock that drifts or a spring."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +38,7 @@ def real_single(data_dir: Path, factor: float = 1.0, drift: float = 0.0) -> tupl
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 @pytest.mark.parametrize("free", [["inertia", "friction"], None], ids=["named", "default"])
 @pytest.mark.nightly
-def test_a_real_pendulum_read_too_small_or_too_large(data_dir: Path, factor: float, free: list[str] | None) -> None:
+def test_a_real_pendulum_read_too_small_or_too_large(data_dir, factor, free):
     t, q, guess = real_single(data_dir, factor)
     found = hf.identify(hf.Recording(t, q), guess, free, options=hf.FitOptions(intervals=None))
     assert told(found) == pytest.approx(1.0 / factor, rel=0.01)
@@ -49,7 +47,7 @@ def test_a_real_pendulum_read_too_small_or_too_large(data_dir: Path, factor: flo
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
-def test_a_pendulum_read_too_small_or_too_large(factor: float) -> None:
+def test_a_pendulum_read_too_small_or_too_large(factor):
     """Noise hides most of it, and J/p1 is 2 % off; a spring only makes a pendulum faster, and does the same then."""
     t, q = swing(SINGLE, [1.0])
     found = hf.identify(
@@ -61,7 +59,7 @@ def test_a_pendulum_read_too_small_or_too_large(factor: float) -> None:
 
 @pytest.mark.parametrize("factor", [0.97, 1.03, 1.1])
 @pytest.mark.nightly
-def test_a_double_pendulum_shows_a_small_factor(factor: float) -> None:
+def test_a_double_pendulum_shows_a_small_factor(factor):
     t, q = swing(DOUBLE, [0.9, 0.6])
     guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
     found = hf.identify(hf.Recording(t, factor * noisy(q)), guess, FREE, options=hf.FitOptions(intervals=None))
@@ -70,7 +68,7 @@ def test_a_double_pendulum_shows_a_small_factor(factor: float) -> None:
     assert test.values[0] == pytest.approx(factor, abs=2e-3)
 
 
-def test_a_clock_that_drifts_keeps_its_name(data_dir: Path) -> None:
+def test_a_clock_that_drifts_keeps_its_name(data_dir):
     t, q, guess = real_single(data_dir, drift=0.02)
     found = hf.identify(hf.Recording(t, q), guess, ["inertia", "friction"], options=hf.FitOptions(intervals=None))
     assert found.findings[0].kind is Kind.DRIFT
@@ -78,7 +76,7 @@ def test_a_clock_that_drifts_keeps_its_name(data_dir: Path) -> None:
     assert gains[DRIFT] > gains[ANGLES]
 
 
-def test_a_spring_keeps_its_name() -> None:
+def test_a_spring_keeps_its_name():
     """One of a single pendulum does exactly, to third order in the angle, what angles read too large do."""
     t, q = swing(DOUBLE.replace(stiffness=[0.02, 0.01]), [0.9, 0.6])
     guess = DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4)
@@ -93,7 +91,7 @@ def test_a_spring_keeps_its_name() -> None:
 
 
 @pytest.mark.parametrize("more", [[], ["gravity_angle"]])
-def test_a_stiffness_that_was_freed_may_be_angles_read_too_large(data_dir: Path, more: list[str]) -> None:
+def test_a_stiffness_that_was_freed_may_be_angles_read_too_large(data_dir, more):
     """J/p1 would be 17 % off, by nine standard deviations."""
     t, q, guess = real_single(data_dir, 1.1)
     found = hf.identify(
@@ -104,7 +102,7 @@ def test_a_stiffness_that_was_freed_may_be_angles_read_too_large(data_dir: Path,
     assert not found.has(Kind.CLOCK)
 
 
-def test_places_have_no_such_factor_and_none_can_be_free() -> None:
+def test_places_have_no_such_factor_and_none_can_be_free():
     t, q = swing(DOUBLE, [0.9, 0.6], 3.0)
     places = np.stack([DOUBLE.joints(row, np.zeros(2)) for row in q]).reshape(t.size, -1)
     found = hf.identify(

@@ -1,7 +1,5 @@
 """Places of markers along the rope that are not as declared."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from benchmarks.wrong_input import DOUBLE, FREE, noisy, swing
@@ -21,7 +19,7 @@ def found(off: float, seed: int, guess: Rope = GUESS) -> Identification:
 
 
 @pytest.mark.parametrize("off", [0.003, 0.006])
-def test_one_that_is_elsewhere_is_told(off: float) -> None:
+def test_one_that_is_elsewhere_is_told(off):
     """With the elbow's 1 or 2 % off, ratios were by more than four standard deviations, and nothing was suspected."""
     result = found(off, 1)
     assert result.grade == "do not use"
@@ -29,13 +27,13 @@ def test_one_that_is_elsewhere_is_told(off: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_those_that_are_as_declared_are_not(seed: int) -> None:
+def test_those_that_are_as_declared_are_not(seed):
     result = found(0.0, seed)
     assert result.grade == "usable for ratios"
     assert not result.has(Kind.MARKER_PLACES)
 
 
-def test_one_that_moves_no_ratio_explains_a_poor_fit() -> None:
+def test_one_that_moves_no_ratio_explains_a_poor_fit():
     """An elbow's marker before the elbow acts like a scale of its own place."""
     result = found(-0.004, 1)
     assert result.grade == "do not use"

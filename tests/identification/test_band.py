@@ -1,7 +1,5 @@
 """The band of a prediction: as wide as the parameters, the state it starts from and the noise make it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -45,7 +43,7 @@ def swing() -> Array:
     return np.asarray(run.q)
 
 
-def test_an_error_of_the_parameters_moves_state_and_prediction(swing: Array) -> None:
+def test_an_error_of_the_parameters_moves_state_and_prediction(swing):
     model, seen = plant(), window(swing)
     x = model.parameters.start
     found = fit_state(model, x, seen, seen.guess)
@@ -60,7 +58,7 @@ def test_an_error_of_the_parameters_moves_state_and_prediction(swing: Array) -> 
     np.testing.assert_allclose(ours, theirs, rtol=2e-3, atol=1e-3 * theirs.max())
 
 
-def test_noise_of_the_window_and_of_the_sample_itself(swing: Array) -> None:
+def test_noise_of_the_window_and_of_the_sample_itself(swing):
     model, seen = plant(), window(swing)
     x = model.parameters.start
     found = fit_state(model, x, seen, seen.guess)
@@ -76,7 +74,7 @@ def test_noise_of_the_window_and_of_the_sample_itself(swing: Array) -> None:
     np.testing.assert_allclose(wide**2 - noise**2, 4.0 * (ours**2 - noise**2), rtol=1e-9)
 
 
-def test_a_prior_holds_the_state(swing: Array) -> None:
+def test_a_prior_holds_the_state(swing):
     prior = np.array([[-1.0, 1.0, 0.0, 0.0]]) / 1e-6  # both links in line
     model, free, held = plant(), window(swing), window(swing, prior)
     x = model.parameters.start
@@ -89,9 +87,9 @@ def test_a_prior_holds_the_state(swing: Array) -> None:
     ).all()
 
 
-def test_where_the_motion_cannot_be_followed_the_band_is_unknown(swing: Array) -> None:
+def test_where_the_motion_cannot_be_followed_the_band_is_unknown(swing):
     class Blind(Plant):
-        def jacobian(self, x: Array, t: Array, state: Array) -> None:  # type: ignore[override]
+        def jacobian(self, x, t, state):
             return None
 
     model, seen = Blind(plant().parameters), window(swing)
@@ -106,7 +104,7 @@ def recorded(seed: int) -> hf.Recording:
     return hf.Recording(t, run.q + np.random.default_rng(seed).normal(0.0, NOISE, run.q.shape))
 
 
-def test_the_band_holds_what_it_says() -> None:
+def test_the_band_holds_what_it_says():
     result = identify(recorded(7), ROPE.replace(friction=1e-3), ["friction"], options=hf.FitOptions(train=5.0))
     held = result.held_out
     assert held is not None
@@ -117,7 +115,7 @@ def test_the_band_holds_what_it_says() -> None:
     assert (held.std > 0.9 * NOISE).all()
 
 
-def test_outliers_do_not_widen_the_band() -> None:
+def test_outliers_do_not_widen_the_band():
     clean = recorded(8)
     rng = np.random.default_rng(9)
     spoilt = clean.data + np.where(rng.random(clean.data.shape) < 0.05, 0.3, 0.0)
@@ -132,7 +130,7 @@ def test_outliers_do_not_widen_the_band() -> None:
     assert np.median(result.held_out.std) < 1.5 * NOISE  # 0.07 with the outliers as noise
 
 
-def test_a_rope_with_few_markers_is_predicted_to_its_noise() -> None:
+def test_a_rope_with_few_markers_is_predicted_to_its_noise():
     """The prior of its shape must not outweigh what the markers show of it."""
     rope = hf.Rope.uniform(length=0.8, mass=0.1, n_links=8, friction=5e-4)
     t = np.arange(100) * 0.04
@@ -157,8 +155,8 @@ def test_a_rope_with_few_markers_is_predicted_to_its_noise() -> None:
         assert result.std[name] < 2e-3
 
 
-def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object) -> None:
+def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch):
+    def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(_identify, "predict", interrupted)
@@ -170,7 +168,7 @@ def test_ctrl_c_while_predicting_keeps_the_fit(monkeypatch: pytest.MonkeyPatch) 
     assert (np.abs(result.values["friction"] - ROPE.friction) < 5.0 * result.std["friction"]).all()
 
 
-def test_markers_without_given_noise_are_not_outweighed_by_the_prior() -> None:
+def test_markers_without_given_noise_are_not_outweighed_by_the_prior():
     rope = hf.Rope.uniform(length=0.8, mass=0.1, n_links=8, friction=5e-4)
     t = np.arange(60) * 0.04
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=0.4 + 0.15 * np.arange(8))
@@ -179,6 +177,6 @@ def test_markers_without_given_noise_are_not_outweighed_by_the_prior() -> None:
     places = hf.RecordingSetup(arc_lengths=[0.2, 0.4, 0.6, 0.8], origin=[0.0, 0.0])
     result = identify(
         recording, rope.replace(friction=1e-3), ["friction:shared"], setup=places, options=hf.FitOptions(train=np.inf)
-    )  # type: ignore[arg-type]
+    )
     assert (np.abs(result.values["friction"] - 5e-4) < 4.0 * result.std["friction"]).all()
     assert (result.residual_rms < 1.5e-3).all()  # noise of 1 mm; 6 to 34 mm where a prior in std beats errors in m

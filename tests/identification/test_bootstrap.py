@@ -1,7 +1,5 @@
 """Parametric bootstrap: it scatters as the covariance says, repeats by its seed, and keeps what is done."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 
@@ -12,7 +10,7 @@ from hyperflex.budget import Budget
 from hyperflex.core.tangent.forward_sensitivity import forward_sensitivities
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import FitOptions, Identification, bootstrap, identify
-from hyperflex.identification.fit import Fit, fit
+from hyperflex.identification.fit import fit
 from hyperflex.identification.uncertainty import bootstrap as _bootstrap
 from hyperflex.identification.uncertainty.bootstrap import Bootstrap, Draws
 from hyperflex.identification.uncertainty.covariance import Basis
@@ -47,7 +45,7 @@ def noise_of(basis: Basis, draws: int) -> np.ndarray:
     return np.array([noise.windows(np.random.default_rng(k))[0].y - seen for k in range(draws)])
 
 
-def test_fits_scatter_as_the_covariance_says(found: Identification) -> None:
+def test_fits_scatter_as_the_covariance_says(found):
     result = bootstrap(found, 60)
     assert result.names == (*found.parameters, "J/p1[0]", "c/p1[0]")
     assert (result.samples.shape, result.failed, result.status) == ((60, 4), 0, Status.SUCCESS)
@@ -62,7 +60,7 @@ def test_fits_scatter_as_the_covariance_says(found: Identification) -> None:
     assert (one.kind, inside.sum()) == ("bootstrap", 48)
 
 
-def test_pickled_draws_compile_nothing(found: Identification) -> None:
+def test_pickled_draws_compile_nothing(found):
     """Kernels are compiled for arrays that cannot be written to; what comes out of a pickle can be."""
     bootstrap(found, 1)
     draws = Draws(found.basis, 0)
@@ -71,21 +69,21 @@ def test_pickled_draws_compile_nothing(found: Identification) -> None:
     assert len(forward_sensitivities.signatures) == before > 0
 
 
-def test_the_seed_fixes_each_draw_whatever_their_number(found: Identification) -> None:
+def test_the_seed_fixes_each_draw_whatever_their_number(found):
     few, more, other = bootstrap(found, 2), bootstrap(found, 3), bootstrap(found, 2, seed=1)
     np.testing.assert_array_equal(few.samples, more.samples[:2])
     assert (few.samples != other.samples).all()
 
 
-def test_ctrl_c_keeps_what_is_done(found: Identification, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_keeps_what_is_done(found, monkeypatch):
     done = 0
 
-    def some(*args: object, **options: object) -> Fit:
+    def some(*args, **options):
         nonlocal done
         done += 1
         if done == 3:
             raise KeyboardInterrupt
-        return fit(*args, **options)  # type: ignore[arg-type]
+        return fit(*args, **options)
 
     monkeypatch.setattr(_bootstrap, "fit", some)
     result = left_by(lambda: bootstrap(found, 10))
@@ -93,7 +91,7 @@ def test_ctrl_c_keeps_what_is_done(found: Identification, monkeypatch: pytest.Mo
     assert result.samples.shape == (2, 4)
 
 
-def test_out_of_time_it_keeps_what_is_done(found: Identification) -> None:
+def test_out_of_time_it_keeps_what_is_done(found):
     seconds = iter(range(100))
     result = bootstrap(found, 10, time_budget=Budget(4.5, clock=lambda: float(next(seconds))))
     assert result.status is Status.OUT_OF_TIME
@@ -101,7 +99,7 @@ def test_out_of_time_it_keeps_what_is_done(found: Identification) -> None:
     assert "out of time" in result.message
 
 
-def test_coloured_residuals_are_drawn_coloured() -> None:
+def test_coloured_residuals_are_drawn_coloured():
     basis = fitted(waves(150), autoregressive(np.random.default_rng(1), (150, 1), 0.8))
     drawn = noise_of(basis, 300)[:, :, 0]
     lagged = (drawn[:, 1:] * drawn[:, :-1]).mean() / (drawn**2).mean()
@@ -110,7 +108,7 @@ def test_coloured_residuals_are_drawn_coloured() -> None:
     assert (drawn**2).mean() == pytest.approx(basis.information.variance, rel=0.05)
 
 
-def test_robust_losses_draw_their_outliers_again() -> None:
+def test_robust_losses_draw_their_outliers_again():
     noise = np.random.default_rng(2).standard_normal((100, 1))
     noise[40] = 50.0
     basis = fitted(waves(100), noise, "cauchy")
@@ -119,7 +117,7 @@ def test_robust_losses_draw_their_outliers_again() -> None:
     assert np.unique(np.round(drawn, 9)).size <= 100
 
 
-def test_gaps_stay_gaps_and_weights_count() -> None:
+def test_gaps_stay_gaps_and_weights_count():
     basis = fitted(waves(60), np.random.default_rng(3).standard_normal((60, 1)))
     weight = np.full((60, 1), 0.25)  # 1 / noise: four times as noisy as the unit says
     weight[5:9] = 0.0
@@ -130,7 +128,7 @@ def test_gaps_stay_gaps_and_weights_count() -> None:
     assert drawn[:, 9:].std() == pytest.approx(4.0 * np.sqrt(basis.information.variance), rel=0.05)
 
 
-def test_refusals(found: Identification) -> None:
+def test_refusals(found):
     with pytest.raises(InvalidInput, match="count"):
         bootstrap(found, 0)
     with pytest.raises(InvalidInput, match="no longer has its fit"):
@@ -142,7 +140,7 @@ def test_refusals(found: Identification) -> None:
         result.interval("mass", 1.0)
 
 
-def test_numbers_and_intervals_of_ratios_are_printed(found: Identification) -> None:
+def test_numbers_and_intervals_of_ratios_are_printed(found):
     result = bootstrap(found, 20)
     told = str(result)
     assert "inertia[0]" in told

@@ -1,9 +1,6 @@
 """What a fit's misfit comes from: the cause that explains most is named first, with what explains the same."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +23,7 @@ def causes(found: hf.Identification) -> tuple[hf.identification.Finding, ...]:
 
 
 @pytest.mark.nightly
-def test_friction_held_three_times_too_large_is_named_first() -> None:
+def test_friction_held_three_times_too_large_is_named_first():
     """It moves no ratio of moments and inertias, and friction over moment is told by none but itself."""
     guess = GUESS.replace(friction=3.0 * DOUBLE.friction)
     for free in (["inertia", "com"], ["inertia"]):  # in the second other masses explain nearly the same
@@ -35,14 +32,14 @@ def test_friction_held_three_times_too_large_is_named_first() -> None:
         assert any("'friction'" in each for each in (first.values["name"], *first.values["alike"]))
 
 
-def test_inertia_held_wrong_is_named_beside_what_explains_the_same() -> None:
+def test_inertia_held_wrong_is_named_beside_what_explains_the_same():
     first = causes(fitted(DOUBLE, DOUBLE.replace(inertia=1.03 * DOUBLE.inertia, drag=0.01), ["drag", "friction"]))[0]
     named = str([first.values["name"], *first.values["alike"]])
     assert "'inertia'" in named
     assert "'com'" in named
 
 
-def test_a_wrong_clock_is_told_beside_drag_that_was_left_out() -> None:
+def test_a_wrong_clock_is_told_beside_drag_that_was_left_out():
     found = causes(fitted(DOUBLE.replace(drag=0.15), GUESS, FREE, clock=1.02))
     clock = next(each for each in found if each.kind is Kind.CLOCK)
     assert clock.values["clock"] == pytest.approx(0.98, abs=0.005)
@@ -51,7 +48,7 @@ def test_a_wrong_clock_is_told_beside_drag_that_was_left_out() -> None:
 
 
 @pytest.mark.nightly
-def test_drag_is_found_though_little_of_it_shows_where_there_is_none() -> None:
+def test_drag_is_found_though_little_of_it_shows_where_there_is_none():
     """To first order it explains less than a third, and nearly all once it is free."""
     chain = hf.Rope.uniform(length=1.0, mass=0.05, n_links=4, friction=3e-4, drag=0.05, dry_friction=3e-4)
     found = fitted(
@@ -61,7 +58,7 @@ def test_drag_is_found_though_little_of_it_shows_where_there_is_none() -> None:
     assert not found.has(Kind.LINKS_TOO_LONG)
 
 
-def test_deviations_grow_with_a_clock_that_is_off_also_beside_a_drag_of_nearly_nothing(data_dir: Path) -> None:
+def test_deviations_grow_with_a_clock_that_is_off_also_beside_a_drag_of_nearly_nothing(data_dir):
     """A drag that cannot become negative does not keep the other values from moving as gravity asks."""
     part = hf.read_recording(data_dir / "multiarm_triple" / "TriplePendulumDataForParameterEstimation.mat").window(
         22.0, 30.0

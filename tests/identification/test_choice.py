@@ -1,10 +1,7 @@
 """Model choice: whiteness under projection, BIC against its definition, twins whose model is known, disagreement."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,7 +63,7 @@ def drawn(rng: np.random.Generator, colour: float = 0.0, windows: int = 8) -> fl
     return whiteness(parts)
 
 
-def test_white_noise_passes_as_often_as_it_should_whatever_a_fit_took_out() -> None:
+def test_white_noise_passes_as_often_as_it_should_whatever_a_fit_took_out():
     """200 draws: p is uniform (Kolmogorov and Smirnov, to one in a thousand), and so at its low end, where it matters:
 
     the part below 0.05 has a standard deviation of 1.5 %; 3.5 of them.
@@ -79,13 +76,13 @@ def test_white_noise_passes_as_often_as_it_should_whatever_a_fit_took_out() -> N
     assert abs((p < 0.05).mean() - 0.05) < 0.054
 
 
-def test_coloured_noise_is_seen() -> None:
+def test_coloured_noise_is_seen():
     """Neighbours correlated by 0.44, over some 400 values: z = 0.44 sqrt(400 / 1.2) = 8 of the first lag alone."""
     rng = np.random.default_rng(1)
     assert max(drawn(rng, 0.6) for _ in range(20)) < 0.01
 
 
-def test_one_channel_without_a_fit_is_the_test_of_ljung_and_box() -> None:
+def test_one_channel_without_a_fit_is_the_test_of_ljung_and_box():
     """Their statistic, written out; it differs by how N and the variance are counted, parts of 1 / N."""
     from scipy.stats import chi2
 
@@ -99,7 +96,7 @@ def test_one_channel_without_a_fit_is_the_test_of_ljung_and_box() -> None:
 # ---- criterion
 
 
-def test_bic_is_schwarz_s_with_states_counted_in_their_own_window() -> None:
+def test_bic_is_schwarz_s_with_states_counted_in_their_own_window():
     recording = swing(DOUBLE)
     fits = [
         basis
@@ -129,7 +126,7 @@ def stiff() -> hf.ModelComparison:
     return compare_models(swing(STIFF), GUESS, MODELS | {"nonsense": ["colour"]})
 
 
-def test_the_true_model_is_preferred_where_the_simpler_one_misses_something(stiff: hf.ModelComparison) -> None:
+def test_the_true_model_is_preferred_where_the_simpler_one_misses_something(stiff):
     assert stiff.preferred == "viscous + stiffness"
     assert stiff.best is stiff["viscous + stiffness"].identification
     assert stiff["viscous"].whiteness < 1e-6
@@ -138,7 +135,7 @@ def test_the_true_model_is_preferred_where_the_simpler_one_misses_something(stif
     assert "by BIC and by held-out prediction" in stiff.recommendation
 
 
-def test_the_simpler_model_is_preferred_where_it_is_true() -> None:
+def test_the_simpler_model_is_preferred_where_it_is_true():
     found = compare_models(swing(DOUBLE), GUESS, MODELS)
     assert found.preferred == "viscous"
     richer = found["viscous + stiffness"]
@@ -151,7 +148,7 @@ def test_the_simpler_model_is_preferred_where_it_is_true() -> None:
 
 @pytest.mark.parametrize("dry", [1.5e-3, 0.0])
 @pytest.mark.nightly
-def test_dry_friction_is_preferred_where_there_is_some_and_not_where_there_is_none(dry: float) -> None:
+def test_dry_friction_is_preferred_where_there_is_some_and_not_where_there_is_none(dry):
     """A rod whose bearing also grips: the dry torque, N m, takes as much of its swing as the viscous one does."""
     rod = Rope(length=[0.3], mass=[0.1], com=[0.14], inertia=[8e-4], friction=[3e-4], dry_friction=[dry])
     t = np.arange(641) / 80
@@ -165,7 +162,7 @@ def test_dry_friction_is_preferred_where_there_is_some_and_not_where_there_is_no
     assert abs(value - dry) < 4.0 * std or (dry == 0.0 and np.isinf(std))
 
 
-def test_a_candidate_that_fails_is_told_with_its_reason(stiff: hf.ModelComparison) -> None:
+def test_a_candidate_that_fails_is_told_with_its_reason(stiff):
     assert stiff["nonsense"].identification is None
     assert "unknown name" in stiff["nonsense"].reason
     assert "failed: free has an unknown name" in str(stiff)
@@ -174,7 +171,7 @@ def test_a_candidate_that_fails_is_told_with_its_reason(stiff: hf.ModelCompariso
         stiff["no such"]
 
 
-def test_the_table_has_names_and_units(stiff: hf.ModelComparison, tmp_path: Path) -> None:
+def test_the_table_has_names_and_units(stiff, tmp_path):
     table = stiff.dataset
     assert list(table["model"].values) == ["viscous", "viscous + stiffness", "nonsense"]
     assert table["held_out_rms"].attrs["units"] == "rad"
@@ -188,21 +185,21 @@ def test_the_table_has_names_and_units(stiff: hf.ModelComparison, tmp_path: Path
         assert name in str(stiff)
 
 
-def test_nothing_that_can_be_fitted_prefers_nothing() -> None:
+def test_nothing_that_can_be_fitted_prefers_nothing():
     found = compare_models(swing(DOUBLE), GUESS, {"one": ["colour"], "two": ["taste"]})
     assert found.preferred is None
     assert found.best is None
     assert found.recommendation == "No candidate could be fitted."
 
 
-def test_ctrl_c_keeps_the_candidates_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_keeps_the_candidates_that_are_done(monkeypatch):
     calls: list[int] = []
 
-    def second_stops(*arguments: object, **options: object) -> object:
+    def second_stops(*arguments, **options):
         calls.append(1)
         if len(calls) == 2:
             raise KeyboardInterrupt
-        return identify(*arguments, **options)  # type: ignore[arg-type]
+        return identify(*arguments, **options)
 
     monkeypatch.setattr(_choice, "identify", second_stops)
     found = left_by(lambda: compare_models(swing(DOUBLE), GUESS, MODELS))
@@ -215,12 +212,12 @@ def test_ctrl_c_keeps_the_candidates_that_are_done(monkeypatch: pytest.MonkeyPat
         compare_models(swing(DOUBLE), GUESS, MODELS)
 
 
-def test_out_of_time_it_compares_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_out_of_time_it_compares_what_is_done(monkeypatch):
     budget = Budget()
 
-    def only_one(*arguments: object, **options: object) -> object:
+    def only_one(*arguments, **options):
         budget.cancel()
-        return identify(*arguments, **options | {"time_budget": None})  # type: ignore[arg-type]
+        return identify(*arguments, **options | {"time_budget": None})
 
     monkeypatch.setattr(_choice, "identify", only_one)
     found = compare_models(swing(DOUBLE), GUESS, MODELS, time_budget=budget)
@@ -228,13 +225,13 @@ def test_out_of_time_it_compares_what_is_done(monkeypatch: pytest.MonkeyPatch) -
     assert [model.name for model in found.models] == ["viscous"]
 
 
-def test_all_candidates_are_cut_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_candidates_are_cut_alike(monkeypatch):
     """The usual length of windows depends on the fastest link, and so on how many links there are."""
     windows: list[object] = []
 
-    def noted(*arguments: object, **options: object) -> object:
-        windows.append(options["options"].window)  # type: ignore[attr-defined]
-        return identify(*arguments, **options)  # type: ignore[arg-type]
+    def noted(*arguments, **options):
+        windows.append(options["options"].window)
+        return identify(*arguments, **options)
 
     monkeypatch.setattr(_choice, "identify", noted)
     found = compare_models(swing(DOUBLE), GUESS, MODELS)
@@ -244,16 +241,16 @@ def test_all_candidates_are_cut_alike(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.nightly
-def test_a_richer_model_that_fits_worse_is_fitted_again_from_the_simpler(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_richer_model_that_fits_worse_is_fitted_again_from_the_simpler(monkeypatch):
     """Its first fit is cut short, far off; what the simpler one found then starts it where it is no worse."""
     recording = swing(STIFF)
     guesses: list[Rope] = []
 
-    def poor_at_first(recording: Recording, guess: Rope, free: object, **options: object) -> object:
+    def poor_at_first(recording, guess, free, **options):
         guesses.append(guess)
         if len(guesses) == 2:
-            return identify(recording, guess, ["stiffness"], **options)  # type: ignore[arg-type]
-        return identify(recording, guess, free, **options)  # type: ignore[arg-type]
+            return identify(recording, guess, ["stiffness"], **options)
+        return identify(recording, guess, free, **options)
 
     monkeypatch.setattr(_choice, "identify", poor_at_first)
     found = compare_models(recording, GUESS, MODELS)
@@ -268,7 +265,7 @@ def test_a_richer_model_that_fits_worse_is_fitted_again_from_the_simpler(monkeyp
 # ---- candidates
 
 
-def test_default_candidates_are_the_ones_that_resist() -> None:
+def test_default_candidates_are_the_ones_that_resist():
     guess = GUESS.replace(dry_friction=1e-3, stiffness=2e-3)
     found = {each.name: each for each in candidates(guess, ["inertia", "friction:shared"], None, [])}
     assert {name: each.free[1:] for name, each in found.items()} == {
@@ -296,7 +293,7 @@ def test_default_candidates_are_the_ones_that_resist() -> None:
     assert held[2].free == ("inertia", "stiffness[0]", "stiffness[1]")
 
 
-def test_cutting_a_rope_anew_keeps_what_it_weighs_and_how_it_hangs() -> None:
+def test_cutting_a_rope_anew_keeps_what_it_weighs_and_how_it_hangs():
     rope = Rope(length=[0.2, 0.3, 0.1], mass=[0.02, 0.06, 0.05], friction=[1e-3, 2e-4, 4e-4], tip_mass=0.01)
     fine = recut(rope, 6)  # its cuts hold the old joints, so a straight rope is the same body
     for one in (lumped(fine), lumped(recut(rope, 4))):
@@ -318,13 +315,13 @@ def _about_the_joint(rope: Rope) -> float:
     return float((rope.inertia + rope.mass * (starts + rope.com) ** 2).sum() + rope.tip_mass * rope.total_length**2)
 
 
-def test_numbers_of_links_are_compared_by_the_places_of_markers() -> None:
+def test_numbers_of_links_are_compared_by_the_places_of_markers():
     """Data of 4 links, markers at 5 places: 4 links explain them, 2 cannot, 1 even less."""
     true = Rope.uniform(0.6, 0.05, 4, friction=1e-4)
     t = np.arange(151) / 30
     run = simulate(true, duration=5.0, t_eval=t, q0=np.linspace(0.5, 1.0, 4), tol=1e-9)
     places = run.joints.reshape(t.size, -1) + 1e-3 * np.random.default_rng(0).standard_normal((t.size, 10))
-    recording = Recording(t, places, kind="markers", noise=1e-3)  # type: ignore[arg-type]
+    recording = Recording(t, places, kind="markers", noise=1e-3)
     guess = true.replace(friction=3e-4)
     found = compare_models(
         recording, guess, {"4 links": ["friction:shared"]}, links=[1, 2, 4], options=hf.FitOptions(train=4.0)
@@ -334,15 +331,15 @@ def test_numbers_of_links_are_compared_by_the_places_of_markers() -> None:
     assert found.unit == "m"
     bic = [model.bic for model in found.models]
     assert None not in bic
-    assert bic[0] < bic[2] < bic[1]  # type: ignore[operator]
+    assert bic[0] < bic[2] < bic[1]
     with pytest.raises(InvalidInput, match="only with markers"):
         compare_models(swing(DOUBLE), GUESS, MODELS, links=[3])
 
 
 @pytest.mark.parametrize("models", [{}, ["inertia"], {"one": "inertia"}, {"one": 3}])
-def test_candidates_that_cannot_be_read_are_refused(models: object) -> None:
+def test_candidates_that_cannot_be_read_are_refused(models):
     with pytest.raises(InvalidInput):
-        compare_models(swing(DOUBLE, 2.0), GUESS, models)  # type: ignore[arg-type]
+        compare_models(swing(DOUBLE, 2.0), GUESS, models)
 
 
 # ---- evidence that disagrees
@@ -359,7 +356,7 @@ def model(name: str, unknowns: float, bic: float, errors: list[float] | None, wh
     return FittedModel(name, GUESS, (), unknowns=unknowns, bic=bic, held_out=held_out, whiteness=whiteness)
 
 
-def test_prediction_decides_where_bic_trusts_coloured_residuals() -> None:
+def test_prediction_decides_where_bic_trusts_coloured_residuals():
     simple = model("simple", 4, 0.0, [0.010, 0.011, 0.009, 0.010])
     rich = model("rich", 6, -40.0, [0.015, 0.016, 0.014, 0.015], 1e-5)
     name, words = recommend([simple, rich])
@@ -369,7 +366,7 @@ def test_prediction_decides_where_bic_trusts_coloured_residuals() -> None:
     assert recommend([simple, replace(rich, whiteness=0.4)])[0] == "rich"
 
 
-def test_the_simplest_comes_out_where_evidence_is_weak() -> None:
+def test_the_simplest_comes_out_where_evidence_is_weak():
     simple = model("simple", 4, 3.0, [0.0101, 0.0099, 0.0100])
     rich = model("rich", 6, 0.0, [0.0100, 0.0100, 0.0099])
     name, words = recommend([simple, rich])
@@ -378,14 +375,14 @@ def test_the_simplest_comes_out_where_evidence_is_weak() -> None:
     assert recommend([replace(simple, bic=7.0), rich])[0] == "rich"
 
 
-def test_a_choice_that_still_misses_something_says_so() -> None:
+def test_a_choice_that_still_misses_something_says_so():
     name, words = recommend([model("one", 4, 0.0, None, 1e-9), model("two", 4, 30.0, None, 1e-9)])
     assert name == "one"
     assert "there is no held-out prediction" in words
     assert "all candidates omit an effect" in words
 
 
-def test_a_prediction_is_worse_beyond_its_scatter_only() -> None:
+def test_a_prediction_is_worse_beyond_its_scatter_only():
     best = held([0.010, 0.020, 0.010, 0.020])
     assert predicts_as_well(held([0.012, 0.019, 0.012, 0.019]), best)  # here better, there worse
     assert not predicts_as_well(held([0.012, 0.022, 0.012, 0.022]), best)

@@ -1,10 +1,7 @@
 """Experiment design: predicted deviations against many fits, scaling laws, ranking, advice where none can tell."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +20,7 @@ SHORT = Experiment("short", q0=0.8, rate=40.0, duration=3.0)
 NOISE = 2e-3
 
 
-def test_predicted_deviations_are_those_of_many_fits() -> None:
+def test_predicted_deviations_are_those_of_many_fits():
     """40 twins: a deviation from 40 draws is known to 1 / sqrt(78) = 11 %; 3.5 of these. Stated ones agree better."""
     planned = design_experiment(SINGLE, ["inertia", "friction"], [SHORT], noise=NOISE).plans[0]
     run = simulate(SINGLE, duration=3.0, t_eval=SHORT.t, q0=[0.8], tol=1e-9)
@@ -42,7 +39,7 @@ def test_predicted_deviations_are_those_of_many_fits() -> None:
     np.testing.assert_allclose(np.mean(stated, axis=0), predicted, rtol=0.05)
 
 
-def test_markers_are_foreseen_as_a_fit_of_places_sees_them() -> None:
+def test_markers_are_foreseen_as_a_fit_of_places_sees_them():
     """One fit: its std follows from 720 values' noise, known to 1 / sqrt(1440) = 3 %; three and a half of these."""
     look = Experiment("markers", q0=[0.8, 1.2], rate=40.0, duration=3.0, markers=3)
     planned = design_experiment(DOUBLE, "inertia", [look], noise=1e-3).plans[0]
@@ -52,7 +49,7 @@ def test_markers_are_foreseen_as_a_fit_of_places_sees_them() -> None:
     along = np.stack([np.sin(run.q[:, 0]), -np.cos(run.q[:, 0])], axis=1)
     places[:, 1] = arc_lengths[1] * along
     seen = places.reshape(look.t.size, -1) + 1e-3 * np.random.default_rng(0).standard_normal((look.t.size, 6))
-    recording = Recording(look.t, seen, kind="markers", noise=1e-3)  # type: ignore[arg-type]
+    recording = Recording(look.t, seen, kind="markers", noise=1e-3)
     exact = {"length_std": 0.0, "clock_std": 0.0}
     found = identify(
         recording,
@@ -64,7 +61,7 @@ def test_markers_are_foreseen_as_a_fit_of_places_sees_them() -> None:
     np.testing.assert_allclose(found.std["inertia"], list(planned.std.values()), rtol=0.1)
 
 
-def test_noise_and_frame_rate_scale_as_they_must() -> None:
+def test_noise_and_frame_rate_scale_as_they_must():
     """Deviations are proportional to the noise, exactly; four times the frames halve them but for the ends' share."""
     noisy = [
         design_experiment(SINGLE, "friction", [SHORT], noise=size).plans[0].std["friction[0]"] for size in (1e-3, 3e-3)
@@ -79,7 +76,7 @@ def test_noise_and_frame_rate_scale_as_they_must() -> None:
     )
 
 
-def test_candidates_are_ranked_and_the_best_is_named() -> None:
+def test_candidates_are_ranked_and_the_best_is_named():
     small = Experiment("small", q0=0.1, rate=40.0, duration=3.0)
     impossible = Experiment("impossible", q0=[0.1, 0.2, 0.3])
     still = Experiment("still", rate=40.0, duration=3.0)
@@ -92,7 +89,7 @@ def test_candidates_are_ranked_and_the_best_is_named() -> None:
     assert found.success
 
 
-def test_the_table_and_the_file_hold_what_was_found(tmp_path: Path) -> None:
+def test_the_table_and_the_file_hold_what_was_found(tmp_path):
     found = design_experiment(DOUBLE, ["friction", "J/p1"], [Experiment("a swing", q0=0.8, rate=40.0, duration=3.0)])
     plan = found.plans[0]
     assert list(plan.std) == ["friction[0]", "friction[1]", "J/p1[0]", "J/p1[1]"]
@@ -105,7 +102,7 @@ def test_the_table_and_the_file_hold_what_was_found(tmp_path: Path) -> None:
     assert content["plans"][0]["markers"] is None
 
 
-def test_by_default_motions_are_tried_first_and_the_best_is_varied() -> None:
+def test_by_default_motions_are_tried_first_and_the_best_is_varied():
     found = design_experiment(DOUBLE, "inertia", arm=Arm(length=0.1))
     names = [plan.experiment.name for plan in found.plans]
     first = [each.name for each in default_experiments(DOUBLE, Arm(length=0.1))]
@@ -120,7 +117,7 @@ def test_by_default_motions_are_tried_first_and_the_best_is_varied() -> None:
     assert [each.markers for each in variations(Experiment("", markers=6))[4:]] == [3]
 
 
-def test_a_common_factor_is_said_to_need_scales_or_a_torque() -> None:
+def test_a_common_factor_is_said_to_need_scales_or_a_torque():
     swing = Experiment("swing", arm_swings(t_move=0.7, t_rest=0.4), rate=40.0, duration=4.0)
     free = ["inertia", "mass", "friction"]
     found = design_experiment(DOUBLE, "inertia", [swing], arm=Arm(length=0.1), free=free)
@@ -138,13 +135,13 @@ def test_a_common_factor_is_said_to_need_scales_or_a_torque() -> None:
     assert design_experiment(DOUBLE, ratios, [swing], arm=Arm(length=0.1), free=free).best is not None
 
 
-def test_what_does_not_act_is_told_from_a_common_factor() -> None:
+def test_what_does_not_act_is_told_from_a_common_factor():
     found = design_experiment(SINGLE, "length", [SHORT], free=["inertia", "length"])
     assert found.best is None
     assert "No candidate determines length[0]: it has no effect in these motions" in found.recommendation
 
 
-def test_a_measured_torque_is_foreseen() -> None:
+def test_a_measured_torque_is_foreseen():
     move = arm_swings(t_move=0.7, t_rest=0.4, profile="minimum-jerk")
     looks = [Experiment(f"{noise:g}", move, duration=4.0, rate=40.0, torque_noise=noise) for noise in (0.02, 0.08)]
     found = design_experiment(
@@ -159,11 +156,11 @@ def test_a_measured_torque_is_foreseen() -> None:
     assert still.recommendation == "No candidate could be simulated."
 
 
-def test_ctrl_c_keeps_what_was_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    def second_stops(rope: Rope, experiment: Experiment, *others: object) -> object:
+def test_ctrl_c_keeps_what_was_looked_at(monkeypatch):
+    def second_stops(rope, experiment, *others):
         if experiment.name == "second":
             raise KeyboardInterrupt
-        return expected_information(rope, experiment, *others)  # type: ignore[arg-type]
+        return expected_information(rope, experiment, *others)
 
     monkeypatch.setattr(_design, "expected_information", second_stops)
     second = Experiment("second", q0=0.5)
@@ -174,7 +171,7 @@ def test_ctrl_c_keeps_what_was_looked_at(monkeypatch: pytest.MonkeyPatch) -> Non
         design_experiment(SINGLE, "friction", [second])
 
 
-def test_out_of_time_it_ranks_what_was_simulated() -> None:
+def test_out_of_time_it_ranks_what_was_simulated():
     seconds = iter(range(100))
     budget = Budget(4.5, clock=lambda: float(next(seconds)))
     found = design_experiment(SINGLE, "friction", [SHORT] * 20, time_budget=budget)
@@ -182,7 +179,7 @@ def test_out_of_time_it_ranks_what_was_simulated() -> None:
     assert 0 < len(found.plans) < 20
 
 
-def test_wrong_questions_are_refused() -> None:
+def test_wrong_questions_are_refused():
     with pytest.raises(InvalidInput, match="want names what is not free"):
         design_experiment(SINGLE, "mass", [SHORT])
     with pytest.raises(InvalidInput, match="unknown name"):
@@ -190,10 +187,10 @@ def test_wrong_questions_are_refused() -> None:
     with pytest.raises(InvalidInput, match="no experiments"):
         design_experiment(SINGLE, "friction", [])
     with pytest.raises(InvalidInput, match="no experiments"):
-        design_experiment(SINGLE, "friction", [arm_swings()])  # type: ignore[list-item]
+        design_experiment(SINGLE, "friction", [arm_swings()])
     for wrong in ({"rate": 0.0}, {"duration": -1.0}, {"markers": 1}, {"noise": 0.0}, {"torque_noise": -1.0}):
         with pytest.raises(InvalidInput):
-            Experiment("wrong", **wrong)  # type: ignore[arg-type]
+            Experiment("wrong", **wrong)
     with pytest.raises(InvalidInput, match="too few frames"):
         Experiment("wrong", rate=1.0, duration=1.0)
     with pytest.raises(InvalidInput, match="noise"):

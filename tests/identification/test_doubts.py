@@ -1,7 +1,5 @@
 """What hides behind something else, or is hardly off: held by the intervals, and said."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -43,14 +41,14 @@ def away(found: Identification) -> float:
     return float(np.max(parts))
 
 
-def test_centres_of_mass_that_are_wrong_show_behind_a_stiffness() -> None:
+def test_centres_of_mass_that_are_wrong_show_behind_a_stiffness():
     found = fitted(ROPE.replace(stiffness=[0.02, 0.01]), None, 1e-3)
     assert found.settings["free"] == ["inertia", "friction", "stiffness", "com"]
     assert away(found) < 3.0
 
 
 @pytest.mark.nightly
-def test_what_explains_the_same_is_freed_in_the_order_of_likelihood(data_dir: Path) -> None:
+def test_what_explains_the_same_is_freed_in_the_order_of_likelihood(data_dir):
     """A stiffness explains 99 % here, centres of mass 98.6 %: freed first, it left com no gain to be freed by."""
     recording = hf.read_recording(
         data_dir / "ibm_double_pendulum/run06_500Hz.csv", time_unit="s", unit="m", y_axis="up"
@@ -63,19 +61,19 @@ def test_what_explains_the_same_is_freed_in_the_order_of_likelihood(data_dir: Pa
     np.testing.assert_allclose(found.ratios["J/p1"], [0.0906, 0.00691], rtol=0.02)
 
 
-def test_a_clock_that_drifts_is_told_and_in_the_deviations() -> None:
+def test_a_clock_that_drifts_is_told_and_in_the_deviations():
     found = fitted(ROPE, ["inertia", "com", "friction"], 2e-3, drift=0.05)
     assert found.findings[0].kind is Kind.DRIFT
     assert away(found) < 3.0
 
 
-def test_lengths_within_what_a_ruler_errs_make_no_result_useless() -> None:
+def test_lengths_within_what_a_ruler_errs_make_no_result_useless():
     for scale, severity in ((0.994, Severity.DOUBT), (0.98, Severity.WRONG)):
         test = ScoreTest("gravity_scale", 0.9, np.array([scale]), moved=0.03, std=1e-3)
         assert severities([test]) == {Kind.CLOCK: severity}
 
 
-def test_lengths_and_times_that_err_as_was_declared_make_no_result_useless() -> None:
+def test_lengths_and_times_that_err_as_was_declared_make_no_result_useless():
     """Gravity seems 3 % off, and does by two standard deviations of 1 % of lengths, 0.5 % of times and of noise."""
     case = KINDS["measured"][0](np.random.default_rng([77, 5]))
     found = hf.identify(case.recording, case.guess, case.free)
@@ -87,7 +85,7 @@ def test_lengths_and_times_that_err_as_was_declared_make_no_result_useless() -> 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("number", [0, 2])
-def test_stamps_that_come_late_are_named_where_links_turn_fast(number: int) -> None:
+def test_stamps_that_come_late_are_named_where_links_turn_fast(number):
     """Deviations are so wide that ratios move by less; a turned camera or another arm explained a short fit as well."""
     case = KINDS["late"][0](np.random.default_rng([1, list(KINDS).index("late"), number]))
     found = hf.identify(
@@ -106,7 +104,7 @@ def test_stamps_that_come_late_are_named_where_links_turn_fast(number: int) -> N
 
 
 @pytest.mark.nightly
-def test_a_mass_at_the_tip_that_was_not_declared_is_no_clock() -> None:
+def test_a_mass_at_the_tip_that_was_not_declared_is_no_clock():
     rope = hf.Rope.uniform(1.0, 0.05, 8, friction=4e-4)
     t, q = swing(rope.replace(tip_mass=0.005), np.linspace(0.9, 0.6, 8))
     found = hf.identify(hf.Recording(t, noisy(q)), rope.replace(friction=1e-3), options=hf.FitOptions(intervals=None))
@@ -115,7 +113,7 @@ def test_a_mass_at_the_tip_that_was_not_declared_is_no_clock() -> None:
     assert found.score_tests[0].beyond == np.inf  # first moments of a rope with held masses have no deviation
 
 
-def test_what_moves_ratios_within_their_deviations_makes_no_result_useless() -> None:
+def test_what_moves_ratios_within_their_deviations_makes_no_result_useless():
     for name, kind in (("com", Kind.HELD), ("gravity_scale", Kind.CLOCK)):
         for beyond, severity in ((1.0, Severity.DOUBT), (5.0, Severity.WRONG)):
             test = ScoreTest(
@@ -125,13 +123,13 @@ def test_what_moves_ratios_within_their_deviations_makes_no_result_useless() -> 
 
 
 @pytest.mark.parametrize(("free", "said"), [(["inertia", "com", "friction"], True), (["inertia", "com"], False)])
-def test_a_longer_and_slower_rope_is_named_where_it_moves_alike(free: list[str], said: bool) -> None:
+def test_a_longer_and_slower_rope_is_named_where_it_moves_alike(free, said):
     """A friction that is held has a scale of its own, and would show a wrong clock."""
     found = fitted(ROPE.replace(friction=1e-4), free, 2e-3)
     assert found.has(Kind.UNDETECTABLE) == said
 
 
-def test_one_discrepancy_of_times_and_lengths_counts_once() -> None:
+def test_one_discrepancy_of_times_and_lengths_counts_once():
     basis = fitted(ROPE, ["inertia", "com", "friction"], 2e-3).basis
     assert basis.information.whiteness > 1e-3
     size = basis.fit.x.size
@@ -154,7 +152,7 @@ def real_double(data_dir: Path, begin: float, end: float) -> tuple[hf.Recording,
 
 
 @pytest.mark.parametrize("clock", [1.0, 1.008, 1.012, 1.016])
-def test_a_clock_that_is_off_by_less_than_shows_is_in_the_deviations(data_dir: Path, clock: float) -> None:
+def test_a_clock_that_is_off_by_less_than_shows_is_in_the_deviations(data_dir, clock):
     """Residuals are not white; without that, J/p1 of link 0 is 7 deviations off by a clock that is 1.6 % off."""
     part, guess, truth = real_double(data_dir, 10.0, 16.0)
     found = hf.identify(
@@ -169,7 +167,7 @@ def test_a_clock_that_is_off_by_less_than_shows_is_in_the_deviations(data_dir: P
     assert found.ratio_std["J/p1"][0] < 0.02 * truth["J/p1"][0]  # not by saying that nothing is known
 
 
-def test_a_chaotic_motion_is_predicted_as_far_as_its_band_tells(data_dir: Path) -> None:
+def test_a_chaotic_motion_is_predicted_as_far_as_its_band_tells(data_dir):
     """Links turn over: after 0.4 s the band is as wide as a fifth of the motion, and predictions err by whole turns."""
     path = data_dir / "ibm_double_pendulum" / "run06_500Hz.csv"
     part = hf.read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 18.0)
@@ -182,9 +180,7 @@ def test_a_chaotic_motion_is_predicted_as_far_as_its_band_tells(data_dir: Path) 
 
 
 @pytest.mark.parametrize(("name", "begin", "duration"), [("triple", 0.0, 0.6), ("triple", 5.0, 0.6), ("16", 25.0, 3.0)])
-def test_short_recordings_that_are_right_are_not_refused(
-    data_dir: Path, name: str, begin: float, duration: float
-) -> None:
+def test_short_recordings_that_are_right_are_not_refused(data_dir, name, begin, duration):
     """Real pendulums: what all of the recording says is within three deviations of what a short part does."""
     if name == "triple":
         every = hf.read_recording(data_dir / "multiarm_triple" / "TriplePendulumDataForParameterEstimation.mat")

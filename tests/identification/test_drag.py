@@ -1,7 +1,5 @@
 """Air drag: identified from twins that are cut finer than the model, told from joint friction, and its ratio."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,11 +13,7 @@ NOISE = 2e-3  # m
 DRAG = 0.0045  # kg/m^2: a cord of 6 mm, coefficient 1.25
 CORD = hf.Rope.uniform(0.6, 0.012, 10, radius=0.003, friction=2e-5, drag=DRAG)  # light: 20 g/m
 BARE = CORD.replace(drag=0.0, friction=1e-4)
-MODELS = {
-    "joint friction": ["friction:shared"],
-    "drag": ["drag:shared"],
-    "both": ["friction:shared", "drag:shared"],
-}
+MODELS = {"joint friction": ["friction:shared"], "drag": ["drag:shared"], "both": ["friction:shared", "drag:shared"]}
 
 
 def swing(rope: hf.Rope, seed: int = 1) -> tuple[Recording, Array]:
@@ -41,7 +35,7 @@ def within(found: hf.Identification, name: str, truth: float) -> bool:
     return truth in found.intervals[name]
 
 
-def test_drag_is_known_beside_joint_friction(windy: tuple[Recording, Array]) -> None:
+def test_drag_is_known_beside_joint_friction(windy):
     recording, arc_lengths = windy
     guess = CORD.replace(drag=0.0, friction=1e-4)
     found = hf.identify(
@@ -56,7 +50,7 @@ def test_drag_is_known_beside_joint_friction(windy: tuple[Recording, Array]) -> 
     assert found.std["drag"][0] < 0.02 * DRAG
 
 
-def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tuple[Recording, Array]) -> None:
+def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy):
     """Drag grows with the masses; over the first moment it is known as well as if the rope had been weighed."""
     recording, arc_lengths = windy
     words = ["mass:factor", "inertia:factor", "friction:shared", "drag:shared"]
@@ -72,7 +66,7 @@ def test_what_a_free_swing_of_unknown_mass_tells_of_drag_is_its_ratio(windy: tup
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("rope", [CORD.replace(friction=0.0), BARE], ids=["drag", "joint friction"])
-def test_drag_is_told_from_joint_friction(rope: hf.Rope) -> None:
+def test_drag_is_told_from_joint_friction(rope):
     """Twins with only one of them: their own model is preferred, though both have one parameter."""
     recording, arc_lengths = swing(rope)
     guess = CORD.replace(friction=0.0, drag=0.0)

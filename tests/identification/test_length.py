@@ -1,7 +1,5 @@
 """A free length: of a uniform link centre of mass and inertia go with it, so that the fitted rope can be cut again."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,7 @@ def freed(rope: Rope, *free: str) -> Parameters:
     return Parameters(rope, parse(rope, free))
 
 
-def test_a_longer_cylinder_is_a_cylinder() -> None:
+def test_a_longer_cylinder_is_a_cylinder():
     """The reference is the formula that a rope's own inertia comes from: m (3 r^2 + l^2) / 12."""
     parameters = freed(GUESS, "length")
     new = np.array([0.25, 0.2, 0.11])
@@ -31,7 +29,7 @@ def test_a_longer_cylinder_is_a_cylinder() -> None:
     assert parameters.rope(np.log(GUESS.length)).inertia[1] == pytest.approx(GUESS.inertia[1], rel=1e-14)
 
 
-def test_what_is_free_itself_or_not_uniform_stays() -> None:
+def test_what_is_free_itself_or_not_uniform_stays():
     com, inertia = GUESS.com * [1.0, 1.0, 1.1], GUESS.inertia
     rope = GUESS.replace(com=com)
     x = np.log(1.2 * GUESS.length)
@@ -44,7 +42,7 @@ def test_what_is_free_itself_or_not_uniform_stays() -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("others", [(), ("com[1]",), ("inertia:factor",), ("com", "mass")])
-def test_parts_are_derivatives_of_the_rope(law: str, others: tuple[str, ...]) -> None:
+def test_parts_are_derivatives_of_the_rope(law, others):
     parameters = freed(GUESS, law, *others)
     x, h = parameters.start + 0.1, 1e-6
     for k, part in parameters.parts(x, parameters.rope(x)):
@@ -58,7 +56,7 @@ def test_parts_are_derivatives_of_the_rope(law: str, others: tuple[str, ...]) ->
             )
 
 
-def test_a_rope_of_fitted_length_can_be_cut() -> None:
+def test_a_rope_of_fitted_length_can_be_cut():
     """A twin 4 % longer than the guess, seen by its angles for 2 s."""
     true = Rope.uniform(length=0.624, mass=0.09, n_links=3, radius=0.02, friction=3e-4)
     t, noise = np.arange(121) / 60.0, 1e-3

@@ -1,7 +1,5 @@
 """Identification from other than clean angles: markers anywhere, outliers, a camera with its own clock."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -27,7 +25,7 @@ def seen(joints: Array, rope: Rope, arc_lengths: Array) -> Array:
     )
 
 
-def test_fewer_markers_than_links_find_friction_within_its_interval() -> None:
+def test_fewer_markers_than_links_find_friction_within_its_interval():
     t = np.arange(46) / 15.0
     run = simulate(CABLE, duration=t[-1], t_eval=t, q0=0.6 + 0.4 * np.linspace(0, 1, 12), tol=1e-8)
     arc_lengths = np.array([0.2, 0.45, 0.7, 1.0])  # no marker at the first joint, which the camera need not see
@@ -51,7 +49,7 @@ def test_fewer_markers_than_links_find_friction_within_its_interval() -> None:
     np.testing.assert_allclose(found.residual_rms, NOISE, rtol=0.4)  # 46 values a channel: 10 %, four times
 
 
-def test_a_known_first_joint_counts_as_a_marker_and_folded_links_are_among_the_starts() -> None:
+def test_a_known_first_joint_counts_as_a_marker_and_folded_links_are_among_the_starts():
     """A tip near the first joint does not show to which side the pendulum is bent: both are starts of a window."""
     angles = np.tile([0.4, 2.9], (20, 1))  # rad; folded
     joints = np.cumsum(DOUBLE.length[:, None] * np.stack([np.sin(angles[0]), -np.cos(angles[0])], axis=1), axis=0)
@@ -68,7 +66,7 @@ def test_a_known_first_joint_counts_as_a_marker_and_folded_links_are_among_the_s
     assert min(off) < 1e-3
 
 
-def test_where_a_marker_sits_can_be_found() -> None:
+def test_where_a_marker_sits_can_be_found():
     t = np.arange(91) / 30.0
     run = simulate(CABLE, duration=t[-1], t_eval=t, q0=np.full(12, 0.8), tol=1e-8)
     arc_lengths = np.array([0.0, 0.3, 0.6, 0.8, 1.0])
@@ -91,7 +89,7 @@ def test_where_a_marker_sits_can_be_found() -> None:
 
 
 @pytest.mark.nightly
-def test_gaps_and_gross_outliers_move_nothing_by_three_deviations() -> None:
+def test_gaps_and_gross_outliers_move_nothing_by_three_deviations():
     t = np.arange(801) / 100.0
     run = simulate(DOUBLE, duration=8.0, t_eval=t, q0=[0.8, 1.2], qd0=[0.0, 0.0], tol=1e-9)
     random = np.random.default_rng(5)
@@ -112,7 +110,7 @@ def test_gaps_and_gross_outliers_move_nothing_by_three_deviations() -> None:
     assert off.max() > 10.0  # squares alone are ruled by the outliers
 
 
-def test_a_camera_with_its_own_clock() -> None:
+def test_a_camera_with_its_own_clock():
     cable = Rope.uniform(0.6, 0.05, 3, friction=2e-4)
     arm, motion = Arm(0.1), arm_swings(t_move=0.5, t_rest=0.4)
     t = np.linspace(0.0, 5.0, 301)
@@ -130,7 +128,7 @@ def test_a_camera_with_its_own_clock() -> None:
     assert abs(found.values["friction"][0] - 2e-4) < 4.0 * found.std["friction"][0]
 
 
-def test_a_taper_is_found_as_two_numbers() -> None:
+def test_a_taper_is_found_as_two_numbers():
     true = CABLE.replace(friction=3e-4 * np.exp(1.2 * (np.arange(12) + 0.5 - 6.0) / 12.0))
     t = np.arange(151) / 50.0
     run = simulate(true, duration=t[-1], t_eval=t, q0=np.full(12, 0.8), tol=1e-8)
@@ -153,22 +151,22 @@ BAD = {
 
 
 @pytest.mark.parametrize(("change", "match"), BAD.values(), ids=BAD.keys())
-def test_bad_input_is_refused(change: dict[str, object], match: str) -> None:
+def test_bad_input_is_refused(change, match):
     t = np.linspace(0.0, 2.0, 101)
     recording = Recording(t, 0.3 * np.stack([np.cos(5.0 * t), np.cos(6.0 * t)], axis=1))
     free = change.get("free", ["friction"])
-    setup = RecordingSetup(**{name: value for name, value in change.items() if name != "free"})  # type: ignore[arg-type]
+    setup = RecordingSetup(**{name: value for name, value in change.items() if name != "free"})
     with pytest.raises(InvalidInput, match=match):
-        identify(recording, DOUBLE, free, setup=setup)  # type: ignore[arg-type]
+        identify(recording, DOUBLE, free, setup=setup)
 
 
-def test_an_unknown_loss_is_refused() -> None:
+def test_an_unknown_loss_is_refused():
     with pytest.raises(InvalidInput, match="loss"):
-        FitOptions(loss="tukey")  # type: ignore[arg-type]
+        FitOptions(loss="tukey")
 
 
 @pytest.mark.parametrize("arc_lengths", [[0.2, 0.1], [-0.1, 0.2], [0.1, 0.9], [0.1]])
-def test_arcs_off_the_rope_are_refused(arc_lengths: list[float]) -> None:
+def test_arcs_off_the_rope_are_refused(arc_lengths):
     t = np.linspace(0.0, 2.0, 101)
     places = np.stack([np.cos(5.0 * t), np.sin(t), np.cos(6.0 * t), np.sin(2.0 * t)], axis=1)
     with pytest.raises(InvalidInput, match="arc_lengths"):
@@ -178,7 +176,7 @@ def test_arcs_off_the_rope_are_refused(arc_lengths: list[float]) -> None:
 
 
 @pytest.mark.parametrize("told", [True, False], ids=["arc_lengths", "at the joints"])
-def test_a_marker_that_never_moves_is_named(told: bool) -> None:
+def test_a_marker_that_never_moves_is_named(told):
     t = np.arange(91) / 30.0
     run = simulate(DOUBLE, duration=t[-1], t_eval=t, q0=[0.8, 1.2], tol=1e-7)
     places = run.joints.reshape(t.size, -1) + 1e-4 * np.random.default_rng(0).standard_normal((t.size, 6))

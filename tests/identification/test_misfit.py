@@ -1,7 +1,5 @@
 """When a fit is called poor."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 
@@ -39,21 +37,21 @@ def shown(seen: list[Window], residuals: Array, *, white: bool = False, loss: Lo
     plant = SimpleNamespace(motor=object() if torque else None, sensor=Angles())
     information = SimpleNamespace(whiteness=1.0 if white else 0.0, variance=1.0)
     basis = SimpleNamespace(plant=plant, windows=seen, fit=found, information=information)
-    return [each.kind for each in (*_of_fit(basis), *_of_noise(basis, []))]  # type: ignore[arg-type]
+    return [each.kind for each in (*_of_fit(basis), *_of_noise(basis, []))]
 
 
 def poor(*given: Any, **how: Any) -> bool:
     return Kind.POOR_FIT in shown(*given, **how)
 
 
-def test_a_fit_is_poor_that_leaves_a_third_of_the_motion() -> None:
+def test_a_fit_is_poor_that_leaves_a_third_of_the_motion():
     residuals = left(0.1)
     assert not poor(windows(), residuals, white=True)
     assert poor(windows(), residuals)  # right fits of real pendulums leave a tenth of that
     assert not poor(windows(), 0.3 * residuals)
 
 
-def test_outliers_alone_make_no_fit_poor_where_the_loss_leaves_them_out() -> None:
+def test_outliers_alone_make_no_fit_poor_where_the_loss_leaves_them_out():
     residuals = left(0.02)
     residuals[::20] += 3.0  # one in twenty, rms 0.67
     assert poor(windows(), residuals)
@@ -61,25 +59,25 @@ def test_outliers_alone_make_no_fit_poor_where_the_loss_leaves_them_out() -> Non
     assert poor(windows(), left(0.4), loss="cauchy")
 
 
-def test_a_fit_down_to_the_declared_noise_is_not_poor_however_little_moves() -> None:
+def test_a_fit_down_to_the_declared_noise_is_not_poor_however_little_moves():
     still = windows(2e-3, moves=4e-3)
     assert not poor(still, left(2.04e-3), white=True)
     assert poor(still, left(4e-3), white=True)  # twice what was declared, and all of the motion
     assert poor(windows(None, moves=4e-3), left(2.04e-3))  # nothing was declared
 
 
-def test_declared_noise_excuses_no_errors_of_the_model_beyond_a_fifth_of_the_motion() -> None:
+def test_declared_noise_excuses_no_errors_of_the_model_beyond_a_fifth_of_the_motion():
     assert not poor(windows(0.2), left(0.15))  # not white, but little
     assert poor(windows(0.5), left(0.4))
     assert not poor(windows(0.5), left(0.4), white=True)
 
 
-def test_noise_declared_far_too_large_is_found() -> None:
+def test_noise_declared_far_too_large_is_found():
     assert Kind.NOISE_OVERSTATED not in shown(windows(2e-3), left(2e-3))
     assert Kind.NOISE_OVERSTATED in shown(windows(0.1), left(2e-3))
 
 
-def test_a_torque_that_does_not_fit() -> None:
+def test_a_torque_that_does_not_fit():
     seen = windows(0.01, channels=3)
     for size, wrong in ((0.05, False), (1.0, True)):
         residuals = left(0.01, 3)

@@ -1,7 +1,5 @@
 """Errors of the lengths, and of links that are too long: in the intervals, and said."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -28,7 +26,7 @@ def held(found: Identification, truth: dict[str, float]) -> list[str]:
     return [name for name, value in truth.items() if value in found.intervals[name]]
 
 
-def test_lengths_that_are_one_per_cent_off_are_in_the_intervals() -> None:
+def test_lengths_that_are_one_per_cent_off_are_in_the_intervals():
     case = KINDS["length"][0](np.random.default_rng([1, 5, 1]))
     whole: dict[str, Any] = {"window": np.inf, "train": np.inf, "clock_std": 0.0}
     found = identify(case.recording, case.guess, case.free, options=FitOptions(**whole))
@@ -56,12 +54,12 @@ def test_lengths_that_are_one_per_cent_off_are_in_the_intervals() -> None:
 
 
 @pytest.mark.parametrize("factor", [0.99, 1.0, 1.01])
-def test_a_drive_tells_lengths_and_deviations_hold_them(factor: float) -> None:
+def test_a_drive_tells_lengths_and_deviations_hold_them(factor):
     """With an arm of known length and motion all lengths 1 % off move unlike any clock; ratios were 2 to 4 sd off."""
     motion, arm = arm_swings(0.7, 0.4, "minimum-jerk"), Arm(length=0.1)
     t, q = swing(DOUBLE, None, motion=motion, arm=arm)
     guess = longer(DOUBLE.replace(inertia=5e-4, com=0.12, friction=3e-4), factor)
-    recording = Recording(t, noisy(q), noise=2e-3)  # type: ignore[arg-type]
+    recording = Recording(t, noisy(q), noise=2e-3)
     found = identify(
         recording, guess, FREE, setup=RecordingSetup(motion=motion, arm=arm), options=FitOptions(intervals=None)
     )
@@ -71,11 +69,11 @@ def test_a_drive_tells_lengths_and_deviations_hold_them(factor: float) -> None:
     assert abs(found.ratios["p/p1"][1] - truth["p/p1"][1]) < 1.96 * found.ratio_std["p/p1"][1]
 
 
-def test_clock_and_lengths_that_are_off_together_are_in_the_deviations() -> None:
+def test_clock_and_lengths_that_are_off_together_are_in_the_deviations():
     """A longer and slower pendulum moves exactly alike; 1 % of lengths and 0.5 % of times are a deviation each."""
     case = KINDS["double"][0](np.random.default_rng(3))
 
-    def found(factor: float, **stds: float) -> tuple[float, float]:
+    def found(factor, **stds):
         recording = replace(case.recording, t=np.sqrt(factor) * case.recording.t)
         guess = case.guess.replace(length=factor * case.guess.length, com=factor * case.guess.com)
         one = identify(
@@ -91,15 +89,12 @@ def test_clock_and_lengths_that_are_off_together_are_in_the_deviations() -> None
         assert np.sqrt(found(1.01, **exact)[1] ** 2 - noise**2) / wrong < added
 
 
-def test_a_clock_is_in_the_deviation_of_a_single_pendulum() -> None:
+def test_a_clock_is_in_the_deviation_of_a_single_pendulum():
     """Its inertia goes with the square of the times, its friction with them."""
     case = KINDS["single"][0](np.random.default_rng(4))
     own, more = (
         identify(
-            case.recording,
-            case.guess,
-            case.free,
-            options=FitOptions(intervals=None, length_std=0.0, clock_std=std),
+            case.recording, case.guess, case.free, options=FitOptions(intervals=None, length_std=0.0, clock_std=std)
         )
         for std in (0.0, 0.01)
     )
@@ -108,7 +103,7 @@ def test_a_clock_is_in_the_deviation_of_a_single_pendulum() -> None:
         assert added[0] == pytest.approx(power * 0.01, rel=0.02), name
 
 
-def test_ratios_of_what_was_held_have_no_error() -> None:
+def test_ratios_of_what_was_held_have_no_error():
     case = KINDS["double"][0](np.random.default_rng(0))
     found = identify(case.recording, case.guess, ["friction"], options=FitOptions(train=np.inf, intervals=None))
     assert (found.ratio_std["J/p1"] == 0.0).all()
@@ -127,14 +122,14 @@ def fit_of_15_links(pieces: int) -> Identification:
     return identify(Recording(t, angles, noise=3e-3), guess, free, options=FitOptions(train=np.inf))
 
 
-def test_a_rope_of_more_links_is_told_and_its_stiffness_held() -> None:
+def test_a_rope_of_more_links_is_told_and_its_stiffness_held():
     found = fit_of_15_links(pieces=4)
     assert found.has(Kind.LINKS_TOO_LONG)
     assert found.values["stiffness:factor"] < 0.9 * 0.5  # the links' error: it is found too low
     assert held(found, {"friction:factor": 0.5, "stiffness:factor": 0.5}) == ["friction:factor", "stiffness:factor"]
 
 
-def test_a_chain_of_just_these_links_is_not_told() -> None:
+def test_a_chain_of_just_these_links_is_not_told():
     found = fit_of_15_links(pieces=1)
     (test,) = (each for each in found.score_tests if each.name == "links")
     assert test.excess_gain < 1e-6
@@ -163,7 +158,7 @@ def fit_of_four_links(n_links: int, drag: float, free: list[str] | None) -> Iden
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("free", [None, ["inertia:shared", "friction:shared"]], ids=["default", "shared"])
-def test_four_links_of_a_rope_of_40_are_told_before_the_units_are_doubted(free: list[str] | None) -> None:
+def test_four_links_of_a_rope_of_40_are_told_before_the_units_are_doubted(free):
     found = fit_of_four_links(40, 0.0, free)
     assert found.grade == "do not use"
     assert found.findings[0].kind is Kind.LINKS_TOO_LONG
@@ -172,7 +167,7 @@ def test_four_links_of_a_rope_of_40_are_told_before_the_units_are_doubted(free: 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("drag", [0.0, 0.05])
-def test_a_chain_of_just_four_links_is_not_told(drag: float) -> None:
+def test_a_chain_of_just_four_links_is_not_told(drag):
     found = fit_of_four_links(4, drag, ["inertia", "friction"])
     assert not found.has(Kind.LINKS_TOO_LONG)
     assert all(each.excess_gain < 0.5 for each in found.score_tests if each.name == "links")
@@ -185,17 +180,17 @@ def test_a_chain_of_just_four_links_is_not_told(drag: float) -> None:
 
 
 @pytest.mark.nightly
-def test_links_and_drag_are_told_together() -> None:
+def test_links_and_drag_are_told_together():
     found = fit_of_four_links(40, 0.05, ["inertia:shared", "friction:shared"])
     first = found.findings[0]
     assert (first.kind, first.values["name"]) == (Kind.RESISTANCE, "'drag'")
     assert [each.values["freed_with"] for each in found.findings if each.kind is Kind.LINKS_TOO_LONG] == [["'drag'"]]
     (links,) = (each for each in found.score_tests if each.name == "links")
-    assert links.shift.shape == (len(found._basis.fit.x),)  # type: ignore[union-attr]
+    assert links.shift.shape == (len(found._basis.fit.x),)
     assert links.freed_with == ("drag",)
 
 
-def test_links_that_may_be_too_long_count_by_their_probability() -> None:
+def test_links_that_may_be_too_long_count_by_their_probability():
     """Also below what other tests need to count, where residuals are not white."""
     basis = fit_of_four_links(4, 0.0, ["friction:shared"])._basis
     assert basis is not None
@@ -208,7 +203,7 @@ def test_links_that_may_be_too_long_count_by_their_probability() -> None:
 
 @pytest.mark.parametrize("left_out", [{"drag": 0.02}, {"dry_friction": 4e-4}], ids=["drag", "dry friction"])
 @pytest.mark.nightly
-def test_a_law_that_was_left_out_is_not_taken_for_links_that_are_too_long(left_out: dict[str, float]) -> None:
+def test_a_law_that_was_left_out_is_not_taken_for_links_that_are_too_long(left_out):
     rope = Rope.uniform(length=1.0, mass=0.1, n_links=8, friction=4e-4)
     t = np.arange(120) / 30.0
     run = simulate(rope.replace(**left_out), duration=t[-1], t_eval=t, q0=np.linspace(0.7, 1.1, 8), tol=1e-8)

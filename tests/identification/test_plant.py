@@ -1,11 +1,8 @@
 """What a camera would see, and its derivatives: against places by another route, and against central differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from hyperflex.checks import Array
 from hyperflex.identification.model import Parameters, Plant, parse, pivot_places
 from hyperflex.model import Arm, Rope
 from hyperflex.motion import arm_swings
@@ -46,7 +43,7 @@ def plant(words: list[str], *, places: bool) -> Plant:
     return Plant(parameters, Markers(ARCS, (0.05, -0.02)) if places else Angles(), MOTION, ARM)
 
 
-def test_places_are_those_of_the_joints_and_the_points_between() -> None:
+def test_places_are_those_of_the_joints_and_the_points_between():
     it = plant(["friction"], places=True)
     seen = it.predict(it.parameters.start, T, STATE)
     assert seen is not None
@@ -70,7 +67,7 @@ def test_places_are_those_of_the_joints_and_the_points_between() -> None:
 
 
 @pytest.mark.parametrize("places", [False, True], ids=["angles", "places"])
-def test_derivatives_are_those_of_differences(places: bool) -> None:
+def test_derivatives_are_those_of_differences(places):
     words = WORDS if places else WORDS[:-3]
     it = plant(words, places=places)
     x = it.parameters.start + 0.05
@@ -80,8 +77,8 @@ def test_derivatives_are_those_of_differences(places: bool) -> None:
     assert value is not None
     np.testing.assert_allclose(seen.channels, value, atol=1e-9)  # the same steps; only dense output in between
 
-    def differences(step: float) -> tuple[Array, Array]:
-        def at(dx: Array, ds: Array) -> Array:
+    def differences(step):
+        def at(dx, ds):
             return np.asarray(it.predict(x + dx, T, STATE + ds))
 
         no_x, no_state = np.zeros(x.size), np.zeros(6)
@@ -95,7 +92,7 @@ def test_derivatives_are_those_of_differences(places: bool) -> None:
     np.testing.assert_allclose(seen.state, state, atol=2e-3 * np.abs(state).max())
 
 
-def test_a_state_or_rope_without_a_rollout_is_none() -> None:
+def test_a_state_or_rope_without_a_rollout_is_none():
     it = plant(["inertia"], places=False)
     assert it.predict(it.parameters.start, T, np.full(6, np.nan)) is None
     assert it.jacobian(it.parameters.start, T, np.full(6, np.nan)) is None
@@ -103,7 +100,7 @@ def test_a_state_or_rope_without_a_rollout_is_none() -> None:
 
 
 @pytest.mark.parametrize(("least", "fails"), [(1e-4, False), (1e-13, True)])
-def test_a_rollout_of_far_too_many_steps_is_none(least: float, fails: bool) -> None:
+def test_a_rollout_of_far_too_many_steps_is_none(least, fails):
     """As the triple pendulum's, with its links in reverse order: a last link with next to no inertia whirls."""
     rope = Rope([0.2, 0.2], [0.1, 0.1], com=[0.1, 1e-7], inertia=[1e-3, least])
     it = Plant(Parameters(rope, parse(rope, ["inertia"])), Angles())

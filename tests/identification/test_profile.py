@@ -1,10 +1,7 @@
 """Profile likelihood: closed forms of linear problems, bounds that are felt, and what a result keeps and tells."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,15 +12,10 @@ from hyperflex import files
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification import Finding, FitOptions, Identification, Kind, identify, profile
-from hyperflex.identification.fit import Fit, Loss, Target, fit
+from hyperflex.identification.fit import Loss, Target, fit
 from hyperflex.identification.model import PredictedChannels
 from hyperflex.identification.uncertainty import profile as _profile
-from hyperflex.identification.uncertainty.profile import (
-    all_intervals,
-    coordinate,
-    profiled,
-    skewed,
-)
+from hyperflex.identification.uncertainty.profile import all_intervals, coordinate, profiled, skewed
 from hyperflex.identification.uncertainty.threshold import _rise, quantile, threshold
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
@@ -45,7 +37,7 @@ def recording() -> Recording:
 
 
 def swung(recording: Recording, rope: Rope, free: list[str], **options: object) -> Identification:
-    return identify(recording, rope, free, options=FitOptions(window=np.inf, train=np.inf, **options))  # type: ignore[arg-type]
+    return identify(recording, rope, free, options=FitOptions(window=np.inf, train=np.inf, **options))
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +49,7 @@ def found(recording: Recording) -> Identification:
 
 
 @pytest.mark.parametrize("freedom", [8.0, 100.0, 1e9])
-def test_away_from_bounds_the_limit_is_that_of_f(freedom: float) -> None:
+def test_away_from_bounds_the_limit_is_that_of_f(freedom):
     expected = f.ppf(0.95, 1, freedom)
     assert quantile(0.95, freedom) == pytest.approx(expected, rel=1e-5)  # 1e9 is taken as infinite
     far = np.array([np.inf, 5.0])
@@ -65,13 +57,13 @@ def test_away_from_bounds_the_limit_is_that_of_f(freedom: float) -> None:
 
 
 @pytest.mark.parametrize("above", [0.0, 0.3, 1.0, 1.7, 3.0])
-def test_beside_its_own_bound_intervals_hold_the_truth_as_often_as_they_say(above: float) -> None:
+def test_beside_its_own_bound_intervals_hold_the_truth_as_often_as_they_say(above):
     """One parameter of std 1, the truth at `above`; estimates u below 0 become 0.
 
     The rise at the truth is (u - above)^2 for u >= 0, else above^2 - 2 u above.
     """
 
-    def held(limit: float) -> float:
+    def held(limit):
         root = np.sqrt(limit)
         if root <= above:
             return float(2.0 * norm.cdf(root) - 1.0)
@@ -85,7 +77,7 @@ def test_beside_its_own_bound_intervals_hold_the_truth_as_often_as_they_say(abov
     assert limit == pytest.approx(expected, rel=0.04)  # the same, by the slope of `held`
 
 
-def test_the_least_squares_beside_bounds_are_the_least() -> None:
+def test_the_least_squares_beside_bounds_are_the_least():
     random = np.random.default_rng(2)
     root = random.standard_normal((5, 3))
     inverse = root.T @ root
@@ -99,7 +91,7 @@ def test_the_least_squares_beside_bounds_are_the_least() -> None:
         assert tested[k] == pytest.approx(2.0 * rest.cost, abs=1e-3)
 
 
-def test_a_bound_of_another_parameter_is_felt_by_correlation_only() -> None:
+def test_a_bound_of_another_parameter_is_felt_by_correlation_only():
     usual, above = quantile(0.95, 1e9), np.array([np.inf, 0.5])
     apart, tied = (threshold(0.95, 1e9, 0, np.array([[1.0, r], [r, 1.0]]), above) for r in (0.0, 0.8))
     assert apart == pytest.approx(usual, rel=1e-3)
@@ -109,7 +101,7 @@ def test_a_bound_of_another_parameter_is_felt_by_correlation_only() -> None:
 # ---- profiles
 
 
-def test_a_linear_problem_has_the_interval_of_its_covariance() -> None:
+def test_a_linear_problem_has_the_interval_of_its_covariance():
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     plain = all_intervals(basis, "covariance")
     for k, (label, one) in enumerate(plain.items()):
@@ -126,29 +118,22 @@ def test_a_linear_problem_has_the_interval_of_its_covariance() -> None:
 
 
 @pytest.mark.parametrize("rounds", [100, 0])  # 0: too dear, and all is left to the covariance
-def test_profiles_are_of_noise_alone_and_intervals_of_all(rounds: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_profiles_are_of_noise_alone_and_intervals_of_all(rounds, monkeypatch):
     monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, most_rounds=rounds))
     plain = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     information, std = plain.information, np.sqrt(np.diag(plain.information.covariance))
-    errors = {
-        "model": np.diag(std**2),
-        "scales": np.outer(std, [2.0, 0.0, 0.0, 0.0]),
-        "scale_error": np.eye(4),
-    }
+    errors = {"model": np.diag(std**2), "scales": np.outer(std, [2.0, 0.0, 0.0, 0.0]), "scale_error": np.eye(4)}
     basis = replace(plain, information=replace(information, **errors))
     by_std = all_intervals(basis, "covariance")
     for label, one in all_intervals(basis, "profile").items():
-        alone, same = (
-            profiled(coordinate(basis, label), 0.95),
-            profiled(coordinate(plain, label), 0.95),
-        )
+        alone, same = (profiled(coordinate(basis, label), 0.95), profiled(coordinate(plain, label), 0.95))
         assert (alone.low, alone.high) == (same.low, same.high)
         assert one.high - one.low == pytest.approx(np.sqrt(6.0) * (alone.high - alone.low), rel=0.01)  # 1 + 1 + 2^2
         assert one.high - one.low == pytest.approx(by_std[label].high - by_std[label].low, rel=0.01)
 
 
 @pytest.mark.parametrize("at", [True, False])
-def test_an_estimate_at_its_bound_or_near_it_has_it_as_its_end(at: bool) -> None:
+def test_an_estimate_at_its_bound_or_near_it_has_it_as_its_end(at):
     plant = waves(60, truth=np.array([0.0, 10.0]))
     draws = (fitted(plant, np.random.default_rng(k).standard_normal((60, 1))) for k in range(99))
     basis = next(b for b in draws if (b.fit.x[0] == 0.0) == at and b.fit.x[0] ** 2 < b.information.covariance[0, 0])
@@ -157,7 +142,7 @@ def test_an_estimate_at_its_bound_or_near_it_has_it_as_its_end(at: bool) -> None
     assert one.high > 0.0
 
 
-def test_what_is_tied_to_a_parameter_beside_its_bound_is_skewed() -> None:
+def test_what_is_tied_to_a_parameter_beside_its_bound_is_skewed():
     noise = np.random.default_rng(4).standard_normal((60, 1))
     beside = np.array([0.1, 10.0])
     tied, apart = (fitted(waves(60, truth=beside, tied=tied), noise) for tied in (0.8, 0.0))
@@ -165,7 +150,7 @@ def test_what_is_tied_to_a_parameter_beside_its_bound_is_skewed() -> None:
     assert skewed(apart) == [0]
 
 
-def test_coloured_noise_widens_a_profile_as_it_does_the_covariance() -> None:
+def test_coloured_noise_widens_a_profile_as_it_does_the_covariance():
     basis = fitted(waves(120), autoregressive(np.random.default_rng(4), (120, 1), 0.8))
     assert basis.information.memory[1:].any()
     one, found = all_intervals(basis, "covariance")["inertia[0]"], profiled(coordinate(basis, "inertia[0]"), 0.95)
@@ -184,15 +169,15 @@ class Dipped(Line):
         return float(np.exp(-(((x[0] - self.at) / self.width) ** 2)))
 
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
-        return super().predict(x, t, state) + self.dip(x) * self.third  # type: ignore[operator]
+        return super().predict(x, t, state) + self.dip(x) * self.third
 
     def jacobian(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
         shared = self.shared.copy()
         shared[:, :, 0] -= 2.0 * (x[0] - self.at) / self.width**2 * self.dip(x) * self.third
-        return PredictedChannels(self.predict(x, t, state), self.own, shared)  # type: ignore[arg-type]
+        return PredictedChannels(self.predict(x, t, state), self.own, shared)
 
 
-def test_a_better_optimum_on_the_way_is_told() -> None:
+def test_a_better_optimum_on_the_way_is_told():
     noise = np.random.default_rng(4).standard_normal((60, 1))
     plain = fitted(waves(60), noise)
     std = float(np.sqrt(plain.information.covariance[0, 0]))
@@ -221,7 +206,7 @@ def test_a_better_optimum_on_the_way_is_told() -> None:
     assert honest.better is None
 
 
-def test_a_profile_that_is_too_dear_leaves_the_covariance_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_profile_that_is_too_dear_leaves_the_covariance_and_says_so(monkeypatch):
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     monkeypatch.setattr(_profile, "WALK", replace(_profile.WALK, most_rounds=0))
     one, plain = profiled(coordinate(basis, "inertia[0]"), 0.95), all_intervals(basis, "covariance")["inertia[0]"]
@@ -232,10 +217,10 @@ def test_a_profile_that_is_too_dear_leaves_the_covariance_and_says_so(monkeypatc
     assert remarks[0].kind is Kind.PROFILE_GIVEN_UP
 
 
-def test_progress_hears_of_profiles() -> None:
+def test_progress_hears_of_profiles():
     basis = fitted(waves(60), np.random.default_rng(4).standard_normal((60, 1)))
     heard: list[dict[str, object]] = []
-    all_intervals(basis, "profile", report=heard.append)  # type: ignore[arg-type]
+    all_intervals(basis, "profile", report=heard.append)
     assert {entry["phase"] for entry in heard} == {"profile"}
     assert [*dict.fromkeys((e["parameter"], e["stage"], e["stages"]) for e in heard)] == [
         ("inertia[0]", 0, 2),
@@ -244,7 +229,7 @@ def test_progress_hears_of_profiles() -> None:
     assert all({"window", "round", "cost", "gain", "damping"} <= entry.keys() for entry in heard)
 
 
-def test_robust_losses_profile_what_their_covariance_says() -> None:
+def test_robust_losses_profile_what_their_covariance_says():
     random = np.random.default_rng(4)
     noise = random.standard_normal((300, 1)) * np.where(random.uniform(size=(300, 1)) < 0.05, 10.0, 1.0)
     basis = fitted(waves(300), noise, "huber")
@@ -254,9 +239,7 @@ def test_robust_losses_profile_what_their_covariance_says() -> None:
     assert found.high - found.low == pytest.approx(one.high - one.low, rel=0.15)
 
 
-def test_the_papers_inertia_ends_at_0_and_at_a_value_that_the_data_refuse(
-    recording: Recording, found: Identification
-) -> None:
+def test_the_papers_inertia_ends_at_0_and_at_a_value_that_the_data_refuse(recording, found):
     one = profile(found, "inertia:shared", points=2)
     assert (one.low, one.ends) == (0.0, ("bound", "crossed"))
     assert found.intervals["inertia:shared"].kind == "profile"
@@ -274,7 +257,7 @@ def test_the_papers_inertia_ends_at_0_and_at_a_value_that_the_data_refuse(
     assert (np.diff(one.values) > 0.0).all()
 
 
-def test_what_cannot_be_known_has_no_limits() -> None:
+def test_what_cannot_be_known_has_no_limits():
     rope = Rope(length=[0.3], mass=[0.1], com=[0.14], friction=2e-4)
     t = np.arange(61) / 20.0
     run = simulate(rope, duration=t[-1], t_eval=t, q0=[0.9], tol=1e-9)
@@ -300,7 +283,7 @@ def test_what_cannot_be_known_has_no_limits() -> None:
     assert "p/p1[0]" not in found.intervals  # 1 by definition
 
 
-def test_ends_of_a_ratio_are_those_of_least_squares_with_the_ratio_held() -> None:
+def test_ends_of_a_ratio_are_those_of_least_squares_with_the_ratio_held():
     """By another way: scipy's least squares over state and parameters, the ratio put in by elimination."""
     rope, t = PAIR, np.arange(31) / 15.0
     run = simulate(rope, duration=t[-1], t_eval=t, q0=[0.9, 1.1], tol=1e-9)
@@ -311,8 +294,8 @@ def test_ends_of_a_ratio_are_those_of_least_squares_with_the_ratio_held() -> Non
     p1 = rope.mass[0] * rope.com[0] + rope.length[0] * rope.mass[1]
     moment = rope.mass[1] * rope.com[1] ** 2
 
-    def squares(ratio: float) -> float:
-        def residual(z: Array) -> Array:
+    def squares(ratio):
+        def residual(z):
             first, second = 1e-4 * z[4], ratio * p1 - moment
             tried = rope.replace(inertia=[first, second], friction=1e-4 * z[5:])
             ahead = simulate(tried, duration=t[-1], t_eval=t, q0=z[:2], qd0=z[2:4], tol=1e-9)
@@ -333,7 +316,7 @@ def test_ends_of_a_ratio_are_those_of_least_squares_with_the_ratio_held() -> Non
 
 
 @pytest.mark.nightly
-def test_a_ratio_is_followed_where_another_parameter_is_at_its_bound() -> None:
+def test_a_ratio_is_followed_where_another_parameter_is_at_its_bound():
     """With a stiffness at 0 the squares rise far more steeply than the ratio's standard deviation has it."""
     rope = Rope(length=[0.2] * 3, mass=[0.1, 0.08, 0.05], friction=[1e-4] * 3, stiffness=[0.0, 2e-3, 1e-3])
     t = np.arange(61) / 20.0
@@ -347,13 +330,11 @@ def test_a_ratio_is_followed_where_another_parameter_is_at_its_bound() -> None:
     assert np.sqrt(one.rise[one.values == one.low]) == pytest.approx(np.sqrt(one.limit[0]), abs=0.05)  # a few CLOSE
 
 
-def test_fits_that_do_not_converge_are_no_points_of_a_profile(
-    found: Identification, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_fits_that_do_not_converge_are_no_points_of_a_profile(found, monkeypatch):
     """Their squares are too large, and the interval would be too short."""
 
-    def unfinished(*given: object, **options: object) -> Fit:
-        done = fit(*given, **options)  # type: ignore[arg-type]
+    def unfinished(*given, **options):
+        done = fit(*given, **options)
         done.converged = options["target"] is None
         return done
 
@@ -363,9 +344,7 @@ def test_fits_that_do_not_converge_are_no_points_of_a_profile(
 
 
 @pytest.mark.parametrize("name", ["J/p1", "c/p1"])
-def test_profiles_of_ratios_do_not_depend_on_how_hard_they_are_drawn(
-    recording: Recording, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_profiles_of_ratios_do_not_depend_on_how_hard_they_are_drawn(recording, name, monkeypatch):
     found = swung(recording, PAPER, ["mass:factor", *FREE], intervals=None)
     ends = []
     for weight in (1000.0, 30.0):
@@ -377,7 +356,7 @@ def test_profiles_of_ratios_do_not_depend_on_how_hard_they_are_drawn(
     assert ends[1] == pytest.approx(ends[0], abs=0.02 * std)  # CLOSE, twice
 
 
-def test_a_ratio_whose_parameter_is_at_its_bound_ends_there(found: Identification) -> None:
+def test_a_ratio_whose_parameter_is_at_its_bound_ends_there(found):
     """The inertia of the paper's rope is 0: J of the last link has no less than its mass and centre of mass give."""
     assert found.values["inertia"][0] == 0.0
     one, inertia = profile(found, "J/p1[4]"), profile(found, "inertia:shared")
@@ -393,7 +372,7 @@ def test_a_ratio_whose_parameter_is_at_its_bound_ends_there(found: Identificatio
 # ---- what a result tells
 
 
-def test_results_hold_the_intervals_by_name(found: Identification, tmp_path: Path) -> None:
+def test_results_hold_the_intervals_by_name(found, tmp_path):
     found.to_json(tmp_path / "fit.json")
     content = json.loads((tmp_path / "fit.json").read_text())["intervals"]
     one = found.intervals["inertia:shared"]
@@ -403,7 +382,7 @@ def test_results_hold_the_intervals_by_name(found: Identification, tmp_path: Pat
     assert "95 % inertia:shared 0 to " in str(found)
 
 
-def test_intervals_are_found_as_asked(recording: Recording) -> None:
+def test_intervals_are_found_as_asked(recording):
     assert swung(recording, PAPER, FREE, intervals=None).intervals == {}
     plain = swung(recording, PAPER, FREE, intervals="covariance").intervals
     assert {plain[name].kind for name in FREE} == {"covariance"}
@@ -412,7 +391,7 @@ def test_intervals_are_found_as_asked(recording: Recording) -> None:
         swung(recording, PAPER, FREE, intervals="exact")
 
 
-def test_refusals(found: Identification) -> None:
+def test_refusals(found):
     with pytest.raises(InvalidInput, match=r"no such parameter.*inertia:shared.*J/p1\[0\]"):
         profile(found, "inertia")
     with pytest.raises(InvalidInput, match=r"no free one moves such a ratio: got .p/p1\[1\]"):
@@ -424,10 +403,8 @@ def test_refusals(found: Identification) -> None:
         profile(replace(found, _basis=None), FREE[0])
 
 
-def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(
-    recording: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: object, **__: object) -> None:
+def test_ctrl_c_leaves_the_covariance_for_what_is_not_profiled(recording, monkeypatch):
+    def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(_profile, "profiled", interrupted)

@@ -1,7 +1,5 @@
 """Fits that were caught far from the best one: states started elsewhere, and parameters that fell to their bounds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -27,7 +25,7 @@ def spoilt(rng: np.random.Generator, clean: Array, size: float) -> Array:
 
 
 @pytest.mark.parametrize("seed", [0, 5, 9])
-def test_the_papers_recording_with_gaps_and_outliers(seed: int) -> None:
+def test_the_papers_recording_with_gaps_and_outliers(seed):
     """Few frames: the usual window would hold some ten values for ten unknowns of its state, two of them wrong."""
     t = np.arange(81) / 7.5
     run = hf.simulate(PAPER, duration=t[-1], t_eval=t, q0=np.linspace(0.9, 1.3, 5), tol=1e-9)
@@ -36,19 +34,14 @@ def test_the_papers_recording_with_gaps_and_outliers(seed: int) -> None:
     guess, free = PAPER.replace(inertia=5.09e-6, friction=1.26e-3), ["inertia:shared", "friction:shared"]
     whole = hf.identify(hf.Recording(t, clean), guess, free, options=hf.FitOptions(train=np.inf, intervals=None))
     recording = hf.Recording(t, spoilt(rng, clean, 1.5))
-    found = hf.identify(
-        recording,
-        guess,
-        free,
-        options=hf.FitOptions(train=np.inf, loss="cauchy", intervals=None),
-    )
+    found = hf.identify(recording, guess, free, options=hf.FitOptions(train=np.inf, loss="cauchy", intervals=None))
     assert found.success
     for name in ("inertia", "friction"):
         assert abs(found.values[name][0] - whole.values[name][0]) < 3.0 * whole.std[name][0]
 
 
 @pytest.mark.parametrize("seed", [0, 3])
-def test_windows_whose_first_states_outliers_spoilt(seed: int) -> None:
+def test_windows_whose_first_states_outliers_spoilt(seed):
     arm, motion = hf.Arm(length=0.1), hf.arm_swings(t_move=0.7, t_rest=0.4)
     run = hf.simulate(PAIR, motion, arm=arm, duration=5.0, t_eval=np.arange(251) * 0.02)
     recording = hf.Recording(
@@ -74,7 +67,7 @@ def test_windows_whose_first_states_outliers_spoilt(seed: int) -> None:
         assert (abs(found.values[name] - getattr(PAIR, name)) < 4.0 * found.std[name]).all()
 
 
-def test_friction_does_not_fall_to_its_bound_and_stay_there() -> None:
+def test_friction_does_not_fall_to_its_bound_and_stay_there():
     """Four markers on 16 links, from a guess twice the truth: a full step would take the friction to zero at once."""
     rope, t = hf.Rope.uniform(length=1.0, mass=0.06, n_links=16, friction=3e-4), np.arange(46) / 15.0
     run = hf.simulate(rope, duration=t[-1], t_eval=t, q0=np.full(16, 0.8), tol=1e-8)
@@ -106,7 +99,7 @@ def dry() -> hf.Recording:
     return hf.Recording(t, run.q + 2e-3 * np.random.default_rng(3).standard_normal(run.q.shape))
 
 
-def test_a_state_that_is_caught_is_started_elsewhere() -> None:
+def test_a_state_that_is_caught_is_started_elsewhere():
     """Half a turn wrong and at rest: no small change of that state improves it; where the last window ends does."""
     guess = hf.Rope(length=[0.3], mass=[0.1], friction=[3e-4], dry_friction=[2.5e-3])
     basis = hf.identify(
@@ -139,7 +132,7 @@ def seen_at_its_tip(frames: int) -> tuple[Plant, list[Window], Array, list[Array
     return plant, windows, plant.parameters.start, states
 
 
-def test_a_window_that_was_taken_for_its_mirror_image_is_turned() -> None:
+def test_a_window_that_was_taken_for_its_mirror_image_is_turned():
     plant, windows, x, states = seen_at_its_tip(80)
     wrong = np.append(states[0][:2] + np.array([0.5, -1.5]), -states[0][2:])
     found = search(plant).settled(windows, x, [wrong, *states[1:]], lambda _: None)

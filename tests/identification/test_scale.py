@@ -1,7 +1,5 @@
 """An unknown common factor, and what stands at 0 beside it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -28,7 +26,7 @@ def guessed(recording: Recording, factor: float) -> Identification:
     return identify(recording, guess, FREE, options=FitOptions(train=np.inf))
 
 
-def test_what_is_at_0_beside_an_unknown_factor_has_no_interval_of_its_own(recording: Recording) -> None:
+def test_what_is_at_0_beside_an_unknown_factor_has_no_interval_of_its_own(recording):
     one, ten = guessed(recording, 1.0), guessed(recording, 10.0)
     for found in (one, ten):
         assert found.values["friction"][1] == 0.0
@@ -43,7 +41,7 @@ def test_what_is_at_0_beside_an_unknown_factor_has_no_interval_of_its_own(record
     assert ten.intervals["c/p1[1]"].high == pytest.approx(one.intervals["c/p1[1]"].high, rel=0.01)
 
 
-def test_what_grows_with_the_common_factor() -> None:
+def test_what_grows_with_the_common_factor():
     free = ["inertia", "com", "friction", "gravity_angle"]
     parameters = Parameters(TRUE, parse(TRUE, free))
     common = scaling(parameters, parameters.start)
@@ -59,7 +57,7 @@ def test_what_grows_with_the_common_factor() -> None:
     assert not in_common_factor(parameters, parameters.start, np.eye(7)[:, 6:]).any()  # only gravity_angle is unknown
 
 
-def test_ratios_end_at_0_where_they_cannot_be_negative() -> None:
+def test_ratios_end_at_0_where_they_cannot_be_negative():
     values = {"J/p1": np.array([0.1]), "p/p1": np.array([0.1]), "c/p1": np.array([0.0])}
     found = of_ratios(values, {name: np.array([1.0]) for name in values}, np.inf)
     assert found["J/p1[0]"].low == found["c/p1[0]"].low == 0.0

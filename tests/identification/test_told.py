@@ -1,7 +1,5 @@
 """What results say of themselves when printed: short, and nothing of what was held."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +27,7 @@ def fitted(rope: hf.Rope, free: list[str], **others: Any) -> hf.Identification:
     return hf.identify(hf.Recording(T, data), rope, free, options=hf.FitOptions(**others))
 
 
-def test_what_all_links_share_is_printed_once() -> None:
+def test_what_all_links_share_is_printed_once():
     rope = hf.Rope.uniform(length=0.6, mass=0.1, n_links=12, friction=5e-4)
     found = fitted(rope, ["friction:shared", "gravity_angle"], intervals=None)
     said = str(found)
@@ -42,14 +40,14 @@ def test_what_all_links_share_is_printed_once() -> None:
     assert "± 0 " not in said + " "
 
 
-def test_what_was_held_is_left_out() -> None:
+def test_what_was_held_is_left_out():
     found = fitted(PAIR, ["friction[1]"], intervals=None)
     line = next(line for line in str(found).splitlines() if "value friction" in line)
     assert "[1]" in line
     assert line.count("±") == 1
 
 
-def test_long_arrays_stay_out_of_short_names() -> None:
+def test_long_arrays_stay_out_of_short_names():
     found = fitted(PAIR, ["friction"], intervals=None)
     drawn = hf.bootstrap(found, 2)
     assert repr(drawn) == "<Bootstrap of 2 fits, 0 more failed>"
@@ -58,8 +56,8 @@ def test_long_arrays_stay_out_of_short_names() -> None:
     assert "fold" in repr(grown)
 
 
-def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back() -> None:
-    def threads() -> set[int]:
+def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back():
+    def threads():
         return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
     inside: list[set[int]] = []
@@ -81,7 +79,7 @@ def test_linear_algebra_keeps_to_one_thread_and_gives_the_others_back() -> None:
 
 
 @pytest.mark.parametrize("late", [0.5, -0.4])
-def test_a_delay_far_off_is_found(late: float) -> None:
+def test_a_delay_far_off_is_found(late):
     motion, arm = hf.arm_swings(t_move=0.7, t_rest=0.4), hf.Arm(length=0.1)
     run = hf.simulate(PAIR, motion, arm=arm, duration=4.0, t_eval=T)
     data = run.q + 2e-3 * np.random.default_rng(1).standard_normal(run.q.shape)
@@ -100,7 +98,7 @@ def stopped(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
 
 
-def test_lengths_count_only_where_they_were_tested(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lengths_count_only_where_they_were_tested(monkeypatch):
     assert fitted(PAIR, ["friction"], intervals=None).settings["length_std"] == 0.01
     monkeypatch.setattr(pipeline, "score_tests", stopped)
     found = left_by(lambda: fitted(PAIR, ["friction"], intervals=None))
@@ -108,7 +106,7 @@ def test_lengths_count_only_where_they_were_tested(monkeypatch: pytest.MonkeyPat
     assert found.settings["length_std"] == 0.0
 
 
-def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypatch):
     stiff = PAIR.replace(stiffness=[0.0, 4e-3])
     run = hf.simulate(stiff, duration=4.0, t_eval=T, q0=[0.8, 0.8])
     recording = hf.Recording(T, run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape))
@@ -122,7 +120,7 @@ def test_a_richer_fit_whose_tests_are_interrupted_leaves_the_tested_one(monkeypa
     assert found.settings["length_std"] == 0.01
 
 
-def test_ratios_of_which_none_is_known_are_not_to_be_used() -> None:
+def test_ratios_of_which_none_is_known_are_not_to_be_used():
     """Half a second of much noise: intervals hold the truth, and 0, and tell nothing."""
     q = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8]).q[:30]
     q = q + 0.05 * np.random.default_rng(0).standard_normal(q.shape)
@@ -136,7 +134,7 @@ def test_ratios_of_which_none_is_known_are_not_to_be_used() -> None:
     assert found.message == text(found.findings[0])
 
 
-def test_predictions_are_compared_as_far_as_their_band_is_narrow() -> None:
+def test_predictions_are_compared_as_far_as_their_band_is_narrow():
     """Once it has grown beyond a fifth of what keeping still errs by, what lies behind does not count."""
     t = np.linspace(0.1, 1.0, 10)
     measured = np.append(t, t)[:, None]
@@ -154,7 +152,7 @@ def test_predictions_are_compared_as_far_as_their_band_is_narrow() -> None:
     assert list(_of_prediction(replace(held, std=std))) == []
 
 
-def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used() -> None:
+def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used():
     """As a frame rate that is far too low makes it: times are stretched, and with them inertia over first moment."""
     rope = hf.Rope(length=[0.17, 0.23], mass=[0.21, 0.16], com=[0.11, 0.09])
     assert list(_far(rope)) == []
@@ -163,12 +161,12 @@ def test_a_link_whose_mass_lies_far_beyond_it_is_not_to_be_used() -> None:
         assert (far.kind, far.severity, far.values["link"]) == (Kind.MASS_FAR, Severity.WRONG, link)
 
 
-def test_questions_end_with_their_own_mark() -> None:
+def test_questions_end_with_their_own_mark():
     assert str(InvalidInput("nothing moves", fix="Is it on?")) == "nothing moves. Is it on?"
     assert str(InvalidInput("nothing moves", got=0.0, fix="Shake it")) == "nothing moves: got 0.0. Shake it."
 
 
-def test_markers_swapped_in_two_intervals_are_told_with_both() -> None:
+def test_markers_swapped_in_two_intervals_are_told_with_both():
     rope = hf.Rope(length=[0.3, 0.25], mass=[0.1, 0.06])
     t, q = np.arange(400) / 50.0, np.full((400, 2), [0.3, 0.8])
     places = np.stack([rope.joints(row, np.zeros(2)) for row in q])
@@ -180,12 +178,12 @@ def test_markers_swapped_in_two_intervals_are_told_with_both() -> None:
     assert found.values["times"] == ["from t = 1 to 1.98 s", "from t = 5 to 5.48 s"]
 
 
-def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more() -> None:
+def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more():
     """A rope that is bent at rest looks like one of finer links; these would explain little, and a bend more."""
     links = ScoreTest("links", 0.3, np.array([32.0]), excess_gain=0.7, ratio_sensitivity=0.2)
     bent = ScoreTest("rest_angle:shared", 0.8, np.array([0.1]), moved=0.0)
 
-    def kinds(*tests: ScoreTest) -> list[Kind]:
+    def kinds(*tests):
         return [each.kind for each in score_findings(tests, odd=False, known=True, wrong=False)]
 
     assert kinds(links) == [Kind.LINKS_TOO_LONG]
@@ -195,7 +193,7 @@ def test_more_links_are_asked_for_where_they_help_and_nothing_explains_more() ->
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("noise", "told"), [(2e-3, False), (1.2e-3, False), (6e-4, True), (None, False)])
-def test_a_fit_that_leaves_far_more_than_the_declared_noise(noise: float | None, told: bool) -> None:
+def test_a_fit_that_leaves_far_more_than_the_declared_noise(noise, told):
     run = hf.simulate(PAIR, duration=4.0, t_eval=T, q0=[0.8, 0.8])
     data = run.q + 2e-3 * np.random.default_rng(0).standard_normal(run.q.shape)
     free = ["inertia", "com", "friction"]

@@ -1,7 +1,5 @@
 """Motor torque as a measured channel: against the dense reference, its slopes, and a twin whose scale it fixes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -52,7 +50,7 @@ def run(rope: Rope = ROPE, duration: float = 5.0) -> Trajectory:
 
 
 def plant(free: list[str], rope: Rope = ROPE) -> Plant:
-    recording = Recording([0.0, 1.0], np.zeros((2, 2)))  # type: ignore[arg-type]
+    recording = Recording([0.0, 1.0], np.zeros((2, 2)))
     return build_plant(recording, rope, free, None, RecordingSetup(MOVE, ARM, torque=np.zeros(recording.t.size)))
 
 
@@ -78,7 +76,7 @@ def states(rng: np.random.Generator, m: int = 20) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("model", ["relative", "printed"])
-def test_torque_is_that_of_dense_matrices(model: str) -> None:
+def test_torque_is_that_of_dense_matrices(model):
     """Rounding of a sweep: some hundred operations on torques of about 1 N m."""
     rope = ROPE.replace(friction_model=model)
     t, y = states(np.random.default_rng(0))
@@ -94,7 +92,7 @@ def _drive(motion: Any, rope: Rope = ROPE) -> Any:
     return Setup(rope, motion, ARM).drive()
 
 
-def test_torque_of_a_stuck_joint_is_what_it_bears() -> None:
+def test_torque_of_a_stuck_joint_is_what_it_bears():
     rope = ROPE.replace(dry_friction=[5.0, 5.0])  # more than the motion can break
     stretch = next(iter(bang_bang_swings(0.7, 0.4, 1.0)))
     rate = stretch.at(0.2)[1]
@@ -110,7 +108,7 @@ def test_torque_of_a_stuck_joint_is_what_it_bears() -> None:
     assert slope[0, 0] == pytest.approx(float((ahead - behind) / 2e-6), rel=1e-6)
 
 
-def test_slopes_by_the_state_are_those_of_the_reference() -> None:
+def test_slopes_by_the_state_are_those_of_the_reference():
     """The reference differenced in long doubles with 1e-7 errs by 1e-11 or less; the kernel by 1e-5 squared."""
     t, y = states(np.random.default_rng(1))
     chain, drive = ROPE.chain(), _drive(arm_swings(0.7, 0.4))
@@ -126,7 +124,7 @@ def test_slopes_by_the_state_are_those_of_the_reference() -> None:
     np.testing.assert_allclose(slopes, exact, rtol=1e-8, atol=2e-8)
 
 
-def test_slopes_by_the_parameters_are_those_of_the_reference() -> None:
+def test_slopes_by_the_parameters_are_those_of_the_reference():
     """At fixed states; differences of 1e-5 on either side err by 1e-10 times a third derivative, and so do ours."""
     t, y = states(np.random.default_rng(2))
     free = ["inertia", "mass", "com", "length", "friction", "stiffness", "tip_mass", "gravity_angle"]
@@ -143,7 +141,7 @@ def test_slopes_by_the_parameters_are_those_of_the_reference() -> None:
             assert slopes[row, 4 + k] == pytest.approx(float((up - down) / 2e-5), rel=1e-7, abs=1e-9), label
 
 
-def test_slopes_by_everything_are_those_of_whole_rollouts() -> None:
+def test_slopes_by_everything_are_those_of_whole_rollouts():
     """Fourth-order differences of rollouts: these err by some 1e-7 rad, which over a step of 3e-3 makes 3e-5 N m."""
     free = ["inertia", "mass", "com", "length[0]", "friction", "stiffness", "tip_mass", "gravity_angle", "delay"]
     subject = plant([*free, "arm_inertia", "arm_friction"])
@@ -155,7 +153,7 @@ def test_slopes_by_everything_are_those_of_whole_rollouts() -> None:
     assert found is not None
     assert found.channels.shape == (31, 3)
 
-    def seen(k: int, h: float) -> Array:
+    def seen(k, h):
         result = subject.predict(x + h * np.eye(x.size)[k], t, state)
         assert result is not None
         return result
@@ -166,7 +164,7 @@ def test_slopes_by_everything_are_those_of_whole_rollouts() -> None:
         assert np.abs(found.shared[:, 2, k] - numeric[:, 2]).max() < 6e-5, label
         assert np.abs(found.shared[:, 2, k]).max() > 1.8e-3, label  # 30 times as much
 
-    def begun(i: int, h: float) -> Array:
+    def begun(i, h):
         result = subject.predict(x, t, state + h * np.eye(4)[i])
         assert result is not None
         return result
@@ -176,7 +174,7 @@ def test_slopes_by_everything_are_those_of_whole_rollouts() -> None:
         np.testing.assert_allclose(found.state[:, 2, i], numeric[:, 2], atol=2e-3 * np.abs(numeric[:, 2]).max())
 
 
-def test_what_the_plant_sees_is_what_the_simulator_calls_motor_torque() -> None:
+def test_what_the_plant_sees_is_what_the_simulator_calls_motor_torque():
     swing = run()
     subject = plant(["mass"])
     seen = subject.predict(subject.parameters.start, swing.t[:60], np.concatenate([swing.q[0], swing.qd[0]]))
@@ -194,7 +192,7 @@ def measured() -> tuple[Recording, Array]:
     """Angles and torque of the twin; simulated, with noise."""
     swing = run(ROPE.replace(stiffness=0.0, tip_mass=0.0))
     rng = np.random.default_rng(3)
-    recording = Recording(swing.t, swing.q + NOISE * rng.standard_normal(swing.q.shape), noise=NOISE)  # type: ignore[arg-type]
+    recording = Recording(swing.t, swing.q + NOISE * rng.standard_normal(swing.q.shape), noise=NOISE)
     torque = swing.motor_torque + TORQUE_NOISE * rng.standard_normal(swing.t.size)
     return recording, torque
 
@@ -220,7 +218,7 @@ def fit(*, torque: bool) -> Identification:
     )
 
 
-def test_without_the_torque_the_scale_is_unknown() -> None:
+def test_without_the_torque_the_scale_is_unknown():
     found = fit(torque=False)
     assert found.has(Kind.COMMON_FACTOR)
     assert np.isinf(found.std["mass"]).all()
@@ -228,7 +226,7 @@ def test_without_the_torque_the_scale_is_unknown() -> None:
     assert "torque_rms" not in found.summary()
 
 
-def test_the_torque_fixes_the_scale() -> None:
+def test_the_torque_fixes_the_scale():
     """Every figure within 4 of its stated standard deviations, which leave 6e-5 each to chance."""
     found = fit(torque=True)
     assert found.identifiable
@@ -242,7 +240,7 @@ def test_the_torque_fixes_the_scale() -> None:
     assert (found.std["mass"] < 0.01 * ROPE.mass).all()  # 5 mN m of some 0.25, over 250 samples: 0.15 % at best
 
 
-def test_what_is_left_of_the_torque_stands_beside_the_angles() -> None:
+def test_what_is_left_of_the_torque_stands_beside_the_angles():
     found = fit(torque=True)
     assert found.residuals.shape[1] == found.residual_rms.size == 2
     np.testing.assert_allclose(found.residual_rms, NOISE, rtol=0.15)  # 3 std of 200 samples each
@@ -255,7 +253,7 @@ def test_what_is_left_of_the_torque_stands_beside_the_angles() -> None:
 
 
 @pytest.mark.nightly
-def test_a_torque_of_the_wrong_sign_is_told() -> None:
+def test_a_torque_of_the_wrong_sign_is_told():
     """Masses then go where the torque is least, and angles alone still fit."""
     recording, values = measured()
     setup = RecordingSetup(motion=MOVE, arm=LIGHT, torque=-values, torque_noise=TORQUE_NOISE)
@@ -268,12 +266,12 @@ def test_a_torque_of_the_wrong_sign_is_told() -> None:
 @pytest.mark.parametrize(
     ("inertia", "kinds"), [(2e-4, [Kind.ARM_INERTIA]), (1e-3, [Kind.ARM_INERTIA, Kind.HELD, Kind.POOR_TORQUE])]
 )
-def test_an_arm_that_has_more_inertia_than_declared_is_told(inertia: float, kinds: list[Kind]) -> None:
+def test_an_arm_that_has_more_inertia_than_declared_is_told(inertia, kinds):
     """Its torque goes into masses otherwise, by their own deviations and more."""
     motion, t = arm_swings(0.7, 0.4, "minimum-jerk"), np.arange(300) / 50.0
     run = simulate(DOUBLE, motion, arm=Arm(length=0.1, inertia=inertia), duration=t[-1], t_eval=t, tol=1e-9)
     measured: dict[str, Any] = {"torque": noisy(run.motor_torque, 1e-3, 1), "torque_noise": 1e-3, "motion": motion}
-    recording = Recording(t, noisy(run.q), noise=2e-3)  # type: ignore[arg-type]
+    recording = Recording(t, noisy(run.q), noise=2e-3)
     guess = DOUBLE.replace(inertia=5e-4, friction=3e-4)
     found = identify(
         recording,
@@ -293,7 +291,7 @@ def driven(*, length: float = 1.0, arm: float = 1.0, clock: float = 1.0, scale: 
     t = np.arange(300) / 50.0
     run = simulate(DOUBLE, MOVE, arm=Arm(length=0.1), duration=t[-1], t_eval=t, tol=1e-9)
     measured: dict[str, Any] = {"torque": scale * noisy(run.motor_torque, 1e-3, 1), "torque_noise": 1e-3}
-    recording = Recording(clock * t, noisy(run.q), noise=2e-3)  # type: ignore[arg-type]
+    recording = Recording(clock * t, noisy(run.q), noise=2e-3)
     guess = longer(DOUBLE.replace(inertia=5e-4, friction=3e-4), length)
     motion = arm_swings(0.7 * clock, 0.4 * clock, "minimum-jerk")
     return identify(
@@ -310,7 +308,7 @@ def off(found: Identification) -> float:
     return max(float(np.max(np.abs(found.values[k] - getattr(DOUBLE, k)) / found.std[k])) for k in SCALED)
 
 
-def test_the_scale_of_the_torque_is_in_the_deviations_of_values_alone() -> None:
+def test_the_scale_of_the_torque_is_in_the_deviations_of_values_alone():
     found, exact = driven(scale=1.02), driven(scale=1.02, torque_std=0.0, length_std=0.0, clock_std=0.0)
     assert off(found) < 1.2
     assert off(exact) > 20.0
@@ -330,9 +328,7 @@ def test_the_scale_of_the_torque_is_in_the_deviations_of_values_alone() -> None:
     ("length", "arm", "clock"),
     [(0.99, 1.01, 1.0), (1.01, 1.01, 1.0), (0.99, 0.99, 1.0), (1.0, 0.99, 1.0), (1.0, 1.0, 1.005)],
 )
-def test_lengths_arm_and_clock_that_err_as_declared_are_in_the_deviations_of_masses(
-    length: float, arm: float, clock: float
-) -> None:
+def test_lengths_arm_and_clock_that_err_as_declared_are_in_the_deviations_of_masses(length, arm, clock):
     """With all lengths 1 % off mass[1] was 5.3 deviations off: an arm's length had none, and a clock no torque."""
     found = driven(length=length, arm=arm, clock=clock, torque_std=0.0)
     assert found.grade == "usable"
@@ -340,7 +336,7 @@ def test_lengths_arm_and_clock_that_err_as_declared_are_in_the_deviations_of_mas
     assert (found.std["mass"] < 0.03 * DOUBLE.mass).all()  # not by saying that nothing is known
 
 
-def test_gaps_in_the_torque_and_a_held_out_part() -> None:
+def test_gaps_in_the_torque_and_a_held_out_part():
     recording, torque = measured()
     torque = torque.copy()
     torque[::3] = np.nan
@@ -355,7 +351,7 @@ def test_gaps_in_the_torque_and_a_held_out_part() -> None:
     assert (np.abs(found.values["mass"] - ROPE.mass) < 4.0 * found.std["mass"]).all()
 
 
-def test_models_are_compared_with_the_torque() -> None:
+def test_models_are_compared_with_the_torque():
     recording, torque = measured()
     models = {"arm with inertia": [*SCALED, "arm_inertia"], "without": SCALED}
     found = compare_models(
@@ -364,7 +360,7 @@ def test_models_are_compared_with_the_torque() -> None:
     assert found.preferred == "arm with inertia"
 
 
-def test_torque_that_cannot_be_used_is_refused() -> None:
+def test_torque_that_cannot_be_used_is_refused():
     recording, torque = measured()
     bare = Recording(recording.t, recording.data)
     arm: dict[str, Any] = {"motion": MOVE, "arm": LIGHT}
@@ -383,20 +379,17 @@ def test_torque_that_cannot_be_used_is_refused() -> None:
         identify(recording, GUESS, ["arm_inertia"], setup=RecordingSetup(**arm))
 
 
-def test_an_arm_that_is_held_tells_the_scale_as_well() -> None:
+def test_an_arm_that_is_held_tells_the_scale_as_well():
     """A free swing from an arm that the motor holds still: the torque that holds it is a known force."""
     rope = ROPE.replace(stiffness=0.0, tip_mass=0.0)
     t = np.arange(251) / 50
     motion = hold_arm(1.0)
     swing = simulate(rope, motion, arm=ARM, duration=5.0, t_eval=t, tol=1e-9, q0=[0.8, 1.2])
     rng = np.random.default_rng(5)
-    recording = Recording(t, swing.q + NOISE * rng.standard_normal(swing.q.shape), noise=NOISE)  # type: ignore[arg-type]
+    recording = Recording(t, swing.q + NOISE * rng.standard_normal(swing.q.shape), noise=NOISE)
     torque = swing.motor_torque + TORQUE_NOISE * rng.standard_normal(t.size)
     found = identify(
-        recording,
-        GUESS,
-        SCALED,
-        setup=RecordingSetup(motion=motion, arm=ARM, torque=torque, torque_noise=TORQUE_NOISE),
+        recording, GUESS, SCALED, setup=RecordingSetup(motion=motion, arm=ARM, torque=torque, torque_noise=TORQUE_NOISE)
     )
     assert found.identifiable
     assert (np.abs(found.values["mass"] - rope.mass) < 4.0 * found.std["mass"]).all()

@@ -1,9 +1,5 @@
 """Standard deviations: against closed forms of least squares, and against how estimates really scatter."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -42,7 +38,7 @@ def band(total: int, chance: float, level: float = 0.95) -> tuple[int, int]:
 # ---- noise
 
 
-def test_autocorrelations_of_an_autoregression_and_back() -> None:
+def test_autocorrelations_of_an_autoregression_and_back():
     a, b = 1.2, -0.5
     found = correlations(np.array([a, b]), 5)
     first = a / (1.0 - b)  # Yule and Walker's equations by hand
@@ -58,7 +54,7 @@ def test_autocorrelations_of_an_autoregression_and_back() -> None:
     np.testing.assert_allclose(correlated(0.7 ** np.arange(len(values)), values), matrix @ values, rtol=1e-12)
 
 
-def test_what_the_fit_absorbs_is_given_back() -> None:
+def test_what_the_fit_absorbs_is_given_back():
     random, m, part = np.random.default_rng(0), 60, 0.9
     curve = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, m), 4))[0][:, None]  # a cubic takes most slow noise away
     pieces, raw = [], np.zeros(2)
@@ -72,7 +68,7 @@ def test_what_the_fit_absorbs_is_given_back() -> None:
     assert correlations(autoregression(pieces)[0], 2)[1] == pytest.approx(part, abs=0.08)
 
 
-def test_what_a_fit_leaves_of_noise_on_average() -> None:
+def test_what_a_fit_leaves_of_noise_on_average():
     """The Fourier transforms against matrices written out, with two channels, gaps and unequal windows."""
     random, most = np.random.default_rng(2), 3
     matrices, pieces = [], []
@@ -109,7 +105,7 @@ def slow(random: np.random.Generator, windows: int, missing: float = 0.0) -> lis
 
 
 @pytest.mark.parametrize("missing", [2e-3, 0.2, 0.4])
-def test_gaps_in_slow_residuals_do_not_change_their_noise(missing: float) -> None:
+def test_gaps_in_slow_residuals_do_not_change_their_noise(missing):
     """The deviation of a parameter that acts slowly, for residuals of size 1, with gaps and without.
 
     A line through a gap has no white noise, of which a hundredth is in these residuals: some per cent.
@@ -123,7 +119,7 @@ def test_gaps_in_slow_residuals_do_not_change_their_noise(missing: float) -> Non
     assert said[1] == pytest.approx(said[0], rel=0.1)
 
 
-def test_gaps_cost_a_real_recording_as_much_as_they_hide(data_dir: Path) -> None:
+def test_gaps_cost_a_real_recording_as_much_as_they_hide(data_dir):
     """A double pendulum with residuals far from white: one sample missing, then a fifth of all."""
     path = data_dir / "ibm_double_pendulum" / "run16_500Hz.csv"
     seen = read_recording(path, time_unit="s", unit="m", y_axis="up").window(10.0, 16.0).angles()
@@ -144,7 +140,7 @@ def test_gaps_cost_a_real_recording_as_much_as_they_hide(data_dir: Path) -> None
         assert (std[2] < 1.2 * std[0]).all()  # a fifth of white noise's samples would cost 12 %
 
 
-def test_errors_of_the_model_that_the_fit_nearly_absorbs_do_not_run_away() -> None:
+def test_errors_of_the_model_that_the_fit_nearly_absorbs_do_not_run_away():
     """Near a random walk the fit leaves little: what is missing must be given back by steps that lessen the misfit."""
     pieces = slow(np.random.default_rng(0), 80)
     said = []
@@ -173,7 +169,7 @@ def test_a_noise_model_that_does_not_hold_is_said() -> None:
     assert not agrees
 
 
-def test_white_noise_is_called_white_and_coloured_noise_is_not() -> None:
+def test_white_noise_is_called_white_and_coloured_noise_is_not():
     random = np.random.default_rng(3)
     white = [whiteness([piece(random.standard_normal((50, 2)))]) for _ in range(300)]
     assert all(autoregression([piece(random.standard_normal((50, 2)))])[0].size <= 2 for _ in range(20))
@@ -185,7 +181,7 @@ def test_white_noise_is_called_white_and_coloured_noise_is_not() -> None:
 # ---- covariance
 
 
-def test_white_residuals_give_the_textbook_covariance() -> None:
+def test_white_residuals_give_the_textbook_covariance():
     plant = waves(80)
     basis = fitted(plant, np.random.default_rng(1).standard_normal((80, 1)))
     assert not basis.information.memory[1:].any()
@@ -203,7 +199,7 @@ def test_white_residuals_give_the_textbook_covariance() -> None:
 
 
 @pytest.mark.parametrize("loss", ["huber", "cauchy"])
-def test_robust_losses_have_hubers_covariance(loss: LossName) -> None:
+def test_robust_losses_have_hubers_covariance(loss):
     random = np.random.default_rng(1)
     plant, noise = waves(80), random.standard_normal((80, 1)) * np.where(random.uniform(size=(80, 1)) < 0.2, 6.0, 1.0)
     basis = fitted(plant, noise, loss)
@@ -232,7 +228,7 @@ def scatter(noise: list[Array], loss: LossName, pieces: int = 1) -> tuple[Array,
 
 
 @pytest.mark.parametrize("loss", ["squares", "huber", "cauchy"])
-def test_robust_losses_know_how_their_estimates_scatter(loss: LossName) -> None:
+def test_robust_losses_know_how_their_estimates_scatter(loss):
     random, count = np.random.default_rng(5), 200
     noise = [
         random.standard_normal((100, 1)) * np.where(random.uniform(size=(100, 1)) < 0.1, 8.0, 1.0) for _ in range(count)
@@ -244,7 +240,7 @@ def test_robust_losses_know_how_their_estimates_scatter(loss: LossName) -> None:
     np.testing.assert_allclose(ratio, 1.0, atol=0.35)  # a variance from 200 draws has a relative std of 0.1
 
 
-def test_coloured_noise_counts_at_the_frequencies_at_which_a_parameter_acts() -> None:
+def test_coloured_noise_counts_at_the_frequencies_at_which_a_parameter_acts():
     random, count, part = np.random.default_rng(6), 150, 0.9
     noise = [np.concatenate([autoregressive(random, (120, 1), part) for _ in range(2)]) for _ in range(count)]
     held, ratio = scatter(noise, "squares", pieces=2)
@@ -260,7 +256,7 @@ def test_coloured_noise_counts_at_the_frequencies_at_which_a_parameter_acts() ->
 
 
 @pytest.mark.nightly
-def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+def test_intervals_hold_the_truth_as_often_as_they_say():
     """A quick look at what ``benchmarks/coverage.py`` does at length."""
     rope = Rope(length=[0.3], mass=[0.1], com=[0.14], inertia=[7.5e-4], friction=[2e-4])
     exact = {"length_std": 0.0, "clock_std": 0.0}  # as they are here: by default intervals hold such errors, too
@@ -272,10 +268,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
         found = identify(
             recording, rope, ["inertia", "friction"], options=FitOptions(window=np.inf, train=np.inf, **exact)
         )
-        held += [
-            rope.inertia[0] in found.intervals["inertia[0]"],
-            rope.friction[0] in found.intervals["friction[0]"],
-        ]
+        held += [rope.inertia[0] in found.intervals["inertia[0]"], rope.friction[0] in found.intervals["friction[0]"]]
     low, high = band(count, 1e-3)  # both together are wrong by chance for one seed in 500
     assert (held >= low).all(), held
     assert (held <= high).all(), held

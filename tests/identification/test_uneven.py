@@ -1,7 +1,5 @@
 """Resistances that are fitted as one value of all joints, and are not: the first joint's own, and growth along it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from benchmarks.wrong_input import DOUBLE, FREE, noisy, swing
@@ -50,7 +48,7 @@ UNEVEN = {
 
 @pytest.mark.parametrize(("rope", "free"), UNEVEN.values(), ids=UNEVEN.keys())
 @pytest.mark.nightly
-def test_it_is_told_and_deviations_hold_it(rope: Rope, free: list[str]) -> None:
+def test_it_is_told_and_deviations_hold_it(rope, free):
     """c/p1 was off by 10 to 18 standard deviations, and nothing was suspected."""
     recording = recorded(rope, 1)
     found = identify(recording, GUESS, SHARED)
@@ -64,7 +62,7 @@ def test_it_is_told_and_deviations_hold_it(rope: Rope, free: list[str]) -> None:
     assert told(chosen) == []
 
 
-def test_of_two_joints() -> None:
+def test_of_two_joints():
     t, q = swing(DOUBLE, [0.9, 0.6])
     found = identify(Recording(t, noisy(q, seed=6)), DOUBLE, ["inertia", "com", "friction:shared"])
     assert found.findings[0].kind is Kind.UNEVEN_RESISTANCE
@@ -74,7 +72,7 @@ def test_of_two_joints() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_is_alike_stays_one_value(seed: int) -> None:
+def test_what_is_alike_stays_one_value(seed):
     found = identify(recorded(ROPE, seed), GUESS)
     assert found.settings["free"] == SHARED
     assert told(found) == []
@@ -84,10 +82,10 @@ def test_what_is_alike_stays_one_value(seed: int) -> None:
 
 @pytest.mark.parametrize("name", ["friction:shared", "friction:factor"])
 @pytest.mark.parametrize("law", ["taper", "pivot"])
-def test_derivatives_beside_one_value(name: str, law: str) -> None:
+def test_derivatives_beside_one_value(name, law):
     each = parse(ROPE, [name])[0]
     start = 1.0 if law == "pivot" else 0.0
-    both = Parameters(ROPE, [each, Parameter("friction", tuple(range(N)), f"friction:{law}", start, 1.0, law)])  # type: ignore[arg-type]
+    both = Parameters(ROPE, [each, Parameter("friction", tuple(range(N)), f"friction:{law}", start, 1.0, law)])
     x = both.start + np.array([0.2, 0.7])
     rope, step = both.rope(x), 1e-6
     for k, part in both.parts(x, rope):
@@ -95,7 +93,7 @@ def test_derivatives_beside_one_value(name: str, law: str) -> None:
         np.testing.assert_allclose(part["friction"], (up - down) / (2.0 * step), rtol=1e-6, atol=1e-14)
 
 
-def test_inner_is_one_value_of_all_links_but_the_first() -> None:
+def test_inner_is_one_value_of_all_links_but_the_first():
     both = Parameters(ROPE, parse(ROPE, ["friction[0]", "friction:inner"]))
     assert both.labels == ("friction[0]", "friction:inner")
     x = both.start + np.array([0.0, 0.5])
@@ -108,7 +106,7 @@ def test_inner_is_one_value_of_all_links_but_the_first() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("stiffness", [2e-3, 1e-2])
-def test_an_elastic_rope_on_a_hinge(stiffness: float) -> None:
+def test_an_elastic_rope_on_a_hinge(stiffness):
     """Told was "use more links", or that masses change: `stiffness:shared` puts a spring into the hinge, too."""
     rope = ROPE.replace(stiffness=np.r_[0.0, np.full(N - 1, stiffness)])
     recording = recorded(rope, 5)
@@ -121,6 +119,6 @@ def test_an_elastic_rope_on_a_hinge(stiffness: float) -> None:
     assert "'stiffness:inner'" in [each.values.get("name") for each in found.findings[:2]]
 
 
-def test_a_spring_in_every_joint_is_one_value_of_all() -> None:
+def test_a_spring_in_every_joint_is_one_value_of_all():
     rope = ROPE.replace(stiffness=2e-3)
     assert identify(recorded(rope, 5), GUESS).settings["free"] == [*SHARED, "stiffness:shared"]

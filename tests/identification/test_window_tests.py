@@ -1,7 +1,5 @@
 """Windows that do not tell the same: a clock that drifts, and estimates that scatter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from benchmarks.windows import summary, text, too_many_refused
@@ -37,7 +35,7 @@ def drift(found: hf.Identification) -> float:
 
 @pytest.mark.parametrize(("duration", "free"), [(6.0, FREE), (20.0, None)], ids=["named", "default"])
 @pytest.mark.nightly
-def test_a_clock_that_drifts_is_told(duration: float, free: tuple[str, ...] | None) -> None:
+def test_a_clock_that_drifts_is_told(duration, free):
     t, q = swing(DOUBLE, [0.9, 0.6], duration)
     found = identified(t + 0.01 * t**2 / t[-1], q, free=free)
     assert found.grade == "do not use"
@@ -45,7 +43,7 @@ def test_a_clock_that_drifts_is_told(duration: float, free: tuple[str, ...] | No
     assert drift(found) == pytest.approx(-0.04 * (1.0 - 1.2 / duration), abs=0.01)  # between the windows' middles
 
 
-def test_a_zero_that_is_off_is_no_clock_that_drifts() -> None:
+def test_a_zero_that_is_off_is_no_clock_that_drifts():
     """Windows of large swings ask for another gravity than those of small ones, until the zero is off there as well."""
     t, q = swing(DOUBLE, [0.9, 0.6])
     found = identified(t, q + 0.025)
@@ -55,14 +53,14 @@ def test_a_zero_that_is_off_is_no_clock_that_drifts() -> None:
     assert np.degrees(found.findings[0].values["angle"]) == pytest.approx(1.4, abs=0.1)
 
 
-def test_a_clock_that_drifts_is_no_stiffness() -> None:
+def test_a_clock_that_drifts_is_no_stiffness():
     t, q = swing(SINGLE, [1.0], 20.0)
     found = identified(t + 0.0025 * t**2 / t[-1], q, SINGLE.replace(inertia=1e-3, friction=5e-4), None)
     assert found.settings["free"] == ["inertia", "friction"]
     assert any(each.startswith("drifting clock") for each in found.findings[0].values["alike"])  # much like a spring
 
 
-def test_a_drift_that_hardly_moves_ratios_is_in_their_deviations() -> None:
+def test_a_drift_that_hardly_moves_ratios_is_in_their_deviations():
     t, q = swing(DOUBLE, [0.9, 0.6], 6.0)
     found = identified(t + 0.005 * t**2 / t[-1], q)
     assert found.grade == "usable for ratios"
@@ -73,14 +71,14 @@ def test_a_drift_that_hardly_moves_ratios_is_in_their_deviations() -> None:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_a_clock_that_does_not_drift_is_not_told(seed: int) -> None:
+def test_a_clock_that_does_not_drift_is_not_told(seed):
     t, q = swing(DOUBLE, [0.9, 0.6], 12.0)
     found = hf.identify(hf.Recording(t, noisy(q, 2e-3, seed)), GUESS, FREE, options=hf.FitOptions(intervals=None))
     assert abs(drift(found)) < 2e-3
     assert not found.has(Kind.DRIFT, Kind.WINDOWS_DISAGREE, Kind.RESISTANCE_CHANGES)
 
 
-def test_windows_of_which_some_show_another_rope_are_told() -> None:
+def test_windows_of_which_some_show_another_rope_are_told():
     other = DOUBLE.replace(com=[0.14, 0.143])
     found = identified(*in_turn([DOUBLE, other, DOUBLE], [0.9, 0.6], 12.0))
     assert found.grade == "do not use"
@@ -89,7 +87,7 @@ def test_windows_of_which_some_show_another_rope_are_told() -> None:
     assert found.ratio_std["p/p1"][1] > 0.018 * found.ratios["p/p1"][1]  # as far as its windows scatter
 
 
-def test_friction_that_changes_is_a_model_error() -> None:
+def test_friction_that_changes_is_a_model_error():
     other = SINGLE.replace(friction=6e-4)
     found = identified(
         *in_turn([SINGLE, other, SINGLE], [1.0], 24.0), SINGLE.replace(inertia=1e-3), ("inertia", "friction")
@@ -98,7 +96,7 @@ def test_friction_that_changes_is_a_model_error() -> None:
     assert [each.values["label"] for each in found.findings if each.kind is Kind.RESISTANCE_CHANGES] == ["c/p1[0]"]
 
 
-def test_what_was_held_says_so() -> None:
+def test_what_was_held_says_so():
     t, q = swing(DOUBLE, [0.9, 0.6], 4.0)
     found = identified(t, q, DOUBLE, ("friction[1]",))
     assert found.held == ("friction[0]", "J/p1", "p/p1", "c/p1[0]")
@@ -108,9 +106,7 @@ def test_what_was_held_says_so() -> None:
 
 
 @pytest.mark.parametrize(("words", "holds"), [("up to 50 %", None), ("", False)])
-def test_the_benchmark_of_parts_counts_scatter_and_overlap_of_those_that_may_be_used(
-    words: str, holds: bool | None
-) -> None:
+def test_the_benchmark_of_parts_counts_scatter_and_overlap_of_those_that_may_be_used(words, holds):
     """Scatter without the errors that all parts have in common, which would hide it."""
     rows = [
         {"recording": "one", "begin": float(k), "seconds": 1.0, "grade": grade, "reason": "", "friction": friction}

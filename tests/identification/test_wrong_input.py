@@ -1,10 +1,7 @@
 """Wrong and poor inputs: none converges to a wrong answer that is called usable."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -129,13 +126,13 @@ IN_GATE = 6  # cases that the gate runs; nightly runs all
     [pytest.param(case, marks=[pytest.mark.nightly] * (k >= IN_GATE)) for k, case in enumerate(SIMULATED)],
     ids=[case.name for case in SIMULATED],
 )
-def test_no_wrong_answer_is_called_usable(case: Case) -> None:
+def test_no_wrong_answer_is_called_usable(case):
     check(case)
 
 
 @pytest.mark.parametrize("name", REAL)
 @pytest.mark.nightly
-def test_real_recordings_declared_wrongly(data_dir: Path, name: str) -> None:
+def test_real_recordings_declared_wrongly(data_dir, name):
     check(next(case for case in real(data_dir) if case.name == name))
 
 
@@ -143,7 +140,7 @@ UNDETECTABLE = [case for case in SIMULATED if case.undetectable]
 
 
 @pytest.mark.parametrize("case", UNDETECTABLE, ids=[case.name for case in UNDETECTABLE])
-def test_what_cannot_be_told_is_no_suspicion(case: Case) -> None:
+def test_what_cannot_be_told_is_no_suspicion(case):
     """The right recording gets the same first line: that names nothing."""
     assert outcome(case).end == "cannot be told"
     assert outcome(replace(case, undetectable=False)).end == "WRONG"
@@ -158,7 +155,7 @@ def test_what_cannot_be_told_is_no_suspicion(case: Case) -> None:
     ],
     ids=["single: more inertia", "double: longer", "rope of 8 links: longer"],
 )
-def test_another_rope_makes_exactly_the_recording_of_a_wrong_clock(rope: hf.Rope, other: hf.Rope) -> None:
+def test_another_rope_makes_exactly_the_recording_of_a_wrong_clock(rope, other):
     q0 = np.linspace(0.9, 0.6, rope.n_links)
     t, q = swing(rope, q0, 3.0)
     slower = hf.simulate(other, duration=1.1 * float(t[-1]), t_eval=1.1 * t, q0=q0, tol=1e-9).q
@@ -176,12 +173,12 @@ def test_another_rope_makes_exactly_the_recording_of_a_wrong_clock(rope: hf.Rope
     ],
     ids=["as it is", "a narrower limit", "another truth", "nothing to compare", "a cause that is not named"],
 )
-def test_what_counts_as_right(changed: dict[str, Any], end: str) -> None:
+def test_what_counts_as_right(changed, end):
     right = next(case for case in SIMULATED if case.name == "single: as it is")
     assert outcome(replace(right, right=right, **changed)).end == end
 
 
-def test_a_suspicion_is_of_the_true_cause() -> None:
+def test_a_suspicion_is_of_the_true_cause():
     """A clock and lengths that are off, told as the length, count; the same words for another cause do not."""
     case = next(case for case in SIMULATED if case.name == "driven: lengths x 0.99")
     case = replace(case, truth={name: 2.0 * value for name, value in ratios(DOUBLE).items()})
@@ -189,12 +186,12 @@ def test_a_suspicion_is_of_the_true_cause() -> None:
     assert outcome(replace(case, name="driven: com held wrong")).end == "WRONG"
 
 
-def test_causes_are_those_of_cases() -> None:
+def test_causes_are_those_of_cases():
     named = {case.wrong for case in SIMULATED}
     assert set(CAUSES) <= named
 
 
-def test_a_recording_shorter_than_a_usual_window_is_looked_at_as_well() -> None:
+def test_a_recording_shorter_than_a_usual_window_is_looked_at_as_well():
     rod = hf.Rope([2.0], [0.1], friction=1e-3)
     t = np.linspace(0.0, 1.0, 101)
     swing = hf.Recording(t, hf.simulate(rod, duration=1.0, t_eval=t, q0=[0.8]).q)

@@ -6,8 +6,6 @@ accelerations are used, its integrators' errors stay out of the comparison: an e
 prescribed arm is exact: its acceleration is put into the equations of motion, and the others are solved for.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -1,7 +1,5 @@
 """MuJoCo, an engine written by others, on the same chain: its accelerations, and motions that follow from them."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest
@@ -38,7 +36,7 @@ def tapered(n: int) -> hf.Rope:
 
 
 @pytest.mark.parametrize("n", [1, 2, 7])
-def test_accelerations_of_a_led_chain(n: int) -> None:
+def test_accelerations_of_a_led_chain(n):
     """Per-link parameters, damping, springs and a tip mass, on an arm that turns."""
     rope, oracle = tapered(n), HingeChain(tapered(n), LED)
     rng = np.random.default_rng(n)
@@ -63,7 +61,7 @@ def follow(oracle: HingeChain, stretch: Stretch, y: Real) -> Real:
     return integrate(rate, y, stretch.start, stretch.end, 1e-10, 1e-10)
 
 
-def test_the_papers_cast_of_fifty_links() -> None:
+def test_the_papers_cast_of_fifty_links():
     rope, oracle = cable(), HingeChain(cable(), LED)
     stretches = [s._replace(end=2.0) if s.end > 2.0 else s for s in bang_bang_swings(0.73, 0.53, 2.0)]
     times = np.array([s.end for s in stretches])
@@ -83,7 +81,7 @@ def test_the_papers_cast_of_fifty_links() -> None:
     assert np.abs(run.tip[:, 0]).max() > 0.3
 
 
-def test_a_free_swing_by_mujocos_own_integrator() -> None:
+def test_a_free_swing_by_mujocos_own_integrator():
     """MuJoCo start to end: a rope let go from the side, by its fourth-order Runge-Kutta at 0.2 ms."""
     n, step = 10, 2e-4
     rope = cable(n, friction=2e-3)
@@ -102,7 +100,7 @@ def test_a_free_swing_by_mujocos_own_integrator() -> None:
     np.testing.assert_allclose(run.tip, tips, rtol=0, atol=1e-6)
 
 
-def test_a_torque_driven_arm() -> None:
+def test_a_torque_driven_arm():
     """Arm with mass, inertia and friction under a torque that runs straight between its samples."""
     arm = hf.Arm(length=ARM_LENGTH, inertia=1e-3, mass=0.1, com=0.05, friction=2e-3)
     rope = cable(12)
@@ -111,7 +109,7 @@ def test_a_torque_driven_arm() -> None:
     oracle = HingeChain(rope, (arm.length, arm.mass, arm.com, arm.inertia, arm.friction))
     n = oracle.n
 
-    def rate(t: float, y: Real) -> Real:
+    def rate(t, y):
         return np.append(y[n:], oracle.acceleration(y[:n], y[n:], torque=float(np.interp(t, knots, pushes))))
 
     y = np.append(np.zeros(n), np.zeros(n))

@@ -1,7 +1,5 @@
 """Set-ups of the paper's casts and the tables behind its figures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,13 +1,11 @@
 """Figs. 3, 5, 6 and Tables I, II on identification: what they show, and what their files hold."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from hyperflex import files
 from hyperflex.paper import Claim, identification, reproduce, verdicts
-from hyperflex.paper.identification import PART, SMALL, SWINGS, WIDE, Swing, methods, record, revised
+from hyperflex.paper.identification import PART, SMALL, SWINGS, WIDE, methods, record, revised
 from hyperflex.report import BLUE, RED
 
 
@@ -87,7 +85,7 @@ def test_both_parts_go_to_one_page_in_the_papers_order(tmp_path):
 
 
 def test_a_claim_of_several_measurements_holds_where_all_of_them_do():
-    def claim(swing: Swing, measured: float) -> Claim:
+    def claim(swing, measured):
         return Claim("C6", "a statement", swing, measured, 1.0)
 
     (sentence,) = verdicts([claim(SMALL, 2.0), claim(WIDE, 2.0), claim(SMALL, 0.0), claim(WIDE, 2.0)])

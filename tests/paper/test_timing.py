@@ -1,7 +1,5 @@
 """The table behind Fig. 13."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.paper import READINGS

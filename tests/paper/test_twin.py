@@ -1,7 +1,5 @@
 """The demo's video: simulated by a finer rope, said so, made by the code that is here, and tracked well."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Whole motions against the dense equations of motion, integrated by another method at another tolerance."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -31,7 +29,7 @@ def tangled(n: int, friction_model: str, **changes: object) -> hf.Rope:
 
 @pytest.mark.parametrize("friction_model", ["relative", "printed"])
 @pytest.mark.parametrize("n", [1, 2, 3])
-def test_a_cast_of_a_short_chain(n: int, friction_model: str) -> None:
+def test_a_cast_of_a_short_chain(n, friction_model):
     """Every switch of the arm within two and a half swings: springs, dry friction and a tip mass on the way."""
     rope = tangled(n, friction_model)
     stretches = list(bang_bang_swings(0.4, 0.3, 1.7))
@@ -55,7 +53,7 @@ def test_a_cast_of_a_short_chain(n: int, friction_model: str) -> None:
         np.testing.assert_allclose(run.tip_velocity[k], tip_speed, rtol=0, atol=1e-12)
 
 
-def test_the_readings_of_friction_differ_where_they_should() -> None:
+def test_the_readings_of_friction_differ_where_they_should():
     """If the test above compared a run with itself, this would show: the readings move apart by much more than 1e-8."""
     ends = []
     for friction_model in ("relative", "printed"):
@@ -65,7 +63,7 @@ def test_the_readings_of_friction_differ_where_they_should() -> None:
     assert np.abs(ends[0] - ends[1]).max() > 1e-2
 
 
-def test_a_free_double_pendulum() -> None:
+def test_a_free_double_pendulum():
     """Two rods without friction, let go from high up: 3 s, over which errors grow some hundredfold."""
     rope = hf.Rope(length=[0.5, 0.4], mass=[0.2, 0.1])
     q0 = np.array([2.0, 2.5])
@@ -76,7 +74,7 @@ def test_a_free_double_pendulum() -> None:
 
 
 @pytest.mark.parametrize("over", [False, True], ids=["under", "over"])
-def test_the_arm_goes_its_way(over: bool) -> None:
+def test_the_arm_goes_its_way(over):
     """Under the bottom or over the top: place and speed of the arm's tip at the middle of a swing."""
     motion = hf.arm_swings(0.73, 0.53, path="over" if over else "under")
     rope = tangled(2, "relative")
@@ -93,7 +91,7 @@ def test_the_arm_goes_its_way(over: bool) -> None:
     np.testing.assert_allclose(lengths, np.tile(rope.length, (2, 1)), rtol=1e-14)  # links keep their length
 
 
-def test_a_moving_point_drags_the_chain() -> None:
+def test_a_moving_point_drags_the_chain():
     """The point that the chain hangs from moves along a parabola: in its frame gravity is tilted, no more."""
     rope = tangled(3, "relative")
     t = np.linspace(0.0, 2.0, 201)

@@ -1,7 +1,5 @@
 """Air drag: closed forms, whole motions against the dense equations with quadrature, energy, derivatives, contact."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -32,7 +30,7 @@ def airy(n: int = 3, **changes: object) -> hf.Rope:
     return rope.replace(**changes)
 
 
-def test_a_link_slows_down_as_the_closed_form_says() -> None:
+def test_a_link_slows_down_as_the_closed_form_says():
     """J w' = -c l^4 / 4 w^2 without gravity: w = w0 / (1 + c l^4 w0 t / 4 J), and q its integral."""
     length, mass, drag, w0 = 0.8, 0.1, 0.03, 7.0
     rope = hf.Rope(length=[length], mass=[mass], drag=drag, gravity=(0.0, 0.0))
@@ -51,7 +49,7 @@ def falling(speed: float) -> hf.Motion:
     return hf.Motion(np.array([0.0, 2.0]), coef, np.array([True, True]))
 
 
-def test_a_level_rope_falls_at_its_terminal_velocity() -> None:
+def test_a_level_rope_falls_at_its_terminal_velocity():
     """Air bears each link's weight at sqrt(m g / (c l)): the rope stays straight and asks nothing of its end."""
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=8, friction=1e-4, drag=0.01)
     speed = float(np.sqrt(rope.mass[0] * 9.81 / (rope.drag[0] * rope.length[0])))
@@ -69,7 +67,7 @@ def test_a_level_rope_falls_at_its_terminal_velocity() -> None:
 
 @pytest.mark.parametrize("friction_model", ["relative", "printed"])
 @pytest.mark.parametrize("n", [1, 3])
-def test_a_cast_in_air_is_that_of_the_dense_equations(n: int, friction_model: str) -> None:
+def test_a_cast_in_air_is_that_of_the_dense_equations(n, friction_model):
     rope = airy(n, friction_model=friction_model)
     stretches = list(bang_bang_swings(0.4, 0.3, 1.7))
     want = cast(links_of(rope), 0.105, stretches, 0.3 * np.ones(n), np.zeros(n))
@@ -90,7 +88,7 @@ def test_a_cast_in_air_is_that_of_the_dense_equations(n: int, friction_model: st
     np.testing.assert_allclose(steps.q[0], want[1, :n], rtol=0.0, atol=1e-7)
 
 
-def test_a_batch_is_its_runs() -> None:
+def test_a_batch_is_its_runs():
     """Members with and without air side by side: none feels the others'."""
     ropes = [airy(drag=drag) for drag in (0.0, 0.02, 0.05, 0.0, 0.01)]
     t = np.array([0.5, 1.2])
@@ -106,11 +104,11 @@ def test_a_batch_is_its_runs() -> None:
 
 
 @pytest.mark.nightly
-def test_derivatives_are_those_of_the_dense_equations() -> None:
+def test_derivatives_are_those_of_the_dense_equations():
     rope, n = airy(), 3
     stretches = list(bang_bang_swings(0.4, 0.3, 0.4))
 
-    def ends(drag: float = 0.0, one: float = 0.0, length: float = 0.0, arm: float = 0.0, q0: float = 0.0) -> Real:
+    def ends(drag=0.0, one=0.0, length=0.0, arm=0.0, q0=0.0):
         changed = rope.replace(drag=rope.drag + drag + one * np.eye(n)[1], length=rope.length + length)
         start = np.full(n, 0.3) + q0 * np.eye(n)[0]
         end: Real = cast(links_of(changed), 0.105 + arm, stretches, start, np.zeros(n), tol=1e-12)[-1]
@@ -135,7 +133,7 @@ def test_derivatives_are_those_of_the_dense_equations() -> None:
         np.testing.assert_allclose(got, want, rtol=0.0, atol=1e-6 * np.abs(want).max(), err_msg=name)
 
 
-def test_derivatives_between_steps_and_with_respect_to_drag_where_there_is_none() -> None:
+def test_derivatives_between_steps_and_with_respect_to_drag_where_there_is_none():
     """Along the run's own outputs, and at a drag of 0, towards more."""
     rope, t = airy(drag=0.0), np.linspace(0.0, 0.5, 8)
     options: dict[str, Any] = {"arm": ARM, "duration": 0.5, "t_eval": t, "tol": 1e-11}
@@ -147,7 +145,7 @@ def test_derivatives_between_steps_and_with_respect_to_drag_where_there_is_none(
     np.testing.assert_allclose(run.dq[:, :, 0], want, rtol=0.0, atol=2e-5 * np.abs(want).max())
 
 
-def test_a_driven_arm_feels_the_air_on_its_rope() -> None:
+def test_a_driven_arm_feels_the_air_on_its_rope():
     """The torque goes into the arm; what the air takes closes the balance."""
     arm = hf.Arm(length=0.2, inertia=1e-3, mass=0.05, com=0.1)
     torque = hf.torque_profile([0.0, 0.5, 1.0], [0.05, -0.03, 0.02])
@@ -158,7 +156,7 @@ def test_a_driven_arm_feels_the_air_on_its_rope() -> None:
     assert run.dissipated_energy[-1] > 0.0
 
 
-def test_contact_steps_take_the_same_air() -> None:
+def test_contact_steps_take_the_same_air():
     """Beside a peg that nothing touches the other stepper is at work; its steps are of second order."""
     rope = airy(friction=2e-3, stiffness=0.0, rest_angle=0.0, radius=0.002)
     near = hf.Peg(x=0.0, y=-1.2, radius=0.05)
@@ -176,7 +174,7 @@ def test_contact_steps_take_the_same_air() -> None:
     assert np.abs(vacuum.q - free.q).max() > 100.0 * gaps[0]
 
 
-def test_a_link_falls_onto_the_ground_through_air() -> None:
+def test_a_link_falls_onto_the_ground_through_air():
     """Nothing is gained: what the link had is lost to the air, to its joint and to the ground."""
     rope = hf.Rope(length=[0.5, 0.5], mass=[0.05, 0.05], friction=1e-4, drag=0.05, radius=0.005)
     run = hf.simulate(rope, duration=1.5, q0=[np.pi / 2, np.pi / 2], pegs=[hf.Ground(x=0.0, y=-0.3)])
@@ -186,7 +184,7 @@ def test_a_link_falls_onto_the_ground_through_air() -> None:
     assert run.contact_loss[-1] > 0.0
 
 
-def test_air_in_a_still_chain_is_nothing() -> None:
+def test_air_in_a_still_chain_is_nothing():
     run = hf.simulate(airy(rest_angle=0.0, gravity=(0.0, -9.81)), duration=0.5)
     np.testing.assert_array_equal(run.q, 0.0)
     np.testing.assert_array_equal(run.dissipated_energy, 0.0)

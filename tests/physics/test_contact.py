@@ -1,7 +1,5 @@
 """Contact with round pegs against closed forms: the capstan, a mass on a string that winds up, impacts, energy."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -26,7 +24,7 @@ def on_a_peg(turns: float, mu: float) -> tuple[hf.Rope, hf.Peg]:
 
 @pytest.mark.parametrize("turns", [0.5, 1.0, 2.0])
 @pytest.mark.parametrize("mu", [0.1, 0.3, 0.5])
-def test_a_wound_rope_slips_where_the_capstan_law_says(mu: float, turns: float) -> None:
+def test_a_wound_rope_slips_where_the_capstan_law_says(mu, turns):
     """Quasi-static, at the links that the library picks: holds 3 % below exp(mu theta), slips 3 % above."""
     rope, peg = on_a_peg(turns, mu)
     swept = 2.0 * math.pi * turns
@@ -42,7 +40,7 @@ def test_a_wound_rope_slips_where_the_capstan_law_says(mu: float, turns: float) 
 
 
 @pytest.mark.parametrize(("mu", "turns"), [(0.3, 1.0), (0.5, 2.0)])
-def test_what_sticks_does_not_creep(mu: float, turns: float) -> None:
+def test_what_sticks_does_not_creep(mu, turns):
     rope, peg = on_a_peg(turns, mu)
     swept = 2.0 * math.pi * turns
     times = np.array([0.0, 0.5, 11.0])
@@ -52,7 +50,7 @@ def test_what_sticks_does_not_creep(mu: float, turns: float) -> None:
     assert abs(way[-1] - way[100]) / 10.0 < 1e-5
 
 
-def test_a_mass_on_a_string_winds_up_round_a_peg() -> None:
+def test_a_mass_on_a_string_winds_up_round_a_peg():
     """Without weight the mass keeps its speed v, and the free length l obeys l^2 = l0^2 - 2 R v t (an involute)."""
     peg, speed, free = hf.Peg(0.0, 0.0, 0.02, 0.5), 2.0, 0.5
     rope = hf.Rope.uniform(0.6, 5e-3, 100, friction=1e-5, tip_mass=0.2, gravity=(0.0, 0.0))
@@ -89,7 +87,7 @@ def rise(values: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_energy_never_grows_in_random_throws(seed: int) -> None:
+def test_energy_never_grows_in_random_throws(seed):
     rope, how = throws(seed)
     run = hf.simulate(rope, **how)
     # The goals of the project, for joints with friction of 1e-4 N m s/rad and more.
@@ -103,7 +101,7 @@ def test_energy_never_grows_in_random_throws(seed: int) -> None:
 @pytest.mark.parametrize(
     ("number", "duration", "limit"), [(277, 1.75, 1e-3), (750, 0.33, 1e-5), (760, 0.77, 1e-5), (864, 1.29, 1e-5)]
 )
-def test_a_throw_that_went_wrong_once_keeps_the_goals(number: int, duration: float, limit: float) -> None:
+def test_a_throw_that_went_wrong_once_keeps_the_goals(number, duration, limit):
     """A link that touched hid another (277), samples in long steps (750) or lossy ones (760), no modes (864)."""
     kind, rope, how = draw(number, duration)
     run = hf.simulate(rope, refine=False, **how)
@@ -114,7 +112,7 @@ def test_a_throw_that_went_wrong_once_keeps_the_goals(number: int, duration: flo
     assert run.attrs["contact_unsolved"] <= 0.005 * run.attrs["contact_steps"]
 
 
-def test_nothing_passes_a_peg_at_fifty_metres_a_second() -> None:
+def test_nothing_passes_a_peg_at_fifty_metres_a_second():
     """A rod on a long radius sweeps past at 50 m/s at its end, on a peg as thin as a pencil; it stops there."""
     peg = hf.Peg(0.9, 0.0, 0.004, 0.3)
     rod = hf.Rope(length=[1.0], mass=[0.05], radius=0.0025, gravity=(0.0, 0.0))
@@ -128,7 +126,7 @@ def test_nothing_passes_a_peg_at_fifty_metres_a_second() -> None:
     assert run.contact_loss[-1] == pytest.approx(energy, rel=1e-6)
 
 
-def test_a_rope_that_meets_no_peg_moves_as_without() -> None:
+def test_a_rope_that_meets_no_peg_moves_as_without():
     cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=20, radius=0.0025, friction=5e-4)
     how = {"arm": hf.Arm(length=0.105), "duration": 3.0, "tol": 1e-8}
     alone = hf.simulate(cable, hf.arm_swings(), **how)
@@ -149,7 +147,7 @@ def depth(run: hf.Trajectory, peg: hf.Peg) -> float:
 
 
 @pytest.mark.parametrize(("rate", "distance"), [(8.0, 0.36), (20.0, 0.42)])
-def test_a_coarse_run_is_not_held_up_where_a_whole_rope_winds_up(rate: float, distance: float) -> None:
+def test_a_coarse_run_is_not_held_up_where_a_whole_rope_winds_up(rate, distance):
     """A cord that turns about its end until all of it is wound and its tip comes to lie on the peg at speed.
 
     With steps as short as those of a run to the usual tolerance these two took 4,071 and 2,371 steps, of which 1,200
@@ -158,7 +156,7 @@ def test_a_coarse_run_is_not_held_up_where_a_whole_rope_winds_up(rate: float, di
     cord = hf.Rope.uniform(length=1.2, mass=0.06, n_links=30, radius=0.003, friction=2e-4)
     peg, given = hf.Peg(distance, 0.0, 0.0266, mu=0.3), {"duration": 1.2, "t_eval": [1.2], "refine": False}
     given |= {"q0": np.full(30, 0.5 * np.pi + 0.35), "qd0": np.full(30, -rate), "tol": 1e-3, "contact_step": 1e-3}
-    run = hf.simulate(cord, pegs=[peg], **given)  # type: ignore[arg-type]
+    run = hf.simulate(cord, pegs=[peg], **given)
     assert run.attrs["contact_steps"] < 2000
     assert run.attrs["contact_unsolved"] < 0.05 * run.attrs["contact_steps"]
     assert run.attrs["energy_appeared"] < 1e-5
@@ -166,7 +164,7 @@ def test_a_coarse_run_is_not_held_up_where_a_whole_rope_winds_up(rate: float, di
 
 
 @pytest.mark.parametrize("deep", [5.6e-5, 8e-5])
-def test_a_rope_that_starts_too_deep_is_pushed_out_in_usual_steps(deep: float) -> None:
+def test_a_rope_that_starts_too_deep_is_pushed_out_in_usual_steps(deep):
     """So a run starts that goes on from a coarse one. It may be given little energy, however short the steps are."""
     rope, peg = hf.Rope.uniform(1.0, 0.06, 40, 0.003, friction=2e-4), hf.Peg(0.4, -0.15, 0.04, 0.3)
     fallen = hf.simulate(hf.Setup(rope, q0=[1.6] * 40, duration=2.0, pegs=(peg,), tol=1e-3, contact_step=1e-3))
@@ -181,7 +179,7 @@ def test_a_rope_that_starts_too_deep_is_pushed_out_in_usual_steps(deep: float) -
 
 @pytest.mark.parametrize(("number", "duration"), [(205, 1.6), (521, 0.62), (655, 1.7)])
 @pytest.mark.nightly
-def test_samples_within_hard_steps_keep_the_energy(number: int, duration: float) -> None:
+def test_samples_within_hard_steps_keep_the_energy(number, duration):
     """Where one shorter step does not, a sample is reached by several.
 
     Straight between the ends of a step the energy of these was off by 94, 0.04 and 0.13 mJ. Throws are chaotic: of

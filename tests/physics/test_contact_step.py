@@ -1,7 +1,5 @@
 """One step with a peg, by a reference that shares no line with the kernels: where the rope turns, gaps bend."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -39,7 +37,7 @@ def gaps(rope: hf.Rope, radius: float, base: Array, q: Array) -> tuple[Array, Ar
 
 
 @pytest.mark.parametrize(("depth", "push", "out"), [(5e-5, True, 1e-3), (5e-5, False, 0.0), (1e-6, True, 0.0)])
-def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(depth: float, push: bool, out: float) -> None:
+def test_what_is_inside_a_peg_sinks_no_further_while_the_rope_turns(depth, push, out):
     """It is pushed out, or stays as deep: also what lies inside by little.
 
     Without the second-order term it would sink by 0.1 mm a second.
@@ -73,7 +71,7 @@ def own(value: object) -> object:
     return np.array(value) if isinstance(value, np.ndarray) else value
 
 
-def test_a_sample_beside_a_peg_does_not_depend_on_the_others() -> None:
+def test_a_sample_beside_a_peg_does_not_depend_on_the_others():
     rope = hf.Rope.uniform(0.6, 0.04, 24, 0.0025, friction=5e-4)
     how = {"q0": np.full(24, 1.2), "pegs": [hf.Peg(0.0, -0.2, 0.03, 0.3)], "duration": 0.8, "contact_step": 1e-3}
     many = hf.simulate(rope, t_eval=np.linspace(0.0, 0.8, 81), **how)
@@ -84,7 +82,7 @@ def test_a_sample_beside_a_peg_does_not_depend_on_the_others() -> None:
 
 
 @pytest.mark.parametrize(("rate", "kept"), [(1e-4, True), (-1.0, False)])
-def test_the_way_to_a_sample_leaves_a_run_as_it_is(rate: float, kept: bool) -> None:
+def test_the_way_to_a_sample_leaves_a_run_as_it_is(rate, kept):
     """A cable slides over a peg that turns. Where energy must vanish no step will do: none is forced."""
     length = TOP + math.pi * RADIUS + 0.15
     rope = hf.Rope.uniform(length, 0.05, round(length / 0.01), friction=1e-5, gravity=(0.0, 9.81))
@@ -125,7 +123,7 @@ def copied(value: object) -> list[Array]:
     return [np.array(value)]
 
 
-def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> None:
+def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one():
     """What a soft step remembers grows from step to step, also while nothing touches."""
     rope, still = hf.Rope.uniform(0.5, 0.05, 10, friction=1e-4), hf.moving_pivot([0.0, 1.0], [0.0] * 2, [0.0] * 2)
     setup = hf.Setup(rope, still, pegs=[hf.Peg(1.0, 1.0, 0.05)])
@@ -142,7 +140,7 @@ def test_the_search_for_modes_is_as_stiff_as_ever_again_after_a_soft_one() -> No
 
 
 @pytest.mark.parametrize(("which", "first", "by"), [(NONE, 0, 1), (ALL, 0, 1), (EVEN, 0, 2), (EVEN + 1, 1, 2)])
-def test_a_round_changes_all_contacts_that_break_the_law_or_every_second_one(which: int, first: int, by: int) -> None:
+def test_a_round_changes_all_contacts_that_break_the_law_or_every_second_one(which, first, by):
     length = TOP + math.pi * RADIUS + 0.15
     rope = hf.Rope.uniform(length, 0.05, round(length / 0.01), friction=1e-5, gravity=(0.0, 9.81))
     q = laid(rope.length, (-RADIUS, TOP), RADIUS, math.pi)
@@ -161,6 +159,6 @@ def test_a_round_changes_all_contacts_that_break_the_law_or_every_second_one(whi
     np.testing.assert_array_equal(changed, [] if which == NONE else np.arange(first, count, by))
 
 
-def test_a_solution_may_leave_more_in_proportion_to_the_tolerance() -> None:
+def test_a_solution_may_leave_more_in_proportion_to_the_tolerance():
     tolerances = np.array([1e-8, 1e-5, 1e-4, 1.0])
     np.testing.assert_allclose([looseness(tol) for tol in tolerances], [1.0, 1.0, 1e-4 / USUAL_TOL, SOLVER.loosest])

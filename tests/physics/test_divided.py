@@ -1,7 +1,5 @@
 """A rope whose links are cut loses as much energy as before: in a given shape, and in a slow swing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import j0, j1, jn_zeros
@@ -21,10 +19,10 @@ UNEVEN = hf.Rope(
 
 @pytest.mark.parametrize("name", ["friction", "stiffness"])
 @pytest.mark.parametrize("pieces", [20, [30, 15, 40, 25, 50, 20, 10]])
-def test_a_given_shape_takes_as_much_of_a_cut_rope(name: str, pieces: int | list[int]) -> None:
+def test_a_given_shape_takes_as_much_of_a_cut_rope(name, pieces):
     """Power lost at given rates, or energy of given angles, against the integral along the rope, and its hinge."""
 
-    def shape(s: np.ndarray) -> np.ndarray:
+    def shape(s):
         return np.cos(3.0 * s)  # its slope is 0 at the hinge, so that the first link is nearly there
 
     joints = np.append(0.0, np.cumsum(UNEVEN.length)[:-1])
@@ -73,18 +71,18 @@ def test_a_slow_swing_of_a_cut_rope_decays_as_that_of_a_hanging_chain() -> None:
     assert 2.0 * four - twice == pytest.approx(1.0, abs=0.004)
 
 
-def test_the_hinge_keeps_its_friction_and_the_first_link_bends_as_the_rope_beyond() -> None:
+def test_the_hinge_keeps_its_friction_and_the_first_link_bends_as_the_rope_beyond():
     fine = divided(UNEVEN, 5)
     assert (fine.friction[0], fine.stiffness[0]) == (7e-4, 2e-3)
     # per length that of the second joint, which stands for 0.08 m; pieces of 0.02 m
     np.testing.assert_allclose(fine.friction[1:5], 3e-4 * 0.08 / 0.02, rtol=1e-12)
 
 
-def test_a_single_link_bends_like_its_hinge() -> None:
+def test_a_single_link_bends_like_its_hinge():
     rod = hf.Rope(length=[0.4], mass=[0.1], friction=3e-4)
     np.testing.assert_allclose(divided(rod, 4).friction, [3e-4, 12e-4, 12e-4, 12e-4], rtol=1e-12)
 
 
-def test_joints_between_links_that_are_left_alone_keep_what_they_have() -> None:
+def test_joints_between_links_that_are_left_alone_keep_what_they_have():
     fine = divided(UNEVEN, [1, 1, 1, 1, 4, 1, 1])
     np.testing.assert_allclose(fine.friction[[0, 1, 2, 3, 9]], UNEVEN.friction[[0, 1, 2, 3, 6]], rtol=1e-12)

@@ -1,7 +1,5 @@
 """Dry joint friction in the contact stepper: statics, free flight as its limit, energy with pegs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ def rise(values: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("n", [1, 8])
-def test_a_rope_whose_joints_stick_holds_a_load_up_to_the_torque_of_its_first_joint(n: int) -> None:
+def test_a_rope_whose_joints_stick_holds_a_load_up_to_the_torque_of_its_first_joint(n):
     """It hangs straight; a force F across its tip asks for F times what is beyond a joint, most at the first one."""
     rope = hf.Rope.uniform(0.8, 0.05, n, dry_friction=4e-3)
     limit = 4e-3 / 0.8
@@ -33,7 +31,7 @@ def test_a_rope_whose_joints_stick_holds_a_load_up_to_the_torque_of_its_first_jo
     np.testing.assert_allclose(np.diff(moved.q, axis=1), 0.0, atol=1e-6)
 
 
-def test_far_from_pegs_the_contact_stepper_converges_to_free_flight() -> None:
+def test_far_from_pegs_the_contact_stepper_converges_to_free_flight():
     """A force too small to be felt keeps the rope in the contact stepper; its error halves with the step, at least."""
     rope = hf.Rope.uniform(1.0, 0.06, 6, friction=1e-3, dry_friction=3e-3)
     how = {"duration": 0.8, "q0": np.full(6, 1.2), "t_eval": np.linspace(0.1, 0.8, 8)}
@@ -50,7 +48,7 @@ def test_far_from_pegs_the_contact_stepper_converges_to_free_flight() -> None:
     assert errors[3] < 0.65 * errors[2]
 
 
-def test_a_joint_that_sticks_flies_on_as_stuck() -> None:
+def test_a_joint_that_sticks_flies_on_as_stuck():
     """A rope as stiff as a stick is swung against a peg and off it: impacts bend it, and nothing else does."""
     rope = hf.Rope.uniform(0.6, 0.04, 6, 0.0025, friction=1e-4, dry_friction=np.append(0.0, np.full(5, 5.0)))
     run = hf.simulate(
@@ -71,7 +69,7 @@ def test_a_joint_that_sticks_flies_on_as_stuck() -> None:
 
 
 @pytest.mark.parametrize(("index", "dry"), [(2, 1e-3), (6, 1e-4), (8, 1e-2)])
-def test_energy_never_grows_in_throws_with_dry_friction(index: int, dry: float) -> None:
+def test_energy_never_grows_in_throws_with_dry_friction(index, dry):
     _, rope, how = draw(index, 1.0)
     run = hf.simulate(rope.replace(dry_friction=dry), refine=False, **how)
     # The goals of the project for joints with friction, as without dry friction.

@@ -1,7 +1,5 @@
 """Coulomb's friction: closed forms, an integration with events by scipy, and joints that stand when they should."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +35,7 @@ def half_swings(angle: float) -> tuple[np.ndarray, np.ndarray]:
         middle, half = 0.5 * (angle + end), 0.5 * abs(angle - end)
 
         def slowness(u: float, m: float = middle, h: float = half, f: object = twice_kinetic) -> float:
-            return float(h * np.cos(u) / np.sqrt(f(m + h * np.sin(u))))  # type: ignore[operator]
+            return float(h * np.cos(u) / np.sqrt(f(m + h * np.sin(u))))
 
         nodes, weights = np.polynomial.legendre.leggauss(60)
         times.append(
@@ -49,7 +47,7 @@ def half_swings(angle: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("method", [{"tol": 1e-11}, {"method": "rk4", "step": 5e-4}], ids=["extrapolation", "rk4"])
-def test_a_rod_swings_to_rest(method: dict[str, object]) -> None:
+def test_a_rod_swings_to_rest(method):
     angles, times = half_swings(1.0)
     assert angles.size == 7
     near = 1e-7  # s
@@ -68,7 +66,7 @@ def test_a_rod_swings_to_rest(method: dict[str, object]) -> None:
     assert np.abs(run.energy_error).max() < 1e-9  # J, of 0.1 J
 
 
-def test_a_spring_loses_the_same_each_half_swing() -> None:
+def test_a_spring_loses_the_same_each_half_swing():
     """Between turns a harmonic oscillation about +-dry/stiffness: each turn is 2 dry/stiffness nearer, on time."""
     stiffness, dry, start = 0.05, 2e-3, 0.5
     rope = hf.Rope(length=[LENGTH], mass=[MASS], stiffness=stiffness, dry_friction=dry, gravity=(0.0, 0.0))
@@ -85,7 +83,7 @@ def test_a_spring_loses_the_same_each_half_swing() -> None:
 
 
 @pytest.mark.parametrize("how", ["single", "batch"])
-def test_a_rod_on_a_wheel_comes_loose_when_its_inertia_is_too_much(how: str) -> None:
+def test_a_rod_on_a_wheel_comes_loose_when_its_inertia_is_too_much(how):
     """The wheel turns by c t^3: the rod's joint must give 6 c t INERTIA, and cannot from dry / (6 c INERTIA) on."""
     c, end = 0.4, 2.0
     coef = np.zeros((1, 4, 6))
@@ -114,13 +112,13 @@ def test_a_rod_on_a_wheel_comes_loose_when_its_inertia_is_too_much(how: str) -> 
 
 
 @pytest.mark.parametrize("friction_model", ["relative", "printed"])
-def test_two_joints_stick_and_slip_in_turn(friction_model: str) -> None:
+def test_two_joints_stick_and_slip_in_turn(friction_model):
     rope = hf.Rope(
         length=[0.3, 0.2], mass=[0.1, 0.05], friction=1e-4, dry_friction=[0.1, 0.02], friction_model=friction_model
     )
     first = next(bang_bang_swings(1.6, 0.3, 5.0))
 
-    def base(t: float) -> np.ndarray:
+    def base(t):
         return first.base(t, 0.1)
 
     q0, w0 = np.array([-1.3, -0.3]), np.array([0.0, 0.0])
@@ -140,7 +138,7 @@ def test_two_joints_stick_and_slip_in_turn(friction_model: str) -> None:
         assert abs(slip[k, event.joint]) < 1e-7
 
 
-def test_nothing_creeps_below_the_limit() -> None:
+def test_nothing_creeps_below_the_limit():
     """For 10 s: a rod held up; a stiff chain on a casting arm; and a held link from which another one swings."""
     held = hf.simulate(ROD.replace(dry_friction=0.2), duration=10.0, q0=[0.5], t_eval=[0.0, 10.0])
     assert (held.q == 0.5).all()
@@ -158,7 +156,7 @@ def test_nothing_creeps_below_the_limit() -> None:
     np.testing.assert_array_equal(load.dissipated_energy, 0.0)
 
 
-def test_a_sampled_arm_carries_what_sticks() -> None:
+def test_a_sampled_arm_carries_what_sticks():
     """Through the knots of a spline, which the steps do not stop at."""
     grid = np.linspace(0.0, 3.0, 16)
     motion = hf.sampled_motion(grid, 0.8 * np.sin(2 * grid))
@@ -174,13 +172,13 @@ def messy(n: int, seed: int, **changes: object) -> tuple[hf.Rope, np.ndarray]:
         dry_friction=3e-3 * rng.uniform(0.0, 1.0, n) * (rng.random(n) < 0.8),
         friction=1e-5,
         stiffness=1e-3 * (seed % 2),
-        **changes,  # type: ignore[arg-type]
+        **changes,
     )
     return rope, np.cumsum(rng.normal(0.0, 1.0 / np.sqrt(n), n))
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_chains_with_many_dry_joints(seed: int) -> None:
+def test_chains_with_many_dry_joints(seed):
     n = (3, 6, 12)[seed % 3]
     rope, q0 = messy(n, seed)
     t = np.linspace(0.02, 0.4, 20)
@@ -197,7 +195,7 @@ def test_chains_with_many_dry_joints(seed: int) -> None:
     np.testing.assert_allclose(batch.dissipated_energy[0], fine.dissipated_energy, rtol=0, atol=1e-7)
 
 
-def test_events_of_many_joints_are_as_exact_as_the_steps_and_found_at_once() -> None:
+def test_events_of_many_joints_are_as_exact_as_the_steps_and_found_at_once():
     """Of a cast of 24 links whose joints stick and come loose all the time, beside a hundredth of the tolerance."""
     rope = hf.Rope.uniform(1.0, 0.06, 24, 0.0025, friction=3e-4, dry_friction=1e-3)
     setup = hf.Setup(rope, hf.arm_swings(), hf.Arm(length=0.1), duration=1.5)
@@ -213,7 +211,7 @@ def test_events_of_many_joints_are_as_exact_as_the_steps_and_found_at_once() -> 
     assert tried < 2.5 * (tried - rejected)
 
 
-def test_samples_between_events_lie_on_the_motion() -> None:
+def test_samples_between_events_lie_on_the_motion():
     rope, q0 = messy(4, 3)
     t = np.linspace(0.0, 0.5, 501)
     kept = {"duration": 0.5, "q0": q0, "t_eval": t}
@@ -224,7 +222,7 @@ def test_samples_between_events_lie_on_the_motion() -> None:
     np.testing.assert_array_equal(few.q[-1], run.q[-1])  # samples leave no trace
 
 
-def test_folded_chains_find_their_way_with_printed_friction() -> None:
+def test_folded_chains_find_their_way_with_printed_friction():
     """Without the reaction on the parent a fold may answer friction the wrong way; lawful modes exist all the same."""
     rope = hf.Rope(length=[0.1] * 5, mass=[0.02] * 5, dry_friction=1e-2, friction_model="printed")
     starts = np.cumsum(np.random.default_rng(1).normal(0.0, 1.0, (60, 5)), axis=1)[48:56]

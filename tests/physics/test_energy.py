@@ -1,7 +1,5 @@
 """Energy: what the motor puts in, less what friction takes, is what the rope has gained."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -23,7 +21,7 @@ def peak(run: hf.Trajectory) -> float:
 
 @pytest.mark.parametrize("path", ["under", "over"])
 @pytest.mark.parametrize("friction_model", ["relative", "printed"])
-def test_power_balance_of_the_papers_cast(friction_model: str, path: str) -> None:
+def test_power_balance_of_the_papers_cast(friction_model, path):
     run = hf.simulate(
         cable(friction_model=friction_model),
         hf.arm_swings(0.73, 0.53, path=path),
@@ -38,7 +36,7 @@ def test_power_balance_of_the_papers_cast(friction_model: str, path: str) -> Non
     assert run.dissipated_energy[-1] > 0.05 * peak(run)
 
 
-def test_frictionless_drift() -> None:
+def test_frictionless_drift():
     q0 = np.linspace(1.2, 1.6, 50)
     run = hf.simulate(cable(friction=0.0), duration=3.0, q0=q0, tol=1e-9)
     energy = run.kinetic_energy + run.potential_energy
@@ -48,7 +46,7 @@ def test_frictionless_drift() -> None:
     np.testing.assert_array_equal(run.motor_work, 0.0)
 
 
-def test_energies_of_a_run_are_those_of_the_reference() -> None:
+def test_energies_of_a_run_are_those_of_the_reference():
     rope = cable(stiffness=1e-3, tip_mass=0.01, dry_friction=1e-5)
     run = hf.simulate(rope, hf.arm_swings(), arm=hf.Arm(length=0.105), duration=2.0, t_eval=[0.5, 1.3, 2.0])
     links = links_of(rope)
@@ -59,7 +57,7 @@ def test_energies_of_a_run_are_those_of_the_reference() -> None:
         np.testing.assert_allclose(got, want, rtol=0, atol=1e-13 * (abs(want[0]) + abs(want[1])))
 
 
-def test_motor_work_is_the_integral_of_torque_times_rate() -> None:
+def test_motor_work_is_the_integral_of_torque_times_rate():
     """For a prescribed arm of no mass of its own, on a fixed pivot; Simpson's rule between the switches."""
     t = np.linspace(0.0, 0.365, 401)  # one stretch: the acceleration jumps at its end
     run = hf.simulate(cable(), hf.arm_swings(), arm=hf.Arm(length=0.105), duration=0.5, t_eval=t, tol=1e-10)
@@ -72,14 +70,14 @@ def test_motor_work_is_the_integral_of_torque_times_rate() -> None:
     assert simpson == pytest.approx(run.motor_work[398], rel=1e-6)
 
 
-def test_friction_of_a_run_at_rest_takes_nothing_and_the_cable_stays_where_it_hangs() -> None:
+def test_friction_of_a_run_at_rest_takes_nothing_and_the_cable_stays_where_it_hangs():
     run = hf.simulate(cable(), duration=2.0)
     np.testing.assert_array_equal(run.q, 0.0)  # an equilibrium, exactly
     np.testing.assert_array_equal(run.dissipated_energy, 0.0)
 
 
 @pytest.mark.parametrize("batch", [False, True])
-def test_a_run_seen_at_rest_alone_is_judged_by_what_moved_between(batch: bool) -> None:
+def test_a_run_seen_at_rest_alone_is_judged_by_what_moved_between(batch):
     """Between turning points no sample has kinetic energy; what the springs held tells how much there was."""
     rope = hf.Rope.uniform(length=0.3, mass=0.1, n_links=8, stiffness=5.0)
     how = {"duration": 0.1, "q0": 0.05 * np.sin(2.1 * np.arange(1, 9)), "t_eval": [0.1], "tol": 2e-5}

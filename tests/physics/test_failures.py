@@ -1,12 +1,9 @@
 """Runs that cannot be trusted end in an error that says when, where and what to try, or hand over what holds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 import hyperflex as hf
-from hyperflex.checks import Array
 from hyperflex.core.integrate import rollout
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.simulation.rollouts import TABLES, rollout_limits
@@ -28,7 +25,7 @@ COARSE = {"q0": np.linspace(3.0, 1.0, 10), "method": "rk4", "step": 0.03}  # sta
 
 
 @pytest.mark.parametrize("how", WILD.values(), ids=WILD.keys())
-def test_a_hopeless_run_says_when_where_and_what_to_try(how: dict[str, object]) -> None:
+def test_a_hopeless_run_says_when_where_and_what_to_try(how):
     with pytest.raises(SimulationError) as caught:
         hf.simulate(cable(), duration=1.0, **how)
     error = caught.value
@@ -39,7 +36,7 @@ def test_a_hopeless_run_says_when_where_and_what_to_try(how: dict[str, object]) 
 
 
 @pytest.mark.parametrize("how", WILD.values(), ids=WILD.keys())
-def test_without_throwing_the_part_that_holds_is_returned(how: dict[str, object]) -> None:
+def test_without_throwing_the_part_that_holds_is_returned(how):
     run = hf.simulate(cable(), duration=1.0, throw=False, **how)
     assert run.status == "step too small"
     assert run.message
@@ -48,7 +45,7 @@ def test_without_throwing_the_part_that_holds_is_returned(how: dict[str, object]
     assert np.isfinite(run.qd).all()
 
 
-def test_nothing_that_holds_is_an_empty_trajectory() -> None:
+def test_nothing_that_holds_is_an_empty_trajectory():
     run = hf.simulate(cable(), duration=1.0, qd0=np.full(10, 1e99), t_eval=[0.5], throw=False)
     assert run.t.shape == (0,)
     assert run.joints.shape == (0, 11, 2)
@@ -56,7 +53,7 @@ def test_nothing_that_holds_is_an_empty_trajectory() -> None:
     assert "0 samples" in repr(run)
 
 
-def test_a_run_that_gains_energy_is_refused() -> None:
+def test_a_run_that_gains_energy_is_refused():
     """RK4 inside its linear limit but far too coarse for a whip: the energy balance gives it away."""
     rope = cable(friction=0.0)
     q0 = np.linspace(3.0, 1.0, 10)
@@ -71,7 +68,7 @@ def test_a_run_that_gains_energy_is_refused() -> None:
 
 
 @pytest.mark.parametrize("t_eval", [[0.65], [0.6, 0.65], None])
-def test_energy_is_checked_whatever_output_is_asked_for(t_eval: list[float] | None) -> None:
+def test_energy_is_checked_whatever_output_is_asked_for(t_eval):
     rope = cable(friction=0.0)
     with pytest.raises(SimulationError, match="energy not balanced"):
         hf.simulate(rope, duration=0.65, t_eval=t_eval, **COARSE)
@@ -79,14 +76,14 @@ def test_energy_is_checked_whatever_output_is_asked_for(t_eval: list[float] | No
         hf.simulate(rope, duration=10.0, t_eval=[10.0], **COARSE)  # fails before there is any output
 
 
-def test_a_failed_run_hands_over_the_state_of_the_part_that_holds() -> None:
+def test_a_failed_run_hands_over_the_state_of_the_part_that_holds():
     part = hf.simulate(cable(friction=0.0), duration=10.0, throw=False, **COARSE)
     assert part.state.t == part.t[-1]
     np.testing.assert_array_equal(part.state.q, part.q[-1])
     np.testing.assert_array_equal(part.state.qd, part.qd[-1])
 
 
-def test_the_arm_of_a_failed_run_is_handed_over_too() -> None:
+def test_the_arm_of_a_failed_run_is_handed_over_too():
     kept = {"arm": ARM, "torque": 0.0, "duration": 0.1}
     part = hf.simulate(cable(), arm_angle0=0.7, arm_rate0=0.3, tol=1e-30, throw=False, **kept)
     assert part.status == "step too small"
@@ -94,14 +91,14 @@ def test_the_arm_of_a_failed_run_is_handed_over_too() -> None:
     assert (more.arm_angle[0], more.arm_rate[0]) == (part.arm_angle[-1], part.arm_rate[-1]) != (0.0, 0.0)
 
 
-def test_two_errors_of_a_step_are_told_apart_and_none_that_is_not_a_number_is_taken() -> None:
+def test_two_errors_of_a_step_are_told_apart_and_none_that_is_not_a_number_is_taken():
     setup = hf.Setup(cable(), duration=1.0)
     chain = setup.chain()
     limits, workspace, rng = rollout_limits(setup, chain, 1.0), rollout.new_workspace(chain), np.random.default_rng(3)
     y, errors = rng.normal(size=22), 1e-6 * rng.normal(size=(2, 22))
     errors[:, 20:] *= np.array([[1.0], [1e3]])  # the second errs most in energy
 
-    def sizes(*rows: Array, at: Array = y) -> tuple[float, float]:
+    def sizes(*rows, at=y):
         workspace.out[:], workspace.errors[:] = at, rows
         return rollout.error_norms(chain, limits, TABLES[0], 0.01, workspace)
 
@@ -119,32 +116,32 @@ def test_two_errors_of_a_step_are_told_apart_and_none_that_is_not_a_number_is_ta
                 assert sizes(*errors, at=bad) == (np.inf, np.inf)
 
 
-def test_fields_of_a_setup_are_replaced() -> None:
+def test_fields_of_a_setup_are_replaced():
     setup = hf.Setup(cable(), arm=ARM, duration=1.0, q0=np.ones(10))
     run = hf.simulate(setup, hf.arm_swings(), duration=0.2, tol=1e-8)
     whole = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=0.2, tol=1e-8, q0=np.ones(10))
     np.testing.assert_array_equal(run.q, whole.q)
     assert (run.setup.tol, run.setup.duration) == (1e-8, 0.2)
     with pytest.raises(InvalidInput, match="a set-up does not know this key: got 'to1'"):
-        hf.simulate(setup, to1=1e-9)  # type: ignore[call-arg]
+        hf.simulate(setup, to1=1e-9)
 
 
-def test_a_callback_that_returns_nonsense_is_named_with_its_time() -> None:
-    def control(t: float, *_state: object) -> float:
+def test_a_callback_that_returns_nonsense_is_named_with_its_time():
+    def control(t, *_state):
         return float("nan") if t > 0.0495 else 0.0
 
     with pytest.raises(InvalidInput, match=r"torque callback at t = 0\.05 s.*nan"):
         hf.simulate(cable(), arm=ARM, torque=control, control_rate=100.0, duration=1.0)
 
 
-def test_a_callback_needs_its_rate() -> None:
+def test_a_callback_needs_its_rate():
     with pytest.raises(InvalidInput, match="control_rate"):
         hf.simulate(cable(), arm=ARM, torque=lambda *_: 0.0, duration=1.0)
     with pytest.raises(InvalidInput, match=r"control_rate.*-5"):
         hf.simulate(cable(), arm=ARM, torque=lambda *_: 0.0, control_rate=-5.0, duration=1.0)
 
 
-def test_the_torque_limit_is_kept() -> None:
+def test_the_torque_limit_is_kept():
     arm = hf.Arm(length=0.105, inertia=1e-3, torque_limit=0.02)
     asked = hf.simulate(cable(), arm=arm, torque=5.0, duration=0.5, tol=1e-8)
     held = hf.simulate(cable(), arm=hf.Arm(length=0.105, inertia=1e-3), torque=0.02, duration=0.5, tol=1e-8)
@@ -152,8 +149,8 @@ def test_the_torque_limit_is_kept() -> None:
     np.testing.assert_array_equal(asked.motor_torque, 0.02)
 
 
-def test_ctrl_c_without_throwing_keeps_what_was_done() -> None:
-    def control(t: float, *_state: object) -> float:
+def test_ctrl_c_without_throwing_keeps_what_was_done():
+    def control(t, *_state):
         if t >= 0.3:
             raise KeyboardInterrupt
         return 0.0
@@ -168,10 +165,10 @@ def test_ctrl_c_without_throwing_keeps_what_was_done() -> None:
     assert part.status == "interrupted"
 
 
-def test_the_callback_sees_the_state_and_its_torque_can_be_replayed() -> None:
+def test_the_callback_sees_the_state_and_its_torque_can_be_replayed():
     seen = []
 
-    def control(t: float, angle: float, rate: float, q: np.ndarray, qd: np.ndarray) -> float:
+    def control(t, angle, rate, q, qd):
         seen.append((t, angle, rate, q.copy(), qd.copy()))
         q[:] = np.nan  # the callback's copy: spoiling it must not spoil the run
         return 0.05 * np.sin(9.0 * t) - 0.01 * rate
@@ -188,7 +185,7 @@ def test_the_callback_sees_the_state_and_its_torque_can_be_replayed() -> None:
     np.testing.assert_allclose(again.motor_torque[:-1], run.motor_torque[:-1], rtol=0, atol=0)
 
 
-def test_a_run_that_takes_too_long_is_ended() -> None:
+def test_a_run_that_takes_too_long_is_ended():
     rope = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
     still = {"duration": 1e4, "q0": np.full(50, 1.0), "t_eval": np.linspace(0.0, 1e4, 101)}
     with pytest.raises(SimulationError, match="out of time") as caught:

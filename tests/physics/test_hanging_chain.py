@@ -1,7 +1,5 @@
 """Small swings of a hanging chain: the modes tend to those of a heavy string, whose frequencies are Bessel zeros."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import jn_zeros
@@ -25,7 +23,7 @@ def modes(n: int) -> tuple[np.ndarray, np.ndarray]:
     return np.sqrt(squares.real[order]), shapes.real[:, order]
 
 
-def test_modes_tend_to_the_bessel_frequencies_with_the_square_of_the_link_length() -> None:
+def test_modes_tend_to_the_bessel_frequencies_with_the_square_of_the_link_length():
     counts = np.array([10, 20, 40, 80])
     errors = np.array([modes(n)[0][:4] / STRING - 1.0 for n in counts])
     orders = np.log2(np.abs(errors[:-1] / errors[1:]))
@@ -38,7 +36,7 @@ def test_modes_tend_to_the_bessel_frequencies_with_the_square_of_the_link_length
 
 
 @pytest.mark.parametrize("mode", [0, 1, 2])
-def test_a_simulated_mode_swings_at_its_frequency(mode: int) -> None:
+def test_a_simulated_mode_swings_at_its_frequency(mode):
     n = 50
     frequencies, shapes = modes(n)
     omega = frequencies[mode]

@@ -1,7 +1,5 @@
 """Joint limits: closed forms of impacts and rest, momentum, energy, the hand-over to free flight, MuJoCo, refusals."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -25,7 +23,7 @@ def rise(values: np.ndarray) -> float:
     return float((values - np.minimum.accumulate(values)).max())
 
 
-def test_a_rod_that_falls_on_its_limit_stays_there() -> None:
+def test_a_rod_that_falls_on_its_limit_stays_there():
     """It loses all it has, in one impact: half its weight times the height by which its end fell."""
     rod = hf.Rope(length=[1.0], mass=[0.1], rest_angle=0.5, max_bend=0.3)
     run = hf.simulate(rod, duration=1.0, q0=[0.75])
@@ -40,12 +38,12 @@ def test_a_rod_that_falls_on_its_limit_stays_there() -> None:
     np.testing.assert_allclose(run.q[:30], free.q[:30], rtol=0, atol=1e-6)
 
 
-def test_a_fold_that_snaps_keeps_its_angular_momentum() -> None:
+def test_a_fold_that_snaps_keeps_its_angular_momentum():
     """Two links on a hinge, without weight: the impact leaves both turning as one, at L over the inertia of both."""
     rope = hf.Rope(length=[0.5, 0.3], mass=[0.1, 0.2], max_bend=[np.inf, 0.5], gravity=(0.0, 0.0))
     start, rates = np.array([0.0, 0.0]), np.array([1.0, 6.0])
 
-    def inertia(bend: float) -> np.ndarray:
+    def inertia(bend):
         cross = 0.2 * 0.5 * 0.15 * math.cos(bend)
         own = rope.inertia + rope.mass * rope.com**2
         return np.array([[own[0] + 0.2 * 0.25, cross], [cross, own[1]]])
@@ -64,7 +62,7 @@ def test_a_fold_that_snaps_keeps_its_angular_momentum() -> None:
 
 
 @pytest.mark.parametrize("n", [5, 20, 50])
-def test_a_chain_dropped_on_its_limits_loses_energy_and_passes_none(n: int) -> None:
+def test_a_chain_dropped_on_its_limits_loses_energy_and_passes_none(n):
     """From the horizontal, with joints that bend by as much as makes half a circle of all of it."""
     limit = np.append(1.2, np.full(n - 1, math.pi / (2.0 * n)))
     rope = hf.Rope.uniform(1.0, 0.06, n, friction=2e-4, max_bend=limit, rest_angle=np.append(0.9, np.zeros(n - 1)))
@@ -77,7 +75,7 @@ def test_a_chain_dropped_on_its_limits_loses_energy_and_passes_none(n: int) -> N
     assert run.attrs["contact_unsolved"] <= 0.005 * run.attrs["contact_steps"]
 
 
-def test_a_cast_with_limits_and_pegs_keeps_the_goals() -> None:
+def test_a_cast_with_limits_and_pegs_keeps_the_goals():
     cable = hf.Rope.uniform(2.0, 0.125, 25, 0.0025, friction=5e-4).with_bend_radius(0.08)
     start, peg = np.linspace(1.2, 2.0, 25), hf.Peg(0.3, -0.9, 0.03, 0.3)
     motion = hf.arm_swings(t_move=0.73, t_rest=0.53)
@@ -92,7 +90,7 @@ def test_a_cast_with_limits_and_pegs_keeps_the_goals() -> None:
     assert run.attrs["contact_unsolved"] <= 0.005 * run.attrs["contact_steps"]
 
 
-def test_limits_that_are_not_reached_change_nothing() -> None:
+def test_limits_that_are_not_reached_change_nothing():
     cable = hf.Rope.uniform(2.0, 0.125, 20, 0.0025, friction=5e-4)
     how = {"arm": hf.Arm(length=0.105), "duration": 3.0}
     free = hf.simulate(cable, hf.arm_swings(), **how)
@@ -104,7 +102,7 @@ def test_limits_that_are_not_reached_change_nothing() -> None:
     np.testing.assert_allclose(limited.joints, free.joints, rtol=0, atol=2e-6)
 
 
-def test_mujoco_agrees_with_two_links_on_their_limits() -> None:
+def test_mujoco_agrees_with_two_links_on_their_limits():
     """Its limits are springs and dampers: as stiff as they can be made, they bounce a little and give way a little."""
     mujoco = pytest.importorskip("mujoco")
     rope = hf.Rope(length=[0.4, 0.4], mass=[0.1, 0.1], friction=2e-3, max_bend=[0.9, 0.3])
@@ -127,7 +125,7 @@ def test_mujoco_agrees_with_two_links_on_their_limits() -> None:
     np.testing.assert_allclose(run.q, seen, rtol=0, atol=0.05)
 
 
-def test_a_bend_radius_stays_when_links_are_cut() -> None:
+def test_a_bend_radius_stays_when_links_are_cut():
     rope = hf.Rope.uniform(1.0, 0.06, 10).with_bend_radius(0.05)
     np.testing.assert_allclose(rope.max_bend[1:], 2.0 * math.atan(0.1 / 0.1), rtol=1e-14)
     fine = hf.refine_rope(rope, [hf.Peg(0.5, -0.5, 0.02)])
@@ -138,7 +136,7 @@ def test_a_bend_radius_stays_when_links_are_cut() -> None:
     assert fine.length[20] / (2.0 * math.tan(0.5 * fine.max_bend[20])) == pytest.approx(0.05, rel=1e-12)
 
 
-def test_a_batch_with_limits_is_the_runs_one_by_one() -> None:
+def test_a_batch_with_limits_is_the_runs_one_by_one():
     rope = hf.Rope.uniform(0.5, 0.03, 6, friction=1e-3, max_bend=np.append(np.inf, np.full(5, 0.2)))
     starts = np.array([np.full(6, 1.5), np.linspace(1.0, 1.8, 6)])
     batch = hf.simulate_batch(rope, duration=0.5, q0=starts, keep=("q",))
@@ -147,7 +145,7 @@ def test_a_batch_with_limits_is_the_runs_one_by_one() -> None:
         np.testing.assert_array_equal(run.q[-1], q[-1])
 
 
-def test_a_stepper_and_a_torque_callback_meet_limits_too() -> None:
+def test_a_stepper_and_a_torque_callback_meet_limits_too():
     rod = hf.Rope(length=[1.0], mass=[0.1], rest_angle=0.5, max_bend=0.3)
     setup = hf.Setup(rod, q0=[0.75], arm=hf.Arm(length=0.1))
     stepper = hf.Stepper(setup, command="acceleration")
@@ -164,7 +162,7 @@ def test_a_stepper_and_a_torque_callback_meet_limits_too() -> None:
         stepper.linearize(state, 0.0, dt=0.02)
 
 
-def test_what_knows_no_impacts_says_so() -> None:
+def test_what_knows_no_impacts_says_so():
     rod = hf.Rope(length=[1.0], mass=[0.1], max_bend=0.6)
     with pytest.raises(InvalidInput, match="joint 0 is bent"):
         hf.simulate(rod, duration=1.0, q0=[0.7])

@@ -1,7 +1,5 @@
 """The order of each integrator, measured, against the one it declares; and where the explicit one stops."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -31,7 +29,7 @@ def slope(steps: np.ndarray, errors: list[float]) -> float:
     return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
 
 
-def test_runge_kutta_has_order_four() -> None:
+def test_runge_kutta_has_order_four():
     want = exact(1.0)[:2]
     counts = np.array([100, 200, 400])
     runs = [hf.simulate(chain(), duration=1.0, q0=Q0, method="rk4", step=1.0 / k, t_eval=[1.0]) for k in counts]
@@ -72,7 +70,7 @@ COUNTS = {2: (24, 32, 48), 3: (32, 48, 64), 4: (24, 32, 48), 5: (24, 32, 48), 6:
 
 
 @pytest.mark.parametrize("order", COUNTS)
-def test_extrapolation_has_the_order_that_it_declares(order: int) -> None:
+def test_extrapolation_has_the_order_that_it_declares(order):
     duration = 0.5
     want = exact(duration)
     counts = np.array(COUNTS[order])
@@ -87,7 +85,7 @@ STEPS = {3: (0.02, 0.04), 5: (0.03, 0.06), 7: (0.06, 0.1)}
 
 @pytest.mark.parametrize("part", [0.2, 0.5, 0.9])
 @pytest.mark.parametrize("order", STEPS)
-def test_the_substeps_tell_the_course_of_a_step_to_its_order(order: int, part: float) -> None:
+def test_the_substeps_tell_the_course_of_a_step_to_its_order(order, part):
     steps = np.array(STEPS[order])
     errors = [float(np.abs(fixed_steps(order, 1, h, part) - exact(part * h)).max()) for h in steps]
     # One step errs in proportion to its length^(order + 1), at these steps from 0.8 below to 0.1 above.
@@ -99,7 +97,7 @@ def test_the_substeps_tell_the_course_of_a_step_to_its_order(order: int, part: f
     [({}, 1.5e-4), ({"friction": 5e-3}, 5e-4), ({"n_links": 120}, 2e-3), ({"stiffness": 0.1}, 5e-4)],
     ids=["paper's", "friction", "fine", "stiff"],
 )
-def test_outputs_within_steps_are_as_good_as_the_steps(changes: dict[str, float], torque: float) -> None:
+def test_outputs_within_steps_are_as_good_as_the_steps(changes, torque):
     """Also behind the arm's switches, where friction settles: there accelerations, and so torques, tell errors most."""
     t = np.linspace(0.0, 1.5, 1201)
     runs = [
@@ -110,7 +108,7 @@ def test_outputs_within_steps_are_as_good_as_the_steps(changes: dict[str, float]
     assert np.abs(runs[0].motor_torque - runs[1].motor_torque).max() < torque  # N m
 
 
-def test_the_error_follows_the_tolerance() -> None:
+def test_the_error_follows_the_tolerance():
     want = exact(2.0)[:2]
     errors = []
     for tol in (1e-4, 1e-6, 1e-8, 1e-10):
@@ -131,12 +129,12 @@ def cast_with(rope: hf.Rope, **how: object) -> hf.Trajectory:
 
 
 @pytest.mark.parametrize("n", [25, 50])
-def test_runge_kutta_refuses_a_step_beyond_its_limit_and_names_the_limit(n: int) -> None:
+def test_runge_kutta_refuses_a_step_beyond_its_limit_and_names_the_limit(n):
     rope = cable(n_links=n)
     known = 2.785 * rope.mass[0] * rope.length[0] ** 2 / (48 * 5e-4)  # the friction mode of neighbouring links
     with pytest.raises(InvalidInput, match="step is beyond the stability limit") as caught:
         cast_with(rope, method="rk4", step=1.1 * known)
-    named = float(re.search(r"at most ([\d.e+-]+) s", str(caught.value)).group(1))  # type: ignore[union-attr]
+    named = float(re.search(r"at most ([\d.e+-]+) s", str(caught.value)).group(1))
     # The formula is for many links; the ends of a finite chain and gravity move the limit by a few per cent.
     assert named == pytest.approx(known, rel=0.05)
     assert f"{1.1 * known}"[:8] in str(caught.value)
@@ -146,26 +144,22 @@ def test_runge_kutta_refuses_a_step_beyond_its_limit_and_names_the_limit(n: int)
     assert np.abs(just_inside.tip - right.tip).max() < 1e-6
 
 
-JOINTS = [
-    {"friction_model": "printed", "friction": 2e-3},
-    {"dry_friction": 1e-4},
-    {"stiffness": 0.1, "friction": 2e-3},
-]
+JOINTS = [{"friction_model": "printed", "friction": 2e-3}, {"dry_friction": 1e-4}, {"stiffness": 0.1, "friction": 2e-3}]
 
 
 @pytest.mark.parametrize("changes", JOINTS, ids=["printed", "dry", "stiff"])
-def test_the_limit_knows_of_every_joint_torque(changes: dict[str, object]) -> None:
+def test_the_limit_knows_of_every_joint_torque(changes):
     """Just inside the named limit each kind of joint is stable: the tip agrees with the method that has no limit."""
     rope = cable(n_links=20, **changes)
     with pytest.raises(InvalidInput) as caught:
         cast_with(rope, method="rk4", step=1.0)
-    named = float(re.search(r"at most ([\d.e+-]+) s", str(caught.value)).group(1))  # type: ignore[union-attr]
+    named = float(re.search(r"at most ([\d.e+-]+) s", str(caught.value)).group(1))
     run = cast_with(rope, method="rk4", step=0.9 * named)
     # The step is stable, not small: some micrometres. Beyond the limit the tip is off by a hundred millimetres.
     assert np.abs(run.tip - cast_with(rope, tol=1e-9).tip).max() < 1e-5
 
 
-def test_a_chain_without_any_torque_has_no_limit() -> None:
+def test_a_chain_without_any_torque_has_no_limit():
     """In free space nothing but inertia acts: every step is stable, and none is refused."""
     rope = hf.Rope(length=[0.5, 0.5], mass=[0.1, 0.1], gravity=(0.0, 0.0))
     run = hf.simulate(rope, duration=1.0, qd0=[0.1, 0.1], method="rk4", step=0.01, t_eval=[1.0])
@@ -174,7 +168,7 @@ def test_a_chain_without_any_torque_has_no_limit() -> None:
 
 
 @pytest.mark.parametrize("order", range(2, 13))
-def test_every_column_is_taken_once_and_the_rounds_are_few(order: int) -> None:
+def test_every_column_is_taken_once_and_the_rounds_are_few(order):
     table = scheme(order)
     taken = [int((table.column == j).sum()) for j in range(1, order + 1)]
     assert taken == list(range(1, order + 1))  # column j takes j substeps

@@ -1,7 +1,5 @@
 """One link is a pendulum: its period is known for every amplitude."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import ellipk
@@ -21,7 +19,7 @@ def period(rope: hf.Rope, amplitude: float, expected: float) -> float:
 
 
 @pytest.mark.parametrize("amplitude", [1e-3, 1.0, 2.5, 3.1])
-def test_period_of_a_rod_is_the_elliptic_integral(amplitude: float) -> None:
+def test_period_of_a_rod_is_the_elliptic_integral(amplitude):
     rope = hf.Rope(length=[1.0], mass=[0.3], com=[0.4], inertia=[0.02])
     omega = np.sqrt(0.3 * 9.81 * 0.4 / (0.02 + 0.3 * 0.4**2))
     exact = 4.0 / omega * ellipk(np.sin(amplitude / 2) ** 2)
@@ -30,13 +28,13 @@ def test_period_of_a_rod_is_the_elliptic_integral(amplitude: float) -> None:
 
 
 @pytest.mark.parametrize("amplitude", [0.5, 2.9])
-def test_a_tip_mass_on_a_massless_link_is_the_mathematical_pendulum(amplitude: float) -> None:
+def test_a_tip_mass_on_a_massless_link_is_the_mathematical_pendulum(amplitude):
     rope = hf.Rope(length=[0.7], mass=[0.0], tip_mass=0.2)
     exact = 4.0 * np.sqrt(0.7 / 9.81) * ellipk(np.sin(amplitude / 2) ** 2)
     assert period(rope, amplitude, exact) == pytest.approx(exact, rel=1e-8)
 
 
-def test_gravity_may_point_anywhere() -> None:
+def test_gravity_may_point_anywhere():
     """Turned gravity turns the rest position; the period stays."""
     rope = hf.Rope(length=[0.7], mass=[0.0], tip_mass=0.2, gravity=(9.81 * np.sin(2.0), -9.81 * np.cos(2.0)))
     exact = 4.0 * np.sqrt(0.7 / 9.81) * ellipk(np.sin(0.45) ** 2)
@@ -46,7 +44,7 @@ def test_gravity_may_point_anywhere() -> None:
     np.testing.assert_allclose(run.q[:, 0], [2.0, 2.9], rtol=0, atol=1e-7)
 
 
-def test_damped_small_swing_is_the_damped_oscillator() -> None:
+def test_damped_small_swing_is_the_damped_oscillator():
     inertia, eta = 0.25 * 0.3 + 0.02, 0.05
     rope = hf.Rope(length=[1.0], mass=[0.3], com=[0.5], inertia=[0.02], friction=[eta])
     decay, omega0 = eta / inertia / 2, np.sqrt(0.3 * 9.81 * 0.5 / inertia)

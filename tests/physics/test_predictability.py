@@ -1,7 +1,5 @@
 """How fast small errors grow: closed forms, and the same question put to the dense equations of motion."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -18,7 +16,7 @@ RODS = hf.Rope(length=[0.5, 0.4], mass=[0.2, 0.1])
 HIGH = np.array([2.0, 2.5])
 
 
-def test_a_rod_that_stands_on_its_head_falls_at_the_rate_of_its_saddle() -> None:
+def test_a_rod_that_stands_on_its_head_falls_at_the_rate_of_its_saddle():
     found = hf.predictability(ROD, duration=3.0, q0=[np.pi])
     exact = math.sqrt(MASS * 9.81 * COM / ABOUT_JOINT)
     # From 1 s on the falling part is e^(2 * 4.2) = 4000 times the other.
@@ -26,7 +24,7 @@ def test_a_rod_that_stands_on_its_head_falls_at_the_rate_of_its_saddle() -> None
     assert found.growth[-1] == pytest.approx(0.5 * math.exp(exact * 3.0), rel=1.0)  # at most twice, from both halves
 
 
-def test_a_damped_pendulum_forgets() -> None:
+def test_a_damped_pendulum_forgets():
     eta = 0.05
     decay = eta / ABOUT_JOINT / 2.0
     period = 2.0 * np.pi / math.sqrt(MASS * 9.81 * COM / ABOUT_JOINT - decay**2)
@@ -38,11 +36,11 @@ def test_a_damped_pendulum_forgets() -> None:
     assert found.horizon(1e-3) == math.inf
 
 
-def test_growth_is_that_of_the_dense_equations() -> None:
+def test_growth_is_that_of_the_dense_equations():
     """Nudge each angle and rate alone in Dormand and Prince's method; put the same random nudges together from that."""
     rope, start, tiny, duration = RODS, np.concatenate([HIGH, np.zeros(2)]), 1e-6, 1.5
 
-    def end(state: np.ndarray) -> np.ndarray:
+    def end(state):
         return cast(links_of(rope), 0.0, still(duration), state[:2], state[2:], tol=1e-12)[-1]
 
     straight = end(start)
@@ -56,7 +54,7 @@ def test_growth_is_that_of_the_dense_equations() -> None:
         assert found.displacement[m, -1] == pytest.approx(moved, rel=1e-4)
 
 
-def test_long_chaos_neither_saturates_nor_stops() -> None:
+def test_long_chaos_neither_saturates_nor_stops():
     """Over 20 s errors grow more than any run could show at once; each half grows at about the rate of the whole."""
     found = hf.predictability(RODS, duration=20.0, q0=HIGH)
     assert found.growth[-1] > 1e8
@@ -65,7 +63,7 @@ def test_long_chaos_neither_saturates_nor_stops() -> None:
 
 
 @pytest.mark.parametrize("late", [0.0, 0.5, 0.9])
-def test_an_error_of_tol_stays_within_bounds_up_to_the_horizon(late: float) -> None:
+def test_an_error_of_tol_stays_within_bounds_up_to_the_horizon(late):
     tol, allowed = 1e-6, 1e-4
     horizon = hf.predictability(RODS, duration=4.0, q0=HIGH, tol=tol).horizon(allowed)
     assert 0.9 < horizon < 4.0
@@ -81,7 +79,7 @@ def test_an_error_of_tol_stays_within_bounds_up_to_the_horizon(late: float) -> N
 
 
 @pytest.mark.parametrize(("friction", "tame"), [(5e-4, True), (0.0, False)])
-def test_friction_makes_the_papers_cast_predictable(friction: float, tame: bool) -> None:
+def test_friction_makes_the_papers_cast_predictable(friction, tame):
     cable = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=friction)
     found = hf.predictability(cable, hf.arm_swings(), arm=hf.Arm(length=0.105), duration=6.0)
     # Measured: 6 with friction, over 15 s; without it more than 1e6 in 5 s. The bounds are far from both.
@@ -90,7 +88,7 @@ def test_friction_makes_the_papers_cast_predictable(friction: float, tame: bool)
     assert (found.horizon(1e-3) == math.inf) == tame
 
 
-def test_errors_made_late_count_as_well() -> None:
+def test_errors_made_late_count_as_well():
     """A nudge that first shrinks to a tenth and then grows again: whatever is made in between grows eightfold."""
     found = hf.Predictability(np.array([0.0, 1.0, 2.0]), np.array([[1.0, 0.1, 1.0]]), np.array([[1.0, 0.1, 0.8]]), 1e-3)
     np.testing.assert_allclose(found.growth, [1.0, 0.1, 0.8], rtol=1e-15)
@@ -100,7 +98,7 @@ def test_errors_made_late_count_as_well() -> None:
     assert found.exponent(1.0) == pytest.approx(math.log(10.0), rel=1e-12)
 
 
-def test_horizons_grow_with_what_is_allowed() -> None:
+def test_horizons_grow_with_what_is_allowed():
     found = hf.predictability(RODS, duration=3.0, q0=HIGH, tol=1e-5)
     horizons = [found.horizon(allowed) for allowed in (1e-6, 1e-5, 1e-4, 1e-3, 1e6)]
     assert horizons == sorted(horizons)
@@ -108,7 +106,7 @@ def test_horizons_grow_with_what_is_allowed() -> None:
     assert horizons[-1] == math.inf
 
 
-def test_a_torque_driven_arm_is_a_link_like_any_other() -> None:
+def test_a_torque_driven_arm_is_a_link_like_any_other():
     arm = hf.Arm(length=0.5, inertia=0.2 * 0.5**2 / 12, mass=0.2, com=0.25)
     rope = hf.Rope(length=[0.4], mass=[0.1])
     setup = hf.Setup(rope, arm=arm, torque=hf.torque_profile([0.0, 1.0], [0.0, 0.0]), arm_angle0=2.0, q0=[2.5])
@@ -119,7 +117,7 @@ def test_a_torque_driven_arm_is_a_link_like_any_other() -> None:
     assert driven.growth[-1] > 20.0
 
 
-def test_what_cannot_be_measured_is_refused() -> None:
+def test_what_cannot_be_measured_is_refused():
     setup = hf.Setup(ROD, duration=1.0)
     with pytest.raises(InvalidInput, match="duration is missing"):
         hf.predictability(ROD)

@@ -1,7 +1,5 @@
 """Some of the ropes of benchmarks/robustness.py, those of few links: each keeps its tolerance, and none fails."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.reference.judging import drift, judge
@@ -12,7 +10,7 @@ MOST_LINKS = 25
 
 
 @pytest.mark.parametrize("number", range(COUNT))
-def test_a_random_rope_keeps_its_tolerance(number: int) -> None:
+def test_a_random_rope_keeps_its_tolerance(number):
     case = draw(2, number, MOST_LINKS)
     verdict = judge(case.setup, number)
     # `promise` is the error in units of 3 tol (1 + t / 20 ms) growth, see judging.py: no more than 1 is accurate.
@@ -20,7 +18,7 @@ def test_a_random_rope_keeps_its_tolerance(number: int) -> None:
 
 
 @pytest.mark.parametrize("number", [12, 180, 301, 332])
-def test_a_rope_that_went_wrong_once_keeps_its_tolerance(number: int) -> None:
+def test_a_rope_that_went_wrong_once_keeps_its_tolerance(number):
     """Printed friction whose modes were not found (12, 180), ties of rounding (301), a turn within a step (332)."""
     case = draw(1, number)
     verdict = judge(case.setup, number)

@@ -1,7 +1,5 @@
 """Stop, save, read, go on: the same numbers, to the last bit, as if nothing had happened."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +43,7 @@ STOPS = [STOP, 0.73, 0.7301, 2.4999, np.nextafter(0.73, 0.0), np.nextafter(0.73,
 @pytest.mark.parametrize("dry", [0.0, 2e-3], ids=["viscous", "dry"])
 @pytest.mark.parametrize("how", METHODS, ids=["coarse", "fine", "rk4"])
 @pytest.mark.parametrize("stop", STOPS)
-def test_continuing_the_same_motion(tmp_path: Path, stop: float, how: dict[str, Any], dry: float) -> None:
+def test_continuing_the_same_motion(tmp_path, stop, how, dry):
     late = LATE[1:] if stop < 2.0 else np.array([END])
     rope = cable(dry_friction=dry)  # with 2 mN m some joints stick, and others come loose, all the time
     whole = hf.simulate(rope, hf.arm_swings(), arm=ARM, duration=END, t_eval=late, **how)
@@ -55,7 +53,7 @@ def test_continuing_the_same_motion(tmp_path: Path, stop: float, how: dict[str, 
     same(second, whole)
 
 
-def test_stopping_again_and_again() -> None:
+def test_stopping_again_and_again():
     whole = hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=END, t_eval=[END])
     state = None
     for stop in (0.3, 0.31, 1.0, 1.7, END):
@@ -66,7 +64,7 @@ def test_stopping_again_and_again() -> None:
     np.testing.assert_array_equal(run.motor_work, whole.motor_work)
 
 
-def test_going_on_with_another_motion_is_the_joined_motion(tmp_path: Path) -> None:
+def test_going_on_with_another_motion_is_the_joined_motion(tmp_path):
     """The second motion begins where the first is left, at a break of its own, so both readings are the same pieces."""
     first = hf.arm_swings()
     angle = float(first.angle(STOP))
@@ -78,7 +76,7 @@ def test_going_on_with_another_motion_is_the_joined_motion(tmp_path: Path) -> No
     same(rest, whole)
 
 
-def test_a_joined_motion_in_the_middle_of_a_piece_is_the_same_function_of_time() -> None:
+def test_a_joined_motion_in_the_middle_of_a_piece_is_the_same_function_of_time():
     """Here the pieces are expanded about another instant, so bits differ, and no more than bits."""
     first, second = hf.hold_arm(-np.pi / 2), hf.arm_swings().shifted(0.4)
     whole = hf.simulate(cable(), first.then(second, at=0.2), arm=ARM, duration=END, t_eval=LATE, tol=1e-8)
@@ -87,7 +85,7 @@ def test_a_joined_motion_in_the_middle_of_a_piece_is_the_same_function_of_time()
     np.testing.assert_allclose(whole.q, plain.q, rtol=0, atol=1e-5)
 
 
-def test_a_state_made_by_hand_is_where_the_run_starts() -> None:
+def test_a_state_made_by_hand_is_where_the_run_starts():
     q, qd = np.linspace(0.1, 0.4, 12), np.linspace(-1.0, 1.0, 12)
     by_state = hf.simulate(cable(), duration=1.0, state=hf.State(t=3.0, q=q, qd=qd), t_eval=[3.0, 4.0])
     by_start = hf.simulate(cable(), duration=1.0, q0=q, qd0=qd, t_eval=[0.0, 1.0])
@@ -96,13 +94,13 @@ def test_a_state_made_by_hand_is_where_the_run_starts() -> None:
     np.testing.assert_array_equal(by_state.t, [3.0, 4.0])
 
 
-def test_the_same_call_gives_the_same_bits() -> None:
+def test_the_same_call_gives_the_same_bits():
     runs = [hf.simulate(cable(), hf.arm_swings(), arm=ARM, duration=END) for _ in range(2)]
     same(runs[0], runs[1])
 
 
 @pytest.mark.parametrize("dry", [0.0, 2e-3], ids=["viscous", "dry"])
-def test_looking_up_between_steps_leaves_no_trace(dry: float) -> None:
+def test_looking_up_between_steps_leaves_no_trace(dry):
     """A run may be told to return after every step; the mark to go on from must not depend on it."""
     setup = hf.Setup(cable(dry_friction=dry), hf.arm_swings(), ARM, tol=1e-7)
     for stop in np.linspace(0.05, 1.5, 59):  # some of these ends cut a step that is then refused and tried shorter
@@ -122,7 +120,7 @@ def test_looking_up_between_steps_leaves_no_trace(dry: float) -> None:
 
 @pytest.mark.parametrize("t_move", [0.7, 0.61])
 @pytest.mark.parametrize("t_rest", [0.4, 0.0, 0.13])
-def test_swings_go_on_for_many_cycles(t_move: float, t_rest: float) -> None:
+def test_swings_go_on_for_many_cycles(t_move, t_rest):
     """A cycle's end, as a product and as a sum, is not the same number: the run must pass it all the same."""
     rope = hf.Rope(length=[0.5], mass=[0.1], friction=1e-2)
     motion = hf.arm_swings(t_move, t_rest, "minimum-jerk")
@@ -130,10 +128,10 @@ def test_swings_go_on_for_many_cycles(t_move: float, t_rest: float) -> None:
     np.testing.assert_allclose(run.arm_angle, motion.angle([50.0, 100.0]), rtol=0, atol=1e-12)
 
 
-def test_an_interrupted_run_goes_on_from_where_it_stood() -> None:
+def test_an_interrupted_run_goes_on_from_where_it_stood():
     """Ctrl-C, then on: the state must be that of the run, not the one that it began with."""
 
-    def control(t: float, *_state: object) -> float:
+    def control(t, *_state):
         if t >= stop_at[0]:
             raise KeyboardInterrupt
         return 0.03 * np.sin(5 * t)
@@ -153,7 +151,7 @@ def test_an_interrupted_run_goes_on_from_where_it_stood() -> None:
     np.testing.assert_allclose(rest.motor_work, whole.motor_work, rtol=0, atol=1e-10)
 
 
-def test_the_fast_door_gives_the_angles_of_the_whole_run() -> None:
+def test_the_fast_door_gives_the_angles_of_the_whole_run():
     """`angles` starts at its first time, wherever the motion is then."""
     q, qd = np.linspace(0.1, 0.4, 12), np.linspace(-1.0, 1.0, 12)
     t = np.array([0.9, 1.3, 1.31, 2.2])

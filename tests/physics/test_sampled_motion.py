@@ -1,7 +1,5 @@
 """A motion through samples is smooth to the eye only: between two of them it is another polynomial."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -23,7 +21,7 @@ MOTIONS = {
 
 @pytest.mark.parametrize("name", MOTIONS)
 @pytest.mark.parametrize("tol", [1e-5, 1e-7])
-def test_steps_do_not_run_across_samples(name: str, tol: float) -> None:
+def test_steps_do_not_run_across_samples(name, tol):
     motion, arm = MOTIONS[name]
     how = {"arm": arm, "duration": 1.5, "t_eval": [0.5, 1.0, 1.5]}
     run = hf.simulate(ROPE, motion, tol=tol, **how)

@@ -1,7 +1,5 @@
 """Pegs that turn against closed forms and an equation of motion of one angle: capstan, Atwood's machine, bearings."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -38,7 +36,7 @@ def rise(values: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("sense", "ratio"), [(1.0, math.exp(0.2 * math.pi)), (-1.0, math.exp(-0.2 * math.pi))])
-def test_a_rope_brakes_a_spinning_peg_as_the_capstan_law_says(sense: float, ratio: float) -> None:
+def test_a_rope_brakes_a_spinning_peg_as_the_capstan_law_says(sense, ratio):
     """The weight keeps its pull T, the other end bears T exp(+-mu pi); their difference stops the peg."""
     rope, peg, q0 = hung(inertia=1e-4)
     spun = hf.State(0.0, q0, np.zeros(rope.n_links), peg_rate=[40.0 * sense])
@@ -82,7 +80,7 @@ def fall(inertia: float, moved: float, times: np.ndarray) -> np.ndarray:
     return np.array([slope(angle) * rate / AXIS for angle, rate in zip(*path.y, strict=True)])
 
 
-def test_atwoods_machine() -> None:
+def test_atwoods_machine():
     """The weight falls as an equation of one angle says, in which the peg counts with I / R^2."""
     moved = 0.5 * WEIGHT * ARM**2
     rope, peg, q0 = hung(mu=1.0, inertia=DISC)
@@ -116,7 +114,7 @@ def pull_of(run: hf.Trajectory) -> float:
 
 
 @pytest.mark.parametrize("inertia", [1e-9, 0.2 * DISC])
-def test_tension_on_both_sides_of_a_free_peg(inertia: float) -> None:
+def test_tension_on_both_sides_of_a_free_peg(inertia):
     """No friction holds: the sides differ by what the peg's own acceleration takes, next to nothing for a light one."""
     run, peg = pulled({"inertia": inertia})
     after, pull = WEIGHT * (GRAVITY + 2.0), WEIGHT * (GRAVITY + 2.0) + inertia * 2.0 / RADIUS**2
@@ -129,7 +127,7 @@ def test_tension_on_both_sides_of_a_free_peg(inertia: float) -> None:
     assert run.peg_rate[-1, 0] == pytest.approx(-2.0 * 0.16 / RADIUS, rel=0.01)
 
 
-def test_a_peg_too_heavy_to_turn_is_a_fixed_one() -> None:
+def test_a_peg_too_heavy_to_turn_is_a_fixed_one():
     fixed, heavy = pulled({})[0], pulled({"inertia": 1e6})[0]
     assert fixed.peg_rate is None
     # The peg turns by 1e-9 rad; the runs take the same steps, and the rope slips on both alike.
@@ -140,7 +138,7 @@ def test_a_peg_too_heavy_to_turn_is_a_fixed_one() -> None:
 
 
 @pytest.mark.parametrize("where", ["far", "touching"])
-def test_a_bearing_slows_a_peg_by_the_exponential(where: str) -> None:
+def test_a_bearing_slows_a_peg_by_the_exponential(where):
     """Without friction on the rope, in flight and in contact alike; what is lost is what the peg had."""
     rope, peg, q0 = hung(mu=0.0, inertia=1e-4, bearing=2e-3)
     if where == "far":
@@ -158,7 +156,7 @@ def test_a_bearing_slows_a_peg_by_the_exponential(where: str) -> None:
 
 
 @pytest.mark.parametrize("bearing", [0.0, 2e-5])
-def test_energy_never_grows_where_a_cable_falls_on_pulleys(bearing: float) -> None:
+def test_energy_never_grows_where_a_cable_falls_on_pulleys(bearing):
     cable = hf.Rope.uniform(length=0.7, mass=0.044, n_links=18, radius=0.0025, friction=1e-3, tip_mass=0.02)
     pegs = [hf.Peg(x, y, 0.03, 0.5, inertia=2e-6, bearing=bearing) for x, y in ((0.0, -0.3), (0.12, -0.45))]
     wall = hf.Wall(-0.5, -2.0, 0.5, -2.0)
@@ -177,7 +175,7 @@ def writable(values: tuple[object, ...]) -> list[object]:
 
 
 @pytest.mark.parametrize("h", [0.0, 1e-4])
-def test_a_peg_takes_the_angular_momentum_that_contacts_give_it(h: float) -> None:
+def test_a_peg_takes_the_angular_momentum_that_contacts_give_it(h):
     """In one step, to rounding; and what sticks has the velocity of the peg."""
     rope, peg, q0 = hung(mu=0.3, inertia=1e-4)
     still = hf.moving_pivot([0.0, 1.0], [-AXIS, -AXIS], [TOP, TOP])

@@ -1,7 +1,5 @@
 """Fast undamped vibration: hundreds of short steps, whose errors last, must not add up to more than `tol` allows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +14,7 @@ START = np.sin(2.1 * np.arange(1, N + 1))
 
 @pytest.mark.parametrize(("stiffness", "size"), [(5.0, 0.05), (50.0, 0.1)])
 @pytest.mark.parametrize("tol", [1e-5, 1e-6])
-def test_errors_of_short_steps_do_not_add_up(stiffness: float, size: float, tol: float) -> None:
+def test_errors_of_short_steps_do_not_add_up(stiffness, size, tol):
     rope = hf.Rope.uniform(length=0.3, mass=0.1, n_links=N, stiffness=stiffness)
     how = {"duration": DURATION, "q0": size * START, "t_eval": np.linspace(0.01, DURATION, 10)}
     truth = hf.simulate(rope, tol=tol / 300, **how)
@@ -27,7 +25,7 @@ def test_errors_of_short_steps_do_not_add_up(stiffness: float, size: float, tol:
     assert np.linalg.norm(batch.tip[0] - truth.tip, axis=1).max() < bound
 
 
-def test_friction_that_settles_at_once_is_no_hindrance_at_a_tight_tolerance() -> None:
+def test_friction_that_settles_at_once_is_no_hindrance_at_a_tight_tolerance():
     """Relative rates die within a microsecond: there the share of `tol` that a step may err by is below rounding."""
     setup = replace(draw(1, 9).setup, duration=0.1)  # 48 tapered links, up to 4 eta / J = 3e7 /s
     run, fine = (hf.simulate(replace(setup, tol=tol), t_eval=[0.05, 0.1]) for tol in (1e-8, 1e-9))

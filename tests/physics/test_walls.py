@@ -1,7 +1,5 @@
 """Straight obstacles against closed forms: a rope on a floor, a bouncing rod, a wall's end, and a slit."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -13,7 +11,7 @@ from hyperflex.errors import InvalidInput
 RADIUS = 0.0025  # m, of the ropes here
 
 
-def test_a_rope_comes_to_rest_on_the_floor() -> None:
+def test_a_rope_comes_to_rest_on_the_floor():
     rope = hf.Rope.uniform(0.6, 0.06, 15, RADIUS, friction=5e-3)
     floor = hf.Ground(0.0, -0.3, mu=0.5)
     run = hf.simulate(rope, duration=4.0, q0=np.full(15, 1.6), pegs=[floor], tol=1e-3, contact_step=1e-3)
@@ -26,7 +24,7 @@ def test_a_rope_comes_to_rest_on_the_floor() -> None:
 
 
 @pytest.mark.parametrize("e", [0.0, 0.5, 1.0])
-def test_a_rod_bounces_as_its_restitution_says(e: float) -> None:
+def test_a_rod_bounces_as_its_restitution_says(e):
     """A rod without weight swings against a wall at its end: it comes back with e times the rate."""
     rod = hf.Rope(length=[0.5], mass=[0.05], radius=RADIUS, gravity=(0.0, 0.0))
     wall = hf.Wall(0.3, -1.0, 0.3, 1.0, mu=0.0, restitution=e)
@@ -41,7 +39,7 @@ def test_a_rod_bounces_as_its_restitution_says(e: float) -> None:
 
 
 @pytest.mark.parametrize(("rate", "back"), [(0.11, 0.0), (0.14, -0.07)])
-def test_with_long_steps_what_closes_slowly_does_not_bounce(rate: float, back: float) -> None:
+def test_with_long_steps_what_closes_slowly_does_not_bounce(rate, back):
     """At 1 ms the limit is 50 mm/s; the rod's end closes at 44 and at 56 mm/s."""
     rod = hf.Rope(length=[0.5], mass=[0.05], radius=RADIUS, gravity=(0.0, 0.0))
     wall = hf.Wall(0.3, -1.0, 0.3, 1.0, mu=0.0, restitution=0.5)
@@ -49,7 +47,7 @@ def test_with_long_steps_what_closes_slowly_does_not_bounce(rate: float, back: f
     assert run.qd[-1, 0] == pytest.approx(back, abs=5e-3)  # pushed out at a millimetre a second at most
 
 
-def test_a_bouncing_rope_gains_no_energy() -> None:
+def test_a_bouncing_rope_gains_no_energy():
     rope = hf.Rope.uniform(0.6, 0.06, 12, RADIUS, friction=1e-3)
     floor, peg = hf.Ground(0.0, -0.35, mu=0.4, restitution=0.8), hf.Peg(0.2, -0.2, 0.03, 0.4, restitution=0.8)
     run = hf.simulate(rope, duration=0.6, q0=np.full(12, 1.9), pegs=[floor, peg], refine=False)
@@ -58,7 +56,7 @@ def test_a_bouncing_rope_gains_no_energy() -> None:
     assert run.attrs["contact_impacts"] > 5
 
 
-def test_a_rope_hangs_over_the_end_of_a_wall() -> None:
+def test_a_rope_hangs_over_the_end_of_a_wall():
     """The end of a wall is round, of the rope's own radius: nothing goes through it, and it holds the rope up."""
     rope = hf.Rope.uniform(0.6, 0.06, 30, RADIUS, friction=5e-3)
     wall = hf.Wall(0.15, -1.0, 0.15, -0.1, mu=0.3)
@@ -73,7 +71,7 @@ def test_a_rope_hangs_over_the_end_of_a_wall() -> None:
     assert run.attrs["contact_deepest"] < 2e-4
 
 
-def test_a_rope_slides_to_and_fro_on_a_floor_without_friction() -> None:
+def test_a_rope_slides_to_and_fro_on_a_floor_without_friction():
     """Which way it slid before is of no account: a few steps more than with next to no friction, and none unsolved."""
     rope, how = hf.Rope.uniform(0.6, 0.06, 15, RADIUS, friction=1e-3), {"q0": np.full(15, 1.6), "duration": 2.0}
     facts = []
@@ -86,7 +84,7 @@ def test_a_rope_slides_to_and_fro_on_a_floor_without_friction() -> None:
     assert facts[0]["contact_steps"] < 1.5 * facts[1]["contact_steps"]
 
 
-def test_a_fast_rope_does_not_pass_a_wall() -> None:
+def test_a_fast_rope_does_not_pass_a_wall():
     rod = hf.Rope(length=[1.0], mass=[0.05], radius=RADIUS, gravity=(0.0, 0.0))
     wall = hf.Wall(0.6, -0.9, 0.6, -0.5, mu=0.0)
     run = hf.simulate(rod, duration=0.1, q0=[0.0], qd0=[50.0], pegs=[wall])
@@ -103,12 +101,12 @@ def test_a_fast_rope_does_not_pass_a_wall() -> None:
         (lambda: hf.Peg(0.0, 0.0, 0.1, restitution=1.5), "peg restitution is too large"),
     ],
 )
-def test_bad_obstacles_are_refused(make: object, words: str) -> None:
+def test_bad_obstacles_are_refused(make, words):
     with pytest.raises(InvalidInput, match=words):
-        make()  # type: ignore[operator]
+        make()
 
 
-def test_obstacles_survive_their_file() -> None:
+def test_obstacles_survive_their_file():
     obstacles = [
         hf.Peg(0.5, 0.0, 0.02, 0.2, 0.1),
         hf.Wall(0.0, 1.0, 2.0, 3.0, 0.4, 0.5),

@@ -1,7 +1,5 @@
 """A throw that is known to wind: what tests of tables, report and commands show, without a search."""
 
-from __future__ import annotations
-
 import functools
 import time
 

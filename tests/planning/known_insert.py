@@ -1,7 +1,5 @@
 """An insertion that is known to succeed, for tests of files, reports and commands: it needs no search."""
 
-from __future__ import annotations
-
 import functools
 import math
 

@@ -1,7 +1,5 @@
 """A whip that is known to meet its target, for tests of tables, reports and commands: it needs no search."""
 
-from __future__ import annotations
-
 import functools
 import math
 
@@ -9,15 +7,7 @@ import numpy as np
 
 import hyperflex as hf
 from hyperflex.budget import Budget
-from hyperflex.planning import (
-    MotorLimits,
-    Moves,
-    Problem,
-    TipFeasibility,
-    TipTarget,
-    WhipPlan,
-    plan_whip,
-)
+from hyperflex.planning import MotorLimits, Moves, Problem, TipFeasibility, TipTarget, WhipPlan, plan_whip
 from hyperflex.planning.tasks.tip import Aim
 from hyperflex.planning.tasks.whip import WhipTask, verify_whip
 
@@ -35,7 +25,7 @@ def planned_whip(meets: bool = True, any_direction: bool = False) -> WhipPlan:
     assert peak is not None
     place = peak.place + ([0.0004, 0.0003] if meets else [0.018, 0.024])
     direction = None if any_direction else float(np.arctan2(*peak.velocity[::-1])) + 0.1
-    target = TipTarget(*place, direction=direction, least_speed=0.9 * peak.speed, angle_tolerance=0.3)  # type: ignore[arg-type]
+    target = TipTarget(*place, direction=direction, least_speed=0.9 * peak.speed, angle_tolerance=0.3)
     aim = Aim(MOVES, 1.0, peak.t, residuals=np.zeros(2), place=place, std=0.004)
     found = WhipTask(problem, target).verify(aim, Budget(math.inf))
     known = TipFeasibility(float(np.hypot(*place)), 0.01, "")

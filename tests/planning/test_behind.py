@@ -1,9 +1,6 @@
 """Casts behind pegs: the rope's way from the arm to its target, strikes on these pegs, files, and a planned cast."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -37,7 +34,7 @@ def laid(*pegs: hf.Peg, target: hf.Peg) -> tuple[bool, ...]:
     return runs_behind(ROD, target, pegs, STRAIGHT[0], ROD.joints(*STRAIGHT))
 
 
-def test_a_rope_runs_behind_what_it_touches_between_arm_and_target() -> None:
+def test_a_rope_runs_behind_what_it_touches_between_arm_and_target():
     assert laid(beside(0.3), target=beside(0.7)) == (True,)
     assert laid(beside(0.7), target=beside(0.3)) == (False,)  # beyond the target
     assert laid(beside(0.3, gap=0.001), target=beside(0.7)) == (False,)
@@ -45,12 +42,12 @@ def test_a_rope_runs_behind_what_it_touches_between_arm_and_target() -> None:
     assert laid(target=beside(0.7)) == ()
 
 
-def test_the_place_along_the_rope_counts_within_a_link_too() -> None:
+def test_the_place_along_the_rope_counts_within_a_link_too():
     assert laid(beside(0.45), target=beside(0.55)) == (True,)  # both beside the third link
     assert laid(beside(0.55), target=beside(0.45)) == (False,)
 
 
-def test_a_touch_that_does_not_last_is_none() -> None:
+def test_a_touch_that_does_not_last_is_none():
     q = np.zeros((3, 5))
     q[1] = -0.01  # away from the peg
     joints = ROD.joints(q, np.zeros((3, 2)))
@@ -60,10 +57,10 @@ def test_a_touch_that_does_not_last_is_none() -> None:
     assert gaps[1] == pytest.approx(0.3 * 0.01, rel=0.2)  # where the target is not touched, the way ends at the tip
 
 
-def test_a_cast_that_does_not_run_behind_a_peg_fails_and_says_which() -> None:
+def test_a_cast_that_does_not_run_behind_a_peg_fails_and_says_which():
     run = planned().run
     assert run is not None
-    stop = float(planned().motion.breaks[-1])  # type: ignore[union-attr]
+    stop = float(planned().motion.breaks[-1])
     taut = run.joints[-1, 0] + 0.5 * (np.array([PEG.x, PEG.y]) - run.joints[-1, 0])
     lies = run.joints[-1][np.hypot(*(run.joints[-1] - taut).T).argmin()]
     for aside, behind in ((0.0, True), (0.1, False)):  # m; the rope sways by 1 cm
@@ -75,14 +72,14 @@ def test_a_cast_that_does_not_run_behind_a_peg_fails_and_says_which() -> None:
         assert seen.message == ("" if behind else f"the rope does not run behind the peg at {place}")
 
 
-def test_pegs_to_run_behind_are_simulated_and_links_cut_near_them() -> None:
+def test_pegs_to_run_behind_are_simulated_and_links_cut_near_them():
     before = hf.Peg(-0.4, -0.5, 0.01)
     setup = verified_setup(replace(problem(), criteria=hf.WindCriteria(behind=[before])), hf.hold_arm(0.0), 1.0, (PEG,))
     assert setup.pegs == (PEG, before)
     assert setup.rope.n_links > verified_setup(problem(), hf.hold_arm(0.0), 1.0, (PEG,)).rope.n_links
 
 
-def test_a_swing_strikes_the_peg_that_it_meets_first() -> None:
+def test_a_swing_strikes_the_peg_that_it_meets_first():
     free = simulated_strikes(problem(), PEG, [WINDS])
     before, never = hf.Peg(0.5 * PEG.x, 0.5 * PEG.y, 0.03), hf.Peg(0.0, 1.9, 0.03)
     alone = simulated_strikes(problem(), before, [WINDS])
@@ -95,7 +92,7 @@ def test_a_swing_strikes_the_peg_that_it_meets_first() -> None:
     assert (same.t[0], same.score[0]) == (free.t[0], free.score[0])
 
 
-def test_turns_of_a_throw_that_misses_a_peg_do_not_count() -> None:
+def test_turns_of_a_throw_that_misses_a_peg_do_not_count():
     free = simulated_strikes(problem(), PEG, [WINDS])
     motion = WINDS.motion(problem().limits).shifted(-free.t[0])
     one = RolloutBatch([CABLE], [PEG], [motion], free.q, free.qd)
@@ -113,14 +110,14 @@ def test_turns_of_a_throw_that_misses_a_peg_do_not_count() -> None:
 
 
 @pytest.mark.parametrize("asked", [("whip", "--target", -0.5, -0.7), ("insert", "--slot", -0.5, -0.7)])
-def test_commands_that_do_not_know_these_pegs_refuse_them(asked: tuple[object, ...], tmp_path: Path, capsys) -> None:
+def test_commands_that_do_not_know_these_pegs_refuse_them(asked, tmp_path, capsys):
     path = tmp_path / "setup.toml"
     path.write_text(hf.Setup(CORD, arm=ARM).dumps() + "\n[behind]\nx = -0.25\ny = -0.35\nradius = 0.03\n", "utf-8")
     assert run([str(each) for each in (*asked, path, "--output", tmp_path / "out")]) == 2
     assert "takes no pegs that the rope is to run behind" in " ".join(capsys.readouterr().err.split())
 
 
-def test_pegs_to_run_behind_go_with_a_plan_through_its_files(tmp_path: Path) -> None:
+def test_pegs_to_run_behind_go_with_a_plan_through_its_files(tmp_path):
     pegs = (BEFORE, hf.Peg(-0.4, -0.5, 0.01, 0.2))
     known = replace(
         planned(), problem=replace(problem(), criteria=hf.WindCriteria(behind=pegs), obstacles=[hf.Ground(0.0, -2.5)])
@@ -140,7 +137,7 @@ def test_pegs_to_run_behind_go_with_a_plan_through_its_files(tmp_path: Path) -> 
     assert "on its way from the arm to the target: a peg at (-0.25, -0.35) m, radius" in said
 
 
-def test_a_setup_file_tells_what_to_run_behind(tmp_path: Path) -> None:
+def test_a_setup_file_tells_what_to_run_behind(tmp_path):
     path = tmp_path / "setup.toml"
     text = hf.Setup(CORD, arm=ARM, pegs=[TARGET]).dumps()
     path.write_text(text + "\n[behind]\nx = -0.25\ny = -0.35\nradius = 0.03\n", "utf-8")
@@ -152,13 +149,13 @@ def test_a_setup_file_tells_what_to_run_behind(tmp_path: Path) -> None:
         source.read({}, {})
 
 
-def test_what_cannot_be_run_behind_is_refused() -> None:
+def test_what_cannot_be_run_behind_is_refused():
     who = replace(problem(), criteria=hf.WindCriteria(behind=[BEFORE]))
     for each in (hf.Wall(-0.3, -0.3, -0.3, -0.5), hf.Peg(-0.3, -0.4, 0.03, inertia=1e-4)):
         with pytest.raises(InvalidInput, match="led behind fixed pegs alone"):
             replace(problem(), criteria=hf.WindCriteria(behind=[each]))
     with pytest.raises(InvalidInput, match="behind holds something else"):
-        hf.plan_cast(CORD, ARM, TARGET, criteria=hf.WindCriteria(behind=BEFORE))  # type: ignore[arg-type]
+        hf.plan_cast(CORD, ARM, TARGET, criteria=hf.WindCriteria(behind=BEFORE))
     with pytest.raises(InvalidInput, match="turning arm hits the peg"):
         hf.plan_cast(CORD, ARM, TARGET, criteria=hf.WindCriteria(behind=[hf.Peg(0.1, 0.1, 0.01)]))
     with pytest.raises(InvalidInput, match="begins in a peg that it is to run behind"):
@@ -182,14 +179,14 @@ def test_what_cannot_be_run_behind_is_refused() -> None:
         ),
         ("an uncertainty", lambda: Uncertainty().sample(1, who, PEG)),
         ("a reach map", lambda: hf.build_reach_map(CORD, ARM, criteria=hf.WindCriteria(behind=[BEFORE]))),
-        ("a plan that is followed", lambda: hf.follow_plan(replace(planned(), problem=who), None)),  # type: ignore[arg-type]
+        ("a plan that is followed", lambda: hf.follow_plan(replace(planned(), problem=who), None)),
         ("a whip", lambda: build_whip_map(who, swings=1)),
     ):
         with pytest.raises(InvalidInput, match=f"^{words} takes no pegs that the rope is to run behind"):
             call()
 
 
-def test_the_way_round_counts_as_the_way_to_the_target() -> None:
+def test_the_way_round_counts_as_the_way_to_the_target():
     who = replace(problem(), rope=CORD, arm=ARM)
     straight, beside_it = (
         check_feasibility(replace(who, criteria=hf.WindCriteria(behind=[peg])), TARGET)
@@ -214,7 +211,7 @@ def test_the_way_round_counts_as_the_way_to_the_target() -> None:
     assert not any("arm" in each for each in far.remedies)  # a longer one would hit the peg
 
 
-def test_a_cast_behind_a_peg_is_found_and_touches_both() -> None:
+def test_a_cast_behind_a_peg_is_found_and_touches_both():
     plan = hf.plan_cast(
         CORD,
         ARM,

@@ -1,13 +1,10 @@
 """Casts from end to end on short ropes with few links, their margins, and what a search does with what it is given."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -52,7 +49,7 @@ def cast() -> CastPlan:
     return plan_cast(CORD, ARM, PEG, time_budget=processor(60.0), on_plan=lambda plan: True)
 
 
-def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast: CastPlan) -> None:
+def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast):
     assert cast.success
     assert not cast.message
     assert cast.margin >= 0.0
@@ -62,7 +59,7 @@ def test_a_cast_winds_and_holds_in_a_run_that_the_planner_did_not_make(cast: Cas
     assert cast.motion.angle(0.0) == pytest.approx(cast.moves.side * np.pi / 2)
 
 
-def test_a_cast_goes_through_its_file(cast: CastPlan, tmp_path: Path) -> None:
+def test_a_cast_goes_through_its_file(cast, tmp_path):
     cast.to_toml(tmp_path / "plan.toml")
     again = read_plan(tmp_path / "plan.toml")
     assert isinstance(again, CastPlan)
@@ -72,7 +69,7 @@ def test_a_cast_goes_through_its_file(cast: CastPlan, tmp_path: Path) -> None:
     assert np.array_equal(again.moves.rests, cast.moves.rests)
 
 
-def test_a_search_starts_from_plans_for_targets_near_by(cast: CastPlan) -> None:
+def test_a_search_starts_from_plans_for_targets_near_by(cast):
     near = replace(PEG, x=PEG.x + 0.004)
     options = SearchOptions(start_from=[cast], members=0)
     again = plan_cast(CORD, ARM, near, time_budget=processor(30.0), options=options, on_plan=lambda plan: True)
@@ -80,7 +77,7 @@ def test_a_search_starts_from_plans_for_targets_near_by(cast: CastPlan) -> None:
     assert again.runs < 20
 
 
-def test_many_targets_are_planned_in_their_order(cast: CastPlan) -> None:
+def test_many_targets_are_planned_in_their_order(cast):
     options = SearchOptions(start_from=[cast], threads=1)
     targets = [replace(PEG, y=9.0), PEG]
     plans = plan_cast(CORD, ARM, targets, time_budget=30.0, options=options, on_plan=lambda plan: True)
@@ -91,8 +88,8 @@ def test_many_targets_are_planned_in_their_order(cast: CastPlan) -> None:
     assert [plan.message for plan in some] == [plans[0].message]
 
 
-def test_the_same_seed_draws_the_same_moves() -> None:
-    def drawn(seed: int) -> list[float]:
+def test_the_same_seed_draws_the_same_moves():
+    def drawn(seed):
         task, found = WindTask(Problem(CORD, ARM), PEG, SearchOptions(seed=seed, threads=1)), []
         while not found:
             found = task.sample([], Budget(threads=1))
@@ -101,7 +98,7 @@ def test_the_same_seed_draws_the_same_moves() -> None:
     assert drawn(0) == drawn(0) != drawn(1)
 
 
-def test_ctrl_c_leaves_the_best_plan() -> None:
+def test_ctrl_c_leaves_the_best_plan():
     with pytest.raises(Interrupted) as caught:
         plan_cast(CORD, ARM, PEG, time_budget=60.0, on_plan=lambda plan: os.kill(os.getpid(), signal.SIGINT))
     plan = caught.value.partial
@@ -109,7 +106,7 @@ def test_ctrl_c_leaves_the_best_plan() -> None:
     assert plan.interrupted
 
 
-def test_no_time_is_stated() -> None:
+def test_no_time_is_stated():
     plan = plan_cast(CORD, ARM, PEG, time_budget=1e-9)
     assert not plan.success
     assert "time budget" in plan.message
@@ -123,14 +120,14 @@ def test_no_time_is_stated() -> None:
         (hf.Peg(0.05, -0.05, 0.02), "inside the arm's circle"),
     ],
 )
-def test_targets_out_of_reach_are_reported_before_a_search(target: hf.Peg, message: str) -> None:
+def test_targets_out_of_reach_are_reported_before_a_search(target, message):
     plan = plan_cast(CABLE, hf.Arm(length=0.105), target)
     assert plan.runs == 0
     assert not plan.success
     assert any(each in plan.message for each in message.split("|"))
 
 
-def test_a_failed_plan_names_remedies_and_a_fallback_that_can_be_planned() -> None:
+def test_a_failed_plan_names_remedies_and_a_fallback_that_can_be_planned():
     far = hf.Peg(-1.3, -0.55, 0.03)
     plan = plan_cast(CORD, ARM, far, time_budget=processor(60.0), options=SearchOptions(fallback=True))
     assert plan.message.startswith("out of reach")
@@ -152,7 +149,7 @@ def test_a_failed_plan_names_remedies_and_a_fallback_that_can_be_planned() -> No
         ({"time_budget": -1.0}, "time_budget"),
     ],
 )
-def test_arguments_of_another_kind_are_refused(change: dict[str, object], message: str) -> None:
+def test_arguments_of_another_kind_are_refused(change, message):
     with pytest.raises(InvalidInput, match=message):
         plan_cast(**{"rope": CORD, "arm": ARM, "target": PEG, **change})
 
@@ -171,12 +168,12 @@ def test_arguments_of_another_kind_are_refused(change: dict[str, object], messag
         (SearchOptions, {"threads": 0}, "threads"),
     ],
 )
-def test_options_out_of_range_are_refused(kind: type, change: dict[str, object], message: str) -> None:
+def test_options_out_of_range_are_refused(kind, change, message):
     with pytest.raises(InvalidInput, match=message):
         kind(**change)
 
 
-def test_criteria_are_required_of_a_run() -> None:
+def test_criteria_are_required_of_a_run():
     plan = planned()
     motion = plan.motion
     for criteria in (WindCriteria(turns=9.0), WindCriteria(contact=40.0), WindCriteria(max_slip=1e-9)):
@@ -184,7 +181,7 @@ def test_criteria_are_required_of_a_run() -> None:
 
 
 @pytest.mark.nightly
-def test_a_robust_plan_states_how_often_it_succeeds() -> None:
+def test_a_robust_plan_states_how_often_it_succeeds():
     known = hf.Uncertainty(length=0.002, mass=0.0, friction=0.02, mu=0.0, lag=0.0, timing=1e-3, place=1e-3)
     plan = plan_cast(CORD, ARM, PEG, uncertainty=known, time_budget=processor(25.0))
     chance = plan.success_probability
@@ -199,7 +196,7 @@ def test_a_robust_plan_states_how_often_it_succeeds() -> None:
     assert abs(other.estimate - chance.estimate) <= 0.5
 
 
-def test_the_margin_is_the_least_of_what_is_to_spare() -> None:
+def test_the_margin_is_the_least_of_what_is_to_spare():
     outcome, criteria = planned().outcome, WindCriteria()
     outcome = replace(outcome, turns=-2.0, slip=0.0, load_ratio=0.5, spare_clearance=1.0, tip_hangs=True, folded=False)
     assert margin(criteria, outcome, outcome) == pytest.approx(1.0 / SPARE.slip)
@@ -216,14 +213,14 @@ def test_the_margin_is_the_least_of_what_is_to_spare() -> None:
     assert margin(criteria, outcome, replace(outcome, turns=-1.4)) == pytest.approx(0.15 / 0.6)  # runs that differ
 
 
-def test_runs_that_disagree_leave_the_cast_to_chance() -> None:
+def test_runs_that_disagree_leave_the_cast_to_chance():
     outcome = replace(planned().outcome, spare_clearance=0.1)
     assert repeatable(outcome, outcome).success
     assert not repeatable(outcome, replace(outcome, touch_time=outcome.touch_time + 0.1)).success
     assert not repeatable(replace(outcome, spare_clearance=8e-3), replace(outcome, spare_clearance=1e-3)).success
 
 
-def test_viscous_friction_takes_the_place_of_dry_friction_and_damps_a_swing_alike() -> None:
+def test_viscous_friction_takes_the_place_of_dry_friction_and_damps_a_swing_alike():
     bare = Problem(CORD, ARM)
     assert viscous(bare)[0] is bare
     dry = Problem(CORD.replace(dry_friction=np.full(15, 4e-3)), ARM)
@@ -239,7 +236,7 @@ def test_viscous_friction_takes_the_place_of_dry_friction_and_damps_a_swing_alik
     assert abs(modelled - left) < 0.5 * abs(without - left)  # the model is made to dissipate the same energy
 
 
-def test_swings_are_those_of_free_flight_until_the_strike_with_any_links() -> None:
+def test_swings_are_those_of_free_flight_until_the_strike_with_any_links():
     task = WindTask(Problem(CORD, ARM), PEG, SearchOptions(threads=1))
     budget, found = Budget(threads=1), []
     while not found:
@@ -256,7 +253,7 @@ def test_swings_are_those_of_free_flight_until_the_strike_with_any_links() -> No
     assert all(each.moves.ends.size > one.moves.ends.size for each, one in zip(best, found, strict=False))
 
 
-def test_strikes_and_swings_of_a_rope_without_friction_are_those_that_chains_agree_on() -> None:
+def test_strikes_and_swings_of_a_rope_without_friction_are_those_that_chains_agree_on():
     rope = hf.Rope.uniform(length=2.5, mass=0.2, n_links=20, radius=0.004, friction=1e-5)
     search = WindTask(Problem(rope, hf.Arm(length=0.25)), hf.Peg(1.0, -0.3, 0.03), SearchOptions(threads=1)).search
     found = [one for _ in range(12) for one in search.extend(Budget(threads=1))]
@@ -272,7 +269,7 @@ def test_strikes_and_swings_of_a_rope_without_friction_are_those_that_chains_agr
         assert np.sqrt((np.cumsum(ends, axis=1) ** 2).sum(axis=0).mean()) <= 0.02 * rope.total_length
 
 
-def test_a_strike_after_the_time_limit_does_not_count() -> None:
+def test_a_strike_after_the_time_limit_does_not_count():
     problem, budget, found = Problem(CORD, ARM), Budget(threads=1), list[Strike]()
     search = WindTask(problem, PEG, SearchOptions(threads=1)).search
     while not found:
@@ -282,7 +279,7 @@ def test_a_strike_after_the_time_limit_does_not_count() -> None:
         assert len(limited.start([found[0].moves], budget)) == count
 
 
-def test_variations_change_only_the_last_moves_of_a_strike() -> None:
+def test_variations_change_only_the_last_moves_of_a_strike():
     search = WindTask(Problem(CORD, ARM), PEG, SearchOptions(threads=1)).search
     budget, found, varied = Budget(threads=1), list[Strike](), list[Strike]()
     while not varied:
@@ -296,7 +293,7 @@ def test_variations_change_only_the_last_moves_of_a_strike() -> None:
         assert abs(one.states[0].t - one.states[1].t) <= DELAY
 
 
-def test_a_reach_map_reads_back_equal(tmp_path: Path) -> None:
+def test_a_reach_map_reads_back_equal(tmp_path):
     grid = TargetGrid(x=[-0.5, 2.5], y=[-0.7], radius=0.03)
     found = build_reach_map(CORD, ARM, grid=grid, time_budget=30.0, options=SearchOptions(threads=1))
     assert found.status.tolist() == [[0, 1]]

@@ -1,7 +1,5 @@
 """Stated success: its interval against scipy's, and draws of throws that are known to win and to lose."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -29,7 +27,7 @@ def scenario_scores(problem: Problem, pairs: list) -> WindingScores:
 
 
 @pytest.mark.parametrize(("won", "draws"), [(0, 1), (1, 1), (0, 40), (40, 40), (1, 40), (17, 40), (333, 1000)])
-def test_the_interval_is_wilsons(won: int, draws: int) -> None:
+def test_the_interval_is_wilsons(won, draws):
     reference = binomtest(won, draws).proportion_ci(0.95, method="wilson")
     found = SuccessProbability(won, draws)
     assert found.estimate == won / draws
@@ -46,16 +44,14 @@ def test_the_interval_is_wilsons(won: int, draws: int) -> None:
         ((10, 10), (0, 20), (0.6791, 1.0)),
     ],
 )
-def test_the_interval_of_a_difference_is_newcombes(
-    one: tuple[int, int], other: tuple[int, int], interval: tuple[float, float]
-) -> None:
+def test_the_interval_of_a_difference_is_newcombes(one, other, interval):
     """As printed in Newcombe (1998), Statistics in Medicine 17, 873, table II, method 10."""
     assert probability_difference(SuccessProbability(*one), SuccessProbability(*other)) == pytest.approx(
         interval, abs=5.1e-5
     )  # printed to four digits
 
 
-def test_what_is_no_count_is_refused() -> None:
+def test_what_is_no_count_is_refused():
     for won, draws in ((2, 1), (-1, 4), (1, 0)):
         with pytest.raises(InvalidInput):
             SuccessProbability(won, draws)
@@ -63,14 +59,14 @@ def test_what_is_no_count_is_refused() -> None:
         estimate_success_probability(CAST_SETUP, PEG, WINDS, samples=0)
 
 
-def test_without_samples_nothing_is_known() -> None:
+def test_without_samples_nothing_is_known():
     none = SuccessProbability(0, 0)
     assert np.isnan(none.estimate)
     assert none.interval == (0.0, 1.0)
     assert str(none) == "not estimated, no time was left"
 
 
-def test_an_executor_counts_the_same_samples() -> None:
+def test_an_executor_counts_the_same_samples():
     want = estimate_success_probability(CAST_SETUP, PEG, WINDS, samples=6)
     with ThreadPoolExecutor(2) as pool:
         for size in (None, 4):
@@ -79,7 +75,7 @@ def test_an_executor_counts_the_same_samples() -> None:
             assert (found.successes, found.samples) == (want.successes, 6)
 
 
-def test_a_rope_that_comes_too_near_its_arm_while_it_winds_has_not_won() -> None:
+def test_a_rope_that_comes_too_near_its_arm_while_it_winds_has_not_won():
     worlds = NONE.sample(1, CAST_SETUP, PEG)
     near = scenario_scores(replace(CAST_SETUP, clearance=0.5), [(WINDS, world) for world in worlds])
     clear = scenario_scores(CAST_SETUP, [(WINDS, world) for world in worlds])
@@ -88,7 +84,7 @@ def test_a_rope_that_comes_too_near_its_arm_while_it_winds_has_not_won() -> None
     assert np.isnan(simulated_strikes(replace(CAST_SETUP, clearance=0.5), PEG, [WINDS]).t[0])  # nor has it struck
 
 
-def test_a_rope_that_touches_an_obstacle_before_its_strike_or_after_has_not_won() -> None:
+def test_a_rope_that_touches_an_obstacle_before_its_strike_or_after_has_not_won():
     run, worlds = planned().run, NONE.sample(1, CAST_SETUP, PEG)
     assert run is not None
     x, strike = run.joints[..., 0], float(simulated_strikes(CAST_SETUP, PEG, [WINDS]).t[0])
@@ -104,7 +100,7 @@ def test_a_rope_that_touches_an_obstacle_before_its_strike_or_after_has_not_won(
     assert 0.0 < turns[1] < 1.25
 
 
-def test_throws_that_win_and_that_never_strike_are_told_apart() -> None:
+def test_throws_that_win_and_that_never_strike_are_told_apart():
     idle = replace(WINDS, ends=np.full(7, -1.5), rests=np.ones(7))
     worlds = Uncertainty().sample(2, CAST_SETUP, PEG, seed=3)
     found = scenario_scores(CAST_SETUP, [(throw, world) for throw in (WINDS, idle) for world in worlds])

@@ -1,9 +1,6 @@
 """Feasibility of a target before any search: necessary conditions, remedies, the nearest feasible target."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +26,7 @@ def at(far: float, aside: float, radius: float = 0.03) -> hf.Peg:
 
 
 @pytest.mark.parametrize(("far", "aside"), [(0.9, 0.46), (1.2, -1.1), (1.0, 0.1)])
-def test_the_energy_is_that_of_rods(far: float, aside: float) -> None:
+def test_the_energy_is_that_of_rods(far, aside):
     """By quadrature along the rope, in place of sums over links."""
     slope, length = abs(aside), 2.0
     pendulum = 2.0 * length / 3.0  # of a rod
@@ -41,7 +38,7 @@ def test_the_energy_is_that_of_rods(far: float, aside: float) -> None:
     assert check_feasibility(CAST_SETUP, at(far, aside)).energy_ratio == pytest.approx(share * drop / lift, rel=0.04)
 
 
-def test_a_target_below_leaves_no_room_to_swing() -> None:
+def test_a_target_below_leaves_no_room_to_swing():
     """Of two targets the one right below gets much less energy, which grows with the square of what a stroke adds."""
     beside, below = (check_feasibility(CAST_SETUP, at(1.0, aside)).energy_ratio for aside in (0.1, 0.0))
     assert below < 0.3 * beside
@@ -58,13 +55,13 @@ def test_a_target_below_leaves_no_room_to_swing() -> None:
         (at(0.6, 2.5), "too little energy: it is higher than the rope swings"),
     ],
 )
-def test_what_is_out_of_reach_is_told_why(peg: hf.Peg, told: str) -> None:
+def test_what_is_out_of_reach_is_told_why(peg, told):
     known = check_feasibility(CAST_SETUP, peg)
     assert not known.feasible
     assert told in known.message
 
 
-def test_a_slow_motor_is_told_from_little_energy() -> None:
+def test_a_slow_motor_is_told_from_little_energy():
     slow = replace(CAST_SETUP, limits=MotorLimits(speed=0.5, acceleration=5.0))
     assert check_feasibility(CAST_SETUP, at(0.9, 0.46)).feasible
     assert "motor is too slow" in check_feasibility(slow, at(0.9, 0.46)).message
@@ -75,14 +72,14 @@ def test_a_slow_motor_is_told_from_little_energy() -> None:
 
 
 @pytest.mark.parametrize(("tip", "widest"), [(0.0, SWING.widest[0]), (0.02, SWING.widest[1]), (0.5, SWING.widest[1])])
-def test_a_rope_with_a_weight_at_its_end_swings_less_far_beyond_level(tip: float, widest: float) -> None:
+def test_a_rope_with_a_weight_at_its_end_swings_less_far_beyond_level(tip, widest):
     """Just below the widest swing there is energy left, just above it there is none."""
     who = replace(CAST_SETUP, rope=CABLE.replace(tip_mass=tip))
     assert check_feasibility(who, at(1.0, widest - 0.01)).energy_ratio > 0.0
     assert check_feasibility(who, at(1.0, widest + 0.01)).energy_ratio < 0.0
 
 
-def test_a_motor_that_cannot_hold_the_hanging_rope_is_refused_before_a_search() -> None:
+def test_a_motor_that_cannot_hold_the_hanging_rope_is_refused_before_a_search():
     asked = 0.125 * 9.81 * 0.105  # N m, weight times arm
     weak = replace(CAST_SETUP, limits=MotorLimits(torque=0.99 * asked))
     told = check_feasibility(weak, at(0.9, 0.46))
@@ -94,7 +91,7 @@ def test_a_motor_that_cannot_hold_the_hanging_rope_is_refused_before_a_search() 
     assert check_feasibility(replace(CAST_SETUP, limits=low), at(0.9, 0.46)).feasible
 
 
-def test_the_pull_borne_is_that_of_the_end_that_hangs() -> None:
+def test_the_pull_borne_is_that_of_the_end_that_hangs():
     """With a fourth of the mass in its outer half, of which the end is a part, it bears a fourth."""
     mass = np.repeat([1.0, 0.25], 25) * 0.0025
     light = hf.Rope(length=np.full(50, 0.04), mass=mass, friction=np.full(50, 5e-4), radius=0.0025)
@@ -103,7 +100,7 @@ def test_the_pull_borne_is_that_of_the_end_that_hangs() -> None:
     )
 
 
-def test_a_wider_swing_reaches_more() -> None:
+def test_a_wider_swing_reaches_more():
     energies = [check_feasibility(CAST_SETUP, at(1.0, a)).energy_ratio for a in (0.1, 0.3, 0.6, 0.9)]
     assert np.all(np.diff(energies) > 0.0)
     assert energies[0] < SWING.energy_ratio < energies[-1]
@@ -125,7 +122,7 @@ def wound(far: float, aside: float, axis: float, more: int, ends: np.ndarray) ->
 
 @pytest.mark.parametrize("aside", [0.0, 0.5, 0.9, 1.1, 1.6])
 @pytest.mark.parametrize("radius", [0.03, 0.05])
-def test_the_room_needed_is_that_of_a_rope_wound_and_hanging(aside: float, radius: float) -> None:
+def test_the_room_needed_is_that_of_a_rope_wound_and_hanging(aside, radius):
     far, axis = 1.0, radius + 0.0025
     ends = axis * np.linspace(SWING.hanging, 40.0, 20001)
     drawn = [wound(far, aside, axis, more, ends) for more in (0, 1, 2)]
@@ -136,7 +133,7 @@ def test_the_room_needed_is_that_of_a_rope_wound_and_hanging(aside: float, radiu
     )  # ends 0.002 radii apart
 
 
-def test_the_hold_asked_for_counts() -> None:
+def test_the_hold_asked_for_counts():
     """The capstan equation on ropes drawn with one turn more or less, of which the one that bears most counts."""
     peg, weight = at(1.36, 0.66, 0.04), 0.125 * 9.81 / 2.0
     known, bears = check_feasibility(CAST_SETUP, peg), []
@@ -149,7 +146,7 @@ def test_the_hold_asked_for_counts() -> None:
     assert "required" in check_feasibility(pulled(1.1 * known.holding_force), peg).message
 
 
-def test_what_is_down_is_where_gravity_points() -> None:
+def test_what_is_down_is_where_gravity_points():
     """Gravity along x: the same target turned by a right angle."""
     turned = Problem(CABLE.replace(gravity=(9.81, 0.0)), CAST_SETUP.arm, CAST_SETUP.limits)
     there, here = (
@@ -160,7 +157,7 @@ def test_what_is_down_is_where_gravity_points() -> None:
 
 
 @pytest.mark.parametrize("links", [1, 3])
-def test_a_rope_of_few_links_is_refused(links: int) -> None:
+def test_a_rope_of_few_links_is_refused(links):
     rope = hf.Rope.uniform(length=2.0, mass=0.125, n_links=links, radius=0.0025)
     with pytest.raises(InvalidInput, match="too few links"):
         Problem(rope, CAST_SETUP.arm, CAST_SETUP.limits)
@@ -176,7 +173,7 @@ def distance(one: hf.Peg, other: hf.Peg) -> float:
 
 
 @pytest.mark.parametrize("peg", [FAR, hf.Peg(-FAR.x, FAR.y, 0.04), hf.Peg(0.14, -0.9, 0.03), hf.Peg(0.02, 0.05, 0.02)])
-def test_the_nearest_place_is_in_reach_and_none_is_nearer(peg: hf.Peg) -> None:
+def test_the_nearest_place_is_in_reach_and_none_is_nearer(peg):
     found = nearest_feasible(CAST_SETUP, peg)
     assert found is not None
     assert check_feasibility(CAST_SETUP, found).feasible
@@ -190,14 +187,14 @@ def test_the_nearest_place_is_in_reach_and_none_is_nearer(peg: hf.Peg) -> None:
     )
 
 
-def test_a_target_ten_centimetres_too_far_has_one_near_by() -> None:
+def test_a_target_ten_centimetres_too_far_has_one_near_by():
     found = nearest_feasible(CAST_SETUP, FAR)
     assert found is not None
     assert 0.05 < distance(found, FAR) < 0.15
     assert found.x == pytest.approx(round(found.x, 3), abs=1e-12)  # a place that can be said
 
 
-def test_what_the_nearest_place_shall_have_to_spare_and_hold_counts() -> None:
+def test_what_the_nearest_place_shall_have_to_spare_and_hold_counts():
     plain, safe = (nearest_feasible(CAST_SETUP, FAR, margin=margin) for margin in (0.0, 0.5))
     firm = nearest_feasible(pulled(2.0), FAR)
     assert plain is not None and safe is not None and firm is not None  # noqa: PT018
@@ -208,17 +205,14 @@ def test_what_the_nearest_place_shall_have_to_spare_and_hold_counts() -> None:
     assert check_feasibility(CAST_SETUP, firm).holding_force >= 2.0 > check_feasibility(CAST_SETUP, plain).holding_force
 
 
-def test_a_motor_too_slow_for_everything_reaches_nothing() -> None:
+def test_a_motor_too_slow_for_everything_reaches_nothing():
     asleep = replace(CAST_SETUP, limits=MotorLimits(speed=0.01, acceleration=0.1))
     assert nearest_feasible(asleep, PEG) is None
 
 
-def test_down_is_where_gravity_points() -> None:
+def test_down_is_where_gravity_points():
     turned = replace(CAST_SETUP, rope=CABLE.replace(gravity=(9.81, 0.0)))
-    there, here = (
-        nearest_feasible(turned, hf.Peg(-FAR.y, FAR.x, 0.04)),
-        nearest_feasible(CAST_SETUP, FAR),
-    )
+    there, here = (nearest_feasible(turned, hf.Peg(-FAR.y, FAR.x, 0.04)), nearest_feasible(CAST_SETUP, FAR))
     assert there is not None
     assert here is not None
     assert (there.x, there.y) == pytest.approx((-here.y, here.x), abs=1.5e-3)  # in whole millimetres
@@ -266,9 +260,7 @@ def with_peg(radius: float) -> tuple[Problem, hf.Peg]:
         (CAST_SETUP, FAR, r"a peg of (\S+) mm radius", with_peg),
     ],
 )
-def test_a_remedy_helps_and_less_of_it_does_not(
-    who: Problem, target: hf.Peg, words: str, changed: Callable[..., tuple[Problem, hf.Peg]]
-) -> None:
+def test_a_remedy_helps_and_less_of_it_does_not(who, target, words, changed):
     assert not check_feasibility(who, target).feasible
     told = next(found for text in find_remedies(who, target) if (found := re.fullmatch(words, text)))
     numbers = np.array([float(text) for text in told.groups()])
@@ -277,12 +269,12 @@ def test_a_remedy_helps_and_less_of_it_does_not(
     assert not check_feasibility(*changed(*(numbers * (1.0 - sense * 0.02)))).feasible  # a factor is found to 1 %
 
 
-def test_a_faster_motor_makes_each_move_in_the_same_part_of_the_time() -> None:
+def test_a_faster_motor_makes_each_move_in_the_same_part_of_the_time():
     told = next(found for text in find_remedies(WEAK, PEG) if (found := re.search(r"(\S+) rad/s and (\S+) rad", text)))
     speed, acceleration = (float(text) for text in told.groups())
     before, after = (MotorLimits(*pair).fastest_moves([0.1, 3.0])[0] for pair in ((0.8, 1.0), (speed, acceleration)))
     assert after / before == pytest.approx(0.8 / speed, rel=0.02)  # three digits are told
 
 
-def test_a_target_in_reach_needs_no_remedy() -> None:
+def test_a_target_in_reach_needs_no_remedy():
     assert find_remedies(CAST_SETUP, PEG) == ()

@@ -1,10 +1,6 @@
 """Ropes drawn from what an identification says: each law along the rope, and files that say it."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +25,7 @@ def ropes(one: RopePosterior, count: int = COUNT) -> list[hf.Rope]:
     return [one.sample(np.random.default_rng([1, m])) for m in range(count)]
 
 
-def test_what_hangs_together_is_drawn_together() -> None:
+def test_what_hangs_together_is_drawn_together():
     covariance = np.array([[4e-8, 3e-8], [3e-8, 4e-8]])
     drawn = ropes(fitted(covariance.tolist(), "friction[1]", "stiffness:shared"))
     x = np.array([[rope.friction[1], rope.stiffness[3]] for rope in drawn])
@@ -39,7 +35,7 @@ def test_what_hangs_together_is_drawn_together() -> None:
     assert all(np.ptp(rope.stiffness[1:]) == 0.0 for rope in drawn[:9])
 
 
-def test_factors_and_tapers_act_on_all_links() -> None:
+def test_factors_and_tapers_act_on_all_links():
     """A factor fitted as 2 +- 0.2 leaves a rope whose friction is known within 10 %."""
     drawn = ropes(fitted([[0.04]], "friction:factor", friction=2.0))
     assert np.std(np.log([rope.friction[2] / 1e-3 for rope in drawn])) == pytest.approx(0.1, rel=0.06)
@@ -48,14 +44,14 @@ def test_factors_and_tapers_act_on_all_links() -> None:
     assert np.std(growth) == pytest.approx(0.15, rel=0.06)
 
 
-def test_masses_stay_above_0_and_friction_does_not_fall_below() -> None:
+def test_masses_stay_above_0_and_friction_does_not_fall_below():
     drawn = ropes(fitted([[1e-3, 0, 0], [0, 1e-5, 0], [0, 0, 1e-3]], "mass[0]", "friction:shared", "tip_mass"))
     assert min(rope.mass[0] for rope in drawn) > 0.0
     assert min(rope.friction[0] for rope in drawn) == 0.0
     assert min(rope.tip_mass for rope in drawn) == 0.0
 
 
-def test_what_is_known_of_several_stays_known_where_one_meets_its_bound() -> None:
+def test_what_is_known_of_several_stays_known_where_one_meets_its_bound():
     """A link's own inertia hardly known, its moment of inertia about the joint well: half of the draws are cut off."""
     rod = hf.Rope(length=[0.3], mass=[0.1], com=[0.15], inertia=[1e-5])
     root = np.array([[4e-5, 0.0], [-4e-5 / 0.03, 1e-6 / 0.03]])  # J = I + m a^2, dJ = dI + 0.03 kg m da
@@ -68,7 +64,7 @@ def test_what_is_known_of_several_stays_known_where_one_meets_its_bound() -> Non
     assert abs(np.mean(moments)) < 4e-7
 
 
-def test_a_drawn_length_leaves_a_rope_that_can_be_cut() -> None:
+def test_a_drawn_length_leaves_a_rope_that_can_be_cut():
     (one,) = ropes(fitted([[1e-4]], "length:factor", length=1.0), 1)
     assert divided(one, 2).n_links == 8
     np.testing.assert_allclose(one.inertia, 0.025 * (3.0 * 0.003**2 + one.length**2) / 12.0, rtol=1e-12)
@@ -87,18 +83,18 @@ def test_a_drawn_length_leaves_a_rope_that_can_be_cut() -> None:
         ({}, 1e-8, ()),
     ],
 )
-def test_what_a_fit_could_not_tell_is_known(std: dict[str, Any], row: float, unknown: tuple[str, ...]) -> None:
+def test_what_a_fit_could_not_tell_is_known(std, row, unknown):
     """An infinite deviation, the word for it in a file, or a row of 0: all that is said of a direction left out."""
     names = ("friction[1]", "friction[2]")
     fit = SimpleNamespace(
         rope=ROPE, parameters=names, covariance=np.diag([1e-8, row]), values={}, std=std, length_covariance=np.zeros(3)
     )
-    found = RopePosterior.from_identification(fit)  # type: ignore[arg-type]
+    found = RopePosterior.from_identification(fit)
     assert found.undetermined == unknown
     assert found.undetermined_properties == (("friction",) if unknown else ())
 
 
-def test_gravity_turns_and_what_is_none_of_the_rope_s_is_left() -> None:
+def test_gravity_turns_and_what_is_none_of_the_rope_s_is_left():
     one = fitted([[1e-4, 0], [0, 1.0]], "gravity_angle", "delay")
     drawn = ropes(one)
     assert np.std([rope.hanging_angle for rope in drawn]) == pytest.approx(0.01, rel=0.06)
@@ -107,7 +103,7 @@ def test_gravity_turns_and_what_is_none_of_the_rope_s_is_left() -> None:
     assert one.fitted_properties == ("gravity_angle",)
 
 
-def test_a_file_says_what_the_fit_said(tmp_path: Path) -> None:
+def test_a_file_says_what_the_fit_said(tmp_path):
     values = {"friction:factor": np.array(2.0), "mass": ROPE.mass}
     covariance = np.array([[0.04, 1e-5], [1e-5, 1e-6]])
     std = {"friction:factor": np.array(0.2), "mass": np.array([0.0, 0.0, 1e-3, 0.0])}
@@ -126,7 +122,7 @@ def test_a_file_says_what_the_fit_said(tmp_path: Path) -> None:
     files.write_toml(path, {"rope": ROPE.table(), "identification": told})
     read = RopePosterior.from_toml(path)
     assert read is not None
-    assert ropes(read, 5) == ropes(RopePosterior.from_identification(fit), 5)  # type: ignore[arg-type]
+    assert ropes(read, 5) == ropes(RopePosterior.from_identification(fit), 5)
     assert read.fitted_properties == ("friction", "mass", "length")
     lengths = np.log([rope.total_length for rope in ropes(read, 400)])
     assert np.std(lengths) == pytest.approx(0.01, rel=0.15)  # 400 draws tell it to 3.5 %

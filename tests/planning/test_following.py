@@ -1,7 +1,5 @@
 """The closed loop: back to a plan that a wrong rope has left, what is kept, and a throw that is given up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -41,14 +39,14 @@ def rest_before(moves: Moves, move: int) -> float:
     return float(moves.starts(LIMITS)[move]) - float(moves.rests[move])
 
 
-def test_the_goal_is_the_strike_of_the_plan() -> None:
+def test_the_goal_is_the_strike_of_the_plan():
     goal = Goal.of(CAST_SETUP, PEG, WINDS, OPTIONS)
     assert goal is not None
     assert goal.t == pytest.approx(float(simulated_strikes(CAST_SETUP, PEG, [WINDS]).t[0]))
     assert Goal.of(CAST_SETUP, PEG, replace(WINDS, ends=np.full(7, -1.5)), OPTIONS) is None
 
 
-def test_a_throw_that_was_late_by_one_rest_is_led_back() -> None:
+def test_a_throw_that_was_late_by_one_rest_is_led_back():
     """The state after a stroke that came 40 ms late: what is left undoes most of it."""
     goal, move = Goal.of(CAST_SETUP, PEG, WINDS, OPTIONS), 3
     assert goal is not None
@@ -79,7 +77,7 @@ def miss(throw: Moves, goal: Goal) -> float:
     )
 
 
-def test_in_the_expected_world_the_plan_is_kept() -> None:
+def test_in_the_expected_world_the_plan_is_kept():
     (world,) = NONE.sample(1, CAST_SETUP, PEG)
     done = follow_plan(PLAN, ScenarioStateSource(world, CAST_SETUP.arm), uncertainty=NONE)
     assert [look.action for look in done.decisions] == ["kept"] * len(done.decisions)
@@ -92,7 +90,7 @@ def test_in_the_expected_world_the_plan_is_kept() -> None:
         assert look.t + look.left == pytest.approx(float(WINDS.starts(LIMITS)[look.move]))
 
 
-def test_the_rope_is_not_observed_shortly_before_the_strike() -> None:
+def test_the_rope_is_not_observed_shortly_before_the_strike():
     goal = Goal.of(CAST_SETUP, PEG, WINDS, OPTIONS)
     assert goal is not None
     (world,) = NONE.sample(1, CAST_SETUP, PEG)
@@ -108,8 +106,8 @@ class Hanging:
         return RopeState(t, np.zeros(50), np.zeros(50))
 
 
-def test_a_throw_that_cannot_win_any_more_is_given_up_slowly() -> None:
-    done = follow_plan(PLAN, Hanging(), uncertainty=NONE)  # type: ignore[arg-type]
+def test_a_throw_that_cannot_win_any_more_is_given_up_slowly():
+    done = follow_plan(PLAN, Hanging(), uncertainty=NONE)
     assert (done.completed, done.status) == (False, Status.FAILED)
     assert done.decisions[-1].action == "aborted"
     assert done.decisions[-1].after == 0.0
@@ -124,9 +122,9 @@ def test_a_throw_that_cannot_win_any_more_is_given_up_slowly() -> None:
     assert done.moves.starts(LIMITS)[-1] == pytest.approx(done.decisions[-1].t + OPTIONS.decision_time)
 
 
-def test_what_is_due_too_soon_to_be_decided_is_made_as_planned() -> None:
+def test_what_is_due_too_soon_to_be_decided_is_made_as_planned():
     """With more time to think than any rest leaves, the next move stays; the one after it may be given up."""
-    done = follow_plan(PLAN, Hanging(), uncertainty=NONE, options=FollowOptions(decision_time=1.0))  # type: ignore[arg-type]
+    done = follow_plan(PLAN, Hanging(), uncertainty=NONE, options=FollowOptions(decision_time=1.0))
     assert (done.completed, done.status) == (False, Status.FAILED)
     move = done.decisions[-1].move
     assert done.decisions[-1].left < 1.0
@@ -146,14 +144,14 @@ class Kept(SimulatedMotor):
         super().set_motion(motion, at)
 
 
-def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done() -> None:
+def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done():
     """A servo that hardly lags: the rope's state at each look is that of the asked motion."""
     motor = Kept(lag=1e-3, counts=10**6)
     world = MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor)
     seen: list[tuple[RopeState, Motion]] = []
 
     class Watched:
-        def state(self, t: float, motion: Motion) -> RopeState:
+        def state(self, t, motion):
             seen.append((world.state(t, motion), motion))
             return seen[-1][0]
 
@@ -168,7 +166,7 @@ def test_a_motor_is_asked_for_the_plan_and_a_rope_on_it_does_what_it_has_done() 
         np.testing.assert_allclose(true.state(state.t, motion).q, state.q, atol=0.1)
 
 
-def test_a_motor_that_does_not_come_along_ends_the_throw() -> None:
+def test_a_motor_that_does_not_come_along_ends_the_throw():
     """A torque too weak for the strokes: at the first look the arm is far from where it should be."""
     motor = Kept(torque=0.005)
     done = follow_plan(PLAN, MotorStateSource(CAST_SETUP.rope, CAST_SETUP.arm, motor), motor=motor, uncertainty=NONE)
@@ -180,7 +178,7 @@ def test_a_motor_that_does_not_come_along_ends_the_throw() -> None:
     assert float(done.motion.angle(float(done.motion.breaks[-1]))) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_plan_that_is_read_back_is_followed_as_the_plan_is(tmp_path) -> None:
+def test_a_plan_that_is_read_back_is_followed_as_the_plan_is(tmp_path):
     PLAN.to_toml(tmp_path / "cast.toml")
     back = read_plan(tmp_path / "cast.toml")
     (world,) = Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
@@ -194,7 +192,7 @@ def test_a_plan_that_is_read_back_is_followed_as_the_plan_is(tmp_path) -> None:
 
 
 @pytest.mark.nightly
-def test_in_real_time_a_late_decision_is_not_carried_out() -> None:
+def test_in_real_time_a_late_decision_is_not_carried_out():
     """Without time for decisions a rope that waits gets the changed throw, one that moves on the planned one."""
     (world,) = Uncertainty(length=0.02).sample(1, CAST_SETUP, PEG, seed=3)
     waits, moves = (
@@ -213,7 +211,7 @@ def test_in_real_time_a_late_decision_is_not_carried_out() -> None:
     assert moves.motion == WINDS.motion(LIMITS) != waits.motion
 
 
-def test_bad_numbers_are_refused() -> None:
+def test_bad_numbers_are_refused():
     (world,) = Uncertainty().sample(1, CAST_SETUP, PEG)
     for wrong in (-1.0, np.nan):
         with pytest.raises(InvalidInput):
@@ -226,7 +224,7 @@ def test_bad_numbers_are_refused() -> None:
         follow_plan(swings, ScenarioStateSource(world, CAST_SETUP.arm))
 
 
-def test_the_true_scenario_is_recognized_by_the_observations() -> None:
+def test_the_true_scenario_is_recognized_by_the_observations():
     """Even if its moves start some milliseconds late, which no scenario includes."""
     draws = Uncertainty().sample(12, CAST_SETUP, PEG, seed=8)
     late = replace(draws[6], delays=np.resize([0.0, 2e-3, -1e-3], MOVES))
@@ -237,7 +235,7 @@ def test_the_true_scenario_is_recognized_by_the_observations() -> None:
     assert loop.likely()[0] is draws[6]
 
 
-def test_the_error_is_that_of_the_predicted_place_and_nothing_is_counted_twice() -> None:
+def test_the_error_is_that_of_the_predicted_place_and_nothing_is_counted_twice():
     (draw,) = NONE.sample(1, CAST_SETUP, PEG)
     source, loop = ScenarioStateSource(draw, CAST_SETUP.arm), _Loop(PLAN, WINDS, OPTIONS, [draw], None)
     state, second = (source.state(t, loop.motion()) for t in (1.0, 2.0))

@@ -1,7 +1,5 @@
 """What a wound rope holds: the tail's weight, the capstan equation, and the tug beside them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -66,12 +64,12 @@ def test_a_cast_that_bears_less_than_is_asked_has_failed():
         ([1.0, 1.1, 2.0, 2.1], 1.0),
     ],
 )
-def test_the_strike_begins_the_longest_stay(touched: list[float], begins: float) -> None:
+def test_the_strike_begins_the_longest_stay(touched, begins):
     t = np.round(np.arange(0.0, 4.0, 0.1), 1)
     assert outcome._longest_stay(t, np.isin(t, touched)) == pytest.approx(begins, nan_ok=True)
 
 
-def test_contact_and_bend_are_those_of_the_run() -> None:
+def test_contact_and_bend_are_those_of_the_run():
     """By the places of the joints, in place of angles."""
     cast = planned().outcome
     assert cast is not None
@@ -91,7 +89,7 @@ def test_contact_and_bend_are_those_of_the_run() -> None:
     assert cast.touch_time <= cast.strike_time
 
 
-def test_a_weight_that_stands_on_its_rope_pulls_along_it_alone() -> None:
+def test_a_weight_that_stands_on_its_rope_pulls_along_it_alone():
     """A rod rests on a peg near its tip, at 60 degrees from hanging: half of the tip's weight pulls along it."""
     rod = hf.Rope.uniform(length=1.0, mass=0.1, n_links=1, radius=0.004, tip_mass=0.05, friction=0.5)
     slope = np.radians(60.0)

@@ -1,7 +1,5 @@
 """Insertions: entries in closed form, residuals, a plan from end to end, scenarios, what is a touch."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import replace
@@ -64,7 +62,7 @@ def aside(slot: Slot, way: float) -> Slot:
     return replace(slot, x=float(x), y=float(y))
 
 
-def test_walls_leave_the_gap_free_and_a_tube_begins_at_its_edges() -> None:
+def test_walls_leave_the_gap_free_and_a_tube_begins_at_its_edges():
     walls = replace(DOWN, tube=0.07).walls
     assert walls[:2] == DOWN.walls
     assert [(w.x, w.y, w.x2, w.y2) for w in walls] == [
@@ -92,7 +90,7 @@ def swing(problem: Problem, moves: Moves | None) -> Flights:
         (0.1, 1.0, 0.0, 0.01 / np.sqrt(2.0)),  # askew it is nearer to the edges
     ],
 )
-def test_an_entry_of_a_straight_rope(x: float, slant: float, offset: float, gap: float) -> None:
+def test_an_entry_of_a_straight_rope(x, slant, offset, gap):
     """It is pushed in along itself at 1 m/s; then once more, so that the first entry's links count as others."""
     along, t = np.array([-0.3, -0.1, 0.1]), np.arange(-0.2, 0.06, 0.01)
     joints = np.stack([x + slant * (along + t[:, None]), -0.5 - along - t[:, None]], axis=-1)
@@ -109,14 +107,14 @@ def test_an_entry_of_a_straight_rope(x: float, slant: float, offset: float, gap:
     assert tube.offsets[3:] == pytest.approx(offset + slant * np.array([0.025, 0.05]))
 
 
-def test_ways_of_a_tip_beyond_the_walls() -> None:
+def test_ways_of_a_tip_beyond_the_walls():
     depth = np.array([0.1, -0.1, 0.2, 0.4, 0.3, -0.1, 0.5, 0.9])
     assert passages(depth, 0.4) == [(2, 3, 5), (6, 6, 8)]
     assert passages(depth, 0.6) == [(2, 3, 5), (6, 7, 8)]  # the first never comes so deep: where it is deepest
     assert passages(np.array([0.1, 0.2, -0.1]), 0.1) == []  # it begins there
 
 
-def test_a_plan_goes_through_by_its_own_samples() -> None:
+def test_a_plan_goes_through_by_its_own_samples():
     plan = planned()
     assert plan.runs > 0
     for seen in (plan.outcome, plan.finer_outcome):
@@ -143,7 +141,7 @@ def test_a_plan_goes_through_by_its_own_samples() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_slot_that_is_not_there_is_touched(side: float) -> None:
+def test_a_slot_that_is_not_there_is_touched(side):
     plan = planned()
     motion = plan.required(plan.motion, "motion")
     narrow = aside(SLOT, side * 0.4 * SLOT.width)
@@ -158,7 +156,7 @@ def test_a_slot_that_is_not_there_is_touched(side: float) -> None:
     assert "mm deep, 500 mm required" in deeper.message or "touches" in deeper.message
 
 
-def test_a_plan_into_a_tube_keeps_clear_of_its_sides() -> None:
+def test_a_plan_into_a_tube_keeps_clear_of_its_sides():
     tube = replace(SLOT, tube=0.05)
     plan = plan_insert(ROPE, ARM, tube, options=ONE, time_budget=200.0, samples=4)
     assert plan.success, plan.message
@@ -170,7 +168,7 @@ def test_a_plan_into_a_tube_keeps_clear_of_its_sides() -> None:
     assert np.abs(offset[inside]).max() + ROPE.radius < 0.5 * tube.width
 
 
-def test_a_touch_of_an_obstacle_is_no_touch_of_a_wall() -> None:
+def test_a_touch_of_an_obstacle_is_no_touch_of_a_wall():
     plan, seen = planned(), planned().outcome
     run, row = seen.run, int(np.searchsorted(seen.run.t, seen.t_enter - 0.3))
     force = np.zeros_like(run.contact_force)
@@ -185,7 +183,7 @@ def test_a_touch_of_an_obstacle_is_no_touch_of_a_wall() -> None:
     assert alone.wall_clearance == 0.0
 
 
-def test_a_tip_that_is_too_fast_inside_fails() -> None:
+def test_a_tip_that_is_too_fast_inside_fails():
     plan, motion = planned(), planned().required(planned().motion, "motion")
     speed = plan.outcome.speed
     for most, message in ((1.01 * speed, ""), (0.9 * speed, f"the tip has {speed:.2f} m/s there")):
@@ -194,7 +192,7 @@ def test_a_tip_that_is_too_fast_inside_fails() -> None:
         assert bool(seen.message) is bool(message)
 
 
-def test_a_floor_that_the_rope_would_touch_is_kept_clear_of() -> None:
+def test_a_floor_that_the_rope_would_touch_is_kept_clear_of():
     lowest = float(planned().outcome.run.joints[..., 1].min())
     who = replace(planned().problem, obstacles=(hf.Ground(0.0, lowest + 0.01),))
     motion = planned().required(planned().motion, "motion")
@@ -207,7 +205,7 @@ def test_a_floor_that_the_rope_would_touch_is_kept_clear_of() -> None:
     assert blocked > free + 0.03  # three times the depth in the floor, with the radius
 
 
-def test_free_swings_tell_what_runs_beside_the_walls_do() -> None:
+def test_free_swings_tell_what_runs_beside_the_walls_do():
     """In each of some scenarios, half of which fail: the slot is 6 mm off."""
     plan = planned()
     moves = plan.required(plan.moves, "moves")
@@ -231,7 +229,7 @@ def certain(problem: Problem, slot: Slot = SLOT) -> int:
     return estimate_insert_probability(problem, slot, MOVES, NEAR, none, samples=3).successes
 
 
-def test_a_scenario_fails_in_which_the_tip_is_too_fast_or_the_slot_elsewhere() -> None:
+def test_a_scenario_fails_in_which_the_tip_is_too_fast_or_the_slot_elsewhere():
     """By what a run with as many links tells."""
     who = Problem(ROPE, ARM, LIMITS, 4.0)
     seen = verify_insert(InsertTask(who, SLOT).finer, SLOT, MOVES.motion(who.limits), NEAR)
@@ -241,7 +239,7 @@ def test_a_scenario_fails_in_which_the_tip_is_too_fast_or_the_slot_elsewhere() -
     assert certain(who, aside(SLOT, 0.03)) == 0
 
 
-def test_a_scenario_fails_in_which_the_rope_comes_too_near_arm_shaft_or_obstacle() -> None:
+def test_a_scenario_fails_in_which_the_rope_comes_too_near_arm_shaft_or_obstacle():
     """By what a run with as many links tells: with 1 mm more than is there, not with 1 mm less."""
     who = Problem(ROPE, ARM, LIMITS, 4.0)
     seen = verify_insert(InsertTask(who, SLOT).finer, SLOT, MOVES.motion(who.limits), NEAR)
@@ -255,7 +253,7 @@ def test_a_scenario_fails_in_which_the_rope_comes_too_near_arm_shaft_or_obstacle
         assert certain(replace(who, obstacles=(hf.Ground(0.0, lowest + more),))) == successes
 
 
-def test_clearance_of_a_hanging_rope_from_a_wall() -> None:
+def test_clearance_of_a_hanging_rope_from_a_wall():
     rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=5, radius=0.003)
     run = hf.simulate(rope, duration=0.1, pegs=[hf.Wall(0.04, -0.5, 0.3, -0.4)], t_eval=[0.0, 0.1])
     found = obstacle_clearance(run, [hf.Wall(0.04, -0.5, 0.3, -0.4)], 0.1)
@@ -263,14 +261,14 @@ def test_clearance_of_a_hanging_rope_from_a_wall() -> None:
     assert found.value <= 0.037
 
 
-def test_the_set_up_of_a_plan_enters(tmp_path) -> None:
+def test_the_set_up_of_a_plan_enters(tmp_path):
     planned().to_toml(tmp_path / "insert.toml")
     run = hf.simulate(hf.Setup.from_toml(tmp_path / "insert.toml"))
     assert run.setup.pegs == SLOT.walls
     assert SLOT.frame(run.tip)[0].max() >= SLOT.depth
 
 
-def test_out_of_reach_is_said_before_any_search() -> None:
+def test_out_of_reach_is_said_before_any_search():
     far = plan_insert(ROPE, ARM, Slot(1.2, 0.0, 0.0))
     assert (far.success, far.status) == (False, "infeasible")
     assert "the rope ends 0.15 m short of the target" in far.message
@@ -291,12 +289,12 @@ def test_out_of_reach_is_said_before_any_search() -> None:
         ({"touching": "yes"}, "slot touching is neither true nor false"),
     ],
 )
-def test_slots_that_are_refused(change: dict[str, object], words: str) -> None:
+def test_slots_that_are_refused(change, words):
     with pytest.raises(InvalidInput, match=words):
         plan_insert(ROPE, ARM, Slot(**{"x": 0.2, "y": -0.8, "direction": 0.0} | change))
 
 
-def test_moves_added_in_rests_leave_the_others_where_they_are() -> None:
+def test_moves_added_in_rests_leave_the_others_where_they_are():
     few = Moves(1, np.array([-1.4, 1.0]), np.array([0.05, 0.9]))
     more = with_more(few, 3, 1.2, LIMITS)
     assert more.ends == pytest.approx([-1.4, -1.33, 1.0])  # the other way than the move before it
@@ -310,7 +308,7 @@ def test_moves_added_in_rests_leave_the_others_where_they_are() -> None:
     assert with_more(short, 9, short.stops(LIMITS), LIMITS) is short  # no time for another
 
 
-def test_residuals_are_offsets_and_what_an_entry_lacks() -> None:
+def test_residuals_are_offsets_and_what_an_entry_lacks():
     """An obstacle 30 mm in the rope's way adds to them; an entry that fails says by how much."""
     problem = Problem(ROPE, ARM, LIMITS, 4.0)
     (free,) = InsertTask(problem, SLOT)._fly([MOVES], [NEAR], Budget(math.inf))
@@ -329,7 +327,7 @@ def test_residuals_are_offsets_and_what_an_entry_lacks() -> None:
     assert deeper.score < -0.1
 
 
-def test_an_estimate_does_not_outlast_its_time() -> None:
+def test_an_estimate_does_not_outlast_its_time():
     given = (Problem(ROPE, ARM, LIMITS, 4.0), SLOT, MOVES, NEAR)
     ticks = iter(np.arange(0.0, 100.0, 1.0))
     budget = Budget(8.0, clock=lambda: float(next(ticks)), threads=1)
@@ -348,9 +346,7 @@ def test_an_estimate_does_not_outlast_its_time() -> None:
         (0.8e-3, 2.4e-3, False),  # far enough
     ],
 )
-def test_runs_that_differ_by_more_than_the_distance_from_the_walls_fail(
-    given: float, now: float, touches: bool
-) -> None:
+def test_runs_that_differ_by_more_than_the_distance_from_the_walls_fail(given, now, touches):
     plan = planned()
     assert plan.outcome is not None
     first, finer = (replace(plan.outcome, wall_clearance=gap) for gap in (given, now))
@@ -359,7 +355,7 @@ def test_runs_that_differ_by_more_than_the_distance_from_the_walls_fail(
         assert bool(task.failure(Candidate(MOVES, 1.0, NEAR), finer, first)) == (touches and not touching)
 
 
-def test_an_insertion_is_verified_with_finer_links() -> None:
+def test_an_insertion_is_verified_with_finer_links():
     task = InsertTask(planned().problem, SLOT)
     found = task.verify(Candidate(MOVES, 1.0, NEAR), Budget(math.inf))
     assert found.message == ""

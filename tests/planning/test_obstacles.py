@@ -1,9 +1,6 @@
 """Casts past obstacles, which the rope must not touch: distances, the search's view of them, and verified runs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,7 +37,7 @@ def distance(obstacle: hf.Peg | hf.Wall | hf.Ground, points: np.ndarray) -> np.n
 
 
 @pytest.mark.parametrize("obstacle", [FLOOR, POST, WALL], ids=["floor", "post", "wall"])
-def test_distances_are_those_of_many_points_of_the_rope(obstacle: hf.Peg | hf.Wall | hf.Ground) -> None:
+def test_distances_are_those_of_many_points_of_the_rope(obstacle):
     rope = CABLE.replace(radius=0.01)
     for q in np.random.default_rng(5).uniform(-1.2, 1.2, (8, rope.n_links)):
         joints = rope.joints(q[None], np.zeros((1, 2)))[0]
@@ -51,7 +48,7 @@ def test_distances_are_those_of_many_points_of_the_rope(obstacle: hf.Peg | hf.Wa
         assert there == pytest.approx(want, abs=1e-3)  # the points are 1 mm apart
 
 
-def test_a_run_tells_which_obstacle_it_comes_near_and_when() -> None:
+def test_a_run_tells_which_obstacle_it_comes_near_and_when():
     run = planned().run
     assert run is not None
     k = int(np.argmin(distance(POST, run.tip)))
@@ -62,7 +59,7 @@ def test_a_run_tells_which_obstacle_it_comes_near_and_when() -> None:
     assert -0.03 < between <= 1e-9  # samples are 10 ms apart: the rope comes nearer between two of them
 
 
-def test_a_cast_that_touches_an_obstacle_fails_and_says_which() -> None:
+def test_a_cast_that_touches_an_obstacle_fails_and_says_which():
     run, motion = planned().run, WINDS.motion(problem().limits)
     assert run is not None
     aside = hf.Ground(float(run.tip[:, 0].max()) - 0.05, 0.0, -1.0, 0.0)
@@ -83,7 +80,7 @@ def test_a_cast_that_touches_an_obstacle_fails_and_says_which() -> None:
     assert f"comes within {1e3 * room:.0f}"[:-1] in short.message or "the arm" in short.message
 
 
-def test_a_touch_between_two_samples_is_seen() -> None:
+def test_a_touch_between_two_samples_is_seen():
     who, motion = problem(), WINDS.motion(problem().limits)
     t = np.arange(0.0, 4.3, 0.01)
     for x, y in ((0.85778, -1.65443), (0.8414, -1.68562), (0.16175, -1.99088), (0.08262, -1.97463)):
@@ -96,7 +93,7 @@ def test_a_touch_between_two_samples_is_seen() -> None:
         assert obstacle_clearance(free, [post]).value < -0.5e-3
 
 
-def test_a_search_sees_what_lies_in_the_way() -> None:
+def test_a_search_sees_what_lies_in_the_way():
     run = planned().run
     assert run is not None
     free = simulated_strikes(problem(), PEG, [WINDS])
@@ -118,7 +115,7 @@ def test_a_search_sees_what_lies_in_the_way() -> None:
     assert off.turns[0] < on.turns[0]
 
 
-def test_obstacles_go_with_a_plan_through_its_file(tmp_path: Path) -> None:
+def test_obstacles_go_with_a_plan_through_its_file(tmp_path):
     known = replace(planned(), problem=replace(problem(), obstacles=[FLOOR, POST, WALL]))
     known.to_toml(tmp_path / "cast.toml")
     again = read_plan(tmp_path / "cast.toml")
@@ -126,18 +123,18 @@ def test_obstacles_go_with_a_plan_through_its_file(tmp_path: Path) -> None:
     assert set(hf.Setup.from_toml(tmp_path / "cast.toml").pegs) == {PEG, FLOOR, POST, WALL}
 
 
-def test_obstacles_that_cannot_be_are_refused() -> None:
+def test_obstacles_that_cannot_be_are_refused():
     with pytest.raises(InvalidInput, match="turning arm hits the wall"):
         replace(problem(), obstacles=[hf.Wall(0.05, -0.05, 0.05, 0.05)])
     with pytest.raises(InvalidInput, match="obstacles holds something else"):
-        hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, conditions=hf.Conditions(obstacles=["a wall"]))  # type: ignore[list-item]
+        hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, conditions=hf.Conditions(obstacles=["a wall"]))
     with pytest.raises(InvalidInput, match="begins in an obstacle"):
         hf.plan_cast(CABLE, hf.Arm(length=0.105), PEG, conditions=hf.Conditions(obstacles=[hf.Ground(0.0, -1.9)]))
     with pytest.raises(InvalidInput, match="past obstacles are not followed"):
-        hf.follow_plan(replace(planned(), problem=replace(problem(), obstacles=[FLOOR])), None)  # type: ignore[arg-type]
+        hf.follow_plan(replace(planned(), problem=replace(problem(), obstacles=[FLOOR])), None)
 
 
-def test_what_begins_or_lies_in_an_obstacle_is_told_before_a_search() -> None:
+def test_what_begins_or_lies_in_an_obstacle_is_told_before_a_search():
     arm, floor, post = hf.Arm(length=0.105), hf.Ground(0.0, -1.0), hf.Peg(-0.8, -1.1, 0.1)
     slot = hf.Slot(0.56, -1.9, -0.78)
     for plan in (
@@ -148,14 +145,14 @@ def test_what_begins_or_lies_in_an_obstacle_is_told_before_a_search() -> None:
         with pytest.raises(InvalidInput, match="the rope begins in an obstacle"):
             plan()
     with pytest.raises(InvalidInput, match="obstacles holds something else"):
-        hf.Conditions(obstacles=post)  # type: ignore[arg-type]
+        hf.Conditions(obstacles=post)
     seen = hf.plan_cast(CABLE, arm, hf.Peg(-0.8, -1.1, 0.03), conditions=hf.Conditions(obstacles=[post]))
     assert (seen.status, seen.message) == ("infeasible", "the target lies in the peg at (-0.8, -1.1) m")
     whip_map = build_whip_map(replace(problem(), obstacles=[post], time=1.0), swings=1)
     assert check_whip_feasibility(whip_map, TipTarget(-0.8, -1.1)).message == seen.message
 
 
-def test_a_target_that_the_rope_begins_in_is_not_feasible_and_others_are_planned_all_the_same() -> None:
+def test_a_target_that_the_rope_begins_in_is_not_feasible_and_others_are_planned_all_the_same():
     places = [hf.Peg(-0.105, -1.0, 0.03), hf.Peg(-0.8, 1.9, 0.03)]
     on, far = hf.plan_cast(CABLE, hf.Arm(length=0.105), places, conditions=hf.Conditions(side=-1))
     assert on.message.startswith("the rope begins in the target")
@@ -163,7 +160,7 @@ def test_a_target_that_the_rope_begins_in_is_not_feasible_and_others_are_planned
 
 
 @pytest.mark.nightly
-def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search() -> None:
+def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search():
     """And places that they leave none are no fallback targets, and a remedy is one that makes room."""
     arm, room = hf.Arm(length=0.105), 2e3 * CABLE.radius
     near = hf.Wall(PEG.x - PEG.radius - 0.003, -1.5, PEG.x - PEG.radius - 0.003, -0.8)
@@ -185,7 +182,7 @@ def test_obstacles_that_leave_a_wound_rope_no_room_are_told_before_a_search() ->
         assert check_feasibility(replace(problem(), obstacles=[free]), PEG).feasible
 
 
-def test_a_cast_is_found_beside_a_wall_that_leaves_room() -> None:
+def test_a_cast_is_found_beside_a_wall_that_leaves_room():
     cord = hf.Rope.uniform(length=1.2, mass=0.06, n_links=15, radius=0.003, friction=5e-4)
     floor = hf.Conditions(obstacles=[hf.Ground(0.0, -1.4)])
     plan = hf.plan_cast(cord, hf.Arm(length=0.15), hf.Peg(0.5, -0.6, 0.03), conditions=floor, on_plan=lambda plan: True)

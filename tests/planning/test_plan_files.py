@@ -1,7 +1,5 @@
 """Plans as files: the motor's table, the set-up that is simulated again, what is read back."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The planner's loop, on a task of numbers and a clock that the task itself moves on."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -63,13 +61,13 @@ def spent(task: Numbers, name: str) -> float:
     return COST[name] * sum(each == name for each, _ in task.calls)
 
 
-def test_each_level_gets_an_equal_share_of_the_time() -> None:
+def test_each_level_gets_an_equal_share_of_the_time():
     task = Numbers(0, lambda _: False)
     assert not planner(task, 300.0).succeeds
     assert [spent(task, name) for name in COST] == pytest.approx([100.0] * 3, abs=4.0)
 
 
-def test_a_search_ends_with_a_margin_or_some_time_after_its_first_plan() -> None:
+def test_a_search_ends_with_a_margin_or_some_time_after_its_first_plan():
     task = Numbers(5, lambda k: k >= 20, enough=0.2)
     assert planner(task).best.margin >= 0.2  # the first that succeeds has it
     task = Numbers(0, lambda k: k >= 2, enough=10.0)
@@ -80,9 +78,9 @@ def test_a_search_ends_with_a_margin_or_some_time_after_its_first_plan() -> None
     assert found.best.margin == max(one / 100.0 for name, one in task.calls if name == "verify")
 
 
-def test_a_plan_with_half_of_the_margin_is_improved_for_half_as_long() -> None:
+def test_a_plan_with_half_of_the_margin_is_improved_for_half_as_long():
     class HalfSpare(Numbers):
-        def verify(self, one: Candidate, budget: Budget) -> Verified:
+        def verify(self, one, budget):
             return replace(super().verify(one, budget), margin=0.5)
 
     task = HalfSpare(0, lambda _: True)
@@ -92,7 +90,7 @@ def test_a_plan_with_half_of_the_margin_is_improved_for_half_as_long() -> None:
     assert 1.5 * at <= task.now <= 1.5 * at + max(COST.values())
 
 
-def test_a_candidate_unlike_those_that_failed_is_verified_at_once() -> None:
+def test_a_candidate_unlike_those_that_failed_is_verified_at_once():
     task = Numbers(0, lambda _: False, last=40)
     planner(task)
     calls = task.calls
@@ -101,7 +99,7 @@ def test_a_candidate_unlike_those_that_failed_is_verified_at_once() -> None:
         assert calls[k - 1][0] == "rollout"
 
 
-def test_a_better_plan_is_reported_and_may_end_the_search() -> None:
+def test_a_better_plan_is_reported_and_may_end_the_search():
     heard: list[float] = []
     task = Numbers(0, lambda k: k >= 3, enough=10.0)
     found = Planner(
@@ -116,7 +114,7 @@ def test_a_better_plan_is_reported_and_may_end_the_search() -> None:
     assert task.now < 500.0
 
 
-def test_candidates_like_those_that_failed_are_verified_last() -> None:
+def test_candidates_like_those_that_failed_are_verified_last():
     task = Numbers(0, lambda _: False, last=30)
     planner(task)
     tens = [one // 10 for name, one in task.calls if name == "verify"]
@@ -124,7 +122,7 @@ def test_candidates_like_those_that_failed_are_verified_last() -> None:
     assert max(np.bincount(tens[-9:], minlength=3)) <= 6
 
 
-def test_no_time_and_nothing_to_try_end_a_search() -> None:
+def test_no_time_and_nothing_to_try_end_a_search():
     task = Numbers(0, lambda _: False, last=3)
     found = planner(task)
     assert len(found.rolled) == 3

@@ -1,7 +1,5 @@
 """Shooting on residuals whose minimum is known."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -31,7 +29,7 @@ def fly(one: Point, changes: Sequence[np.ndarray], later: Sequence[float]) -> li
     return [each if each.x[0] < 0.9 else None for each in found]  # there is none beyond
 
 
-def test_residuals_are_reduced_and_failed_flights_are_passed_over() -> None:
+def test_residuals_are_reduced_and_failed_flights_are_passed_over():
     scale, begin = np.array([0.1, 0.1, 5.0]), at(np.array([0.0, 0.5, 0.0]))
     best, varied = shoot(begin, scale, fly, close=1e-6, rounds=60, difference=1e-4, budget=Budget())
     assert np.linalg.norm(best.residuals) < 0.2 * np.linalg.norm(begin.residuals)
@@ -44,6 +42,6 @@ def test_residuals_are_reduced_and_failed_flights_are_passed_over() -> None:
     assert none is begin
 
 
-def test_no_step_is_made_without_time() -> None:
+def test_no_step_is_made_without_time():
     with pytest.raises(OutOfTime):
         shoot(at(np.zeros(3)), np.ones(3), fly, close=0.0, rounds=9, difference=1e-4, budget=Budget(1e-9))

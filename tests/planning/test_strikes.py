@@ -1,7 +1,5 @@
 """First strikes of free swings, and what they promise, by brute force and closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, frict
 CAST_SETUP = Problem(CABLE, hf.Arm(length=0.105), MotorLimits())
 
 
-def test_the_gap_is_that_of_many_points_along_the_rope() -> None:
+def test_the_gap_is_that_of_many_points_along_the_rope():
     random = np.random.default_rng(3)
     q = random.uniform(-np.pi, np.pi, (4, 1, 6)).repeat(3, axis=1)
     base, length = np.zeros((4, 3, 2)), random.uniform(0.1, 0.3, 6)
@@ -32,7 +30,7 @@ def test_the_gap_is_that_of_many_points_along_the_rope() -> None:
         assert least[k] == pytest.approx(max(gap, 0.0), abs=1e-6)  # points 0.15 mm apart: (7.5e-5)^2 / 2 / gap
 
 
-def test_a_link_that_passes_between_two_samples_is_seen() -> None:
+def test_a_link_that_passes_between_two_samples_is_seen():
     angle = np.array([0.0, -0.6, 0.6])  # a rod that swings through a peg below it
     q, base = angle[None, :, None], np.zeros((1, 3, 2))
     at, link, _ = first_contact(q, base, np.array([[1.0]]), [hf.Peg(0.0, -0.8, 0.001)], 0.0)
@@ -42,7 +40,7 @@ def test_a_link_that_passes_between_two_samples_is_seen() -> None:
     assert least[0] > MODEL.near
 
 
-def test_a_rope_that_hangs_beside_the_peg_leaves_it_before_it_strikes() -> None:
+def test_a_rope_that_hangs_beside_the_peg_leaves_it_before_it_strikes():
     angle = np.array([0.0, -0.01, -0.3, -0.5, -0.3, 0.0, 0.3])  # a rod, 12 mm from the peg at the start
     peg, base = hf.Peg(0.022, -0.8, 0.01), np.zeros((1, 7, 2))
     at, _, _ = first_contact(angle[None, :, None], base, np.array([[1.0]]), [peg], 0.0)
@@ -51,7 +49,7 @@ def test_a_rope_that_hangs_beside_the_peg_leaves_it_before_it_strikes() -> None:
     assert at.tolist() == [0]
 
 
-def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg() -> None:
+def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg():
     """A wall where the arm is, of its thickness, and a peg for the shaft; links that hang from the arm left out."""
     random, arm = np.random.default_rng(6), hf.Arm(length=0.2, pivot=(0.1, -0.2), radius=0.004, shaft_radius=0.012)
     rope = hf.Rope.uniform(1.2, 0.06, 12, 0.003)
@@ -67,7 +65,7 @@ def test_the_clearance_from_the_arm_is_that_from_a_wall_and_a_peg() -> None:
         assert sampled_clearance(rope, arm, q, tip[None])[0] == pytest.approx(min(whole, away), abs=1e-12)
 
 
-def test_samples_clear_of_the_arm_are_those_before_the_first_that_is_not() -> None:
+def test_samples_clear_of_the_arm_are_those_before_the_first_that_is_not():
     """All links at all samples, beside those alone that may be near."""
     random, arm, far = np.random.default_rng(5), hf.Arm(length=0.15), hf.Rope.uniform(1.2, 0.06, 12, 0.003)
     q = np.cumsum(random.normal(0.0, 0.4, (40, 60, 12)), axis=1) + random.uniform(-np.pi, np.pi, (40, 1, 12))
@@ -83,7 +81,7 @@ def test_samples_clear_of_the_arm_are_those_before_the_first_that_is_not() -> No
     assert samples_clear_of_arm(far, arm, q, base, -np.inf).tolist() == 40 * [60]
 
 
-def test_a_flight_that_failed_strikes_nothing_from_there_on() -> None:
+def test_a_flight_that_failed_strikes_nothing_from_there_on():
     angle = np.array([-0.5, -0.4, np.nan, np.nan])  # a rod beside the peg, and angles that nobody knows
     at, _, least = first_contact(
         angle[None, :, None], np.zeros((1, 4, 2)), np.array([[1.0]]), [hf.Peg(0.0, -0.8, 0.01)], 0.0
@@ -98,7 +96,7 @@ def test_a_flight_that_failed_strikes_nothing_from_there_on() -> None:
     assert lost.score[0] == pytest.approx(NEVER - CABLE.total_length)
 
 
-def test_a_swing_that_goes_through_its_arm_does_not_strike() -> None:
+def test_a_swing_that_goes_through_its_arm_does_not_strike():
     """A rope that folds over the shaft, and strikes the peg on the other side of it."""
     t: np.ndarray = np.arange(0.0, 0.6, 0.02)
     turn = np.linspace(0.0, 1.9 * np.pi, t.size)[:, None]
@@ -116,7 +114,7 @@ def test_a_swing_that_goes_through_its_arm_does_not_strike() -> None:
     assert strike[-np.inf][0] > 0.0
 
 
-def test_a_rod_beside_the_peg_that_swings_through_it_strikes() -> None:
+def test_a_rod_beside_the_peg_that_swings_through_it_strikes():
     """It is near the peg before, and has not left it."""
     base, length, peg = np.zeros((1, 3, 2)), np.array([[1.0]]), hf.Peg(0.0, -0.5, 0.001)
     for angles, strike in (([0.03, -0.03, -0.06], 1), ([0.03, 0.001, 0.03], 1), ([0.03, 0.02, 0.03], 0)):
@@ -124,7 +122,7 @@ def test_a_rod_beside_the_peg_that_swings_through_it_strikes() -> None:
         assert at[0] == strike
 
 
-def test_what_a_turning_rod_promises() -> None:
+def test_what_a_turning_rod_promises():
     """Straight, from the peg on, at the rate w: energy w^2 m s^2 / 6, and m g s / 2 (1 + cos q) lifts its centre."""
     peg, w, slope = hf.Peg(0.0, -1.0, 0.01), 4.0, 0.7
     q = np.where(np.arange(50) < 25, 0.0, slope)  # the upper half hangs to the peg, the lower one is the tail
@@ -136,18 +134,16 @@ def test_what_a_turning_rod_promises() -> None:
     assert turns == pytest.approx(s / (2.0 * np.pi * 0.0125))
 
 
-def test_a_weight_at_the_tip_counts() -> None:
+def test_a_weight_at_the_tip_counts():
     peg, w = hf.Peg(0.0, -1.0, 0.01), 4.0
     q, qd = np.zeros(50), np.where(np.arange(50) < 25, 0.0, w)
     ratio, _ = tail_energy(CABLE.replace(tip_mass=1e5), peg, q, qd, np.zeros(2), np.zeros(2), 25)
     assert ratio == pytest.approx(0.5 * w**2 / (2.0 * 9.81), rel=1e-5)  # a point: the rope is 1e-6 of it
 
 
-def test_what_strikes_nothing_is_told_by_its_distance() -> None:
+def test_what_strikes_nothing_is_told_by_its_distance():
     found = simulated_strikes(
-        CAST_SETUP,
-        hf.Peg(1.9, 1.9, 0.03),
-        [pumped(CAST_SETUP, Moves(1, np.zeros(0), np.zeros(0)))],
+        CAST_SETUP, hf.Peg(1.9, 1.9, 0.03), [pumped(CAST_SETUP, Moves(1, np.zeros(0), np.zeros(0)))]
     )
     assert np.isnan(found.t[0])
     assert found.score[0] < -1.0

@@ -1,7 +1,5 @@
 """Casts that begin from a rope that swings while the arm stands still, as a tracker tells it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -24,11 +22,11 @@ SEEN = RopeState(-BEFORE, np.linspace(0.3, 0.5, 12), np.full(12, -0.5))
 SWINGS = Problem(CORD, ARM, hf.MotorLimits(), side=-1, q0=tuple(SEEN.q), qd0=tuple(SEEN.qd))
 
 
-def test_a_plan_from_a_swinging_rope_winds_in_a_run_from_what_was_seen(tmp_path) -> None:
+def test_a_plan_from_a_swinging_rope_winds_in_a_run_from_what_was_seen(tmp_path):
     """By links that the planner did not know. The first plan that stands ends the search, if it is told to."""
     heard: list[CastPlan] = []
 
-    def on_plan(found: CastPlan) -> bool:
+    def on_plan(found):
         heard.append(found)
         return True
 
@@ -56,7 +54,7 @@ def test_a_plan_from_a_swinging_rope_winds_in_a_run_from_what_was_seen(tmp_path)
     assert plan.problem.q0
 
 
-def test_a_start_is_that_of_the_same_rope_with_shorter_links() -> None:
+def test_a_start_is_that_of_the_same_rope_with_shorter_links():
     assert np.array_equal(SWINGS.cut(3).start[0], np.repeat(SEEN.q, 3))
     fine = refine_rope(CORD, [PEG], arm=ARM)
     q, _ = SWINGS.start_on(fine)
@@ -67,7 +65,7 @@ def test_a_start_is_that_of_the_same_rope_with_shorter_links() -> None:
     assert verified_setup(replace(SWINGS, q0=(), qd0=()), hf.hold_arm(0.0), 1.0).q0 is None
 
 
-def test_all_swings_of_a_search_begin_there() -> None:
+def test_all_swings_of_a_search_begin_there():
     assert free_sides(SWINGS, [PEG]) == [-1]
     batch = RolloutBatch.from_start(SWINGS, [CORD] * 2, [], [hf.hold_arm(0.0)] * 2)
     assert np.array_equal(batch.q, [SEEN.q] * 2)
@@ -86,13 +84,13 @@ def test_all_swings_of_a_search_begin_there() -> None:
         ({"state0": RopeState(0.0, SEEN.q, np.full(12, np.nan))}, "qd0"),
     ],
 )
-def test_a_start_that_cannot_be_is_refused(change: dict[str, object], told: str) -> None:
+def test_a_start_that_cannot_be_is_refused(change, told):
     given: dict[str, object] = {"state0": SEEN, "side": -1} | change
     with pytest.raises(InvalidInput, match=told):
-        hf.plan_cast(CORD, ARM, PEG, conditions=hf.Conditions(**given), time_budget=0.01)  # type: ignore[arg-type]
+        hf.plan_cast(CORD, ARM, PEG, conditions=hf.Conditions(**given), time_budget=0.01)
 
 
-def test_a_rope_that_touches_something_before_the_motion_begins_is_not_cast() -> None:
+def test_a_rope_that_touches_something_before_the_motion_begins_is_not_cast():
     """SEEN swings to the left, past where it hangs from the arm: a wall stands there, out of its way at first."""
     held = hf.hold_arm(-np.pi / 2)
     tips = hf.simulate(CORD, held, arm=ARM, duration=2.0, q0=SEEN.q, qd0=SEEN.qd).tip

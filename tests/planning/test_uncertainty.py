@@ -1,9 +1,6 @@
 """Drawn worlds: how far they spread, that they stay possible, and what a motor makes of a throw in them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,7 +20,7 @@ NONE = Uncertainty(length=0.0, mass=0.0, friction=0.0, mu=0.0, lag=0.0, timing=0
 THROW = Moves(-1, np.array([1.43, -1.07, 1.93, 0.0]), np.array([0.1, 0.3, 0.0, 0.2]), np.array([1.0, 1.0, 1.0, 0.5]))
 
 
-def test_the_spread_is_the_one_asked_for_and_nothing_turns_negative() -> None:
+def test_the_spread_is_the_one_asked_for_and_nothing_turns_negative():
     wide = Uncertainty(length=0.05, mass=0.1, friction=0.6, mu=0.3, lag=0.02, timing=0.005)
     draws = wide.sample(1500, CAST_SETUP, PEG)
     seen = {
@@ -44,7 +41,7 @@ def test_the_spread_is_the_one_asked_for_and_nothing_turns_negative() -> None:
     assert np.std([d.delays for d in draws]) == pytest.approx(0.005, rel=0.03)
 
 
-def test_a_draw_is_the_same_whatever_their_number_and_another_with_another_seed() -> None:
+def test_a_draw_is_the_same_whatever_their_number_and_another_with_another_seed():
     few, many, other = (Uncertainty().sample(n, CAST_SETUP, PEG, seed=s) for n, s in ((2, 5), (4, 5), (2, 6)))
     assert few[1].rope == many[1].rope
     assert few[1].peg == many[1].peg
@@ -52,7 +49,7 @@ def test_a_draw_is_the_same_whatever_their_number_and_another_with_another_seed(
     assert few[0].rope != few[1].rope
 
 
-def test_a_scaled_rope_swings_as_its_length_says() -> None:
+def test_a_scaled_rope_swings_as_its_length_says():
     """Without friction the shape of a swing depends on length alone: its time goes with the root."""
     free = ROPE.replace(friction=0.0)
     longer = scaled_rope(free, 1.21, 1.7, 1.0)
@@ -62,13 +59,13 @@ def test_a_scaled_rope_swings_as_its_length_says() -> None:
     np.testing.assert_allclose(two.q, one.q, atol=1e-6)  # tol of 1e-9 m, some hundred times that after a second
 
 
-def test_without_uncertainty_the_motor_does_what_it_is_asked() -> None:
+def test_without_uncertainty_the_motor_does_what_it_is_asked():
     (draw,) = NONE.sample(1, CAST_SETUP, PEG)
     assert draw.motion(THROW, CAST_SETUP) == THROW.motion(CAST_SETUP.limits)
     assert draw.rope == ROPE
 
 
-def test_moves_start_late_but_not_before_the_last_one_has_ended() -> None:
+def test_moves_start_late_but_not_before_the_last_one_has_ended():
     asked = THROW.motion(CAST_SETUP.limits)
     late = np.zeros(MOVES)
     late[:4] = [-0.5, 0.03, -0.02, 0.0]  # the third move has no rest before it; it cannot be early
@@ -82,7 +79,7 @@ def test_moves_start_late_but_not_before_the_last_one_has_ended() -> None:
     assert done.spec["angles"] == asked.spec["angles"]
 
 
-def test_a_lag_makes_the_arm_late() -> None:
+def test_a_lag_makes_the_arm_late():
     asked = THROW.motion(CAST_SETUP.limits)
     done = Scenario(ROPE, PEG, 0.01, np.zeros(MOVES)).executed_motion(asked)
     t = np.linspace(0.3, 0.6, 7)  # amid the first stroke: late by the lag, but for what its acceleration does
@@ -94,11 +91,11 @@ def test_a_lag_makes_the_arm_late() -> None:
         Scenario(ROPE, PEG, 0.0, np.zeros(MOVES)).executed_motion(arm_moves([0.0, 1.0], [0.1], [0.5]).shifted(0.1))
 
 
-def test_ropes_are_drawn_from_a_fit_and_the_rest_as_usual() -> None:
+def test_ropes_are_drawn_from_a_fit_and_the_rest_as_usual():
     told = {"std": {"friction": np.full(6, 2e-4)}, "values": {}}
     told |= {"covariance": np.array([[4e-8]]), "length_covariance": np.zeros(2)}
     fit = SimpleNamespace(rope=ROPE, parameters=("friction:shared",), **told)
-    known = Uncertainty.from_identification(fit)  # type: ignore[arg-type]
+    known = Uncertainty.from_identification(fit)
     assert (known.length, known.mass, known.friction, known.mu) == (0.0, 0.0, 0.0, Uncertainty().mu)
     draws = known.sample(1500, CAST_SETUP, PEG)
     assert np.std([d.rope.friction[0] for d in draws]) == pytest.approx(2e-4, rel=0.06)  # 3 deviations of one from 1500
@@ -108,13 +105,13 @@ def test_ropes_are_drawn_from_a_fit_and_the_rest_as_usual() -> None:
         with pytest.raises(InvalidInput, match="of another rope"):
             known.sample(1, replace(CAST_SETUP, rope=other), PEG)
     thick = replace(CAST_SETUP, rope=ROPE.replace(radius=2.0 * ROPE.radius + 1e-3))
-    (drawn,) = known.sample(1, thick, PEG, seed=np.int64(3))  # type: ignore[arg-type]
+    (drawn,) = known.sample(1, thick, PEG, seed=np.int64(3))
     assert drawn.rope.radius == thick.rope.radius
     with pytest.raises(InvalidInput, match="no RopePosterior"):
-        Uncertainty(posterior=fit)  # type: ignore[arg-type]
+        Uncertainty(posterior=fit)
 
 
-def test_a_rope_file_tells_what_it_can_and_the_rest_is_as_usual(tmp_path: Path) -> None:
+def test_a_rope_file_tells_what_it_can_and_the_rest_is_as_usual(tmp_path):
     ROPE.to_toml(tmp_path / "plain.toml")
     usual = Uncertainty.from_rope_file(tmp_path / "plain.toml")
     assert usual.describe() == Uncertainty().describe()
@@ -129,7 +126,7 @@ def test_a_rope_file_tells_what_it_can_and_the_rest_is_as_usual(tmp_path: Path) 
     assert np.std([d.rope.length[0] for d in known.sample(500, CAST_SETUP, PEG)]) == pytest.approx(1e-3, rel=0.1)
 
 
-def test_what_a_fit_could_not_tell_is_as_uncertain_as_usual(tmp_path: Path) -> None:
+def test_what_a_fit_could_not_tell_is_as_uncertain_as_usual(tmp_path):
     """A length that did not show and whose row of the covariance is 0: not known exactly, but not at all."""
     told = {"parameters": ["length:factor", "friction:shared"], "covariance": [[0.0, 0.0], [0.0, 4e-8]]}
     told |= {"values": {"length:factor": 1.0}, "std": {"length:factor": "unknown", "friction": [2e-4] * 6}}
@@ -144,12 +141,12 @@ def test_what_a_fit_could_not_tell_is_as_uncertain_as_usual(tmp_path: Path) -> N
     names = ("length:factor", "friction:shared")
     spread = {"std": std, "covariance": covariance, "length_covariance": np.zeros(len(names) + 1)}
     fit = SimpleNamespace(rope=ROPE, parameters=names, values=values, **spread)
-    again = Uncertainty.from_identification(fit)  # type: ignore[arg-type]
+    again = Uncertainty.from_identification(fit)
     assert (again.length, again.mass, again.friction) == (0.01, 0.0, 0.0)
-    assert Uncertainty.from_identification(fit, length=0.0).length == 0.0  # type: ignore[arg-type]
+    assert Uncertainty.from_identification(fit, length=0.0).length == 0.0
 
 
-def test_a_punctual_world_differs_in_time_alone() -> None:
+def test_a_punctual_world_differs_in_time_alone():
     (draw,) = Uncertainty().sample(1, CAST_SETUP, PEG)
     assert draw.delays.any()
     assert not draw.without_delays().delays.any()
@@ -161,13 +158,13 @@ def test_a_punctual_world_differs_in_time_alone() -> None:
 
 
 @pytest.mark.parametrize("name", ["length", "mass", "friction", "mu", "lag", "timing"])
-def test_a_spread_that_is_none_is_refused(name: str) -> None:
+def test_a_spread_that_is_none_is_refused(name):
     for wrong in (-0.1, np.nan, np.inf, "much"):
         with pytest.raises(InvalidInput, match=name):
             Uncertainty(**{name: wrong})
 
 
-def test_a_target_that_is_not_quite_in_its_place() -> None:
+def test_a_target_that_is_not_quite_in_its_place():
     draws = replace(NONE, place=0.01).sample(400, CAST_SETUP, PEG)
     off = np.array([[d.peg.x - PEG.x, d.peg.y - PEG.y] for d in draws])
     np.testing.assert_allclose(off.std(axis=0), 0.01, rtol=0.1)  # 400 draws tell it within 3.5 %

@@ -1,9 +1,6 @@
 """What a verified run refuses: a rope that goes through itself or its own arm; what it covers of the peg."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +22,7 @@ FOLDS = Moves(
 )
 
 
-def test_no_joint_bends_further_than_the_ropes_thickness_lets_it() -> None:
+def test_no_joint_bends_further_than_the_ropes_thickness_lets_it():
     """Two links of 80 mm whose axes keep to a circle of 4 mm: nearly folded, by 2 atan(40 / 4) = 2.94 rad."""
     limited = limit_bend(CORD)
     assert limited.max_bend[0] == np.inf  # a hinge
@@ -39,7 +36,7 @@ def test_no_joint_bends_further_than_the_ropes_thickness_lets_it() -> None:
     assert limit_bend(printed) == printed
 
 
-def test_a_throw_that_would_fold_the_rope_through_itself_is_simulated_with_a_rope_that_cannot() -> None:
+def test_a_throw_that_would_fold_the_rope_through_itself_is_simulated_with_a_rope_that_cannot():
     motion = FOLDS.motion(QUICK.limits)
     free = hf.simulate(CORD, motion, arm=QUICK.arm, duration=3.0)
     assert greatest_bend(free) > 2.0 * np.pi  # once round
@@ -49,7 +46,7 @@ def test_a_throw_that_would_fold_the_rope_through_itself_is_simulated_with_a_rop
     assert not folded_flat(planned().run)
 
 
-def test_a_rope_whose_own_limits_let_it_fold_through_itself_fails() -> None:
+def test_a_rope_whose_own_limits_let_it_fold_through_itself_fails():
     loose, motion = replace(QUICK, rope=CORD.replace(max_bend=6.0), clearance=-np.inf), FOLDS.motion(QUICK.limits)
     seen = verify_whip(loose, TipTarget(0.0, 0.0, 0.0, 0.1, np.pi), motion, 2.5, tol=1e-4)
     assert "folds through itself" in seen.message
@@ -77,15 +74,13 @@ def standing(arm_angle: float, aside: float = 0.0, **arm: float) -> hf.Trajector
         (0.5 * np.pi, 0.0, {"shaft_radius": 0.15}, 0.05, "the motor's shaft"),
     ],
 )
-def test_clearance_is_that_of_the_geometry(
-    arm_angle: float, aside: float, arm: dict[str, float], clear: float, what: str
-) -> None:
+def test_clearance_is_that_of_the_geometry(arm_angle, aside, arm, clear, what):
     found = rope_clearance(standing(arm_angle, aside, **arm))
     assert found.what == what
     assert found.value == pytest.approx(clear - 0.004, abs=FINE)
 
 
-def test_clearance_between_samples_is_found() -> None:
+def test_clearance_between_samples_is_found():
     """An arm that goes over the top drags its rope across itself within one of these samples, and out again."""
     arm, motion = hf.Arm(length=0.2), hf.arm_moves([-1.5, -4.4], [0.2], [0.677])
     fine, rough = (
@@ -98,7 +93,7 @@ def test_clearance_between_samples_is_found() -> None:
     assert min(one.value for one in apart) > 5e-3
 
 
-def test_a_throw_whose_rope_comes_too_near_its_arm_fails(tmp_path: Path) -> None:
+def test_a_throw_whose_rope_comes_too_near_its_arm_fails(tmp_path):
     seen = planned().outcome
     assert seen.clearance == planned().clearance == planned().summary()["clearance"] > 0.02
     near = replace(problem(), arm=hf.Arm(length=0.105, shaft_radius=0.0999))  # the body of a motor
@@ -116,7 +111,7 @@ def test_a_throw_whose_rope_comes_too_near_its_arm_fails(tmp_path: Path) -> None
     assert hf.read_plan(tmp_path / "plan.toml").problem == before
 
 
-def test_torque_is_that_of_all_steps() -> None:
+def test_torque_is_that_of_all_steps():
     """And not of samples 10 ms apart: against those 0.2 ms apart, as long as a step, about the greatest."""
     seen = planned().outcome
     assert seen.torque_peak > 1.1 * np.abs(seen.run.motor_torque).max()  # a blow between two samples
@@ -129,7 +124,7 @@ def test_torque_is_that_of_all_steps() -> None:
     assert seen.torque < seen.torque_peak
 
 
-def test_the_torque_of_a_blow_is_told() -> None:
+def test_the_torque_of_a_blow_is_told():
     """A hanging rope whose joint comes to its limit in a swing: what acts for no time is a mean over some."""
     rope = hf.Rope.uniform(length=1.0, mass=0.1, n_links=2, max_bend=0.5)
     run = hf.simulate(rope, hf.hold_arm(0.0), arm=hf.Arm(length=0.2, mass=0.1, com=0.1), duration=1.0, qd0=[0.0, 6.0])
@@ -138,7 +133,7 @@ def test_the_torque_of_a_blow_is_told() -> None:
     assert peak * 5e-4 == pytest.approx(mean * 5e-3, rel=0.2)  # one blow, and little beside
 
 
-def test_what_the_rope_covers_is_asked_and_told() -> None:
+def test_what_the_rope_covers_is_asked_and_told():
     """2.36 turns, 850 degrees, of which 616 lie on the peg all through the watch: the rest is straight or hangs."""
     seen = planned().outcome
     assert np.degrees(seen.contact_angle) == pytest.approx(616, abs=3)  # 643 at its end
@@ -150,7 +145,7 @@ def test_what_the_rope_covers_is_asked_and_told() -> None:
     assert more.message.endswith("degrees of the peg, 688 required")
 
 
-def test_contact_that_is_asked_needs_rope() -> None:
+def test_contact_that_is_asked_needs_rope():
     known = [
         check_feasibility(replace(problem(), criteria=hf.WindCriteria(contact=contact)), PEG)
         for contact in (0.0, 6.0, 7.0, 60.0)
@@ -165,7 +160,7 @@ def test_contact_that_is_asked_needs_rope() -> None:
         hf.plan_cast(problem().rope, problem().arm, PEG, conditions=hf.Conditions(clearance=-1.0))
 
 
-def test_a_whip_through_its_own_arm_fails() -> None:
+def test_a_whip_through_its_own_arm_fails():
     plan = planned_whip()
     assert plan.success
     assert 0.0 < plan.clearance == min(plan.outcome.clearance, plan.finer_outcome.clearance)

@@ -1,7 +1,5 @@
 """Whips: peaks between samples, costs, obstacles, verified runs, plans from end to end, clear errors."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -39,7 +37,7 @@ def known() -> WhipMap:
     return build_whip_map(PROBLEM, swings=96)
 
 
-def test_a_peak_is_found_between_samples() -> None:
+def test_a_peak_is_found_between_samples():
     """Round a circle of 1 m with speed 4 + cos(3 (t - 1)): the peak is at t = 1."""
     t = np.arange(0.013, 2.0, 0.02)
     angle, rate = 4.0 * t + np.sin(3.0 * (t - 1.0)) / 3.0, 4.0 + np.cos(3.0 * (t - 1.0))
@@ -54,7 +52,7 @@ def test_a_peak_is_found_between_samples() -> None:
     np.testing.assert_allclose(found.velocity[0], [-5.0 * np.sin(4.0), 5.0 * np.cos(4.0)], atol=5e-3)
 
 
-def test_cost_of_a_peak() -> None:
+def test_cost_of_a_peak():
     """At the target, along and fast it costs its lateness alone; each fault adds to it."""
     t, costs = np.linspace(0.0, 2.0, 201), PeakCosts()
     velocity = np.stack([5.5 * np.exp(-((t - 1.0) ** 2)), 0.0 * t], axis=-1)
@@ -72,7 +70,7 @@ def test_cost_of_a_peak() -> None:
     assert not aside[0].any_direction
 
 
-def test_aims_know_residuals_and_the_uncertainty_of_the_place() -> None:
+def test_aims_know_residuals_and_the_uncertainty_of_the_place():
     """A peak at the target has none; the standard deviation is that of central differences."""
     task = WhipTask(PROBLEM, TipTarget(0.3, -0.9, least_speed=1.0))
     budget = Budget(math.inf)
@@ -111,12 +109,12 @@ def fine_map() -> WhipMap:
 
 
 @pytest.mark.parametrize("directed", [True, False])
-def test_a_plan(fine_map: WhipMap, directed: bool) -> None:
+def test_a_plan(fine_map, directed):
     """A target near a peak of the map is met, as the verified run shows in its own samples."""
     peak = fine_map.peaks
     k = int(np.argmax(np.where((peak.speed >= peak.highest) & (peak.t < 1.5), peak.speed, 0.0)))
     direction = float(np.arctan2(*peak.velocity[k][::-1])) if directed else None
-    target = TipTarget(*(peak.place[k] + [0.01, 0.02]), direction, least_speed=0.9 * peak.speed[k])  # type: ignore[arg-type]
+    target = TipTarget(*(peak.place[k] + [0.01, 0.02]), direction, least_speed=0.9 * peak.speed[k])
     plan = plan_whip(fine_map.problem.rope, ARM, target, whip_map=fine_map, time_budget=60.0)
     assert plan.success, plan.message
     assert plan.outcome is not None
@@ -131,11 +129,11 @@ def test_a_plan(fine_map: WhipMap, directed: bool) -> None:
     assert plan.finer_outcome.miss < max(3e-3, plan.position_std)
 
 
-def test_a_switch_behind_an_edge() -> None:
+def test_a_switch_behind_an_edge():
     """The tip comes over a wall and down behind it: in the plan's own run, and in a free one."""
     rope, arm = hf.Rope.uniform(length=1.0, mass=0.06, n_links=32, radius=0.0025, friction=2e-4), hf.Arm(length=0.105)
     wall, target = hf.Wall(0.334, -1.5, 0.334, -0.89), TipTarget(0.416, -1.015, least_speed=3.0)
-    plan = plan_whip(rope, arm, target, conditions=Conditions(obstacles=[wall]), time_budget=120.0)  # type: ignore[arg-type]
+    plan = plan_whip(rope, arm, target, conditions=Conditions(obstacles=[wall]), time_budget=120.0)
     assert plan.success, plan.message
     assert plan.outcome is not None
     assert plan.outcome.clearance > 0.0
@@ -145,7 +143,7 @@ def test_a_switch_behind_an_edge() -> None:
     assert sampled_obstacle_gaps(rope, [wall], free.q, free.base).min() > 0.0
 
 
-def test_signed_gaps_of_a_wall() -> None:
+def test_signed_gaps_of_a_wall():
     """Through a wall: along it to its nearer end, or the rope's end beyond it."""
     begin = np.array([[0.2, 0.0], [0.2, 0.4], [0.2, 0.2]])[:, None]
     end = np.array([[0.3, 0.0], [0.3, 0.4], [0.26, 0.2]])[:, None]
@@ -156,7 +154,7 @@ def test_signed_gaps_of_a_wall() -> None:
     assert signed_gaps([WALL], *both)[:2, 0, 0] == pytest.approx([-0.5, -0.1])  # half a meter below the upper end
 
 
-def test_peaks_behind_an_obstacle_cost_more() -> None:
+def test_peaks_behind_an_obstacle_cost_more():
     walled, moves = replace(PROBLEM, obstacles=(WALL,)), [MOVES, replace(MOVES, side=1, ends=-MOVES.ends)]
     target = TipTarget(0.6, -0.6, least_speed=1.0)
     free, there = (
@@ -165,7 +163,7 @@ def test_peaks_behind_an_obstacle_cost_more() -> None:
     assert max(cost for cost, _ in free) < max(cost for cost, _ in there)
 
 
-def test_swings_begin_on_the_side_that_is_free() -> None:
+def test_swings_begin_on_the_side_that_is_free():
     right, left = hf.Wall(0.05, -0.6, 0.5, -0.6), hf.Wall(-0.05, -0.6, -0.5, -0.6)
     assert {each.side for each in random_swings(PROBLEM, 16)} == {-1, 1}
     for wall, side in ((right, -1), (left, 1)):
@@ -175,7 +173,7 @@ def test_swings_begin_on_the_side_that_is_free() -> None:
     assert verify_whip(replace(PROBLEM, obstacles=(left,)), TipTarget(0.0, 0.0), begun, NEAR) is None
 
 
-def test_feasibility_by_the_map(known: WhipMap) -> None:
+def test_feasibility_by_the_map(known):
     for target, words in (
         (TipTarget(1.5, 0.0, 0.0), "ends 0.40 m short"),
         (TipTarget(0.2, -1.0, 0.0, 50.0), "m/s at most"),
@@ -195,7 +193,7 @@ def test_feasibility_by_the_map(known: WhipMap) -> None:
     assert message.endswith("the rope needs 5.5 mm")
 
 
-def test_finer_links_may_move_the_peak_by_its_std_or_three_tolerances() -> None:
+def test_finer_links_may_move_the_peak_by_its_std_or_three_tolerances():
     """The target is at the peak as planned."""
     plan = planned_whip()
     assert plan.outcome is not None
@@ -215,7 +213,7 @@ def test_finer_links_may_move_the_peak_by_its_std_or_three_tolerances() -> None:
         assert found.finer_outcome.n_links == 2 * found.outcome.n_links
 
 
-def test_a_motor_that_is_too_weak_is_a_reason() -> None:
+def test_a_motor_that_is_too_weak_is_a_reason():
     plan = planned_whip()
     assert plan.outcome is not None
     torque, candidate = plan.outcome.torque, Candidate(MOVES, 1.0, plan.outcome.t)
@@ -233,7 +231,7 @@ def free_strike() -> tuple[hf.Trajectory, float, TipTarget, np.ndarray]:
     return seen.run, seen.t, TipTarget(*seen.place, least_speed=1.0), seen.velocity
 
 
-def test_the_rope_may_touch_an_obstacle_after_the_peak_only() -> None:
+def test_the_rope_may_touch_an_obstacle_after_the_peak_only():
     run, t, target, _ = free_strike()
     for late, words in (
         (0.04, ""),
@@ -254,7 +252,7 @@ def test_the_rope_may_touch_an_obstacle_after_the_peak_only() -> None:
             assert float(seen.touches_later.split()[-2]) == pytest.approx(t + 0.04, abs=0.02)
 
 
-def test_a_switch_just_before_a_wall_is_struck() -> None:
+def test_a_switch_just_before_a_wall_is_struck():
     """A wall that the tip touches 2 ms after the peak does not move the peak."""
     _, t, target, velocity = free_strike()
     way = velocity / np.hypot(*velocity)
@@ -267,7 +265,7 @@ def test_a_switch_just_before_a_wall_is_struck() -> None:
     assert seen.clearance == pytest.approx(0.0025, abs=5e-4)
 
 
-def test_short_touches_are_touches() -> None:
+def test_short_touches_are_touches():
     """Of small pegs off which the rope bounces between samples."""
     run, t, target, _ = free_strike()
     for row in np.searchsorted(run.t, t + np.linspace(0.03, 0.12, 7)):
@@ -286,8 +284,8 @@ def test_short_touches_are_touches() -> None:
         assert seen.clearance <= 0.0
 
 
-def test_ctrl_c_while_the_map_is_made_is_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop(*_: object, **__: object) -> None:
+def test_ctrl_c_while_the_map_is_made_is_a_plan(monkeypatch):
+    def stop(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("hyperflex.planning.tasks.whip.random_swings", stop)
@@ -300,7 +298,7 @@ def test_ctrl_c_while_the_map_is_made_is_a_plan(monkeypatch: pytest.MonkeyPatch)
     assert plan.feasibility.distance == pytest.approx(np.hypot(0.3, 0.9))
 
 
-def test_without_time_the_best_is_not_verified(known: WhipMap) -> None:
+def test_without_time_the_best_is_not_verified(known):
     peak = int(known.peaks.speed.argmax())
     target = TipTarget(*known.peaks.place[peak], least_speed=1.0)
     plan = plan_whip(ROPE, ARM, target, whip_map=known, time_budget=1e-6)
@@ -308,7 +306,7 @@ def test_without_time_the_best_is_not_verified(known: WhipMap) -> None:
     assert plan.outcome is None
 
 
-def test_a_map_has_the_swings_that_there_was_time_for() -> None:
+def test_a_map_has_the_swings_that_there_was_time_for():
     problem, count = replace(PROBLEM, time=0.5), OPTIONS.batch
     whole = build_whip_map(problem, swings=2 * count + 6)
     ticks = iter([0.0, 1.0, 3.0, 3.0, 3.0])
@@ -320,7 +318,7 @@ def test_a_map_has_the_swings_that_there_was_time_for() -> None:
         np.testing.assert_array_equal(one, other[same])
 
 
-def test_a_map_must_be_of_the_same_problem(known: WhipMap) -> None:
+def test_a_map_must_be_of_the_same_problem(known):
     target = TipTarget(1.5, 0.0, 0.0)
     again = hf.Rope.from_table(ROPE.table())
     assert "out of reach" in plan_whip(again, ARM, target, whip_map=known).message
@@ -329,13 +327,13 @@ def test_a_map_must_be_of_the_same_problem(known: WhipMap) -> None:
         (ROPE.replace(mass=0.01), None, None),
         (ROPE, MotorLimits(speed=1.0), None),
         (ROPE, None, Conditions(time_limit=1.5)),
-        (ROPE, None, Conditions(obstacles=[hf.Wall(0.5, -1.5, 0.5, 0.5)])),  # type: ignore[arg-type]
+        (ROPE, None, Conditions(obstacles=[hf.Wall(0.5, -1.5, 0.5, 0.5)])),
     ):
         with pytest.raises(InvalidInput, match="another rope"):
             plan_whip(rope, ARM, target, limits, whip_map=known, conditions=conditions)
 
 
-def test_bad_input() -> None:
+def test_bad_input():
     for wrong in (
         {"x": np.nan},
         {"direction": np.inf},
@@ -369,7 +367,7 @@ def turning(run: hf.Trajectory) -> np.ndarray:
     return np.asarray((orbit + rope.inertia * run.qd).sum(axis=1))
 
 
-def test_impact_is_what_turns_the_rope() -> None:
+def test_impact_is_what_turns_the_rope():
     """Without friction in the joints, gravity and the blow alone turn the rope about its first joint, which rests."""
     rope, radius = ROPE.replace(friction=0.0), 0.01
     problem = Problem(rope, ARM, LIMITS, 3.0)
@@ -404,9 +402,7 @@ def test_impact_is_what_turns_the_rope() -> None:
         ((2.5, 2.5), 0.3, "does not touch the peg"),  # a joint at its limit loses energy as a blow does
     ],
 )
-def test_a_peg_that_the_tip_does_not_strike_first_has_no_impact(
-    point: tuple[float, float], max_bend: float, words: str
-) -> None:
+def test_a_peg_that_the_tip_does_not_strike_first_has_no_impact(point, max_bend, words):
     motion = Moves(-1, np.array([1.4, -1.4]), np.array([0.05, 0.1])).motion(LIMITS)
     rope = ROPE.replace(max_bend=np.array([np.inf, *7 * [max_bend]]))
     blow = simulate_impact(Problem(rope, ARM, LIMITS, 3.0), np.array(point), 0.0, motion, 1.9)

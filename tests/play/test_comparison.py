@@ -1,7 +1,5 @@
 """A recording beside its rope: the rings are what was measured, the rope is predicted, draws say how sure it is."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,7 +1,5 @@
 """The page in a browser: load, set a target, plan, cast, see turns counted, scrub; on a desk and a phone."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 import pytest

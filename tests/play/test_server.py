@@ -1,7 +1,5 @@
 """The server of the page: who is answered and who is not, what messages do, files, several pages at once."""
 
-from __future__ import annotations
-
 import base64
 import http.client
 import io

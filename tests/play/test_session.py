@@ -1,7 +1,5 @@
 """The rope of the page: it moves as `simulate` moves it, takes what is set, and refuses what cannot be."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -163,7 +161,7 @@ def test_a_frame_that_takes_too_long_is_given_up(monkeypatch):
     session = Session(Settings().changed(FREE))
     session.swing()
 
-    def slow(*_: object, time_budget: float, **__: object) -> None:
+    def slow(*_, time_budget, **__):
         raise SimulationError(f"over {time_budget}", status=Status.OUT_OF_TIME, time=0.0)
 
     with monkeypatch.context() as patched:

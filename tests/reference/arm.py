@@ -1,7 +1,5 @@
 """The paper's arm, worked out anew: bang-bang swings between -pi/2 and pi/2, as stretches of constant acceleration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 

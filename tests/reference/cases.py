@@ -1,7 +1,5 @@
 """Random chains and states for the tests, from a seed."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

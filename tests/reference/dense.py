@@ -11,8 +11,6 @@ All functions take any object with the fields of :class:`Links` (that of the pac
 :func:`solve`) an ill-conditioned mass matrix costs digits that nobody needs, where the platform has an 80 bit type.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,13 +93,7 @@ class Joints(NamedTuple):
 
 
 def joints(
-    links: Any,
-    q: Real,
-    w: Real,
-    parent: tuple[Any, Any],
-    h: float = 0.0,
-    dtype: Any = float,
-    grip: Real | None = None,
+    links: Any, q: Real, w: Real, parent: tuple[Any, Any], h: float = 0.0, dtype: Any = float, grip: Real | None = None
 ) -> Joints:
     """Joint torques at (q, w) beside a parent with (angle, rate), with the slopes of an Euler step of h seconds.
 

@@ -5,8 +5,6 @@ polynomials of at most the fourth degree there. The package integrates by closed
 link instead. Arguments may be complex or of extended precision.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -4,8 +4,6 @@ An error e in a reading that changes at the rate s moves its event by e / s. Wha
 known (``judging``), so each kind of event has a bound, and LOCATED beside it, to which an event is found.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ One joint after the other takes the impulse with which its own law holds, the ot
 by cases of the scalar problem rate = free + impulse * ease. No modes, no proximal shift, no recursion.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.reference.dense import Real

@@ -15,8 +15,6 @@ A run of the same rope that ends at an event has to end in time (``event_times``
 Most errors do not add up like that: :data:`USUAL` counts those that stay below ``USUAL tol max(1, growth)`` for good.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 from typing import NamedTuple

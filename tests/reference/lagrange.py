@@ -5,8 +5,6 @@ a central difference in w, exact because the kinetic energy is quadratic; deriva
 steps, exact to rounding.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

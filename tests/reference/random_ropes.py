@@ -1,7 +1,5 @@
 """Random ropes of every kind that a user may bring, each from a seed and a number, for the sweep and for the tests."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

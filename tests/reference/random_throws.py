@@ -1,7 +1,5 @@
 """Random throws of the paper's cable at pegs, arm at rest: those of ``benchmarks/throws.py``, by their number."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

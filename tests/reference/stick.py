@@ -1,7 +1,5 @@
 """Coulomb's friction by another way than the package's: modes by trying them all, events by scipy's root finder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import product
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """The dense reference against Lagrange's equations and against what can be worked out by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ ROUNDING = 1e-12
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6])
 @pytest.mark.parametrize("seed", range(4))
-def test_the_dense_accelerations_satisfy_lagranges_equations(n: int, seed: int) -> None:
+def test_the_dense_accelerations_satisfy_lagranges_equations(n, seed):
     links, state = random_links(n, seed), random_state(n, seed)
     answer = dense.accelerations(links, *state, torque=0.02)
     left, force = residual(links, state.q, state.w, np.asarray(answer.alpha, float), state.base)
@@ -27,7 +25,7 @@ def test_the_dense_accelerations_satisfy_lagranges_equations(n: int, seed: int) 
 
 
 @pytest.mark.parametrize("n", [1, 2, 5])
-def test_printed_friction_acts_on_the_outer_link_only(n: int) -> None:
+def test_printed_friction_acts_on_the_outer_link_only(n):
     links, state = random_links(n, 3, reaction=0.0), random_state(n, 3)
     answer = dense.accelerations(links, *state)
     left, _ = residual(links, state.q, state.w, np.asarray(answer.alpha, float), state.base)
@@ -39,9 +37,7 @@ def test_printed_friction_acts_on_the_outer_link_only(n: int) -> None:
 
 @pytest.mark.parametrize("n", [1, 3])
 @pytest.mark.parametrize("reaction", [0.0, 1.0])
-def test_the_implicit_answer_is_the_explicit_one_under_the_torques_at_the_end_of_the_step(
-    n: int, reaction: float
-) -> None:
+def test_the_implicit_answer_is_the_explicit_one_under_the_torques_at_the_end_of_the_step(n, reaction):
     """Viscous friction and springs are linear, so the implicit joints are exact: feed the end state to the torques."""
     h = 0.01
     links, state = random_links(n, 5, reaction=reaction)._replace(dry=np.zeros(n)), random_state(n, 5)
@@ -61,7 +57,7 @@ def test_the_implicit_answer_is_the_explicit_one_under_the_torques_at_the_end_of
 
 
 @pytest.mark.parametrize("reaction", [0.0, 1.0])
-def test_locked_joints_are_a_chain_with_fewer_links(reaction: float) -> None:
+def test_locked_joints_are_a_chain_with_fewer_links(reaction):
     """Lock joint 1 of three: links 0 and 1 are one body. Its parameters, worked out by hand, give the same motion."""
     links, state = random_links(3, 4, reaction=reaction), random_state(3, 4)
     links = links._replace(stiffness=np.zeros(3))
@@ -95,7 +91,7 @@ def test_locked_joints_are_a_chain_with_fewer_links(reaction: float) -> None:
         np.testing.assert_allclose(left, torques, rtol=0, atol=float(ROUNDING * size))
 
 
-def test_one_link_is_the_textbook_pendulum() -> None:
+def test_one_link_is_the_textbook_pendulum():
     links = random_links(1, 2, joints=False)._replace(gx=0.0)
     q = np.array([0.7])
     alpha = dense.accelerations(links, q, np.array([1.3]), np.zeros(7)).alpha
@@ -104,7 +100,7 @@ def test_one_link_is_the_textbook_pendulum() -> None:
     assert float(alpha[0]) == pytest.approx(-9.81 * (mass * com + tip * length) * np.sin(0.7) / about_pivot, rel=1e-14)
 
 
-def test_refined_solve_keeps_the_digits_of_an_ill_conditioned_matrix() -> None:
+def test_refined_solve_keeps_the_digits_of_an_ill_conditioned_matrix():
     if np.finfo(np.longdouble).eps > 1e-18:
         pytest.skip("this platform's long double is a double")
     links, state = random_links(200, 1), random_state(200, 1)

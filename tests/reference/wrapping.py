@@ -1,7 +1,5 @@
 """A rope laid round a peg by geometry alone, and the set-up that pulls at both its ends."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A report's folder: all of its files or none, and what stood there before stays or stands again."""
 
-from __future__ import annotations
-
 import errno
 import os
 from pathlib import Path
@@ -56,7 +54,7 @@ def test_a_move_that_fails_halfway_is_undone(tmp_path, monkeypatch, failure, las
         (tmp_path / name).write_text("earlier")
     rename, calls = Path.rename, []
 
-    def failing(self: Path, to: Path) -> Path:
+    def failing(self, to):
         calls.append(self)
         if len(calls) == last:  # each name out of the way, and to its place
             raise failure
@@ -74,7 +72,7 @@ def test_a_move_that_fails_halfway_is_undone(tmp_path, monkeypatch, failure, las
 def test_an_interrupted_block_leaves_nothing(tmp_path, there):
     target = tmp_path if there else tmp_path / "x" / "y"
 
-    def stop(stage: Path) -> None:
+    def stop(stage):
         fill(stage)
         raise KeyboardInterrupt
 
@@ -84,7 +82,7 @@ def test_an_interrupted_block_leaves_nothing(tmp_path, there):
 
 
 def test_a_full_disk_is_told_of_the_place_the_user_knows(tmp_path, monkeypatch):
-    def fsync(_: int) -> None:
+    def fsync(_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", fsync)

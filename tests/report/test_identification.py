@@ -1,7 +1,5 @@
 """The report of an identification: true to the fit, complete in one file, and clear about what is not known."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from types import SimpleNamespace
@@ -167,7 +165,7 @@ def test_rope_and_figures_stand_before_the_page_is_drawn(tmp_path, swing, monkey
     ]
     assert hf.Rope.from_toml(written["rope"]) == found.rope
 
-    def broken(*_: object) -> None:
+    def broken(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(identification, "residual_figure", broken)
@@ -215,7 +213,7 @@ def test_intervals_of_the_identification_itself_come_first(markers):
     assert (number.low, number.high) == (1e-4, 9e-4)
     rows = {row[0]: row for row in parameters_table(found, None).rows}
     assert rows["friction[4]"][4] in ("100 or more", "0.100 or more")  # in µN or mN
-    assert [row[4] for row in ratios_table(found).rows if row[1] == "3"] == ["0.250 to 0.750"]  # type: ignore[union-attr]
+    assert [row[4] for row in ratios_table(found).rows if row[1] == "3"] == ["0.250 to 0.750"]
 
 
 def test_what_cannot_be_known_has_no_interval(swing):
@@ -260,10 +258,10 @@ def test_ratios_leave_out_what_was_held_and_join_what_is_alike(swing, markers):
         ("c/p1", "1"),
     ]
     alike = changed(markers[1], ratios={"c/p1": np.full(6, 0.1)}, ratio_std={"c/p1": np.full(6, 0.01)})
-    (row,) = ratios_table(alike).rows  # type: ignore[union-attr]
+    (row,) = ratios_table(alike).rows
     assert row[:5] == ("c/p1", "each", "0.100\u00a0m/s", "0.010", "0.080 to 0.120")
     wide = changed(alike, ratio_std={"c/p1": np.full(6, 0.1)})
-    assert ratios_table(wide).rows[0][4] == "0.00 to 0.30"  # type: ignore[union-attr]
+    assert ratios_table(wide).rows[0][4] == "0.00 to 0.30"
     held = changed(markers[1], ratio_std={name: np.zeros(6) for name in markers[1].ratios})
     assert ratios_table(held) is None
 

@@ -1,7 +1,5 @@
 """Tables and pages: complete in one file, escaped, and true to what was measured."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Stroboscopic pictures, films and figures: what they show, and what they refuse."""
 
-from __future__ import annotations
-
 import io
 
 import matplotlib as mpl
@@ -221,7 +219,7 @@ def test_a_film_refuses(short_cast, tmp_path, name, arguments, message):
 
 
 def test_an_interrupted_film_leaves_nothing(short_cast, tmp_path):
-    def stop(done: int, _of: int) -> None:
+    def stop(done, _of):
         if done == 3:
             raise KeyboardInterrupt
 

@@ -1,7 +1,5 @@
 """Reports of plans: what a reader must find on the page, in the film and in the figures."""
 
-from __future__ import annotations
-
 import html
 import re
 from dataclasses import replace

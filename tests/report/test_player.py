@@ -1,7 +1,5 @@
 """The player of a run: small, true to the run, and at work in a browser without a network."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

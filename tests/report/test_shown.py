@@ -1,7 +1,5 @@
 """Results as they show themselves: in a line, in a notebook, as a figure."""
 
-from __future__ import annotations
-
 import pickle
 import re
 

@@ -1,7 +1,5 @@
 """Ropes that swing in closed form, and cameras before them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hyperflex.vision import Camera, RopeMotion

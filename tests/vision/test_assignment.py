@@ -1,7 +1,5 @@
 """Assignment of identical markers: jointly, with gaps and clutter; and their first order."""
 
-from __future__ import annotations
-
 from itertools import permutations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bars: a rendered double pendulum against its truth, and the real one's video."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

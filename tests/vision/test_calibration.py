@@ -1,7 +1,5 @@
 """Calibration on rendered boards: how exact it is, and what it refuses."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -33,11 +31,7 @@ def chessboard_pictures():
 
 @pytest.mark.parametrize(
     ("name", "board", "legacy"),
-    [
-        ("pictures", CHARUCO, False),
-        ("legacy_pictures", CHARUCO, True),
-        ("chessboard_pictures", CHESSBOARD, False),
-    ],
+    [("pictures", CHARUCO, False), ("legacy_pictures", CHARUCO, True), ("chessboard_pictures", CHESSBOARD, False)],
 )
 def test_camera_and_scale_are_found(request, name, board, legacy):
     """Reprojection below 0.3 px and the scale in the plane within 0.1 %: the acceptance figures."""

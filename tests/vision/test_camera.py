@@ -1,7 +1,5 @@
 """The camera: projection against OpenCV's own, derivatives against differences, poses, row times, files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -165,10 +163,7 @@ def test_points_that_miss_by_some_pixels_are_refused():
 
 @pytest.mark.parametrize(
     ("rotation", "translation", "message"),
-    [
-        ([np.pi, 0.0, 0.0], [0.0, 0.0, -3.0], "behind the camera"),
-        ([np.pi / 2, 0.0, 0.0], [0.0, 0.0, 3.0], "edge-on"),
-    ],
+    [([np.pi, 0.0, 0.0], [0.0, 0.0, -3.0], "behind the camera"), ([np.pi / 2, 0.0, 0.0], [0.0, 0.0, 3.0], "edge-on")],
 )
 def test_a_file_with_a_plane_that_cannot_be_seen_is_refused(tmp_path, rotation, translation, message):
     replace(tilted(), rotation=np.array(rotation), translation=np.array(translation)).write(tmp_path / "camera.toml")
@@ -183,12 +178,7 @@ def test_without_a_plane_it_says_what_to_do():
 
 @pytest.mark.parametrize(
     ("direction", "first", "last"),
-    [
-        ("down", (5, 0), (5, 719)),
-        ("up", (5, 719), (5, 0)),
-        ("right", (0, 5), (1279, 5)),
-        ("left", (1279, 5), (0, 5)),
-    ],
+    [("down", (5, 0), (5, 719)), ("up", (5, 719), (5, 0)), ("right", (0, 5), (1279, 5)), ("left", (1279, 5), (0, 5))],
 )
 def test_rows_are_exposed_one_after_the_other(direction, first, last):
     camera = Camera.pinhole((1280, 720), exposure=0.01, readout=0.03, readout_direction=direction, delay=0.005)

@@ -1,7 +1,5 @@
 """What is learnt of clutter: its density, and places at which it stands still."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from tests.vision.test_assignment import NOISE, each, observed
 SIZE = (1000, 500)
 
 
-def test_a_place_that_was_no_marker_is_known_again() -> None:
+def test_a_place_that_was_no_marker_is_known_again():
     clutter, blobs = ClutterMap(SIZE), observed([[100.0, 100.0], [300.0, 300.0]])
     empty = clutter.density(blobs)
     np.testing.assert_allclose(empty, 1.0 / 5e5)
@@ -27,7 +25,7 @@ def test_a_place_that_was_no_marker_is_known_again() -> None:
     assert clutter.density(blobs)[1] == pytest.approx(0.375 / (2.0 * np.pi * NOISE**2), rel=1e-3)  # 3 / (3 + 4 + 1)
 
 
-def test_what_passed_by_once_is_forgotten() -> None:
+def test_what_passed_by_once_is_forgotten():
     """A marker that was not recognised must not be refused when it comes by again."""
     clutter, blobs = ClutterMap(SIZE), observed([[300.0, 300.0]])
     clutter.learn(blobs, np.zeros(1, bool))
@@ -37,7 +35,7 @@ def test_what_passed_by_once_is_forgotten() -> None:
     assert clutter.density(blobs)[0] < 1e-5
 
 
-def test_moving_clutter_makes_a_density() -> None:
+def test_moving_clutter_makes_a_density():
     clutter, rng = ClutterMap(SIZE), np.random.default_rng(0)
     for _ in range(300):
         clutter.learn(observed(rng.uniform(0.0, 500.0, (5, 2))), np.zeros(5, bool))
@@ -45,13 +43,13 @@ def test_moving_clutter_makes_a_density() -> None:
     assert elsewhere == pytest.approx((1.0 + 5.0) / 5e5, rel=0.2)
 
 
-def test_nothing_seen() -> None:
+def test_nothing_seen():
     clutter = ClutterMap(SIZE)
     clutter.learn(observed(np.zeros((0, 2))), np.zeros(0, bool))
     assert clutter.density(observed(np.zeros((0, 2)))).shape == (0,)
 
 
-def test_where_a_prediction_is_wide_clutter_is_not_taken_for_a_marker() -> None:
+def test_where_a_prediction_is_wide_clutter_is_not_taken_for_a_marker():
     """A blackout: one marker is expected within 60 px. A blob there is it if blobs are rare, not if there are many."""
     mean, seen = np.array([[100.0, 100.0]]), observed([[150.0, 100.0]])
     assert assign_markers(seen, mean, each(60.0, 1)).indices.tolist() == [0]
@@ -60,7 +58,7 @@ def test_where_a_prediction_is_wide_clutter_is_not_taken_for_a_marker() -> None:
     assert assign_markers(seen, np.array([[149.0, 100.0]]), each(2.0, 1), clutter=1e-3).indices.tolist() == [0]
 
 
-def test_a_marker_before_known_clutter_is_still_seen() -> None:
+def test_a_marker_before_known_clutter_is_still_seen():
     clutter, blobs = ClutterMap(SIZE), observed([[300.0, 300.0]])
     for _ in range(3):
         clutter.learn(blobs, np.zeros(1, bool))

@@ -1,7 +1,5 @@
 """Markers: bias at rest, streaks, colours, light, gates, and frames of another renderer."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

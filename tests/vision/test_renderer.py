@@ -1,7 +1,5 @@
 """The synthetic camera: places of what it draws against its own truth, blur and readout against brute force."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Videos: time stamps against OpenCV's, rotation, and files that are broken in every way."""
 
-from __future__ import annotations
-
 import struct
 import subprocess
 import sys
