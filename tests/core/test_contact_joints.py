@@ -7,7 +7,7 @@ import hyperflex as hf
 from hyperflex.core.chain.articulated_body import Chain
 from hyperflex.core.chain.drive import Drive, segment
 from hyperflex.core.contact.arrays import new_contact_memory, save_memory
-from hyperflex.core.contact.joints import ANY, JOINTS, joints_in_play
+from hyperflex.core.contact.joints import ANY
 from hyperflex.core.contact.step import ContactWorkspace, new_contact_workspace, try_step
 from tests.reference import dense
 from tests.reference.joint_impulses import rates_after
@@ -101,13 +101,3 @@ def test_a_step_with_dry_friction_is_that_of_dense_projections(n, seed):
     assert np.abs((relative @ found)[sticks]).max(initial=0.0) < 1e-6
     mean = 0.5 * relative @ (w + expected)
     assert account[0] == pytest.approx(-impulses @ mean + STEP * (rope.friction * mean) @ mean, rel=1e-3, abs=1e-12)
-
-
-def test_joints_in_play_have_dry_friction_or_are_near_a_limit():
-    """A search for modes takes one more round for each of them, and no more for a limit that is far."""
-    bend = np.array([0.0, 1.0, -1.0, 0.4, 0.0])
-    limit = np.array([np.inf, 1.0 + 0.9 * JOINTS.near, 1.0 + 0.9 * JOINTS.near, 1.0, 1.0])
-    for dry, count in ((0.0, 2), (np.array([0.0, 0.0, 0.0, 0.0, 1e-3]), 3)):
-        rope = hf.Rope([0.1] * 5, [0.01] * 5, max_bend=limit, dry_friction=dry)
-        workspace, _ = step(rope, np.cumsum(bend), np.zeros(5), STEP)
-        assert joints_in_play(workspace.joints, STEP) == count

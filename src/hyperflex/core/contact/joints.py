@@ -45,8 +45,6 @@ class JointContact(NamedTuple):
     closing: float = 1e-9
     # rad/s, below which a joint with dry friction sticks at first
     slow: float = 1e-8
-    # rad, gap to a limit that no joint closes in a step
-    near: float = 0.1
     # s, over which the present rate is extrapolated to a gap
     soon: float = 0.01
 
@@ -129,16 +127,6 @@ def initial_joint_mode(last, rate, lower, upper, bound):  # type: ignore[no-unty
     if mode in (STICK, BACK) and lower >= 0.0:
         return LOWER
     return mode
-
-
-@non_allocating
-def joints_in_play(joints, h):  # type: ignore[no-untyped-def]
-    """Number of joints that may change their mode in a step `h`, s: with dry friction, or near a limit."""
-    of, count = joints.of, 0
-    near = JOINTS.near / h if h > 0.0 else ANY
-    for i in joints.which:
-        count += of[BOUND, i] > 0.0 or min(of[HIGHEST, i], -of[LOWEST, i]) < near
-    return count
 
 
 @non_allocating
