@@ -22,8 +22,8 @@ from hyperflex.budget import Budget
 from hyperflex.planning.ensemble import verify_members
 from hyperflex.planning.feasibility import search_time
 from hyperflex.planning.moves import Moves
+from hyperflex.planning.planner import Candidate
 from hyperflex.planning.rollouts import RolloutBatch, winding_scores
-from hyperflex.planning.tasks.task import Candidate
 from hyperflex.planning.tasks.wind import viscous
 
 VARIANTS: dict[str, dict[str, Any]] = {

@@ -25,6 +25,7 @@ from benchmarks import log, machine
 
 import hyperflex as hf
 from hyperflex import files
+from hyperflex.budget import Budget
 from hyperflex.control import swing_period
 from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.planning import InsertOutcome, InsertPlan, MotorLimits, Problem, Slot, plan_insert
@@ -61,7 +62,7 @@ def draw() -> list[dict[str, float]]:
     swings, runs = random_swings(problem, OPTIONS.swings), list[Flights]()
     t = np.arange(0.0, problem.time, OPTIONS.sample_time)
     for low in range(0, OPTIONS.swings, OPTIONS.batch):
-        runs.append(Flights(problem, swings[low : low + OPTIONS.batch], t))
+        runs.append(Flights(problem, swings[low : low + OPTIONS.batch], t, Budget()))
     rng, far, found = np.random.default_rng(SEED), CABLE.total_length + ARM.length, list[dict[str, float]]()
     while len(found) < COUNT:
         r, a, direction = far * np.sqrt(rng.uniform()), rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi, np.pi)

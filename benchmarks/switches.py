@@ -24,6 +24,7 @@ from benchmarks import log, machine
 
 import hyperflex as hf
 from hyperflex import files
+from hyperflex.budget import Budget
 from hyperflex.core.cache import SOURCE_HASH
 from hyperflex.planning import Conditions, MotorLimits, Problem, TipTarget, WhipPlan, plan_whip, simulate_impact
 from hyperflex.planning.clearance import obstacle_clearance, samples_clear_of_arm
@@ -53,7 +54,7 @@ def draw() -> list[dict[str, float]]:
     """Walls and switches that some random swing strikes without a touch of the wall."""
     problem, rng = Problem(ROPE, ARM, LIMITS, TIME), np.random.default_rng(SEED)
     swings = random_swings(problem, 2 * SWINGS)[SWINGS:]  # the planner's are the first ones
-    flights = Flights(problem, swings, np.arange(0.0, problem.time, OPTIONS.sample_time))
+    flights = Flights(problem, swings, np.arange(0.0, problem.time, OPTIONS.sample_time), Budget())
     peaks = find_peaks(flights.t, flights.joints[:, :, -1], flights.velocity)
     last = samples_clear_of_arm(ROPE, ARM, flights.q, flights.joints[:, :, 0], 0.0)
     found, taken = list[dict[str, float]](), set[int]()

@@ -8,8 +8,8 @@ import numpy as np
 import hyperflex as hf
 from hyperflex.budget import Budget
 from hyperflex.planning import InsertPlan, MotorLimits, Moves, Problem, Slot, SuccessProbability, TipFeasibility
+from hyperflex.planning.planner import Candidate
 from hyperflex.planning.tasks.insert import InsertTask
-from hyperflex.planning.tasks.task import Candidate
 
 ROPE = hf.Rope.uniform(length=1.0, mass=0.06, n_links=16, radius=0.0025, friction=5e-4, name="short rope")
 ARM = hf.Arm(length=0.1)

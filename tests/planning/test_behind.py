@@ -11,11 +11,12 @@ from hyperflex.cli.app import run
 from hyperflex.cli.plan import Source
 from hyperflex.errors import InvalidInput
 from hyperflex.planning import Uncertainty, build_whip_map, check_feasibility, read_plan, verify_cast
+from hyperflex.planning.clearance import way_gaps
 from hyperflex.planning.outcome import evaluate_cast
 from hyperflex.planning.rollouts import RolloutBatch, simulate_contact
-from hyperflex.planning.routing import runs_behind, way_gaps
 from hyperflex.planning.verification import verified_setup
 from hyperflex.report import CastReport
+from hyperflex.winding import TOUCH
 from tests.planning.known import CABLE, PEG, WINDS, planned, problem, simulated_strikes
 
 CORD = hf.Rope.uniform(length=1.2, mass=0.06, n_links=30, radius=0.003, friction=2e-4)
@@ -31,7 +32,8 @@ def beside(down: float, gap: float = 0.0) -> hf.Peg:
 
 
 def laid(*pegs: hf.Peg, target: hf.Peg) -> tuple[bool, ...]:
-    return runs_behind(ROD, target, pegs, STRAIGHT[0], ROD.joints(*STRAIGHT))
+    gaps = way_gaps(ROD, target, pegs, STRAIGHT[0], ROD.joints(*STRAIGHT))
+    return tuple((gaps < TOUCH).all(axis=0).tolist())
 
 
 def test_a_rope_runs_behind_what_it_touches_between_arm_and_target():
@@ -51,7 +53,6 @@ def test_a_touch_that_does_not_last_is_none():
     q = np.zeros((3, 5))
     q[1] = -0.01  # away from the peg
     joints = ROD.joints(q, np.zeros((3, 2)))
-    assert runs_behind(ROD, beside(0.7), [beside(0.3)], q, joints) == (False,)
     gaps = way_gaps(ROD, beside(0.7), [beside(0.3)], q, joints)[:, 0]
     np.testing.assert_allclose(gaps[[0, 2]], 0.0, atol=1e-12)
     assert gaps[1] == pytest.approx(0.3 * 0.01, rel=0.2)  # where the target is not touched, the way ends at the tip

@@ -23,18 +23,16 @@ from hyperflex.planning import (
 )
 from hyperflex.planning.clearance import obstacle_clearance
 from hyperflex.planning.ensemble import COUNTED
+from hyperflex.planning.planner import Candidate
 from hyperflex.planning.tasks.insert import (
     InsertTask,
     evaluate_insert,
     find_entries,
     insert_scenarios,
-    nearest_passage,
-    passages,
+    next_entry,
     usual_uncertainty,
     verify_insert,
-    with_more,
 )
-from hyperflex.planning.tasks.task import Candidate
 from hyperflex.planning.tasks.tip import OPTIONS, Flights, coarse_flights
 from tests.planning.known_insert import ARM, MOVES, NEAR, ROPE, SLOT
 
@@ -108,10 +106,25 @@ def test_an_entry_of_a_straight_rope(x, slant, offset, gap):
 
 
 def test_ways_of_a_tip_beyond_the_walls():
-    depth = np.array([0.1, -0.1, 0.2, 0.4, 0.3, -0.1, 0.5, 0.9])
-    assert passages(depth, 0.4) == [(2, 3, 5), (6, 6, 8)]
-    assert passages(depth, 0.6) == [(2, 3, 5), (6, 7, 8)]  # the first never comes so deep: where it is deepest
-    assert passages(np.array([0.1, 0.2, -0.1]), 0.1) == []  # it begins there
+    """A straight rope along the way in whose tip goes in and out; rows of the way and times are those of its depth."""
+    depth, t = np.array([0.1, -0.1, 0.2, 0.4, 0.3, -0.1, 0.5, 0.9]), np.arange(8.0)
+    joints = np.stack([np.full((8, 2), 0.1), -0.5 - depth[:, None] + [1.0, 0.0]], axis=-1)
+    for required, ends in ((0.4, [3, 6]), (0.6, [3, 7])):  # the first never comes so deep: where it is deepest
+        found = find_entries(replace(DOWN, depth=required), 0.002, t, joints)
+        assert [(each.begin, each.end, each.last) for each in found] == [(2, ends[0], 5), (6, ends[1], 8)]
+        assert [each.t_enter for each in found] == pytest.approx([1.0 + 1.0 / 3.0, 5.0 + 1.0 / 6.0])
+        assert [each.depth for each in found] == pytest.approx([0.4, 0.9])
+    assert find_entries(DOWN, 0.002, t[:2], joints[:2]) == []  # it begins there
+
+
+def test_a_tip_that_passes_beside_the_walls_does_not_go_through_the_slot():
+    """The way through the gap counts, though that past the outer end of a wall is nearer in time."""
+    t, x = np.arange(8.0), np.repeat([0.1, 0.25], 4)
+    depth = np.tile([-0.1, 0.02, 0.06, 0.03], 2)
+    joints = np.stack([np.stack([x, x], axis=-1), -0.5 - depth[:, None] + [1.0, 0.0]], axis=-1)
+    assert [each.begin for each in find_entries(DOWN, 0.002, t, joints)] == [1, 5]
+    assert next_entry(DOWN, 0.002, t, joints, 6.0).begin == 1
+    assert next_entry(aside(DOWN, 0.05), 0.002, t, joints, 6.0) is None
 
 
 def test_a_plan_goes_through_by_its_own_samples():
@@ -173,11 +186,10 @@ def test_a_touch_of_an_obstacle_is_no_touch_of_a_wall():
     run, row = seen.run, int(np.searchsorted(seen.run.t, seen.t_enter - 0.3))
     force = np.zeros_like(run.contact_force)
     force[row, 8] = 0.0, 0.1
-    pushed, depth = replace(run, contact_force=force), SLOT.frame(run.tip)[0]
-    rows = nearest_passage(depth, SLOT.depth, run.t, seen.t)
+    pushed = replace(run, contact_force=force)
     post = hf.Peg(*(run.joints[row, 8] - [0.0, 0.02]), 0.01)
     beside, alone = (
-        evaluate_insert(replace(plan.problem, obstacles=there), SLOT, pushed, depth, rows) for there in ([post], ())
+        evaluate_insert(replace(plan.problem, obstacles=there), SLOT, pushed, seen.t) for there in ([post], ())
     )
     assert beside.wall_clearance == seen.wall_clearance > 0.0
     assert alone.wall_clearance == 0.0
@@ -253,21 +265,6 @@ def test_a_scenario_fails_in_which_the_rope_comes_too_near_arm_shaft_or_obstacle
         assert certain(replace(who, obstacles=(hf.Ground(0.0, lowest + more),))) == successes
 
 
-def test_clearance_of_a_hanging_rope_from_a_wall():
-    rope = hf.Rope.uniform(length=1.0, mass=0.05, n_links=5, radius=0.003)
-    run = hf.simulate(rope, duration=0.1, pegs=[hf.Wall(0.04, -0.5, 0.3, -0.4)], t_eval=[0.0, 0.1])
-    found = obstacle_clearance(run, [hf.Wall(0.04, -0.5, 0.3, -0.4)], 0.1)
-    assert found.value == pytest.approx(0.04 - 0.003, abs=4e-4)  # told is up to that too small
-    assert found.value <= 0.037
-
-
-def test_the_set_up_of_a_plan_enters(tmp_path):
-    planned().to_toml(tmp_path / "insert.toml")
-    run = hf.simulate(hf.Setup.from_toml(tmp_path / "insert.toml"))
-    assert run.setup.pegs == SLOT.walls
-    assert SLOT.frame(run.tip)[0].max() >= SLOT.depth
-
-
 def test_out_of_reach_is_said_before_any_search():
     far = plan_insert(ROPE, ARM, Slot(1.2, 0.0, 0.0))
     assert (far.success, far.status) == (False, "infeasible")
@@ -294,35 +291,21 @@ def test_slots_that_are_refused(change, words):
         plan_insert(ROPE, ARM, Slot(**{"x": 0.2, "y": -0.8, "direction": 0.0} | change))
 
 
-def test_moves_added_in_rests_leave_the_others_where_they_are():
-    few = Moves(1, np.array([-1.4, 1.0]), np.array([0.05, 0.9]))
-    more = with_more(few, 3, 1.2, LIMITS)
-    assert more.ends == pytest.approx([-1.4, -1.33, 1.0])  # the other way than the move before it
-    assert more.starts(LIMITS)[[0, 2]] == pytest.approx(few.starts(LIMITS))
-    assert more.rests[1] == pytest.approx(more.rests[2])
-    assert with_more(few, 3, few.stops(LIMITS) + 2.0, LIMITS).ends == pytest.approx([-1.4, 1.0, 0.93])
-    first = with_more(Moves(1, np.array([-1.4]), np.array([0.9])), 2, 0.0, LIMITS)
-    assert first.ends == pytest.approx([0.5 * np.pi + 0.07, -1.4])  # the other way than the move after it
-    duration = float(LIMITS.fastest_moves([0.07])[0][0])
-    short = replace(few, rests=np.array([0.05, 1.9 * duration]))
-    assert with_more(short, 9, short.stops(LIMITS), LIMITS) is short  # no time for another
-
-
 def test_residuals_are_offsets_and_what_an_entry_lacks():
     """An obstacle 30 mm in the rope's way adds to them; an entry that fails says by how much."""
     problem = Problem(ROPE, ARM, LIMITS, 4.0)
-    (free,) = InsertTask(problem, SLOT)._fly([MOVES], [NEAR], Budget(math.inf))
+    (free,) = InsertTask(problem, SLOT).aims([MOVES], [NEAR], Budget(math.inf))
     assert free is not None
     assert free.good
     assert free.residuals[3] > -0.1 * SLOT.depth  # what it lacks to a tenth more than the required depth
     assert free.residuals[4:] == pytest.approx(0.0)
     lowest = float(swing(replace(problem, time=1.8), MOVES).joints[..., 1].min())
     floor = hf.Ground(0.0, lowest + 0.03 - ROPE.radius)
-    (seen,) = InsertTask(replace(problem, obstacles=(floor,)), SLOT)._fly([MOVES], [NEAR], Budget(math.inf))
+    (seen,) = InsertTask(replace(problem, obstacles=(floor,)), SLOT).aims([MOVES], [NEAR], Budget(math.inf))
     assert seen is not None
     assert -seen.score == pytest.approx(0.03, abs=2e-3)
     assert seen.residuals[4:].min() == pytest.approx(-0.03 - OPTIONS.spare, abs=2e-3)
-    (deeper,) = InsertTask(problem, replace(SLOT, depth=0.5))._fly([MOVES], [NEAR], Budget(math.inf))
+    (deeper,) = InsertTask(problem, replace(SLOT, depth=0.5)).aims([MOVES], [NEAR], Budget(math.inf))
     assert deeper is not None
     assert deeper.score < -0.1
 

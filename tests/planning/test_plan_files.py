@@ -260,11 +260,3 @@ def test_a_plan_that_lacks_a_part_is_refused(tmp_path, made, old, new):
     (tmp_path / "plan.toml").write_text(text.replace(old, new))
     with pytest.raises(InvalidInput, match="not complete"):
         hf.read_plan(tmp_path / "plan.toml")
-
-
-def test_what_is_read_back_can_be_printed(tmp_path):
-    planned().to_toml(tmp_path / "plan.toml")
-    back = hf.read_plan(tmp_path / "plan.toml")
-    assert repr(back.motion) == "Motion(moves, 0 to 8.05965 s, 21 pieces)"
-    assert repr(back.problem.rope) == "Rope(50 links, 2 m, 0.125 kg)"
-    assert repr(hf.arm_swings(t_move=0.7, t_rest=0.3)).endswith("repeats from 0 s on)")

@@ -8,8 +8,7 @@ import pytest
 
 from hyperflex.budget import Budget
 from hyperflex.planning.moves import Moves
-from hyperflex.planning.planner import Planner
-from hyperflex.planning.tasks.task import Candidate, Task, Verified
+from hyperflex.planning.planner import Candidate, Planner, Task, Verified
 
 COST = {"sample": 1.0, "rollout": 2.0, "verify": 4.0}  # s
 

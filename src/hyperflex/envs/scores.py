@@ -98,19 +98,15 @@ def score_policy(
 def _episodes(
     seeds: list[int], make_policy: Callable[[Any], Policy], environment: str, arguments: dict[str, Any]
 ) -> list[tuple[float, bool]]:
-    """Play an episode from each seed."""
-    env = gymnasium.make(environment, **arguments)
-    ends = [_play(env, make_policy, seed) for seed in seeds]
+    """Play an episode from each seed; return the sums of the rewards, and whether they were successes."""
+    env, ends = gymnasium.make(environment, **arguments), list[tuple[float, bool]]()
+    for seed in seeds:
+        seen, info = env.reset(seed=seed)
+        env.action_space.seed(seed)
+        policy, total, over = make_policy(env), 0.0, False
+        while not over:
+            seen, reward, terminated, truncated, info = env.step(policy(seen))
+            total, over = total + float(reward), terminated or truncated
+        ends.append((total, bool(info.get("is_success", False))))
     env.close()
     return ends
-
-
-def _play(env: Any, make_policy: Callable[[Any], Policy], seed: int) -> tuple[float, bool]:
-    """Play an episode; returns the sum of its rewards, and whether it was a success."""
-    seen, info = env.reset(seed=seed)
-    env.action_space.seed(seed)
-    policy, total, over = make_policy(env), 0.0, False
-    while not over:
-        seen, reward, terminated, truncated, info = env.step(policy(seen))
-        total, over = total + float(reward), terminated or truncated
-    return total, bool(info.get("is_success", False))

@@ -140,16 +140,13 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
         self.actuator = ACTUATORS[options.action](self.limits, self.dt, self.num_envs)
         self.world = self.world_class(true, self.arm, self.num_envs, options.tol)
         links, markers = true.n_links, checks.count("markers", options.markers, most=true.n_links)
-        seen = options.observation == "markers"
-        self._joints = np.round(np.linspace(0, links, markers + 1)[1:]).astype(np.intp) if seen else None
+        self._marked = options.observation == "markers"
+        self._joints = np.round(np.linspace(0, links, markers + 1)[1:]).astype(np.intp)  # that bear markers
         self._frames = np.zeros((2, self.num_envs, 2 * markers))  # now and an interval before
-        bound = np.full(3 + (4 * markers if seen else 3 * links) + self.extra, BOUND)
-        self.single_action_space, self.single_observation_space = (
-            self.actuator.space,
-            spaces.Box(-bound, bound, dtype=np.float64),
-        )
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        bound = np.full(3 + (4 * markers if self._marked else 3 * links) + self.extra, BOUND)
+        single = self.actuator.space, spaces.Box(-bound, bound, dtype=np.float64)
+        self.single_action_space, self.single_observation_space = single
+        self.action_space, self.observation_space = (batch_space(each, self.num_envs) for each in single)
         self.generators: list[np.random.Generator] = []
         self.pegs = [NOWHERE] * self.num_envs  # the targets, as they are known
         self.steps, self._ended = np.zeros(self.num_envs, dtype=np.int64), np.zeros(self.num_envs, dtype=np.bool_)
@@ -236,19 +233,15 @@ class RopeVectorEnv(VectorEnv[Array, npt.NDArray[np.generic], Any], ABC):
 
     def _observe(self) -> Array:
         """Return the observations (M, ...)."""
-        world = self.world
-        arm = [np.sin(world.arm_angle)[:, None], np.cos(world.arm_angle)[:, None], world.arm_rate[:, None] / RATE]
-        if self._joints is None:
-            parts = [np.sin(world.q), np.cos(world.q), world.qd / RATE, *arm]
-        else:
-            parts = [*arm, *self._frames]
+        world, angle = self.world, self.world.arm_angle
+        arm = np.stack([np.sin(angle), np.cos(angle), world.arm_rate / RATE], axis=1)
+        links = [np.sin(world.q), np.cos(world.q), world.qd / RATE]
+        parts = [arm, *self._frames] if self._marked else [*links, arm]
         seen = np.concatenate([*parts, self._extra()], axis=1)
         return np.asarray(np.clip(np.nan_to_num(seen), -BOUND, BOUND))
 
     def _frame(self, places: Array) -> Array:
         """Return the places of the markers (M, 2 K) among those of the joints, from the shaft, m."""
-        if self._joints is None:
-            return np.asarray(self._frames[0])
         return np.asarray((places[:, self._joints] - np.array(self.arm.pivot)).reshape(self.num_envs, -1))
 
     def _target(self, rng: np.random.Generator) -> Peg:

@@ -44,13 +44,6 @@ class World(ABC):
         Their arms begin at `angle`, rad.
         """
         self.lengths[which] = [rope.length for rope in ropes]
-        self._begin(which, ropes, pegs, q0, angle)
-
-    @abstractmethod
-    def _begin(
-        self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
-    ) -> None:
-        """Restart the simulation of some members."""
 
     @abstractmethod
     def step(self, accelerations: Array, dt: float) -> None:
@@ -71,9 +64,11 @@ class FreeWorld(World):
         self._stepper = BatchStepper(rope, members=count, arm=arm, tol=tol)
         self._show(self._stepper.start())
 
-    def _begin(
+    def begin(
         self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
     ) -> None:
+        """Restart some members."""
+        super().begin(which, ropes, pegs, q0, angle)
         self._show(self._stepper.restart(self._state, which, ropes, q0, arm_angle=angle))
 
     def step(self, accelerations: Array, dt: float) -> None:
@@ -93,9 +88,11 @@ class PegWorld(World):
         super().__init__(rope, arm, count, tol)
         self._members: dict[int, tuple[Stepper, State]] = {}
 
-    def _begin(
+    def begin(
         self, which: npt.NDArray[np.intp], ropes: Sequence[Rope], pegs: Sequence[Peg], q0: Array, angle: float
     ) -> None:
+        """Restart some members."""
+        super().begin(which, ropes, pegs, q0, angle)
         for m, rope, peg, q in zip(which.tolist(), ropes, pegs, q0, strict=True):
             stepper = Stepper(rope, arm=self.arm, pegs=[peg], tol=self.tol, refine=False)
             self._show(m, stepper, stepper.start(q, arm_angle=angle))

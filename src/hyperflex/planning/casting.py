@@ -1,7 +1,7 @@
 """Plan casts: check the target, search for moves that wind the rope and hold, verify them, look for fallbacks."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import overload
 
@@ -20,7 +20,6 @@ from hyperflex.planning.feasibility import (
     Feasibility,
     check_feasibility,
     find_remedies,
-    moved,
     nearest_feasible,
     search_time,
 )
@@ -39,10 +38,7 @@ OnPlan = Callable[[CastPlan], bool | None]
 # feasible. The last one is not planned for
 MARGINS = (0.0, 0.25, 0.75, 1.5)
 ROBUST = 0.9  # fraction of the time of a robust plan after which its success probability is estimated
-NEIGHBOURS, NEAR = (
-    3,
-    0.2,
-)  # plans that a search for one of many targets starts from, and how near they are, rope lengths
+NEIGHBOURS, NEAR = 3, 0.2  # plans that a search for one of many targets starts from; how near they are, rope lengths
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,57 +109,47 @@ class CastRequest:
             known = replace(known, impossible=True, message=touch or inside)
         if known.impossible or not (known.feasible or self.options.skip_feasibility):
             plan = CastPlan(problem, target, known, message=known.message)
-            planner = None
         else:
-            plan, planner = self._search(task, known, budget)
+            plan = self._search(task, known, budget)
         if plan.success or plan.interrupted:
             return _delivered(plan)
         with stoppable() as stop:
             plan = replace(plan, remedies=find_remedies(problem, target))
             plan = replace(plan, fallback=None if plan.unfinished else _expected(plan))
             if self.options.fallback:
-                plan = self._plan_fallback(plan, planner)
+                plan = self._plan_fallback(plan)
         plan = stop.partial if isinstance(stop.partial, CastPlan) else plan
         return _delivered(replace(plan, interrupted=stop.received or plan.interrupted))
 
-    def _search(self, task: WindTask, known: Feasibility, budget: Budget) -> tuple[CastPlan, Planner]:
+    def plan_chunk(self, chunk: Sequence[tuple[int, Peg, list[CastPlan]]]) -> list[CastPlan]:
+        """Plan for numbered targets, each from the moves of plans near by; for an executor."""
+        return [self.plan(target, near) for _, target, near in chunk]
+
+    def _search(self, task: WindTask, known: Feasibility, budget: Budget) -> CastPlan:
         """Search for moves, verify them, and estimate their success probability."""
         robust = self.uncertainty is not None
         search = budget.share(ROBUST) if robust and math.isfinite(budget.remaining) else budget
+
+        def found() -> CastPlan:
+            return _plan(task, known, planner, budget)
+
         improve = math.inf if robust else self.options.improve
-
-        def improved() -> bool | None:
-            return None if self.on_plan is None else self.on_plan(_plan(task, known, planner, budget))
-
-        planner = Planner(task, search, improve, improved)
+        planner = Planner(task, search, improve, lambda: bool(self.on_plan and self.on_plan(found())))
         with stoppable() as stop, budget.progress(self.options.progress, "planning"):
             planner.run()
-            plan = _plan(task, known, planner, budget)
+            plan = found()
             if self.uncertainty is not None and plan.moves is not None:
                 given = task.problem, task.peg, plan.moves, self.uncertainty
                 chance = estimate_success_probability(*given, time_budget=budget, options=self.options)
                 plan = replace(plan, success_probability=chance)
-        if stop.received:
-            plan = replace(_plan(task, known, planner, budget), interrupted=True)
-        return plan, planner
+        return replace(found(), interrupted=True) if stop.received else plan
 
-    def _plan_fallback(self, plan: CastPlan, planner: Planner | None) -> CastPlan:
+    def _plan_fallback(self, plan: CastPlan) -> CastPlan:
         """Plan for the nearest targets until a plan succeeds, first with the moves found; return the failed plan.
 
         Ctrl-C raises Interrupted with it, and with the plan for the nearest target if that succeeds as far as it got.
         """
         alone = replace(self, options=replace(self.options, fallback=False), on_plan=None)
-        if planner is not None and self.uncertainty is None:
-            seconds = self.time_budget.seconds if isinstance(self.time_budget, Budget) else self.time_budget
-            budget = Budget.of(seconds, threads=self.options.threads)
-            for peg in _near_by(plan):
-                task = WindTask(plan.problem, peg, alone.options, start=[one.moves for one in planner.rolled[:6]])
-                task.given_alone = True
-                other = Planner(task, budget.share(0.5), 0.0)
-                other.run()
-                if other.succeeds:
-                    near = _plan(task, check_feasibility(plan.problem, peg), other, budget)
-                    return replace(plan, fallback=FallbackTarget(peg, _distance(plan.target, peg), near))
         tried: list[Peg] = []
         for number in range(len(MARGINS)):
             found = _expected(plan, number)
@@ -173,7 +159,7 @@ class CastRequest:
             if number == len(MARGINS) - 1:
                 return replace(plan, fallback=found)
             with stoppable() as stop:
-                near = alone.plan(found.target)
+                near = alone.plan(found.target, [plan])
             near = stop.partial if stop.received and isinstance(stop.partial, CastPlan) else near
             if near.success:
                 plan = replace(plan, fallback=replace(found, plan=near))
@@ -314,7 +300,7 @@ def plan_each(request: CastRequest, targets: Sequence[Peg]) -> tuple[dict[int, C
     for k, each in enumerate(targets):
         if all(_distance(each, targets[other]) > NEAR * request.rope.total_length for other in alone):
             alone.append(k)
-    work = _Work(replace(request, options=replace(request.options, executor=None, progress=False)))
+    work = replace(request, options=replace(request.options, executor=None, progress=False)).plan_chunk
     plans, todo = dict[int, CastPlan](), list[tuple[int, Peg, list[CastPlan]]]()
     progress = request.options.progress
     with stoppable() as stop, progress_bar(0, len(targets), progress, "planning", "targets") as report:
@@ -333,30 +319,18 @@ def plan_each(request: CastRequest, targets: Sequence[Peg]) -> tuple[dict[int, C
     return plans, stop
 
 
-@dataclass(frozen=True, eq=False)
-class _Work:
-    """Plans a chunk of targets; it can be sent to an executor."""
-
-    request: CastRequest
-
-    def __call__(self, chunk: list[tuple[int, Peg, list[CastPlan]]]) -> list[CastPlan]:
-        return [self.request.plan(target, near) for _, target, near in chunk]
-
-
 def _plan(task: WindTask, known: Feasibility, planner: Planner, budget: Budget) -> CastPlan:
     """Return the plan so far; if nothing was verified, with the best rollout."""
-    best, moves, message = planner.best, None, "no moves were found that strike it"
-    outcome = finer = None
-    if best is not None:
+    begun, moves, outcome, finer, margin = bool(task.runs), None, None, None, 0.0
+    message = "no moves were found that strike it" if begun else "the time budget was over before the search began"
+    if (best := planner.best) is not None:
         moves, message, outcome, finer = best.candidate.moves, best.message, best.outcome, best.finer_outcome
+        margin = 0.0 if message else best.margin
     elif planner.rolled:
         moves, good = planner.rolled[0].moves, planner.rolled[0].good
-        message = "the best moves do not wind the rope" if not good else "no time was left to verify the best moves"
-    elif not task.runs:
-        message = "the time budget was over before the search began"
-    margin = 0.0 if best is None or best.message else best.margin
-    found = task.problem, task.peg, known, moves, outcome, finer, message, task.runs, budget.elapsed
-    return CastPlan(*found, margin=margin)
+        message = "no time was left to verify the best moves" if good else "the best moves do not wind the rope"
+    found = moves, outcome, finer, message, task.runs, budget.elapsed
+    return CastPlan(task.problem, task.peg, known, *found, margin=margin)
 
 
 def _delivered(plan: CastPlan) -> CastPlan:
@@ -373,18 +347,6 @@ def _expected(plan: CastPlan, number: int = 0) -> FallbackTarget | None:
         margin = own + MARGINS[min(number + 1, len(MARGINS) - 1)]
     peg = nearest_feasible(plan.problem, plan.target, margin=margin)
     return None if peg is None else FallbackTarget(peg, _distance(plan.target, peg))
-
-
-def _near_by(plan: CastPlan) -> Iterator[Peg]:
-    """Yield pegs on rings about the target, the nearest first, that geometry does not rule out."""
-    target, length = plan.target, plan.problem.rope.total_length
-    for radius in (0.01, 0.02, 0.035, 0.05, 0.075, 0.1):  # rope lengths
-        for angle in 2.0 * np.pi * np.arange(8) / 8:
-            peg = moved(
-                target, np.array([target.x, target.y]) + radius * length * np.array([np.cos(angle), np.sin(angle)])
-            )
-            if not check_feasibility(plan.problem, peg).impossible:
-                yield peg
 
 
 def _nearest(target: Peg, plans: list[CastPlan], rope: Rope) -> list[CastPlan]:
@@ -411,10 +373,8 @@ def _swinging(problem: Problem, conditions: Conditions, target: Peg) -> tuple[Pr
     held, span = hold_arm(problem.limits.start_angle(problem.side)), -state.t
     polls = np.linspace(0.0, span, math.ceil(100.0 * span) + 1)
     run = simulate(problem.rope, held, arm=problem.arm, duration=span, q0=state.q, qd0=state.qd, t_eval=polls)
-    near = [obstacle_clearance(run, problem.beside(target))]
-    near += [] if problem.clearance == -math.inf else [rope_clearance(run)]
-    least = min(near)
-    touch = (
-        f"the rope touches {least.what} {span - least.t:.2f} s before the motion begins" if least.value < 0.0 else ""
-    )
-    return replace(begins, q0=tuple(run.q[-1]), qd0=tuple(run.qd[-1])), touch
+    least = obstacle_clearance(run, problem.beside(target))
+    if problem.clearance > -math.inf:
+        least = min(least, rope_clearance(run))
+    touch = f"the rope touches {least.what} {span - least.t:.2f} s before the motion begins"
+    return replace(begins, q0=tuple(run.q[-1]), qd0=tuple(run.qd[-1])), touch if least.value < 0.0 else ""

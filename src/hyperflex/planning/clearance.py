@@ -10,12 +10,14 @@ from hyperflex.checks import Array
 from hyperflex.core.batch import proximity
 from hyperflex.model import Arm, Obstacle, Peg, Rope, Wall
 from hyperflex.trajectory import Trajectory, interpolated
+from hyperflex.winding import TOUCH, closest_points
 
 FINE = 4e-4  # m, that a link moves at most between two checks
 FASTER = 1.5  # times its speeds at two samples that a link may move in between
 # Links that begin so near the arm's tip do not count for the arm, from which they hang: radii of rope and arm, and
 # lengths of the arm
 RADII, LENGTHS = 8.0, 0.3
+Gaps = Callable[[Array, Array, npt.NDArray[np.int64]], Array]
 
 
 class Clearance(NamedTuple):
@@ -44,25 +46,34 @@ def rope_clearance(run: Trajectory) -> Clearance:
     if arm is None:
         return Clearance(np.inf, float(run.t[0]), "the arm")
     speed = _speeds(run, run.arm_rate, np.array(arm.pivot))
-    value, t, what = least_gap(run, lambda q, base, links: _gaps(rope, arm, q, base, links), speed)
-    return Clearance(value, t, ("the motor's shaft", "the arm")[what])
+    names = ("the motor's shaft", "the arm")
+    return _least_clearance(run, lambda q, base, links: _arm_gaps(rope, arm, q, base, links), names, speed)
 
 
 def obstacle_clearance(run: Trajectory, obstacles: Sequence[Obstacle], until: float = np.inf) -> Clearance:
     """Find how near a rope comes to obstacles in a run until a time, s; see :func:`rope_clearance`."""
-    rope = run.setup.rope
 
     def gaps(q: Array, base: Array, links: npt.NDArray[np.int64]) -> Array:
-        return obstacle_gaps(obstacles, *_links(rope, q, base, links))
+        joints = run.setup.rope.joints(q, base)
+        return obstacle_gaps(obstacles, joints[:, links], joints[:, links + 1])
 
-    value, t, which = least_gap(run, gaps, _speeds(run, np.zeros(run.t.size), np.zeros(2)), until)
-    return Clearance(value, t, named(obstacles[which]))
+    speed = _speeds(run, np.zeros(run.t.size), np.zeros(2))
+    return _least_clearance(run, gaps, [named(each) for each in obstacles], speed, until)
 
 
 def sampled_obstacle_gaps(rope: Rope, obstacles: Sequence[Obstacle], q: Array, base: Array) -> Array:
     """Distance (...), m, of a rope from obstacles at samples alone; link angles q (..., n), rad, `base` (..., 2), m."""
-    begin, end = _links(rope, q, base, np.arange(rope.n_links))
-    return np.asarray(obstacle_gaps(obstacles, begin, end).min(axis=(-2, -1))) - rope.radius
+    joints = rope.joints(q, base)
+    gaps = obstacle_gaps(obstacles, joints[..., :-1, :], joints[..., 1:, :])
+    return np.asarray(gaps.min(axis=(-2, -1), initial=np.inf)) - rope.radius
+
+
+def sampled_clearance(rope: Rope, arm: Arm, q: Array, base: Array) -> Array:
+    """Distance (T,), m, of a rope from its arm and shaft at samples alone, as of :func:`rope_clearance`.
+
+    Link angles q (T, n), rad; `base` (T, 2), m, is the arm's tip.
+    """
+    return np.asarray(_arm_gaps(rope, arm, q, base, np.arange(rope.n_links)).min(axis=(1, 2))) - rope.radius
 
 
 def clear_samples(
@@ -72,11 +83,11 @@ def clear_samples(
 
     `base` (M, T, 2), m, are places of their first joints, `clearance`, m, is the distance that they keep.
     """
-    if not obstacles:
-        return np.full(len(q), q.shape[1])
-    places = zip(ropes, np.nan_to_num(q), base, strict=True)
-    near = [sampled_obstacle_gaps(rope, obstacles, *place) <= max(clearance, 0.0) for rope, *place in places]
-    return np.array([each.argmax() if each.any() else each.size for each in near])
+    clear = np.full(len(q), q.shape[1])
+    for m, rope in enumerate(ropes if obstacles else ()):
+        near = sampled_obstacle_gaps(rope, obstacles, np.nan_to_num(q[m]), base[m]) <= max(clearance, 0.0)
+        clear[m] = near.argmax() if near.any() else near.size
+    return clear
 
 
 def samples_clear_of_arm(
@@ -88,28 +99,43 @@ def samples_clear_of_arm(
     Samples from `until` (M,) on are not checked.
     """
     clear = np.full(len(q), q.shape[1])
-    if clearance == -np.inf:
-        return clear
-    hangs = _hangs(rope, arm)
-    least = (arm.shaft_radius + rope.radius + clearance, arm.radius + rope.radius + clearance)
-    tips, last = base - np.array(arm.pivot), clear.copy() if until is None else until
-    proximity.samples_apart(np.ascontiguousarray(q), tips, rope.length, *least, hangs, last, clear)
+    if clearance > -np.inf:
+        least = (each + rope.radius + clearance for each in (arm.shaft_radius, arm.radius))
+        tips, last = base - np.array(arm.pivot), clear.copy() if until is None else until
+        proximity.samples_apart(np.ascontiguousarray(q), tips, rope.length, *least, _hangs(rope, arm), last, clear)
     return clear
+
+
+def way_gaps(rope: Rope, target: Peg, behind: Sequence[Peg], q: Array, joints: Array) -> Array:
+    """Return how far the rope's way to a target is from each of w pegs (T, w), m; infinite where it has no such way.
+
+    Samples of link angles q (T, n), rad, and joints (T, n + 1, 2), m. The way begins at the arm and ends at the first
+    touch of the target, or at the rope's end where it does not touch that.
+    """
+    begins = np.cumsum(rope.length) - rope.length
+    place, _, gap = closest_points(rope, target, q, joints)
+    first = np.where(gap < TOUCH, begins + place, np.inf).min(axis=1)[:, None]
+    found = np.full((len(q), len(behind)), np.inf)
+    for k, each in enumerate(behind):
+        place, _, gap = closest_points(rope, each, q, joints)
+        found[:, k] = np.where(begins + place < first, gap, np.inf).min(axis=1)
+    return found
 
 
 def obstacle_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Array:
     """Distances (..., w, k), m, of the axes of links from `begin` to `end` (..., k, 2) from w obstacles."""
-    return np.stack([_obstacle_gap(each, begin, end) for each in obstacles], axis=-2)
-
-
-def _obstacle_gap(each: Obstacle, begin: Array, end: Array) -> Array:
-    place: Array = np.array([each.x, each.y])
-    if isinstance(each, Peg):
-        return _distance(place, begin, end) - each.radius
-    if isinstance(each, Wall):
-        return _segment_distance(begin, end, place, np.array([each.x2, each.y2]))
-    out: Array = np.array([each.nx, each.ny]) / np.hypot(each.nx, each.ny)
-    return np.asarray(np.minimum((begin - place) @ out, (end - place) @ out))
+    gaps = np.empty((*begin.shape[:-2], len(obstacles), begin.shape[-2]))
+    for w, each in enumerate(obstacles):
+        place: Array = np.array([each.x, each.y])
+        if isinstance(each, Peg):
+            gap = _distance(place, begin, end) - each.radius
+        elif isinstance(each, Wall):
+            gap = _segment_distance(begin, end, place, np.array([each.x2, each.y2]))
+        else:
+            out: Array = np.array([each.nx, each.ny]) / np.hypot(each.nx, each.ny)
+            gap = np.minimum((begin - place) @ out, (end - place) @ out)
+        gaps[..., w, :] = gap
+    return gaps
 
 
 def gap_of(obstacle: Obstacle, x: float, y: float) -> float:
@@ -123,52 +149,6 @@ def named(obstacle: Obstacle) -> str:
     return f"the {type(obstacle).__name__.lower()} at ({obstacle.x:.4g}, {obstacle.y:.4g}) m"
 
 
-def least_gap(
-    run: Trajectory,
-    gaps: Callable[[Array, Array, npt.NDArray[np.int64]], Array],
-    speed: Array,
-    until: float = np.inf,
-) -> tuple[float, float, int]:
-    """Return the least distance, m, of a rope's surface from what `gaps` measures, when, s, and from which of it.
-
-    `gaps` takes angles q (T, m), rad, of the first m links, the first joint (T, 2), m, and the numbers of k links, and
-    returns distances (T, w, k), m, of their axes from w things. `speed` (T, n), m/s, is how fast these may change. The
-    first sample at or after `until`, s, is the last that counts.
-    """
-    rows = min(int(np.searchsorted(run.t, until)) + 1, run.t.size)
-    gap = gaps(run.q[:rows], run.base[:rows], np.arange(run.q.shape[1]))
-    best = _least(run.t, gap)
-    speed = FASTER * speed[:rows]
-    way = np.diff(run.t[:rows])[:, None] * np.maximum(speed[1:], speed[:-1])
-    least = 0.5 * (gap[1:] + gap[:-1] - way[:, None]).min(axis=1)  # of each link in each interval, at least
-    bound = least.min(axis=1)
-    for row in np.argsort(bound):
-        if bound[row] >= best[0]:
-            break
-        near = np.flatnonzero(least[row] < best[0])
-        times = np.linspace(run.t[row], run.t[row + 1], int(np.ceil(way[row, near].max() / FINE)) + 1)
-        sides, links = slice(row, row + 2), slice(near[-1] + 1)
-        q = interpolated(run.t[sides], run.q[sides, links], run.qd[sides, links], times)
-        base = interpolated(run.t[sides], run.base[sides], run.base_velocity[sides], times)
-        between = gaps(q, base, near)
-        low = np.maximum(between - _errors(run, row)[near], run.setup.rope.radius)  # a touch, no unseen depth
-        best = min(best, _least(times, np.minimum(between, low)))
-    return best[0] - run.setup.rope.radius - 0.5 * FINE, *best[1:]
-
-
-def sampled_clearance(rope: Rope, arm: Arm, q: Array, base: Array) -> Array:
-    """Distance (T,), m, of a rope from its arm and shaft at samples alone, as of :func:`rope_clearance`.
-
-    Link angles q (T, n), rad; `base` (T, 2), m, is the arm's tip.
-    """
-    return np.asarray(_gaps(rope, arm, q, base, np.arange(rope.n_links)).min(axis=(1, 2))) - rope.radius
-
-
-def _least(t: Array, gap: Array) -> tuple[float, float, int]:
-    k, what, _ = np.unravel_index(int(gap.argmin()), gap.shape)
-    return float(gap.min()), float(t[k]), int(what)
-
-
 def joint_velocities(rope: Rope, q: Array, qd: Array, velocity: Array) -> Array:
     """Velocities (..., n + 1, 2), m/s, of a rope's joints and tip.
 
@@ -177,6 +157,39 @@ def joint_velocities(rope: Rope, q: Array, qd: Array, velocity: Array) -> Array:
     across = np.stack([np.cos(q), np.sin(q)], axis=-1)
     steps = np.concatenate([velocity[..., None, :], (rope.length * qd)[..., None] * across], axis=-2)
     return np.asarray(np.cumsum(steps, axis=-2))
+
+
+def _least_clearance(
+    run: Trajectory, gaps: Gaps, names: Sequence[str], speed: Array, until: float = np.inf
+) -> Clearance:
+    """Return how near a rope's surface comes to what `gaps` measures, w things with `names`.
+
+    `gaps` takes link angles q (T, n), rad, the first joint (T, 2), m, and the numbers of k links, and returns distances
+    (T, w, k), m, of their axes. `speed` (T, n), m/s, is how fast these may change. The first sample at or after
+    `until`, s, is the last that counts.
+    """
+    rope, rows = run.setup.rope, min(int(np.searchsorted(run.t, until)) + 1, run.t.size)
+
+    def least(t: Array, gap: Array) -> Clearance:
+        k, which, _ = np.unravel_index(int(gap.argmin()), gap.shape)
+        return Clearance(float(gap.min()), float(t[k]), names[which])
+
+    gap = gaps(run.q[:rows], run.base[:rows], np.arange(rope.n_links))
+    best, speed = least(run.t, gap), FASTER * speed[:rows]
+    way = np.diff(run.t[:rows])[:, None] * np.maximum(speed[1:], speed[:-1])
+    possible = 0.5 * (gap[1:] + gap[:-1] - way[:, None]).min(axis=1)  # of each link in each interval, at least
+    bound = possible.min(axis=1)
+    for row in np.argsort(bound):
+        if bound[row] >= best.value:
+            break
+        near, sides = np.flatnonzero(possible[row] < best.value), slice(row, row + 2)
+        times = np.linspace(run.t[row], run.t[row + 1], int(np.ceil(way[row, near].max() / FINE)) + 1)
+        q = interpolated(run.t[sides], run.q[sides], run.qd[sides], times)
+        base = interpolated(run.t[sides], run.base[sides], run.base_velocity[sides], times)
+        between = gaps(q, base, near)
+        low = np.maximum(between - _errors(run, row)[near], rope.radius)  # a touch, no unseen depth
+        best = min(best, least(times, np.minimum(between, low)))
+    return best._replace(value=best.value - rope.radius - 0.5 * FINE)
 
 
 def _speeds(run: Trajectory, rate: Array, pivot: Array) -> Array:
@@ -201,31 +214,18 @@ def _errors(run: Trajectory, row: int) -> Array:
     return np.asarray(dt * np.maximum(joints[1:], joints[:-1]) / 8.0)
 
 
-def _gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: npt.NDArray[np.int64]) -> Array:
-    """Distances (T, 2, k), m, of the axes of k `links` from shaft and arm.
-
-    Angles q (T, m), rad, are those of the first m links, `tip` (T, 2), m, the arm's.
-    """
+def _arm_gaps(rope: Rope, arm: Arm, q: Array, tip: Array, links: npt.NDArray[np.int64]) -> Array:
+    """Distances (T, 2, k), m, of the axes of k `links` from shaft and arm; q (T, n), rad; arm's `tip` (T, 2), m."""
     gap = np.empty((len(q), 2, links.size))
-    proximity.arm_gaps(
-        np.ascontiguousarray(q), tip - np.array(arm.pivot), rope.length[: q.shape[1]], links, _hangs(rope, arm), gap
-    )
-    gap -= np.array([[arm.shaft_radius], [arm.radius]])
-    return gap
+    tips = tip - np.array(arm.pivot)
+    proximity.arm_gaps(np.ascontiguousarray(q), tips, rope.length, links, _hangs(rope, arm), gap)
+    return np.asarray(gap - np.array([[arm.shaft_radius], [arm.radius]]))
 
 
 def _hangs(rope: Rope, arm: Arm) -> int:
     """Number of links that hang from the arm's tip, and do not count as too near the arm."""
     length = max(LENGTHS * arm.length, RADII * (rope.radius + arm.radius))
     return int(np.searchsorted(np.cumsum(rope.length), length, side="right")) + 1
-
-
-def _links(rope: Rope, q: Array, base: Array, links: npt.NDArray[np.int64]) -> tuple[Array, Array]:
-    """Begin and end (..., k, 2), m, of k `links` of a rope whose first joint is at `base` (..., 2), m."""
-    length = rope.length[: q.shape[-1]]
-    ways = np.stack([length * np.sin(q), -length * np.cos(q)], axis=-1)
-    end = (base[..., None, :] + np.cumsum(ways, axis=-2))[..., links, :]
-    return end - ways[..., links, :], end
 
 
 def _segment_distance(begin: Array, end: Array, first: Array, last: Array) -> Array:

@@ -18,9 +18,9 @@ from hyperflex.model import DEFAULT_CONTACT_STEP, Peg
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import SearchOptions, WindCriteria
 from hyperflex.planning.outcome import CastOutcome, require_holding_force, verify_cast
+from hyperflex.planning.planner import Candidate, Verified
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, winding_scores
-from hyperflex.planning.tasks.task import Candidate, Verified
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
 COUNTED = 8  # samples of an estimate that are simulated at once

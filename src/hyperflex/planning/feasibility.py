@@ -119,26 +119,26 @@ def check_feasibility(problem: Problem, peg: Peg) -> Feasibility:
     hangs nearly below the target's centre, a short one at its side and makes up to a quarter turn less. The swing is
     limited on the target's side by the target itself, on the other side by that and the gain of one stroke.
     """
-    required = problem.criteria.holding_force
-    target = _Target(problem, peg)
-    energy, holding = target.energy_ratio(), target.holding_force()
-    impossible, message = target.geometry()
-    obstacles = (*problem.criteria.behind, *problem.obstacles)
+    target, required = _Target(problem, peg), problem.criteria.holding_force
+    energy, holding, (impossible, message) = target.energy_ratio(), target.holding_force(), target.geometry()
+    inside = [each for each in (*problem.criteria.behind, *problem.obstacles) if gap_of(each, peg.x, peg.y) <= 0.0]
     torque = _start_torque(problem)
     if torque > problem.limits.torque:
         needs = f"the rope that hangs from the arm needs {torque:.3g} N m at the start"
         impossible, message = True, f"the motor is too weak: {needs}"
-    elif inside := [each for each in obstacles if gap_of(each, peg.x, peg.y) <= 0.0]:
+    elif inside:
         impossible, message = True, f"the target lies in {named(inside[0])}"
-    elif not message and (blocked := _blocked(problem, peg)):
+    elif message:
+        pass
+    elif blocked := _blocked(problem, peg):
         message = f"out of reach: {blocked}"
-    elif not message and energy < SWING.energy_ratio:
+    elif energy < SWING.energy_ratio:
         slow = _gain(problem) < 0.5 * _gain(problem, fast=True)
         why = "the motor is too slow to swing the rope up" if slow else "too little energy"
         high = f"it is higher than the rope swings, {math.degrees(_widest(problem)):.0f} degrees from hanging"
         ratio = f"{energy:.2f} of what lifts the tail over it at the strike, {SWING.energy_ratio:g} needed"
         message = f"out of reach: {why}: {high if energy < 0.0 else ratio}"
-    elif not message and holding < required:
+    elif holding < required:
         message = f"out of reach: its holding force is {holding:.3g} N at most, {required:g} N required"
     return Feasibility(target.available_turns, target.needed_turns, energy, holding, impossible, message)
 
@@ -168,32 +168,25 @@ class _Target:
         x, y = peg.x - x0, peg.y - y0
         self.distance, self.angle = math.hypot(x, y), math.atan2(abs(x * gy - y * gx), x * gx + y * gy)
         self.axis = peg.radius + self.rope.radius
-        ways = [
-            math.hypot(each.x - x0, each.y - y0)
-            + math.hypot(peg.x - each.x, peg.y - each.y)
-            - 2.0 * (each.radius + self.rope.radius)
-            for each in problem.criteria.behind
-        ]
-        self.way = max([self.distance, *ways])
-        self.available_turns = (self.rope.total_length - self.way + self.axis) / (2.0 * math.pi * self.axis)
-        touching = math.acos(min(1.0, self.axis / self.way)) if self.way > 0.0 else 0.0
+        way = self.distance
+        for each in problem.criteria.behind:
+            near = math.hypot(each.x - x0, each.y - y0) + math.hypot(peg.x - each.x, peg.y - each.y)
+            way = max(way, near - 2.0 * (each.radius + self.rope.radius))
+        self.way, turn = way, 2.0 * math.pi
+        self.available_turns = (self.rope.total_length - way + self.axis) / (turn * self.axis)
+        touching = math.acos(min(1.0, self.axis / way)) if way > 0.0 else 0.0
         # Least angle of contact of a taut rope that is struck from below and hangs from the side, in (-pi, pi]
-        self.contact = 0.5 * math.pi - self.angle - touching if self.way > 0.0 else 0.0
+        self.contact = 0.5 * math.pi - self.angle - touching if way > 0.0 else 0.0
         # Rope beyond the target's near side that is not on it, in radii
-        self.straight = (math.sqrt(max(self.way**2 - self.axis**2, 0.0)) - self.way + self.axis) / self.axis
-        self.needed_turns = self._needed_turns(touching)
-
-    def _needed_turns(self, touching: float) -> float:
-        """Least room of a rope that makes the required turns, covers the required angle, and hangs, in turns."""
+        self.straight = (math.sqrt(max(way**2 - self.axis**2, 0.0)) - way + self.axis) / self.axis
+        # Least room of a rope that makes the required turns, covers the required angle, and hangs, in turns
         angle, rooms = self.contact, list[float]()
         while len(rooms) < 2:  # a turn more may need less rope: its end may be shorter
-            turns = self.problem.criteria.turns + SWING.spare_turns
-            end = 2.0 * math.pi * turns - touching - angle if self.way > 0.0 else 0.0
-            if angle > 0.0 and angle >= self.problem.criteria.contact and end < 0.5 * math.pi:
-                hanging = max(SWING.hanging, math.tan(max(end, 0.0)))
-                rooms.append((self.straight + angle + hanging) / (2.0 * math.pi))
-            angle += 2.0 * math.pi
-        return min(rooms)
+            end = turn * (problem.criteria.turns + SWING.spare_turns) - touching - angle if way > 0.0 else 0.0
+            if angle > 0.0 and angle >= problem.criteria.contact and end < 0.5 * math.pi:
+                rooms.append((self.straight + angle + max(SWING.hanging, math.tan(max(end, 0.0)))) / turn)
+            angle += turn
+        self.needed_turns = min(rooms)
 
     def geometry(self) -> tuple[bool, str]:
         """Return whether distance and length rule the target out, and why it is infeasible; empty if it is not."""
@@ -311,15 +304,15 @@ def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float
     """
     rope, arm, limits = problem.rope, problem.arm, problem.limits
 
-    def faster(speed: float, acceleration: float) -> tuple[Problem, Peg]:
+    def faster(speed: float, acceleration: float = 1.0) -> tuple[Problem, Peg]:
         changed = replace(limits, speed=speed * limits.speed, acceleration=acceleration * limits.acceleration)
         return replace(problem, limits=changed), peg
 
     def longer(f: float) -> Rope:
         return rope.replace(length=f * rope.length, mass=f * rope.mass, com=f * rope.com, inertia=f**3 * rope.inertia)
 
-    def least(changed: Callable[[float], tuple[Problem, Peg]], most: float = most) -> float:
-        """Return the least feasible factor from 1 up: the first in steps of FACTOR, then bisection to 1 %."""
+    def remedy(text: str, changed: Callable[[float], tuple[Problem, Peg]], most: float = most) -> list[str]:
+        """Return the text with the least feasible factor f from 1 up: in steps of FACTOR, then bisection to 1 %."""
 
         def feasible(factor: float) -> bool:
             try:
@@ -328,36 +321,35 @@ def find_remedies(problem: Problem, peg: Peg, *, most: float = 3.0, motor: float
                 return False
 
         tried = np.geomspace(1.0, most, math.ceil(math.log(most, FACTOR)) + 1).tolist()
-        high = next((factor for factor in tried if feasible(factor)), math.inf)
+        high = next((factor for factor in tried if feasible(factor)), 1.0)
         low = max(1.0, high / FACTOR)
         while high > 1.01 * low:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if feasible(middle) else (middle, high)
-        return float(high)
+        of, to = changed(high)
+        numbers = {
+            "speed": _rounded(of.limits.speed),
+            "acceleration": _rounded(of.limits.acceleration),
+            "arm": _rounded(1e3 * of.arm.length),
+            "rope": _rounded(of.rope.total_length),
+            "time": _rounded(of.time),
+            "radius": _rounded(1e3 * to.radius, up=False),
+        }
+        return [text.format(**numbers)] if high > 1.0 else []
 
-    speed, acceleration = least(lambda f: faster(f, 1.0), motor), least(lambda f: faster(1.0, f), motor)
-    either = min(speed, acceleration) < math.inf  # one limit alone is enough
-    both = math.inf if either else least(lambda f: faster(f, f**2), motor)
-    longer_arm = least(lambda f: (replace(problem, arm=replace(arm, length=f * arm.length)), peg))
-    longer_rope = least(lambda f: (replace(problem, rope=longer(f)), peg))
-    later = least(lambda f: (replace(problem, time=f * problem.time), peg))
-    thinner = least(lambda f: (problem, replace(peg, radius=peg.radius / f)))
-    found = {
-        f"a motor of {_rounded(speed * limits.speed)} rad/s": speed,
-        f"a motor of {_rounded(acceleration * limits.acceleration)} rad/s^2": acceleration,
-        f"a motor of {_rounded(both * limits.speed)} rad/s and {_rounded(both**2 * limits.acceleration)} rad/s^2": both,
-        f"an arm of {_rounded(1e3 * longer_arm * arm.length)} mm": longer_arm,
-        f"a rope of {_rounded(longer_rope * rope.total_length)} m": longer_rope,
-        f"{_rounded(later * problem.time)} s to strike": later,
-        f"a peg of {_rounded(1e3 * peg.radius / thinner, up=False)} mm radius": thinner,
-    }
-    return tuple(text for text, factor in found.items() if 1.0 < factor < math.inf)
+    found = remedy("a motor of {speed} rad/s", faster, motor)
+    found += remedy("a motor of {acceleration} rad/s^2", lambda f: faster(1.0, f), motor)
+    if not found:  # one limit alone is enough
+        found = remedy("a motor of {speed} rad/s and {acceleration} rad/s^2", lambda f: faster(f, f**2), motor)
+    found += remedy("an arm of {arm} mm", lambda f: (replace(problem, arm=replace(arm, length=f * arm.length)), peg))
+    found += remedy("a rope of {rope} m", lambda f: (replace(problem, rope=longer(f)), peg))
+    found += remedy("{time} s to strike", lambda f: (replace(problem, time=f * problem.time), peg))
+    found += remedy("a peg of {radius} mm radius", lambda f: (problem, replace(peg, radius=peg.radius / f)))
+    return tuple(found)
 
 
 def _rounded(value: float, *, up: bool = True) -> str:
     """Write a value with three digits, rounded to the side on which it is enough."""
-    if not 0.0 < value < math.inf:
-        return str(value)
     unit = 10.0 ** (math.floor(math.log10(value)) - 2)
     digits = math.ceil(value / unit - 1e-9) if up else math.floor(value / unit + 1e-9)
     return f"{digits * unit:.3g}"

@@ -154,12 +154,12 @@ class FollowResult:
         if not self.decisions:
             return ""
         last = self.decisions[-1]
-        chance = f"it succeeds in {100 * last.after:.0f} % of the likely scenarios"
+        why = f"it succeeds in {100 * last.after:.0f} % of the likely scenarios"
         if abs(last.arm_error) > self.options.max_arm_error:
-            chance = f"the arm is {abs(last.arm_error):.2g} rad from its command"
+            why = f"the arm is {abs(last.arm_error):.2g} rad from its command"
         if not self.completed:
-            return f"aborted at {last.t:.2f} s: {chance}"
-        return "" if last.after >= 0.5 else f"expected to miss: at {last.t:.2f} s {chance}"
+            return f"aborted at {last.t:.2f} s: {why}"
+        return "" if last.after >= 0.5 else f"expected to miss: at {last.t:.2f} s {why}"
 
     @property
     def status(self) -> Status:
@@ -289,13 +289,8 @@ class _Loop:
         self.problem, self.moves, self.options, self.budget = plan.problem, moves, options, Budget(threads=threads)
         self.scenarios, self.errors = list(scenarios), np.zeros(len(scenarios))
         self.goal = Goal.of(plan.problem, plan.target, moves, options)
-        self.move, self.delay = 1, 0.0
-        self._last = hanging_state(plan.problem.rope)
-
-    @property
-    def last(self) -> int:
-        """Number of the last move."""
-        return self.moves.ends.size - 1
+        self.move, self.last, self.delay = 1, moves.ends.size - 1, 0.0
+        self._seen = hanging_state(plan.problem.rope)
 
     def motion(self) -> Motion:
         """Return the commanded motion."""
@@ -310,11 +305,11 @@ class _Loop:
         if self.goal is None or self.move > self.last:
             return None
         options, move, begin = self.options, self.move, time.monotonic()
-        now = float(self.starts()[move] - self.moves.timing(self.problem.limits)[0][move])
+        left = float(self.moves.timing(self.problem.limits)[0][move])
+        now = float(self.starts()[move]) - left
         if now > self.goal.t + self.delay - options.blind_time:
             return None
-        left, planned = float(self.starts()[move]) - now, (self.moves, self.delay)
-        state = source.state(now, self.motion())
+        planned, state = (self.moves, self.delay), source.state(now, self.motion())
         arm_error = math.nan if motor is None else motor.angle(now) - float(self.motion().angle(now))
         first = move if left >= options.decision_time else move + 1  # that may still be changed
         if far := abs(arm_error) > options.max_arm_error:
@@ -330,17 +325,19 @@ class _Loop:
 
     def observe(self, state: RopeState) -> None:
         """Add the scenarios' errors in predicting an observed state."""
-        if state.t <= self._last.t:
+        if state.t <= self._seen.t:
             return
         motions = [each.without_delays().executed_motion(self.motion()) for each in self.scenarios]
         ropes, arm, t = [each.rope for each in self.scenarios], self.problem.arm, np.array([state.t])
-        batch = RolloutBatch.from_state(ropes, [], motions, self._last)
+        batch = RolloutBatch.from_state(ropes, [], motions, self._seen)
         _, q, qd = batch.fly(arm, state.t - batch.since, self.budget, at_end=True)
         for m, (rope, motion) in enumerate(zip(ropes, motions, strict=True)):
-            observed = features(rope, arm, motion, t, state.q[None], state.qd[None], self.options)
-            predicted = features(rope, arm, motion, t, q[m, -1:], qd[m, -1:], self.options)
+            observed, predicted = (
+                features(rope, arm, motion, t, *each, self.options)
+                for each in ((state.q[None], state.qd[None]), (q[m], qd[m]))
+            )
             self.errors[m] += float(np.nan_to_num(((predicted - observed) ** 2).sum(), nan=np.inf))
-        self._last = state
+        self._seen = state
 
     def likely(self) -> list[Scenario]:
         """Return the scenarios with the least errors, best first."""
@@ -351,18 +348,18 @@ class _Loop:
 
         It may be aborted from one move before the last one that starts before the strike.
         """
-        scenarios, throws, begun = self.likely(), [self.moves], int((self.starts() < goal.t + self.delay).sum())
+        scenarios, throws, starts = self.likely(), [self.moves], self.starts()
         probability, value = self.probabilities(throws, state, scenarios)
         if first < self.last and probability[0] < 1.0:
             throws.append(self.corrected(goal, scenarios[0].without_delays(), state, first))
             probability, value = self.probabilities(throws, state, scenarios)
         chosen = int(value[-1] > value[0] + self.options.min_gain)
         before, after = float(probability[0]), float(probability[chosen])
+        begun = int((starts < goal.t + self.delay).sum())
         if after < self.options.min_probability and self.move >= begun - 1 and first <= self.last:
             return before, after, self.abort(first)
-        last = self.starts()[-1]
         self.moves = throws[chosen]
-        self.delay += float(self.starts()[-1] - last)
+        self.delay += float(self.starts()[-1] - starts[-1])
         return before, after, "changed" if chosen else "kept"
 
     def abort(self, first: int) -> str:
@@ -377,35 +374,30 @@ class _Loop:
         """Return the fraction of the scenarios in which each throw succeeds, and its mean score (W,)."""
         pairs = [(throw, scenario) for throw in throws for scenario in scenarios]
         motions = [scenario.motion(throw, self.problem) for throw, scenario in pairs]
-        ropes, pegs = [scenario.rope for _, scenario in pairs], [scenario.peg for _, scenario in pairs]
-        batch = RolloutBatch.from_state(ropes, pegs, motions, state)
-        found = winding_scores(self.problem, batch, self.budget)
-        shape = (len(throws), len(scenarios))
-        succeeds = (found.turns >= self.problem.criteria.turns).reshape(shape)
-        return succeeds.mean(axis=1), robust_values(found, self.problem).reshape(shape).mean(axis=1)
+        ropes, pegs = zip(*((scenario.rope, scenario.peg) for _, scenario in pairs), strict=True)
+        found = winding_scores(self.problem, RolloutBatch.from_state(ropes, pegs, motions, state), self.budget)
+        values = found.turns >= self.problem.criteria.turns, robust_values(found, self.problem)
+        probability, value = (each.reshape(len(throws), -1).mean(axis=1) for each in values)
+        return probability, value
 
     def corrected(self, goal: Goal, scenario: Scenario, state: RopeState, first: int) -> Moves:
         """Return the throw with strokes and rests from move `first` on so that it comes nearer the goal in a scenario.
 
         The last move stays, and a rest that is due now leaves time for the decision.
         """
-        options, (ends, rests) = self.options, np.split(np.arange(2 * self.moves.ends.size), 2)
-        free = np.concatenate([ends[first : self.last], rests[first : self.last]])
+        options, count = self.options, self.moves.ends.size
+        free = np.concatenate([np.arange(first, self.last), np.arange(count + first, count + self.last)])
         scale = np.repeat([-options.stroke_scale, options.rest_scale], self.last - first)  # a longer stroke may not fit
-        least = min(options.decision_time, float(self.moves.rests[first]))
+        least, due = min(options.decision_time, float(self.moves.rests[first])), count + first
 
         def fly(flight: _Flight, changes: Sequence[Array], later: Sequence[float]) -> list[_Flight | None]:
-            change = np.zeros((len(changes), 2 * ends.size))
+            change = np.zeros((len(changes), 2 * count))
             change[:, free] = changes
-            soonest = least - flight.moves.rests[first]
-            change[:, rests[first]] = np.maximum(change[:, rests[first]], soonest)
+            change[:, due] = np.maximum(change[:, due], least - flight.moves.rests[first])
             return [*self._flights(goal, scenario, state, [flight.moves.varied(each) for each in change])]
 
-        begin = self._flights(goal, scenario, state, [self.moves])[0]
-        best, _ = shoot(
-            begin, scale, fly, close=0.0, rounds=options.rounds, difference=options.difference, budget=self.budget
-        )
-        return best.moves
+        begin, how = self._flights(goal, scenario, state, [self.moves])[0], (options.rounds, options.difference)
+        return shoot(begin, scale, fly, *how, self.budget)[0].moves
 
     def _flights(self, goal: Goal, scenario: Scenario, state: RopeState, throws: Sequence[Moves]) -> list[_Flight]:
         """Simulate throws (M) from a state, and compare them with the goal where they pass it nearest."""

@@ -1,5 +1,6 @@
 """Outcomes of simulated runs: of a cast whether it winds and holds, why not, and the force that it withstands."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,9 +14,8 @@ from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, DEFAULT_TOL, Peg
 from hyperflex.motion import Motion
-from hyperflex.planning.clearance import named
+from hyperflex.planning.clearance import named, way_gaps
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.routing import runs_behind
 from hyperflex.planning.verification import (
     clearances,
     folded_flat,
@@ -212,7 +212,8 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
     touched, covered = np.isfinite(wound.before), float(wound.contact[watched].min())
     figures = run_figures(problem, run)
     above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
-    led = runs_behind(run.setup.rope, peg, criteria.behind, run.q[watched], run.joints[watched])
+    apart = way_gaps(run.setup.rope, peg, criteria.behind, run.q[watched], run.joints[watched])
+    led = tuple((apart < winding.TOUCH).all(axis=0).tolist())
     if not touched.any():
         message = "the rope does not touch the peg"
     elif not enough:
@@ -252,19 +253,14 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
 def _longest_stay(t: Array, touched: npt.NDArray[np.bool_]) -> float:
     """Start of the longest stay on the peg, s; NaN if there is none. Breaks of BOUNCE_TIME do not end it."""
     there = t[touched]
-    if not there.size:
-        return float("nan")
-    apart = np.flatnonzero(np.diff(there) > BOUNCE_TIME)
-    begins, ends = there[np.append(0, apart + 1)], there[np.append(apart, there.size - 1)]
-    return float(begins[(ends - begins).argmax()])
+    stays = np.split(there, np.flatnonzero(np.diff(there) > BOUNCE_TIME) + 1)
+    return float(max(stays, key=np.ptp)[0]) if there.size else math.nan
 
 
 def _load_ratio(wound: Winding, watched: npt.NDArray[np.bool_], peg: Peg) -> float:
     """Return the greatest ratio of the pull to what the capstan equation allows, both averaged over MEAN_TIME."""
-    count = max(1, round(MEAN_TIME / SAMPLE_TIME))
-    before, after = (
-        np.convolve(force[watched], np.full(count, 1.0 / count), mode="valid") for force in (wound.before, wound.after)
-    )
+    mean = np.full(round(MEAN_TIME / SAMPLE_TIME), SAMPLE_TIME / MEAN_TIME)
+    before, after = (np.convolve(force[watched], mean, mode="valid") for force in (wound.before, wound.after))
     arc = np.abs(wound.arc[watched]).min()
     return float((before / np.maximum(after * np.exp(peg.mu * arc), 1e-12)).max())
 

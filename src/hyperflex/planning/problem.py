@@ -81,8 +81,8 @@ class Problem:
         object.__setattr__(self, "time", time or PERIODS * self.period)
         start = RopeState(0.0, np.array(self.q0), np.array(self.qd0)) if self.q0 else None
         given = Conditions(clearance=self.clearance, obstacles=self.obstacles, side=self.side, state0=start)
-        object.__setattr__(self, "clearance", given.clearance)
-        object.__setattr__(self, "obstacles", given.obstacles)
+        for name in ("clearance", "obstacles"):
+            object.__setattr__(self, name, getattr(given, name))
         torque = min(self.limits.torque, self.arm.torque_limit)
         object.__setattr__(self, "limits", replace(self.limits, torque=torque))
         shape = (self.rope.n_links if self.q0 else 0,)

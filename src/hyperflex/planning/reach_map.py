@@ -1,5 +1,6 @@
 """The reach map: for targets on a grid, whether a cast winds them, and how far round."""
 
+import math
 import operator
 import tomllib
 from dataclasses import dataclass, replace
@@ -87,12 +88,12 @@ class ReachMap:
     @property
     def wound(self) -> npt.NDArray[np.bool_]:
         """Targets (Y, X) for which a cast succeeds."""
-        return np.asarray(self.status == STATUSES.index(Status.SUCCESS))
+        return self.status == STATUSES.index(Status.SUCCESS)
 
     @property
     def infeasible(self) -> npt.NDArray[np.bool_]:
         """Targets (Y, X) that are infeasible: no search was made for."""
-        return np.asarray(self.status == STATUSES.index(Status.INFEASIBLE))
+        return self.status == STATUSES.index(Status.INFEASIBLE)
 
     def __repr__(self) -> str:
         searched = int((~self.infeasible & (self.status != NOT_PLANNED)).sum())
@@ -222,17 +223,18 @@ def build_reach_map(
     x, y = grid.places(problem)
     targets = [Peg(float(one), float(level), grid.radius, grid.mu) for level in y for one in x]
     plans, stop = plan_each(request, targets)
-    values = {name: np.full(len(targets), np.nan) for name in ("turns", "contact_angle", "seconds")}
-    values["status"] = np.full(len(targets), NOT_PLANNED)
-    for number, plan in plans.items():
-        if plan.success or not plan.interrupted:
-            values["status"][number], values["seconds"][number] = STATUSES.index(plan.status), plan.seconds
-        if plan.success and plan.outcome is not None:
-            values["turns"][number] = abs(plan.outcome.turns)
-            values["contact_angle"][number] = plan.outcome.contact_angle
-    shaped: dict[str, Any] = {name: each.reshape(y.size, x.size) for name, each in values.items()}
-    found = ReachMap(problem, x, y, targets[0].radius, targets[0].mu, time_budget, chosen.seed, **shaped)
-    return stop.deliver(found)
+    rows = []
+    for number in range(len(targets)):
+        status, turns, contact, seconds = NOT_PLANNED, math.nan, math.nan, math.nan
+        plan = plans.get(number)
+        if plan is not None and (plan.success or not plan.interrupted):
+            status, seconds = STATUSES.index(plan.status), plan.seconds
+            if plan.success and plan.outcome is not None:
+                turns, contact = abs(plan.outcome.turns), plan.outcome.contact_angle
+        rows.append((status, turns, contact, seconds))
+    status, *found = np.array(rows).T.reshape(4, y.size, x.size)
+    about = targets[0].radius, targets[0].mu, time_budget, chosen.seed
+    return stop.deliver(ReachMap(problem, x, y, *about, status.astype(np.int64), *found))
 
 
 def read_reach_map(path: str | Path) -> ReachMap:

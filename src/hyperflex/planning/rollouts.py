@@ -25,9 +25,9 @@ from hyperflex.planning.clearance import (
     sampled_clearance,
     sampled_obstacle_gaps,
     samples_clear_of_arm,
+    way_gaps,
 )
 from hyperflex.planning.problem import Problem
-from hyperflex.planning.routing import way_gaps
 from hyperflex.planning.verification import FOLD, at_limits, limit_bend
 from hyperflex.simulation import Batch, check_outside, simulate_batch
 from hyperflex.trajectory import interpolated

@@ -35,11 +35,10 @@ def shoot(
     best: ShotT,
     scale: Array,
     fly: Callable[[ShotT, Sequence[Array], Sequence[float]], list[ShotT | None]],
-    *,
-    close: float,
     rounds: int,
     difference: float,
     budget: Budget,
+    close: float = 0.0,
 ) -> tuple[ShotT, list[ShotT]]:
     """Reduce the residuals of a shot; return the best one, and those at its differences.
 
@@ -52,10 +51,10 @@ def shoot(
     fly : callable
         Returns what becomes of a shot whose parameters change by some of (P,), and its time by about so much, s; None
         for one without residuals.
-    close : float
-        Norm of the residuals at which the search ends.
     rounds : int
         Steps, at most.
+    close : float
+        Norm of the residuals at which the search ends.
     """
     for left in range(rounds, -1, -1):
         near = fly(best, list(np.diag(difference * scale)), [0.0] * scale.size)

@@ -17,9 +17,9 @@ from hyperflex.checks import Array
 from hyperflex.model import Peg, Rope
 from hyperflex.planning.moves import MIN_MOVE, Moves
 from hyperflex.planning.options import SearchOptions
+from hyperflex.planning.planner import Candidate
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import MODEL, RolloutBatch, Strikes, find_strikes, mass_points
-from hyperflex.planning.tasks.task import Candidate
 
 DELAY = 0.05  # s, between the strikes of two chains at most
 MIN_SPEED = 0.3  # of a move, over the motor's

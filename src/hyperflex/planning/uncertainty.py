@@ -137,7 +137,12 @@ class RopePosterior:
         """Return the posterior of a rope and a table of its identification."""
         names = tuple(str(name) for name in table["parameters"])
         factors = {name: float(table["values"][name]) for name in names if name.endswith(":factor")}
-        names, covariance = _with_lengths(names, table["covariance"], table["length_covariance"])
+        parts = (np.array(table[name], dtype=np.float64) for name in ("covariance", "length_covariance"))
+        covariance, border = np.atleast_2d(*parts)
+        count = len(names)
+        if covariance.shape == (count, count) and border.shape == (1, count + 1) and border[0, -1] > 0.0:
+            # The error of a factor on all lengths, which others depend on
+            names, covariance = (*names, "length:factor"), np.block([[covariance, border[:, :-1].T], [border]])
         rows = np.abs(covariance).max(axis=1)
         known = [row > 0.0 and _finite(label, table["std"]) for label, row in zip(names, rows, strict=True)]
         undetermined = tuple(label for label, each in zip(names, known, strict=True) if not each)
@@ -161,14 +166,6 @@ class RopePosterior:
         root = scale[:, None] * directions * np.sqrt(np.maximum(sizes, 0.0))
         root /= np.array([self.factors.get(label, 1.0) for label in self.parameters])[:, None]
         return perturbed(self.rope, dict(zip(self.parameters, root, strict=True)), rng.standard_normal(std.size))
-
-
-def _with_lengths(labels: tuple[str, ...], covariance: Any, lengths: Any) -> tuple[tuple[str, ...], Array]:
-    """Return labels and covariance (P, P), with those of a factor on all lengths, (P + 1,), if it has an error."""
-    own, border = np.atleast_2d(np.array(covariance, dtype=np.float64)), np.array(lengths, dtype=np.float64)
-    if own.shape != (len(labels),) * 2 or border.shape != (len(labels) + 1,) or not border[-1] > 0.0:
-        return labels, own
-    return (*labels, "length:factor"), np.block([[own, border[:-1, None]], [border[None, :]]])
 
 
 def _properties(labels: Sequence[str]) -> tuple[str, ...]:

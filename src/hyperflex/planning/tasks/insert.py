@@ -19,17 +19,17 @@ from hyperflex.options import option
 from hyperflex.planning.clearance import (
     clear_samples,
     obstacle_clearance,
-    obstacle_gaps,
     sampled_clearance,
+    sampled_obstacle_gaps,
     samples_clear_of_arm,
 )
 from hyperflex.planning.ensemble import STREAM, SuccessProbability, count_successes
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
 from hyperflex.planning.outcome import excess_torque, run_figures
+from hyperflex.planning.planner import Candidate
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, starts_outside
-from hyperflex.planning.tasks.task import Candidate
 from hyperflex.planning.tasks.tip import (
     OPTIONS,
     Aim,
@@ -39,7 +39,6 @@ from hyperflex.planning.tasks.tip import (
     TipOutcome,
     TipPlan,
     TipTask,
-    given_or_default,
     plan_tip,
     random_swings,
     sample_times,
@@ -140,47 +139,21 @@ class Slot:
         return out[..., 0], out[..., 1]
 
 
-class Passage(NamedTuple):
-    """A way of the tip beyond the walls: its first row, that at which it is deep enough, or else deepest, and its end.
+class Entry(NamedTuple):
+    """A way of the tip beyond the line of a slot's walls, and back, in a run.
 
-    At row `last` the tip is no longer beyond the walls, or the run has ended.
+    Row `begin` is the first beyond, at row `end` the tip is as deep as required, or else deepest, and at `last` it is
+    back, or the run has ended. `t_enter` and `t`, s, are the times of the first two; `depth`, m, is the greatest,
+    `speed`, m/s, that of the tip at `t`. `offsets` (3,), m, are those of the rope on the line of the walls with the tip
+    at none, half and all of the required depth; with a tube followed by the tip's own (5,). `gaps` (T,), m, are least
+    distances of all the rope but what follows the tip through from the walls whose line it crosses, infinite where it
+    does not.
     """
 
     begin: int
     end: int
     last: int
-
-
-def passages(depth: Array, required: float) -> list[Passage]:
-    """Return the ways of a tip beyond the walls by its depth (T,), m, unless it begins there.
-
-    `required`, m, is deep enough.
-    """
-    edges = np.diff((depth > 0.0).astype(int), prepend=0, append=0)
-    found = []
-    for begin, last in zip(np.flatnonzero(edges > 0).tolist(), np.flatnonzero(edges < 0).tolist(), strict=True):
-        way = depth[begin:last]
-        enough = way >= required
-        end = begin + int(enough.argmax() if enough.any() else way.argmax())
-        found += [Passage(begin, end, last)] if begin > 0 else []
-    return found
-
-
-def nearest_passage(depth: Array, required: float, t: Array, near: float) -> Passage | None:
-    """Return the passage whose end is next to time `near`, s, of the times t (T,), s; None without one."""
-    return min(passages(depth, required), key=lambda way: abs(t[way.end] - near), default=None)
-
-
-class Entry(NamedTuple):
-    """How the tip goes through a slot in a run.
-
-    `t`, s, is when it is as deep as required, at row `end`, or deepest. `offsets` (3,), m, are those of the rope on the
-    line of the walls with the tip at none, half and all of the required depth; with a tube followed by the tip's own
-    (5,). `depth`, m, is the greatest, `speed`, m/s, that of the tip at `t`. `gaps` (T,), m, are least distances of all
-    the rope but what follows the tip through from the walls whose line it crosses, infinite where it does not.
-    """
-
-    end: int
+    t_enter: float
     t: float
     offsets: Array
     depth: float
@@ -191,11 +164,14 @@ class Entry(NamedTuple):
 def find_entries(slot: Slot, radius: float, t: Array, joints: Array) -> list[Entry]:
     """Find how the tip goes through a slot in a run by its joints (T, n + 1, 2), m, at times t (T,), s.
 
-    `radius` is the rope's, m.
+    `radius` is the rope's, m. A tip that begins beyond the walls, or comes back to a rope that hangs there, does not
+    enter.
     """
     depth, offset = slot.frame(joints)
     tip, beyond = depth[:, -1], depth > 0.0
-    if not (ways := passages(tip, slot.depth)) or not np.isfinite(joints).all():  # a flight that failed
+    edges = np.diff(beyond[:, -1].astype(int), prepend=beyond[0, -1], append=0)
+    begins = np.flatnonzero(edges > 0).tolist()
+    if not begins or not np.isfinite(joints).all():  # a flight that failed
         return []
     row, link = np.nonzero(beyond[:, 1:] != beyond[:, :-1])  # where links cross the line of the walls
     (d0, d1), (u0, u1) = ((each[row, link], each[row, link + 1]) for each in (depth, offset))
@@ -205,27 +181,34 @@ def find_entries(slot: Slot, radius: float, t: Array, joints: Array) -> list[Ent
     follows = np.append(row[1:] != row[:-1], True)[: row.size] & beyond[row, -1]  # next to a tip that is beyond
     mouth = np.full(t.size, np.nan)
     mouth[row[follows]] = at[follows]
-    found, levels = [], slot.depth * np.array([0.0, 0.5, 1.0])
-    for begin, end, last in ways:
-        rows, part = slice(begin, end + 1), tip[begin - 1] / (tip[begin - 1] - tip[begin])
-        enters, time = (each[begin - 1] + part * (each[begin] - each[begin - 1]) for each in (offset[:, -1], t))
-        through, own = np.append(enters, mouth[rows]), np.append(enters, offset[rows, -1])
-        if not np.isfinite(through).all():  # the rope hangs on the far side, and the tip comes back to it
+    found, levels = list[Entry](), slot.depth * np.array([0.0, 0.5, 1.0])
+    for begin in begins:
+        last = begin + int(np.argmin(np.append(beyond[begin:, -1], False)))
+        way = np.minimum(tip[begin:last], slot.depth)
+        end = begin + int(way.argmax())
+        rows, through = slice(begin, end + 1), slice(begin - 1, end + 1)
+        reached = np.maximum.accumulate(tip[through])
+        t_enter, enters = (float(np.interp(0.0, tip[through][:2], each[through][:2])) for each in (t, offset[:, -1]))
+        reached[0] = 0.0
+        crossing = np.append(enters, mouth[rows])
+        if not np.isfinite(crossing).all():
             continue
-        reached = np.maximum.accumulate(np.append(0.0, tip[rows]))
-        offsets = np.interp(levels, reached, through)
+        offsets = np.interp(levels, reached, crossing)
         if slot.tube > 0.0:
-            offsets = np.append(offsets, np.interp(levels[1:], reached, own))
+            offsets = np.append(offsets, np.interp(levels[1:], reached, np.append(enters, offset[rows, -1])))
         others, gaps = ~(follows & (row >= begin)), np.full(t.size, np.inf)
         np.minimum.at(gaps, row[others], gap[others])
-        when = float(np.interp(slot.depth, reached, np.append(time, t[rows])))
-        found.append(Entry(end, when, offsets, float(tip[begin:last].max()), _tip_speed(t, joints, end), gaps))
+        when = float(np.interp(slot.depth, reached, np.append(t_enter, t[rows])))
+        speed = math.dist(joints[end, -1], joints[end - 1, -1]) / float(t[end] - t[end - 1])
+        found.append(Entry(begin, end, last, t_enter, when, offsets, float(tip[begin:last].max()), speed, gaps))
     return found
 
 
-def _tip_speed(t: Array, joints: Array, row: int) -> float:
-    """Return the speed of the tip, m/s, before a row, by the joints (T, n + 1, 2), m."""
-    return math.dist(joints[row, -1], joints[row - 1, -1]) / float(t[row] - t[row - 1])
+def next_entry(slot: Slot, radius: float, t: Array, joints: Array, near: float) -> Entry | None:
+    """Return how the tip goes through the gap next to time `near`, s, in a run; None if it does not."""
+    found = find_entries(slot, radius, t, joints)
+    through = [each for each in found if abs(each.offsets[0]) < 0.5 * slot.width]
+    return min(through, key=lambda each: abs(each.t - near), default=None)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -339,17 +322,16 @@ class InsertTask(TipTask):
 
     def score(self, flights: Flights) -> list[tuple[float, float]]:
         """Return cost, m, and time, s, of the cheapest entry of each flight: see :class:`InsertCosts`."""
-        costs, radius, found = InsertCosts(), self.problem.rope.radius, list[tuple[float, float]]()
-        blocked = flights.blocked(self.problem)
-        for m, joints in enumerate(flights.joints):
+        costs, slot, found = InsertCosts(), self.slot, list[tuple[float, float]]()
+        for joints, blocked in zip(flights.joints, flights.blocked(self.problem), strict=True):
             best = (math.inf, math.nan)
-            for each in find_entries(self.slot, radius, flights.t, joints):
+            for each in find_entries(slot, self.problem.rope.radius, flights.t, joints):
                 low, high = float(each.offsets.min()), float(each.offsets.max())
                 struck = max(0.0, -float(each.gaps[: each.end + 1].min()))
-                hard = high - low + max(0.0, self.slot.depth - each.depth) + struck
+                hard = high - low + max(0.0, slot.depth - each.depth) + struck
                 cost = 0.5 * abs(low + high) + costs.hard * hard + costs.time * each.t
-                cost += costs.speed * max(0.0, each.speed / self.slot.max_speed - 1.0)
-                best = min(best, (cost + costs.blocked * float(blocked[m, each.end]), each.t))
+                cost += costs.speed * max(0.0, each.speed / slot.max_speed - 1.0)
+                best = min(best, (cost + costs.blocked * float(blocked[each.end]), each.t))
             found.append(best)
         return found
 
@@ -364,10 +346,10 @@ class InsertTask(TipTask):
     def event(self, flights: Flights, m: int, near: float) -> TipEvent | None:
         """Return the way through the slot in flight m that ends next to time `near`, s."""
         slot, problem, joints = self.slot, self.problem, flights.joints[m]
-        entries = find_entries(slot, problem.rope.radius, flights.t, joints)
-        if not entries:
+        found = find_entries(slot, problem.rope.radius, flights.t, joints)
+        if not found:
             return None
-        each = min(entries, key=lambda one: abs(one.t - near))
+        each = min(found, key=lambda one: abs(one.t - near))
         arm = sampled_clearance(problem.rope, problem.arm, flights.q[m, ::4], joints[::4, 0]).min()
         lacks = [
             np.abs(each.offsets).max() - self.allowed,
@@ -446,45 +428,39 @@ def verify_insert(
     `tighter` divides the tolerance; above 1 the step in contact is halved. Returns None if the run fails, the rope lies
     on a wall from the start, or the tip does not go through; raises OutOfTime if it does not end within the budget.
     """
-    t = sample_times(near)
-    step = DEFAULT_CONTACT_STEP * (0.5 if tighter > 1.0 else 1.0)
+    t, step = sample_times(near), DEFAULT_CONTACT_STEP * (0.5 if tighter > 1.0 else 1.0)
     setup = verified_setup(problem, motion, float(t[-1]), slot.walls, tol=DEFAULT_TOL / tighter, contact_step=step)
     run = simulate_in_time(setup, t, budget) if starts_outside(setup) else None
-    if run is None:
+    return None if run is None else evaluate_insert(problem, slot, run, near)
+
+
+def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, near: float) -> InsertOutcome | None:
+    """Evaluate how the tip goes through the slot next to time `near`, s, in a run; None if it does not."""
+    entry = next_entry(slot, problem.rope.radius, run.t, run.joints, near)
+    if entry is None:
         return None
-    depth, _ = slot.frame(run.tip)
-    way = nearest_passage(depth, slot.depth, run.t, near)
-    return None if way is None else evaluate_insert(problem, slot, run, depth, way)
-
-
-def evaluate_insert(problem: Problem, slot: Slot, run: Trajectory, depth: Array, way: Passage) -> InsertOutcome:
-    """Evaluate a run whose tip, at `depth` (T,), m, goes through the slot in a passage."""
-    begin, end, last = way
-    through = slice(begin - 1, end + 1)
-    t_enter, t = np.interp([0.0, slot.depth], np.maximum.accumulate(depth[through]), run.t[through]).tolist()
-    rows, which = touches(run, (*slot.walls, *problem.obstacles))
-    touched = rows[which < len(slot.walls)]
-    last = min([last, *([] if slot.touching else touched[touched >= begin].tolist()), run.t.size - 1])
-    deepest = float(depth[begin : last + 1].max())
+    t, rows = entry.t, touches(run, (*slot.walls, *problem.obstacles))
+    touched = rows[0][rows[1] < len(slot.walls)]
+    last = min([entry.last, *([] if slot.touching else touched[touched >= entry.begin].tolist()), run.t.size - 1])
+    deepest = float(slot.frame(run.tip[entry.begin : last + 1])[0].max())
     walls = obstacle_clearance(run, slot.walls, t)
-    gap = min(walls.value, 0.0) if (touched <= end).any() else walls.value
-    figures = run_figures(problem, run)
+    gap = min(walls.value, 0.0) if (touched <= entry.end).any() else walls.value
+    place, velocity = (np.array([np.interp(t, run.t, each) for each in of.T]) for of in (run.tip, run.tip_velocity))
+    speed, figures = float(np.hypot(*velocity)), run_figures(problem, run)
     message = figures["refused"]
-    velocity = np.array([np.interp(t, run.t, each) for each in run.tip_velocity.T])
-    speed = float(np.hypot(*velocity))
     if not message and gap <= 0.0 and not slot.touching:
-        message = f"the rope touches a wall at {min(walls.t, run.t[touched[0]] if touched.size else math.inf):.2f} s"
+        message = f"the rope touches a wall at {min([walls.t, *run.t[touched[:1]]]):.2f} s"
     elif not message and deepest < slot.depth:
         message = f"the tip comes {1e3 * deepest:.1f} mm deep, {1e3 * slot.depth:g} mm required"
     elif not message and speed > slot.max_speed:
         message = f"the tip has {speed:.2f} m/s there, {slot.max_speed:g} allowed"
     return InsertOutcome(
-        t_enter=t_enter,
+        t_enter=entry.t_enter,
         t=t,
-        place=np.array([np.interp(t, run.t, each) for each in run.tip.T]),
+        place=place,
         velocity=velocity,
         depth=deepest,
-        time_inside=float(run.t[last]) - t_enter,
+        time_inside=float(run.t[last]) - entry.t_enter,
         wall_clearance=gap,
         message=message or excess_torque(problem, figures["torque"]),
         **figures,
@@ -568,21 +544,18 @@ class _Estimate:
 
         Angles q (T, n), rad, of the links, and places `base` (T, 2), m, of the first joint at times t (T,), s.
         """
-        joints = rope.joints(q, base)
-        depth, offset = slot.frame(joints)
-        way = nearest_passage(depth[:, -1], slot.depth, t, self.near)
-        if way is None or depth[way.end, -1] < slot.depth or _tip_speed(t, joints, way.end) > slot.max_speed:
+        joints, problem, clearance = rope.joints(q, base), self.problem, self.problem.clearance
+        entry = next_entry(slot, rope.radius, t, joints, self.near)
+        if entry is None or entry.depth < slot.depth or entry.speed > slot.max_speed:
             return False
-        until, arm, clearance = slice(way.end + 1), self.problem.arm, self.problem.clearance
-        # Links that may be near the walls
-        near = np.hypot(depth, offset)[until, :-1] < slot.wall + slot.width + slot.tube + 2.0 * rope.length.max()
-        row, link = np.nonzero(near)
-        gaps = obstacle_gaps(slot.walls, joints[row, link], joints[row, link + 1])
-        if (gaps <= rope.radius + CLOSER).any() or at_limits(limit_bend(rope), q[until], -1e-3).any():
+        until = slice(entry.end + 1)
+        if at_limits(limit_bend(rope), q[until], -1e-3).any():
             return False
+        gaps = sampled_obstacle_gaps(rope, slot.walls, q[until], base[until])
         flight, bound = (q[None], base[None]), max(clearance, 0.0) + CLOSER
-        clear = clear_samples([rope], self.problem.obstacles, *flight, bound)[0]
-        return bool(min(clear, samples_clear_of_arm(rope, arm, *flight, clearance + CLOSER)[0]) == len(q))
+        clear = clear_samples([rope], problem.obstacles, *flight, bound)[0]
+        clear = min(clear, samples_clear_of_arm(rope, problem.arm, *flight, clearance + CLOSER)[0])
+        return bool(gaps.min() > CLOSER and clear == len(q))
 
 
 @checks.arguments(limits=MotorLimits, slot=Slot, conditions=Conditions, options=SearchOptions)
@@ -631,11 +604,9 @@ def plan_insert(
     InvalidInput
         If an argument is out of range or of another class, or the gap too narrow for the rope.
     """
-    options, budget = given_or_default("options", options, SearchOptions), Budget.of(time_budget)
-    conditions, samples = given_or_default("conditions", conditions, Conditions), checks.count("samples", samples)
-    budget.threads = options.threads or budget.threads
+    options = checks.instance("options", options or SearchOptions(), SearchOptions)
     checks.instance("slot", slot, Slot).check_width(checks.instance("rope", rope, Rope))
-    if uncertainty is not None:
-        checks.instance("uncertainty", uncertainty, Uncertainty)
+    known = checks.instance("uncertainty", uncertainty or usual_uncertainty(), Uncertainty)
     problem = tip_problem(rope, arm, limits, conditions, periods=2.0)
-    return plan_tip(InsertTask(problem, slot, uncertainty, samples, options.seed), InsertPlan, options, budget)
+    task = InsertTask(problem, slot, known, checks.count("samples", samples), options.seed)
+    return plan_tip(task, InsertPlan, options, time_budget)

@@ -27,11 +27,10 @@ from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
 from hyperflex.planning.outcome import RunOutcome
 from hyperflex.planning.plan import Plan
-from hyperflex.planning.planner import Planner
+from hyperflex.planning.planner import Candidate, Planner, Task, Verified
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import RolloutBatch, arm_tip, check_start, free_sides
 from hyperflex.planning.shooting import shoot
-from hyperflex.planning.tasks.task import Candidate, Task, Verified
 from hyperflex.planning.uncertainty import scaled_rope
 from hyperflex.planning.verification import verified_setup
 from hyperflex.simulation import simulate
@@ -76,6 +75,9 @@ class TipOptions:
     members, generations, narrow, shorter : (int, int, float, float)
         Of an evolution of a swing, whose first step is `narrow` standard deviations of random swings; factor of a step
         after one without gain.
+    improve : float
+        A plan that succeeds is improved for this fraction of the time that it took to find, a less uncertain one for
+        less.
     """
 
     swings: int = 512
@@ -86,7 +88,7 @@ class TipOptions:
     rest_spread: float = 0.06
     sample_time: float = 0.01
     tol: float = 1e-3
-    max_cost: float = 0.12
+    max_cost: float = 0.15
     fine_time: float = 2e-3
     fine_tol: float = 1e-6
     window: float = 0.12
@@ -101,15 +103,15 @@ class TipOptions:
     generations: int = 16
     narrow: float = 0.3
     shorter: float = 0.7
+    improve: float = 2.0
 
 
 OPTIONS = TipOptions()
-T = TypeVar("T")
 TipPlanT = TypeVar("TipPlanT", bound="TipPlan")
 
 
 class Flights:
-    """Free flights (M) after moves of the arm, at times `t` (T,), s; from row `first` on the times are evenly spaced.
+    """Free flights (M) after moves of the arm, at times `t` (T,), s.
 
     Places of the `joints` and the tip (M, T, n + 1, 2), m, and `velocity` of the tip (M, T, 2), m/s; NaN where a flight
     failed.
@@ -120,17 +122,15 @@ class Flights:
         problem: Problem,
         moves: Sequence[Moves],
         t: Array,
+        budget: Budget,
         *,
         tol: float = OPTIONS.tol,
-        first: int = 0,
         ropes: Sequence[Rope] = (),
-        budget: Budget | None = None,
     ) -> None:
-        self.moves, self.t, self.first = moves, t, first
+        self.moves, self.t = moves, t
         ropes, motions = ropes or [problem.rope] * len(moves), [each.motion(problem.limits) for each in moves]
         batch = RolloutBatch.from_start(problem, ropes, [], motions)
-        threads = None if budget is None else budget.threads
-        run = batch.run(problem.arm, t, tol=tol, keep=("q", "qd"), threads=threads)
+        run = batch.run(problem.arm, t, tol=tol, keep=("q", "qd"), threads=budget.threads)
         self.q, joints, velocities = run.q, [], []
         for rope, motion, q, qd in zip(ropes, motions, run.q, run.qd, strict=True):
             base, velocity = arm_tip(problem.arm, motion, t)
@@ -140,8 +140,6 @@ class Flights:
 
     def spare_gaps(self, problem: Problem) -> Array:
         """Return gaps (M, T, w), m, of the ropes from w obstacles beyond the required clearance; see `signed_gaps`."""
-        if not problem.obstacles:
-            return np.zeros((*self.q.shape[:2], 0))
         gaps = [signed_gaps(problem.obstacles, each[:, :-1], each[:, 1:]).min(axis=-1) for each in self.joints]
         return np.nan_to_num(np.array(gaps) - problem.rope.radius - max(problem.clearance, 0.0))
 
@@ -162,7 +160,7 @@ def coarse_flights(
     for low in range(0, len(moves), OPTIONS.batch):
         if low and budget.expired:
             return
-        yield Flights(problem, moves[low : low + OPTIONS.batch], t, budget=budget)
+        yield Flights(problem, moves[low : low + OPTIONS.batch], t, budget)
 
 
 def random_swings(problem: Problem, count: int, walls: Sequence[Obstacle] = (), seed: int = 1) -> list[Moves]:
@@ -335,6 +333,7 @@ class TipTask(Task):
 
     close: ClassVar[float]
     ready: ClassVar[float]
+    enough = 1.0
 
     def __init__(self, problem: Problem, target: Any, places: Array, finer: Rope, seed: int = 0) -> None:
         self.problem, self.target, self.seed = problem, target, seed
@@ -344,8 +343,8 @@ class TipTask(Task):
         self._gaps = np.array([min(gap_of(each, *place) for place in places) for each in problem.obstacles])
         # Half of what the target leaves, at most
         self._spare = np.clip(0.5 * (self._gaps - self._needed), 0.0, OPTIONS.spare)
-        self._starts: list[Candidate] | None = None
-        self._begun = list[Candidate]()
+        self._starts, self._begun = list[Candidate](), list[Candidate]()
+        self._sampled, self._least = False, 0.0
 
     @abstractmethod
     def prepare(self, budget: Budget) -> TipFeasibility:
@@ -367,9 +366,9 @@ class TipTask(Task):
     def failure(self, one: Candidate, outcome: Any, first: Any) -> str:
         """Return why an outcome fails, empty if it succeeds; `first` is that of the first run if this is the second."""
 
+    @abstractmethod
     def uncertainty(self, aim: Aim) -> float:
-        """Return how uncertain moves are that do not fail; of several the least uncertain ones are verified first."""
-        return aim.std
+        """Return how uncertain moves are that do not fail, over what usually succeeds: certain ones come first."""
 
     def estimate(self, one: Candidate, budget: Budget) -> SuccessProbability | None:
         """Return the success probability of a candidate that succeeds; None if it was not required."""
@@ -406,18 +405,16 @@ class TipTask(Task):
         They begin with the best swing of each side and number of moves, then the second of each, and so on. After each
         of them the best one that gained a tenth of its cost is continued.
         """
-        if self._starts is None:
-            limits, ranked, seen = self.problem.limits, list[tuple[int, Candidate]](), Counter[tuple[int, int]]()
+        if not self._sampled:
+            self._sampled, seen, rank = True, Counter[tuple[int, int]](), dict[int, int]()
             for one in self.swings:
-                kind = one.moves.side, one.moves.cut(one.t + OPTIONS.window, limits).ends.size
-                ranked.append((seen[kind], one))
-                seen[kind] += 1
-            self._starts = [one for _, one in sorted(ranked, key=lambda pair: pair[0])]
+                kind = one.moves.side, one.moves.cut(one.t + OPTIONS.window, self.problem.limits).ends.size
+                rank[id(one)], seen[kind] = seen[kind], seen[kind] + 1
+            self._starts = sorted(self.swings, key=lambda one: rank[id(one)])
             return self.swings
         self._begun.sort(key=lambda one: -one.score)
-        begin, results = [*self._starts[:1], *self._begun[:1]], list[Candidate]()
-        self._starts, self._begun = self._starts[1:], self._begun[1:]
-        for one in begin:
+        results = list[Candidate]()
+        for one in [pool.pop(0) for pool in (self._starts, self._begun) if pool]:
             free = self.freed(one, budget)
             results.append(self._evolved(free, budget))
             if -self.ready > results[-1].score > 0.9 * free.score:
@@ -444,8 +441,8 @@ class TipTask(Task):
                 size *= options.shorter
             if found:
                 best = max(best, found[0], key=lambda one: one.score)
-                some = np.array([one.moves.parameters for one in found[: options.members // 4]])
-                centre = centre.varied(some.mean(axis=0) - centre.parameters)
+                some = [one.moves.parameters for one in found[: options.members // 4]]
+                centre = centre.varied(np.mean(some, axis=0) - centre.parameters)
         return best
 
     def alike(self, one: Candidate, other: Candidate) -> bool:
@@ -454,19 +451,26 @@ class TipTask(Task):
         return same and abs(one.t - other.t) < OPTIONS.window
 
     def rollout(self, some: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Aim swings; the least uncertain ones score best."""
-        found = [aim for each in some if (aim := self.aimed(each, budget)) is not None]
-        return [replace(aim, score=1.0 / (1.0 + self.uncertainty(aim))) if aim.good else aim for aim in found]
+        """Aim swings; the least uncertain ones score best, and those count that are less so than any that succeeded."""
+        found = list[Candidate]()
+        for aim in [self.aimed(each, budget) for each in some]:
+            if aim is not None:
+                score = 1.0 / (1.0 + self.uncertainty(aim)) if aim.good else aim.score
+                found.append(replace(aim, score=score, good=aim.good and score > self._least))
+        return found
 
     def verify(self, one: Candidate, budget: Budget) -> Verified:
         """Simulate moves with the links as planned, and then with shorter ones; ends at the first reason to fail."""
-        first = self.simulate(one, False, budget)
-        message, finer = self.failure(one, first, None), None
+        first, finer = self.simulate(one, False, budget), None
+        message = self.failure(one, first, None)
         if not message:
             finer = self.simulate(one, True, budget)
             message = self.failure(one, finer, first)
             message = f"with shorter links {message}" if message else ""
-        return Verified(one, first, finer, message)
+        if message:
+            return Verified(one, first, finer, message)
+        self._least = max(self._least, one.score)
+        return Verified(one, first, finer, "", one.score)
 
     def aimed(self, found: Candidate, budget: Budget) -> Aim | None:
         """Change moves so that the tip does the task; None if it does nothing of the kind after these."""
@@ -474,20 +478,13 @@ class TipTask(Task):
 
         def fly(aim: Aim, changes: Sequence[Array], later: Sequence[float]) -> list[Aim | None]:
             near = aim.t + np.clip(later, -options.window, options.window)
-            return self._fly([aim.moves.varied(each) for each in changes], near, budget)
+            return self.aims([aim.moves.varied(each) for each in changes], near, budget)
 
-        (first,) = self._fly([begin], [found.t], budget)
+        (first,) = self.aims([begin], [found.t], budget)
         if first is None:
             return None
-        best, varied = shoot(
-            first,
-            self._scale(begin),
-            fly,
-            close=self.close,
-            rounds=options.rounds,
-            difference=options.difference,
-            budget=budget,
-        )
+        how = options.rounds, options.difference, budget, self.close
+        best, varied = shoot(first, self._scale(begin), fly, *how)
         return replace(best, std=self._std(best, varied, budget))
 
     def _scale(self, moves: Moves) -> Array:
@@ -495,45 +492,42 @@ class TipTask(Task):
         both = [np.pi * OPTIONS.end_spread, self.problem.period * OPTIONS.rest_spread]
         return np.repeat(both, moves.ends.size)
 
-    def _fly(
-        self, moves: Sequence[Moves], near: Sequence[float] | Array, budget: Budget, ropes: Sequence[Rope] = ()
-    ) -> list[Aim | None]:
-        """Simulate fine flights, and return what the tip does next to times `near`, s."""
-        fine, close = OPTIONS.fine_time, max(OPTIONS.fine_time, min(near) - OPTIONS.closely)
-        coarse = np.arange(OPTIONS.sample_time, close - fine, OPTIONS.sample_time)
-        t = np.append(coarse, np.arange(close, max(near) + OPTIONS.window, fine))
-        self.runs += len(moves)
-        flights = Flights(self.problem, moves, t, tol=OPTIONS.fine_tol, first=coarse.size, ropes=ropes, budget=budget)
-        return self.aims(flights, near)
-
     def _std(self, aim: Aim, varied: Sequence[Aim], budget: Budget) -> float:
         """Return the standard deviation of an aim's place, m, by those with `varied` parameters."""
         rope, options, k, longer = self.problem.rope, OPTIONS, aim.moves.ends.size, 1.0 + OPTIONS.difference
         ropes = [scaled_rope(rope, longer, 1.0, 1.0), scaled_rope(rope, 1.0, 1.0, longer)]
-        others = [each or aim for each in self._fly(2 * [aim.moves], 2 * [aim.t], budget, ropes)]
+        others = [each or aim for each in self.aims(2 * [aim.moves], 2 * [aim.t], budget, ropes)]
         steps = options.difference * np.append(self._scale(aim.moves), [1.0, 1.0])
         place = np.array([each.place - aim.place for each in (*varied, *others)]) / steps[:, None]
-        std = np.concatenate([np.zeros(k), np.full(k, options.timing_std), [options.length_std, options.friction_std]])
-        return float(np.sqrt(((place * std[:, None]) ** 2).sum()))
+        std = np.array([0.0] * k + [options.timing_std] * k + [options.length_std, options.friction_std])
+        return float(np.linalg.norm(place * std[:, None]))
 
-    def aims(self, flights: Flights, near: Sequence[float] | Array) -> list[Aim | None]:
-        """Return what the tip does next to times `near`, s, in fine flights; their score is the negative error, m.
+    def aims(
+        self, moves: Sequence[Moves], near: Sequence[float] | Array, budget: Budget, ropes: Sequence[Rope] = ()
+    ) -> list[Aim | None]:
+        """Simulate fine flights; return what the tip does next to times `near`, s. Scores are negative errors, m.
 
         In each move the rope must keep a distance from obstacles until then, and less where it begins nearer.
         """
+        options, fine = OPTIONS, OPTIONS.fine_time
+        close = max(fine, min(near) - options.closely)
+        coarse = np.arange(options.sample_time, close - fine, options.sample_time)
+        t = np.append(coarse, np.arange(close, max(near) + options.window, fine))
+        self.runs += len(moves)
+        flights = Flights(self.problem, moves, t, budget, tol=options.fine_tol, ropes=ropes)
         obstacles, found = flights.spare_gaps(self.problem), list[Aim | None]()
-        for m, (moves, t) in enumerate(zip(flights.moves, near, strict=True)):
-            if (each := self.event(flights, m, t)) is None:
+        for m, one in enumerate(moves):
+            if (each := self.event(flights, m, near[m])) is None:
                 found.append(None)
                 continue
             gaps = np.column_stack([*each.gaps, obstacles[m]])[: each.end + 1]
-            spare = np.append(np.full(len(each.gaps), OPTIONS.spare), self._spare)
-            begins = np.searchsorted(flights.t, np.append(0.0, moves.starts(self.problem.limits)))
+            spare = np.append(np.full(len(each.gaps), options.spare), self._spare)
+            begins = np.searchsorted(t, np.append(0.0, one.starts(self.problem.limits)))
             least = np.minimum.reduceat(gaps, np.minimum(begins, each.end), axis=0)
             required = np.minimum(spare, np.maximum(gaps[0], 0.0))
             residuals = np.array([*each.residuals, *np.minimum(least - required, 0.0).ravel()])
             error = sum(max(0.0, float(lack)) for lack in (*each.lacks, -gaps.min(initial=0.0)))
-            found.append(Aim(moves, -error, each.t, error == 0.0, residuals=residuals, place=each.place))
+            found.append(Aim(one, -error, each.t, error == 0.0, residuals=residuals, place=each.place))
         return found
 
 
@@ -567,54 +561,47 @@ def touches(run: Trajectory, obstacles: Sequence[Obstacle]) -> tuple[npt.NDArray
     return rows, gaps[rows].argmin(axis=1)
 
 
-def given_or_default(name: str, given: T | None, kind: type[T]) -> T:
-    """Return an argument of a `kind`, by default an instance with default values; InvalidInput if it is another."""
-    return kind() if given is None else checks.instance(name, given, kind)
-
-
-def tip_problem(rope: Rope, arm: Arm, limits: MotorLimits | None, conditions: Conditions, periods: float) -> Problem:
+def tip_problem(
+    rope: Rope, arm: Arm, limits: MotorLimits | None, conditions: Conditions | None, periods: float
+) -> Problem:
     """Return the problem of a task of the tip; its time limit is by default a number of `periods` of the rope's swing.
 
     Raises InvalidInput if the rope swings at first, or begins in an obstacle on both sides.
     """
-    if conditions.state0 is not None:
+    given = checks.instance("conditions", conditions or Conditions(), Conditions)
+    if given.state0 is not None:
         fix = "Leave out state0"
         raise InvalidInput("whips and insertions begin with a rope that hangs", got="state0", fix=fix)
-    checks.instance("rope", rope, Rope)
-    time = conditions.time_limit or periods * swing_period(rope)
-    clearance, obstacles = conditions.clearance, conditions.obstacles
-    limits = given_or_default("limits", limits, MotorLimits)
-    problem = Problem(rope, arm, limits, time, clearance, side=conditions.side, obstacles=obstacles)
+    time = given.time_limit or periods * swing_period(checks.instance("rope", rope, Rope))
+    limits = limits or MotorLimits()
+    problem = Problem(rope, arm, limits, time, given.clearance, side=given.side, obstacles=given.obstacles)
     check_start(problem)
     return problem
 
 
-def plan_tip(task: TipTask, kind: type[TipPlanT], options: SearchOptions, budget: Budget) -> TipPlanT:
+def plan_tip(
+    task: TipTask, kind: type[TipPlanT], options: SearchOptions, time_budget: float | Budget | None
+) -> TipPlanT:
     """Plan a task of the tip: check the target, search, verify, and estimate the success probability."""
+    budget, planner, probability = Budget.of(time_budget), None, None
+    budget.threads = options.threads or budget.threads
     known = TipFeasibility(task.distance, math.inf, "interrupted before the random swings were simulated")
-    planner, probability = None, None
     with stoppable() as stop, budget.progress(options.progress, "planning"):
         known = task.prepare(budget)
         if task.swings and (known.feasible or options.skip_feasibility):
-            planner = Planner(task, budget.share(0.8), 0.0)
+            planner = Planner(task, budget.share(0.8), OPTIONS.improve)
             planner.run()
             if planner.best is None and planner.rolled and not budget.expired:  # its runs show why it fails
                 planner.best = task.verify(planner.rolled[0], budget)
             if planner.best is not None and planner.succeeds:
                 probability = task.estimate(planner.best.candidate, budget)
-    fields: dict[str, Any] = {"message": known.message}
+    one, outcome, finer, message = None, None, None, known.message
     if planner is not None:
+        one = planner.rolled[0] if planner.rolled else None
         ended = "interrupted" if stop.received else "the time budget ended"
-        fields = {"message": f"{ended} before any motion was found"}
-        rolled = [Verified(one, None, None, f"{ended} before it was verified") for one in planner.rolled[:1]]
-        for best in [planner.best] if planner.best is not None else rolled:
-            fields = {
-                "message": best.message,
-                "moves": best.candidate.moves,
-                "position_std": getattr(best.candidate, "std", math.nan),
-                "outcome": best.outcome,
-                "finer_outcome": best.finer_outcome,
-                "success_probability": probability,
-            }
-    fields |= {"runs": task.runs, "seconds": budget.elapsed, "interrupted": stop.received}
-    return stop.deliver(kind(task.problem, task.target, known, **fields))
+        message = f"{ended} before {'any motion was found' if one is None else 'it was verified'}"
+        if (best := planner.best) is not None:
+            one, outcome, finer, message = best.candidate, best.outcome, best.finer_outcome, best.message
+    moves, std = (None, math.nan) if one is None else (one.moves, getattr(one, "std", math.nan))
+    found = moves, outcome, finer, message, task.runs, budget.elapsed, stop.received, probability, std
+    return stop.deliver(kind(task.problem, task.target, known, *found))

@@ -10,19 +10,20 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
+from hyperflex.dynamics import mass_matrix
 from hyperflex.errors import InvalidInput
 from hyperflex.interruption import interruptible
 from hyperflex.model import DEFAULT_CONTACT_STEP, Arm, Peg, Rope, Setup, Wall, divided
 from hyperflex.motion import Motion
 from hyperflex.options import check as check_options
 from hyperflex.options import option
-from hyperflex.planning.clearance import joint_velocities, named
+from hyperflex.planning.clearance import named
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions, refuse_behind
 from hyperflex.planning.outcome import excess_torque, run_figures
+from hyperflex.planning.planner import Candidate
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import starts_outside
-from hyperflex.planning.tasks.task import Candidate
 from hyperflex.planning.tasks.tip import (
     OPTIONS,
     Aim,
@@ -33,7 +34,6 @@ from hyperflex.planning.tasks.tip import (
     TipPlan,
     TipTask,
     coarse_flights,
-    given_or_default,
     plan_tip,
     random_swings,
     sample_times,
@@ -44,6 +44,7 @@ from hyperflex.planning.tasks.tip import (
 from hyperflex.planning.verification import limit_bend, verified_setup
 from hyperflex.simulation import simulate
 from hyperflex.trajectory import Trajectory
+from hyperflex.winding import closest_points
 
 
 @dataclass(frozen=True)
@@ -289,6 +290,7 @@ class TipStrike(TipOutcome):
         return f"{self.speed:.1f} m/s at {self.t:.2f} s, {1e3 * self.miss:.2g} mm off, {self.torque:.3g} N m"
 
 
+MISSES = 3.0  # tolerances by which the tip may miss with shorter links, another model of the same rope
 WINDOW = 0.15  # s about its expected time, within which an impact must come
 SUDDEN = 0.01  # of the energy of an impact, above which what is lost in a sample is a collision
 
@@ -376,59 +378,37 @@ def simulate_impact(
     if not starts_outside(setup):
         return Impact(t=0.0, message="the rope lies on the peg from the start")
     run = simulate(setup, t_eval=t)
-    touched, _ = touches(run, (peg,))
+    rope, (touched, _) = run.setup.rope, touches(run, (peg,))
     if not touched.size:
         return Impact(message="the rope does not touch the peg")
-    first = int(touched[0])
-    link, along = _touching(run, peg, first)
-    beyond = float(run.setup.rope.length[link:].sum()) - along
-    if t[first] < near - WINDOW or beyond > max(run.setup.rope.length[-1], 2.0 * radius) + 1e-9:
-        where = f"link {link + 1} touches the peg first, at {t[first]:.2f} s and {1e2 * beyond:.0f} cm from the tip"
-        where += f"; the tip was expected at {near:.2f} s"
-        return Impact(t=float(t[first]), link=link, message=where)
+    along, _, gap = closest_points(rope, peg, run.q, run.joints)
+    first, links = int(touched[0]), gap.argmin(axis=1)
+    begin, link = float(t[first]), int(links[first])
+    beyond = float(rope.length[link:].sum() - along[first, link])
+    if begin < near - WINDOW or beyond > max(rope.length[-1], 2.0 * radius) + 1e-9:
+        where = f"link {link + 1} touches the peg first, at {begin:.2f} s and {1e2 * beyond:.0f} cm from the tip"
+        return Impact(begin, link=link, message=f"{where}; the tip was expected at {near:.2f} s")
     rows = touched[touched <= first + round(duration / step)]
     lost = np.diff(np.asarray(run.contact_loss), prepend=0.0)[rows]  # elsewhere: joints at their limits
     energy = float(lost.sum())
     total = -step * np.asarray(run.contact_force)[rows].sum(axis=(0, 1))  # on the peg
     for k in rows[lost > SUDDEN * energy].tolist():
-        total = total - collision_impulse(run, peg, k)
+        total = total - collision_impulse(run, k, int(links[k]), float(along[k, links[k]]))
     impulse = float(np.hypot(*total)), float(total @ way)
-    return Impact(float(t[first]), *impulse, energy, link, radius=radius, duration=duration)
+    return Impact(begin, *impulse, energy, link, radius=radius, duration=duration)
 
 
-def collision_impulse(run: Trajectory, peg: Peg, k: int) -> Array:
-    """Impulse (2,), N s, of a collision on the rope between samples k - 1 and k; finite forces are neglected.
+def collision_impulse(run: Trajectory, k: int, link: int, along: float) -> Array:
+    """Impulse (2,), N s, of a collision at distance `along`, m, on a link between samples k - 1 and k.
 
-    From the jump of the generalised momenta: an impulse P at distance s along link c changes that of link i by l_i t_i
-    P before c, by s t_c P at c and not beyond, with t_i across link i.
+    From the jump of the generalised momenta, without finite forces and the arm's acceleration: an impulse P at distance
+    s along link c changes that of link i by l_i t_i P before c, by s t_c P at c and not beyond, with t_i across link i.
     """
-    length = run.setup.rope.length
-    link, along = _touching(run, peg, k)
-    lever = np.where(np.arange(length.size) < link, length, 0.0)
+    rope, q = run.setup.rope, run.q[k]
+    lever = np.where(np.arange(q.size) < link, rope.length, 0.0)
     lever[link] = along
-    across = np.stack([np.cos(run.q[k]), np.sin(run.q[k])], axis=-1)
-    jump = momenta(run, k) - momenta(run, k - 1)
-    return np.asarray(np.linalg.lstsq(lever[:, None] * across, jump, rcond=None)[0])
-
-
-def momenta(run: Trajectory, k: int) -> Array:
-    """Generalised momenta (n,) of the links' angles at sample k, N m s."""
-    rope, q, qd = run.setup.rope, run.q[k], run.qd[k]
-    across = np.stack([np.cos(q), np.sin(q)], axis=-1)
-    ends = joint_velocities(rope, q, qd, run.base_velocity[k])[1:]
-    carried = rope.mass[:, None] * (ends + ((rope.com - rope.length) * qd)[:, None] * across)
-    beyond = carried.sum(axis=0) + rope.tip_mass * ends[-1] - np.cumsum(carried, axis=0)
-    own = rope.com[:, None] * carried + rope.length[:, None] * beyond
-    return np.asarray((own * across).sum(axis=1) + rope.inertia * qd)
-
-
-def _touching(run: Trajectory, peg: Peg, k: int) -> tuple[int, float]:
-    """Return the link nearest to a peg at sample k, and how far along it the nearest point is, m."""
-    length, q = run.setup.rope.length, run.q[k]
-    out = np.array([peg.x, peg.y]) - run.joints[k, :-1]
-    along = np.clip(out[:, 0] * np.sin(q) - out[:, 1] * np.cos(q), 0.0, length)
-    link = int(np.hypot(out[:, 0] - along * np.sin(q), out[:, 1] + along * np.cos(q)).argmin())
-    return link, float(along[link])
+    across = lever[:, None] * np.stack([np.cos(q), np.sin(q)], axis=-1)
+    return np.asarray(np.linalg.lstsq(across, mass_matrix(rope, q) @ (run.qd[k] - run.qd[k - 1]), rcond=None)[0])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -497,7 +477,7 @@ class WhipTask(TipTask):
 
     def event(self, flights: Flights, m: int, near: float) -> TipEvent | None:
         """Return the peak in flight m next to time `near`, s."""
-        fine, one, target = slice(flights.first, None), slice(m, m + 1), self.target
+        fine, one, target = flights.t > near - OPTIONS.closely, slice(m, m + 1), self.target
         peaks = find_peaks(flights.t[fine], flights.joints[one, fine, -1], flights.velocity[one, fine])
         away = np.abs(peaks.t - near)
         if away.min(initial=np.inf) >= OPTIONS.window:
@@ -505,10 +485,13 @@ class WhipTask(TipTask):
         k = int(away.argmin())
         t, place, velocity = float(peaks.t[k]), peaks.place[k], peaks.velocity[k]
         # An error of 1 rad, or the whole speed, counts as the distance from the shaft
-        beyond, slow = self.distance * np.array(target.lacks(velocity, 0.85, 1.01))
-        residuals = [*(place - target.point), beyond, slow]
+        residuals = [*(place - target.point), *(self.distance * np.array(target.lacks(velocity, 0.85, 1.01)))]
         lacks = [np.hypot(*residuals[:2]) - target.tolerance, *np.abs(target.lacks(velocity, 1.0, 1.0))]
         return TipEvent(t, int(np.searchsorted(flights.t, t)) - 1, residuals, lacks, place)
+
+    def uncertainty(self, aim: Aim) -> float:
+        """Return the standard deviation of the place over the miss that is allowed with shorter links."""
+        return aim.std / (MISSES * self.target.tolerance)
 
     def simulate(self, one: Candidate, finer: bool, budget: Budget) -> TipStrike | None:
         """Return the peak of the tip's speed; see :func:`verify_whip`."""
@@ -522,7 +505,7 @@ class WhipTask(TipTask):
             return "the tip's speed has no peak there"
         message = outcome.message
         if first is not None:
-            message, allowed = outcome.refused, max(3.0 * allowed, one.std if isinstance(one, Aim) else 0.0)
+            message, allowed = outcome.refused, max(MISSES * allowed, one.std if isinstance(one, Aim) else 0.0)
         if not message and outcome.miss > allowed:
             return f"the tip misses the target by {1e3 * outcome.miss:.1f} mm, {1e3 * allowed:.1f} allowed"
         return message or excess_torque(self.problem, outcome.torque)
@@ -539,13 +522,12 @@ def verify_whip(
     """
     t = sample_times(near)
     setup = verified_setup(problem, motion, float(t[-1]), tol=tol)
-    if not starts_outside(setup):
-        return None
-    run, touched, touch = simulate_in_time(replace(setup, pegs=()), t, budget), math.inf, ""
+    run = simulate_in_time(replace(setup, pegs=()), t, budget) if starts_outside(setup) else None
     if run is None:
         return None
-    found = find_peaks(run.t, run.tip[None], run.tip_velocity[None])
-    about = np.abs(found.t - near) < t[-1] - near
+    found, touched, touch = find_peaks(run.t, run.tip[None], run.tip_velocity[None]), math.inf, ""
+    away = np.abs(found.t - near)
+    about = away < t[-1] - near
     if not about.any():
         return None
     if setup.pegs:
@@ -556,11 +538,11 @@ def verify_whip(
         if rows.size:
             touched = float(run.t[rows[0]])
             touch = f"{named(problem.obstacles[which[0]])} at {touched:.2f} s"
-    before = about & (found.t < touched)
-    nearest = int(np.where(about, np.abs(found.t - near), np.inf).argmin())
-    k = int(np.where(before, found.speed, 0.0).argmax()) if before[nearest] else nearest
-    error, speed, at = abs(float(target.angle_error(found.velocity[k]))), float(found.speed[k]), float(found.t[k])
-    figures = run_figures(problem, run, at)
+    k = int(np.where(about, away, np.inf).argmin())
+    if found.t[k] < touched:
+        k = int(np.where(about & (found.t < touched), found.speed, 0.0).argmax())
+    at, place, velocity, speed = float(found.t[k]), found.place[k], found.velocity[k], float(found.speed[k])
+    error, figures = abs(float(target.angle_error(velocity))), run_figures(problem, run, at)
     if touched <= at:  # however short, and whatever distance the samples show
         figures |= {"refused": f"the rope touches {touch}", "clearance": min(figures["clearance"], 0.0)}
     message = figures["refused"]
@@ -571,9 +553,9 @@ def verify_whip(
         message = f"the tip's direction is {np.degrees(error):.0f} degrees off, {allowed:.0f} allowed"
     return TipStrike(
         t=at,
-        place=found.place[k],
-        velocity=found.velocity[k],
-        miss=float(np.hypot(*(found.place[k] - target.point))),
+        place=place,
+        velocity=velocity,
+        miss=math.dist(place, target.point),
         angle_error=error,
         earlier_speed=float(found.speed[found.t < at].max(initial=0.0)),
         touches_later=touch if at < touched else "",
@@ -625,18 +607,16 @@ def plan_whip(
         If an argument is out of range or of another class, or a link's centre of mass is not in its middle: the second
         verification cuts it in two.
     """
-    options, budget = given_or_default("options", options, SearchOptions), Budget.of(time_budget)
-    conditions = given_or_default("conditions", conditions, Conditions)
-    budget.threads = options.threads or budget.threads
+    options = checks.instance("options", options or SearchOptions(), SearchOptions)
     checks.instance("target", target, TipTarget)
     problem = tip_problem(rope, arm, limits, conditions, periods=3.0)
     if whip_map is not None:
         made = checks.instance("whip_map", whip_map, WhipMap).problem
-        limits, time = limits or made.limits, conditions.time_limit or made.time
-        problem = replace(problem, limits=limits, time=time)
+        time = problem.time if conditions and conditions.time_limit else made.time
+        problem = replace(problem, limits=problem.limits if limits else made.limits, time=time)
         if problem != replace(made, clearance=problem.clearance):
             raise InvalidInput(
                 "map was made for another rope, arm, motor or time, or other obstacles",
                 fix="Make one: build_whip_map(Problem(rope, arm, limits, time_limit, obstacles=...))",
             )
-    return plan_tip(WhipTask(problem, target, whip_map, options.seed), WhipPlan, options, budget)
+    return plan_tip(WhipTask(problem, target, whip_map, options.seed), WhipPlan, options, time_budget)

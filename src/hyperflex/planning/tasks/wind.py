@@ -12,6 +12,7 @@ from hyperflex.model import Peg, Rope
 from hyperflex.planning.ensemble import verify_members
 from hyperflex.planning.moves import PUMPING, Moves
 from hyperflex.planning.options import SearchOptions
+from hyperflex.planning.planner import Candidate, Task, Verified
 from hyperflex.planning.problem import Problem
 from hyperflex.planning.rollouts import (
     MODEL,
@@ -24,7 +25,6 @@ from hyperflex.planning.rollouts import (
     winding_scores,
 )
 from hyperflex.planning.swings import DELAY, State, Strike, SwingSearch
-from hyperflex.planning.tasks.task import Candidate, Task, Verified
 from hyperflex.planning.uncertainty import Scenario, Uncertainty
 
 # Moves after the strike: strokes still made, then the end of the last move, in half turns towards the target's side,
@@ -58,14 +58,7 @@ class WindTask(Task):
         With it candidates are compared, and verified, in sampled scenarios as well.
     start : sequence of Moves
         Moves to begin with.
-
-    Attributes
-    ----------
-    given_alone : bool
-        Whether only these are tried.
     """
-
-    given_alone = False
 
     def __init__(
         self,
@@ -97,8 +90,6 @@ class WindTask(Task):
             if self._start:
                 given, self._start = self._start, []
                 new = [replace(one, score=math.inf) for one in self.search.start(given, budget)]
-            elif self.given_alone:
-                return []
             else:
                 self._samples += 1
                 vary = self.options.members and self._samples % 2 == 0 and (found or self.search.passes)
