@@ -100,9 +100,10 @@ def samples_clear_of_arm(
     """
     clear = np.full(len(q), q.shape[1])
     if clearance > -np.inf:
-        least = (each + rope.radius + clearance for each in (arm.shaft_radius, arm.radius))
+        least = rope.radius + clearance
         tips, last = base - np.array(arm.pivot), clear.copy() if until is None else until
-        proximity.samples_apart(np.ascontiguousarray(q), tips, rope.length, *least, _hangs(rope, arm), last, clear)
+        apart = arm.shaft_radius + least, arm.radius + least
+        proximity.samples_apart(np.ascontiguousarray(q), tips, rope.length, *apart, _hangs(rope, arm), last, clear)
     return clear
 
 
@@ -172,7 +173,7 @@ def _least_clearance(
 
     def least(t: Array, gap: Array) -> Clearance:
         k, which, _ = np.unravel_index(int(gap.argmin()), gap.shape)
-        return Clearance(float(gap.min()), float(t[k]), names[which])
+        return Clearance(float(gap.min()), float(t[k]), names[int(which)])
 
     gap = gaps(run.q[:rows], run.base[:rows], np.arange(rope.n_links))
     best, speed = least(run.t, gap), FASTER * speed[:rows]

@@ -332,10 +332,8 @@ class _Loop:
         batch = RolloutBatch.from_state(ropes, [], motions, self._seen)
         _, q, qd = batch.fly(arm, state.t - batch.since, self.budget, at_end=True)
         for m, (rope, motion) in enumerate(zip(ropes, motions, strict=True)):
-            observed, predicted = (
-                features(rope, arm, motion, t, *each, self.options)
-                for each in ((state.q[None], state.qd[None]), (q[m], qd[m]))
-            )
+            observed = features(rope, arm, motion, t, state.q[None], state.qd[None], self.options)
+            predicted = features(rope, arm, motion, t, q[m], qd[m], self.options)
             self.errors[m] += float(np.nan_to_num(((predicted - observed) ** 2).sum(), nan=np.inf))
         self._seen = state
 

@@ -213,7 +213,7 @@ def evaluate_cast(problem: Problem, peg: Peg, run: Trajectory, stop: float) -> C
     figures = run_figures(problem, run)
     above = -(run.tip - np.array([peg.x, peg.y])) @ np.array(run.setup.rope.gravity)
     apart = way_gaps(run.setup.rope, peg, criteria.behind, run.q[watched], run.joints[watched])
-    led = tuple((apart < winding.TOUCH).all(axis=0).tolist())
+    led = tuple(bool(each.all()) for each in (apart < winding.TOUCH).T)
     if not touched.any():
         message = "the rope does not touch the peg"
     elif not enough:

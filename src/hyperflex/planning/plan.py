@@ -362,6 +362,7 @@ def read_plan(path: files.PathLike) -> "CastPlan | WhipPlan | InsertPlan":
     from hyperflex.planning.tasks.insert import InsertPlan
     from hyperflex.planning.tasks.whip import WhipPlan
 
+    kinds: dict[str, type[CastPlan | WhipPlan | InsertPlan]]
     content, kinds = files.read_toml(path), {kind.kind: kind for kind in (CastPlan, WhipPlan, InsertPlan)}
     table = dict(content.get(PLAN) or {})
     if table.pop("source", None) != "simulated" or (kind := kinds.get(table.pop("kind", ""))) is None:

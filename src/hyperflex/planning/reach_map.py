@@ -88,12 +88,12 @@ class ReachMap:
     @property
     def wound(self) -> npt.NDArray[np.bool_]:
         """Targets (Y, X) for which a cast succeeds."""
-        return self.status == STATUSES.index(Status.SUCCESS)
+        return np.asarray(self.status == STATUSES.index(Status.SUCCESS))
 
     @property
     def infeasible(self) -> npt.NDArray[np.bool_]:
         """Targets (Y, X) that are infeasible: no search was made for."""
-        return self.status == STATUSES.index(Status.INFEASIBLE)
+        return np.asarray(self.status == STATUSES.index(Status.INFEASIBLE))
 
     def __repr__(self) -> str:
         searched = int((~self.infeasible & (self.status != NOT_PLANNED)).sum())
@@ -232,9 +232,9 @@ def build_reach_map(
             if plan.success and plan.outcome is not None:
                 turns, contact = abs(plan.outcome.turns), plan.outcome.contact_angle
         rows.append((status, turns, contact, seconds))
-    status, *found = np.array(rows).T.reshape(4, y.size, x.size)
+    shaped = np.array(rows).T.reshape(4, y.size, x.size)
     about = targets[0].radius, targets[0].mu, time_budget, chosen.seed
-    return stop.deliver(ReachMap(problem, x, y, *about, status.astype(np.int64), *found))
+    return stop.deliver(ReachMap(problem, x, y, *about, shaped[0].astype(np.int64), *shaped[1:]))
 
 
 def read_reach_map(path: str | Path) -> ReachMap:

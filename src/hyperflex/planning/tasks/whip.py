@@ -491,7 +491,7 @@ class WhipTask(TipTask):
 
     def uncertainty(self, aim: Aim) -> float:
         """Return the standard deviation of the place over the miss that is allowed with shorter links."""
-        return aim.std / (MISSES * self.target.tolerance)
+        return aim.std / float(MISSES * self.target.tolerance)
 
     def simulate(self, one: Candidate, finer: bool, budget: Budget) -> TipStrike | None:
         """Return the peak of the tip's speed; see :func:`verify_whip`."""
