@@ -19,7 +19,6 @@ from hyperflex.options import option
 from hyperflex.planning.clearance import (
     clear_samples,
     obstacle_clearance,
-    sampled_clearance,
     sampled_obstacle_gaps,
     samples_clear_of_arm,
 )
@@ -345,18 +344,12 @@ class InsertTask(TipTask):
 
     def event(self, flights: Flights, m: int, near: float) -> TipEvent | None:
         """Return the way through the slot in flight m that ends next to time `near`, s."""
-        slot, problem, joints = self.slot, self.problem, flights.joints[m]
-        found = find_entries(slot, problem.rope.radius, flights.t, joints)
+        slot, found = self.slot, find_entries(self.slot, self.problem.rope.radius, flights.t, flights.joints[m])
         if not found:
             return None
         each = min(found, key=lambda one: abs(one.t - near))
-        arm = sampled_clearance(problem.rope, problem.arm, flights.q[m, ::4], joints[::4, 0]).min()
-        lacks = [
-            np.abs(each.offsets).max() - self.allowed,
-            slot.depth - each.depth,
-            problem.clearance - arm,
-            1.02 * each.speed / slot.max_speed - 1.0,
-        ]
+        lacks = [np.abs(each.offsets).max() - self.allowed, slot.depth - each.depth]
+        lacks.append(1.02 * each.speed / slot.max_speed - 1.0)
         residuals, place = [*each.offsets, min(0.0, each.depth - 1.1 * slot.depth)], each.offsets
         return TipEvent(each.t, each.end, residuals, lacks, place / np.sqrt(place.size), [np.minimum(each.gaps, 1.0)])
 

@@ -21,7 +21,7 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import stoppable
 from hyperflex.model import Arm, Obstacle, Rope, Setup, Wall
-from hyperflex.planning.clearance import gap_of, joint_velocities, named, obstacle_gaps
+from hyperflex.planning.clearance import gap_of, joint_velocities, named, obstacle_gaps, sampled_clearance
 from hyperflex.planning.ensemble import SuccessProbability
 from hyperflex.planning.moves import Moves
 from hyperflex.planning.options import Conditions, MotorLimits, SearchOptions
@@ -139,12 +139,19 @@ class Flights:
         self.joints, self.velocity = np.stack(joints), np.stack(velocities)
 
     def spare_gaps(self, problem: Problem) -> Array:
-        """Return gaps (M, T, w), m, of the ropes from w obstacles beyond the required clearance; see `signed_gaps`."""
-        gaps = [signed_gaps(problem.obstacles, each[:, :-1], each[:, 1:]).min(axis=-1) for each in self.joints]
-        return np.nan_to_num(np.array(gaps) - problem.rope.radius - max(problem.clearance, 0.0))
+        """Return gaps (M, T, w + 1), m, of the ropes from w obstacles and their arm beyond the required clearance.
+
+        See :func:`signed_gaps`.
+        """
+        rope, arm, clearance, found = problem.rope, problem.arm, problem.clearance, list[Array]()
+        for q, joints in zip(self.q, self.joints, strict=True):
+            gaps = signed_gaps(problem.obstacles, joints[:, :-1], joints[:, 1:]).min(axis=-1)
+            own = sampled_clearance(rope, arm, q, joints[:, 0]) - clearance
+            found.append(np.column_stack([gaps - rope.radius - max(clearance, 0.0), own]))
+        return np.nan_to_num(np.stack(found))
 
     def blocked(self, problem: Problem) -> Array:
-        """Return how far, m, the ropes have come too near obstacles until each sample, or through them: (M, T)."""
+        """Return how far, m, the ropes have been too near obstacles or arm, or through them, until each sample (M, T)."""
         depth = -self.spare_gaps(problem).min(axis=2, initial=0.0)
         return np.maximum.accumulate(depth, axis=1)
 
@@ -341,8 +348,8 @@ class TipTask(Task):
         self.distance = math.dist(places[-1], problem.arm.pivot)
         self._needed = problem.rope.radius + max(problem.clearance, 0.0)
         self._gaps = np.array([min(gap_of(each, *place) for place in places) for each in problem.obstacles])
-        # Half of what the target leaves, at most
-        self._spare = np.clip(0.5 * (self._gaps - self._needed), 0.0, OPTIONS.spare)
+        # Half of what the target leaves, at most; of the arm nothing
+        self._spare = np.append(np.clip(0.5 * (self._gaps - self._needed), 0.0, OPTIONS.spare), 0.0)
         self._starts, self._begun = list[Candidate](), list[Candidate]()
         self._sampled, self._least = False, 0.0
 
