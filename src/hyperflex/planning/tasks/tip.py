@@ -151,7 +151,7 @@ class Flights:
         return np.nan_to_num(np.stack(found))
 
     def blocked(self, problem: Problem) -> Array:
-        """Return how far, m, the ropes have been too near obstacles or arm, or through them, until each sample (M, T)."""
+        """Return how far, m, ropes have come too near obstacles or arm, or through them, until each sample (M, T)."""
         depth = -self.spare_gaps(problem).min(axis=2, initial=0.0)
         return np.maximum.accumulate(depth, axis=1)
 
@@ -407,7 +407,7 @@ class TipTask(Task):
         return one
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Return the random swings; then results of evolutions of one after the other.
+        """Return the random swings; then what evolutions of one after the other gain.
 
         They begin with the best swing of each side and number of moves, then the second of each, and so on. After each
         of them the best one that gained a tenth of its cost is continued.
@@ -419,13 +419,14 @@ class TipTask(Task):
                 rank[id(one)], seen[kind] = seen[kind], seen[kind] + 1
             self._starts = sorted(self.swings, key=lambda one: rank[id(one)])
             return self.swings
-        self._begun.sort(key=lambda one: -one.score)
         results = list[Candidate]()
-        for one in [pool.pop(0) for pool in (self._starts, self._begun) if pool]:
-            free = self.freed(one, budget)
-            results.append(self._evolved(free, budget))
-            if -self.ready > results[-1].score > 0.9 * free.score:
-                self._begun.append(results[-1])
+        while not results and (self._starts or self._begun):
+            self._begun.sort(key=lambda one: -one.score)
+            for one in [pool.pop(0) for pool in (self._starts, self._begun) if pool]:
+                free = self.freed(one, budget)
+                best = self._evolved(free, budget)
+                results += [best] if best is not free else []
+                self._begun += [best] if -self.ready > best.score > 0.9 * free.score else []
         return results
 
     def _evolved(self, best: Candidate, budget: Budget) -> Candidate:
