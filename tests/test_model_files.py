@@ -1,8 +1,5 @@
 """Ropes and set-ups in TOML files, and back: equal bit for bit, files beside them found."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -98,16 +95,6 @@ def test_motion_file_is_found_beside_the_setup(tmp_path):
 def test_bad_tables(text, words):
     with pytest.raises(InvalidInput, match=words):
         hf.Setup.loads(text)
-
-
-def test_the_files_of_the_documentation_are_read(tmp_path):
-    page = (Path(__file__).parents[1] / "docs" / "how-to" / "files.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```toml\n(.*?)```", page, re.S)
-    setup = hf.Setup.loads(blocks[0])
-    assert setup.rope == hf.Rope.uniform(length=2.0, mass=0.125, n_links=50, radius=0.0025, friction=5e-4)
-    assert setup.motion == hf.arm_swings(t_move=0.73, t_rest=0.53)
-    (tmp_path / "guess.toml").write_text(blocks[1])
-    assert hf.Rope.from_toml(tmp_path / "guess.toml").n_links == 2
 
 
 @pytest.mark.parametrize("wrong", [{"total_mass": 125.0}, {"total_length": 2000.0, "radius": 2.5}], ids=["g", "mm"])

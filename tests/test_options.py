@@ -19,50 +19,28 @@ def test_skipped_for_another_reason():
 """
 
 
-def run_suite(folder: Path, *options: str, data: Path | None = None) -> tuple[int, str]:
-    """Run a small suite with this suite's conftest in a folder beside which there are no recordings."""
+@pytest.mark.parametrize(
+    ("options", "data", "code", "said"),
+    [
+        ((), None, 0, "skipped for want of data: 1"),
+        (("-n", "2"), None, 0, "skipped for want of data: 1"),
+        (("--require-data",), None, 1, "real recordings not found"),
+        ((), "nowhere", 1, "skipped for want of data: 0"),
+        (("--require-data",), "shared/data", 0, "1 passed, 1 skipped"),
+        (("-m", "data"), None, 0, "1 skipped, 1 deselected"),
+    ],
+)
+def test_missing_recordings_are_counted_or_fail_on_demand(tmp_path, options, data, code, said):
+    """In a small suite with this suite's conftest, in a folder beside which there are recordings or none."""
+    folder = tmp_path / "suite"
     folder.mkdir()
+    if data == "shared/data":
+        (tmp_path / data).mkdir(parents=True)
     shutil.copy(Path(__file__).parent / "conftest.py", folder)
     (folder / "pytest.ini").write_text("[pytest]\nmarkers = data\n")
     (folder / "test_inner.py").write_text(INNER)
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("HYPERFLEX_DATA", "PYTEST_"))}
-    environment |= {"HYPERFLEX_DATA": str(data)} if data else {}
+    environment |= {"HYPERFLEX_DATA": str(tmp_path / data)} if data == "nowhere" else {}
     command = [sys.executable, "-m", "pytest", "-rs", "-p", "no:cacheprovider", *options]
     run = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    return run.returncode, run.stdout
-
-
-@pytest.mark.parametrize("options", [(), ("-n", "2")], ids=["one process", "two processes"])
-def test_missing_recordings_are_skipped_and_counted(tmp_path, options):
-    code, said = run_suite(tmp_path / "suite", *options)
-    assert code == 0
-    assert "skipped for want of data: 1" in said
-    assert "set HYPERFLEX_DATA" in said
-
-
-def test_missing_recordings_fail_on_demand(tmp_path):
-    code, said = run_suite(tmp_path / "suite", "--require-data")
-    assert code == 1
-    assert "real recordings not found" in said
-    assert "skipped for want of data: 0" in said
-
-
-def test_named_folder_that_is_not_there_fails(tmp_path):
-    code, _ = run_suite(tmp_path / "suite", data=tmp_path / "nowhere")
-    assert code == 1
-
-
-def test_recordings_are_found(tmp_path):
-    beside = tmp_path / "shared" / "data"
-    beside.mkdir(parents=True)
-    code, said = run_suite(tmp_path / "suite", "--require-data")
-    assert code == 0
-    assert "1 passed, 1 skipped" in said
-    code, said = run_suite(tmp_path / "other", "--require-data", data=beside)
-    assert "1 passed, 1 skipped" in said
-
-
-def test_tests_that_ask_for_recordings_are_marked(tmp_path):
-    _, said = run_suite(tmp_path / "suite", "-m", "data", "--collect-only", "-q")
-    assert "test_with_recordings" in said
-    assert "test_skipped_for_another_reason" not in said
+    assert (run.returncode, said in run.stdout) == (code, True), run.stdout

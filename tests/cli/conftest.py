@@ -35,6 +35,18 @@ def hyperflex_json(hyperflex: Run) -> Callable[..., tuple[int, dict[str, Any]]]:
     return call
 
 
+@pytest.fixture
+def refused(hyperflex: Run) -> Callable[..., str]:
+    """Run a command that must be refused, with one line on standard error; returns the line."""
+
+    def call(*arguments: object) -> str:
+        code, out, err = hyperflex(*arguments)
+        assert (code, out, err.count("\n")) == (2, "", 1), err
+        return err
+
+    return call
+
+
 @pytest.fixture(scope="session")
 def demo_report(tmp_path_factory: pytest.TempPathFactory) -> DemoReport:
     """The demo, run once."""

@@ -1,6 +1,7 @@
 """Files and folders that cannot be used: each command says so by name, before any work, and writes nothing."""
 
 import importlib
+import os
 import pkgutil
 
 import pytest
@@ -33,19 +34,7 @@ COMMANDS = {  # each with all its inputs, and the output last
     "preview": (*TRACK, "-o", "out.nc", "--preview", "out.mp4"),
     "bars": ("track", "swing.mp4", "--bar", "9,9", "--pivot", "1", "1", "-o", "out.nc"),
     "watch": ("watch", "swing.mp4", "--rope", "rope.toml", "--camera", "camera.toml", *ARCS, "-o", "w.nc"),
-    "calibrate": [
-        "calibrate",
-        "swing.mp4",
-        "--squares",
-        "8",
-        "6",
-        "--square",
-        "0.03",
-        "--plane",
-        "plane.png",
-        "-o",
-        "out.toml",
-    ],
+    "calibrate": (*CALIBRATE, "--plane", "plane.png", "-o", "out.toml"),
     "reproduce": ("reproduce", "fig9", "-o", "out"),
     "demo": ("demo", "-o", "out"),
 }
@@ -83,7 +72,7 @@ def folder(tmp_path, monkeypatch, loaded):
     return tmp_path
 
 
-@pytest.mark.parametrize("bad", ["missing", "a folder", "empty", "other", "cut off"])
+@pytest.mark.parametrize("bad", ["missing", "a folder", "a pipe", "empty", "other", "cut off"])
 @pytest.mark.parametrize(("command", "name"), INPUTS)
 def test_an_input_that_cannot_be_read_is_named(hyperflex, folder, command, name, bad):
     path = folder / name
@@ -91,6 +80,8 @@ def test_an_input_that_cannot_be_read_is_named(hyperflex, folder, command, name,
     path.unlink()
     if bad == "a folder":
         path.mkdir()
+    elif bad == "a pipe":
+        os.mkfifo(path)
     elif bad != "missing":
         path.write_bytes({"empty": b"", "other": bytes(range(256)), "cut off": content[:40]}[bad])
     before = sorted(folder.iterdir())
@@ -102,13 +93,12 @@ def test_an_input_that_cannot_be_read_is_named(hyperflex, folder, command, name,
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("where", ["beside a file that is no folder", "in a folder that takes no files"])
-def test_an_output_that_cannot_be_written_is_told_before_any_work(hyperflex, folder, command, where):
-    out = {"beside a file that is no folder": "rope.toml/deep", "in a folder that takes no files": "/proc/deep"}[where]
+@pytest.mark.parametrize("where", ["rope.toml", "/proc", ""])
+def test_an_output_that_cannot_be_written_is_named_before_any_work(hyperflex, folder, command, where):
+    """Below a file, in a folder that takes no files, and without a name."""
     *words, last = COMMANDS[command]
     before = sorted(folder.iterdir())
-    code, shown, err = hyperflex(*words, f"{out}/{last}")
-    assert (code, shown) == (2, "")
-    assert "rope.toml" in err or "/proc" in err
-    assert err.count("\n") == 1
+    code, shown, err = hyperflex(*words, f"{where}/deep/{last}" if where else "")
+    assert (code, shown, err.count("\n")) == (2, "", 1)
+    assert (where or " has no value: got ''") in err
     assert sorted(folder.iterdir()) == before

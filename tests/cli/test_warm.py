@@ -1,6 +1,5 @@
 """``hyperflex warm``: after it, typical calls compile nothing."""
 
-import json
 import os
 import subprocess
 import sys
@@ -93,29 +92,23 @@ def test_typical_calls_compile_nothing(warmed):
 
 @needs_compiler
 @pytest.mark.nightly
-def test_second_time_there_is_nothing_to_do(warmed, capsys):
-    capsys.readouterr()
-    assert run(["warm", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["compiled"] == 0
-    assert result["already_there"] == result["kernels"] > 200
+def test_second_time_there_is_nothing_to_do(warmed, hyperflex_json):
+    code, result = hyperflex_json("warm")
+    assert (code, result["compiled"], result["already_there"]) == (0, 0, result["kernels"])
+    assert result["kernels"] > 200
 
 
 @needs_compiler
-def test_a_folder_that_cannot_be_used(tmp_path, monkeypatch, capsys):
-    blocked = tmp_path / "file"
-    blocked.touch()
-    monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(blocked / "cache"))
-    assert run(["warm", "--json"]) == 2
-    assert "cannot be kept in" in json.loads(capsys.readouterr().out)["error"]
-
-
-@needs_compiler
-def test_a_process_that_fails(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(warm, "LANES", (("nothing of this name",),))
-    assert run(["warm", "--workers", "1", "--json"]) == 2
-    assert "KeyError" in json.loads(capsys.readouterr().out)["error"]
+@pytest.mark.parametrize(
+    ("folder", "lanes", "told"),
+    [("file/cache", warm.LANES, "cannot be kept in"), ("cache", (("nothing of this name",),), "KeyError")],
+)
+def test_a_folder_and_a_process_that_fail(tmp_path, monkeypatch, hyperflex_json, folder, lanes, told):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("HYPERFLEX_CACHE_DIR", str(tmp_path / folder))
+    monkeypatch.setattr(warm, "LANES", lanes)
+    code, result = hyperflex_json("warm", "--workers", "1")
+    assert (code, told in result["error"]) == (2, True)
 
 
 def test_without_the_compiler():

@@ -1,6 +1,5 @@
 """Memory, time and places of results are looked at before the work; what cannot be written is kept elsewhere."""
 
-import contextlib
 import errno
 import json
 import math
@@ -23,7 +22,6 @@ import hyperflex as hf
 from hyperflex import files, memory, progress
 from hyperflex.budget import Budget, OutOfTime
 from hyperflex.cli.app import run
-from hyperflex.demo import report as demo_report
 from hyperflex.errors import FileProblem, IdentificationError, InvalidInput, SimulationError
 from hyperflex.files import writing
 from hyperflex.identification import Kind
@@ -89,27 +87,28 @@ except hf.InvalidInput as error:
     assert "a run of 40 links with 9000001 outputs would fill the memory" in child.stdout
 
 
-FAILURES = [
-    (MemoryError("74 GiB"), "memory is full"),
-    (RecursionError(), "nested"),
-    (OverflowError(34, "too large"), "out of range"),
-]
-
-
-@pytest.mark.parametrize(("error", "words"), FAILURES)
-@pytest.mark.parametrize("option", [(), ("--json",)])
-def test_what_fails_all_the_same_is_a_message(tmp_path, monkeypatch, capsys, error, words, option):
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (MemoryError("74 GiB"), "memory is full"),
+        (RecursionError(), "nested"),
+        (OverflowError(34, "too large"), "out of range"),
+    ],
+)
+def test_what_fails_all_the_same_is_a_message(tmp_path, monkeypatch, capsys, error, words):
     def fail(*_, **__):
         raise error
 
     hf.Setup(ROPE, duration=0.1).to_toml(tmp_path / "setup.toml")
     monkeypatch.setattr("hyperflex.simulation.simulate", fail)
-    assert run(["simulate", str(tmp_path / "setup.toml"), "-o", str(tmp_path / "run.nc"), *option]) == 2
+    assert run(["simulate", str(tmp_path / "setup.toml"), "-o", str(tmp_path / "run.nc"), "--json"]) == 2
     out, err = capsys.readouterr()
-    assert words in err
-    assert "bug" not in err
-    assert "Traceback" not in err
-    assert not option or words in json.loads(out)["error"]
+    assert (words in err, "bug" in err, "Traceback" in err, words in json.loads(out)["error"]) == (
+        True,
+        False,
+        False,
+        True,
+    )
 
 
 # ---- time
@@ -156,15 +155,6 @@ def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, t
         assert (part.status, part.setup.torque.torque(0.0)) == ("out of time", 1e-3)
         assert 0.05 < part.t[-1] < 1.0
     assert re.search("simulating: [01] of 100 s; begun", capsys.readouterr().err)
-
-
-def test_progress_is_told_to_a_hundredth_of_the_whole(monkeypatch):
-    said: list[str] = []
-    monkeypatch.setattr(progress, "lines", lambda: contextlib.nullcontext(said.append))
-    for whole, part in ((60.0, 0.9467), (0.005, 0.00123456), (400.0, 17.0)):
-        with progress.progress_bar(0.0, whole, True) as report:
-            report(part)
-    assert said == ["simulating: 0.9 of 60 s", "simulating: 0.00123 of 0.005 s", "simulating: 17 of 400 s"]
 
 
 def test_half_an_hour_is_predicted_from_what_is_done(monkeypatch):
@@ -303,56 +293,32 @@ def full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_a_run_that_cannot_be_written_is_kept_elsewhere(tmp_path, full_disk, capsys):
+KEPT = {  # what a command writes, and a file of it
+    "run.nc": ("run.nc", ["simulate", "setup.toml"]),
+    "found": ("rope.toml", ["identify", "swing.nc", "--rope", "rope.toml", "--free", "friction:shared"]),
+    "paper": ("fig10.png", ["reproduce", "fig10"]),
+}
+
+
+@pytest.mark.parametrize(("out", "name", "words"), [(out, *rest) for out, rest in KEPT.items()])
+def test_a_result_that_cannot_be_written_is_kept_elsewhere(tmp_path, full_disk, capsys, monkeypatch, out, name, words):
     hf.Setup(ROPE, duration=0.1).to_toml(tmp_path / "setup.toml")
-    assert run(["simulate", str(tmp_path / "setup.toml"), "-o", str(full_disk / "run.nc"), "--json"]) == 2
-    [kept] = (tmp_path / "state" / "hyperflex").rglob("*.nc")
-    said = json.loads(capsys.readouterr().out)["error"]
-    assert f"{full_disk / 'run.nc'} could not be written: no space left" in said
-    assert said.endswith(f"The result is in {kept} instead.")
-    assert hf.read_trajectory(kept).success
-    assert list(full_disk.iterdir()) == []
-
-
-def test_a_folder_of_results_is_kept_elsewhere_too(tmp_path, full_disk, capsys):
     ROPE.to_toml(tmp_path / "rope.toml")
     swing = hf.simulate(ROPE.replace(friction=2e-4), duration=3.0, q0=[0.5] * 4)
     hf.Recording(swing.t, swing.q).to_netcdf(tmp_path / "swing.nc")
-    given = ["--rope", str(tmp_path / "rope.toml"), "--free", "friction:shared", "--intervals", "none"]
-    assert run(["identify", str(tmp_path / "swing.nc"), *given, "-o", str(full_disk / "found")]) == 2
-    [kept] = (tmp_path / "state" / "hyperflex").rglob("rope.toml")
-    assert f"The result is in {kept.parent} instead." in capsys.readouterr().err
-    assert hf.Rope.from_toml(kept).friction[0] == pytest.approx(2e-4, rel=0.1)
-
-
-def test_a_figure_that_cannot_be_written_is_kept_elsewhere(tmp_path, full_disk, capsys):
-    assert run(["reproduce", "fig10", "-o", str(full_disk / "paper"), "--json"]) == 2
-    [kept] = (tmp_path / "state" / "hyperflex").rglob("fig10.png")
-    assert f"The result is in {kept.parent} instead." in json.loads(capsys.readouterr().out)["error"]
-    assert kept.with_suffix(".csv").exists()
-
-
-def test_a_demo_that_cannot_be_written_is_kept_elsewhere_and_not_run_again(tmp_path, full_disk, monkeypatch):
-    runs = []
-
-    def demo(_, video):
-        runs.append(video.write_bytes(b"film"))
-        return SimpleNamespace(plan=SimpleNamespace(success=True), held=None)
-
-    def write(folder, *_):
-        files.write_text(folder / "report.html", "page")
-        return {"page": "report.html"}
-
-    monkeypatch.setattr(demo_report, "run_demo", demo)
-    monkeypatch.setattr(demo_report, "_write", write)
-    for name in ("_proof", "_parameters_table"):
-        monkeypatch.setattr(demo_report, name, lambda _: ())
-    monkeypatch.setattr(demo_report, "CastReport", lambda *_: SimpleNamespace(verdict=""))
-    with pytest.raises(FileProblem, match="The result is in") as caught:
-        demo_report.write_demo(full_disk / "demo")
-    [kept] = (tmp_path / "state" / "hyperflex").rglob("tracked.mp4")
-    assert str(kept.parent) in str(caught.value)
-    assert (kept.read_bytes(), kept.with_name("report.html").exists(), runs) == (b"film", True, [4])
+    monkeypatch.chdir(tmp_path)
+    assert run([*words, "-o", str(full_disk / out), "--json"]) == 2
+    [kept] = (tmp_path / "state" / "hyperflex").rglob(name)
+    said = json.loads(capsys.readouterr().out)["error"]
+    assert "could not be written: no space left" in said
+    assert said.endswith(f"The result is in {kept if out == name else kept.parent} instead.")
+    assert list(full_disk.iterdir()) == []
+    if name == "run.nc":
+        assert hf.read_trajectory(kept).success
+    elif name == "rope.toml":
+        assert hf.Rope.from_toml(kept).friction[0] == pytest.approx(2e-4, rel=0.1)
+    else:
+        assert kept.with_suffix(".csv").exists()
 
 
 def test_where_the_users_state_takes_nothing_temporary_files_do(tmp_path, full_disk):

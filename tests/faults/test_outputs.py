@@ -198,39 +198,17 @@ def test_native_writers_end_with_a_message_where_the_disk_is_full(tmp_path):
     assert content(tmp_path) == {"run.nc": EARLIER}
 
 
-RIVAL = """
-import sys
-import numpy as np
-from hyperflex import files
-for _ in range(40):
-    files.write_table("shared.csv", ["t", "x"], np.full((400, 2), float(sys.argv[1])))
-    files.write_toml("shared.toml", {"x": [float(sys.argv[1])] * 400})
-"""
-
-
-def test_two_processes_at_once_leave_a_whole_file(tmp_path):
-    rivals = [subprocess.Popen([sys.executable, "-c", RIVAL, str(k)], cwd=tmp_path) for k in (1, 2)]
-    seen = set()
-    while any(rival.poll() is None for rival in rivals):
-        if (tmp_path / "shared.toml").exists():
-            values = set(files.read_toml(tmp_path / "shared.toml")["x"])
-            table = set(files.read_table(tmp_path / "shared.csv")[1].ravel())
-            assert len(values) == len(table) == 1
-            seen |= values
-    assert [rival.returncode for rival in rivals] == [0, 0]
-    assert seen
-    assert set(content(tmp_path)) == {"shared.csv", "shared.toml"}
-
-
 SAME = """
 import sys
 import numpy as np
 import hyperflex as hf
 from hyperflex import files
 from hyperflex.report import whole_folder
-number = float(sys.argv[1])
+number, kind = float(sys.argv[1]), sys.argv[2]
 for _ in range(10):
-    if sys.argv[2] == "run":
+    if kind == "shared.csv":
+        files.write_table("shared.csv", ["t", "x"], np.full((400, 2), number))
+    elif kind == "shared.nc":
         t = np.linspace(0.0, 1.0, 200)
         hf.Recording(t, np.full((200, 1), number)).to_netcdf("shared.nc")
     else:
@@ -240,20 +218,21 @@ for _ in range(10):
 """
 
 
-@pytest.mark.parametrize("kind", ["run", "folder"])
-def test_several_processes_at_once_leave_a_whole_run_and_folder(tmp_path, kind):
+@pytest.mark.parametrize("kind", ["shared.csv", "shared.nc", "shared"])
+def test_several_processes_at_once_leave_a_whole_file_or_folder(tmp_path, kind):
     words = [[sys.executable, "-c", SAME, str(k), kind] for k in (1, 2, 3)]
     rivals = [subprocess.Popen(each, cwd=tmp_path, stderr=subprocess.PIPE, text=True) for each in words]
+    while kind == "shared.csv" and any(rival.poll() is None for rival in rivals):
+        if (tmp_path / kind).exists():
+            assert len(set(files.read_table(tmp_path / kind).values.ravel())) == 1
     told = [rival.communicate()[1] for rival in rivals]
     assert [rival.returncode for rival in rivals] == [0, 0, 0], told
-    if kind == "run":
-        assert len(set(hf.read_recording(tmp_path / "shared.nc").data.ravel())) == 1
-        assert set(content(tmp_path)) == {"shared.nc"}
-    else:
-        assert [path.name for path in tmp_path.iterdir()] == ["shared"]
-        assert {path.name for path in (tmp_path / "shared").iterdir()} == {"a.toml", "b.toml"}
-        for path in (tmp_path / "shared").iterdir():
-            assert files.read_toml(path)["x"] in {1.0, 2.0, 3.0}
+    assert [path.name for path in tmp_path.iterdir()] == [kind]
+    if kind == "shared.nc":
+        assert len(set(hf.read_recording(tmp_path / kind).data.ravel())) == 1
+    elif kind == "shared":
+        assert {path.name for path in (tmp_path / kind).iterdir()} == {"a.toml", "b.toml"}
+        assert all(files.read_toml(path)["x"] in {1.0, 2.0, 3.0} for path in (tmp_path / kind).iterdir())
 
 
 def test_a_read_only_disk_is_told(tmp_path, monkeypatch):

@@ -3,7 +3,6 @@
 import _thread
 import contextlib
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -75,44 +74,6 @@ def test_a_signal_while_a_run_is_written_leaves_no_part(folder, sent):
     assert (done.returncode, json.loads(done.stdout)["error"]) == (128 + sent, "interrupted"), done.stderr
     assert {path.name for path in folder.iterdir()} <= {"setup.toml", "rope.toml", "run.nc"}
     assert not (folder / "run.nc").exists() or hf.read_trajectory("run.nc").success
-
-
-CAST = ("cast", "--rope", "rope.toml", "--target", "0.5", "-1", "--radius", "0.04")
-COMMANDS = {
-    "simulate": ("simulate", "setup.toml"),
-    "identify": ("identify", "swing.csv", "--rope", "rope.toml"),
-    "cast": CAST,
-    "whip": ("whip", "--rope", "rope.toml", "--target", "0.5", "-1"),
-    "insert": ("insert", "--rope", "rope.toml", "--slot", "0.5", "-1", "--direction", "-1"),
-    "calibrate": ("calibrate", "swing.mp4", "--squares", "8", "6", "--square", "0.03"),
-    "track": ("track", "swing.mp4", "--rope", "rope.toml", "--camera", "camera.toml"),
-    "watch": ("watch", "swing.mp4", "--rope", "rope.toml", "--camera", "camera.toml"),
-    "reproduce": ("reproduce", "fig9"),
-    "demo": ("demo",),
-}
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_an_output_without_a_name_is_refused(capsys, command):
-    assert "-o has no value: got ''" in refused(capsys, *COMMANDS[command], "-o", "")
-
-
-@pytest.mark.parametrize(
-    "words", [("simulate", "setup.toml", "-o", "no/x.nc"), ("identify", "no.csv", "-o", "no/x.toml")]
-)
-def test_an_output_in_a_folder_that_is_not_there_is_refused(capsys, words):
-    more = ("--rope", "rope.toml") if words[0] == "identify" else ()
-    assert "no" in refused(capsys, *words, *more)
-
-
-@pytest.mark.parametrize("name", ["/dev/zero", "pipe.toml", "pipe.csv"])
-def test_a_command_refuses_devices_and_pipes(capsys, name):
-    for pipe in ("pipe.toml", "pipe.csv"):
-        os.mkfifo(pipe)
-    words = (
-        ("identify", name, "--rope", "rope.toml", "-o", "x") if name == "pipe.csv" else ("simulate", name, "-o", "x.nc")
-    )
-    assert f"{name} is a device, pipe or socket" in refused(capsys, *words)
 
 
 def test_that_an_arm_is_missing_is_said_in_the_words_of_the_file(capsys):

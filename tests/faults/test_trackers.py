@@ -149,6 +149,9 @@ TOML = {
     "of a motion": (f"{ROPE}[arm]\n[motion]\nkind = 'swings'\nt_mov = 1", r"\[motion\] .*'t_mov'.*'t_move' is meant"),
     "lacking": (f"{ROPE}[motion]\nkind = 'move'\nstart = 0.0\nend = 1.0", "'move' lacks duration"),
     "no arm": (f"{ROPE}[motion]\nkind = 'swings'", r"turns an arm, but there is none\. Give a table \[arm\] with"),
+    "no kind": (f"{ROPE}[motion]\nangle = 1.0", "kind"),
+    "text for links": (ROPE.replace("3", '"five"'), "five"),
+    "NaN": (f"duration = nan\n{ROPE}", "duration is not finite"),
     "a value": (ROPE.replace("0.1", "-0.1"), "set-up.toml: rope link_.* got -0.1"),
 }
 
