@@ -82,7 +82,7 @@ def same(left: hf.Batch, right: hf.Batch) -> None:
         np.testing.assert_array_equal(value, right.values[name])
 
 
-@pytest.mark.parametrize("workers", [1, 2, 4])
+@pytest.mark.parametrize("workers", [1, pytest.param(4, marks=pytest.mark.nightly)])
 def test_a_batch_is_the_same_to_the_bit(workers):
     """In free flight; with one member that fails; with a rope in eleven that has joint limits; and about pegs."""
     motions = [hf.arm_swings(t_rest=0.3 + 0.02 * k) for k in range(11)]

@@ -23,9 +23,9 @@ def test_skipped_for_another_reason():
     ("options", "data", "code", "said"),
     [
         ((), None, 0, "skipped for want of data: 1"),
-        (("-n", "2"), None, 0, "skipped for want of data: 1"),
+        pytest.param(("-n", "2"), None, 0, "skipped for want of data: 1", marks=pytest.mark.nightly),
         (("--require-data",), None, 1, "real recordings not found"),
-        ((), "nowhere", 1, "skipped for want of data: 0"),
+        pytest.param((), "nowhere", 1, "skipped for want of data: 0", marks=pytest.mark.nightly),
         (("--require-data",), "shared/data", 0, "1 passed, 1 skipped"),
         (("-m", "data"), None, 0, "1 skipped, 1 deselected"),
     ],

@@ -3,6 +3,8 @@
 import operator
 from pathlib import Path
 
+import pytest
+
 from hyperflex.paper import casting
 from hyperflex.paper.part import Item
 
@@ -39,6 +41,7 @@ def test_ctrl_c_while_drawing_leaves_the_figures_that_are_done(hyperflex_json, t
     assert str(tmp_path / "fig9.png") in result["message"]
 
 
+@pytest.mark.nightly
 def test_a_figure_on_identification_comes_with_its_own_claims(hyperflex_json, tmp_path):
     code, result = hyperflex_json("reproduce", "fig3", "-o", tmp_path / "paper")
     assert code == 0

@@ -24,7 +24,7 @@ def text_of(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", re.sub(r"(?s)<(style|script).*?</\1>", " ", page))).split())
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", ["held", pytest.param("ratios", marks=pytest.mark.nightly), "wrong"])
 def test_print_json_page_and_exit_code_tell_the_same(hyperflex, tmp_path, monkeypatch, name):
     exit_code, grade, free, factor, words = CASES[name]
     t = np.arange(300) / 50.0

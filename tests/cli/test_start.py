@@ -116,7 +116,8 @@ def test_doctor_names_what_is_wrong(hyperflex, monkeypatch, tmp_path):
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
 @pytest.mark.parametrize(
-    ("line", "completed"), [("hyperflex sim", ["simulate"]), ("hyperflex cast --ta", ["--target"])], ids=str
+    ("line", "completed"),
+    [pytest.param("hyperflex sim", ["simulate"], marks=pytest.mark.nightly), ("hyperflex cast --ta", ["--target"])],
 )
 def test_bash_completes_commands_and_options(line, completed, tmp_path):
     program = tmp_path / "hyperflex"

@@ -79,8 +79,8 @@ def test_a_line_for_each_frame_and_a_summary(hyperflex, folder, tmp_path):
         assert sum(1 for _ in seen) == COUNT
     code, out, _ = hyperflex(*words("watch", folder / "swing.mp4", folder, tmp_path / "log.nc"))
     assert code == 0
-    for said in (f"Watched {COUNT} frames", "100.0 % of all markers", "the source ended"):
-        assert said in out
+    for said in (f"frames {COUNT}", "seen 1 ", "ending the source ended", "latency median 0.0"):
+        assert said in " ".join(out.split())
 
 
 def test_it_stops_in_time(hyperflex, folder, tmp_path):
@@ -93,7 +93,7 @@ def test_it_stops_in_time(hyperflex, folder, tmp_path):
     assert 2 <= summary["frames"] < COUNT - 5  # at its own speed
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])
 @pytest.mark.skipif(sys.platform == "win32", reason="signals cannot be sent to one process")
 def test_an_interrupted_run_is_kept(folder, tmp_path, number):
     code = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
@@ -220,7 +220,7 @@ def test_what_was_never_seen_and_what_was_estimated_is_said(hyperflex, folder, t
     arguments[arguments.index("--arc-lengths") + 1] = ",".join(map(str, [0.1, *ARCS]))
     code, out, _ = hyperflex(*arguments)
     assert code == 0
-    assert "Tracked 8 markers" in out
+    assert re.search(r"markers +8\n", out)
     assert "the marker at 0.1 m was never seen: check its arc length, or omit it from --arc-lengths" in out
     assert "applied to the places of all frames: scale" in out
     assert "of the rope, not of the places. To identify it: lengths in the rope's file times" in out
@@ -356,7 +356,7 @@ def test_the_preview_is_what_to_look_at(hyperflex, tmp_path, monkeypatch):
     given = ("track", "pendulum.mp4", "--bar", "213,140", "--bar", "252,180", "--pivot", "158", "150", "-o", "a.nc")
     code, out, err = hyperflex(*given)
     assert (code, err, "preview" in out) == (0, "", False)
-    assert re.search(r"written +a\.nc\n +preview +seen\.mp4\n", hyperflex(*given, "--preview", "seen.mp4")[1])
+    assert re.search(r"output +a\.nc\n +preview +seen\.mp4\n", hyperflex(*given, "--preview", "seen.mp4")[1])
 
 
 def test_ctrl_c_keeps_what_was_tracked_under_a_name_that_says_so(hyperflex, pendulum, tmp_path, monkeypatch):

@@ -9,7 +9,6 @@ from hyperflex import files
 from hyperflex.checks import number
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
-from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput
 
 _LONGEST = 1.0  # s, an exposure or readout: no frame of a video has more time
@@ -84,20 +83,6 @@ def calibrate(
     files.rescued(camera.write, out)
     view = None if camera.rotation is None else camera.plane_view
     notes = [*found.notes, *(() if view is None else view.notes)]
-    rows = [
-        ("reprojection error", f"{found.rms:.3f} px"),
-        ("focal length", f"{camera.matrix[0, 0]:.1f} ± {found.focal_std:.1f} px"),
-        ("greatest tilt between views", f"{found.tilt:.0f} degrees"),
-    ]
-    if view is None:
-        rows.append(("swing plane", "not known yet"))
-    else:
-        rows += [
-            ("swing plane", f"{camera.pixels_per_metre:.1f} px/m at its origin"),
-            ("its fit error", f"{misfit:.2f} px"),
-            ("its axes", f"in the picture x points {view.x_words}, y {view.y_words}"),
-            ("its tilt and roll", f"{view.tilt:.1f} and {view.roll:.1f} degrees"),
-        ]
     result = {
         "output": out,
         "reprojection_error_px": found.rms,
@@ -112,8 +97,8 @@ def calibrate(
         "plane": None if view is None else view._asdict(),
         "notes": notes,
     }
-    title = f"Calibrated from {found.views} views in {found.images} pictures"
-    output.show(result, Rows(title, [*rows, *(("note", each) for each in notes), ("written", str(out))]))
+    lacking = [("swing plane", "not known yet: give --plane or --points")] if view is None else []
+    output.show(result, output.rows("Calibrated", result, *lacking))
 
 
 def _short(option: str, value: float) -> float:

@@ -12,7 +12,6 @@ from hyperflex import files
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
 from hyperflex.cli.identify import Reading
-from hyperflex.cli.output import Rows
 
 _WRITTEN = {".toml": ".xml", ".xml": ".toml"}  # the suffix that each becomes; all others become .mcap
 
@@ -38,8 +37,8 @@ def export(
         warnings.simplefilter("always", UserWarning)
         files.rescued(_writer(source, reading), out)
     notes = [str(each.message) for each in caught if each.category is UserWarning]
-    rows = [("written", output.size_of(out)), *(("warning", each) for each in notes)]
-    output.show({"output": out, "bytes": out.stat().st_size, "warnings": notes}, Rows(f"Exported {source}", rows))
+    result = {"output": out, "bytes": out.stat().st_size, "warnings": notes}
+    output.show(result, output.rows(f"Exported {source}", result))
 
 
 def _writer(source: Path, reading: Reading) -> Callable[[Path], Any]:

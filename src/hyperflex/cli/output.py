@@ -30,6 +30,7 @@ class Rows(NamedTuple):
 
 
 Block: TypeAlias = "str | Rows | TextTable"
+_UNITS = {"m": "m", "s": "s", "px": "px", "deg": "degrees", "N": "N", "Nm": "N m", "J": "J"}  # that end names in JSON
 
 
 def json_only(enabled: bool) -> None:
@@ -146,9 +147,34 @@ def print_blocks(*blocks: Block) -> None:
             console.print(table)
 
 
-def size_of(path: Path) -> str:
-    """Return a path with the size of its file."""
-    return f"{path} ({path.stat().st_size / 1e3:.0f} kB)"
+def rows(title: str, result: Mapping[str, Any], *more: tuple[str, str]) -> Rows:
+    """Return the values of a result, as JSON has them, below a title: names in words, with units; then `more` rows."""
+    return Rows(title, [*_rows(files.plain(result)), *more])
+
+
+def _rows(result: Mapping[str, Any], above: str = "", unit: str = "") -> Iterator[tuple[str, str]]:
+    """Yield names and values; mappings are gone through, and lists of texts have a row for each."""
+    for key, value in result.items():
+        name, _, end = key.rpartition("_")
+        words, own = (name, _UNITS[end]) if end in _UNITS else (key, unit)
+        label = f"{above} {words}".strip().replace("_", " ")
+        if isinstance(value, Mapping):
+            if value.keys() == {"value", "std"}:
+                yield label, f"{value['value']:.5g} ± {value['std']:.2g} {own}".rstrip()
+            else:
+                yield from _rows(value, label, own)
+        elif isinstance(value, list) and not all(isinstance(each, int | float) for each in value):
+            yield from ((label.removesuffix("s"), each) for each in value if isinstance(each, str))
+        elif value is not None:
+            yield label, f"{_text(value)} {own}".rstrip()
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return f"({', '.join(map(_text, value))})"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def run(work: Callable[[], _T]) -> tuple[_T, bool]:

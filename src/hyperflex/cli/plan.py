@@ -422,13 +422,6 @@ def reach_map(
     targets, wound = found.status.size, int(found.wound.sum())
     searched = int((~found.infeasible & (found.status != NOT_PLANNED)).sum())
     result = {"source": "simulated", "targets": targets, "feasible": searched, "wound": wound}
-    rows = [
-        ("targets", f"{targets}, {searched} of them feasible"),
-        ("wound", f"{wound} of these, in simulation"),
-        ("written", ", ".join(map(str, written.values()))),
-    ]
-    output.show(
-        result | {"complete": found.complete, "files": written},
-        Rows("Reach map (simulated)", rows),
-        interrupted=f"Interrupted; the map so far is in {source.out}." if stopped else "",
-    )
+    result |= {"complete": found.complete, "files": written}
+    stopped_text = f"Interrupted; the map so far is in {source.out}." if stopped else ""
+    output.show(result, output.rows("Reach map", result), interrupted=stopped_text)

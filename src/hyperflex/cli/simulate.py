@@ -9,7 +9,6 @@ import typer
 from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
-from hyperflex.cli.output import Rows
 from hyperflex.interruption import deferred
 
 if TYPE_CHECKING:
@@ -60,7 +59,6 @@ def simulate(
         part = {"output": kept, "status": found.status, "samples": found.t.size, "end_s": found.state.t}
         message = f"Interrupted at t = {found.state.t:.6g} s; the part that was simulated is in {kept}."
         output.show(part, interrupted=message)
-    worked = float(np.ptp(found.motor_work) + np.ptp(found.kinetic_energy + found.potential_energy))
     result: dict[str, Any] = {
         "output": out,
         "status": found.status,
@@ -72,26 +70,17 @@ def simulate(
         "greatest_x_m": np.abs(found.tip[:, 0]).max(),
         "greatest_torque_Nm": np.abs(found.motor_torque).max(),
         "energy_error_J": np.abs(found.energy_error).max(),
-        "energy_moved_J": worked,
+        "energy_moved_J": float(np.ptp(found.motor_work) + np.ptp(found.kinetic_energy + found.potential_energy)),
     }
-    x, y = found.tip[-1]
-    rows = [
-        ("tip at the end", f"({x:.4f}, {y:.4f}) m"),
-        ("greatest |x| of the tip", f"{result['greatest_x_m']:.4f} m"),
-        ("greatest motor torque", f"{result['greatest_torque_Nm']:.4g} N m"),
-        ("energy error", f"{result['energy_error_J']:.2g} J of {worked:.3g} J moved"),
-    ]
     with output.keeping({"run": out}, "how long it can be trusted, and how the rope lies on the pegs", result):
         if horizon is not None:
-            trust, text = _trust(simulated, duration, horizon)
-            result |= trust
-            rows.append(("trusted", text))
+            result |= _trust(simulated, duration, horizon)
         result["pegs"] = [_wound(found, peg, tug) for peg in found.setup.round_pegs]
-    rows += [(f"peg at ({peg['x_m']:g}, {peg['y_m']:g}) m", _winding(peg)) for peg in result["pegs"]]
+    more = [(f"peg at ({peg['x_m']:g}, {peg['y_m']:g}) m", _winding(peg)) for peg in result["pegs"]]
     if simulated.arm is None and not np.ptp(found.tip, axis=0).any():
-        rows.append(("motion", "none: the rope hangs from a point at rest; give [arm] and [motion]"))
-    rows.append(("written", f"{out} ({found.t.size} samples); hyperflex view plays it, hyperflex plot draws it"))
-    output.show(result, Rows(f"Simulated {found.q.shape[1]} links from {found.t[0]:g} to {found.t[-1]:g} s", rows))
+        more.append(("motion", "none: the rope hangs from a point at rest; give [arm] and [motion]"))
+    more.append(("next", f"hyperflex view {out} plays it, hyperflex plot {out} draws it"))
+    output.show(result, output.rows("Simulated", result, *more))
 
 
 def _wound(run: "Trajectory", peg: "Peg", tug: bool) -> dict[str, Any]:
@@ -125,18 +114,15 @@ def _winding(peg: dict[str, Any]) -> str:
     return f"{text}; holds {'' if peg['tug_slipped'] else 'at least '}{peg['hold_N']:.2g} N"
 
 
-def _trust(setup: "Setup", duration: float | None, allowed: float) -> tuple[dict[str, Any], str]:
-    """Return until when an error of the set-up's tol stays below `allowed`, m, for JSON and as text."""
+def _trust(setup: "Setup", duration: float | None, allowed: float) -> dict[str, Any]:
+    """Return until when an error of the set-up's tol stays below `allowed`, m."""
     from hyperflex.simulation import predictability
 
     found = predictability(setup, duration=duration)
     end = found.horizon(allowed)
-    whole = end > found.t[-1]
-    trust = {
+    return {
         "allowed_m": allowed,
         "horizon_s": min(end, found.t[-1]),
-        "trusted_to_the_end": whole,
+        "trusted_to_the_end": end > found.t[-1],
         "lyapunov_exponent_per_s": found.exponent(),
     }
-    until = "to the end" if whole else f"until {trust['horizon_s']:.3g} s"
-    return trust, f"{until}: an error of tol stays below {allowed:g} m"

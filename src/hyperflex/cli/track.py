@@ -16,7 +16,6 @@ import typer
 from hyperflex import checks, files
 from hyperflex.cli import output
 from hyperflex.cli.command import ArcLengths, check_destination, numbers, words
-from hyperflex.cli.output import Rows
 from hyperflex.errors import FileProblem, InvalidInput
 from hyperflex.interruption import stoppable
 
@@ -163,7 +162,6 @@ def track(
     if bar and pivot is None:
         raise InvalidInput("--pivot is missing", fix="Give the pixel of the first joint, as --pivot 167 147")
     markers.check(out, video, bars=bool(bar))
-    details: dict[str, Any] = {}
     found: Any
     with output.spinner() as said:
         follow: dict[str, Any] = {"preview": preview, "progress": lambda count: said(f"frame {count}")}
@@ -173,46 +171,23 @@ def track(
         else:
             tracker = markers.task(_images_since(video, since)).tracker()
             found, stopped = output.run(lambda: track_video(video, tracker, **follow))
-    if bar:
-        title, seen = f"Tracked {len(found.seen)} bars", found.seen.tolist()
-        rows = [(f"link {k}", f"seen in {100.0 * part:.1f} % of the frames") for k, part in enumerate(seen)]
-    else:
-        title, seen = f"Tracked {len(found.arc_lengths)} markers", found.seen
-        details = {
-            "found_at_s": found.found_at,
-            "markers": len(found.arc_lengths),
-            "arc_lengths": found.arc_lengths.tolist(),
-            **_estimated(tracker.estimator.measurement_noise.value, found.parameters, found.changes),
-        }
-        rows = [
-            ("found at", f"{found.found_at:.3f} s"),
-            ("seen", f"{100.0 * seen:.1f} % of all markers in {found.recording.duration:.2f} s"),
-            *_parameter_rows(details),
-            *(("change", str(change)) for change in found.changes),
-        ]
     kept = output.partial_path(out) if stopped else out
+    result = {"output": kept, "preview": preview, "frames": found.frames, "duration_s": found.recording.duration}
+    result |= {"seen": found.seen}
+    if not bar:
+        result |= {"found_at_s": found.found_at, "markers": len(found.arc_lengths), "arc_lengths": found.arc_lengths}
+        result |= _estimated(tracker.estimator.measurement_noise.value, found.parameters, found.changes)
     files.rescued(found.to_netcdf, kept)
-    notes = [each.replace("arc_lengths", "--arc-lengths") for each in found.notes]
-    result = {"output": kept, "frames": found.frames, "duration_s": found.recording.duration, "seen": seen}
-    rows += [*(("note", each) for each in notes), ("written", str(kept))]
-    output.show(
-        result | details | {"notes": notes},
-        Rows(f"{title} in {found.frames} frames", rows if preview is None else [*rows, ("preview", str(preview))]),
-        interrupted=f"Interrupted after {found.frames} frames; the part that was tracked is in {kept}."
-        if stopped
-        else "",
-    )
+    result["notes"] = [each.replace("arc_lengths", "--arc-lengths") for each in found.notes]
+    more = [("change", str(each)) for each in (() if bar else found.changes)]
+    text = f"Interrupted after {found.frames} frames; the part that was tracked is in {kept}."
+    output.show(result, output.rows(f"Tracked {video}", result, *more), interrupted=text if stopped else "")
 
 
 def _estimated(noise: float, values: dict[str, tuple[float, float]], changes: "Iterable[Change]") -> dict[str, Any]:
     """Return for JSON what was estimated in addition to the motion."""
     named = {name: {"value": value, "std": std} for name, (value, std) in values.items()}
     return {"noise_level": noise, "estimated": named, "changes": [asdict(change) for change in changes]}
-
-
-def _parameter_rows(result: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    for name, each in result["estimated"].items():
-        yield name, f"{each['value']:.5g} ± {each['std']:.2g}"
 
 
 def _images_since(video: Path, since: float) -> "Iterator[Image]":
@@ -284,18 +259,8 @@ def watch(
                 log.ending = frames.ended or f"stopped after {duration:g} s"
             log.interrupted = stop.received
     result = {"output": out, "ending": log.ending, "interrupted": log.interrupted, **record.summary()}
-    latency = result["latency_s"]
-    rows = [
-        ("ended", log.ending),
-        ("seen", f"{100.0 * result['seen']:.1f} % of all markers, {result['found']} frames with a rope"),
-        ("latency", f"median {1e3 * latency['median']:.1f} ms, 99 % at most {1e3 * latency['p99']:.1f} ms"),
-        *_parameter_rows(result),
-        ("messages", str(result["messages"])),
-        *([("warning", result["warning"])] if result["warning"] else []),
-        ("written", str(out)),
-    ]
     stopped = f"Interrupted; the log is kept in {out}." if log.interrupted else ""
-    output.show(result, Rows(f"Watched {result['frames']} frames", rows), one_line=True, interrupted=stopped)
+    output.show(result, output.rows(f"Watched {source}", result), one_line=True, interrupted=stopped)
 
 
 def _run(follow: "Watch", until: float, takers: "list[Callable[[LiveEstimate], None]]") -> None:

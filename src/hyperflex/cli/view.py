@@ -10,7 +10,6 @@ import typer
 
 from hyperflex.cli import output
 from hyperflex.cli.command import check_destination
-from hyperflex.cli.output import Rows
 from hyperflex.errors import InvalidInput
 
 _SUFFIXES = (".png", ".gif", ".mp4", ".html", ".csv")
@@ -64,7 +63,7 @@ def plot(
             options["progress"] = lambda done, frames: progress(f"frame {done} of {frames}")
             shown.animate(out, speed=speed, width=width, **options)
     result = {"output": out, "bytes": out.stat().st_size, "run": run, "start_s": shown.t[0], "end_s": shown.t[-1]}
-    output.show(result, Rows(repr(shown), [("written", output.size_of(out))]))
+    output.show(result, output.rows(repr(shown), result))
 
 
 def view(
@@ -87,11 +86,9 @@ def view(
     page = Path(tempfile.mkdtemp(prefix="hyperflex-")) / f"{run.stem}.html" if out is None else out
     shown.to_html(page, start=start, end=end, title=f"{run.name}, simulated" if title is None else title)
     opened = not no_open and webbrowser.open(page.resolve().as_uri())
-    rows = [("written", output.size_of(page))]
-    if not (opened or no_open):
-        rows.append(("no browser was found", "open the file with any browser"))
     result = {"output": page, "bytes": page.stat().st_size, "opened": opened, "run": run}
-    output.show(result, Rows(repr(shown), rows))
+    found = [] if opened or no_open else [("no browser was found", "open the file with any browser")]
+    output.show(result, output.rows(repr(shown), result, *found))
 
 
 def _read(run: Path, command: str) -> Any:

@@ -20,7 +20,6 @@ _EXAMPLE = f"a number such as 0.5 or 1e-3, up to {LARGEST:g}, or nothing, NA, na
 _GAPS = frozenset({"", "na", "nan", "n/a", "#n/a", "null", "none", "-", "--"})  # in lower case
 _MARKS = "\t;,"  # what separates cells; the first of them that is in a line; else spaces
 _WITH_COMMAS = "\t;"  # between such marks a comma is a decimal comma
-_NUMBER = re.compile(r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|inf|infinity)\Z", re.ASCII | re.IGNORECASE)
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}\Z", re.ASCII)
 _WORDS = re.compile(r"[^\s\[(]\S*(?:\s+[\[(][^\])]*[\])])?")  # a name, and a unit in brackets behind it
 _FEW, _RARE = 3, 20  # cells that show how long numbers are; one in so many may be as short as a number that is cut off
@@ -105,7 +104,6 @@ def read_table(path: PathLike) -> Table:
     except csv.Error as error:
         raise InvalidInput(f"{path} is no table that can be read ({error})", fix="Write it again") from None
     lines, comma = [number for number, _ in rows], mark in _WITH_COMMAS
-    plain = all(line.isascii() and "_" not in line for _, line in rows)  # others Python alone reads as numbers
     values = np.empty((len(rows), len(names)))
     for k, row in enumerate(split):
         last = cut and k == len(rows) - 1
@@ -120,7 +118,7 @@ def read_table(path: PathLike) -> Table:
                 fix=fix if len(row) > len(names) else _CUT if last else _MEND,
             )
         for c, cell in enumerate(row):
-            number = _number(cell, plain, comma)
+            number = _number(cell, comma)
             if number is None or abs(number) > LARGEST:
                 what = "is not a number" if number is None else "is infinite" if math.isinf(number) else "is too large"
                 fix = "Write times as numbers: seconds, or frames" if ":" in cell else ""
@@ -181,21 +179,23 @@ def _names(line: str) -> list[str]:
 
 def _is_data(line: str) -> bool:
     """Whether a line holds a number, with a decimal point or comma, so that it is no header."""
-    return any(_NUMBER.match(cell.replace(",", ".", 1)) for cell in _cells(line, _mark_of(line)))
+    return any(_is_number(cell, comma=True) for cell in _cells(line, _mark_of(line)))
 
 
-def _number(cell: str, plain: bool, comma: bool) -> float | None:
-    """Return the number in a cell, NaN for a gap; None where there is none.
+def _is_number(cell: str, *, comma: bool = False) -> bool:
+    """Whether a cell holds a number; a gap is none."""
+    number = _number(cell, comma)
+    return number is not None and not math.isnan(number)
 
-    In a `plain` cell Python reads numbers as everybody does. With `comma` it may have a decimal comma.
-    """
-    if plain:
+
+def _number(cell: str, comma: bool) -> float | None:
+    """Return the number in a cell, NaN for a gap, None if there is none; with `comma` also of a decimal comma."""
+    if cell.isascii() and "_" not in cell:  # others Python alone reads as numbers
         try:
-            return float(cell)
+            return float(cell.replace(",", ".", 1) if comma else cell)
         except ValueError:
             pass
-    text = cell.replace(",", ".", 1) if comma else cell
-    return float(text) if _NUMBER.match(text) else math.nan if cell.lower() in _GAPS else None
+    return math.nan if cell.lower() in _GAPS else None
 
 
 def _header(path: PathLike, rows: Lines, comments: Lines, notes: Mapping[str, str]) -> tuple[list[str], Lines]:
@@ -235,7 +235,7 @@ def _from_comment(path: PathLike, row: tuple[int, str], comments: Lines, notes: 
     texts = [notes["columns"]] if "columns" in notes else [text for text in above if ":" not in text]
     count = len(_cells(row[1], _mark_of(row[1])))
     for names in map(_names, texts):
-        if len(names) == count and not any(map(_NUMBER.match, names)):
+        if len(names) == count and not any(map(_is_number, names)):
             return _no_repeats(path, names)
     allowed = f"a first line with the names of {count} columns"
     raise InvalidInput(f"{path} has no header", got=row[1], allowed=allowed, fix="Add one, e.g. t,th1")
@@ -283,10 +283,10 @@ def _check_end(path: PathLike, number: int, cells: list[str]) -> None:
     is rare. So it is refused when at most one in 20 of the others is as short.
     """
     *others, last = cells
-    others = [cell for cell in others if _NUMBER.match(cell)]
+    others = [cell for cell in others if _is_number(cell)]
     decimals = any("." in cell for cell in others)
     *sizes, size = [len(cell.partition(".")[2] if decimals else cell.lstrip("+-")) for cell in (*others, last)]
-    short = len(sizes) >= _FEW and _NUMBER.match(last) and size < sorted(sizes)[len(sizes) // _RARE]
+    short = len(sizes) >= _FEW and _is_number(last) and size < sorted(sizes)[len(sizes) // _RARE]
     if short or (last == "-" and "-" not in cells[:-1]):  # a sign without its number, not a gap
         what = f"{path}, line {number}, ends the file in a shorter number than its column has"
         raise InvalidInput(what, got=last, fix=f"{_CUT}, or add a line feed if it is whole")
