@@ -20,7 +20,7 @@ import pytest
 
 import hyperflex as hf
 from hyperflex import files, memory, progress
-from hyperflex.budget import Budget, OutOfTime
+from hyperflex.budget import Budget
 from hyperflex.cli.app import run
 from hyperflex.errors import FileProblem, IdentificationError, InvalidInput, SimulationError
 from hyperflex.files import writing
@@ -155,28 +155,6 @@ def test_a_torque_callback_heeds_time_budget_and_progress(monkeypatch, capsys, t
         assert (part.status, part.setup.torque.torque(0.0)) == ("out of time", 1e-3)
         assert 0.05 < part.t[-1] < 1.0
     assert re.search("simulating: [01] of 100 s; begun", capsys.readouterr().err)
-
-
-def test_half_an_hour_is_predicted_from_what_is_done(monkeypatch):
-    """A run that stalls near its end does not continue for days."""
-    worked = [0.0]
-    monkeypatch.setattr(time, "thread_time", lambda: worked[0])
-
-    def ends_after(reached):
-        """Return the work, s, after which a run of 1 s ends that has come to `reached` then."""
-        worked[0] = 0.0
-        watch = rollouts.Watch(None, (0.0, 1.0))
-        while reached(worked[0]) < 1.0:
-            worked[0] += 1.0
-            try:
-                watch(reached(worked[0]))
-            except OutOfTime:
-                return worked[0]
-        return None
-
-    assert ends_after(lambda work: work / 1700.0) is None
-    assert ends_after(lambda work: work / 2e4) == pytest.approx(11.0, abs=1.0)
-    assert ends_after(lambda work: min(work / 20.0, 0.99)) == pytest.approx(rollouts.LONGEST, rel=0.05)
 
 
 def test_a_fit_ends_when_its_time_budget_is_over():

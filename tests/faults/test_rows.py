@@ -15,13 +15,10 @@ import pytest
 import hyperflex as hf
 from hyperflex import progress
 from hyperflex.cli.app import run
-from hyperflex.errors import InvalidInput, SimulationError
 from hyperflex.interruption import _USUAL
 from hyperflex.paper import casting
 from hyperflex.paper.part import Item
-from hyperflex.report.units import length
-from hyperflex.simulation import rollouts
-from tests.faults.bounds import LEAKED, bounded, readable
+from tests.faults.bounds import LEAKED, bounded
 
 ROD = hf.Rope([0.3], [0.1], friction=2e-4)
 CABLE = hf.Rope.uniform(length=2.0, mass=0.125, n_links=12, radius=0.0025, friction=5e-4)
@@ -92,27 +89,6 @@ def test_a_cast_says_that_it_takes_the_arm_of_the_paper(capsys, more, said):
     assert ("no arm is given, so the paper's is used, 0.105 m long" in capsys.readouterr().err) == said
 
 
-SWING = hf.Recording(np.linspace(0.0, 1.0, 11), np.zeros((11, 2)))
-WORDS = {
-    "q0": (lambda: hf.simulate(CABLE, duration=0.1, q0=0.5), "q0"),
-    "pegs": (lambda: hf.simulate(CABLE, duration=0.1, pegs=hf.Peg(0.3, -0.2, 0.03)), "a sequence of Peg"),
-    "free": (lambda: hf.identify(SWING, hf.Rope([0.3, 0.3], [0.1, 0.1]), free=3), "free"),
-}
-
-
-@pytest.mark.parametrize(("call", "words"), WORDS.values(), ids=WORDS.keys())
-def test_arguments_of_the_wrong_kind_are_refused_in_words(call, words):
-    with pytest.raises(InvalidInput, match=words) as caught:
-        call()
-    readable(caught.value)
-
-
-def test_a_gravity_that_takes_for_ever_is_given_up(monkeypatch):
-    monkeypatch.setattr(rollouts, "PREDICTED", 0.2)  # s, and ten outside of tests
-    with bounded(), pytest.raises(SimulationError, match="Check units and gravity"):
-        hf.simulate(CABLE.replace(gravity=(0.0, -1e12)), duration=100.0, q0=[0.5] * 12, t_eval=[50.0, 100.0])
-
-
 def test_random_samples_are_fitted_with_a_word_until_they_are_interrupted(monkeypatch, capsys):
     heard: list[str] = []
 
@@ -134,9 +110,3 @@ def test_random_samples_are_fitted_with_a_word_until_they_are_interrupted(monkey
         code = run(["identify", *given, "-o", "found.toml", "--json"])
     assert (code, json.loads(capsys.readouterr().out)["error"]) == (130, "interrupted")
     assert heard
-
-
-def test_lengths_are_told_in_a_unit_of_their_size():
-    words = [length(each) for each in (40.0, 0.1324, 1e-5)] + [length(6.618, small="cm"), length(0.661, 2)]
-    assert words == ["40 m", "132 mm", "0.01 mm", "6.62 m", "660 mm"]
-    assert [length(each, 2, least=1e-5) for each in (4e-9, 1e-5)] == ["less than 0.01 mm", "0.01 mm"]

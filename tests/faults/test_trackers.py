@@ -184,11 +184,6 @@ def test_a_damaged_netcdf_file_leaves_no_traceback_behind(tmp_path):
     assert "damaged or cut off" in run.stdout
 
 
-def test_a_rope_thicker_than_long_is_refused():
-    with pytest.raises(InvalidInput, match=r"thicker than it is long: got 5\.0"):
-        hf.Rope.uniform(2.0, 0.1, 10, radius=5.0)
-
-
 @pytest.mark.parametrize("shown", [10**5000, [[[]]] * 200, float, "x" * 10**6], ids=["digits", "deep", "class", "long"])
 def test_whatever_was_got_can_be_shown(shown):
     with pytest.raises(InvalidInput) as caught:

@@ -18,6 +18,6 @@ def main() -> None:
         if "--json" in sys.argv:
             sys.stdout.write('{"error": "interrupted", "type": "Interrupted"}\n')
         code = 128 + interruption.number()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is said: nothing is left to be interrupted
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # all output is complete: nothing can be interrupted
     exec("")  # clears Python's mark of an interrupt in some exec, for which it would end by SIGINT in place of the code
     sys.exit(code)

@@ -95,7 +95,7 @@ def _given(fields: dict[str, tuple[str, ...]], values: Given) -> Given:
 
 
 def _options(argument: str, kind: type, names: Sequence[str]) -> Iterator[tuple[inspect.Parameter, tuple[str, ...]]]:
-    """Yield a parameter for each option of a dataclass, with the fields that it stands for."""
+    """Yield a parameter for each option of a dataclass, with the fields that it sets."""
     hints = get_type_hints(kind)
     for each in options_of(kind):
         if (names and each.name not in names) or each.name == "y":

@@ -33,7 +33,7 @@ end = 1.57  # rad
 duration = 0.5  # s
 profile = "minimum-jerk"  # or "bang-bang", "ramp"
 """,
-    "hold": "# No [motion] table: the arm stands still, hanging down.\n",
+    "hold": "# No [motion] table: the arm is at rest and hangs down.\n",
 }
 SETUP = """\
 # A set-up: hyperflex simulate {name} -o {stem}.nc

@@ -344,7 +344,7 @@ def insert(slot: Annotated[Given, Slot], task: Task, *, time_budget: TimeBudget 
     file with the same names and units. [pegs], [walls] and [grounds] of the file are obstacles, which the rope must not
     touch.
 
-    The plan is verified in simulation beside the walls, also with 2.5 times the links. The success probability is that
+    The plan is verified in simulation with the walls, also with 2.5 times the links. The success probability is that
     for a slot that is displaced by 2 mm and strokes that are mistimed by 2 ms. The command writes the same files as
     cast.
 

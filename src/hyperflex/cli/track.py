@@ -129,8 +129,8 @@ def track(
     bar: Annotated[
         list[str] | None,
         typer.Option(
-            help="In place of markers: pixel u,v in the middle of a link that is a bar of its own colour; once for "
-            "each link, from the pivot on."
+            help="In place of markers: pixel u,v in the middle of a link that is a bar of a separate colour; once "
+            "for each link, from the pivot on."
         ),
     ] = None,
     pivot: Annotated[Pixel, typer.Option(help="Pixel of the first joint, u v, for --bar.")] = None,
@@ -310,7 +310,7 @@ class _Record:
         self.latencies, self.changes = array("f"), list["Change"]()
 
     def take(self, estimate: "LiveEstimate") -> None:
-        """Count an estimate, and draw it if its frame can be used and somebody wants it."""
+        """Count an estimate, and draw it if its frame can be used and a film or a page shows it."""
         self.counts["messages"] += len(estimate.messages)
         if estimate.frame is None:
             return
@@ -350,7 +350,7 @@ class _Record:
 
 
 def _images(frames: "FrameThread", reconnect_timeout: float) -> "Iterator[Image]":
-    """Yield pictures for so long, s; the last one that was asked for is left to be taken."""
+    """Yield pictures for so long, s; the last one that was yielded stays in the queue."""
     until, count = time.monotonic() + reconnect_timeout, 0
     while (frame := frames.peek(max(0.0, until - time.monotonic()))) is not None:
         count += 1

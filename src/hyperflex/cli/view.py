@@ -50,7 +50,7 @@ def plot(
         raise InvalidInput("--start and --end do not apply to a table", allowed="all samples", fix="Omit them")
     check_destination(out, suffix, [run])
     shown = _read(run, "plot")
-    named = run.name if kind == "course" else f"{run.name}, simulated"  # a course says so itself
+    named = run.name if kind == "course" else f"{run.name}, simulated"  # the drawing of a course contains that word
     options: dict[str, Any] = {"start": start, "end": end, "title": named if title is None else title}
     if suffix == ".png":
         save_png(shown.plot(kind, **options), out)

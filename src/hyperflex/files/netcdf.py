@@ -86,7 +86,7 @@ def read_netcdf(path: PathLike) -> NetCDF:
     most = min(LARGEST, _DEFLATED * file.stat().st_size)
 
     class Content(h5netcdf.File):  # type: ignore[misc]
-        _writable = False  # else one that fails to be opened is closed with a traceback of its own
+        _writable = False  # else h5netcdf prints a traceback when it closes a file that it could not open
 
     with not_damaged("NetCDF file", path):
         if endless:

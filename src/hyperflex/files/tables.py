@@ -35,7 +35,7 @@ class Table(NamedTuple):
     values : ndarray (T, C)
         The numbers; NaN is a gap.
     lines : list of int
-        The line of the file that each row stands in.
+        The line of the file that holds each row.
     notes : dict of str to str
         Comments of the form ``# key: value``, keys in lower case.
     path : str
@@ -72,7 +72,7 @@ def read_table(path: PathLike) -> Table:
         UTF-8 text. Cells are separated by tabs, semicolons, commas or spaces; between tabs or semicolons numbers may
         have decimal commas. The first line holds the names; or a comment right above the rows does, or a note
         ``# columns: ..``. Group names above the header (of DeepLabCut, pandas, Tracker) come before the names with an
-        underscore, as in hip_x. A title above it is left out. Empty cells, NA, nan, null and - are gaps.
+        underscore, as in hip_x. A title above it is ignored. Empty cells, NA, nan, null and - are gaps.
 
     Returns
     -------
@@ -254,7 +254,7 @@ def _joined(groups: list[list[str]], names: list[str]) -> list[str]:
 
 
 def _no_repeats(path: PathLike, names: list[str]) -> list[str]:
-    """Return `names`, or refuse them because one stands twice."""
+    """Return `names`; refuse them if one is repeated."""
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise InvalidInput(f"{path} has columns of the same name", got=repeated, fix="Rename or remove one of them")
@@ -262,7 +262,7 @@ def _no_repeats(path: PathLike, names: list[str]) -> list[str]:
 
 
 def _check_commas(path: PathLike, lines: list[int], split: list[list[str]]) -> None:
-    """Refuse commas that may group thousands: where there are points, or where each stands before three digits."""
+    """Refuse commas that may group thousands: where there are points, or where three digits follow each comma."""
     commas = [(number, cell) for number, row in zip(lines, split, strict=True) for cell in row if "," in cell]
     points = any("." in cell for row in split for cell in row)
     if commas and (points or all(_GROUPED.match(cell) for _, cell in commas)):

@@ -23,7 +23,7 @@ def read_toml(path: PathLike) -> dict[str, Any]:
 
 
 def loads_toml(text: str, name: str = "the text") -> dict[str, Any]:
-    """Return the content of a TOML text; `name` stands for it in the message of the InvalidInput it may raise."""
+    """Return the content of a TOML text; `name` names it in the message of InvalidInput."""
     checks.text(f"{name}, as TOML,", text)
     if deep := _LONG_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1

@@ -20,7 +20,7 @@ from hyperflex.memory import in_words
 
 PathLike = str | os.PathLike[str]
 
-LEFT_BEHIND = 3600.0  # s without a change after which nobody is still writing
+LEFT_BEHIND = 3600.0  # s without a change after which no process is writing any more
 _TOKEN = "[0-9a-f]" * 8
 _NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _NO_SPACE_TEXT = re.compile(r"No space left|File too large|quota exceeded", re.IGNORECASE)
@@ -28,7 +28,7 @@ _NO_SPACE_TEXT = re.compile(r"No space left|File too large|quota exceeded", re.I
 
 @contextmanager
 def atomic_path(path: PathLike) -> Iterator[Path]:
-    """Give a temporary path beside `path` to write to; put it in place when the block ends well.
+    """Give a temporary path in the folder of `path` to write to; rename it to `path` when the block succeeds.
 
     For libraries that open files by name. A link is followed; the folder must exist. The file is empty at first, keeps
     the suffix of `path`, and is removed if the block raises anything, KeyboardInterrupt included.
