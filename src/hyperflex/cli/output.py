@@ -157,6 +157,8 @@ def _rows(result: Mapping[str, Any], above: str = "", unit: str = "") -> Iterato
     for key, value in result.items():
         name, _, end = key.rpartition("_")
         words, own = (name, _UNITS[end]) if end in _UNITS else (key, unit)
+        if words.endswith("_per"):
+            words, own = words.removesuffix("_per"), f"1/{own}"
         label = f"{above} {words}".strip().replace("_", " ")
         if isinstance(value, Mapping):
             if value.keys() == {"value", "std"}:
@@ -165,7 +167,7 @@ def _rows(result: Mapping[str, Any], above: str = "", unit: str = "") -> Iterato
                 yield from _rows(value, label, own)
         elif isinstance(value, list) and not all(isinstance(each, int | float) for each in value):
             yield from ((label.removesuffix("s"), each) for each in value if isinstance(each, str))
-        elif value is not None:
+        elif value not in (None, []):
             yield label, f"{_text(value)} {own}".rstrip()
 
 
