@@ -228,10 +228,12 @@ def find_strikes(problem: Problem, peg: Peg, batch: RolloutBatch, t: Array, q: A
     at, link, least = (np.stack(part)[which, rows] for part in zip(*seen, strict=True))
     before = np.where(at > 0, at, t.size)
     clear = clear_samples(batch.ropes, problem.obstacles, q, base, problem.clearance)
+    flat = np.zeros(len(batch), dtype=bool)
     for rope in {id(each): each for each in batch.ropes}.values():
         same = np.array([each is rope for each in batch.ropes])
         near = samples_clear_of_arm(rope, arm, q[same], base[same], problem.clearance, before[same])
         clear[same] = np.minimum(clear[same], near)
+        flat[same] = (at_limits(limit_bend(rope), q[same]) & (np.arange(t.size) < before[same, None])).any(axis=1)
     finite: Array = np.asarray(np.all(np.isfinite(q), axis=2))
     failed = np.where(finite.all(axis=1), t.size, finite.argmin(axis=1))
     struck = (at > 0) & (at <= clear) & (failed > at)
@@ -247,7 +249,6 @@ def find_strikes(problem: Problem, peg: Peg, batch: RolloutBatch, t: Array, q: A
             left = max(2.0 * np.pi * axis * left - beyond, 0.0) / turn
         tail = np.clip(left - MODEL.hanging_tail, 0.0, MODEL.max_tail + problem.criteria.turns - 1.25)
         score[m] = min(ratio, MODEL.max_ratio) * tail
-    flat = np.array([at_limits(limit_bend(rope), q[m, : at[m]]).any() for m, rope in enumerate(batch.ropes)])
     score = np.where(struck, np.where(flat, MODEL.folded, 1.0) * score, NEVER - least)
     return Strikes(score, np.where(struck, t[at - 1], np.nan), q[rows, at - 1], qd[rows, at - 1], clear)
 

@@ -26,7 +26,7 @@ MIN_SPEED = 0.3  # of a move, over the motor's
 
 
 class State(NamedTuple):
-    """Time, s, angles (n,), rad, and rates (n,), rad/s, of a chain."""
+    """Time, s, angles (n,), rad, and rates (n,), rad/s, of a chain: no views, which keep a batch in memory."""
 
     t: float
     q: Array
@@ -203,11 +203,11 @@ class SwingSearch:
             at, row = float(since[k] + seen.t[k]), math.ceil((stops[k] - since[k]) / step) - 1
             begins = moves.starts(limits)[swing.moves.ends.size]
             if at < self.problem.time and (swing.parent is None or begins < at):
-                follow, state = (moves,) if whole else (), State(at, seen.q[k], seen.qd[k])
+                follow, state = (moves,) if whole else (), State(at, seen.q[k].copy(), seen.qd[k].copy())
                 struck.append((k, Strike(moves, float(seen.score[k]), at, False, swing, (state,), follow)))
             clear = min(int(seen.clear[k]), t.size if math.isnan(at) else round((at - since[k]) / step))
             if not whole and row < clear and np.isfinite(q[k, row]).all():
-                state = State(float(since[k] + t[row]), q[k, row], qd[k, row])
+                state = State(float(since[k] + t[row]), q[k, row].copy(), qd[k, row].copy())
                 energy = _energy(self.problem, moves, state)
                 onward.append((k, Swing(moves, (state,), energy, swing)))
             elif math.isnan(at):
@@ -246,11 +246,11 @@ class SwingSearch:
             at = since[m] + float(seen.t[m])
             if isinstance(one, Strike):
                 if abs(at - one.t) <= DELAY:
-                    states = *one.states, State(at, seen.q[m], seen.qd[m])
+                    states = *one.states, State(at, seen.q[m].copy(), seen.qd[m].copy())
                     strikes.append((k, replace(one, score=min(one.score, float(seen.score[m])), states=states)))
                 continue
             row = round((one.states[0].t - since[m]) / MODEL.step) - 1
-            state = State(one.states[0].t, q[m, row], qd[m, row])
+            state = State(one.states[0].t, q[m, row].copy(), qd[m, row].copy())
             off = _apart(rope, one.states[0].q, self.chains[chain].rope, state.q)
             if off <= self.options.deviation:
                 swings.append((k, replace(one, states=(*one.states, state))))
