@@ -2,6 +2,7 @@
 
 import statistics
 import time
+from dataclasses import replace
 from types import ModuleType
 from typing import Any, Literal
 
@@ -11,9 +12,8 @@ from clock import NOTE, alternately
 
 import hyperflex as hf
 from hyperflex.identification import identify
-from hyperflex.identification.fit import usual_length
-from hyperflex.identification.measurements import Measurements
 from hyperflex.identification.measurements import measure as measured
+from hyperflex.identification.measurements import usual_length
 from hyperflex.identification.model import Parameters, Plant, parse
 from hyperflex.identification.multi_start import multi_start
 from hyperflex.paper import iterative_revision
@@ -99,7 +99,9 @@ def starts(recording: hf.Recording, count: int) -> list[dict[str, Any]]:
         shifted = hf.Recording(exact.t, exact.data + rng.uniform(-SHIFT, SHIFT, 5))
         began = time.perf_counter()
         usual = usual_length(exact, guess)
-        found = multi_start(plant, Measurements(exact, shifted), 1.001 * exact.duration, usual).fit
+        found = multi_start(
+            plant, replace(measured(exact, guess, None), shape=shifted), 1.001 * exact.duration, usual
+        ).fit
         values = plant.parameters.values(found.x)
         rows.append(row("5 links, 81 frames", f"start {number}", time.perf_counter() - began, found.cost, values))
     return rows

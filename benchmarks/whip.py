@@ -134,7 +134,7 @@ def identified(true: hf.Rope, index: int, tape: bool) -> tuple[hf.Rope, dict[str
     recording, joints = recorded(true, index)
     parts = np.cumsum(true.length)[joints - 1] / true.total_length
     measured = true.total_length * (1.0 + TAPE * np.random.default_rng([7, index]).standard_normal())
-    rope = stretched(CABLE, measured / CABLE.total_length * CABLE.length) if tape else CABLE
+    rope = CABLE.replace(**stretched(CABLE, measured / CABLE.total_length * CABLE.length)) if tape else CABLE
     begin, status = time.perf_counter(), ""
     # A marker's place does not grow with the rope's length in a fit: a second one starts where it has.
     for free in [["friction:factor"]] if tape else 2 * [["friction:factor", "length:factor"]]:

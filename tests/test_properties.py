@@ -86,7 +86,7 @@ def test_it_can_be_free(each):
     x = parameters.start
     np.testing.assert_allclose(getattr(parameters.rope(x), each.name), VALUES[each.name], rtol=1e-14)
     step = 1e-6
-    for k, part in parameters.parts(x, ROPE):
+    for k, part in parameters.parts(x):
         up, down = (getattr(parameters.rope(x + d * np.eye(3)[k]), each.name) for d in (step, -step))
         np.testing.assert_allclose(part[each.name], (up - down) / (2.0 * step), rtol=1e-8, atol=1e-12)
     assert [parse_label(label) for label in parameters.labels] == [(each.name, k, "") for k in range(3)]

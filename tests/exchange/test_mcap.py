@@ -74,6 +74,13 @@ def test_a_recording_comes_back_bit_for_bit(kind, extra, tmp_path):
     )
 
 
+def test_noise_follows_the_order_of_the_joints(tmp_path):
+    hf.write_mcap(hf.Recording([0.0, 0.1], [[0.1, 0.2], [0.1, 0.3]], noise=[1e-3, 2e-3]), tmp_path / "a.mcap")
+    got = hf.read_recording(tmp_path / "a.mcap", columns=["link1", "link0"])
+    assert got.data[0].tolist() == [0.2, 0.1]
+    assert got.noise[0].tolist() == [2e-3, 1e-3]
+
+
 def foreign(path: Path, schema: str, contents: list[dict[str, Any]], topics: tuple[str, ...] = ("/seen",)) -> Path:
     """A file of another program; messages come a second after they were taken."""
     with path.open("wb") as stream:

@@ -7,7 +7,7 @@ import hyperflex as hf
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.identification.fit import Loss, Window, fit
-from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements
+from hyperflex.identification.measurements import build_plant, checked_measurements, measure
 from hyperflex.identification.model import Plant
 from hyperflex.identification.multi_start import MultiStart
 
@@ -88,7 +88,9 @@ def test_friction_does_not_fall_to_its_bound_and_stay_there():
 def search(plant: Plant) -> MultiStart:
     """What all starts of a recording without declared noise have in common."""
     angles = hf.Recording(np.arange(4.0), np.zeros((4, plant.parameters.guess.n_links)))
-    return MultiStart(plant, Measurements(angles, angles), Loss(), Budget(), lambda _: None, ambiguous=False)
+    return MultiStart(
+        plant, measure(angles, plant.parameters.guess, None), Loss(), Budget(), lambda _: None, ambiguous=False
+    )
 
 
 def dry() -> hf.Recording:

@@ -131,7 +131,7 @@ def test_slopes_by_the_parameters_are_those_of_the_reference():
     rope = ROPE.replace(gravity=(2.0, -9.0))
     parameters = plant(free, rope).parameters
     x = parameters.start
-    parts = tuple(part for _, part in parameters.parts(x, rope))
+    parts = tuple(part for _, part in parameters.parts(x))
     still = np.zeros((t.size, 4, 4 + len(parts)))
     slopes = MotorTorque(ARM).jacobian(rope.chain(), _drive(arm_swings(0.7, 0.4)), parts, t, y, still)
     for k, label in enumerate(parameters.labels):

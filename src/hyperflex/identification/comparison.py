@@ -1,8 +1,7 @@
 """Models of a rope compared: BIC and held-out prediction, and the recommendation from both."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -12,15 +11,17 @@ from hyperflex import checks, extras, files
 from hyperflex.budget import Budget, one_thread
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
-from hyperflex.identification.model import GRAVITY, scales
+from hyperflex.identification.fit import Loss
+from hyperflex.identification.model import scales
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.identification.pipeline import TIME_BUDGET, identify
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.ranking import Ranking
 from hyperflex.identification.result import Identification
 from hyperflex.identification.uncertainty.covariance import Basis
+from hyperflex.identification.uncertainty.noise import CHANCE
 from hyperflex.interruption import interruptible, stoppable
-from hyperflex.model import DAMPING, FREE_PROPERTIES, MOST_LINKS, RESISTANCES, Rope, parse_label, recut
+from hyperflex.model import DAMPING, MOST_LINKS, RESISTANCES, Rope, parse_label, recut
 from hyperflex.recording import Recording
 from hyperflex.status import Status
 
@@ -29,12 +30,10 @@ if TYPE_CHECKING:
 
 STRONG = 6.0  # difference of BIC from which evidence is strong (Kass and Raftery 1995, doi:10.2307/2291091)
 TINY = 1e-9  # probabilities below it are not told apart
-COLOURED = 0.01  # probability below which residuals are no white noise
 CLEAR = 2.0  # standard errors by which a prediction must be worse on the mean to count as worse
 FEW = 3  # predicted stretches, fewer have no standard error to speak of
 MATTERS = 1.02  # ratio of rms errors below which a difference is too small to matter
 ALIKE = 1.1  # ratio of rms errors within which predictions are as good as each other, where there are few
-WORSE = 1.001  # ratio of costs: within it fits have reached the same optimum, as far as they go
 SLIGHT = 0.1  # of its scale, what a guess has none of at the start
 MAX_ADDED = 2  # resistances beside viscous friction in one candidate
 COLUMNS = {  # of the table: what they are
@@ -95,11 +94,6 @@ class FittedModel:
         """Prediction error over channels and stretches, rad or m; inf without a prediction, and where one failed."""
         return float("inf") if self.held_out is None else float(np.sqrt(_squares(self.held_out).mean()))
 
-    @property
-    def white(self) -> str:
-        """The p-value as text."""
-        return f"p = {self.whiteness:.2g}" if self.whiteness >= TINY else f"p < {TINY:.0e}"
-
 
 def criteria(fits: Sequence[Basis]) -> list[float | None]:
     """Return the BIC of each fit; None where it fits other samples than the one with the most.
@@ -109,24 +103,23 @@ def criteria(fits: Sequence[Basis]) -> list[float | None]:
     tau the shortest integrated autocorrelation time among the candidates. With a robust loss the squares are what the
     loss makes of them, over the least scale among the candidates.
     """
-    sizes = [np.concatenate([window.t for window in one.windows]) for one in fits]
-    most = int(np.argmax([t.size for t in sizes]))
+    times = [np.concatenate([window.t for window in one.windows]) for one in fits]
+    most = int(np.argmax([t.size for t in times]))
     tau = min(one.information.correlation for one in fits)
-    scale = min(one.fit.loss.scaled(one.fit.residuals).scale for one in fits)
+    name, scale = fits[0].fit.loss.name, min(one.fit.loss.scaled(one.fit.residuals).scale for one in fits)
     return [
-        _criterion(one, tau, scale)
-        if np.array_equal(t, sizes[most]) and one.windows[0].y.shape[1] == fits[most].windows[0].y.shape[1]
+        _criterion(one, tau, Loss(name, scale))
+        if np.array_equal(t, times[most]) and one.windows[0].y.shape[1] == fits[most].windows[0].y.shape[1]
         else None
-        for one, t in zip(fits, sizes, strict=True)
+        for one, t in zip(fits, times, strict=True)
     ]
 
 
-def _criterion(one: Basis, tau: float, scale: float) -> float:
+def _criterion(one: Basis, tau: float, loss: Loss) -> float:
     values = np.array([window.values for window in one.windows])
     count = float(values.sum()) / tau
-    cost = sum(one.fit.loss.scaled([]).cost(residual) for residual in one.fit.residuals)
-    squares = one.fit.loss.name == "squares"
-    misfit = count * float(np.log(cost / values.sum())) if squares else cost / (tau * scale**2)
+    cost = sum(loss.cost(residual) for residual in one.fit.residuals)
+    misfit = count * float(np.log(cost / values.sum())) if loss.name == "squares" else cost / (tau * loss.scale**2)
     states = np.array([window.unknowns for window in one.windows])
     of_states = float((states * np.log(np.maximum(values / tau, 1.0))).sum())
     return float(misfit + one.information.known.shape[1] * np.log(count) + of_states)
@@ -160,7 +153,7 @@ def recommend(models: Sequence[FittedModel]) -> tuple[str | None, str]:
     nearest = min(known, key=lambda each: each.held_out_rms)
     good = [each for each in known if predicts_as_well(each.held_out, nearest.held_out)]
     both = [each for each in likely if each in good or not good]
-    chosen = both[0] if both else likely[0] if likely[0].whiteness >= COLOURED else good[0]
+    chosen = both[0] if both else likely[0] if likely[0].whiteness >= CHANCE else good[0]
     if len(known) == 1:
         words = f"Only {chosen.name} could be fitted: there is no comparison."
     elif not good:
@@ -172,9 +165,13 @@ def recommend(models: Sequence[FittedModel]) -> tuple[str | None, str]:
             f"BIC prefers {likely[0].name}, whose residuals are {'' if chosen in likely else 'not '}white noise as it "
             f"requires; prediction prefers {good[0].name}. {chosen.name} is preferred; a longer recording would decide."
         )
-    if chosen.whiteness < COLOURED:
-        words += f" But its residuals are not white noise ({chosen.white}): all candidates omit an effect."
+    if chosen.whiteness < CHANCE:
+        words += f" But its residuals are not white noise ({_chance(chosen.whiteness)}): all candidates omit an effect."
     return chosen.name, words
+
+
+def _chance(p: float) -> str:
+    return f"p = {p:.2g}" if p >= TINY else f"p < {TINY:g}"
 
 
 def _also(alike: Sequence[FittedModel]) -> str:
@@ -206,10 +203,7 @@ class ModelComparison(Ranking):
     ended: Status | None = None
 
     def __getitem__(self, name: str) -> FittedModel:
-        for model in self.models:
-            if model.name == name:
-                return model
-        raise KeyError(name)
+        return {model.name: model for model in self.models}[name]
 
     @property
     def best(self) -> Identification | None:
@@ -238,23 +232,22 @@ class ModelComparison(Ranking):
 
     def __str__(self) -> str:
         least = min((m.bic for m in self.models if m.bic is not None), default=0.0)
-        head = [
-            "model",
-            "links",
-            "parameters",
-            "BIC over best",
-            f"fit, m{self.unit}",
-            f"held out, m{self.unit}",
-            "white",
-        ]
-        rows: list[tuple[list[str], str]] = [(head, "")]
+        head = "model", "links", "parameters", "BIC over best", f"fit, m{self.unit}", f"held out, m{self.unit}", "white"
+        rows: list[tuple[Sequence[str], str]] = [(head, "")]
         for model in self.models:
             cells, failed = [model.name, str(model.links)], model.identification is None
             if not failed:
-                above = "-" if model.bic is None else f"{model.bic - least:.1f}"
-                held = f"{1e3 * model.held_out_rms:.3f}" if np.isfinite(model.held_out_rms) else "-"
-                white = f"{'yes' if model.whiteness >= COLOURED else 'no'} ({model.white})"
-                cells += [str(model.parameters), above, f"{1e3 * model.fit_rms:.3f}", held, white]
+                numbers = (
+                    None if model.bic is None else model.bic - least,
+                    1e3 * model.fit_rms,
+                    1e3 * model.held_out_rms,
+                )
+                shown = (
+                    "-" if each is None or not np.isfinite(each) else f"{each:.{digits}f}"
+                    for each, digits in zip(numbers, (1, 3, 3), strict=True)
+                )
+                white = f"{'yes' if model.whiteness >= CHANCE else 'no'} ({_chance(model.whiteness)})"
+                cells += [str(model.parameters), *shown, white]
             rows.append((cells, f"failed: {model.reason}" if failed else model.reason))
         return self._text("Models compared", rows)
 
@@ -309,8 +302,7 @@ def compare_models(
     A candidate is supported by BIC within 6 of the least, and by held-out prediction if it is not worse than the best
     by 2 % and by two standard errors over the held-out stretches (by 10 % where there are fewer than three). The
     simplest that both support is preferred. Where none is, prediction decides, unless the residuals of BIC's choice are
-    white. All candidates must be fitted to the same samples; one that is not has no BIC. A model that fits worse than
-    one nested in it has ended in a local minimum, and is fitted again from there.
+    white. All candidates must be fitted to the same samples; one that is not has no BIC.
     """
     checks.instance("recording", recording, Recording)
     checks.instance("rope_guess", rope_guess, Rope)
@@ -332,13 +324,10 @@ def compare_models(
         for number, each in enumerate(todo):
             budget.check()
             share = budget.share(1.0 / (len(todo) - number))
-            fit: Callable[..., Identification] = partial(identify, recording, setup=setup, time_budget=share)
             try:
-                found = fit(each.guess, each.free, options=options)
+                found = identify(recording, each.guess, each.free, setup=setup, options=options, time_budget=share)
                 options = replace(options, window=found.settings["window"])  # the same for all
-                done.append(
-                    replace(each, identification=_refit_from_nested(partial(fit, options=options), each, found, done))
-                )
+                done.append(replace(each, identification=found))
             except HyperflexError as failure:
                 done.append(replace(each, reason=str(failure)))
             budget.report(number + 1.0)
@@ -352,27 +341,6 @@ def compare_models(
     unit = fits[-1].unit if fits else "rad"
     ended = stop.status or (Status.OUT_OF_TIME if late else None)
     return stop.deliver(ModelComparison(fitted, *recommend(fitted), unit, ended))
-
-
-def _refit_from_nested(
-    fit: Callable[..., Identification], model: FittedModel, found: Identification, before: Sequence[FittedModel]
-) -> Identification:
-    """Return a fit no worse than those of models nested in it: where one is better, fitted again from there."""
-    for other in before:
-        simple, nested = other.identification, set(other.free) < set(model.free) and other.links == model.links
-        if simple is None or not nested or simple.residual_t.size != found.residual_t.size:
-            continue
-        if WORSE * simple.basis.fit.cost < found.basis.fit.cost:
-            again = fit(_started(model.guess, simple.rope, other.free), model.free)
-            found = min(found, again, key=lambda each: each.basis.fit.cost)
-    return found
-
-
-def _started(guess: Rope, rope: Rope, free: Sequence[str]) -> Rope:
-    """Return a guess with the values of `rope` of what was free in it; laws keep their guess."""
-    labels = [label for word in free if (label := parse_label(word)) and label.law in ("", "shared", "inner")]
-    names = {label.name for label in labels if FREE_PROPERTIES[label.name].owner in ("link", "rope")} - set(GRAVITY)
-    return guess.replace(**{name: getattr(rope, name) for name in sorted(names)})
 
 
 def _with_evidence(model: FittedModel, scores: Mapping[int, float | None]) -> FittedModel:
@@ -439,12 +407,12 @@ def _resistances(guess: Rope, free: Sequence[str]) -> list[FittedModel]:
     law = ":shared" if ":" in "".join(own.get(viscous.name, ())) else ""
     for each in added:  # started from 0 it may stay there: a joint that never sticks tells little of dry friction
         if each.least and not getattr(guess, each.name).any():
-            guess = guess.replace(**{each.name: SLIGHT * scales(guess, each.name)})
-    sets = [more for count in range(MAX_ADDED + 1) for more in combinations(added, count)]
-    chosen = [(viscous, *more) for more in sets]
+            guess = guess.replace(**{each.name: SLIGHT * scales(guess, each.name, getattr(guess, each.name))})
     varied = [*added, viscous] if viscous.name in own else added
+    every = [those for count in range(1, MAX_ADDED + 2) for those in combinations(RESISTANCES, count)]
+    chosen = [those for those in every if viscous in those]
     if viscous in varied:
-        chosen += [those for those in sets if those and all(each.name in DAMPING for each in those)]
+        chosen += [those for those in every if viscous not in those and all(each.name in DAMPING for each in those)]
     names = [each.name for each in varied]
     plain = tuple(word for name, words in own.items() for word in words if name not in names)
     result = []

@@ -1,23 +1,23 @@
 """Checks before a fit: sampling times that suit the rope, and motion beyond the noise."""
 
+from functools import partial
+
 import numpy as np
 
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.identification.declarations.evidence import unlike_lengths
 from hyperflex.identification.findings import text
-from hyperflex.identification.fit import STILL, rms_rate, swing_period
+from hyperflex.identification.measurements import LEAST_VALUES, STILL, rms_rate, swing_period
 from hyperflex.model import Rope
 from hyperflex.recording import Recording
 
-SHORTEST, SPARSEST = 0.1, 1.0  # of the rope's period: what a recording lasts at least, its samples lie apart at most
+SHORTEST = 0.1  # of the rope's period, which a recording lasts at least
 WILDEST = 8.0  # times the rate of a small swing: ten somersaults in the time of one
 BEYOND = 5.0  # standard deviations of the declared noise: a spread that large is motion, smooth or not
 LARGE = 0.1  # rad, the same of link angles: no camera errs so much
-NORMAL = 1.349  # interquartile range over the standard deviation, of a normal distribution
 LAGS = 10  # of the autocorrelation that tells motion from white noise
 SHUFFLES = 1000  # white noise passes for motion once in so many recordings
-FEWEST = 4  # values of a link that never moves
 
 
 def check_excitation(channels: Recording, shape: Recording, rope: Rope, *, moved: bool) -> None:
@@ -57,11 +57,11 @@ def check_times(recording: Recording, rope: Rope) -> None:
             allowed=f"at least {least:.2g} s; a rope so long swings once in {period:.2g} s",
             fix="Record longer. Are the times in another unit (time_unit='s'), or the lengths?",
         )
-    if spacing > SPARSEST * period:
+    if spacing > period:
         raise InvalidInput(
             "the samples lie further apart than a swing of the rope lasts",
             got=f"{spacing:.3g} s from sample to sample",
-            allowed=f"at most {SPARSEST * period:.2g} s; a rope so long swings once in {period:.2g} s",
+            allowed=f"at most {period:.2g} s; a rope so long swings once in {period:.2g} s",
             fix="Are the times in another unit (time_unit='ms'), or the lengths? Else record more frames a second",
         )
 
@@ -71,6 +71,8 @@ def check_motion(shape: Recording, channels: Recording | None = None) -> None:
 
     Motion beyond the declared noise passes, and smooth motion: it is more autocorrelated than the same values shuffled.
     """
+    from scipy.stats import iqr
+
     swing = np.nanmax(shape.data, axis=0) - np.nanmin(shape.data, axis=0)
     if not (swing > STILL).any():
         raise InvalidInput(
@@ -82,14 +84,15 @@ def check_motion(shape: Recording, channels: Recording | None = None) -> None:
     channels = channels or shape
     for link, column in enumerate(channels.data.T if channels.kind == "angles" else ()):
         values = column[~np.isnan(column)]
-        if values.size > FEWEST and np.ptp(values) == 0.0:  # no link hangs still while others swing
+        if values.size > LEAST_VALUES and np.ptp(values) == 0.0:  # no link hangs still while others swing
             raise InvalidInput(
                 f"link {link} never moves while others do",
                 got=f"{values[0]:.6g} rad in all {values.size} samples",
                 fix="See what the sensor or tracker holds there; a link without a sensor is a gap (empty or nan)",
             )
     noise = np.inf if channels.noise is None else np.median(channels.noise, axis=0)
-    large = (_spread(shape.data) > LARGE).any() or (_spread(channels.data) > BEYOND * noise).any()
+    spread = partial(iqr, axis=0, scale="normal", nan_policy="omit")  # outliers do not matter
+    large = (spread(shape.data) > LARGE).any() or (spread(channels.data) > BEYOND * noise).any()
     if not large and _is_noise(channels.data):
         raise InvalidInput(
             "no motion beyond noise in the recording",
@@ -98,12 +101,6 @@ def check_motion(shape: Recording, channels: Recording | None = None) -> None:
             fix="Record a wider swing, or more samples; if it is sampled slowly, state how large the noise is "
             "(noise=...)",
         )
-
-
-def _spread(values: Array) -> Array:
-    """Return the standard deviation (C,) of each channel, by its interquartile range: outliers do not matter."""
-    low, high = np.nanquantile(values, [0.25, 0.75], axis=0)
-    return np.asarray((high - low) / NORMAL)
 
 
 def _is_noise(values: Array) -> bool:

@@ -11,13 +11,12 @@ from hyperflex import checks, files
 from hyperflex.budget import Budget
 from hyperflex.checks import Array
 from hyperflex.errors import HyperflexError, Interrupted, InvalidInput
-from hyperflex.identification.fit import Loss, decimation_step, linearise, usual_length
-from hyperflex.identification.measurements import build_plant, measure, with_torque
+from hyperflex.identification.fit import Loss, linearise
+from hyperflex.identification.measurements import build_plant, measure, usual_length, with_torque
 from hyperflex.identification.model import (
     PRECISION,
     Parameter,
     Parameters,
-    common_factor,
     in_common_factor,
     parse,
     pivot_places,
@@ -27,14 +26,14 @@ from hyperflex.identification.ranking import Ranking
 from hyperflex.identification.uncertainty.covariance import Information, known_directions
 from hyperflex.identification.uncertainty.ratios import ratio_spread, ratios
 from hyperflex.interruption import interruptible, stoppable
-from hyperflex.model import Arm, Rope
+from hyperflex.model import Arm, Rope, parse_label
 from hyperflex.motion import Motion, arm_swings
 from hyperflex.recording import Recording
 from hyperflex.sensors import Markers
 from hyperflex.simulation import simulate
 from hyperflex.status import Status
 
-MOST_FRAMES = 1000000
+MOST_FRAMES = 1_000_000  # of an experiment: some minutes of work
 RATE, DURATION, MARKERS = 30.0, 10.0, 11  # frames a second, s, and most markers of the default experiments
 ANGLES = (0.3, 0.8, 1.5)  # rad, from which a straight rope is let go
 BENT = 0.8  # rad at the first joint, and as much to the other side at the tip
@@ -119,37 +118,6 @@ def variations(best: Experiment) -> list[Experiment]:
     return named + [replace(best, name=f"{best.name}, {few} markers", markers=few) for few in FEW if few < most]
 
 
-@dataclass(frozen=True)
-class ExpectedInformation:
-    """What an experiment would tell about the free parameters of a rope."""
-
-    parameters: Parameters
-    information: Information
-
-    def spreads(self, want: Iterable[str]) -> dict[str, tuple[float, float]]:
-        """Return standard deviation, and the same over the size of the value, of each single number in `want`.
-
-        InvalidInput for a word that is neither free nor a ratio.
-        """
-        x, every = self.information.x, self.parameters.all
-        known = ratios(self.parameters.rope(x), self.parameters.names)
-        std = self.information.deviations(self.parameters.derivatives(x))
-        result: dict[str, tuple[float, float]] = {}
-        for word in want:
-            if word in known:
-                spread, value = ratio_spread(self.parameters, self.information)[word], np.abs(known[word])
-                against = np.maximum(value, FAINT * value.max() or 1.0)
-                first = int(word == "p/p1")  # that of link 0 is 1 by definition
-                result |= {f"{word}[{k}]": (spread[k], spread[k] / against[k]) for k in range(first, value.size)}
-                continue
-            which = [k for k, each in enumerate(every) if word in (each.label, each.name)]
-            if not which:
-                words = [*(each.name for each in every), *self.parameters.labels, *known]
-                raise InvalidInput("want names what is not free", got=word, allowed=", ".join(dict.fromkeys(words)))
-            result |= {every[k].label: (std[k], std[k] / size(every[k], x[k])) for k in which}
-        return {label: (float(own), float(part)) for label, (own, part) in result.items()}
-
-
 def size(parameter: Parameter, x: float) -> float:
     """Return what a standard deviation is compared with: the value, or a typical change of what is 0 or an offset."""
     value = abs(parameter.value(x))
@@ -158,8 +126,8 @@ def size(parameter: Parameter, x: float) -> float:
 
 def expected_information(
     rope: Rope, experiment: Experiment, free: Sequence[str], arm: Arm | None, noise: float
-) -> ExpectedInformation:
-    """Return the Fisher information of the parameters in a simulated recording, windows and states as in ``identify``.
+) -> tuple[Parameters, Information]:
+    """Return the parameters and their Fisher information in a simulated recording, windows and states as in a fit.
 
     InvalidInput or SimulationError if the experiment does not fit the rope or cannot be simulated.
     """
@@ -186,7 +154,7 @@ def expected_information(
         measured = with_torque(measured, torque, experiment.torque_noise)
     plant = build_plant(recording, rope, free, arc_lengths, RecordingSetup(motion, base, torque=torque))
     length = min(usual_length(measured.shape, rope, fewest=0), 1.001 * recording.duration)  # alike for all frame rates
-    windows, _ = measured.windows(length, decimation_step(recording, length))
+    windows, _ = measured.windows(length)
     x, widths = plant.parameters.start, plant.parameters.widths
     rows = [np.zeros((x.size, x.size))]
     for window in windows:  # which the model fits, the noise as given
@@ -197,7 +165,32 @@ def expected_information(
     covariance = (known / singular[: known.shape[1]] ** 2) @ known.T * np.outer(widths, widths)
     tied = in_common_factor(plant.parameters, x, unknown)
     information = Information(x, widths, singular, known, unknown, covariance, 1.0, growing=tied)
-    return ExpectedInformation(plant.parameters, information)
+    return plant.parameters, information
+
+
+def spreads(parameters: Parameters, information: Information, want: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """Return standard deviation, and the same over the size of the value, of each single number in `want`.
+
+    InvalidInput for a word that is neither free nor a ratio.
+    """
+    x, known = information.x, ratios(parameters.rope(information.x), parameters.names)
+    std = information.deviations(parameters.derivatives(x))
+    result: dict[str, tuple[float, float]] = {}
+    for word in want:
+        if word in known:
+            spread, value = ratio_spread(parameters, information)[word], np.abs(known[word])
+            part = spread / np.maximum(value, FAINT * value.max() or 1.0)
+            links = range(int(word == "p/p1"), value.size)  # that of link 0 is 1 by definition
+            result |= {f"{word}[{k}]": (float(spread[k]), float(part[k])) for k in links}
+            continue
+        which = [k for k, each in enumerate(parameters.all) if word in (each.label, each.name)]
+        if not which:
+            words = [*(each.name for each in parameters.all), *parameters.labels, *known]
+            raise InvalidInput("want names what is not free", got=word, allowed=", ".join(dict.fromkeys(words)))
+        for k in which:
+            one = parameters.all[k]
+            result[one.label] = float(std[k]), float(std[k] / size(one, x[k]))
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +211,7 @@ class Plan:
     std: dict[str, float]
     relative: dict[str, float]
     reason: str = ""
-    _expected: ExpectedInformation | None = field(default=None, repr=False)
+    _scaled: bool = field(default=False, repr=False)  # whether an unknown factor is common to masses and frictions
 
     @property
     def score(self) -> float:
@@ -345,7 +338,6 @@ def design_experiment(
             allowed = "a list of hyperflex.Experiment"
             raise InvalidInput("candidates are no experiments", got=candidates, allowed=allowed)
     parse(rope, free, np.array([0.0, rope.total_length]), moved=True, arm=arm or Arm())  # wrong for one, wrong for all
-    question = _Question(rope, words, tuple(free), arm, noise)
     todo = default_experiments(rope, arm) if candidates is None else list(candidates)
     plans: list[Plan] = []
     budget, varied = Budget.of(time_budget), candidates is not None
@@ -355,7 +347,7 @@ def design_experiment(
     ):
         while todo:
             budget.check()
-            plans.append(question.plan(todo.pop(0)))
+            plans.append(_plan(rope, todo.pop(0), words, free, arm, noise))
             budget.report(float(len(plans)))
             best = min(plans, key=lambda plan: plan.score)
             if not (todo or varied) and np.isfinite(best.score):
@@ -363,56 +355,44 @@ def design_experiment(
     if stop.received and not plans:
         raise Interrupted
     ranked = tuple(sorted(plans, key=lambda plan: (plan.score, bool(plan.reason))))
-    return stop.deliver(ExperimentDesign(ranked, words, question.recommendation(ranked), stop.status))
+    return stop.deliver(ExperimentDesign(ranked, words, _recommendation(ranked, words, free), stop.status))
 
 
-@dataclass(frozen=True)
-class _Question:
-    """What is asked of :func:`design_experiment`: which numbers of which rope, with what free."""
+def _plan(
+    rope: Rope, experiment: Experiment, want: Sequence[str], free: Sequence[str], arm: Arm | None, noise: float
+) -> Plan:
+    """Return the plan of one candidate; errors of `want` pass through."""
+    try:
+        parameters, information = expected_information(rope, experiment, free, arm, noise)
+    except HyperflexError as failure:
+        return Plan(experiment, {}, {}, str(failure))
+    found = spreads(parameters, information, want).items()
+    stds, parts = ({name: each[k] for name, each in found} for k in (0, 1))
+    return Plan(experiment, stds, parts, _scaled=bool(information.growing.any()))
 
-    rope: Rope
-    want: tuple[str, ...]
-    free: tuple[str, ...]
-    arm: Arm | None
-    noise: float
 
-    def plan(self, experiment: Experiment) -> Plan:
-        """Return the plan of one candidate; errors of `want` pass through."""
-        try:
-            expected = expected_information(self.rope, experiment, self.free, self.arm, self.noise)
-        except HyperflexError as failure:
-            return Plan(experiment, {}, {}, str(failure))
-        spreads = expected.spreads(self.want).items()
-        stds, parts = {name: std for name, (std, _) in spreads}, {name: part for name, (_, part) in spreads}
-        return Plan(experiment, stds, parts, "", expected)
-
-    def recommendation(self, ranked: Sequence[Plan]) -> str:
-        """Return which experiment to make, or what else to measure."""
-        expected = [plan._expected for plan in ranked if plan._expected is not None]
-        if not expected:
-            return "No candidate could be simulated."
-        best, *others = ranked
-        if not np.isfinite(best.score):
-            return self._alternatives(best, expected[0])
+def _recommendation(ranked: Sequence[Plan], want: Sequence[str], free: Sequence[str]) -> str:
+    """Return which experiment to make or, where none determines the wanted numbers, why not and what would."""
+    best, *others = ranked
+    if best.reason:
+        return "No candidate could be simulated."
+    if np.isfinite(best.score):
         worst = max(best.relative, key=lambda name: best.relative[name])
         said = f"Make: {best.experiment.name}. It determines {worst} to {_percent(best.score)}"
-        said += f" and the rest of {', '.join(self.want)} better." if len(best.std) > 1 else "."
+        said += f" and the rest of {', '.join(want)} better." if len(best.std) > 1 else "."
         blind = [plan.experiment.name for plan in others if not plan.reason and not np.isfinite(plan.score)]
         return f"{said} Not sufficient: {', '.join(blind)}." if blind else said
-
-    def _alternatives(self, plan: Plan, expected: ExpectedInformation) -> str:
-        """Return why no experiment, as this plan, determines the wanted numbers, and what would."""
-        lost = ", ".join(name for name, std in plan.std.items() if not np.isfinite(std))
-        weighed = [word for word in self.free if word.partition(":")[0].partition("[")[0] in WEIGHED]
-        scales = f" Weigh the links and leave {' and '.join(weighed)} out of free." if weighed else ""
-        if common_factor(expected.parameters, expected.information.x, expected.information.unknown) is None:
-            why = "it has no effect in these motions, or the same effect as other free parameters"
-            return f"No candidate determines {lost}: {why}.{scales} Or free fewer parameters, or try other motions."
-        why = "no known force or torque acts, so masses, inertias and frictions share an unknown factor"
-        return (
-            f"No candidate determines {lost}: {why}.{scales} Or measure the torque of the motor that drives the rope "
-            f"(arm=..., torque_noise=...). Ratios over the first moment need neither: want={FORCELESS}."
-        )
+    lost = ", ".join(name for name, std in best.std.items() if not np.isfinite(std))
+    weighed = " and ".join(word for word in free if (label := parse_label(word)) and label.name in WEIGHED)
+    scales = f" Weigh the links and leave {weighed} out of free." if weighed else ""
+    if not best._scaled:
+        why = "it has no effect in these motions, or the same effect as other free parameters"
+        return f"No candidate determines {lost}: {why}.{scales} Or free fewer parameters, or try other motions."
+    why = "no known force or torque acts, so masses, inertias and frictions share an unknown factor"
+    return (
+        f"No candidate determines {lost}: {why}.{scales} Or measure the torque of the motor that drives the rope "
+        f"(arm=..., torque_noise=...). Ratios over the first moment need neither: want={FORCELESS}."
+    )
 
 
 def _figure(value: float) -> str:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from hyperflex import checks
 from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
-from hyperflex.identification.fit import STILL, Window, cut_windows
+from hyperflex.identification.fit import Window
 from hyperflex.identification.model import Parameters, Plant, parse, pivot_places
 from hyperflex.identification.options import FitOptions, RecordingSetup
 from hyperflex.model import Rope
@@ -17,36 +17,131 @@ from hyperflex.recording import Recording, unwrap
 from hyperflex.sensors import Angles, Markers
 
 BEND = 0.5  # rad, standard deviation of the turn from the middle of a link to that of the next, over sqrt(n links)
-STUCK = 0.02  # of the swing of the marker that swings most, per distance from the first joint
-BENDS = 256  # that are looked at
 SWAY = 5.0  # rad/s, the same of its rate
+BENDS = 256  # numbers of bends of a link that are compared
+STILL = 0.001  # rad, a recording that moves less holds no dynamics
+STUCK = 0.02  # of the swing of the marker that swings most, per distance from the first joint
 UNTOLD = 2e-3  # of the rope's length: noise of a marker where none is given and it must be weighed against these
 TRAIN = 0.8  # part of a recording that is fitted when nothing is said
+# samples a window; more of them repeat what their neighbours say and only cost time
+DENSEST = 200
+# samples a window, where the recording allows it
+FEWEST_SAMPLES = 8
+# values of each link's angle in a window, ten for each unknown of its state, where the recording allows it
+FEWEST_SEEN = 20
+# values of a link's angle in a window that is used
+LEAST_VALUES = 4
+# part of a window that it lasts at least, and for which a link may be out of sight at most
+HALF = 0.5
+# periods of a swing that a window lasts; the period, s, where nothing pulls
+PERIODS, WEIGHTLESS = 1.2, 1.0
+# rad a link may turn within a window, as rms rate times time: beyond it fits find false minima
+MOST_TURN = 8.0
+# rad by which a shape must differ from another to be a start of its own
+ASIDE = 0.3
+# of weighted least squares that come near to least absolute errors
+ABSOLUTE_ROUNDS = 8
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """What is fitted: channels, the angles that they show, and the prior of a state (see Window).
+    """What is fitted: channels, the angles that they show, and the prior (r, 2n) of a state (see Window).
 
     sides: other angles that would show as the same channels.
     """
 
     channels: Recording
     shape: Recording
-    prior: Array | None = None
+    prior: Array
     sides: tuple[Recording, ...] = ()
 
-    def windows(self, length: float, step: int = 1) -> tuple[list[Window], int]:
-        """Return windows of so many seconds with every `step`-th sample, and how many were left out."""
-        sides = [each.decimate(step).data for each in self.sides]
-        return cut_windows(self.channels.decimate(step), length, self.shape.decimate(step), self.prior, sides)
+    def step(self, length: float) -> int:
+        """Return the step of the decimation that leaves at most ``DENSEST`` samples in a window of `length` (s)."""
+        return max(1, int(length / (float(np.median(np.diff(self.channels.t))) * DENSEST)))
+
+    def windows(self, length: float) -> tuple[list[Window], int]:
+        """Cut the samples, decimated, into windows [start, start + `length`), s; return them and the number left out.
+
+        Windows are left out where some link has too few values, or too long a gap, to tell its angle and rate.
+        """
+        step = self.step(length)
+        channels, noise = self.channels.decimate(step), self.channels.noise
+        angles, *sides = (each.data[::step] for each in (self.shape, *self.sides))
+        t, y = channels.t, np.nan_to_num(channels.data)
+        weight = np.where(np.isnan(channels.data), 0.0, 1.0 if noise is None else 1.0 / noise[::step])
+        number = np.floor((t - t[0]) / length + 1e-6 * np.median(np.diff(t)) / length)
+        windows, cuts = [], [number == k for k in np.unique(number)]
+        for rows in cuts:
+            own, known = t[rows], ~np.isnan(angles[rows])
+            span = own[-1] - own[0]
+            gaps = (np.diff(np.concatenate([own[:1], own[column], own[-1:]])).max() for column in known.T)
+            if known.sum(axis=0).min() < LEAST_VALUES or span < HALF * length or max(gaps) > HALF * span:
+                continue
+            guess, *others = (first_state(own, each[rows]) for each in (angles, *sides))
+            others = [each for each in others if np.abs(each - guess)[: angles.shape[1]].max() > ASIDE]
+            windows.append(Window(own, y[rows], weight[rows], guess, self.prior, tuple(others)))
+        return windows, len(cuts) - len(windows)
 
     def between(self, start: float, end: float) -> "Measurements":
         """Return the samples with ``start <= t < end``, s."""
-        sides = tuple(each.window(start, end) for each in self.sides)
-        return replace(
-            self, channels=self.channels.window(start, end), shape=self.shape.window(start, end), sides=sides
+        channels, shape, *sides = (each.window(start, end) for each in (self.channels, self.shape, *self.sides))
+        return replace(self, channels=channels, shape=shape, sides=tuple(sides))
+
+
+def swing_period(rope: Rope) -> float:
+    """Return the period, s, of a small swing of a straight rod as long as the rope; inf without gravity."""
+    gravity = float(np.hypot(*rope.gravity))
+    return 2.0 * np.pi * float(np.sqrt(2.0 * rope.total_length / (3.0 * gravity))) if gravity > 0.0 else np.inf
+
+
+def usual_length(recording: Recording, rope: Rope, fewest: int = FEWEST_SEEN) -> float:
+    """Return a window length (s): some periods of a small swing of a rod as long as the rope, less for fast links.
+
+    It is doubled until it holds ``FEWEST_SEEN`` values of each link.
+    """
+    period = swing_period(rope) if rope.gravity.any() else WEIGHTLESS
+    fastest = max(rms_rate(recording.t, column) for column in recording.data.T)
+    spacing = float(np.median(np.diff(recording.t)))
+    length = max(min(PERIODS * period, MOST_TURN / max(fastest, 1e-300)), FEWEST_SAMPLES * spacing)
+    seen = float((~np.isnan(recording.data)).mean(axis=0).min()) * length / spacing
+    return float(length * 2.0 ** np.ceil(np.log2(fewest / seen))) if 0.0 < seen < fewest else length
+
+
+def rms_rate(t: Array, angle: Array) -> float:
+    """Return the rms rate (rad/s) over steps of at least a two-hundredth of the recording or 10 ms, noise left out."""
+    known = ~np.isnan(angle)
+    t, angle = t[known], angle[known]
+    if angle.size > 2:  # a single sample that is far off is no motion
+        t, angle = t[1:-1], np.median([angle[:-2], angle[1:-1], angle[2:]], axis=0)
+    least = min(0.01, (t[-1] - t[0]) / 200.0)
+    picked = [0]
+    for k in range(1, t.size):
+        if t[k] - t[picked[-1]] >= least:
+            picked.append(k)
+    turned, taken = np.diff(angle[picked]), np.diff(t[picked])
+    return float(np.sqrt((turned**2 / taken).sum() / taken.sum())) if taken.size else 0.0
+
+
+def first_state(t: Array, angles: Array) -> Array:
+    """Return a guess of the state (2n,) at t[0]: a cubic through each link's first angles (m, n), NaN in gaps.
+
+    Least absolute errors, by weighted least squares: no outlier tilts it.
+    """
+    found = []
+    for angle in angles.T:
+        known = np.flatnonzero(~np.isnan(angle))
+        few = known[: max(6, known.size // 5)]
+        span, y = max(float(t[few[-1]] - t[0]), 1e-9), angle[few]
+        powers, weight = (
+            np.vander((t[few] - t[0]) / span, min(4, few.size - 1), increasing=True),
+            np.ones((few.size, 1)),
         )
+        for _ in range(ABSOLUTE_ROUNDS):
+            line = np.linalg.lstsq(powers * weight, y * weight[:, 0], rcond=None)[0]
+            away = np.abs(powers @ line - y)[:, None]
+            weight = 1.0 / np.sqrt(np.maximum(away, 0.1 * away.mean() + 1e-12))
+        found.append((line[0], line[1] / span))
+    return np.array(found).T.ravel()
 
 
 def checked_arc_lengths(recording: Recording, rope: Rope, arc_lengths: npt.ArrayLike) -> Array:
@@ -95,13 +190,13 @@ def measure(recording: Recording, rope: Rope, arc_lengths: Array | None, joint: 
     """
     if arc_lengths is None:
         angles = recording.angles()
-        return Measurements(angles, angles)
+        return Measurements(angles, angles, np.zeros((0, 2 * rope.n_links)))
     along, places = recording, arc_lengths
     if arc_lengths[0] > 0.0 and joint is not None:
         along = replace(recording, data=np.column_stack([joint, recording.data]), noise=None)
         places = np.append(0.0, arc_lengths)
     shape = _shape(along, rope, places)
-    n, prior = rope.n_links, None
+    n, prior = rope.n_links, np.zeros((0, 2 * rope.n_links))
     sides: tuple[Recording, ...] = ()
     if places.size - 1 < n and n > 1:
         turn = (np.eye(n, k=1) - np.eye(n))[:-1] * np.sqrt(n)

@@ -26,7 +26,6 @@ from hyperflex.model import (
     Rope,
     Setup,
     divided,
-    growth,
     parse_label,
     stretched,
 )
@@ -46,8 +45,8 @@ Part = dict[str, Array]
 
 ARM = tuple(each.name for each in PROPERTIES.values() if each.owner == "arm")
 LED = ("com", "inertia")  # what goes with a uniform link's length
-MOVING = ("link", "rope", "motion")  # whose properties move the rope; the others are looked at
 GRAVITY = ("gravity_angle", "gravity_scale")
+TINY = 1e-30  # imaginary step of derivatives, so small that none of it reaches the real parts
 SMALL = 0.1  # rad, and parts of a time or place scale, by which such parameters are compared
 
 
@@ -98,9 +97,9 @@ class Parameter:
         """
         return SMALL if self.form == "linear" and self.law == "own" and self.name != "com" else 1.0
 
-    def value(self, x: float) -> float:
-        """Return the value in SI units; of a law the factor, or the logarithm of the growth."""
-        return float(np.exp(x)) if self.form == "log" else self.scale * x
+    def value(self, x: Any) -> Any:
+        """Return the value in SI units, real or complex as x; of a law the factor, or the logarithm of the growth."""
+        return np.exp(x) if self.form == "log" else self.scale * x
 
     def derivative(self, x: float) -> float:
         """Return d value / d x."""
@@ -152,27 +151,29 @@ class Parameters:
 
     def rope(self, x: Array) -> Rope:
         """Return the guess with the free parameters set to x."""
-        changes: dict[str, Any] = {}
-        columns: dict[str, Array] = {}
+        return self.guess.replace(**self._changed(x))
+
+    def _changed(self, x: npt.NDArray[Any]) -> dict[str, Any]:
+        """Return the properties of the rope that differ from the guess at x (P,), real or complex as x."""
+        found: dict[str, Any] = {}
         for parameter, each in zip(self.all, x, strict=True):
             name, value = parameter.name, parameter.value(each)
             if name in GRAVITY:
-                before = changes.get("gravity", self.guess.gravity)
-                changes["gravity"] = value * before if name == "gravity_scale" else rotated_gravity(before, value)
+                before = found.get("gravity", self.guess.gravity)
+                found["gravity"] = value * before if name == "gravity_scale" else rotated_gravity(before, value)
             elif parameter.kind.owner == "rope":
-                changes[name] = value
+                found[name] = value
             elif parameter.kind.owner == "link":
-                column = columns.setdefault(name, getattr(self.guess, name).copy())
+                column = found.setdefault(name, getattr(self.guess, name).astype(x.dtype))
                 if parameter.law == "own":
                     column[list(parameter.links)] = value
                 else:
                     column *= np.exp(each * self.shape(parameter.law))
-        if "length" in columns:
-            longer = stretched(self.guess, columns["length"])
-            for name in LED:
-                column = columns.setdefault(name, getattr(self.guess, name).copy())
-                column[self.led[name]] = getattr(longer, name)[self.led[name]]
-        return self.guess.replace(**changes, **columns)
+        if "length" in found:
+            longer = stretched(self.guess, found["length"])
+            for name, led in self.led.items():
+                found[name] = np.where(led, longer[name], found.get(name, getattr(self.guess, name)))
+        return found
 
     def possible(self, x: Array) -> Rope | None:
         """Return the rope, or None where x describes none (a link without any inertia, a mass beyond all numbers)."""
@@ -186,40 +187,20 @@ class Parameters:
         one = np.ones(self.guess.n_links)
         return {"taper": self.middle, "pivot": np.where(np.arange(one.size) == 0, 1.0, 0.0)}.get(law, one)
 
-    def parts(self, x: Array, rope: Rope) -> list[tuple[int, Part]]:
+    def parts(self, x: Array) -> list[tuple[int, Part]]:
         """Return which parameters move the rope, and by how much each property changes with their x.
 
-        `rope` is that of x. A part maps a property to its change, as in :func:`hyperflex.sensitivities`; ``delay``
-        stands for the motion's.
+        A part maps a property to its change, as in :func:`hyperflex.sensitivities`; ``delay`` stands for the motion's.
+        Changes are exact: imaginary parts of the properties at x with a tiny imaginary part (complex-step derivative).
         """
         found = []
-        for k, (parameter, each) in enumerate(zip(self.all, x, strict=True)):
-            if parameter.kind.owner in MOVING:
-                found.append((k, self._part(parameter, float(each), rope)))
+        for k, parameter in enumerate(self.all):
+            if parameter.kind.owner == "motion":
+                found.append((k, {parameter.name: np.array([parameter.derivative(x[k])])}))
+            elif parameter.kind.owner in ("link", "rope"):
+                changed = self._changed(np.where(np.arange(x.size) == k, x + 1j * TINY, x))
+                found.append((k, {name: np.atleast_1d(each.imag) / TINY for name, each in changed.items()}))
         return found
-
-    def _part(self, parameter: Parameter, x: float, rope: Rope) -> Part:
-        name = parameter.name
-        if name == "gravity_scale":
-            return {"gravity": rope.gravity.copy()}  # x is its logarithm
-        if name == "gravity_angle":
-            gx, gy = rope.gravity
-            return {"gravity": np.array([-gy, gx]) * parameter.scale}
-        if parameter.kind.owner != "link":
-            return {name: np.array([parameter.derivative(x)])}
-        if parameter.law != "own":
-            change = getattr(rope, name) * self.shape(parameter.law)
-        else:
-            change, links, value = np.zeros(rope.n_links), list(parameter.links), parameter.value(x)
-            uneven = getattr(rope, name)[links] / value if value != 0.0 else 1.0  # by a taper or a pivot
-            change[links] = parameter.derivative(x) * uneven
-        return {name: change} | (self._follow(rope, change) if name == "length" else {})
-
-    def _follow(self, rope: Rope, change: Array) -> Part:
-        """Return what goes with a change of the lengths (n,): centres of mass and inertias that are not free."""
-        found = zip(LED, growth(self.guess, rope.length, change), strict=True)
-        led = {name: np.where(self.led[name], own, 0.0) for name, own in found}
-        return {name: own for name, own in led.items() if own.any()}
 
 
 def lumped(rope: Rope) -> tuple[Array, Array]:
@@ -242,6 +223,7 @@ def rotated_gravity(gravity: Array, angle: float) -> Array:
 SHARE = 0.01  # size of an unknown small torque, as a part of gravity's, in the scale of a friction that starts from 0
 DELAY = 0.05  # s, scale of the time between camera and motor
 ORIGIN = 0.1  # scale of the place of the first joint, in lengths of the rope
+WHOLE = {"gravity_scale": 1.0}  # what a parameter that no object holds starts from, if not from 0
 NEEDS = {  # what must be measured for parameters that are not the rope's
     "motion": ("nothing moves the first joint", "motion=..."),
     "camera": ("no places are measured", "arc_lengths=..."),
@@ -292,69 +274,61 @@ def _one(guess: Rope, label: Label, arc_lengths: Array | None, moved: bool, arm:
     if {"motion": not moved, "camera": unseen, "marker": unseen, "arm": arm is None}.get(owner):
         why, fix = NEEDS[owner]
         raise InvalidInput(f"{name} is free, but {why}", fix=f"Give {fix}, or leave it out")
-    if owner not in ("link", "marker"):
-        if place is not None or law:
-            raise InvalidInput(f"{name} belongs to the whole rope, or camera", got=f"{name}[{place}]", allowed=name)
-        return [_whole(guess, name, arm or Arm())]
-    starts = getattr(guess, name) if arc_lengths is None or owner == "link" else arc_lengths
-    every = tuple(range(starts.size))
-    if (place is not None and place not in every) or (law and owner == "marker"):
-        got = f"{name}[{place}]" if law == "" else f"{name}:{law}"
+    if owner == "marker" and arc_lengths is not None:
+        starts = arc_lengths
+    else:
+        known = getattr(arm if owner == "arm" else guess, name.removeprefix("arm_"), WHOLE.get(name, 0.0))
+        starts = np.atleast_1d(known)
+    every, whole = tuple(range(starts.size)), owner not in ("link", "marker")
+    if (place is not None and (whole or place not in every)) or (law and owner != "link"):
+        what = "belongs to the whole rope, or camera" if whole else f"names a {owner} that the rope does not have"
         raise InvalidInput(
-            f"free names a {owner} that the rope does not have", got=got, allowed=f"{name}, or one of 0 to {every[-1]}"
+            f"{name} {what}",
+            got=f"{name}[{place}]" if law == "" else f"{name}:{law}",
+            allowed=name if whole else f"{name}, or one of 0 to {every[-1]}",
         )
     if law in ("factor", "taper"):
         if not starts.any():
             raise InvalidInput(f"{name}:{law} is free but starts from 0", allowed=f"a guess of {name} that is not 0")
         return [Parameter(name, every, f"{name}:{law}", 1.0 if law == "factor" else 0.0, 1.0, law)]  # type: ignore[arg-type]
-    sizes = scales(guess, name) if owner == "link" else np.full(starts.size, ORIGIN * guess.total_length)
+    sizes = scales(guess, name, starts)
+    if whole:
+        return [Parameter(name, (), name, float(starts[0]), float(sizes[0]))]
     if law:
-        own = every[law == "inner" :]
-        if not own:
-            raise InvalidInput(f"{name}:inner is free, but there is one link", allowed=f"{name}")
-        start, size = float(starts[list(own)].mean()), float(sizes[list(own)].mean())
-        return [Parameter(name, own, f"{name}:{law}", start, size)]
-    chosen = every if place is None else (place,)
-    return [Parameter(name, (k,), f"{name}[{k}]", float(starts[k]), float(sizes[k])) for k in chosen]
+        groups = {f"{name}:{law}": every[law == "inner" :]}
+    else:
+        groups = {f"{name}[{k}]": (k,) for k in (every if place is None else (place,))}
+    if () in groups.values():
+        raise InvalidInput(f"{name}:inner is free, but there is one link", allowed=f"{name}")
+    return [
+        Parameter(name, own, word, float(starts[list(own)].mean()), float(sizes[list(own)].mean()))
+        for word, own in groups.items()
+    ]
 
 
-def _whole(guess: Rope, name: str, arm: Arm) -> Parameter:
-    """Return a parameter that belongs to no link; what starts from 0 gets a typical size as scale."""
-    level = SHARE * guess.total_mass * guess.total_length**2  # of the level rope
-    typical = level * float(np.sqrt(np.hypot(*guess.gravity) / guess.total_length))
-    place = (0.0, ORIGIN * guess.total_length)
-    start, size = {
-        "tip_mass": (guess.tip_mass, SHARE * guess.total_mass),
-        "gravity_angle": (0.0, 1.0),
-        "gravity_scale": (1.0, 1.0),
-        "delay": (0.0, DELAY),
-        "origin_x": place,
-        "origin_y": place,
-        "arm_inertia": (arm.inertia, level),
-        "arm_friction": (arm.friction, typical or level),
-    }[name]
-    return Parameter(name, (), name, start, max(start, size))
-
-
-def scales(guess: Rope, name: str) -> Array:
-    """Return the scales (n,) of a property of the links: its value, or what is typical by its unit, if that is more."""
-    value: Array = np.array(getattr(guess, name))
+def scales(guess: Rope, name: str, starts: Array) -> Array:
+    """Return the scales (N,) of values: what they start from, or what is typical by unit or name, if that is more."""
     if FREE_PROPERTIES[name].form == "log":
-        if not (value > 0.0).all():
-            raise InvalidInput(f"{name} is free but starts from 0", got=value, allowed=f"a guess of {name} > 0")
-        return value
-    p, inertia = lumped(guess)
-    weight = SHARE * np.abs(p) * (float(np.hypot(*guess.gravity)) or 1.0)
+        if not (starts > 0.0).all():
+            raise InvalidInput(f"{name} is free but starts from 0", got=starts, allowed=f"a guess of {name} > 0")
+        return starts
+    (p, inertia), gravity = lumped(guess), float(np.hypot(*guess.gravity)) or 1.0
+    weight, mass, length = SHARE * np.abs(p) * gravity, SHARE * guess.total_mass, guess.total_length
     typical: dict[str, Array | float] = {
-        "m": guess.length,
+        "com": guess.length,
+        "m": ORIGIN * length,
+        "s": DELAY,
+        "rad": 1.0,
+        "kg": mass,
         "kg m^2": inertia,
         "N m s/rad": np.sqrt(SHARE * weight * inertia),
         "N m": weight,
         "N m/rad": weight,
-        "rad": 1.0,
-        "kg/m^2": SHARE * guess.total_mass / guess.total_length**2,
+        "kg/m^2": mass / length**2,
+        "arm_inertia": mass * length**2,
+        "arm_friction": mass * length**2 * np.sqrt(gravity / length),
     }
-    return np.maximum(np.abs(value), typical[FREE_PROPERTIES[name].unit])
+    return np.maximum(np.abs(starts), typical.get(name, typical.get(FREE_PROPERTIES[name].unit, 1.0)))
 
 
 def perturbed(rope: Rope, moves: Mapping[str, Array], drawn: Array) -> Rope:
@@ -528,16 +502,15 @@ class Plant:
 
     def predict(self, x: Array, t: Array, state: Array) -> Array | None:
         """Return the channels (m, C) at times t (m,) from `state` (2n,) at t[0]; None where the rollout fails."""
-        at = self._at(x)
-        y = None if at is None else self._run(at, t, state)
-        seen = None if at is None or y is None else self._channels(at, t, y)
-        return seen if seen is not None and np.isfinite(seen).all() else None
+        if (run := self._run(x, t, state)) is None:
+            return None
+        seen = self._channels(run[0], t, run[1])
+        return seen if np.isfinite(seen).all() else None
 
     def propagate(self, x: Array, t: float, state: Array, until: float) -> Array | None:
         """Return the state (2n,) at `until`, s, from `state` at t; None where the rollout fails."""
-        at = self._at(x)
-        y = None if at is None else self._run(at, np.array([t, until]), state)
-        return None if y is None or not np.isfinite(y[-1]).all() else np.asarray(y[-1, : state.size].copy())
+        run = self._run(x, np.array([t, until]), state)
+        return None if run is None or not np.isfinite(run[1][-1]).all() else run[1][-1, : state.size].copy()
 
     def jacobian(self, x: Array, t: Array, state: Array) -> PredictedChannels | None:
         """Return the same with exact derivatives, or None."""
@@ -550,19 +523,19 @@ class Plant:
             _, dy = forward_derivatives(run, at.directions, start, t, at.seeds)
         except SimulationError:
             return None
-        y, count = run.y[-t.size :], len(at.directions.names)
-        q, dy = y[:, :n], dy[:, :, :count]
+        y, dy = run.y[-t.size :], dy[:, :, : len(at.directions.names)]
+        q = y[:, :n]
         dpivot = np.zeros((t.size, 2, at.directions.width))
         if self.sensor.placed:
             place_changes(at.drive, at.seeds, np.array(t), dpivot)
-        seen, own = self._channels(at, t, y), at.sensor.value_jacobian(at.rope, q)
-        moved = at.sensor.jacobian(at.rope, q, dy[:, :n], dpivot[:, :, :count], at.directions.lengths(n))
+        seen, count = self._channels(at, t, y), self.sensor.values.size
+        moved = at.sensor.jacobian(at.rope, q, dy[:, :n], dpivot[:, :, : dy.shape[2]], at.directions.lengths(n))
+        own = np.zeros((*seen.shape, count + len(ARM)))
+        own[:, : moved.shape[1], :count] = at.sensor.value_jacobian(at.rope, q)
         if at.motor is not None:
             by_run = at.motor.jacobian(at.chain, at.drive, at.directions.parts[2 * n :], t, y, dy)
-            moved, by_sensor = np.concatenate([moved, by_run[:, None]], axis=1), own
-            own = np.zeros((*moved.shape[:2], own.shape[2] + len(ARM)))
-            own[:, :-1, : -len(ARM)] = by_sensor
-            own[:, -1, -len(ARM) :] = at.motor.value_jacobian(at.chain, at.drive, t, y)
+            moved = np.concatenate([moved, by_run[:, None]], axis=1)
+            own[:, -1, count:] = at.motor.value_jacobian(at.chain, at.drive, t, y)
         shared = np.zeros((*moved.shape[:2], len(self.parameters)))
         shared[:, :, at.moving] = moved[:, :, 2 * n :]
         for k, place in self._own:
@@ -574,14 +547,14 @@ class Plant:
     def _limits(self, at: _Evaluation, t: Array) -> Limits:
         return rollout_limits(self._setup, at.chain, float(t[-1]))
 
-    def _run(self, at: _Evaluation, t: Array, state: Array) -> Array | None:
-        """Return the rollout's states at t (m,) from `state` (2n,), or None where it fails or takes too many steps."""
-        if not np.isfinite(state).all():
+    def _run(self, x: Array, t: Array, state: Array) -> tuple[_Evaluation, Array] | None:
+        """Return what follows from x, and the states at t (m,) from `state` (2n,); None where that fails."""
+        at, n = self._at(x), state.size // 2
+        if at is None or not np.isfinite(state).all():
             return None
-        n = at.rope.n_links
         run = prepare_rollout(at.chain, at.drive, (state[:n], state[n:]), t, self._limits(at, t))
         most = max(MOST_STEPS, MOST_STEPS_A_SECOND * float(t[-1] - t[0])) / run.limits.budget
-        return run.y if finish_rollout(run, most=most) == status.OK else None
+        return (at, run.y) if finish_rollout(run, most=most) == status.OK else None
 
     def _channels(self, at: _Evaluation, t: Array, y: Array) -> Array:
         """Return the channels (m, C) of states y (m, 2n or more)."""
@@ -612,7 +585,7 @@ class Plant:
             own[place] = self.parameters.all[k].value(x[k])
         sensor = self.sensor.with_values(own[: self.sensor.values.size])
         motor = None if self.motor is None else self.motor.with_values(own[self.sensor.values.size :])
-        moving, unit = self.parameters.parts(x, rope), np.eye(rope.n_links)
+        moving, unit = self.parameters.parts(x), np.eye(rope.n_links)
         parts = [{name: row} for name in ("q0", "qd0") for row in unit]
         for _, part in moving:
             if "delay" in part:

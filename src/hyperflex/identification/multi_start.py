@@ -17,20 +17,18 @@ from hyperflex.budget import Budget, OutOfTime
 from hyperflex.checks import Array
 from hyperflex.errors import IdentificationError, InvalidInput
 from hyperflex.identification.fit import (
-    FEWEST_SAMPLES,
     HARDLY,
+    POOR,
     Fit,
     Loss,
     Report,
     Window,
-    decimation_step,
     fit,
     fit_state,
-    nearest_turn,
     part_left,
     with_entries,
 )
-from hyperflex.identification.measurements import Measurements
+from hyperflex.identification.measurements import FEWEST_SAMPLES, Measurements
 from hyperflex.identification.model import Parameters, Plant
 from hyperflex.interruption import stoppable
 
@@ -45,19 +43,15 @@ TURNS = 6
 AMISS = 10.0
 # quantile of the windows' costs that stands for those that fit
 BETTER_PART = 0.25
-# of a fit after which states are searched
-ROUNDS = 15
 # rad, rad/s: ends of fits to the same minimum differ by less, and other minima by far more
 SAME_STATE = 0.01
-# rounds of fitting a state to a part of a window
-SHORT = 10
+# rounds of fitting a state to a part of a window, and of parameters after which states are searched
+SHORT = 15
 # part of its cost: more is the same state again
 BETTER = 0.98
-# part of the motion that a fit without known noise leaves, from which it is tried from other starts
-BAD = 0.05
 # ratio of costs within which two starts have come to the same
 ALIKE = 1.05
-# of the grid on either side of 0; windows; rounds of their states
+# of the grid of delays on either side of 0; windows; rounds of their states
 DELAY_STEPS = 16
 DELAY_WINDOWS = 4
 DELAY_ROUNDS = 2
@@ -95,19 +89,14 @@ def multi_start(
     InvalidInput, before the work, for more derivatives than there is memory for; IdentificationError, where nothing has
     been fitted before the time is over or no window can be simulated.
     """
-    links, count, step = (
-        plant.parameters.guess.n_links,
-        len(plant.parameters),
-        decimation_step(measured.channels, length),
-    )
-    values = measured.channels.data.size // step
+    links, count = plant.parameters.guess.n_links, len(plant.parameters)
+    values = measured.channels.data.size // measured.step(length)
     memory.check(
         8.0 * COPIES * values * (2 * links + count),
         f"a fit of {count} parameters of {links} links to {values} values",
         "Free fewer parameters, or give a part of the recording",
     )
-    seen = measured.windows(length, step)[0] if measured.sides else []
-    ambiguous = any(window.others for window in seen)
+    ambiguous = bool(measured.sides) and any(window.others for window in measured.windows(length)[0])
     search = MultiStart(plant, measured, loss or Loss(), budget or Budget(), report, ambiguous)
     done: list[Fitted] = []
     with stoppable() as stop:
@@ -144,17 +133,23 @@ class MultiStart:
         """Whether values cost twice what known noise does, or a fit leaves a large part of the motion."""
         if self.measured.channels.noise is not None:
             return found.cost - found.prior_cost > WORSE * sum(window.values for window in windows)
-        return not found.converged or part_left(windows, found.residuals) > BAD
+        return not found.converged or part_left(windows, found.residuals) > POOR
 
     def stages(self, length: float, usual: float) -> Iterator[Fitted]:
-        """Yield fits of shorter windows, then of those of `length`, s; the last one if it was ended early."""
+        """Yield fits of shorter windows, then of those of `length`, s; the last one if it was ended early.
+
+        Short windows come first, but where states have several guesses, which too few samples do not tell apart. Then
+        the `usual` length is doubled until the required one is reached.
+        """
         channels, x = self.measured.channels, self.plant.parameters.start
-        spacing = float(np.median(np.diff(channels.t)))
-        lengths = stage_lengths(length, usual, spacing, short=not self.ambiguous)
+        lengths = [length]
+        while lengths[0] > 2.0 * usual:
+            lengths.insert(0, 0.5 * lengths[0])
+        if not self.ambiguous and lengths[0] / FIRST >= FEWEST_SAMPLES * float(np.median(np.diff(channels.t))):
+            lengths.insert(0, lengths[0] / FIRST)
         known: dict[float, Array] = {}
         for number, part in enumerate(lengths):
-            step = decimation_step(channels, part)
-            windows, dropped = self.measured.windows(part, step)
+            windows, dropped = self.measured.windows(part)
             if part < length:
                 windows = windows[:: max(1, len(windows) // FIRST_WINDOWS)]
                 if not self._enough(windows):
@@ -176,7 +171,7 @@ class MultiStart:
             found.status = found.status or stop.status
             found.history[:] = [entry | stage for entry in found.history]
             x, known = found.x, {window.t[0]: state for window, state in zip(usable, found.states, strict=True)}
-            left_out = dropped + len(windows) - len(usable)
+            left_out, step = dropped + len(windows) - len(usable), self.measured.step(part)
             settings = {"window": part, "windows": len(usable), "left_out": left_out, "decimation": step}
             yield Fitted(found, usable, settings)
 
@@ -218,15 +213,20 @@ class MultiStart:
         """
         begun = x, states
         for _ in range(TURNS * self.ambiguous):
-            fitting, _ = self._fitting(windows, x, states)
+            values, least = self._costs(windows, x, states)
+            fitting = np.flatnonzero((values <= least) & np.isfinite(values)).tolist()
             if not self._enough([windows[k] for k in fitting]):
                 break
             seen, known = [windows[k] for k in fitting], [states[k] for k in fitting]
-            some = self.fit(seen, x, known, report, enough=HARDLY, rounds=ROUNDS)
+            some = self.fit(seen, x, known, report, enough=HARDLY, rounds=SHORT)
             x, states = some.x, list(states)
             for k, state in zip(fitting, some.states, strict=True):
                 states[k] = state
-            _, amiss = self._fitting(windows, x, states)
+            values, least = self._costs(windows, x, states)
+            amiss = {
+                k: values[k] * windows[k].values + windows[k].prior_cost(states[k])
+                for k in np.flatnonzero(values > min(least, AMISS)).tolist()
+            }
             if not self.search_states(windows, x, states, amiss, self.loss, thorough=True):
                 break
         try:
@@ -239,8 +239,7 @@ class MultiStart:
                 each = list(zip(windows, states, best.residuals, strict=True))
                 costs = np.array([loss.cost(residual) / window.values for window, _, residual in each])
                 limit = min(float(np.median(costs)), np.inf if self.measured.channels.noise is None else 1.0)
-                poor = np.flatnonzero(costs > WORSE * limit).tolist()
-                before = {k: best.window_cost(*each[k]) for k in poor}
+                before = {k: best.window_cost(*each[k]) for k in np.flatnonzero(costs > WORSE * limit).tolist()}
                 if not self.search_states(windows, best.x, states, before, loss, thorough=self.ambiguous):
                     break
                 again = self.fit(windows, best.x, states, report)
@@ -251,19 +250,13 @@ class MultiStart:
         best.status = best.status or stop.status
         return best
 
-    def _fitting(self, windows: Sequence[Window], x: Array, states: list[Array]) -> tuple[list[int], dict[int, float]]:
-        """Return the numbers of the windows that fit as well as the better ones, and costs of those that do not."""
+    def _costs(self, windows: Sequence[Window], x: Array, states: list[Array]) -> tuple[Array, float]:
+        """Return the mean square of each window's values (W,), inf without a rollout, and the most of one that fits."""
         residuals = [window.residual(self.plant, x, state) for window, state in zip(windows, states, strict=True)]
-        costs = [np.inf if each is None else float(each @ each) for each in residuals]
-        values = [cost / window.values for cost, window in zip(costs, windows, strict=True)]
-        least = AMISS * sorted(values)[int(BETTER_PART * len(values))]
-        fitting = [k for k, each in enumerate(values) if each <= least and np.isfinite(each)]
-        amiss = {
-            k: costs[k] + windows[k].prior_cost(states[k])
-            for k, each in enumerate(values)
-            if not each <= min(least, AMISS)
-        }
-        return fitting, amiss
+        values = np.array(
+            [np.inf if r is None else float(r @ r) / w.values for w, r in zip(windows, residuals, strict=True)]
+        )
+        return values, AMISS * float(np.sort(values)[int(BETTER_PART * len(values))])
 
     def search_states(
         self,
@@ -274,41 +267,37 @@ class MultiStart:
         loss: Loss,
         *,
         thorough: bool = False,
-    ) -> list[int]:
+    ) -> set[int]:
         """Put states that cost clearly less in place of those of windows, given by number with their costs `before`.
 
         Return the numbers of those found. `thorough`: states are fitted to a window's last samples as well, beginning
         with the window after, and to its first samples, then to more and more of it. A state of which a value costs
         no more than AMISS ends that search.
         """
-        found: list[int] = []
+        found: set[int] = set()
         for k, least in before.items():
             least, window = BETTER * least, windows[k]
-            for starts in (
-                self._starts(windows, x, states, k, loss)
-                if thorough
-                else [restart_states(self.plant, windows, x, states, k)]
-            ):
+            usual = restart_states(self.plant, windows, x, states, k)
+            for starts in self._starts(windows, x, states, k, list(usual), loss) if thorough else [usual]:
                 self.budget.check()
                 best = fit_state(self.plant, x, window, *starts, loss=loss, enough=HARDLY)
                 if best is None or (cost := loss.cost(best[1]) + window.prior_cost(best[0])) >= least:
                     continue
                 states[k], least = best[0], cost
-                found.append(k)
+                found.add(k)
                 if thorough and cost <= AMISS * window.values:
                     break
-        return sorted(set(found))
+        return found
 
     def _starts(
-        self, windows: Sequence[Window], x: Array, states: Sequence[Array], k: int, loss: Loss
+        self, windows: Sequence[Window], x: Array, states: Sequence[Array], k: int, usual: list[Array], loss: Loss
     ) -> Iterator[list[Array]]:
         """Yield groups of states to start window k from, the cheapest first."""
-        starts = list(restart_states(self.plant, windows, x, states, k))
         if k > 0:
             yield arrived(self.plant, x, windows[k - 1], states[k - 1], windows[k])
         if k + 1 < len(windows) and self.plant.motion is None:
             yield _from_behind(self.plant, x, windows[k], windows[k + 1], states[k + 1], loss)
-        yield _grown(self.plant, x, windows[k], starts, loss)
+        yield _grown(self.plant, x, windows[k], usual, loss)
 
     def _enough(self, windows: Sequence[Window]) -> bool:
         return sum(window.values - window.unknowns for window in windows) > len(self.plant.parameters)
@@ -347,19 +336,6 @@ class MultiStart:
                 "shorter windows (window=...)."
             )
         return kept, states
-
-
-def stage_lengths(length: float, usual: float, spacing: float, *, short: bool = True) -> list[float]:
-    """Return window lengths, s: `short` ones, then the usual one, doubled until the required length is reached.
-
-    Without short ones where states have several guesses: too few samples tell these apart.
-    """
-    lengths = [length]
-    while lengths[0] > 2.0 * usual:
-        lengths.insert(0, 0.5 * lengths[0])
-    if short and lengths[0] / FIRST >= FEWEST_SAMPLES * spacing:
-        lengths.insert(0, lengths[0] / FIRST)
-    return lengths
 
 
 def _part(window: Window, rows: slice) -> Window:
@@ -412,12 +388,18 @@ def arrived(plant: Plant, x: Array, before: Window, state: Array, window: Window
     return [] if end is None else [nearest_turn(end, window.guess)]
 
 
+def nearest_turn(state: Array, guess: Array) -> Array:
+    """Return a state (2n,) with whole turns added to its angles, so that they come near to those of a guess (2n,)."""
+    n = state.size // 2
+    return np.append(state[:n] + 2.0 * np.pi * np.round((guess[:n] - state[:n]) / (2.0 * np.pi)), state[n:])
+
+
 def search_delay(plant: Plant, measured: Measurements, length: float, loss: Loss) -> float:
     """Return the delay, s, that a fit starts from: of least cost on a grid within `length` (s), or 0.0 if hardly less.
 
     A grid, since the cost has a minimum for each swing. `plant` is without torque, its delay free.
     """
-    windows = measured.windows(length, decimation_step(measured.channels, length))[0]
+    windows, _ = measured.windows(length)
     windows = windows[:: -(-len(windows) // DELAY_WINDOWS)] if windows else []
 
     def cost(delay: float) -> float:

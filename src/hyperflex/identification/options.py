@@ -1,7 +1,7 @@
 """What a user may say of a recording and of its fit."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,7 @@ from hyperflex.options import check as check_options
 from hyperflex.options import option
 
 How = Literal["auto", "covariance", "profile"]
-HOWS: tuple[How, ...] = ("auto", "covariance", "profile")
+HOWS: tuple[How, ...] = get_args(How)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,15 +25,22 @@ from hyperflex.identification.declarations.window_tests import (
     window_scores,
 )
 from hyperflex.identification.excitation import check_excitation
-from hyperflex.identification.findings import Finding, Kind, Severity
-from hyperflex.identification.fit import Loss, Report, part_left, usual_length
-from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements, split, with_torque
+from hyperflex.identification.findings import Finding, Kind, Severity, ordered
+from hyperflex.identification.fit import POOR, Loss, Report, part_left, residuals_of
+from hyperflex.identification.measurements import (
+    Measurements,
+    build_plant,
+    checked_measurements,
+    split,
+    usual_length,
+    with_torque,
+)
 from hyperflex.identification.model import ANGLES, Plant
 from hyperflex.identification.multi_start import multi_start, search_delay, with_delay
 from hyperflex.identification.options import FitOptions, RecordingSetup
-from hyperflex.identification.prediction import HeldOut, predict, prediction_uncertainty
+from hyperflex.identification.prediction import HeldOut, predict
 from hyperflex.identification.result import Identification
-from hyperflex.identification.symptoms import POOR, residuals_of, symptoms
+from hyperflex.identification.symptoms import symptoms
 from hyperflex.identification.uncertainty.covariance import Basis, Interval, fit_information, of_ratios
 from hyperflex.identification.uncertainty.model_error import with_model_error
 from hyperflex.identification.uncertainty.profile import all_intervals
@@ -146,13 +153,11 @@ def identify(
 @contextmanager
 def rounds_shown(show: bool | Report) -> Iterator[Report]:
     """Show rounds of a fit on standard error if required; yields the callable that gets them, `show` if it is one."""
-    if callable(show):
-        yield show
-        return
-    with progress_bar(0.0, 1.0, show, "first states (Ctrl-C keeps the best so far)", "fit") as bar:
+    shown = not callable(show) and show
+    with progress_bar(0.0, 1.0, shown, "first states (Ctrl-C keeps the best so far)", "fit") as bar:
         if bar is not None:
             bar(0.0)
-        yield (lambda entry: None) if bar is None else lambda entry: bar(part_done(entry), message(entry))
+        yield show if callable(show) else lambda entry: bar and bar(part_done(entry), message(entry))
 
 
 def part_done(entry: dict[str, Any]) -> float:
@@ -232,6 +237,10 @@ class _Case:
         ranges: dict[str, Interval] | None = None
         held_out: HeldOut | None = None
         remarks, found, doubts = list[Finding](), list[Finding](), list[Finding]()
+
+        def shown() -> list[Finding]:
+            return symptoms(trial.basis, trial.tests, trial.scatter, held_out, self._settings(trial, began))
+
         if trial.tests:
             trial.basis = with_model_error(trial.plain, trial.tests, stds)
         with stoppable() as stop:
@@ -244,22 +253,17 @@ class _Case:
                     trial.basis = with_model_error(trial.plain, trial.tests, stds, scatter)
                 ranges = self._intervals(trial, remarks)
                 if self.rest is not None:
-                    plant = replace(
-                        trial.basis.plant, torque=False
-                    )  # what is held out is predicted without force or torque
-                    spread = prediction_uncertainty(trial.basis, self.untorqued.channels.data.shape[1])
-                    held_out = predict(plant, done.x, self.rest, self.options, spread)
+                    held_out = predict(trial.basis, self.rest, self.options)
                 with deferred():
-                    found = symptoms(trial.basis, trial.tests, trial.scatter, held_out, self._settings(trial, began))
+                    found = shown()
                 doubts = self._mistakes(trial, found)
         done.status = done.status or stop.status
-        settings = self._settings(trial, began)
         with deferred():
             if done.status is not None:
-                found = symptoms(trial.basis, trial.tests, trial.scatter, held_out, settings)
+                found = shown()
                 ranges = stop.partial if isinstance(stop.partial, dict) else ranges or self._intervals(trial, remarks)
             findings = [*chosen, *found, *doubts, *remarks]
-            return _result(trial.basis, held_out, settings, ranges, trial.tests, findings)
+            return _result(trial.basis, held_out, self._settings(trial, began), ranges, trial.tests, findings)
 
     def choose(self) -> tuple[Trial, list[Finding]]:
         """Return the fit with parameters chosen one by one, and the choice as a finding.
@@ -280,9 +284,9 @@ class _Case:
             richer: Trial | None = None
             with stoppable() as stop:
                 richer = self.fit(_with_word(trial.free, chosen.name))
-            if richer is None or not richer.complete:
+            if richer is None or not richer.complete:  # what has converged and was tested is worth more
                 trial.plain.fit.status = stop.status if richer is None else richer.plain.fit.status
-                break  # what has converged and was tested is worth more
+                break
             trial = richer
             added.append(f"{chosen.name} ({100.0 * chosen.gain:.3g} % of the residuals' squares)")
         return trial, [Finding(Kind.CHOSEN, Severity.NOTE, {"usual": usual, "added": added})]
@@ -311,10 +315,10 @@ class _Case:
         with stoppable() as stop:
             if trial.complete:
                 angles = self.recording.kind == "angles"
-                tests = score_tests(basis, self.options.gravity_std, angles=angles, budget=self.budget)
-                trial.tests = tests
-                trial.scores = window_scores(basis, [each.name for each in tests if each.masks and not each.law])
-                trial.tests = tuple(sorted((*tests, *drift_test(basis, trial.scores)), key=lambda each: -each.gain))
+                trial.tests = score_tests(basis, self.options.gravity_std, angles=angles, budget=self.budget)
+                trial.scores = window_scores(basis, [each.name for each in trial.tests if each.masks and not each.law])
+                tests = (*trial.tests, *drift_test(basis, trial.scores))
+                trial.tests = tuple(sorted(tests, key=lambda each: -each.gain))
         done.status = done.status or stop.status
         return trial
 
@@ -323,9 +327,10 @@ class _Case:
         setup, basis, fitted = self.setup, trial.basis, self.seen.channels
         tested = any(each.name == SCALES for each in trial.tests)  # else nothing counts what was declared
         stds = ["length_std", "clock_std", *(["torque_std"] if setup.torque is not None else [])]
-        settings = trial.settings | {name: getattr(self.options, name) * tested for name in stds}
         moved = "moved" if setup.arm is None else f"moved by an arm of {setup.arm.length:g} m"
-        settings |= {
+        settings = {
+            **trial.settings,
+            **{name: getattr(self.options, name) * tested for name in stds},
             "fitted_from": float(fitted.t[0]),
             "fitted_to": float(fitted.t[-1]),
             "autocorrelation": basis.information.correlation,
@@ -345,10 +350,11 @@ class _Case:
         """Return what seems wrong in the declaration of the recording, as far as it and short fits show."""
         short = ShortFit(self.guess, trial.free, self.setup, Loss(self.options.loss))
         said = spring_or_angles(self.recording, short)
-        shape = self.seen.shape
-        wrong = any(each.severity is Severity.WRONG or each.kind is Kind.GRAVITY_ROTATED for each in found)
-        wrong = wrong or (shape.kind == "angles" and float(np.nanmax(np.abs(shape.data))) < SMALL)
-        wrong = wrong or any(each.suspected and each.quantity.declared for each in trial.tests)
+        wrong = (
+            any(each.severity is Severity.WRONG or each.kind is Kind.GRAVITY_ROTATED for each in found)
+            or float(np.nanmax(np.abs(self.seen.shape.data))) < SMALL
+            or any(each.suspected and each.quantity.declared for each in trial.tests)
+        )
         to_noise = self.recording.noise is not None and trial.basis.information.variance <= 1.0
         if wrong and not to_noise and not said:  # which no mistake explains better
             named = first_misdeclared(trial.tests) or explaining(trial.tests)
@@ -386,7 +392,7 @@ def _result(
     plant, information, found = basis.plant, basis.information, basis.fit
     parameters = plant.parameters
     x = parameters.rounded(found.x)
-    rope, slopes, residuals = parameters.rope(x), parameters.derivatives(x), residuals_of(basis)
+    rope, slopes, residuals = parameters.rope(x), parameters.derivatives(x), residuals_of(basis.windows, found)
     torque = None
     if plant.motor is not None:
         residuals, torque = residuals[:, :-1], residuals[:, -1]
@@ -422,7 +428,7 @@ def _result(
         _basis=basis,
     )
     held = [Finding(Kind.HELD_VALUES, Severity.NOTE, {"names": list(result.held)})] if result.held else []
-    return result.with_findings([*findings, *held])
+    return replace(result, findings=ordered([*findings, *held]))
 
 
 def _by_name(plant: Plant, rope: Rope | None, numbers: Array) -> dict[str, Array]:

@@ -6,8 +6,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperflex.checks import Array
-from hyperflex.identification.fit import LEAST_VALUES, Loss, Window, decimation_step, first_state, fit_state, linearise
-from hyperflex.identification.measurements import Measurements
+from hyperflex.identification.fit import Loss, Window, fit_state, linearise, residuals_of
+from hyperflex.identification.measurements import LEAST_VALUES, Measurements, first_state
 from hyperflex.identification.model import Plant
 from hyperflex.identification.options import FitOptions
 from hyperflex.identification.uncertainty.covariance import Basis
@@ -85,43 +85,41 @@ class HeldOut:
         return self.starts[np.isinf(self.window_rms).any(axis=1)]
 
 
-def predict(
-    plant: Plant, x: Array, measured: Measurements, options: FitOptions, uncertainty: "PredictionUncertainty"
-) -> HeldOut | None:
-    """Predict the measurements piece by piece, with parameters x (P,); None if too short for one prediction.
+def predict(basis: Basis, measured: Measurements, options: FitOptions) -> HeldOut | None:
+    """Predict the measurements piece by piece, without force or torque; None if too short for one prediction.
 
     The first prediction starts ``options.lead`` after the first sample, each next one ``options.ahead`` later, its
     state fitted to the measurements on the time `lead` before it. More than 200 samples in that time are decimated. All
     samples have equal weights, compared with a prior of the state those of the noise.
     """
-    lead, ahead = options.lead, options.ahead
-    step = decimation_step(measured.channels, lead)
+    plant, x, lead, ahead = replace(basis.plant, torque=False), basis.fit.x, options.lead, options.ahead
+    step = measured.step(lead)
     recording, angles = measured.channels.decimate(step), measured.shape.decimate(step).data
     t, data, slack = recording.t, recording.data, 1e-9 + 1e-6 * ahead
-    prior = np.zeros((0, 2 * angles.shape[1])) if measured.prior is None else measured.prior
+    uncertainty = prediction_uncertainty(basis, data.shape[1])
     size = max(float(np.sqrt(np.mean(uncertainty.noise**2))), TINY)
     predictions = []
     for start in np.arange(t[0] + lead, t[-1] - ahead + slack, ahead):
         before = (t >= start - lead - slack) & (t < start + slack)
         after = (t > start + slack) & (t <= start + ahead + slack)
-        known = ~np.isnan(data[before])
+        seen = data[before]
         if not after.any() or (~np.isnan(angles[before])).sum(axis=0).min() < LEAST_VALUES:
             continue
         guess = first_state(t[before], angles[before])
-        window = Window(t[before], np.where(known, data[before], 0.0), known / size, guess, prior)
+        window = Window(t[before], np.nan_to_num(seen), ~np.isnan(seen) / size, guess, measured.prior)
         found = fit_state(plant, x, window, guess, loss=Loss(options.loss))
         y = None if found is None else plant.predict(x, np.append(window.t[0], t[after]), found[0])
-        if found is None or y is None or not np.isfinite(y).all():
+        if found is None or y is None:
             y, std = np.full_like(data[after], np.inf), np.full_like(data[after], np.nan)
         else:
             y, std = y[1:], prediction_std(plant, x, window, found, t[after], uncertainty)
-        predictions.append((float(start), t[after], data[after], y, std))
+        predictions.append((t[after], data[after], y, std, _rms(y - data[after]), float(start)))
     if not predictions:
         return None
-    starts, *pieces = zip(*predictions, strict=True)
-    window_rms = np.array([_rms(y - values) for _, _, values, y, _ in predictions])
+    *pieces, window_rms, starts = zip(*predictions, strict=True)
     times, seen, predicted, std = (np.concatenate(each) for each in pieces)
-    return HeldOut(_rms(predicted - seen), window_rms, np.array(starts), lead, ahead, times, seen, predicted, std)
+    rms = _rms(predicted - seen)
+    return HeldOut(rms, np.array(window_rms), np.array(starts), lead, ahead, times, seen, predicted, std)
 
 
 def _rms(error: Array) -> Array:
@@ -146,16 +144,11 @@ class PredictionUncertainty:
 
 def prediction_uncertainty(basis: Basis, channels: int) -> PredictionUncertainty:
     """Return the uncertainty of the first `channels`; residuals are weighted by the loss of the fit."""
-    found, information = basis.fit, basis.information
-    squares, counted = 0.0, 0.0
-    for window, residual in zip(basis.windows, found.residuals, strict=True):
-        counts = (found.loss.weight(residual) ** 2).reshape(window.y.shape) * (window.weight > 0.0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            error = np.where(window.weight > 0.0, residual.reshape(window.y.shape) / window.weight, 0.0)
-        squares = squares + (counts * error**2).sum(axis=0)
-        counted = counted + counts.sum(axis=0)
-    noise = np.sqrt(squares / np.maximum(counted, 1e-300))[:channels]
-    return PredictionUncertainty(information.total, noise, information.correlation)
+    errors = residuals_of(basis.windows, basis.fit)
+    counts = basis.fit.loss.weight(np.concatenate(basis.fit.residuals)).reshape(errors.shape) ** 2
+    counted = np.sum(counts * ~np.isnan(errors), axis=0)
+    noise = np.sqrt(np.nansum(counts * errors**2, axis=0) / np.maximum(counted, 1e-300))[:channels]
+    return PredictionUncertainty(basis.information.total, noise, basis.information.correlation)
 
 
 def prediction_std(

@@ -1,7 +1,6 @@
 """The result of an identification."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,17 @@ from hyperflex.checks import Array
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike
 from hyperflex.identification.declarations.score_tests import ScoreTest
-from hyperflex.identification.findings import Finding, Grade, Kind, grade, ordered, report, text
+from hyperflex.identification.findings import Finding, Grade, Kind, grade, report, text
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import Basis, Interval
 from hyperflex.model import Rope
 from hyperflex.status import Status
 
+SHOWN = (  # of a summary
+    *("grade", "success", "status", "message", "identifiable", "unit", "values", "std", "model_std", "ratios"),
+    *("ratio_std", "ratio_model_std", "held", "parameters", "covariance", "length_covariance", "residual_rms"),
+    *("residual_rms_all", "settings"),
+)
 MANY = 8  # numbers of a kind that are printed
 LARGE = 0.3  # part of a standard deviation from which the model's is printed
 
@@ -181,30 +185,13 @@ class Identification:
 
     def summary(self) -> dict[str, Any]:
         """Return the figures as plain numbers and lists; what cannot be known (inf) is None."""
-        names = [
-            "grade",
-            "success",
-            "status",
-            "message",
-            "identifiable",
-            "unit",
-            "values",
-            "std",
-            "model_std",
-            "ratios",
-            "ratio_std",
-            "ratio_model_std",
-            "held",
-            "parameters",
-            "covariance",
-            "length_covariance",
-        ]
-        result = {name: getattr(self, name) for name in (*names, "residual_rms", "residual_rms_all", "settings")}
-        result |= {"grade": self.grade.value, "status": self.status.value}
-        result["findings"] = [each.table for each in self.findings]
-        result["intervals"] = {
-            name: {"low": each.low, "high": each.high, "kind": each.kind} for name, each in self.intervals.items()
+        result = {name: getattr(self, name) for name in SHOWN} | {
+            "grade": self.grade.value,
+            "status": self.status.value,
         }
+        result["findings"] = [each.table for each in self.findings]
+        ranges = self.intervals.items()
+        result["intervals"] = {name: {"low": r.low, "high": r.high, "kind": r.kind} for name, r in ranges}
         if self.torque_residuals is not None:
             result["torque_rms"] = self.torque_rms
         if (held := self.held_out) is not None:
@@ -215,10 +202,6 @@ class Identification:
             for each in self.score_tests
         }
         return dict(files.plain(result | {"rope": self.rope.table()}))
-
-    def with_findings(self, more: Iterable[Finding]) -> "Identification":
-        """Return the same result with more findings."""
-        return replace(self, findings=ordered((*self.findings, *more)))
 
     def to_json(self, path: PathLike) -> None:
         """Write :meth:`summary` to `path` as JSON, wholly or not at all; FileProblem when it cannot be written."""

@@ -13,8 +13,8 @@ from hyperflex.identification.declarations.score_findings import REPORTED, score
 from hyperflex.identification.declarations.score_tests import TESTING, ScoreTest
 from hyperflex.identification.declarations.window_tests import Scatter
 from hyperflex.identification.findings import Finding, Kind, Severity, percent
-from hyperflex.identification.fit import NORMAL
-from hyperflex.identification.model import Plant, common_factor, in_common_factor, lumped
+from hyperflex.identification.fit import NORMAL, POOR, residuals_of
+from hyperflex.identification.model import Plant, common_factor, lumped
 from hyperflex.identification.prediction import HeldOut
 from hyperflex.identification.uncertainty.covariance import TOUCHED, Basis
 from hyperflex.identification.uncertainty.model_error import law_error
@@ -24,12 +24,8 @@ from hyperflex.model import RESISTANCES, Rope
 from hyperflex.sensors import Angles
 
 MASSES = ("J/p1", "p/p1")  # ratios without friction and stiffness
-
-
-# Of the fit: part of the motion that may stay unexplained (right fits of real pendulums leave 0.1 to 1 %); the
-# same where what stays is white, so that it is noise, and of a torque, which sensors or currents do not tell
-# better
-POOR = 0.05
+# part of the motion that may stay unexplained where residuals are white, so that they are noise, and of a torque, which
+# sensors or currents do not tell better; else it is POOR
 WHITE_POOR = 0.2
 # times the declared noise: residuals below show less noise, or are as good as the recording
 QUIET = 0.5
@@ -52,12 +48,8 @@ FRICTION_LOOSE = 0.3
 FRICTION_MOVES = 0.1
 # part of the windows
 LEFT_OUT = 0.2
-# samples
-CORRELATED = 10.0
 # independent values; a variance from fewer has no std
 LEAST_FREEDOM = 2.0
-# of centres of mass: the change that people think in
-PER_CENT = 0.01
 
 
 def symptoms(
@@ -75,12 +67,15 @@ def symptoms(
     declared = score_findings(
         tests, odd=any(each.severity is Severity.WRONG for each in odd), known=known, wrong=bool(impossible)
     )
-    found = [*impossible, *declared, *odd, *_far(rope), *loose, *_rotated(basis)]
+    found = [*impossible, *declared, *odd, *_far(rope), *loose]
+    angle = basis.plant.parameters.single("gravity_angle", basis.fit.x)
+    if abs(angle) > AXES:
+        found.append(Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)}))
     wrong = any(each.severity is Severity.WRONG for each in found)
     found += [replace(each, severity=Severity.WRONG if wrong else each.severity) for each in unlike_lengths(rope)]
     if settings["noise"] == "declared":
         found += _of_noise(basis, tests)
-    return [*found, *_scale(basis, tests), *_limits(basis, tests, scatter, settings), *_identifiable(basis)]
+    return [*found, *_limits(basis, tests, scatter, settings), *_identifiable(basis)]
 
 
 def _of_fit(basis: Basis) -> Iterator[Finding]:
@@ -89,43 +84,35 @@ def _of_fit(basis: Basis) -> Iterator[Finding]:
     White residuals are measuring noise, of which more is allowed, and as much as was declared; declared noise excuses
     residuals that are not white as far as that, too.
     """
-    fit, white = basis.fit, basis.information.whiteness >= CHANCE
+    fit, sensor = basis.fit, basis.plant.sensor
     if fit.status is not None or not fit.converged:
         yield Finding(Kind.NOT_CONVERGED, Severity.WRONG, {"how": fit.status or "not converged"})
     rms, spread, noise = _sizes(basis)
-    least, excused = WHITE_POOR * spread, NOISY * noise
-    most = np.maximum(least, excused) if white else np.maximum(POOR * spread, np.minimum(least, excused))
+    allowed = excused = np.maximum(WHITE_POOR * spread, NOISY * noise)
+    if basis.information.whiteness < CHANCE:
+        allowed = np.clip(NOISY * noise, POOR * spread, WHITE_POOR * spread)
     seen = rms.size - (basis.plant.motor is not None)  # a torque is the last channel
-    worst = int(np.argmax(np.where(rms > excused * white, rms / np.maximum(spread, 1e-12), 0.0)[:seen]))
-    if rms[worst] > most[worst]:
-        what, unit = (
-            (f"Link {worst}", "rad") if isinstance(basis.plant.sensor, Angles) else (f"Marker {worst // 2}", "m")
-        )
+    worst = int(np.argmax((rms / np.maximum(allowed, 1e-300))[:seen]))
+    if rms[worst] > allowed[worst]:
+        what, unit = (f"Link {worst}", "rad") if isinstance(sensor, Angles) else (f"Marker {worst // 2}", "m")
         values = {"what": what, "rms": float(rms[worst]), "motion": float(spread[worst]), "unit": unit}
         yield Finding(Kind.POOR_FIT, Severity.WRONG, values)
-    if seen < rms.size and rms[-1] > max(least[-1], excused[-1]):
+    if seen < rms.size and rms[-1] > excused[-1]:
         yield Finding(Kind.POOR_TORQUE, Severity.WRONG, {"rms": float(rms[-1]), "motion": float(spread[-1])})
-
-
-def residuals_of(basis: Basis) -> Array:
-    """Return measured less fitted channels (m, C) of all windows, rad or m, a torque last, N m; NaN in gaps."""
-    weights = np.concatenate([w.weight for w in basis.windows])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(weights > 0.0, -np.concatenate(basis.fit.residuals).reshape(weights.shape) / weights, np.nan)
 
 
 def _sizes(basis: Basis) -> Array:
     """Return rms of residuals (medians under a robust loss), motion within windows and declared noise (3, C)."""
-    residuals, weights = residuals_of(basis), np.concatenate([w.weight for w in basis.windows])
-    with np.errstate(divide="ignore"):
-        noise = np.sqrt(np.nanmean(np.where(weights > 0.0, 1.0 / weights**2, np.nan), axis=0))
-    noise[((weights == 0.0) | (weights == 1.0)).all(axis=0)] = 0.0  # not declared
-    moved = [np.nanvar(np.where(w.weight > 0.0, w.y, np.nan), axis=0) for w in basis.windows]
+    residuals, weights = residuals_of(basis.windows, basis.fit), np.concatenate([w.weight for w in basis.windows])
+    known, motion = weights > 0.0, np.concatenate([w.motion for w in basis.windows])
+    count = np.maximum(known.sum(axis=0), 1)
+    noise = np.sqrt(np.divide(1.0, weights**2, out=np.zeros_like(weights), where=known).sum(axis=0) / count)
+    noise[(~known | (weights == 1.0)).all(axis=0)] = 0.0  # not declared
     if basis.fit.loss.name == "squares":
         rms = np.sqrt(np.nanmean(residuals**2, axis=0))
     else:
         rms = NORMAL * np.nanmedian(np.abs(residuals), axis=0)
-    return np.stack([rms, np.sqrt(np.mean(moved, axis=0)), noise])
+    return np.stack([rms, np.sqrt((motion**2).sum(axis=0) / count), noise])
 
 
 def _of_prediction(held_out: HeldOut | None) -> Iterator[Finding]:
@@ -175,40 +162,32 @@ def _determined(basis: Basis, rope: Rope) -> tuple[bool, list[Finding]]:
     held, and what cannot be known at all, is reported elsewhere.
     """
     parameters, information = basis.plant.parameters, basis.information
-    every, spreads = ratios(rope, parameters.names), ratio_spread(parameters, information)
-    known = {name: (std > 0.0) & (std < np.inf) for name, std in spreads.items()}
-    parts = {
-        name: np.where(known[name], std, 0.0) / np.maximum(np.abs(every[name]), 1e-300) for name, std in spreads.items()
-    }
-    masses = np.concatenate([parts[name][known[name]] for name in MASSES])
-    nothing = masses.size > 0 and bool((masses > LOOSE).all())
+    every, loose = ratios(rope, parameters.names), dict[str, float]()
     std = information.deviations(parameters.derivatives(information.x))
     values = parameters.values(parameters.rounded(information.x))
     by_ratios = {"mass", "com", "inertia", *LAWS} if basis.plant.motor is None else set()
-    loose: dict[str, float] = {}
     for each, value, spread in zip(parameters.all, values, std, strict=True):
         least = (FRICTION_LOOSE if each.name in LAWS else LOOSE) * value
         if each.kind.form != "linear" and each.name not in by_ratios and 0.0 < least < spread < np.inf:
             loose[each.label] = float(spread / value)
-    for name, own in parts.items():
-        wide = np.flatnonzero(own > (LOOSE if name in MASSES else FRICTION_LOOSE))
-        if 1 < wide.size == np.count_nonzero(own):
-            loose[name] = float(own.max())
+    masses: list[float] = []
+    for name, spreads in ratio_spread(parameters, information).items():
+        known = np.flatnonzero((spreads > 0.0) & (spreads < np.inf))
+        parts = {int(k): float(spreads[k] / max(abs(every[name][k]), 1e-300)) for k in known}
+        wide = {k: part for k, part in parts.items() if part > (LOOSE if name in MASSES else FRICTION_LOOSE)}
+        if name in MASSES:
+            masses += parts.values()
+        if 1 < len(wide) == len(parts):
+            loose[name] = max(wide.values())
         else:
-            loose |= {f"{name}[{k}]": float(own[k]) for k in wide}
+            loose |= {f"{name}[{k}]": part for k, part in wide.items()}
+    nothing = bool(masses) and min(masses) > LOOSE
     found = [Finding(Kind.NOTHING_KNOWN, Severity.WRONG, {"limit": LOOSE})] * nothing
     if loose:
         labels = [f"{label} (± {percent(part)})" for label, part in loose.items()]
         others = "values" if information.unknown.shape[1] == 0 else "ratios"
         found.append(Finding(Kind.POORLY_DETERMINED, values={"labels": labels, "names": list(loose), "others": others}))
     return not nothing, found
-
-
-def _rotated(basis: Basis) -> Iterator[Finding]:
-    """Yield that gravity was found far from where it was taken to be."""
-    angle = basis.plant.parameters.single("gravity_angle", basis.fit.x)
-    if abs(angle) > AXES:
-        yield Finding(Kind.GRAVITY_ROTATED, values={"angle": float(angle)})
 
 
 def _of_noise(basis: Basis, tests: Sequence[ScoreTest]) -> Iterator[Finding]:
@@ -222,29 +201,16 @@ def _of_noise(basis: Basis, tests: Sequence[ScoreTest]) -> Iterator[Finding]:
         yield Finding(Kind.UNEXPLAINED, values={"times": float(np.sqrt(basis.information.variance))})
 
 
-def _scale(basis: Basis, tests: Sequence[ScoreTest]) -> Iterator[Finding]:
-    """Yield what the scale of masses, inertias and frictions is."""
-    if basis.information.unknown.shape[1]:
-        yield Finding(Kind.COMMON_FACTOR, Severity.LIMIT)
-    elif basis.plant.motor is not None:
-        yield Finding(Kind.TORQUE_SCALE, Severity.LIMIT)
-    else:
-        moves = next((_com_sensitivity(basis, each) for each in tests if each.name == "com"), 0.0)
-        words = f" (1 % of a centre of mass moves ratios by up to {percent(moves)})" if moves > 0.0 else ""
-        yield Finding(Kind.HELD_SCALE, Severity.LIMIT, {"sensitivity": words})
-
-
-def _com_sensitivity(basis: Basis, test: ScoreTest) -> float:
+def _com_sensitivity(basis: Basis, tests: Sequence[ScoreTest]) -> float:
     """Return by what part 1 % of held centres of mass moves a ratio that seems to be known better; 0 for none."""
-    if test.freed_with:
-        return 0.0
-    parameters, information = basis.plant.parameters, basis.information
+    parameters, information, worst = basis.plant.parameters, basis.information, 0.0
     gradients, known = ratio_gradients(parameters, information.x), ratios(parameters.rope(information.x))
-    stds, worst = ratio_spread(parameters, information), 0.0
-    for name in MASSES:
-        moved = np.max(np.abs(gradients[name] @ (test.rate * np.abs(test.values))), axis=1) * PER_CENT
-        beyond = (moved > 2.0 * stds[name]) & (stds[name] > 0.0)
-        worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
+    stds = ratio_spread(parameters, information)
+    for test in [each for each in tests if each.name == "com" and not each.freed_with]:
+        for name in MASSES:
+            moved = 0.01 * np.max(np.abs(gradients[name] @ (test.rate * np.abs(test.values))), axis=1)
+            beyond = (moved > 2.0 * stds[name]) & (stds[name] > 0.0)
+            worst = max(worst, float(np.max(moved / np.abs(known[name]), where=beyond, initial=0.0)))
     return worst
 
 
@@ -264,10 +230,18 @@ def moves_alike(plant: Plant) -> bool:
 def _limits(
     basis: Basis, tests: Sequence[ScoreTest], scatter: Sequence[Scatter], settings: dict[str, Any]
 ) -> Iterator[Finding]:
-    """Yield what no motion tells, and what the model, the windows and the noise leave open."""
+    """Yield what no motion tells, such as the scale, and what the model, the windows and the noise leave open."""
     from scipy.special import chdtrc
 
     information = basis.information
+    if information.unknown.shape[1]:
+        yield Finding(Kind.COMMON_FACTOR, Severity.LIMIT)
+    elif basis.plant.motor is not None:
+        yield Finding(Kind.TORQUE_SCALE, Severity.LIMIT)
+    else:
+        moves = _com_sensitivity(basis, tests)
+        words = f" (1 % of a centre of mass moves ratios by up to {percent(moves)})" if moves > 0.0 else ""
+        yield Finding(Kind.HELD_SCALE, Severity.LIMIT, {"sensitivity": words})
     if moves_alike(basis.plant) and any(each.name == CLOCK and each.std <= REPORTED.untested for each in tests):
         yield Finding(Kind.UNDETECTABLE, Severity.LIMIT)
     part, name = law_error(basis, tests)
@@ -278,7 +252,7 @@ def _limits(
         yield Finding(Kind.WINDOWS_LEFT_OUT, Severity.LIMIT, {"part": missing / (missing + settings["windows"])})
     if settings.get("starts", 1) > 1 and settings["starts_agree"] <= 1:
         yield Finding(Kind.LONE_START, Severity.LIMIT, {"starts": settings["starts"]})
-    if information.correlation > CORRELATED or information.whiteness < CHANCE:
+    if information.whiteness < CHANCE:
         yield Finding(Kind.COLOURED, Severity.LIMIT, {"samples": information.correlation})
     if not information.agrees:
         yield Finding(Kind.NOT_STATIONARY, Severity.LIMIT)
@@ -299,7 +273,7 @@ def _identifiable(basis: Basis) -> Iterator[Finding]:
     if unknown.shape[1] == 0:
         yield Finding(Kind.IDENTIFIABLE, Severity.NOTE)
     else:
-        common, grows = common_factor(parameters, x, unknown), in_common_factor(parameters, x, unknown)
+        common, grows = common_factor(parameters, x, unknown), information.growing
         others = unknown if common is None else unknown - np.outer(common, common @ unknown)
         idle = (np.linalg.norm(others, axis=1) > 1.0 - TOUCHED) & ~grows
         touched = ((np.linalg.norm(unknown, axis=1) > TOUCHED) | grows) & ~idle

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         Property,
         parse_label,
     )
-    from hyperflex.model.refine import cuts, divided, growth, recut, refine_rope, stretched
+    from hyperflex.model.refine import cuts, divided, recut, refine_rope, stretched
     from hyperflex.model.rope import FRICTION_MODELS, GRAVITY, MOST_LINKS, Rope
     from hyperflex.model.setup import (
         DEFAULT_CONTACT_STEP,

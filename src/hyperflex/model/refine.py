@@ -1,6 +1,7 @@
 """Refinement of a rope's links where it may wind round a peg."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,44 +27,26 @@ def across(rope: Rope) -> Array:
     return np.minimum(0.25 * rope.mass * rope.radius**2, rope.inertia)
 
 
-def stretched(rope: Rope, length: npt.ArrayLike) -> Rope:
-    """Return a rope with links of other lengths and the same masses.
+def stretched(rope: Rope, length: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+    """Return length, com and inertia, for `Rope.replace`, of links of other lengths and the same masses.
 
     Parameters
     ----------
     rope : Rope
-    length : (n,) array_like
-        m.
+    length : (n,) ndarray
+        m; complex ones give complex values, for derivatives.
 
     Returns
     -------
-    Rope
+    dict of str to (n,) ndarray
         A uniform link's centre of mass stays in its middle, and its inertia grows with the square of its length, but
         for what the radius makes. Of other links both stay as they were: where their mass sits is not known.
     """
-    new = np.broadcast_to(np.asarray(length, dtype=np.float64), rope.length.shape)
-    moved = uniform(rope) & (new != rope.length)
-    flat = across(rope)
-    with np.errstate(over="ignore"):  # a rope refuses what is beyond all numbers
-        grown = flat + (rope.inertia - flat) * (new / rope.length) ** 2
-    return rope.replace(
-        length=new, com=np.where(moved, 0.5 * new, rope.com), inertia=np.where(moved, grown, rope.inertia)
-    )
-
-
-def growth(rope: Rope, length: Array, change: Array) -> tuple[Array, Array]:
-    """Return how centre of mass, m, and inertia, kg m^2, of :func:`stretched` change (n,) with its lengths.
-
-    Parameters
-    ----------
-    rope : Rope
-        Before it is stretched.
-    length, change : (n,) float64
-        The new lengths, m, and their change.
-    """
-    alike = uniform(rope)
-    along = 2.0 * (rope.inertia - across(rope)) * length / rope.length**2
-    return np.where(alike, 0.5 * change, 0.0), np.where(alike, along * change, 0.0)
+    alike, flat = uniform(rope), across(rope)
+    with np.errstate(over="ignore", invalid="ignore"):  # a rope refuses what is beyond all numbers
+        grown = flat + (rope.inertia - flat) * (length / rope.length) ** 2
+    com, inertia = np.where(alike, 0.5 * length, rope.com), np.where(alike, grown, rope.inertia)
+    return {"length": length, "com": com, "inertia": inertia}
 
 
 _LEAST = 1e-12  # m, of a link

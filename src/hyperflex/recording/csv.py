@@ -8,7 +8,7 @@ from typing import NamedTuple, cast
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, read_table
-from hyperflex.recording.declare import OPTIONS, POSITIVE, SECONDS, UNITS, Declarations, Raw
+from hyperflex.recording.declare import POSITIVE, Declarations, Raw
 from hyperflex.recording.recording import KINDS, Kind
 
 _NUMBERED = {  # names of columns, by what they hold
@@ -20,7 +20,6 @@ _NUMBERED = {  # names of columns, by what they hold
 _NOISE = "std_"  # begins the name of a column with the noise of another
 _WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]\Z")
 _TRUTH = {"true": True, "yes": True, "false": False, "no": False}
-_ALL_UNITS = (*UNITS["angles"], *UNITS["markers"])
 _NOTES = (*Declarations.__dataclass_fields__, "noise")
 _ARGUMENTS = ("kind", "max_rate")  # only the caller can give these
 FRAME = "frame"  # a column that counts frames: the time column where there is no other
@@ -51,8 +50,8 @@ def read(path: PathLike, time: str, kind: str | None, columns: Sequence[str] | N
     found = _known(path, list(at), time, kind) if columns is None else _named(path, columns, at, kind)
     if found.noise and "noise" in declared:
         raise InvalidInput(f"{path} gives its noise twice", got=[*found.noise, "# noise: .."], fix="Remove one of them")
-    for key, names, known in (("time_unit", [time], (*SECONDS, FRAME)), ("unit", found.data, _ALL_UNITS)):
-        _declare_unit(path, declared, key, {name: units.get(name) for name in names}, known)
+    for key, names in (("time_unit", [time]), ("unit", found.data)):
+        _declare_unit(path, declared, key, {name: units.get(name) for name in names})
     for name in found.rates:
         expected = f"{declared.get('unit', 'unit of angles')}/s"
         if units.get(name, expected) != expected:
@@ -75,7 +74,6 @@ def _time(path: PathLike, names: list[str], time: str) -> str:
 def _notes(path: PathLike, notes: Mapping[str, str]) -> dict[str, object]:
     """Return what the ``# key: value`` lines declare."""
     declared: dict[str, object] = {}
-    options = {**OPTIONS, "unit": _ALL_UNITS}
     for key, value in notes.items():
         what = f"{path}: the note {key!r}"
         if key in POSITIVE or key == "noise":
@@ -83,8 +81,8 @@ def _notes(path: PathLike, notes: Mapping[str, str]) -> dict[str, object]:
             declared[key] = numbers[0] if len(numbers) == 1 else numbers
         elif key == "wrapped":
             declared[key] = _TRUTH[checks.choice(what, value.lower(), tuple(_TRUTH))]
-        elif key in options:
-            declared[key] = checks.choice(what, value, options[key])
+        elif key in _NOTES:
+            declared[key] = value
         elif key != "columns" and _looks_like_declaration(key):
             raise InvalidInput(
                 f"{path} has a note that looks like a declaration but is none",
@@ -167,16 +165,13 @@ def _in_order(path: PathLike, numbered: dict[int, str], count: int = 0) -> list[
     return [numbered[k] for k in numbers]
 
 
-def _declare_unit(
-    path: PathLike, declared: dict[str, object], key: str, units: dict[str, str | None], known: Sequence[str]
-) -> None:
+def _declare_unit(path: PathLike, declared: dict[str, object], key: str, units: dict[str, str | None]) -> None:
     """Add the unit of columns in the header to what is declared; they must agree with each other and the notes."""
-    given = set(units.values())
-    if given == {None}:
+    unit, *others = set(units.values())
+    if others:
+        raise InvalidInput(f"{path} does not give one unit to all columns", got=units, fix="Give all the same")
+    if unit is None:
         return
-    if len(given) > 1:
-        raise InvalidInput(f"{path} does not give one unit to all columns", got=units, allowed=", ".join(known))
-    unit = checks.choice(f"{path}: the unit of {next(iter(units))}", given.pop(), known)
     if declared.setdefault(key, unit) != unit:
         fix = "Mend one of them"
         raise InvalidInput(f"{path}: header and notes disagree on {key}", got=[unit, declared[key]], fix=fix)

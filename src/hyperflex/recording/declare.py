@@ -85,15 +85,32 @@ class Raw:
 def to_recording(raw: Raw, given: Declarations, noise: object, max_rate: float) -> Recording:
     """Return `raw` as a Recording by what the file and the caller (`given`, and `noise` or None) declare."""
     declared = {**DEFAULTS, **raw.usual, **_agreed(raw, asdict(given))}
-    _check(raw, declared)
+    with located(raw.source):
+        _check(raw, declared)
     std = _agreed(raw, {"noise": noise}).get("noise", raw.noise)
     std = None if std is None else per_sample(std, raw.data)
     time = SECONDS[declared["time_unit"]] if "frame_rate" not in declared else 1.0 / declared["frame_rate"]
-    convert = _angles if raw.kind == "angles" else _markers
+    unit, data, rates = declared["unit"], raw.data, raw.rates
+    size = declared["scale"] if unit == "px" else {**RADIANS, **METRES}[unit]
+    if raw.kind == "angles":
+        factor = size if declared["sense"] == "+x" else -size
+        words = (
+            f"as {declared['angles']} angles in {unit}, zero {declared['zero']}, positive towards {declared['sense']}"
+        )
+    else:
+        factor = np.where(np.arange(data.shape[1]) % 2 == 1, -size if declared["y_axis"] == "down" else size, size)
+        words = f"in {unit}, y {declared['y_axis']}" + (f", {size:g} m per pixel" if unit == "px" else "")
     with located(raw.source), np.errstate(over="ignore", invalid="ignore"):  # Recording names what is not finite
-        data, std, rates, convention = convert(raw, declared, std)
-        parts = data, raw.kind, std, rates, raw.convention or convention, raw.name, raw.source
-        recording = Recording(raw.t * time, *parts)
+        data, rates = data * factor, None if rates is None else rates * factor
+        std = None if std is None else std * size
+        if raw.kind == "angles":
+            data = unwrap(data) if declared.get("wrapped") else data
+            if declared["angles"] == "relative":
+                data, rates = np.cumsum(data, axis=1), None if rates is None else np.cumsum(rates, axis=1)
+                std = None if std is None else np.sqrt(np.cumsum(std**2, axis=1))
+            data = data - math.pi if declared["zero"] == "up" else data
+        read = f"{CONVENTION[raw.kind]}; read {words}"
+        recording = Recording(raw.t * time, data, raw.kind, std, rates, raw.convention or read, raw.name, raw.source)
     if recording.kind == "angles":
         _check_speed(recording, checks.number("max_rate", max_rate, sign="positive", unit="rad/s"))
     return recording
@@ -138,38 +155,6 @@ def _check(raw: Raw, declared: Mapping[str, Any]) -> None:
             f"{raw.source} holds {raw.kind}, but not all that is needed to read them is declared",
             fix=f"Pass {', '.join(f'{key}=... ({allowed[key]})' for key in missing)}; nothing is guessed",
         )
-
-
-Converted = tuple[Array, Array | None, Array | None, str]
-
-
-def _angles(raw: Raw, declared: Mapping[str, Any], noise: Array | None) -> Converted:
-    """Return absolute angles in rad from hanging, their noise, rates, and what was done."""
-    unit, zero, sense, kind = (declared[key] for key in ("unit", "zero", "sense", "angles"))
-    factor = RADIANS[unit] * (1.0 if sense == "+x" else -1.0)
-    data = raw.data * factor
-    rates = None if raw.rates is None else raw.rates * factor
-    noise = None if noise is None else noise * abs(factor)
-    if declared.get("wrapped"):
-        data = unwrap(data)
-    if kind == "relative":
-        data = np.cumsum(data, axis=1)
-        rates = None if rates is None else np.cumsum(rates, axis=1)
-        noise = None if noise is None else np.sqrt(np.cumsum(noise**2, axis=1))
-    if zero == "up":
-        data = data - math.pi
-    text = f"{CONVENTION['angles']}; read as {kind} angles in {unit}, zero {zero}, positive towards {sense}"
-    return data, noise, rates, text
-
-
-def _markers(raw: Raw, declared: Mapping[str, Any], noise: Array | None) -> Converted:
-    """Return marker positions in m with y up, their noise, and what was done."""
-    unit, y_axis = declared["unit"], declared["y_axis"]
-    factor = declared["scale"] if unit == "px" else METRES[unit]
-    flip = np.where(np.arange(raw.data.shape[1]) % 2 == 1, -1.0 if y_axis == "down" else 1.0, 1.0)
-    noise = None if noise is None else noise * factor
-    size = f", {factor:g} m per pixel" if unit == "px" else ""
-    return raw.data * factor * flip, noise, None, f"{CONVENTION['markers']}; read in {unit}, y {y_axis}{size}"
 
 
 def _check_speed(recording: Recording, fastest: float) -> None:

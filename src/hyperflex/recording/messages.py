@@ -51,12 +51,16 @@ class Selection(NamedTuple):
 
 
 class Message(NamedTuple):
-    """A message: time (s, or whole ns), names of joints, and their angles and rates, or x, y, z of each pose."""
+    """A message: time (s, or whole ns), names of joints, and their angles and rates, or x, y, z of each pose.
+
+    And the standard deviations of the angles, or of x and y of each pose, as a file of ours has them.
+    """
 
     time: float
     names: Sequence[str]
     values: Sequence[float]
     rates: Sequence[float] = ()
+    std: Sequence[float] = ()
 
 
 def is_bag(path: Path) -> bool:
@@ -89,43 +93,37 @@ def _of_mcap(path: PathLike, reader: Any, summary: Any, selection: Selection) ->
     own = next((dict(each.metadata) for each in ours if each.metadata.get("format") == MCAP_FORMAT), {})
     if own and selection.kind is selection.topic is None:  # of a run its angles
         selection = selection._replace(kind=own["kind"])
-    topic, noise = _choose(path, topics, selection), array("d")
-    messages = _json_messages(reader, topic, selection.time, noise, exact=bool(own))
+    topic = _choose(path, topics, selection)
+    messages = _json_messages(reader, topic, selection.time, exact=bool(own))
     if not own:
         return _columns(path, topic, messages, selection)
-    columns, plane = selection.columns or json.loads(own.get("columns", "null")), selection.plane or own.get("plane")
+    selection = selection._replace(plane=selection.plane or own.get("plane"))
     if KINDS[topic.schema] == "angles":
-        selection = selection._replace(columns=columns)
-    raw = _columns(path, topic, messages, selection._replace(plane=plane))
+        selection = selection._replace(columns=selection.columns or json.loads(own.get("columns", "null")))
+    raw = _columns(path, topic, messages, selection)
     axes = {"angles": "absolute"} if raw.kind == "angles" else {"y_axis": "up"}
-    return replace(
-        raw,
-        declared={**raw.declared, **axes},
-        usual={},
-        noise=np.array(noise).reshape(raw.data.shape) if noise else None,
-        convention=own.get("convention", "") if raw.kind == own["kind"] else "",
-        name=own.get("name", ""),
-    )
+    convention = own.get("convention", "") if raw.kind == own["kind"] else ""
+    return replace(raw, declared={**raw.declared, **axes}, usual={}, convention=convention, name=own.get("name", ""))
 
 
-def _json_messages(reader: Any, topic: Topic, time: str, noise: "array[float]", *, exact: bool) -> Iterator[Message]:
-    """Yield messages; standard deviations go to `noise`. With `exact` the times are those of a file of ours, s."""
+def _json_messages(reader: Any, topic: Topic, time: str, *, exact: bool) -> Iterator[Message]:
+    """Yield messages. With `exact` the times are those of a file of ours, s."""
     for _, _, each in reader.iter_messages([topic.name]):
         message = json.loads(each.data)
-        noise.extend(message.get("std", ()))
         if exact:
             when = float(message["t"])
         else:
             stamp = message["timestamp"]
             when = each.log_time if time == "log" else int(stamp["sec"]) * 1_000_000_000 + int(stamp["nsec"])
+        std = message.get("std", ())
         if topic.schema == JOINT_STATES:
             joints = message["joints"]
             rates = [_number(joint["velocity"]) for joint in joints if "velocity" in joint]
             position = [_number(joint.get("position")) for joint in joints]
-            yield Message(when, [joint["name"] for joint in joints], position, rates)
+            yield Message(when, [joint["name"] for joint in joints], position, rates, std)
         else:
             held = [message["pose"]] if topic.schema == POSE_IN_FRAME else message["poses"]
-            yield Message(when, (), [_number(pose["position"][axis]) for pose in held for axis in "xyz"])
+            yield Message(when, (), [_number(pose["position"][axis]) for pose in held for axis in "xyz"], std=std)
 
 
 def _number(value: Any) -> float:
@@ -191,26 +189,25 @@ def _columns(path: PathLike, topic: Topic, messages: Iterator[Message], selectio
 def _joints(path: PathLike, topic: Topic, messages: Iterator[Message], selection: Selection) -> Raw:
     """Return joints as columns in the order of the given names, by default the first message's; NaN in gaps."""
     times: list[float] = []
-    position, velocity, order, moving = array("d"), array("d"), list(selection.columns or ()), True
+    order, columns = list(selection.columns or ()), {"values": array("d"), "rates": array("d"), "std": array("d")}
     for row in messages:
         order = order or list(row.names)
         if len(row.values) != len(row.names):
-            fix = "Record it again"
-            raise InvalidInput(
-                f"{path}: message {len(times)} has not one position a joint", got=len(row.values), fix=fix
-            )
-        moving &= len(row.rates) == len(row.names)
+            what, fix = f"{path}: message {len(times)} has not one position a joint", "Record it again"
+            raise InvalidInput(what, got=len(row.values), fix=fix)
         times.append(row.time)
         at = {name: k for k, name in enumerate(row.names)}
-        position.extend(row.values[at[name]] if name in at else np.nan for name in order)
-        velocity.extend(row.rates[at[name]] if moving and name in at else np.nan for name in order)
-    data = np.array(position).reshape(len(times), -1)
-    if unseen := [name for name, column in zip(order, data.T, strict=True) if np.isnan(column).all()]:
+        for key, column in columns.items():
+            found: Sequence[float] = getattr(row, key)
+            if len(found) == len(row.names):
+                column.extend(found[at[name]] if name in at else np.nan for name in order)
+    shape = len(times), len(order)
+    whole = {key: np.array(each).reshape(shape) for key, each in columns.items() if len(each) == shape[0] * shape[1]}
+    if unseen := [name for name, column in zip(order, whole["values"].T, strict=True) if np.isnan(column).all()]:
         raise InvalidInput(f"{path} has no joints of these names", got=unseen, fix="Check columns=[...]")
-    rates = np.array(velocity).reshape(data.shape) if moving else None
-    usual = {"angles": "relative"}  # joint coordinates
-    declared = {"time_unit": "s", "unit": "rad"}
-    return Raw(_seconds(times), data, "angles", rates=rates, declared=declared, usual=usual, source=str(path))
+    declared, usual = {"time_unit": "s", "unit": "rad"}, {"angles": "relative"}  # joint coordinates
+    noise, rates = whole.get("std"), whole.get("rates")
+    return Raw(_seconds(times), whole["values"], "angles", noise, rates, declared, usual, source=str(path))
 
 
 def _poses(path: PathLike, topic: Topic, messages: Iterator[Message], selection: Selection) -> Raw:
@@ -221,7 +218,7 @@ def _poses(path: PathLike, topic: Topic, messages: Iterator[Message], selection:
         allowed = "'xz' (x right, z up), 'xy' or 'yz'"
         fix = "Pass plane=...: the axes to the right and up, in which the rope swings"
         raise InvalidInput(f"{path} holds places in space, and no plane is declared", allowed=allowed, fix=fix)
-    times, places = zip(*((row.time, row.values) for row in messages), strict=True)
+    times, places, std = zip(*((row.time, row.values, row.std) for row in messages), strict=True)
     sizes = [len(each) for each in places]
     if len(set(sizes)) > 1:
         k = next(k for k, size in enumerate(sizes) if size != sizes[0])
@@ -229,7 +226,8 @@ def _poses(path: PathLike, topic: Topic, messages: Iterator[Message], selection:
         raise InvalidInput(f"{path}: message {k} has another number of poses", got=got, fix="Select another topic")
     data = np.array(places).reshape(len(times), -1, 3)[:, :, PLANES[selection.plane]].reshape(len(times), -1)
     declared, usual = {"time_unit": "s", "unit": "m"}, {"y_axis": "up"}
-    return Raw(_seconds(times), data, "markers", declared=declared, usual=usual, source=str(path))
+    noise = np.array(std).reshape(data.shape) if std[0] else None
+    return Raw(_seconds(times), data, "markers", noise, None, declared, usual, source=str(path))
 
 
 def _seconds(times: Sequence[float]) -> Array:

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Unpack
 
-import numpy as np
-
 from hyperflex import checks
 from hyperflex.errors import InvalidInput
 from hyperflex.files import PathLike, as_path, read_netcdf, regular_file
@@ -117,6 +115,9 @@ def read_recording(
     return to_recording(replace(raw, name=name or raw.name or file.stem), Declarations(**declarations), noise, max_rate)
 
 
+AXES = ("zero", "sense", "angles", "y_axis")  # declarations that such a file has as attributes
+
+
 def _netcdf(path: PathLike) -> Raw:
     """Return the columns of a file of :meth:`Recording.to_netcdf`, with what its attributes declare."""
     content = read_netcdf(path)
@@ -130,18 +131,14 @@ def _netcdf(path: PathLike) -> Raw:
             allowed="variables time and angle (time, link) or position (time, marker, axis)",
             fix="A trajectory is opened by read_trajectory",
         )
-    t = found["time"].numbers("time")
+    t, declared = found["time"].numbers("time"), {key: attributes[key] for key in AXES if key in attributes}
     columns = {}
-    for key, rank in ((name, 2 if kind == "angles" else 3), ("noise", np.ndim(found[name].values)), ("rate", 2)):
-        if key in found:
-            values = found[key].numbers(key)
-            if t.ndim != 1 or values.ndim != rank or values.shape[0] != t.size:
-                what = f"{path}: variable {key!r} has the wrong shape"
-                raise InvalidInput(what, got=values.shape, fix="Write it again")
-            columns[key] = values.reshape(t.size, -1)
-    declared: dict[str, object] = {
-        key: attributes[key] for key in ("zero", "sense", "angles", "y_axis") if key in attributes
-    }
+    for key in {name, "noise", "rate"} & found.keys():
+        values = found[key].numbers(key)
+        if t.ndim != 1 or values.ndim != (2 if kind == "angles" else 3) or values.shape[0] != t.size:
+            what = f"{path}: variable {key!r} has the wrong shape"
+            raise InvalidInput(what, got=values.shape, fix="Write it again")
+        columns[key] = values.reshape(t.size, -1)
     for key, variable in (("time_unit", "time"), ("unit", name)):
         if "units" in found[variable].attributes:
             declared[key] = found[variable].attributes["units"]

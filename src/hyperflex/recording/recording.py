@@ -95,13 +95,6 @@ class Recording:
         return columns if self.kind == "angles" else columns // 2 - 1
 
     @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the C columns: ``th1, th2, ...`` or ``x0, y0, x1, ...``."""
-        if self.kind == "angles":
-            return tuple(f"th{k + 1}" for k in range(self.n_links))
-        return tuple(f"{axis}{k}" for k in range(self.n_links + 1) for axis in "xy")
-
-    @property
     def duration(self) -> float:
         """Time from the first to the last sample, s."""
         return float(self.t[-1] - self.t[0])

@@ -15,8 +15,8 @@ from hyperflex.identification.declarations.evidence import neighbours_swapped
 from hyperflex.identification.declarations.held import CLOCK, base
 from hyperflex.identification.declarations.score_tests import ScoreTest
 from hyperflex.identification.findings import Finding, Kind, Severity
-from hyperflex.identification.fit import HARDLY, Loss, decimation_step, fit, part_left, usual_length
-from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements
+from hyperflex.identification.fit import HARDLY, Loss, fit, part_left
+from hyperflex.identification.measurements import Measurements, build_plant, checked_measurements, usual_length
 from hyperflex.identification.model import ANGLES, Plant, lumped
 from hyperflex.identification.multi_start import search_delay, with_delay
 from hyperflex.identification.options import RecordingSetup
@@ -166,7 +166,7 @@ class ShortFit:
             plant = with_delay(plant, search_delay(plant, measured, usual, self.loss))
         x, fitted = plant.parameters.start, None
         for length in (usual / SHORT_FIT.shorter, usual):
-            windows, _ = measured.windows(length, decimation_step(measured.channels, length))
+            windows, _ = measured.windows(length)
             windows = windows[: SHORT_FIT.windows]
             if sum(each.values - each.unknowns for each in windows) <= x.size:
                 continue
