@@ -11,7 +11,7 @@ from hyperflex.control import swing_period
 from hyperflex.errors import InvalidInput
 from hyperflex.interfaces import RopeState
 from hyperflex.model import Arm, Obstacle, Peg, Rope, divided
-from hyperflex.planning.clearance import named, obstacle_gaps
+from hyperflex.planning.clearance import gap_of, named
 from hyperflex.planning.options import Conditions, MotorLimits, WindCriteria
 
 PERIODS = 5.0  # default time until the strike, in periods of a small swing
@@ -98,9 +98,8 @@ class Problem:
                 how = "given twice" if peg in self.criteria.behind[:k] else "an obstacle, too"
                 fix = "Give it once, in behind alone"
                 raise InvalidInput(f"a peg that the rope is to run behind is {how}", got=peg, fix=fix)
-        pivot: Array = np.array([self.arm.pivot])
         for each in (*self.criteria.behind, *self.obstacles):
-            room = float(obstacle_gaps((each,), pivot, pivot)[0, 0]) - self.arm.length - self.arm.radius
+            room = gap_of(each, *self.arm.pivot) - self.arm.length - self.arm.radius
             if room <= 0.0:
                 what = f"the turning arm hits {named(each)}"
                 raise InvalidInput(what, got=f"{-room:.3g} m too near the shaft", fix="Move it, or give a shorter arm")

@@ -202,12 +202,11 @@ def signed_gaps(obstacles: Sequence[Obstacle], begin: Array, end: Array) -> Arra
         if isinstance(wall, Wall) and rows[0].size:
             size = np.hypot(*np.moveaxis(end - begin, -1, 0))
             beyond = np.cumsum(size[..., ::-1], axis=-1)[..., ::-1]  # of the rope, from the beginning of each link
-            corner, way = np.array([wall.x, wall.y]), np.array([wall.x2 - wall.x, wall.y2 - wall.y])
-            normal, length = np.array([-way[1], way[0]]), float(np.hypot(*way))
-            low, high = (begin[rows] - corner) @ normal, (end[rows] - corner) @ normal
-            part = np.clip(low / np.where(low == high, 1.0, low - high), 0.0, 1.0)
-            crossing = begin[rows] + part[:, None] * (end - begin)[rows]
-            along = np.clip((crossing - corner) @ way / length, 0.0, length)
+            x, y = wall.x2 - wall.x, wall.y2 - wall.y
+            length, axes = math.hypot(x, y), np.array([[x, -y], [y, x]]) / math.hypot(x, y)
+            (low, below), (high, above) = (((each[rows] - [wall.x, wall.y]) @ axes).T for each in (begin, end))
+            part = np.clip(below / np.where(below == above, 1.0, below - above), 0.0, 1.0)
+            along = np.clip(low + part * (high - low), 0.0, length)
             depth = np.minimum(np.minimum(along, length - along), beyond[rows] - part * size[rows])
             gaps[(*rows[:-1], np.full(rows[0].size, k), rows[-1])] = -depth
     return gaps
