@@ -9,6 +9,7 @@ among those with work to do, the dearest first. So many candidates are sampled, 
 whatever each costs for a given rope.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -76,6 +77,8 @@ class Task(ABC):
         Candidates that are rolled out at once.
     enough : float
         Margin with which a search ends.
+    ready : float
+        Score of a sample above which it is rolled out before others are drawn.
     runs : int
         Simulated runs so far.
     """
@@ -83,6 +86,7 @@ class Task(ABC):
     problem: Problem
     batch: int = 1
     enough: float = 0.0
+    ready: float = math.inf
     runs: int = 0
 
     @abstractmethod
@@ -160,7 +164,8 @@ class Planner:
 
     def _with_work(self) -> list[int]:
         """Return the levels that have something to do."""
-        work = [] if self._exhausted else [SAMPLE]
+        waiting = self.sampled and self.sampled[0].score > self.task.ready
+        work = [] if self._exhausted or waiting else [SAMPLE]
         work += [ROLLOUT] if self.sampled else []
         return [*work, VERIFY] if self._promising() is not None else work
 

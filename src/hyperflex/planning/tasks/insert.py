@@ -295,7 +295,7 @@ class InsertTask(TipTask):
     seed : int
     """
 
-    close, ready = 2e-3, 0.02
+    close, ready, improve = 2e-3, -0.02, 2.0
 
     def __init__(
         self, problem: Problem, slot: Slot, uncertainty: Uncertainty | None = None, samples: int = 100, seed: int = 0

@@ -75,9 +75,6 @@ class TipOptions:
     members, generations, narrow, shorter : (int, int, float, float)
         Of an evolution of a swing, whose first step is `narrow` standard deviations of random swings; factor of a step
         after one without gain.
-    improve : float
-        A plan that succeeds is improved for this fraction of the time that it took to find, a less uncertain one for
-        less.
     """
 
     swings: int = 512
@@ -103,7 +100,6 @@ class TipOptions:
     generations: int = 16
     narrow: float = 0.3
     shorter: float = 0.7
-    improve: float = 2.0
 
 
 OPTIONS = TipOptions()
@@ -332,13 +328,15 @@ class TipTask(Task):
     Attributes
     ----------
     close, ready : float
-        Distance, m, at which an aim ends; cost, m, at which an evolution ends.
+        Distance, m, at which an aim ends; score at which an evolution ends.
+    improve : float
+        A plan that succeeds is improved for this many times as long as it took to find, a less uncertain one for less.
     swings : list of Candidate
         Random swings with their scores, the negative costs, m; the best first.
     """
 
     close: ClassVar[float]
-    ready: ClassVar[float]
+    improve: ClassVar[float]
     enough = 1.0
 
     def __init__(self, problem: Problem, target: Any, places: Array, finer: Rope, seed: int = 0) -> None:
@@ -406,18 +404,18 @@ class TipTask(Task):
         return one
 
     def sample(self, found: Sequence[Candidate], budget: Budget) -> list[Candidate]:
-        """Return the random swings; then what evolutions of one after the other gain.
+        """Return the random swings that are near enough, if there are any; then what evolutions of one by one gain.
 
-        They begin with the best swing of each side and number of moves, then the second of each, and so on. After each
-        of them the best one that gained a tenth of its cost is continued.
+        They begin with the best swings; of the same side and number of moves the second counts as twice as bad, and so
+        on. After each of them the best one that gained a tenth of its cost is continued.
         """
         if not self._sampled:
             self._sampled, seen, rank = True, Counter[tuple[int, int]](), dict[int, int]()
             for one in self.swings:
                 kind = one.moves.side, one.moves.cut(one.t + OPTIONS.window, self.problem.limits).ends.size
                 rank[id(one)], seen[kind] = seen[kind], seen[kind] + 1
-            self._starts = sorted(self.swings, key=lambda one: rank[id(one)])
-            return self.swings
+            self._starts = sorted(self.swings, key=lambda one: -one.score * (1 + rank[id(one)]))
+            return [one for one in self.swings if one.score > -OPTIONS.max_cost] or self.swings
         results = list[Candidate]()
         while not results and (self._starts or self._begun):
             self._begun.sort(key=lambda one: -one.score)
@@ -425,7 +423,7 @@ class TipTask(Task):
                 free = self.freed(one, budget)
                 best = self._evolved(free, budget)
                 results += [best] if best is not free else []
-                self._begun += [best] if -self.ready > best.score > 0.9 * free.score else []
+                self._begun += [best] if self.ready > best.score > 0.9 * free.score else []
         return results
 
     def _evolved(self, best: Candidate, budget: Budget) -> Candidate:
@@ -437,7 +435,7 @@ class TipTask(Task):
         centre, until = best.moves, best.t + options.closely
         random = np.random.default_rng([1, self.seed, self.runs])
         for _ in range(options.generations):
-            if best.score > -self.ready:
+            if best.score > self.ready:
                 break
             budget.check()
             steps = size * random.standard_normal((options.members, centre.parameters.size))
@@ -596,7 +594,7 @@ def plan_tip(
     with stoppable() as stop, budget.progress(options.progress, "planning"):
         known = task.prepare(budget)
         if task.swings and (known.feasible or options.skip_feasibility):
-            planner = Planner(task, budget.share(0.8), OPTIONS.improve)
+            planner = Planner(task, budget.share(0.8), task.improve)
             planner.run()
             if planner.best is None and planner.rolled and not budget.expired:  # its runs show why it fails
                 planner.best = task.verify(planner.rolled[0], budget)

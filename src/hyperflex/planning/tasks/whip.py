@@ -445,7 +445,7 @@ class WhipPlan(TipPlan):
 class WhipTask(TipTask):
     """Whip a target, from the swings of a map, by default of a new one."""
 
-    close, ready = 2e-4, 0.06
+    close, ready, improve = 2e-4, -0.06, 1.0
 
     def __init__(self, problem: Problem, target: TipTarget, whip_map: WhipMap | None = None, seed: int = 0) -> None:
         super().__init__(problem, target, target.point[None], divided(problem.rope, 2), seed)
